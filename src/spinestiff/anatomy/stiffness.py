@@ -1,0 +1,159 @@
+"""Default stiffness of joints and tissue, and the ratios that scale them (paper Table 1 and 4.3).
+
+The only place that holds literature values of stiffness. Units inside: N/mm, N mm/rad, MPa.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from spinestiff.anatomy.names import INTERVERTEBRAL, JOINTS
+from spinestiff.arrays import Floats, read_only
+from spinestiff.errors import TorsoError
+
+# Paper Table 1, in its units: kN/m = N/mm for translation (x, y, z); its "N/rad" for rotation (alpha, beta, gamma)
+# is read as N m/rad (docs/errata.md).
+TABLE_1: dict[str, tuple[float, float, float, float, float, float]] = {
+    "thoracic": (262.0, 1720.0, 262.0, 154.0, 137.0, 154.0),
+    "lumbar": (245.0, 1720.0, 245.0, 143.0, 498.0, 149.0),
+    "rib_vertebra": (53.9, 123.0, 123.0, 9.7, 6.87, 6.87),
+    "rib_sternum": (51.85, 8.0, 8.0, 9.7, 2.29, 2.29),
+    "sternum_clavicle": (1e4, 1e4, 1e4, 1e4, 1.0, 1.0),
+    "clavicle_scapula": (1e4, 1e4, 1e4, 1.0, 1.0, 1.0),
+    "scapula_humerus": (1e4, 1e4, 1e4, 1.0, 1.0, 1.0),
+}
+NMM_PER_NM = 1000.0
+
+# Young's modulus of the default tissue, MPa. Calibrated by benchmarks/calibrate_tissue.py, not a literature value:
+# the paper delegates it to Koutras 2021, whose values are not public.
+DEFAULT_YOUNG_MPA = 1.0
+DEFAULT_POISSON = 0.45
+
+# The six directions of an intervertebral joint (paper 3.1), clinical name -> column of the stiffness table.
+DIRECTIONS = {
+    "lateral_shear": 0,
+    "separation": 1,
+    "sagittal_shear": 2,
+    "flexion_extension": 3,
+    "axial_rotation": 4,
+    "lateral_bending": 5,
+}
+TISSUE_PARAMETERS = {"tissue": (True, True), "tissue_mu": (True, False), "tissue_lambda": (False, True)}
+# "tissue": one ratio for both Lame parameters, so that Poisson's ratio stays (default). The paper's literal mode
+# scales tissue_mu alone; it locks on linear tetrahedra (docs/errata.md).
+RATIO_BOUNDS = (0.005, 5.0)
+
+
+def joint_stiffness() -> Floats:
+    """Default stiffness of all joints, (67, 6): N/mm for x, y, z and N mm/rad for alpha, beta, gamma."""
+    table = np.array([TABLE_1[joint.kind] for joint in JOINTS])
+    table[:, 3:] *= NMM_PER_NM
+    return table
+
+
+def lame_parameters(young: float, poisson: float) -> tuple[float, float]:
+    """Lame's mu and lambda (unit of ``young``) of an isotropic material."""
+    if not young > 0.0 or not -1.0 < poisson < 0.5:
+        raise TorsoError(f"Young's modulus {young} and Poisson's ratio {poisson}: wanted > 0 and in (-1, 0.5)")
+    return young / (2.0 * (1.0 + poisson)), young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
+
+
+@dataclass(frozen=True)
+class ParameterGroup:
+    """The stiffnesses that one ratio scales.
+
+    Attributes
+    ----------
+    name : e.g. "lateral_bending".
+    joints : (J, 6) bool, entries of the joints' stiffness table.
+    mu, lambda_ : whether the tissue's Lame parameters belong to it.
+    """
+
+    name: str
+    joints: np.ndarray
+    mu: bool = False
+    lambda_: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "joints", read_only("joints", self.joints, (None, 6), TorsoError, bool))
+
+
+def parameter_group(name: str, kinds: tuple[str, ...]) -> ParameterGroup:
+    """The group of a parameter's name, for joints of the given ``kinds`` (J names of Table 1's rows).
+
+    Names: the six directions of the intervertebral joints (``DIRECTIONS``); "tissue", "tissue_mu",
+    "tissue_lambda"; a row of Table 1 (all six directions of that kind); "everything".
+
+    Raises
+    ------
+    TorsoError : unknown name.
+    """
+    mask = np.zeros((len(kinds), 6), dtype=bool)
+    mu = lambda_ = False
+    if name in DIRECTIONS:
+        mask[[kind in INTERVERTEBRAL for kind in kinds], DIRECTIONS[name]] = True
+    elif name in TISSUE_PARAMETERS:
+        mu, lambda_ = TISSUE_PARAMETERS[name]
+    elif name in TABLE_1:
+        mask[[kind == name for kind in kinds]] = True
+    elif name == "everything":
+        mask[:] = mu = lambda_ = True
+    else:
+        known = ", ".join((*DIRECTIONS, *TISSUE_PARAMETERS, *TABLE_1, "everything"))
+        raise TorsoError(f"unknown stiffness parameter '{name}'; known are {known}")
+    return ParameterGroup(name, mask, mu, lambda_)
+
+
+@dataclass(frozen=True)
+class StiffnessRatios:
+    """Ratios xi of stiffness over default (paper 3.1: k = xi * k_default); what is not named stays at 1.
+
+    Attributes
+    ----------
+    groups : what each ratio scales. Groups may overlap; ratios then multiply.
+    values : (R,) > 0.
+    """
+
+    groups: tuple[ParameterGroup, ...]
+    values: Floats
+
+    def __post_init__(self) -> None:
+        values = read_only("ratios", self.values, (len(self.groups),), TorsoError)
+        if (values <= 0.0).any():
+            raise TorsoError(f"stiffness ratios must be positive, found {values.tolist()}")
+        object.__setattr__(self, "values", values)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(group.name for group in self.groups)
+
+    def with_values(self, values: Iterable[float]) -> StiffnessRatios:
+        return StiffnessRatios(self.groups, np.asarray(list(values)))
+
+    def as_dict(self) -> dict[str, float]:
+        return dict(zip(self.names, self.values.tolist()))
+
+    def scale_joints(self, stiffness: Floats) -> Floats:
+        """(J, 6) joint stiffness times every ratio that applies to an entry."""
+        scaled = np.array(stiffness)
+        for group, value in zip(self.groups, self.values):
+            scaled[group.joints] *= value
+        return scaled
+
+    @property
+    def tissue(self) -> tuple[float, float]:
+        """Factors of Lame's mu and lambda."""
+        mu = float(np.prod([v for g, v in zip(self.groups, self.values) if g.mu]))
+        lambda_ = float(np.prod([v for g, v in zip(self.groups, self.values) if g.lambda_]))
+        return mu, lambda_
+
+
+def stiffness_ratios(
+    ratios: Mapping[str, float], kinds: tuple[str, ...] = tuple(j.kind for j in JOINTS)
+) -> StiffnessRatios:
+    """Ratios by name, e.g. ``stiffness_ratios({"lateral_bending": 0.1, "tissue": 0.01})``."""
+    groups = tuple(parameter_group(name, kinds) for name in ratios)
+    return StiffnessRatios(groups, np.array(list(ratios.values()), dtype=float))

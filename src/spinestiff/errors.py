@@ -1,0 +1,41 @@
+"""One base error; children by cause.
+
+A message names what is wrong, where (file, bone, frame, value) and what to try.
+The command line prints it in one line and exits with ``exit_status``.
+"""
+
+from __future__ import annotations
+
+
+class SpinestiffError(Exception):
+    """Any failure that is the input's or the computation's, not the program's."""
+
+    exit_status = 2
+
+
+class SubjectError(SpinestiffError):
+    """A subject folder, or a file in it, can't be used."""
+
+
+class RadiographError(SpinestiffError):
+    """A radiograph can't be read, or lacks what a measurement in millimetres needs."""
+
+
+class TrackingError(SpinestiffError):
+    """Vertebra corners can't be followed through a sequence."""
+
+
+class TorsoError(SpinestiffError):
+    """Anatomy that is no torso: shapes, frames, meshes, unknown names."""
+
+
+class EquilibriumError(SpinestiffError):
+    """No static equilibrium was found."""
+
+    exit_status = 3
+
+
+class FitError(SpinestiffError):
+    """Stiffness ratios can't be estimated from these trials."""
+
+    exit_status = 3

@@ -1,0 +1,1 @@
+"""How the torso deforms (paper section 3): energies, static equilibrium and its derivatives."""

@@ -1,0 +1,87 @@
+"""Implicit differentiation of an equilibrium (Eqs. 6-7).
+
+With the force f = -dE/dx and the tangent K = d2E/dx2 = -df/dx, equilibrium at all k gives
+
+    K dx/dk = df/dk = -d(dE/dx)/dk                                   (Eq. 6, forward)
+    (dx/dk)^T g = -(d(dE/dx)/dk)^T u   with   K u = g                (Eq. 7, adjoint)
+
+for log ratios k = log xi, which scale a force share f_xi by itself: d(dE/dx)/d log xi = -f_xi.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
+from spinestiff.anatomy.torso import TorsoState
+from spinestiff.arrays import Floats
+from spinestiff.errors import EquilibriumError
+from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem, state_digest
+from spinestiff.mechanics.loads import LoadCase
+
+if TYPE_CHECKING:
+    from spinestiff.mechanics.terms import BoneTerm
+
+# Above this relative residual a derivative is as wrong as the state (measured: error ~ residual).
+LARGEST_RELATIVE_RESIDUAL = 1e-8
+
+
+class Linearisation:
+    """The factorised true tangent at one converged equilibrium.
+
+    Raises
+    ------
+    EquilibriumError : the equilibrium has not converged, its residual exceeds 1e-8 of the load, or its tangent
+        is not positive definite.
+    """
+
+    def __init__(
+        self, problem: EquilibriumProblem, equilibrium: Equilibrium, load: LoadCase, ratios: StiffnessRatios | None
+    ) -> None:
+        equilibrium.require()
+        self._problem = problem
+        self._state = equilibrium.state
+        self._digest = state_digest(equilibrium.state)
+        self._stiffness = problem.potential.stiffness(ratios)
+        terms = problem.all_terms(load)
+        gradient, _ = problem.free_gradient(self._state, self._stiffness, terms)
+        residual = problem.residual_norm(gradient)
+        if residual > max(LARGEST_RELATIVE_RESIDUAL * load.size, problem.tolerance(load)):
+            raise EquilibriumError(
+                f"no derivative at a residual of {residual:.1e} N under {load.size:.0f} N: "
+                "the state, load and ratios do not belong together"
+            )
+        self._factor = problem.factorise(self._state, self._stiffness, terms)
+        if not self._factor.positive_definite:
+            raise EquilibriumError("no derivative at a state that is no energy minimum (indefinite tangent)")
+
+    def solve(self, rhs: Floats) -> Floats:
+        """K^-1 rhs, (dofs,) or (dofs, k); rows of held DoFs are zero."""
+        free = np.array(rhs, dtype=float)
+        free[self._problem.held] = 0.0
+        return self._factor.solve(free)
+
+    def forward(self, groups: Sequence[ParameterGroup]) -> Floats:
+        """(dofs, P) d x / d log ratio of each group (Eq. 6)."""
+        return -self.solve(self._ratio_gradients(groups))
+
+    def adjoint(self, gradient: Floats, groups: Sequence[ParameterGroup]) -> Floats:
+        """(P,) d L / d log ratio for ``gradient`` = dL/dx, (dofs,) (Eq. 7). One solve for any number of groups."""
+        return -self._ratio_gradients(groups).T @ self.solve(gradient)
+
+    def load_derivative(self, change: BoneTerm) -> Floats:
+        """(dofs,) d x / d s for a load that grows as load + s * ``change``."""
+        blocks = change.blocks(self._state)
+        rhs = np.zeros(self._problem.potential.dofs)
+        np.add.at(rhs[: 6 * self._problem.potential.bones].reshape(-1, 6), blocks.bone, -blocks.gradient)
+        return self.solve(rhs)
+
+    def belongs_to(self, state: TorsoState) -> bool:
+        """Whether this is the linearisation at ``state``."""
+        return state_digest(state) == self._digest
+
+    def _ratio_gradients(self, groups: Sequence[ParameterGroup]) -> Floats:
+        return self._problem.potential.ratio_gradients(self._state, self._stiffness, groups)

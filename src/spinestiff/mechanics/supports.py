@@ -1,0 +1,80 @@
+"""What holds the torso, and the reactions there (paper 2.1; docs/errata.md on "fixed" against "applied")."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats, read_only
+from spinestiff.errors import TorsoError
+from spinestiff.mechanics.terms import PointSprings
+
+# Stiff against the torso (tens of N/mm), soft enough for the tangent's conditioning; 60 N move it by 0.06 mm.
+SUPPORT_STIFFNESS = 1e3
+
+
+@dataclass(frozen=True)
+class Supports:
+    """Held degrees of freedom and springs to the ground.
+
+    Attributes
+    ----------
+    held : (B, 6) bool, bone DoFs (dt, dw; world axes) that stay at rest.
+    springs : points held along a direction.
+    names : (S,) what each spring stands for.
+    """
+
+    held: np.ndarray
+    springs: PointSprings
+    names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "held", read_only("held", self.held, (None, 6), TorsoError, bool))
+        if len(self.names) != len(self.springs.points):
+            raise TorsoError(f"{len(self.springs.points)} support springs but {len(self.names)} names")
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """What one support exerts on the torso: force (3,) N and moment (3,) N mm about ``point`` (3,) mm."""
+
+    name: str
+    point: Floats
+    force: Floats
+    moment: Floats
+
+
+def three_point_supports(torso: TorsoModel, side: str, pelvis: str = "hinge", wall: bool = True) -> Supports:
+    """The acquisition's supports for a push on ``side``.
+
+    The pelvis is held, but as a "hinge" it may turn about the AP axis through its own origin (the middle of the
+    belt); "clamp" holds that too. The opposite humerus head is held sideways. The back wall holds scapulae and
+    posterior ribs front to back, on both sides of contact (a first form: it can pull, and the reactions show it).
+
+    Raises
+    ------
+    TorsoError : unknown side or pelvis mode.
+    """
+    if side not in ("left", "right"):
+        raise TorsoError(f"push side '{side}'; wanted 'left' or 'right'")
+    if pelvis not in ("hinge", "clamp"):
+        raise TorsoError(f"pelvis support '{pelvis}'; wanted 'hinge' or 'clamp'")
+    held = np.zeros((len(torso.bone_names), 6), dtype=bool)
+    held[torso.bone("pelvis")] = (True, True, True, True, True, pelvis == "clamp")
+    opposite = "right" if side == "left" else "left"
+    shoulder = torso.landmarks["humerus_head"][[("left", "right").index(opposite)]]
+    rows = [(f"shoulder_{opposite}", shoulder, 0)]
+    if wall:
+        back = torso.landmarks["wall"]
+        rows += [(f"wall_{torso.bone_names[back.bone[i]]}", back[[i]], 2) for i in range(len(back))]
+    points = PointsOnBones(
+        np.concatenate([p.bone for _, p, _ in rows]), np.concatenate([p.offset for _, p, _ in rows])
+    )
+    directions = np.eye(3)[[axis for _, _, axis in rows]]
+    springs = PointSprings(
+        points, points.positions(torso.rest_pose), directions, np.full(len(rows), SUPPORT_STIFFNESS)
+    )
+    return Supports(held, springs, tuple(name for name, _, _ in rows))

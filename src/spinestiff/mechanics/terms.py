@@ -1,0 +1,85 @@
+"""Energy terms that act on bones alone: loads, springs of supports, and image terms handed in from outside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from spinestiff.anatomy.points import PointsOnBones, rotation_second_derivative
+from spinestiff.anatomy.torso import TorsoState
+from spinestiff.arrays import Floats, Ints, read_only
+from spinestiff.errors import TorsoError
+
+
+@dataclass(frozen=True)
+class BoneBlocks:
+    """Derivatives of a term, one block a point: bone (n,), gradient (n, 6) and Hessian (n, 6, 6) in (dt, dw)."""
+
+    bone: Ints
+    gradient: Floats
+    hessian: Floats
+
+
+class BoneTerm(Protocol):
+    """An energy that is a sum over points of functions of one bone's pose each."""
+
+    def energy(self, state: TorsoState) -> float: ...
+
+    def blocks(self, state: TorsoState) -> BoneBlocks: ...
+
+
+def point_blocks(points: PointsOnBones, state: TorsoState, gradient: Floats, hessian: Floats | None) -> BoneBlocks:
+    """Pull derivatives in a point's position, (n, 3) and (n, 3, 3) or None, back to its bone's pose.
+
+    The second derivative of the rotation is part of it (anatomy/points.py).
+    """
+    jacobian = points.jacobian(state)
+    blocks = np.zeros((len(points), 6, 6))
+    if hessian is not None:
+        blocks = np.swapaxes(jacobian, 1, 2) @ hessian @ jacobian
+    blocks[:, 3:, 3:] += rotation_second_derivative(gradient, points.arms(state))
+    return BoneBlocks(points.bone, np.einsum("pij,pi->pj", jacobian, gradient), blocks)
+
+
+@dataclass(frozen=True)
+class PointSprings:
+    """Springs from points on bones to fixed places: E = sum k (n . (x - x0))^2 / 2.
+
+    Attributes
+    ----------
+    points : (S,) points on bones.
+    targets : (S, 3) mm, x0.
+    directions : (S, 3) unit vectors n.
+    stiffness : (S,) N/mm.
+    """
+
+    points: PointsOnBones
+    targets: Floats
+    directions: Floats
+    stiffness: Floats
+
+    def __post_init__(self) -> None:
+        n = len(self.points)
+        for key, shape in (("targets", (n, 3)), ("directions", (n, 3)), ("stiffness", (n,))):
+            object.__setattr__(self, key, read_only(key, getattr(self, key), shape, TorsoError))
+        if n and np.abs(np.linalg.norm(self.directions, axis=1) - 1.0).max() > 1e-9:
+            raise TorsoError("a spring's direction is not of unit length")
+        if (self.stiffness < 0.0).any():
+            raise TorsoError("a spring's stiffness is negative")
+
+    def extension(self, state: TorsoState) -> Floats:
+        """(S,) mm, n . (x - x0)."""
+        return np.einsum("si,si->s", self.directions, self.points.positions(state) - self.targets)
+
+    def forces(self, state: TorsoState) -> Floats:
+        """(S, 3) N, what the springs exert on the bones."""
+        return -(self.stiffness * self.extension(state))[:, None] * self.directions
+
+    def energy(self, state: TorsoState) -> float:
+        return 0.5 * float(np.sum(self.stiffness * self.extension(state) ** 2))
+
+    def blocks(self, state: TorsoState) -> BoneBlocks:
+        outer = self.directions[:, :, None] * self.directions[:, None, :]
+        return point_blocks(self.points, state, -self.forces(state), self.stiffness[:, None, None] * outer)

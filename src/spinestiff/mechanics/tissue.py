@@ -1,0 +1,206 @@
+"""Neo-Hookean tissue (paper 3.1) on four- or ten-node tetrahedra: energy, gradient, Hessian of one element.
+
+    Psi = mu/2 (I1 - 3) - mu log J + lambda/2 (log J)^2
+    P   = mu (F - F^-T) + lambda log J F^-T
+    K_ab = w [ mu (g_a . g_b) I + (mu - lambda log J) h_b h_a^T + lambda h_a h_b^T ],   h = F^-T g,
+
+with g_a the gradient of node a's shape function at rest and w the quadrature weight. The kernels are plain
+per-element functions in float64 without shared writes. An inverted point (J <= 0) has infinite energy.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from spinestiff.anatomy.torso import TET10_EDGES, TissueMesh
+from spinestiff.arrays import Floats, Ints
+from spinestiff.errors import TorsoError
+
+# Four points, exact for quadratics (Hammer, Marlowe and Stroud 1956); one point for the linear element.
+_A, _B = 0.5854101966249685, 0.1381966011250105
+QUADRATURE = {
+    4: (np.full((1, 4), 0.25), np.array([1.0])),
+    10: (np.full((4, 4), _B) + (_A - _B) * np.eye(4), np.full(4, 0.25)),
+}
+NODE_BARYCENTRICS = np.vstack([np.eye(4), [0.5 * (np.eye(4)[a] + np.eye(4)[b]) for a, b in TET10_EDGES]])
+
+
+class ElementData(NamedTuple):
+    """Constant data of the elements that can deform.
+
+    elements : (T, n) nodes. gradients : (T, Q, n, 3) 1/mm, shape-function gradients at rest. weights : (T, Q) mm3.
+    index : (T,) position in the mesh's element list.
+    """
+
+    elements: Ints
+    gradients: Floats
+    weights: Floats
+    index: Ints
+
+
+def shape_gradients(nodes: int, barycentric: Floats) -> Floats:
+    """d N_a / d L_i at barycentric points (Q, 4) -> (Q, nodes, 4); L are the barycentric coordinates."""
+    q = len(barycentric)
+    if nodes == 4:
+        return np.broadcast_to(np.eye(4), (q, 4, 4)).copy()
+    gradient = np.zeros((q, 10, 4))
+    corner = np.arange(4)
+    gradient[:, corner, corner] = 4.0 * barycentric - 1.0
+    for middle, (a, b) in enumerate(TET10_EDGES, start=4):
+        gradient[:, middle, a] = 4.0 * barycentric[:, b]
+        gradient[:, middle, b] = 4.0 * barycentric[:, a]
+    return gradient
+
+
+def rest_jacobians(positions: Floats, elements: Ints, barycentric: Floats) -> tuple[Floats, Floats]:
+    """Jacobian dX/dL_{1..3} (T, Q, 3, 3) and shape gradients in those coordinates (Q, n, 3)."""
+    local = shape_gradients(elements.shape[1], barycentric)
+    reduced = local[:, :, 1:] - local[:, :, :1]
+    return np.einsum("tni,qnj->tqij", positions[elements], reduced), reduced
+
+
+def element_data(mesh: TissueMesh) -> ElementData:
+    """Quadrature weights and shape gradients of every element that is not tied whole to one bone.
+
+    Raises
+    ------
+    TorsoError : an element is inverted at a quadrature point in the rest shape.
+    """
+    tied = mesh.bone_of_node[mesh.elements]
+    deformable = np.flatnonzero((tied < 0).any(1) | (tied != tied[:, :1]).any(1))
+    elements = mesh.elements[deformable]
+    points, weights = QUADRATURE[elements.shape[1]]
+    jacobian, reduced = rest_jacobians(mesh.rest_positions, elements, points)
+    determinant = np.linalg.det(jacobian)
+    if len(elements) and determinant.min() <= 0.0:
+        worst = int(deformable[np.unravel_index(np.argmin(determinant), determinant.shape)[0]])
+        raise TorsoError(f"tissue element {worst} is inverted in the rest shape (J = {determinant.min():.3g})")
+    gradients = np.einsum("qnj,tqji->tqni", reduced, np.linalg.inv(jacobian))
+    return ElementData(elements, np.ascontiguousarray(gradients), determinant * weights / 6.0, deformable)
+
+
+@numba.njit(cache=True)
+def _deformation(x, elements, gradients, t, q, f, g):  # type: ignore[no-untyped-def]
+    """F into ``f``, F^-T into ``g``; returns J."""
+    f[:] = 0.0
+    for a in range(elements.shape[1]):
+        node = elements[t, a]
+        for i in range(3):
+            for j in range(3):
+                f[i, j] += x[node, i] * gradients[t, q, a, j]
+    for i in range(3):
+        i1, i2 = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            j1, j2 = (j + 1) % 3, (j + 2) % 3
+            g[i, j] = f[i1, j1] * f[i2, j2] - f[i1, j2] * f[i2, j1]
+    det = f[0, 0] * g[0, 0] + f[0, 1] * g[0, 1] + f[0, 2] * g[0, 2]
+    if det > 0.0:
+        g /= det
+    return det
+
+
+@numba.njit(cache=True)
+def element_energies(x, elements, gradients, weights):  # type: ignore[no-untyped-def]
+    """(T, 2) energy per unit mu and per unit lambda, mm3; and (T,) smallest J. Infinite where J <= 0."""
+    t_count, q_count = weights.shape
+    energy = np.zeros((t_count, 2))
+    smallest = np.full(t_count, np.inf)
+    f, g = np.empty((3, 3)), np.empty((3, 3))
+    for t in range(t_count):
+        for q in range(q_count):
+            det = _deformation(x, elements, gradients, t, q, f, g)
+            smallest[t] = min(smallest[t], det)
+            if not det > 0.0:
+                energy[t] = np.inf
+                break
+            log_j = np.log(det)
+            energy[t, 0] += weights[t, q] * (0.5 * (np.sum(f * f) - 3.0) - log_j)
+            energy[t, 1] += weights[t, q] * 0.5 * log_j * log_j
+    return energy, smallest
+
+
+@numba.njit(cache=True)
+def element_gradients(x, elements, gradients, weights):  # type: ignore[no-untyped-def]
+    """(T, 2, n, 3) gradient of the energy per unit mu and per unit lambda, mm2."""
+    t_count, q_count = weights.shape
+    n = elements.shape[1]
+    out = np.zeros((t_count, 2, n, 3))
+    f, g = np.empty((3, 3)), np.empty((3, 3))
+    for t in range(t_count):
+        for q in range(q_count):
+            log_j = np.log(_deformation(x, elements, gradients, t, q, f, g))
+            for a in range(n):
+                for i in range(3):
+                    shear, volume = 0.0, 0.0
+                    for j in range(3):
+                        shear += (f[i, j] - g[i, j]) * gradients[t, q, a, j]
+                        volume += g[i, j] * gradients[t, q, a, j]
+                    out[t, 0, a, i] += weights[t, q] * shear
+                    out[t, 1, a, i] += weights[t, q] * log_j * volume
+    return out
+
+
+@numba.njit(cache=True)
+def element_hessians(x, elements, gradients, weights, mu, lam):  # type: ignore[no-untyped-def]
+    """(T, n, n, 3, 3) Hessian blocks in N/mm; only a >= b is filled (the rest is its transpose)."""
+    t_count, q_count = weights.shape
+    n = elements.shape[1]
+    out = np.zeros((t_count, n, n, 3, 3))
+    f, g = np.empty((3, 3)), np.empty((3, 3))
+    h = np.empty((n, 3))
+    for t in range(t_count):
+        for q in range(q_count):
+            log_j = np.log(_deformation(x, elements, gradients, t, q, f, g))
+            w_mu = weights[t, q] * mu[t]
+            w_lam = weights[t, q] * lam[t]
+            w_mix = w_mu - w_lam * log_j
+            for a in range(n):
+                for i in range(3):
+                    h[a, i] = (
+                        g[i, 0] * gradients[t, q, a, 0]
+                        + g[i, 1] * gradients[t, q, a, 1]
+                        + g[i, 2] * gradients[t, q, a, 2]
+                    )
+            for a in range(n):
+                for b in range(a + 1):
+                    dot = 0.0
+                    for j in range(3):
+                        dot += gradients[t, q, a, j] * gradients[t, q, b, j]
+                    for i in range(3):
+                        for j in range(3):
+                            out[t, a, b, i, j] += w_mix * h[b, i] * h[a, j] + w_lam * h[a, i] * h[b, j]
+                        out[t, a, b, i, i] += w_mu * dot
+    return out
+
+
+def projected_element_hessians(x: Floats, data: ElementData, mu: Floats, lam: Floats) -> Floats:
+    """As ``element_hessians`` with dP/dF's negative eigenvalues set to zero at each quadrature point.
+
+    Used only where the exact tangent is indefinite: it keeps the step a descent direction but costs iterations.
+    """
+    f = np.einsum("tni,tqnj->tqij", x[data.elements], data.gradients)
+    g = np.swapaxes(np.linalg.inv(f), -1, -2)
+    log_j = np.log(np.linalg.det(f))[..., None, None, None, None]
+    mu_, lam_ = (v[:, None, None, None, None, None] for v in (mu, lam))
+    eye = np.eye(3)
+    tangent = mu_ * np.einsum("ik,jl->ijkl", eye, eye)
+    tangent = tangent + (mu_ - lam_ * log_j) * np.einsum("tqil,tqkj->tqijkl", g, g)
+    tangent += lam_ * np.einsum("tqij,tqkl->tqijkl", g, g)
+    values, vectors = np.linalg.eigh(tangent.reshape(*f.shape[:2], 9, 9))
+    root = vectors * np.sqrt(np.maximum(values, 0.0) * data.weights[..., None])[..., None, :]
+    root = root.reshape(*f.shape[:2], 3, 3, 9)
+    factor = np.einsum("tqijm,tqnj->tnimq", root, data.gradients)
+    t, n = data.elements.shape
+    flat = factor.reshape(t, 3 * n, -1)
+    full = flat @ np.swapaxes(flat, 1, 2)
+    return np.ascontiguousarray(full.reshape(t, n, 3, n, 3).transpose(0, 1, 3, 2, 4))
+
+
+def smallest_nodal_jacobian(rest: Floats, x: Floats, elements: Ints) -> float:
+    """The smallest volume ratio J at the elements' nodes, where a ten-node element can fold first."""
+    points = NODE_BARYCENTRICS[: elements.shape[1]]
+    before, after = (np.linalg.det(rest_jacobians(p, elements, points)[0]) for p in (rest, x))
+    return float((after / before).min(initial=np.inf))
