@@ -8,7 +8,7 @@ and for a force gradient ``g`` on the point the second derivative of ``g . x`` i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -40,8 +40,8 @@ class PointsOnBones:
     def __len__(self) -> int:
         return len(self.bone)
 
-    def __getitem__(self, which: object) -> PointsOnBones:
-        chosen = np.atleast_1d(np.arange(len(self))[which])  # type: ignore[index]
+    def __getitem__(self, which: Any) -> PointsOnBones:
+        chosen = np.atleast_1d(np.arange(len(self))[which])
         return PointsOnBones(self.bone[chosen], self.offset[chosen])
 
     def arms(self, state: TorsoState) -> Floats:

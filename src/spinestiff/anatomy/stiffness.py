@@ -26,6 +26,7 @@ TABLE_1: dict[str, tuple[float, float, float, float, float, float]] = {
     "scapula_humerus": (1e4, 1e4, 1e4, 1.0, 1.0, 1.0),
 }
 NMM_PER_NM = 1000.0
+KINDS = tuple(joint.kind for joint in JOINTS)  # of the whole torso's joints, rows of Table 1
 
 # Young's modulus of the default tissue, MPa. Calibrated by benchmarks/calibrate_tissue.py, not a literature value:
 # the paper delegates it to Koutras 2021, whose values are not public.
@@ -151,9 +152,7 @@ class StiffnessRatios:
         return mu, lambda_
 
 
-def stiffness_ratios(
-    ratios: Mapping[str, float], kinds: tuple[str, ...] = tuple(j.kind for j in JOINTS)
-) -> StiffnessRatios:
+def stiffness_ratios(ratios: Mapping[str, float], kinds: tuple[str, ...] = KINDS) -> StiffnessRatios:
     """Ratios by name, e.g. ``stiffness_ratios({"lateral_bending": 0.1, "tissue": 0.01})``."""
     groups = tuple(parameter_group(name, kinds) for name in ratios)
     return StiffnessRatios(groups, np.array(list(ratios.values()), dtype=float))

@@ -5,15 +5,17 @@ Units: mm, N, MPa, rad. World frame, right-handed: x to the patient's left, y su
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.rotation import exp_so3, mean_rotation
+from spinestiff.anatomy.rotation import exp_so3, left_jacobian, mean_rotation
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import TorsoError
 
@@ -178,6 +180,28 @@ def retract(state: TorsoState, dx: Floats) -> TorsoState:
     )
 
 
+def advance(state: TorsoState, dx: Floats) -> TorsoState:
+    """``retract`` along screws: a bone's origin follows the arc of its own rotation, t <- t + V(dw) dt.
+
+    Equal to ``retract`` to first order, so Newton's method may use either for its steps. Bones that turn together
+    about a distant centre stay together, where straight steps would stretch the stiff joints between them by
+    |dw|^2 r / 2 and cost Newton's method iterations.
+    """
+    b = len(state.bone_positions)
+    bones = dx[: 6 * b].reshape(b, 6)
+    screwed = np.array(dx)
+    screwed[: 6 * b].reshape(b, 6)[:, :3] = np.einsum("bij,bj->bi", left_jacobian(bones[:, 3:]), bones[:, :3])
+    return retract(state, screwed)
+
+
+def state_digest(state: TorsoState) -> str:
+    """SHA-256 of a state's numbers: two states are the same or not."""
+    digest = hashlib.sha256()
+    for array in (state.bone_positions, state.bone_rotations, state.tissue_positions):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
 @dataclass(frozen=True)
 class TorsoModel:
     """A torso at rest, free of stress.
@@ -210,9 +234,11 @@ class TorsoModel:
         if len(set(self.bone_names)) != b:
             raise TorsoError("bone names are not unique")
         if len(self.rest_pose.bone_positions) != b or len(self.bone_surfaces) not in (0, b):
-            raise TorsoError(f"{b} bones, but {len(self.rest_pose.bone_positions)} poses, {len(self.bone_surfaces)} surfaces")
+            poses, surfaces = len(self.rest_pose.bone_positions), len(self.bone_surfaces)
+            raise TorsoError(f"{b} bones, but {poses} poses, {surfaces} surfaces")
         check_rotations("rest rotation of bone", self.rest_pose.bone_rotations, self.bone_names)
-        for bones, what in ((self.joints.parent, "joint"), (self.joints.child, "joint"), (self.tissue.bone_of_node, "node")):
+        joined, tied = np.concatenate([self.joints.parent, self.joints.child]), self.tissue.bone_of_node
+        for bones, what in ((joined, "joint"), (tied, "node")):
             if len(bones) and int(np.max(bones)) >= b:
                 raise TorsoError(f"a {what} names bone {int(np.max(bones))}, but there are {b}")
         if len(self.rest_pose.tissue_positions) != len(self.tissue.free_nodes):
@@ -291,7 +317,7 @@ class TorsoModel:
         )
 
 
-def joint_frames(state: TorsoState, parent: Ints, child: Ints, centre: Floats, axes: Floats) -> dict[str, Floats]:
+def joint_frames(state: TorsoState, parent: Ints, child: Ints, centre: Floats, axes: Floats) -> dict[str, Any]:
     """A joint table's four frame fields from world centres (J, 3) mm and world_from_joint axes (J, 3, 3)."""
     frames = {}
     for side, bone in (("parent", parent), ("child", child)):

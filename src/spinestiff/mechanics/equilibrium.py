@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import enum
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState, retract
+from spinestiff.anatomy.torso import TorsoModel, TorsoState, advance
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.factor import Analysis, Factor
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.potential import Potential, Stiffness
+from spinestiff.mechanics.sensitivity import Linearisation
 from spinestiff.mechanics.supports import Reaction, Supports
 from spinestiff.mechanics.terms import BoneTerm
-
-if TYPE_CHECKING:
-    from spinestiff.mechanics.sensitivity import Linearisation
 
 # A moment counts as a force at this arm, mm, so that one number measures both.
 ROTATION_LENGTH = 30.0
@@ -151,21 +147,28 @@ class EquilibriumProblem:
         start: TorsoState | None = None,
         observer: Observer | None = None,
         max_iterations: int = 60,
+        tolerance: float | None = None,
     ) -> Equilibrium:
         """The state of least energy under ``load`` (Eq. 4), from ``start`` or the rest pose.
+
+        ``tolerance`` is the residual to reach, N; default: 1e-10 of the load or 1e-8 N, the larger.
 
         Where a start fails, the rest pose is tried, then the load in four steps. What is returned says by its
         status whether it is an equilibrium; ``require()`` turns a failure into an error.
         """
-        attempt = self._newton(load, ratios, start or self.torso.rest_pose, observer, max_iterations)
+        def newton(load: LoadCase, state: TorsoState) -> Equilibrium:
+            wanted = self.tolerance(load) if tolerance is None else tolerance
+            return self._newton(load, ratios, state, observer, max_iterations, wanted)
+
+        attempt = newton(load, start or self.torso.rest_pose)
         spent = attempt.factorisations
         if not attempt.converged and start is not None:
-            attempt = self._newton(load, ratios, self.torso.rest_pose, observer, max_iterations)
+            attempt = newton(load, self.torso.rest_pose)
             spent += attempt.factorisations
         if not attempt.converged:
             state = self.torso.rest_pose
             for share in (0.25, 0.5, 0.75, 1.0):
-                stepped = self._newton(load.scaled(share), ratios, state, observer, max_iterations)
+                stepped = newton(load.scaled(share), state)
                 spent += stepped.factorisations
                 if not stepped.converged:
                     break
@@ -176,8 +179,6 @@ class EquilibriumProblem:
 
     def linearise(self, equilibrium: Equilibrium, load: LoadCase, ratios: StiffnessRatios | None = None) -> Linearisation:
         """The tangent at a converged equilibrium, factorised, for sensitivities (Eqs. 6-7)."""
-        from spinestiff.mechanics.sensitivity import Linearisation
-
         return Linearisation(self, equilibrium, load, ratios)
 
     def free_gradient(self, state: TorsoState, stiffness: Stiffness, terms: Sequence[BoneTerm]) -> tuple[Floats, Floats]:
@@ -191,7 +192,11 @@ class EquilibriumProblem:
         self, state: TorsoState, stiffness: Stiffness, terms: Sequence[BoneTerm], project: bool = False
     ) -> Factor:
         """The tangent stiffness with held DoFs replaced by the identity, factorised."""
-        values = self.potential.hessian(state, stiffness, terms, project)
+        return self.numeric_factor(self.potential.hessian(state, stiffness, terms, project))
+
+    def numeric_factor(self, values: Floats) -> Factor:
+        """Factor of a Hessian's values (in the potential's pattern) with held DoFs replaced by the identity."""
+        values = values.copy()
         values[self._held_entries] = 0.0
         values[self._held_diagonal] = 1.0
         return self._analysis.factor(values)
@@ -214,8 +219,9 @@ class EquilibriumProblem:
         state: TorsoState,
         observer: Observer | None,
         max_iterations: int,
+        tolerance: float,
     ) -> Equilibrium:
-        stiffness, terms, tolerance = self.potential.stiffness(ratios), self.all_terms(load), self.tolerance(load)
+        stiffness, terms = self.potential.stiffness(ratios), self.all_terms(load)
         energy, smallest_j = self.potential.energy(state, stiffness, terms)
         history: list[NewtonStep] = []
         factorisations, stable, status = 0, True, SolveStatus.ITERATION_LIMIT
@@ -228,6 +234,10 @@ class EquilibriumProblem:
             residual = self.residual_norm(gradient)
             step, projected = 0.0, False
             if residual <= tolerance:
+                if iteration == 0:
+                    # A start that balances may be a saddle: no tangent has been asked yet.
+                    stable = self._is_minimum(state, stiffness, terms)
+                    factorisations += 1
                 status = SolveStatus.CONVERGED if stable else SolveStatus.SADDLE
             elif iteration < max_iterations:
                 try:
@@ -256,6 +266,12 @@ class EquilibriumProblem:
             state, status, energy, residual, tolerance, self._reactions(state, full), tuple(history), factorisations, smallest_j
         )
 
+    def _is_minimum(self, state: TorsoState, stiffness: Stiffness, terms: Sequence[BoneTerm]) -> bool:
+        try:
+            return self.factorise(state, stiffness, terms).positive_definite
+        except EquilibriumError:
+            return False
+
     def _line_search(
         self,
         state: TorsoState,
@@ -270,10 +286,10 @@ class EquilibriumProblem:
         if not slope < 0.0:
             return None
         # Near the solution energy differences drown in rounding; there a smaller residual decides.
-        rounding = 1e-12 * (abs(energy) + float(np.abs(stiffness.joints).max()) * 1e-12)
+        rounding = 1e-12 * (abs(energy) + float(np.abs(stiffness.joints).max(initial=0.0)) * 1e-12)
         step = 1.0
         for _ in range(40):
-            trial = retract(state, step * direction)
+            trial = advance(state, step * direction)
             trial_energy, smallest_j = self.potential.energy(trial, stiffness, terms)
             if smallest_j > 0.0:
                 if trial_energy <= energy + 1e-4 * step * slope:
@@ -302,11 +318,3 @@ def _capped(direction: Floats, bones: int) -> Floats:
     turn = np.linalg.norm(rows[:, 3:], axis=1).max(initial=0.0) / LARGEST_TURN
     move = max(np.abs(rows[:, :3]).max(initial=0.0), np.abs(direction[6 * bones :]).max(initial=0.0)) / LARGEST_MOVE
     return direction / max(1.0, turn, move)
-
-
-def state_digest(state: TorsoState) -> str:
-    """SHA-256 of a state's numbers: two states are the same or not."""
-    digest = hashlib.sha256()
-    for array in (state.bone_positions, state.bone_rotations, state.tissue_positions):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
-from spinestiff.anatomy.torso import TorsoState
+from spinestiff.anatomy.torso import TorsoState, state_digest
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
-from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem, state_digest
 from spinestiff.mechanics.loads import LoadCase
 
 if TYPE_CHECKING:
+    from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
     from spinestiff.mechanics.terms import BoneTerm
 
 # Above this relative residual a derivative is as wrong as the state (measured: error ~ residual).

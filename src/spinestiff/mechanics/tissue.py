@@ -194,7 +194,7 @@ def projected_element_hessians(x: Floats, data: ElementData, mu: Floats, lam: Fl
     root = root.reshape(*f.shape[:2], 3, 3, 9)
     factor = np.einsum("tqijm,tqnj->tnimq", root, data.gradients)
     t, n = data.elements.shape
-    flat = factor.reshape(t, 3 * n, -1)
+    flat = factor.reshape(t, 3 * n, 9 * data.weights.shape[1])
     full = flat @ np.swapaxes(flat, 1, 2)
     return np.ascontiguousarray(full.reshape(t, n, 3, n, 3).transpose(0, 1, 3, 2, 4))
 

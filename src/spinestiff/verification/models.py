@@ -13,9 +13,7 @@ from spinestiff.anatomy.torso import TET10_EDGES, JointTable, TissueMesh, TorsoM
 from spinestiff.arrays import Floats, Ints
 
 # Kuhn's split of a cube: one tetrahedron for each order of the three axes.
-_KUHN = [
-    [0, *np.cumsum([1 << axis for axis in order]).tolist()] for order in itertools.permutations(range(3))
-]
+_KUHN = [[0, *np.cumsum([1 << axis for axis in order]).tolist()] for order in itertools.permutations(range(3))]
 
 
 def box_mesh(cells: tuple[int, int, int], size: tuple[float, float, float], nodes: int = 10) -> tuple[Floats, Ints]:
@@ -120,6 +118,4 @@ def shaken(torso: TorsoModel, seed: int, turn: float = 0.15, move: float = 2.0) 
 def points_on(torso: TorsoModel, count: int, seed: int) -> PointsOnBones:
     """Random points on random bones."""
     random = np.random.default_rng(seed)
-    return PointsOnBones(
-        random.integers(0, len(torso.bone_names), count), random.uniform(-20.0, 20.0, (count, 3))
-    )
+    return PointsOnBones(random.integers(0, len(torso.bone_names), count), random.uniform(-20.0, 20.0, (count, 3)))

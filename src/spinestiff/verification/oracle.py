@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, Ints
 
 Complexes = NDArray[np.complex128]
 STEP = 1e-30
@@ -70,8 +70,8 @@ def _monomials(p: Floats, order: int) -> Floats:
 
 def _monomial_gradients(p: Floats, order: int) -> Floats:
     x, y, z = p[..., 0], p[..., 1], p[..., 2]
-    o, l = np.zeros_like(x), np.ones_like(x)
-    dx, dy, dz = [o, l, o, o], [o, o, l, o], [o, o, o, l]
+    o, i = np.zeros_like(x), np.ones_like(x)
+    dx, dy, dz = [o, i, o, o], [o, o, i, o], [o, o, o, i]
     if order == 2:
         dx += [2 * x, o, o, y, o, z]
         dy += [o, 2 * y, o, x, z, o]
@@ -82,26 +82,35 @@ def _monomial_gradients(p: Floats, order: int) -> Floats:
 _CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 _NODES = {
     4: _CORNERS,
-    10: np.vstack(
-        [_CORNERS, [[0.5, 0, 0], [0.5, 0.5, 0], [0, 0.5, 0], [0, 0, 0.5], [0.5, 0, 0.5], [0, 0.5, 0.5]]]
-    ),
+    10: np.vstack([_CORNERS, [[0.5, 0, 0], [0.5, 0.5, 0], [0, 0.5, 0], [0, 0, 0.5], [0.5, 0, 0.5], [0, 0.5, 0.5]]]),
 }
 _S = (5.0 - np.sqrt(5.0)) / 20.0
 _POINTS = {4: np.full((1, 3), 0.25), 10: _S + (1.0 - 4.0 * _S) * np.vstack([np.zeros(3), np.eye(3)])}
 
 
-def tissue_energy(rest: Floats, x: Complexes, elements: Floats, mu: Floats, lam: Floats) -> complex:
+def tissue_energy(rest: Floats, x: Complexes, elements: Ints, mu: Floats, lam: Floats) -> complex:
     """Neo-Hookean energy of all elements, N mm."""
     n = elements.shape[1]
     order, nodes, points = (1 if n == 4 else 2), _NODES[n], _POINTS[n]
-    shape = np.linalg.solve(_monomials(nodes, order).T, _monomial_gradients(points, order).transpose(1, 0, 2).reshape(n, -1))
+    shape = np.linalg.solve(
+        _monomials(nodes, order).T, _monomial_gradients(points, order).transpose(1, 0, 2).reshape(n, -1)
+    )
     local = shape.reshape(n, len(points), 3)
     jacobian = np.einsum("tni,nqj->tqij", rest[elements], local)
     f = np.einsum("tni,nqj->tqij", x[elements], local) @ np.linalg.inv(jacobian)
     a, b, c = f[..., 0, :], f[..., 1, :], f[..., 2, :]
-    j = np.sum(a * np.stack([b[..., (i + 1) % 3] * c[..., (i + 2) % 3] - b[..., (i + 2) % 3] * c[..., (i + 1) % 3] for i in range(3)], -1), -1)
+    j = np.sum(
+        a
+        * np.stack(
+            [b[..., (i + 1) % 3] * c[..., (i + 2) % 3] - b[..., (i + 2) % 3] * c[..., (i + 1) % 3] for i in range(3)],
+            -1,
+        ),
+        -1,
+    )
     log_j = np.log(j)
-    density = 0.5 * mu[:, None] * (np.sum(f * f, axis=(-1, -2)) - 3.0) - mu[:, None] * log_j + 0.5 * lam[:, None] * log_j**2
+    density = (
+        0.5 * mu[:, None] * (np.sum(f * f, axis=(-1, -2)) - 3.0) - mu[:, None] * log_j + 0.5 * lam[:, None] * log_j**2
+    )
     return complex(np.sum(density * np.linalg.det(jacobian)) / (6.0 * len(points)))
 
 

@@ -1,0 +1,144 @@
+"""A torso in one file: npz without pickles, with a schema version inside."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.torso import BoneSurface, JointTable, TissueMesh, TorsoModel, TorsoState
+from spinestiff.errors import TorsoError
+
+SCHEMA = "spinestiff-torso"
+SCHEMA_VERSION = 1
+_JOINT_FIELDS = ("parent", "child", "parent_position", "parent_axes", "child_position", "child_axes", "stiffness")
+_TISSUE_FIELDS = ("rest_positions", "elements", "bone_of_node", "lame_mu", "lame_lambda")
+_STATE_FIELDS = ("bone_positions", "bone_rotations", "tissue_positions")
+
+
+def write_torso(path: str | Path, torso: TorsoModel) -> None:
+    """Write a torso; the same torso gives the same bytes.
+
+    Raises
+    ------
+    TorsoError : the file can't be written.
+    """
+    header = {
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
+        "bone_names": torso.bone_names,
+        "vertebrae": torso.vertebrae,
+        "joint_names": torso.joints.names,
+        "joint_kinds": torso.joints.kinds,
+        "landmarks": sorted(torso.landmarks),
+    }
+    arrays: dict[str, Any] = {"header": np.array(json.dumps(header)), "height_cm": np.array(torso.height_cm)}
+    arrays |= {f"joints_{key}": _compact(getattr(torso.joints, key)) for key in _JOINT_FIELDS}
+    arrays |= {f"tissue_{key}": _compact(getattr(torso.tissue, key)) for key in _TISSUE_FIELDS}
+    arrays |= {f"rest_{key}": _compact(getattr(torso.rest_pose, key)) for key in _STATE_FIELDS}
+    arrays["vertebra_boxes"] = torso.vertebra_boxes
+    for name, points in torso.landmarks.items():
+        arrays |= {f"landmark_{name}_bone": _compact(points.bone), f"landmark_{name}_offset": points.offset}
+    surfaces = torso.bone_surfaces
+    arrays["surface_sizes"] = np.array([(len(s.vertices), len(s.faces)) for s in surfaces], dtype=np.int32).reshape(
+        -1, 2
+    )
+    if surfaces:
+        arrays["surface_vertices"] = np.vstack([s.vertices for s in surfaces])
+        arrays["surface_faces"] = _compact(np.vstack([s.faces for s in surfaces]))
+    try:
+        with open(path, "wb") as stream:
+            np.savez_compressed(stream, **arrays)
+    except OSError as error:
+        raise TorsoError(
+            f"{path}: can't write the torso ({error.strerror}); choose a folder you may write to"
+        ) from None
+
+
+def read_torso(path: str | Path) -> TorsoModel:
+    """Read a torso that ``write_torso`` wrote.
+
+    Raises
+    ------
+    TorsoError : no such file, not a torso file, another schema version, or damaged content.
+    """
+    try:
+        # Opened here: np.load leaves a damaged file open.
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            if "header" not in stored.files:
+                raise TorsoError(f"{path} is no torso file; write one with write_torso")
+            arrays = {key: stored[key] for key in stored.files}
+    except OSError as error:
+        raise TorsoError(f"{path}: {(error.strerror or 'unreadable').lower()}; name a file of write_torso") from None
+    except (BadZipFile, zlib.error, ValueError, EOFError, KeyError, TypeError, AttributeError) as error:
+        raise TorsoError(f"{path} is no torso file, or it is damaged ({_one_line(error)})") from None
+    header = _header(path, arrays)
+    try:
+        return _torso(header, arrays)
+    except TorsoError as error:
+        raise TorsoError(f"{path} is damaged: {error}") from None
+    except (KeyError, ValueError, IndexError, TypeError) as error:
+        raise TorsoError(f"{path} is damaged: {_one_line(error)} is missing or unreadable") from None
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _header(path: str | Path, arrays: dict[str, Any]) -> dict[str, Any]:
+    try:
+        header = json.loads(str(arrays["header"]))
+        schema, version = header["schema"], header["schema_version"]
+    except (ValueError, TypeError, KeyError):
+        raise TorsoError(f"{path} is no torso file: its header can't be read") from None
+    if schema != SCHEMA:
+        raise TorsoError(f"{path} is no torso file: schema '{schema}', wanted '{SCHEMA}'")
+    if version != SCHEMA_VERSION:
+        raise TorsoError(f"{path} has torso schema version {version}; this program reads version {SCHEMA_VERSION}")
+    return dict(header)
+
+
+def _torso(header: dict[str, Any], arrays: dict[str, Any]) -> TorsoModel:
+    names = tuple(header["bone_names"])
+    joints = JointTable(
+        tuple(header["joint_names"]),
+        tuple(header["joint_kinds"]),
+        **{key: arrays[f"joints_{key}"] for key in _JOINT_FIELDS},
+    )
+    tissue = TissueMesh(**{key: arrays[f"tissue_{key}"] for key in _TISSUE_FIELDS})
+    rest = TorsoState(**{key: arrays[f"rest_{key}"] for key in _STATE_FIELDS})
+    landmarks = {
+        key: PointsOnBones(arrays[f"landmark_{key}_bone"], arrays[f"landmark_{key}_offset"])
+        for key in header["landmarks"]
+    }
+    return TorsoModel(
+        bone_names=names,
+        rest_pose=rest,
+        joints=joints,
+        tissue=tissue,
+        vertebra_boxes=arrays["vertebra_boxes"],
+        bone_surfaces=_surfaces(arrays),
+        landmarks=landmarks,
+        height_cm=float(arrays["height_cm"]),
+        vertebrae=tuple(header["vertebrae"]),
+    )
+
+
+def _surfaces(arrays: dict[str, Any]) -> tuple[BoneSurface, ...]:
+    sizes = arrays["surface_sizes"]
+    if not len(sizes):
+        return ()
+    ends = np.cumsum(sizes, axis=0)
+    vertices = np.split(arrays["surface_vertices"], ends[:-1, 0])
+    faces = np.split(arrays["surface_faces"], ends[:-1, 1])
+    return tuple(BoneSurface(v, f) for v, f in zip(vertices, faces))
+
+
+def _compact(array: Any) -> Any:
+    # Indices fit 32 bits; floats keep all their digits.
+    return array.astype(np.int32) if array.dtype.kind == "i" else array

@@ -1,0 +1,263 @@
+"""``spinestiff``: from radiographs and a force log to a stiffness report, a verb a step.
+
+Heavy imports stay inside the commands, so that ``--help`` is quick. Exit status: 0 done, 1 a check failed, 2 bad
+input, 3 no equilibrium or no estimate.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from spinestiff import __version__
+from spinestiff.errors import SpinestiffError, SubjectError
+
+app = typer.Typer(
+    name="spinestiff",
+    help="Stiffness of spine and torso, with its uncertainty, from radiographs taken under measured pushes.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+Folder = Annotated[Path, typer.Argument(help="Subject folder (docs/subject-folder.md).")]
+Force = Annotated[bool, typer.Option("--redo", help="Run even if nothing changed.")]
+Mesh = Annotated[str, typer.Option(help="Torso mesh of the estimate: coarse or fine.")]
+Method = Annotated[str, typer.Option(help="lm (Levenberg-Marquardt) or lbfgsb (the paper's).")]
+Orientation = Annotated[str, typer.Option(help="Vertebra orientation in the image: procrustes or covariance.")]
+Truth = Annotated[Path | None, typer.Option(help="Truth file of a synthetic subject, for comparison only.")]
+Seed = Annotated[int, typer.Option(help="Of everything random.")]
+Height = Annotated[float, typer.Option(help="Body height, cm.")]
+Cobb = Annotated[float, typer.Option(help="Rest curve, degrees; above 0 is convex to the left.")]
+Curve = Annotated[str, typer.Option(help="thoracic, thoracolumbar, lumbar or double.")]
+PushForce = Annotated[float, typer.Option("--force", help="Largest push, N.")]
+Ratios = Annotated[str | None, typer.Option(help="True ratios BENDING,TISSUE; drawn by the seed if left out.")]
+Spine = Annotated[Path | None, typer.Option(help="Table of real spines, as rest shape instead of --cobb and --curve.")]
+SpineId = Annotated[str | None, typer.Option(help="Which spine of the table.")]
+
+
+def main() -> None:
+    """Run the command line; every known failure ends in one line and its exit status."""
+    try:
+        app()
+    except SpinestiffError as error:
+        _complain(str(error))
+        sys.exit(error.exit_status)
+    except KeyboardInterrupt:
+        _complain("stopped; results of finished steps are kept")
+        sys.exit(130)
+    except OSError as error:
+        _complain(f"{error.filename or 'file system'}: {error.strerror or error}")
+        sys.exit(2)
+
+
+def _complain(message: str) -> None:
+    print("spinestiff: " + " ".join(message.split()), file=sys.stderr)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def synth(
+    folder: Annotated[Path, typer.Argument(help="New subject folder; the truth goes beside it.")],
+    seed: Seed = 0,
+    height: Height = 157.0,
+    cobb: Cobb = 12.0,
+    curve: Curve = "thoracic",
+    force: PushForce = 60.0,
+    ratios: Ratios = None,
+    spine: Spine = None,
+    spine_id: SpineId = None,
+) -> None:
+    """Make a synthetic subject of known stiffness: DICOM radiographs, force log, annotation."""
+    from spinestiff.app.progress import progress
+    from spinestiff.study.synthetic import synthesise
+
+    recipe = _recipe(seed, height, cobb, curve, force, ratios, spine, spine_id)
+    with progress() as say:
+        truth = synthesise(folder, recipe, say)
+    typer.echo(f"subject: {folder}\ntruth:   {truth}")
+
+
+@app.command()
+def track(folder: Folder, redo: Force = False) -> None:
+    """Follow the annotated vertebra corners through every push."""
+    _steps(folder, ("track",), redo)
+
+
+@app.command()
+def personalise(folder: Folder, mesh: Mesh = "coarse", redo: Force = False) -> None:
+    """Shape the torso to the rest radiographs."""
+    _steps(folder, ("personalise",), redo, mesh=mesh)
+
+
+@app.command()
+def estimate(
+    folder: Folder, method: Method = "lm", orientation: Orientation = "procrustes", redo: Force = False
+) -> None:
+    """Estimate the stiffness ratios from the training frames."""
+    _steps(folder, ("estimate",), redo, method=method, orientation=orientation)
+
+
+@app.command()
+def assess(folder: Folder, truth: Truth = None, redo: Force = False) -> None:
+    """Predict the held-out frames and compare with baselines."""
+    _assess(_steps(folder, ("assess",), redo, truth=truth))
+
+
+@app.command()
+def report(folder: Folder, truth: Truth = None, redo: Force = False) -> None:
+    """Write the report."""
+    visit = _steps(folder, ("report",), redo, truth=truth)
+    typer.echo(f"report: {visit.file('report.html')}")
+
+
+@app.command()
+def run(
+    folder: Folder,
+    mesh: Mesh = "coarse",
+    method: Method = "lm",
+    orientation: Orientation = "procrustes",
+    truth: Truth = None,
+    redo: Force = False,
+) -> None:
+    """All steps: track, personalise, estimate, assess, report. Only what changed is redone."""
+    from spinestiff.study.pipeline import STEPS
+
+    visit = _steps(folder, STEPS, redo, mesh=mesh, method=method, orientation=orientation, truth=truth)
+    _summary(visit)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Where the synthetic subject goes.")] = Path("spinestiff-demo"),
+    seed: Seed = 0,
+    height: Height = 157.0,
+    cobb: Cobb = 12.0,
+    curve: Curve = "thoracic",
+    force: PushForce = 60.0,
+    ratios: Ratios = "0.10,0.01",
+    spine: Spine = None,
+    spine_id: SpineId = None,
+) -> None:
+    """A synthetic subject from radiographs to report, compared with its truth."""
+    from spinestiff.app.progress import progress
+    from spinestiff.study.pipeline import STEPS
+    from spinestiff.study.synthetic import made_by, synthesise, truth_path
+
+    recipe = _recipe(seed, height, cobb, curve, force, ratios, spine, spine_id)
+    if not made_by(out, recipe):
+        with progress() as say:
+            synthesise(out, recipe, lambda line: say(f"synth: {line}"))
+    _summary(_steps(out, STEPS, False, truth=truth_path(out)))
+
+
+@app.command()
+def cobb(folder: Folder) -> None:
+    """Cobb angles of the annotated rest image and of every tracked frame."""
+    from spinestiff.app import tables
+    from spinestiff.study.pipeline import cobb_rows, open_visit
+
+    tables.show(tables.cobb_table(cobb_rows(open_visit(folder))))
+
+
+@app.command()
+def check(
+    json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of a table.")] = False,
+) -> None:
+    """Check on this machine: derivatives, exact solutions, balance. Exit status 1 if one fails."""
+    from spinestiff.app import tables
+    from spinestiff.app.progress import progress
+    from spinestiff.verification.checks import run_checks
+
+    with progress(quiet=json) as say:
+        results = run_checks(lambda done: say(str(done)))
+    if json:
+        tables.show_json([tables.check_record(result) for result in results])
+    else:
+        tables.show(tables.check_table(results))
+    if not all(result.passed for result in results):
+        raise typer.Exit(1)
+
+
+@app.command()
+def doctor() -> None:
+    """Versions, the solver in use, and what is missing."""
+    from spinestiff.app import tables
+
+    tables.show(tables.doctor_table())
+
+
+def _recipe(
+    seed: int,
+    height: float,
+    cobb: float,
+    curve: str,
+    force: float,
+    ratios: str | None,
+    spine: Path | None,
+    spine_id: str | None,
+) -> Any:
+    from spinestiff.study.synthetic import Recipe
+
+    if (spine is None) != (spine_id is None):
+        raise SubjectError("--spine and --spine-id belong together; give both or none")
+    chosen = None
+    if ratios is not None:
+        try:
+            bending, tissue = (float(part) for part in ratios.split(","))
+        except ValueError:
+            raise SubjectError(f"--ratios {ratios}: wanted two numbers BENDING,TISSUE, e.g. 0.10,0.01") from None
+        chosen = (bending, tissue)
+    real = None if spine is None or spine_id is None else (spine, spine_id)
+    return Recipe(seed, height, cobb, curve, force, chosen, real)
+
+
+def _steps(folder: Path, steps: tuple[str, ...], redo: bool, truth: Path | None = None, **settings: str) -> Any:
+    from spinestiff.app.progress import progress
+    from spinestiff.study.pipeline import Settings, open_visit, run_steps
+
+    visit = open_visit(folder, Settings(**settings), truth)
+    with progress() as say:
+        for warning in visit.subject.warnings:
+            say(f"warning: {warning}")
+        run_steps(visit, steps, say, redo)
+    return visit
+
+
+def _assess(visit: Any) -> None:
+    from spinestiff.app import tables
+    from spinestiff.study.pipeline import read_json, truth_in_region
+
+    tables.show(tables.assessment_table(read_json(visit.file("assessment.json"))))
+    inside = truth_in_region(visit)
+    if inside is not None:
+        typer.echo(f"true ratios inside the joint 95 % region: {'yes' if inside else 'no'}")
+
+
+def _summary(visit: Any) -> None:
+    from spinestiff.app import tables
+    from spinestiff.study.pipeline import read_json
+
+    tables.show(tables.estimate_table(read_json(visit.file("estimate.json"))))
+    _assess(visit)
+    typer.echo(f"report: {visit.file('report.html')}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,130 @@
+"""What commands print: tables for people, JSON for programs."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import platform
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from spinestiff.verification.outcome import Check
+
+LIBRARIES = ("numpy", "scipy", "numba", "rslab", "pydantic", "pydicom", "opencv-python-headless", "scikit-image", "matplotlib")
+EXTRAS = {"python-gdcm": "JPEG Lossless radiographs (extra [dicom])", "mmgpy": "building torso meshes anew (extra [mesh])"}
+
+
+def show(table: Table) -> None:
+    """Print a table as wide as it needs where the output is no terminal."""
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=160)
+    console.print(table)
+
+
+def show_json(data: Any) -> None:
+    print(json.dumps(data, indent=1, allow_nan=False))
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="left" if i == 0 else "right")
+    return table
+
+
+def _number(value: float | None, digits: int = 2) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def estimate_table(record: dict[str, Any]) -> Table:
+    """The ratios of ``estimate.json``, in plain units below."""
+    table = _table(f"Estimate: {record['status_text']}", "ratio", "value", "95 % interval", "at bound")
+    for name, entry in record["ratios"].items():
+        low, high = entry["interval95"]
+        span = "not available" if low is None or high is None else f"{low:.3g} to {high:.3g}"
+        table.add_row(escape(name), f"{entry['value']:.4g}", span, "yes" if entry["at_bound"] else "no")
+    plain = record["plain"]
+    table.add_section()
+    table.add_row("thoracic level, lateral bending", f"{plain['lateral_bending_thoracic_nm_per_rad']:.1f} N m/rad", "", "")
+    table.add_row("lumbar level, lateral bending", f"{plain['lateral_bending_lumbar_nm_per_rad']:.1f} N m/rad", "", "")
+    table.add_row("tissue, Young's modulus", f"{plain['tissue_young_kpa']:.1f} kPa", "", "")
+    for warning in record["warnings"]:
+        table.add_row(f"warning: {escape(warning)}")
+    return table
+
+
+def assessment_table(records: Sequence[dict[str, Any]]) -> Table:
+    """RMSE of every held-out frame by predictor, and the change of the Cobb angle (tilt form)."""
+    names = ("rest", "default", "fit", "extrapolation", "single_ratio", "truth")
+    table = _table("Held-out frames: corner RMSE, mm, and change of tilt, degrees", "frame", "force N", *names, "measured", "fitted")
+    for record in records:
+        errors = [_number(record["rmse_mm"][name]) for name in names]
+        tilt = [(record["cobb_change_deg"].get(key) or {}).get("tilt") for key in ("measured", "fit")]
+        table.add_row(
+            escape(f"{record['push']} {record['frame']}"), f"{record['force_n']:.0f}", *errors, *[_number(t, 1) for t in tilt]
+        )
+    return table
+
+
+def cobb_table(rows: Sequence[tuple[str, str, str, str, str]]) -> Table:
+    """Rows of image, Cobb angle with levels, and the three forms of its change."""
+    table = _table("Cobb angles, degrees (above 0: convex to the left)", "image", "angle", "signed", "fixed levels", "tilt")
+    for row in rows:
+        table.add_row(*[escape(cell) for cell in row])
+    return table
+
+
+def check_record(check: Check) -> dict[str, Any]:
+    """One check as JSON; an error that is not finite is written as text."""
+    error = float(check.error)
+    finite = error == error and abs(error) != float("inf")
+    return {
+        "name": check.name,
+        "kind": check.kind,
+        "error": error if finite else str(error),
+        "tolerance": float(check.tolerance),
+        "passed": bool(check.passed),
+    }
+
+
+def check_table(results: Sequence[Check]) -> Table:
+    failed = sum(not result.passed for result in results)
+    table = _table(f"{len(results) - failed} of {len(results)} checks passed", "check", "kind", "error", "tolerance", "")
+    for r in results:
+        verdict = "passed" if r.passed else "[bold red]FAILED[/bold red]"
+        table.add_row(escape(r.name), r.kind, f"{r.error:.1e}", f"{r.tolerance:.0e}", verdict)
+    return table
+
+
+def doctor_table() -> Table:
+    """Versions of what is installed, the sparse solver in use and missing extras."""
+    from spinestiff import __version__
+    from spinestiff.anatomy.template import template_torso
+    from spinestiff.mechanics.factor import default_backend
+
+    table = _table("spinestiff doctor", "what", "found")
+    table.add_row("spinestiff", __version__)
+    table.add_row("Python", f"{sys.version.split()[0]} on {platform.platform()}")
+    for name in LIBRARIES:
+        table.add_row(name, _installed(name) or "MISSING: pip install it")
+    table.add_row("sparse solver in use", default_backend())
+    for name, use in EXTRAS.items():
+        table.add_row(f"{name} (optional)", _installed(name) or f"not installed; needed for {escape(use)}")
+    for mesh in ("coarse", "fine"):
+        torso = template_torso(157.0, mesh)
+        table.add_row(f"template mesh '{mesh}'", f"{len(torso.tissue.rest_positions)} nodes, {len(torso.joints)} joints")
+    return table
+
+
+def _installed(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None

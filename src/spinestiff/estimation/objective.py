@@ -1,0 +1,231 @@
+"""How far simulated vertebrae are from measured ones, and the derivatives of that (paper 4.1-4.2, Eqs. 8-12)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.arrays import Floats, Ints, read_only
+from spinestiff.errors import FitError
+from spinestiff.imaging.features import (
+    Orientation,
+    VertebraCorners,
+    near_square,
+    reference_boxes,
+    silhouette_choice,
+    state_features,
+    target_features,
+    vertebra_rows,
+)
+from spinestiff.imaging.projection import XRayView
+from spinestiff.mechanics.loads import LoadCase
+
+# With fewer the fit would rest on a short piece of the spine.
+FEWEST_VERTEBRAE = 3
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One radiograph under a known load (a term of Eq. 8).
+
+    Attributes
+    ----------
+    load : the push.
+    corners : the vertebrae's corners in the radiograph.
+    view : where source and detector were.
+    label : for messages, e.g. "push 1 frame 3".
+    push : frames of one push carry the same name here; they share the error of the gauge and of the pushed point.
+        Default: the label, so that every trial is its own push.
+    reference : corners in an unloaded radiograph of the same sequence and view, if there is one. The fit then
+        compares motions from rest instead of places, so that errors of rest geometry and annotation, which all
+        radiographs of a sequence share, drop out. RMSE stays that of places.
+    """
+
+    load: LoadCase
+    corners: VertebraCorners
+    view: XRayView
+    label: str = ""
+    push: str = ""
+    reference: VertebraCorners | None = None
+
+    def __post_init__(self) -> None:
+        if not self.push:
+            object.__setattr__(self, "push", self.label)
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a trial's radiograph asks of a state; constant during a fit.
+
+    Attributes
+    ----------
+    trial : where it comes from.
+    rows : (Nv,) the visible vertebrae among the torso's.
+    bones : (Nv,) their bones.
+    z : (Nv, 4, 2) mm at the patient plane, measured features z-hat.
+    weights : (Nv,) mean quality of a vertebra's usable corners; features mix all four, so they share one weight.
+    choice : (V, 4) silhouette choice, made in the rest pose.
+    used : (V, 4) bool, corners that place the boxes.
+    orientation : "procrustes" or "covariance".
+    rest_misfit : (Nv, 4, 2) mm, z - z-hat of the unloaded reference, 0 where there is none.
+    """
+
+    trial: Trial
+    rows: Ints
+    bones: Ints
+    z: Floats
+    weights: Floats
+    choice: Ints
+    used: np.ndarray
+    orientation: Orientation
+    rest_misfit: Floats
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Simulated minus measured features of one trial in one state.
+
+    Attributes
+    ----------
+    difference : (Nv, 4, 2) mm at the patient plane, z - z-hat.
+    jacobian : (Nv, 4, 2, 6), derivative in the pose of the vertebra's own bone.
+    bones, weights : (Nv,).
+    rest_misfit : (Nv, 4, 2) mm, what of the difference was there without load; not fitted.
+    """
+
+    difference: Floats
+    jacobian: Floats
+    bones: Ints
+    weights: Floats
+    rest_misfit: Floats
+
+    @property
+    def fitted(self) -> Floats:
+        """(Nv, 4, 2) mm, the difference without what was there at rest."""
+        return self.difference - self.rest_misfit
+
+    @property
+    def values(self) -> Floats:
+        """(8 Nv,) mm, fitted difference times the root of the weight."""
+        return (np.sqrt(self.weights)[:, None, None] * self.fitted).reshape(-1)
+
+    @property
+    def loss(self) -> float:
+        """L = 1/2 sum w |z-hat - z|^2, mm^2 (Eq. 9)."""
+        return 0.5 * float(np.sum(self.values**2))
+
+    @property
+    def rmse(self) -> float:
+        """Root of the mean, over corners, of the squared distance in the picture, mm; without weights."""
+        return float(np.sqrt(np.mean(np.sum(self.difference**2, axis=2))))
+
+    def gradient(self, dofs: int) -> Floats:
+        """dL/dx (dofs,), what the adjoint needs (Eqs. 10-11).
+
+        Eq. 11 as printed has the opposite sign: the derivative of 1/2 |z-hat - z|^2 is -(z-hat - z)^T dz.
+        """
+        blocks = np.einsum("v,vki,vkic->vc", self.weights, self.fitted, self.jacobian)
+        gradient = np.zeros(dofs)
+        np.add.at(gradient, self._columns.reshape(-1), blocks.reshape(-1))
+        return gradient
+
+    def along(self, directions: Floats) -> Floats:
+        """(8 Nv, P) derivative of ``values`` along changes of state dx/dp (dofs, P)."""
+        moved = directions[self._columns.reshape(-1)].reshape(len(self.bones), 6, -1)
+        slopes = np.einsum("v,vkic,vcp->vkip", np.sqrt(self.weights), self.jacobian, moved)
+        return slopes.reshape(-1, directions.shape[1])
+
+    @property
+    def _columns(self) -> Ints:
+        return np.asarray(6 * self.bones[:, None] + np.arange(6), dtype=np.int64)
+
+
+def make_target(torso: TorsoModel, trial: Trial, orientation: Orientation = "procrustes") -> Target:
+    """Measured features of a trial, with the silhouettes' choice of ``torso``'s rest pose.
+
+    Raises
+    ------
+    FitError : too few vertebrae, or a vertebra whose usable corners all weigh nothing.
+    TrackingError : corners that fit no vertebra of the torso.
+    """
+    corners, name = trial.corners, trial.label or "trial"
+    if len(corners) < FEWEST_VERTEBRAE:
+        raise FitError(f"{name} shows {len(corners)} vertebrae; wanted at least {FEWEST_VERTEBRAE}")
+    z = target_features(torso, trial.view, corners, orientation)
+    rows = vertebra_rows(torso, corners)
+    used = np.ones((len(torso.vertebrae), 4), dtype=bool)
+    used[rows] = corners.usable
+    weights = np.sum(corners.quality, axis=1) / np.maximum(corners.usable.sum(1), 1)
+    choice = silhouette_choice(torso, trial.view, torso.rest_pose)
+    return Target(
+        trial,
+        read_only("rows", rows, (None,), FitError, np.int64),
+        read_only("bones", torso.vertebra_bones[rows], (None,), FitError, np.int64),
+        read_only("targets", z, (len(rows), 4, 2), FitError),
+        read_only("weights", weights, (len(rows),), FitError),
+        choice,
+        used,
+        orientation,
+        _rest_misfit(torso, trial, orientation, choice, z.shape),
+    )
+
+
+def _rest_misfit(
+    torso: TorsoModel, trial: Trial, orientation: Orientation, choice: Ints, shape: tuple[int, ...]
+) -> Floats:
+    misfit = np.zeros(shape)
+    if trial.reference is not None:
+        seen = trial.reference.selected(trial.corners.vertebrae)
+        used = np.ones((len(torso.vertebrae), 4), dtype=bool)
+        rows = vertebra_rows(torso, seen)
+        used[rows] = seen.usable
+        still = state_features(torso, trial.view, torso.rest_pose, choice, orientation, used).z[rows]
+        places = [trial.corners.vertebrae.index(name) for name in seen.vertebrae]
+        misfit[places] = still - target_features(torso, trial.view, seen, orientation)
+    return read_only("misfit at rest", misfit, (len(misfit), 4, 2), FitError)
+
+
+def residuals(torso: TorsoModel, target: Target, state: TorsoState) -> Residuals:
+    """z(x) - z-hat of the visible vertebrae of one trial (Eq. 9), with derivatives (Eq. 12)."""
+    found = state_features(torso, target.trial.view, state, target.choice, target.orientation, target.used)
+    rows = target.rows
+    difference = found.z[rows] - target.z
+    return Residuals(difference, found.jacobian[rows], target.bones, target.weights, target.rest_misfit)
+
+
+def undetermined_vertebrae(torso: TorsoModel, target: Target) -> tuple[str, ...]:
+    """Visible vertebrae whose orientation by covariance means little (near-square box); none for Procrustes."""
+    if target.orientation != "covariance":
+        return ()
+    square = near_square(reference_boxes(torso, target.trial.view))[target.rows]
+    return tuple(name for name, flag in zip(target.trial.corners.vertebrae, square) if flag)
+
+
+def root_mean_square(parts: Sequence[Residuals]) -> float:
+    """RMSE in mm over all corners of several trials."""
+    squares = np.concatenate([np.sum(part.difference**2, axis=2).reshape(-1) for part in parts])
+    return float(np.sqrt(squares.mean()))
+
+
+def push_height_change(load: LoadCase, state: TorsoState) -> LoadCase:
+    """What is added to ``load`` for each mm that the pushed point lies higher.
+
+    Points at different heights share the push by the lever rule, so a higher resultant moves force from the lower to
+    the upper one. A single point has nothing to share with: the force rises on its bone, which adds a moment; it
+    is made of a couple of forces 1 mm above and at the point.
+    """
+    places = load.points.positions(state)
+    heights = places[:, 1]
+    spread = heights - heights.mean() if len(heights) else heights
+    total = load.forces.sum(axis=0)
+    if np.any(np.abs(spread) > 1.0):
+        share = spread / np.sum(spread**2)
+        return LoadCase(load.points, share[:, None] * total, load.label)
+    raised = type(load.points).at(state, load.points.bone, places + np.array([0.0, 1.0, 0.0]))
+    points = type(load.points)(
+        np.concatenate([raised.bone, load.points.bone]), np.concatenate([raised.offset, load.points.offset])
+    )
+    return LoadCase(points, np.concatenate([load.forces, -load.forces]), load.label)

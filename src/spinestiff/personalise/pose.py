@@ -1,0 +1,65 @@
+"""The small pose of the patient in a view: two shifts and a roll in the picture plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.arrays import Floats, Ints
+from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features, target_features, vertebra_rows
+from spinestiff.imaging.projection import XRayView
+
+
+@dataclass(frozen=True)
+class ViewPose:
+    """How a view was moved to meet the torso: shift (2,) mm at the patient plane and roll in rad.
+
+    ``rms_mm`` is what remains between simulated and measured features.
+    """
+
+    shift: Floats
+    roll: float
+    rms_mm: float
+
+
+def align_view(
+    torso: TorsoModel, state: TorsoState, nominal: XRayView, corners: VertebraCorners, choice: Ints | None = None
+) -> tuple[XRayView, ViewPose]:
+    """The nominal view, moved so that the simulated features of ``state`` meet the measured ones best.
+
+    ``XRayView.moved`` carries a picture of the patient plane by a plane rigid motion q -> Q q + shift, so the best
+    motion is that of two point sets (Procrustes); points off the patient plane need a few rounds.
+    """
+    choice = silhouette_choice(torso, nominal, state) if choice is None else choice
+    rows = vertebra_rows(torso, corners)
+    shift, roll, view = np.zeros(2), 0.0, nominal
+    for _ in range(8):
+        seen = state_features(torso, view, state, choice).z[rows].reshape(-1, 2)
+        target = target_features(torso, view, corners).reshape(-1, 2)
+        if _is_still(seen, target):
+            break
+        turn, move = _rigid_motion(seen, target)
+        # q -> Q(turn) (Q(roll) q + shift) + move
+        shift, roll = _rotated(shift, turn) + move, roll + turn
+        view = nominal.moved(shift, roll)
+    seen = state_features(torso, view, state, choice).z[rows]
+    residual = seen - target_features(torso, view, corners)
+    return view, ViewPose(shift, roll, float(np.sqrt(np.mean(np.sum(residual**2, -1)))))
+
+
+def _is_still(seen: Floats, target: Floats) -> bool:
+    turn, move = _rigid_motion(seen, target)
+    return bool(abs(turn) < 1e-9 and np.abs(move).max() < 1e-7)
+
+
+def _rigid_motion(seen: Floats, target: Floats) -> tuple[float, Floats]:
+    a, b = seen - seen.mean(0), target - target.mean(0)
+    turn = float(np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)))
+    return turn, target.mean(0) - _rotated(seen.mean(0), turn)
+
+
+def _rotated(vector: Floats, angle: float) -> Floats:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([cosine * vector[0] - sine * vector[1], sine * vector[0] + cosine * vector[1]])

@@ -1,0 +1,155 @@
+"""Rest shapes of synthetic subjects: curves of a wanted Cobb angle, and real spines from a table."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import UnivariateSpline
+from scipy.optimize import brentq
+
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.rotation import exp_so3
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats
+from spinestiff.errors import SubjectError
+
+# Apex as a share of the way from L5 to T1, and width, of a single curve; a double curve is a pair of opposite ones.
+CURVES = {
+    "thoracic": ((0.62, 0.22, 1.0),),
+    "thoracolumbar": ((0.40, 0.24, 1.0),),
+    "lumbar": ((0.24, 0.20, 1.0),),
+    "double": ((0.68, 0.17, 1.0), (0.26, 0.17, -0.8)),
+}
+# Vertebrae turn towards the convexity, about a third of the coronal tilt's size at the apex (Easwar et al. 2011 report
+# the coupling, its size varies).
+AXIAL_COUPLING = 0.3
+
+VertebraPoses = tuple[Floats, Floats]
+
+
+def rest_vertebrae(torso: TorsoModel) -> VertebraPoses:
+    """(V, 3) mm and (V, 3, 3): where the torso's vertebrae are at rest."""
+    bones = torso.vertebra_bones
+    return torso.rest_pose.bone_positions[bones], torso.rest_pose.bone_rotations[bones]
+
+
+def curved_spine(torso: TorsoModel, cobb_deg: float, curve: str) -> VertebraPoses:
+    """The torso's spine bent sideways until its largest coronal angle is ``cobb_deg`` (above 0: left-convex).
+
+    Raises
+    ------
+    SubjectError : unknown curve name or an angle outside +-60 degrees.
+    """
+    if curve not in CURVES:
+        raise SubjectError(f"unknown curve '{curve}'; wanted one of {', '.join(CURVES)}")
+    if not abs(cobb_deg) <= 60.0:
+        raise SubjectError(f"Cobb angle {cobb_deg} degrees; wanted at most 60 to either side")
+    positions, rotations = rest_vertebrae(torso)
+    height = positions[:, 1] - positions[-1, 1]
+    share = height / height[0]
+    bump = sum(side * np.exp(-(((share - apex) / width) ** 2)) for apex, width, side in CURVES[curve])
+    # Ends stay over each other: what is left of the bump there is taken out along the spine.
+    bump = bump - (bump[-1] + (bump[0] - bump[-1]) * share)
+    slope = np.gradient(bump, height)
+
+    def angle(amplitude: float) -> float:
+        lean = np.arctan(amplitude * slope)
+        return float(np.degrees(lean.max() - lean.min()))
+
+    amplitude = 0.0 if cobb_deg == 0.0 else brentq(lambda a: angle(a) - abs(cobb_deg), 0.0, 400.0)
+    amplitude *= np.sign(cobb_deg)
+    # Moving left while going up leans the left side down: a turn about z (anterior) by minus the lean.
+    tilt = -np.arctan(amplitude * slope)
+    axial = AXIAL_COUPLING * amplitude * np.abs(slope).max() * bump / np.abs(bump).max()
+    turned = exp_so3(np.outer(tilt, [0.0, 0.0, 1.0])) @ exp_so3(np.outer(axial, [0.0, 1.0, 0.0])) @ rotations
+    return positions + np.outer(amplitude * bump, [1.0, 0.0, 0.0]), turned
+
+
+def real_spine(torso: TorsoModel, table: str | Path, spine_id: str) -> VertebraPoses:
+    """A measured spine of the table, scaled to the torso's spine and set on its pelvis.
+
+    The table has columns ``id, level, keypoint, x_mm, y_mm, z_mm`` with a ``body`` and, where known, a ``left`` and
+    a ``right`` pedicle point for T1 to L5, in DICOM's patient frame (x left, y posterior, z up). Directions come from
+    a spline through the bodies; axial rotation from the pedicles, smoothed over three levels.
+
+    Raises
+    ------
+    SubjectError : no such file or spine, or a spine without all 17 bodies.
+    """
+    points = _read_points(Path(table), spine_id)
+    rest, _ = rest_vertebrae(torso)
+    bodies = np.array([points[level]["body"] for level in VERTEBRAE])
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(bodies, axis=0), axis=1))])
+    wanted = float(np.sum(np.linalg.norm(np.diff(rest, axis=0), axis=1)))
+    # Grid points of 1 to 3 mm: a spline that stays within about a millimetre of them.
+    splines = [UnivariateSpline(arc, bodies[:, i], k=4, s=len(arc) * 1.0**2) for i in range(3)]
+    centres = np.stack([spline(arc) for spline in splines], 1) * wanted / arc[-1]
+    up = -np.stack([spline.derivative()(arc) for spline in splines], 1)
+    axial = _axial_rotation(points, up)
+    frames = _upright(centres, rest)
+    return rest[-1] + (centres - centres[-1]) @ frames.T, frames @ _vertebra_frames(up, axial)
+
+
+def _read_points(table: Path, spine_id: str) -> dict[str, dict[str, Floats]]:
+    if not table.is_file():
+        raise SubjectError(f"{table}: no such file; wanted a table of spines")
+    points: dict[str, dict[str, Floats]] = {}
+    with table.open(newline="", encoding="utf-8") as file:
+        rows = csv.DictReader(file)
+        missing = {"id", "level", "keypoint", "x_mm", "y_mm", "z_mm"} - set(rows.fieldnames or ())
+        if missing:
+            raise SubjectError(f"{table}: column '{sorted(missing)[0]}' is missing")
+        for row in rows:
+            if row["id"] == spine_id and row["x_mm"]:
+                try:
+                    lps = [float(row[key]) for key in ("x_mm", "y_mm", "z_mm")]
+                except ValueError:
+                    raise SubjectError(f"{table}: line {rows.line_num}: not a number") from None
+                points.setdefault(row["level"], {})[row["keypoint"]] = torso_from_lps(np.array(lps))
+    if not points:
+        raise SubjectError(f"{table}: no spine '{spine_id}'")
+    lacking = [level for level in VERTEBRAE if "body" not in points.get(level, {})]
+    if lacking:
+        raise SubjectError(f"{table}: spine '{spine_id}' has no body point for {lacking[0]}")
+    return points
+
+
+def torso_from_lps(points: Floats) -> Floats:
+    """DICOM's patient frame (x left, y posterior, z superior) to the torso's (x left, y superior, z anterior)."""
+    return np.stack([points[..., 0], points[..., 2], -points[..., 1]], -1)
+
+
+def _axial_rotation(points: dict[str, dict[str, Floats]], up: Floats) -> Floats:
+    angles = np.full(len(VERTEBRAE), np.nan)
+    for i, level in enumerate(VERTEBRAE):
+        pair = points[level]
+        if "left" in pair and "right" in pair:
+            left = pair["left"] - pair["right"]
+            angles[i] = np.arctan2(-left[2], left[0])
+    known = np.isfinite(angles)
+    if known.sum() < 3:
+        return np.zeros(len(VERTEBRAE))
+    level = np.arange(len(VERTEBRAE))
+    filled = np.interp(level, level[known], angles[known] - np.median(angles[known]))
+    padded = np.pad(filled, 1, mode="edge")
+    return (padded[:-2] + padded[1:-1] + padded[2:]) / 3.0
+
+
+def _vertebra_frames(up: Floats, axial: Floats) -> Floats:
+    y = up / np.linalg.norm(up, axis=1, keepdims=True)
+    left = np.stack([np.cos(axial), np.zeros_like(axial), -np.sin(axial)], 1)
+    x = left - np.sum(left * y, axis=1, keepdims=True) * y
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return np.stack([x, y, np.cross(x, y)], axis=2)
+
+
+def _upright(centres: Floats, rest: Floats) -> Floats:
+    """The turn that brings the top of the spine over the pelvis as in the template: about z, then about x."""
+    chord, wanted = centres[0] - centres[-1], rest[0] - rest[-1]
+    roll = np.arctan2(chord[0], chord[1])
+    upright = exp_so3(np.array([0.0, 0.0, roll]))
+    chord = upright @ chord
+    pitch = np.arctan2(wanted[2], wanted[1]) - np.arctan2(chord[2], chord[1])
+    return np.asarray(exp_so3(np.array([pitch, 0.0, 0.0])) @ upright)

@@ -1,0 +1,334 @@
+"""Synthetic subjects: a torso of known stiffness, pushed on a fine mesh and radiographed into a real subject folder.
+
+The truth is written beside the folder (``DIR.truth.json``), never into it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+
+import numpy as np
+
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.stiffness import RATIO_BOUNDS, stiffness_ratios
+from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.arrays import Floats
+from spinestiff.errors import SubjectError
+from spinestiff.imaging.features import silhouette_choice, state_features
+from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
+from spinestiff.imaging.radiograph import write_radiographs
+from spinestiff.imaging.rendering import (
+    CANCELLOUS_BONE,
+    CORTICAL_BONE,
+    SOFT_TISSUE,
+    Absorber,
+    Exposure,
+    Texture,
+    render_radiograph,
+)
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import rib_push
+from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.personalise.shape import place_vertebrae
+from spinestiff.study.metrics import cobb_angle, cobb_change, tilts
+from spinestiff.study.results import read_json, write_json
+from spinestiff.study.spines import VertebraPoses, curved_spine, real_spine
+from spinestiff.study.subject import Annotation, ImageAnnotation, PushRecord, SubjectRecord, write_annotation, write_subject
+
+Observer = Callable[[str], None]
+
+# Table 4's range of estimated ratios, where a subject's own are drawn from.
+BENDING_RANGE, TISSUE_RANGE = (0.05, 0.63), (0.01, 0.15)
+FRAME_TIME_MS = 250.0  # four radiographs a second (paper 2.1)
+ANNOTATION_SD_MM = 0.3  # of a hand-set corner, at the patient plane
+STANDING_SD_MM, STANDING_SD_RAD = 4.0, 0.012  # how differently a patient stands from one exposure to the next
+EXPOSURE_SD = 0.06
+CORTEX_MM = 0.8
+SHARES = {"main": (0.0, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0), "second": (0.0, 1 / 3, 2 / 3, 1.0)}
+ROLES = {
+    "main": ("unused", "unused", "training", "unused", "training", "unused", "validation"),
+    "second": ("unused", "unused", "unused", "validation"),
+}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What kind of subject to make.
+
+    Attributes
+    ----------
+    seed : of everything random.
+    height_cm, cobb_deg, curve : body and rest curve (Cobb above 0: left-convex).
+    force_n : largest push.
+    ratios : true lateral bending and tissue ratio; drawn from Table 4's range if None.
+    spine : table and id of a real spine as rest shape, instead of ``cobb_deg`` and ``curve``.
+    level, second_level : rib levels of the two pushes.
+    """
+
+    seed: int = 0
+    height_cm: float = 157.0
+    cobb_deg: float = 12.0
+    curve: str = "thoracic"
+    force_n: float = 60.0
+    ratios: tuple[float, float] | None = None
+    spine: tuple[Path, str] | None = None
+    level: float = 8.0
+    second_level: float = 6.0
+    shape: tuple[int, int] = field(default=(1024, 1024))
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.force_n <= 500.0:
+            raise SubjectError(f"force {self.force_n} N; wanted above 0 and at most 500 (the gauge's limit)")
+        low, high = RATIO_BOUNDS
+        for value in self.ratios or ():
+            if not low <= value <= high:
+                raise SubjectError(f"stiffness ratio {value}; wanted {low} to {high}")
+
+    def as_record(self) -> dict[str, object]:
+        """As written into the truth file."""
+        own = {f.name: getattr(self, f.name) for f in fields(self)}
+        spine = None if self.spine is None else [self.spine[0].name, self.spine[1]]
+        return {**own, "ratios": None if self.ratios is None else list(self.ratios), "shape": list(self.shape), "spine": spine}
+
+
+def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = None) -> Path:
+    """Make a subject folder and, beside it, its truth.
+
+    Parameters
+    ----------
+    folder : must not exist or be empty.
+    recipe : see ``Recipe``.
+    observer : called with a line for each step.
+
+    Returns
+    -------
+    Path of the truth file.
+
+    Raises
+    ------
+    SubjectError : the folder is not empty, or the recipe is impossible.
+    EquilibriumError : the torso can't carry the push at these ratios.
+    """
+    folder = Path(folder)
+    if folder.exists() and any(folder.iterdir()):
+        raise SubjectError(f"{folder}: is not empty; choose another folder, nothing was written")
+    say = observer or (lambda line: None)
+    random = np.random.default_rng(recipe.seed)
+    say("shaping the fine torso")
+    torso = _subject_torso(recipe)
+    bending, tissue = recipe.ratios or tuple(
+        float(np.exp(random.uniform(*np.log(limits)))) for limits in (BENDING_RANGE, TISSUE_RANGE)
+    )
+    ratios = stiffness_ratios({"lateral_bending": bending, "tissue": tissue})
+    maker = _Acquisition(folder, torso, recipe, random)
+    maker.rest_images()
+    for push_id, level in (("main", recipe.level), ("second", recipe.second_level)):
+        side = maker.pushed_side
+        problem = EquilibriumProblem(torso, three_point_supports(torso, side))
+        states, state = [], torso.rest_pose
+        for share in SHARES[push_id]:
+            say(f"push '{push_id}': equilibrium at {share * recipe.force_n:.0f} N")
+            state = problem.solve(rib_push(torso, side, level, share * recipe.force_n), ratios, state).require().state
+            states.append(state)
+        say(f"push '{push_id}': rendering {len(states)} radiographs")
+        maker.push(push_id, level, states)
+    return maker.finish({"lateral_bending": bending, "tissue": tissue})
+
+
+def truth_path(folder: str | Path) -> Path:
+    """Where the truth of a synthetic subject lies: beside its folder."""
+    folder = Path(folder)
+    return folder.with_name(folder.name + ".truth.json")
+
+
+def made_by(folder: str | Path, recipe: Recipe) -> bool:
+    """Whether ``folder`` holds just the subject of this recipe; False if there is none yet.
+
+    Raises
+    ------
+    SubjectError : it holds something else.
+    """
+    folder = Path(folder)
+    if not folder.exists() or not any(folder.iterdir()):
+        return False
+    path = truth_path(folder)
+    if path.is_file() and read_json(path).get("recipe") == recipe.as_record():
+        return True
+    raise SubjectError(f"{folder}: holds another subject; choose another folder, nothing was written")
+
+
+def _subject_torso(recipe: Recipe) -> TorsoModel:
+    template = template_torso(recipe.height_cm, "fine")
+    poses: VertebraPoses
+    if recipe.spine:
+        poses = real_spine(template, *recipe.spine)
+    else:
+        poses = curved_spine(template, recipe.cobb_deg, recipe.curve)
+    return place_vertebrae(template, *poses)
+
+
+class _Acquisition:
+    """One synthetic visit: images, annotation and truth collect here while they are made."""
+
+    def __init__(self, folder: Path, torso: TorsoModel, recipe: Recipe, random: np.random.Generator) -> None:
+        self.folder, self.torso, self.recipe, self.random = folder, torso, recipe, random
+        self.images: dict[str, ImageAnnotation] = {}
+        self.pushes: list[PushRecord] = []
+        self.truth: dict[str, object] = {}
+        spine = torso.rest_pose.bone_positions[torso.vertebra_bones]
+        self.centre = np.array([0.0, 0.5 * (spine[0, 1] + spine[-1, 1]), 0.0])
+        self._rest_tilts = self._tilts(torso.rest_pose)
+        self.rest_cobb = cobb_angle(self._rest_tilts)
+        # A push on the convex side straightens the curve.
+        self.pushed_side = "left" if self.rest_cobb.degrees > 0.0 else "right"
+
+    def rest_images(self) -> None:
+        for name, nominal, orientation in (
+            ("frontal", self._nominal(frontal_view), ("L", "F")),
+            ("lateral", self._nominal(lateral_view), ("A", "F")),
+        ):
+            view = self._standing(nominal)
+            pixels = self._radiograph(self.torso.rest_pose, view)[None]
+            path = self.folder / "rest" / f"{name}.dcm"
+            self._write(path, pixels, view, orientation, f"rest {name}")
+            self.images[f"rest/{name}"] = self._annotation(view, supports=False)
+
+    def push(self, push_id: str, level: float, states: list[TorsoState]) -> None:
+        view = self._standing(self._nominal(frontal_view))
+        pixels = np.stack([self._radiograph(state, view) for state in states])
+        path = self.folder / "pushes" / f"{push_id}.dcm"
+        self._write(path, pixels, view, ("L", "F"), f"push {push_id}")
+        self.images[f"push/{push_id}"] = self._annotation(view, supports=True)
+        shoulder, pelvis, rib = self._heights(level)
+        self.pushes.append(
+            PushRecord(
+                id=push_id,
+                side=self.pushed_side,
+                level=level,
+                d21_mm=round(shoulder - pelvis, 1),
+                d31_mm=round(shoulder - rib, 1),
+                frames=f"pushes/{push_id}.dcm",
+                forces_n=tuple(round(share * self.recipe.force_n, 3) for share in SHARES[push_id]),
+                roles=ROLES[push_id],
+            )
+        )
+        choice = silhouette_choice(self.torso, view, self.torso.rest_pose)
+        self.truth[push_id] = [
+            {
+                "corners_px": view.pixels(state_features(self.torso, view, state, choice).corners).round(4).tolist(),
+                "cobb_change_deg": _as_dict(cobb_change(self._rest_tilts, self._tilts(state))),
+            }
+            for state in states
+        ]
+
+    def finish(self, ratios: dict[str, float]) -> Path:
+        recipe = self.recipe
+        record = SubjectRecord(
+            schema_version=1,
+            id=f"synthetic-{recipe.seed}",
+            age=13.0,
+            sex="female",
+            height_cm=recipe.height_cm,
+            pushes=tuple(self.pushes),
+        )
+        write_subject(self.folder, record)
+        write_annotation(self.folder, Annotation(schema_version=1, images=self.images))
+        path = truth_path(self.folder)
+        write_json(
+            path,
+            {
+                "schema_version": 1,
+                "recipe": recipe.as_record(),
+                "ratios": ratios,
+                "rest_cobb_deg": self.rest_cobb.degrees,
+                "vertebrae": list(VERTEBRAE),
+                "pushes": self.truth,
+            },
+        )
+        return path
+
+    def _nominal(self, make: Callable[..., XRayView]) -> XRayView:
+        return make(shape=self.recipe.shape, centre=self.centre)
+
+    def _standing(self, nominal: XRayView) -> XRayView:
+        shift = self.random.normal(0.0, STANDING_SD_MM, 2)
+        return nominal.moved(shift, float(self.random.normal(0.0, STANDING_SD_RAD)))
+
+    def _radiograph(self, state: TorsoState, view: XRayView) -> np.ndarray:
+        exposure = Exposure(factor=float(np.exp(self.random.normal(0.0, EXPOSURE_SD))))
+        return render_radiograph(torso_absorbers(self.torso, state), view, exposure, int(self.random.integers(2**31)))
+
+    def _write(self, path: Path, pixels: np.ndarray, view: XRayView, orientation: tuple[str, str], description: str) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_radiographs(
+            path,
+            pixels,
+            view,
+            frame_time_ms=FRAME_TIME_MS,
+            orientation=orientation,
+            patient_id=f"synthetic-{self.recipe.seed}",
+            description=description,
+        )
+
+    def _annotation(self, view: XRayView, supports: bool) -> ImageAnnotation:
+        """What a person would click in the unloaded torso's image: the visible vertebrae, a little off."""
+        rest = self.torso.rest_pose
+        corners = state_features(self.torso, view, rest, silhouette_choice(self.torso, view, rest)).corners
+        noise = self.random.normal(0.0, ANNOTATION_SD_MM, corners.shape) * view.magnification
+        pixels = view.pixels(corners + noise).round(2)
+        inside = _inside(pixels, view).all(1)
+        vertebrae = {VERTEBRAE[i]: pixels[i].tolist() for i in np.flatnonzero(inside)}
+        points: dict[str, list[list[float]]] = {}
+        if supports:
+            for name, landmark in (("pelvis", "pelvis_belt"), ("shoulder", "humerus_head")):
+                seen = view.pixels(view.project(self.torso.landmarks[landmark].positions(rest))).round(2)
+                if name == "shoulder":
+                    seen = seen[[1 if self.pushed_side == "left" else 0]]
+                if _inside(seen, view).all():
+                    points[name] = seen.tolist()
+        return ImageAnnotation.model_validate({"vertebrae": vertebrae, "supports": points})
+
+    def _heights(self, level: float) -> tuple[float, float, float]:
+        """Heights of the held shoulder, the pelvis and the push point, mm."""
+        rest, marks = self.torso.rest_pose, self.torso.landmarks
+        load = rib_push(self.torso, self.pushed_side, level, 1.0)
+        share = np.abs(load.forces[:, 0])
+        rib = float(share @ load.points.positions(rest)[:, 1])
+        held = 1 if self.pushed_side == "left" else 0
+        return float(marks["humerus_head"].positions(rest)[held, 1]), float(marks["pelvis_belt"].positions(rest)[0, 1]), rib
+
+    def _tilts(self, state: TorsoState):  # type: ignore[no-untyped-def]
+        view = self._nominal(frontal_view)
+        choice = silhouette_choice(self.torso, view, self.torso.rest_pose)
+        return tilts(VERTEBRAE, state_features(self.torso, view, state, choice).corners, view)
+
+
+def torso_absorbers(torso: TorsoModel, state: TorsoState) -> list[Absorber]:
+    """Bones with a cortical shell and cancellous texture, and the tissue around them, in a state."""
+    absorbers = []
+    for bone, surface in enumerate(torso.bone_surfaces):
+        texture = Texture(0.5, 4.0, bone, state.bone_positions[bone], state.bone_rotations[bone])
+        vertices = torso.surface_positions(state, bone)
+        absorbers.append(
+            Absorber(vertices, surface.faces, CANCELLOUS_BONE, CORTEX_MM, CORTICAL_BONE, texture)
+        )
+    faces = torso.tissue.boundary_faces()
+    if faces.shape[1] == 6:
+        # A curved six-node face as four flat triangles.
+        faces = faces[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]].reshape(-1, 3)
+    absorbers.append(Absorber(torso.node_positions(state), faces, SOFT_TISSUE))
+    return absorbers
+
+
+def _inside(pixels: Floats, view: XRayView) -> np.ndarray:
+    rows, columns = view.shape
+    margin = 4.0
+    return np.asarray(((pixels > margin) & (pixels < np.array([columns, rows]) - 1 - margin)).all(-1))
+
+
+def _as_dict(change) -> dict[str, float]:  # type: ignore[no-untyped-def]
+    return {key: round(float(getattr(change, key)), 4) for key in ("signed", "fixed_levels", "tilt")}
+

@@ -1,0 +1,140 @@
+"""From tracked corners to trials: the bridge between a subject folder and the estimation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.errors import SubjectError
+from spinestiff.estimation.objective import Trial
+from spinestiff.imaging.features import VertebraCorners
+from spinestiff.imaging.projection import XRayView
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import rib_push
+from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.personalise.pose import ViewPose, align_view
+from spinestiff.study.subject import PushRecord
+
+# Corners tracked worse than this carry no information worth their risk.
+LOWEST_QUALITY = 0.3
+# Fewer usable corners leave a vertebra's orientation to chance.
+FEWEST_CORNERS = 3
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """One frame of a push: its corners, and a message if it must not be used (a support moved)."""
+
+    corners: VertebraCorners
+    dropped: str = ""
+
+
+@dataclass(frozen=True)
+class TrackedPush:
+    """A push as tracked: nominal view and one entry a frame."""
+
+    view: XRayView
+    frames: tuple[TrackedFrame, ...]
+
+
+@dataclass(frozen=True)
+class PushTrial:
+    """A trial with where it comes from.
+
+    Attributes
+    ----------
+    push : id. frame : index in the push. force_n : magnitude. role : as in ``subject.json``.
+    trial : load, usable corners and the view moved to where the patient stood.
+    """
+
+    push: str
+    frame: int
+    force_n: float
+    role: str
+    trial: Trial
+
+
+@dataclass(frozen=True)
+class PushSet:
+    """All trials of a subject on one torso, with the problem of each push.
+
+    Attributes
+    ----------
+    torso : at rest in the subject's shape.
+    problems : push id -> supports for its side.
+    trials : every usable frame, the unloaded first ones included.
+    poses : push id -> how the patient stood.
+    warnings : what was dropped, and why.
+    """
+
+    torso: TorsoModel
+    problems: Mapping[str, EquilibriumProblem]
+    trials: tuple[PushTrial, ...]
+    poses: Mapping[str, ViewPose]
+    warnings: tuple[str, ...]
+
+    def of_role(self, role: str) -> tuple[PushTrial, ...]:
+        return tuple(trial for trial in self.trials if trial.role == role)
+
+    def reference(self, push: str) -> PushTrial:
+        """The frame of a push with the least force, to which changes are measured."""
+        return min((t for t in self.trials if t.push == push), key=lambda t: t.force_n)
+
+
+def push_set(
+    torso: TorsoModel,
+    pushes: Sequence[PushRecord],
+    tracked: Mapping[str, TrackedPush],
+    reference_states: Mapping[str, TorsoState] | None = None,
+) -> PushSet:
+    """Trials of all pushes; each push's view is moved to meet its frame of least force.
+
+    Parameters
+    ----------
+    reference_states : push id -> simulated state under the least force, where that force is not zero.
+
+    Raises
+    ------
+    SubjectError : no training frame is left.
+    """
+    problems, trials, poses, warnings = {}, [], {}, []
+    by_side: dict[str, EquilibriumProblem] = {}
+    for push in pushes:
+        found = tracked[push.id]
+        if push.side not in by_side:
+            by_side[push.side] = EquilibriumProblem(torso, three_point_supports(torso, push.side))
+        problems[push.id] = by_side[push.side]
+        least = int(np.argmin(push.forces_n))
+        state = (reference_states or {}).get(push.id, torso.rest_pose)
+        if push.forces_n[least] > 0.0 and push.id not in (reference_states or {}):
+            warnings.append(
+                f"push '{push.id}': its least force is {push.forces_n[least]:g} N, so that where the patient stood "
+                "is read under load; record a frame without force"
+            )
+        view, poses[push.id] = align_view(torso, state, found.view, usable_corners(found.frames[least].corners))
+        for index, (frame, force, role) in enumerate(zip(found.frames, push.forces_n, push.roles)):
+            label = f"push '{push.id}' frame {index}"
+            if frame.dropped and role != "unused":
+                warnings.append(f"{label}: dropped, {frame.dropped}")
+            if frame.dropped:
+                continue
+            load = rib_push(torso, push.side, push.level, force, label=label)
+            trial = Trial(load, usable_corners(frame.corners), view, label, push.id)
+            lost = len(frame.corners) - len(trial.corners)
+            if lost and role != "unused":
+                warnings.append(f"{label}: {lost} vertebrae were lost in tracking and are left out")
+            trials.append(PushTrial(push.id, index, force, role, trial))
+    if not any(t.role == "training" and t.force_n > 0.0 for t in trials):
+        raise SubjectError("no training frame is left after tracking; see the messages of the tracking step")
+    return PushSet(torso, problems, tuple(trials), poses, tuple(warnings))
+
+
+def usable_corners(corners: VertebraCorners) -> VertebraCorners:
+    """The vertebrae with enough well-tracked corners; worse corners get quality 0."""
+    quality = np.where(corners.quality >= LOWEST_QUALITY, corners.quality, 0.0)
+    keep = np.flatnonzero((quality > 0.0).sum(1) >= FEWEST_CORNERS)
+    names = tuple(corners.vertebrae[i] for i in keep)
+    return replace(corners, vertebrae=names, corners=corners.corners[keep], quality=quality[keep])

@@ -1,0 +1,265 @@
+"""Checks of the derivatives of an equilibrium (Eqs. 6-7) and of the image features (Eqs. 9-12)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios, parameter_group, stiffness_ratios
+from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.arrays import Floats, Ints
+from spinestiff.errors import EquilibriumError
+from spinestiff.imaging.features import reference_boxes, silhouette_choice, state_features
+from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import LoadCase
+from spinestiff.mechanics.sensitivity import Linearisation
+from spinestiff.verification.energies import dense
+from spinestiff.verification.equilibria import toy_load, toy_supports
+from spinestiff.verification.models import points_on, shaken, toy_torso
+from spinestiff.verification.oracle import STEP, Complexes, rotation
+from spinestiff.verification.outcome import Check, compared, counted, judged, vanishing
+
+NAMES = {"lateral_bending": 0.3, "tissue": 0.2, "axial_rotation": 0.5, "tissue_mu": 0.8}
+
+
+class _Goal:
+    """A smooth function of a state: half the weighted squared distance of points from places, and its derivative."""
+
+    def __init__(self, torso: TorsoModel, seed: int) -> None:
+        random = np.random.default_rng(seed)
+        self.points: PointsOnBones = points_on(torso, 6, seed)
+        self.targets = self.points.positions(torso.rest_pose) + random.uniform(-3.0, 3.0, (6, 3))
+        self.weights = random.uniform(0.5, 2.0, torso.rest_pose.tissue_positions.shape)
+
+    def value(self, state: TorsoState) -> float:
+        gap = self.points.positions(state) - self.targets
+        return float(0.5 * np.sum(gap**2) + np.sum(self.weights * state.tissue_positions))
+
+    def gradient(self, state: TorsoState) -> Floats:
+        gradient = np.zeros(state.dofs)
+        rows = gradient[: 6 * len(state.bone_positions)].reshape(-1, 6)
+        gap = self.points.positions(state) - self.targets
+        np.add.at(rows, self.points.bone, np.einsum("pij,pi->pj", self.points.jacobian(state), gap))
+        gradient[6 * len(state.bone_positions) :] = self.weights.ravel()
+        return gradient
+
+
+class _Case:
+    """A soft toy torso in equilibrium and its tangent."""
+
+    def __init__(self, nodes: int) -> None:
+        self.torso = toy_torso(1, nodes)
+        self.problem = EquilibriumProblem(self.torso, toy_supports(self.torso))
+        self.load: LoadCase = toy_load(40.0)
+        self.ratios: StiffnessRatios = stiffness_ratios(NAMES, self.torso.joints.kinds)
+        self.found = self.problem.solve(self.load, self.ratios).require()
+        self.tangent: Linearisation = self.problem.linearise(self.found, self.load, self.ratios)
+        self.goal = _Goal(self.torso, 3)
+
+    def at(self, log_change: Floats) -> TorsoState:
+        ratios = self.ratios.with_values(self.ratios.values * np.exp(log_change))
+        return self.problem.solve(self.load, ratios, start=self.found.state).require().state
+
+    def along(self, direction: Floats) -> Callable[[float], float]:
+        """The goal as a function of the step in log ratios along ``direction``."""
+        return lambda step: self.goal.value(self.at(step * direction))
+
+
+def sensitivities() -> Iterator[Check]:
+    """Forward, adjoint and dense inverse agree; both agree with differences of whole solves."""
+    for nodes in (4, 10):
+        case = _Case(nodes)
+        potential, groups = case.problem.potential, case.ratios.groups
+        forward = case.tangent.forward(groups)
+        gradient = case.goal.gradient(case.found.state)
+        adjoint = case.tangent.adjoint(gradient, groups)
+        yield compared(f"Eqs. 6-7: adjoint against forward, {nodes} nodes", adjoint, gradient @ forward, 1e-10)
+        stiffness, terms = potential.stiffness(case.ratios), case.problem.all_terms(case.load)
+        free = np.setdiff1d(np.arange(potential.dofs), case.problem.held)
+        hessian = dense(potential, potential.hessian(case.found.state, stiffness, terms))[np.ix_(free, free)]
+        shares = potential.ratio_gradients(case.found.state, stiffness, groups)[free]
+        wanted = np.zeros_like(forward)
+        wanted[free] = -np.linalg.inv(hessian) @ shares
+        yield compared(f"Eq. 6: forward against a dense inverse, {nodes} nodes", forward, wanted, 1e-10)
+        yield vanishing(
+            f"Eq. 6: held bones stay, {nodes} nodes", forward[case.problem.held], float(np.abs(forward).max()), 0.0
+        )
+        step = 1e-3
+        for i, name in enumerate(case.ratios.names):
+            unit = step * np.eye(len(NAMES))[i]
+            weights = ((1, 8 / 12), (2, -1 / 12))
+            difference = sum(
+                w * (case.goal.value(case.at(k * unit)) - case.goal.value(case.at(-k * unit))) for k, w in weights
+            )
+            yield compared(
+                f"Eq. 7: d goal / d log {name} against differences, {nodes} nodes", adjoint[i], difference / step, 1e-6
+            )
+
+
+def taylor_slopes(value: Callable[[float], float], slope: float, first: float, halvings: int) -> tuple[Floats, Floats]:
+    """Orders at which |v(h) - v(0)| and |v(h) - v(0) - h slope| shrink as h is halved, (halvings,) each."""
+    steps = first * 0.5 ** np.arange(halvings + 1)
+    change = np.array([value(float(h)) for h in steps]) - value(0.0)
+    return np.log2(np.abs(change[:-1] / change[1:])), np.log2(
+        np.abs((change - steps * slope)[:-1] / (change - steps * slope)[1:])
+    )
+
+
+def taylor() -> Iterator[Check]:
+    """The remainder after the gradient falls with the square of the step, without the gradient in proportion to it."""
+    for nodes in (4, 10):
+        case = _Case(nodes)
+        direction = np.array([0.6, -0.7, 0.4, 0.5])
+        slope = float(case.tangent.adjoint(case.goal.gradient(case.found.state), case.ratios.groups) @ direction)
+        without, remainder = taylor_slopes(case.along(direction), slope, 0.1, 8)
+        yield judged(f"Taylor: slope of the remainder less 2, {nodes} nodes", np.abs(remainder[3:] - 2.0).max(), 0.05)
+        yield judged(f"Taylor: slope without the gradient less 1, {nodes} nodes", np.abs(without[3:] - 1.0).max(), 0.05)
+
+
+def load_derivative() -> Iterator[Check]:
+    """The equilibrium's derivative in the load against differences of solves."""
+    case = _Case(10)
+    found = case.tangent.load_derivative(case.load)[18:]
+    step, total = 1e-3, np.zeros_like(found)
+    for k, weight in ((1, 8 / 12), (2, -1 / 12)):
+        ends = [case.problem.solve(case.load.scaled(1 + s * k * step), case.ratios).require() for s in (1, -1)]
+        total = total + weight * (ends[0].state.tissue_positions - ends[1].state.tissue_positions).ravel()
+    yield compared("load derivative against differences of solves", found, total / step, 1e-6)
+
+
+def superposition() -> Iterator[Check]:
+    """Shares of the force add up: of the parts to the whole, of the parts of a group to the group."""
+    torso = toy_torso(4, 10)
+    problem = EquilibriumProblem(torso, toy_supports(torso))
+    state, kinds = shaken(torso, 9), torso.joints.kinds
+    ratios = stiffness_ratios(NAMES, kinds)
+    stiffness = problem.potential.stiffness(ratios)
+    directions = [parameter_group(name, kinds) for name in ("lateral_shear", "separation", "sagittal_shear")]
+    directions += [parameter_group(name, kinds) for name in ("flexion_extension", "axial_rotation", "lateral_bending")]
+    tissue = [parameter_group(name, kinds) for name in ("tissue_mu", "tissue_lambda")]
+
+    def shares(groups: list[ParameterGroup]) -> Floats:
+        return problem.potential.ratio_gradients(state, stiffness, groups).sum(1)
+
+    whole = problem.potential.gradient(state, stiffness, ())
+    yield compared("superposition: shares of all parts are the force", shares(directions + tissue), whole, 1e-13)
+    yield compared(
+        "superposition: one group for everything", shares([parameter_group("everything", kinds)]), whole, 1e-13
+    )
+    yield compared(
+        "superposition: tissue is mu and lambda", shares([parameter_group("tissue", kinds)]), shares(tissue), 1e-13
+    )
+    log_step, total = 1e-3, np.zeros_like(whole)
+    for k, weight in ((1, 8 / 12), (2, -1 / 12)):
+        for sign in (1, -1):
+            scaled = ratios.with_values(ratios.values * np.exp(sign * k * log_step * np.array([1.0, 0, 0, 0])))
+            total = total + sign * weight * problem.potential.gradient(state, problem.potential.stiffness(scaled), ())
+    bending = shares([parameter_group("lateral_bending", kinds)])
+    yield compared("superposition: a share is d force / d log ratio", bending, total / log_step, 1e-9)
+
+
+def refused_derivatives() -> Iterator[Check]:
+    """No derivative where there is no equilibrium: not converged, other load, other ratios."""
+    case = _Case(10)
+    short = case.problem.solve(case.load, case.ratios, max_iterations=1)
+    loose = case.problem.solve(case.load, case.ratios, tolerance=1e-3 * case.load.size)
+    tries = [
+        (short, case.load, case.ratios),
+        (loose, case.load, case.ratios),
+        (case.found, case.load.scaled(1.001), case.ratios),
+        (case.found, case.load, None),
+    ]
+    given = 0
+    for state, load, ratios in tries:
+        try:
+            case.problem.linearise(state, load, ratios)
+        except EquilibriumError:
+            continue
+        given += 1
+    yield counted("refusal: derivatives away from equilibrium", given, len(tries))
+    yield judged("refusal: the loose state passed as converged", float(not loose.converged), 0.0)
+
+
+def boxed_torso() -> TorsoModel:
+    """The toy torso with its three bones as vertebrae, their boxes wider than high and slightly skewed."""
+    torso = toy_torso(5, 4)
+    signs = np.array([[x, y, z] for y in (1, -1) for x in (1, -1) for z in (1, -1)], dtype=float)
+    boxes = np.stack([0.5 * signs * size for size in ([42.0, 24.0, 34.0], [45.0, 26.0, 36.0], [48.0, 27.0, 38.0])])
+    boxes = boxes + np.random.default_rng(6).uniform(-1.5, 1.5, boxes.shape)
+    # Upright in the world, whatever the bones' frames: principal axes are known only up to quarter turns.
+    boxes = boxes @ torso.rest_pose.bone_rotations
+    names = ("T10", "T11", "T12")
+    return replace(torso, bone_names=names, vertebrae=names, vertebra_boxes=boxes)
+
+
+def _features_oracle(
+    torso: TorsoModel, view: XRayView, state: TorsoState, choice: Ints, orientation: str, dx: Complexes
+) -> Complexes:
+    """z (V, 4, 2) by another way: homogeneous projection, complex arithmetic, half-angle formulas."""
+    v = len(torso.vertebrae)
+    t = state.bone_positions + dx[:, :3]
+    r = rotation(dx[:, 3:]) @ state.bone_rotations
+    frontal = abs(view.detector_axes[0, 0]) > 0.5
+    boxes = torso.vertebra_boxes.reshape(v, 2, 2, 2, 3)
+    level, side = (0, 0, 1, 1), (0, 1, 1, 0)
+    normal = np.cross(*view.detector_axes)
+    height = normal @ (view.detector_origin - view.source)
+    seen = np.empty((v, 4, 2), dtype=complex)
+    for i in range(v):
+        for k in range(4):
+            pair = (side[k], choice[i, k]) if frontal else (choice[i, k], side[k])
+            point = t[i] + r[i] @ boxes[i, level[k], pair[0], pair[1]]
+            ray = point - view.source
+            spot = ray * (height / (ray @ normal))
+            # From the source's foot, in units of the patient plane.
+            seen[i, k] = (view.detector_axes @ spot) * view.source_to_patient / abs(height)
+    centre = seen.mean(1, keepdims=True)
+    c, ref = seen - centre, reference_boxes(torso, view)
+    if orientation == "procrustes":
+        along = np.sum(ref * c, axis=(1, 2))
+        across = np.sum(ref[..., 0] * c[..., 1] - ref[..., 1] * c[..., 0], axis=1)
+        cosine, sine = along / np.sqrt(along**2 + across**2), across / np.sqrt(along**2 + across**2)
+    else:
+        xx, yy, xy = (np.mean(c[..., i] * c[..., j], axis=1) for i, j in ((0, 0), (1, 1), (0, 1)))
+        size = np.sqrt((xx - yy) ** 2 + 4.0 * xy**2)
+        cosine = np.sqrt(0.5 * (1.0 + (xx - yy) / size))
+        sine = xy / size / cosine
+    turn = np.stack([np.stack([cosine, -sine], -1), np.stack([sine, cosine], -1)], -2)
+    return centre + np.einsum("vij,vkj->vki", turn, ref)
+
+
+def features() -> Iterator[Check]:
+    """Image features and their derivative in the vertebrae's poses, both orientations, both views."""
+    torso = boxed_torso()
+    state = shaken(torso, 7, turn=0.1, move=5.0)
+    for view_name, view in (("frontal", frontal_view()), ("lateral", lateral_view())):
+        choice = silhouette_choice(torso, view, torso.rest_pose)
+        for orientation in ("procrustes", "covariance"):
+            found = state_features(torso, view, state, choice, orientation)  # type: ignore[arg-type]
+
+            def oracle(
+                dx: Complexes, view: XRayView = view, choice: Ints = choice, kind: str = orientation
+            ) -> Complexes:
+                return _features_oracle(torso, view, state, choice, kind, dx)
+
+            name = f"{view_name} view, {orientation}"
+            yield compared(f"features: Eqs. 9-11, {name}", found.z, oracle(np.zeros((3, 6), dtype=complex)).real, 1e-12)
+            wanted = np.empty((3, 4, 2, 6))
+            for dof in range(6):
+                dx = np.zeros((3, 6), dtype=complex)
+                dx[:, dof] = 1j * STEP
+                wanted[..., dof] = oracle(dx).imag / STEP
+            for part, columns in (("shifts", slice(0, 3)), ("turns", slice(3, 6))):
+                yield compared(
+                    f"features: derivative in {part} (Eq. 12), {name}",
+                    found.jacobian[..., columns],
+                    wanted[..., columns],
+                    1e-11,
+                )
+
+
+GROUPS = (sensitivities, taylor, load_derivative, superposition, refused_derivatives, features)

@@ -1,0 +1,385 @@
+"""DICOM there and back, where millimetres come from, and that damaged files are refused in one line."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pydicom
+import pytest
+from openjpeg.utils import encode_array
+from pydicom.encaps import encapsulate
+
+from spinestiff.errors import RadiographError
+from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
+from spinestiff.imaging.radiograph import (
+    Geometry,
+    Radiograph,
+    lps_from_world,
+    read_radiographs,
+    world_from_lps,
+    write_radiographs,
+)
+
+PUBLIC_FILES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "dicom"
+VIEW = frontal_view(sid=1500.0, source_to_patient=1340.0, shape=(40, 36), pixel=(0.3, 0.4))
+
+
+def frames(count: int = 3, view: XRayView = VIEW) -> np.ndarray:
+    return np.random.default_rng(1).integers(0, 65536, (count, *view.shape), dtype=np.uint16)
+
+
+@pytest.fixture
+def series(tmp_path: Path) -> Path:
+    path = tmp_path / "series.dcm"
+    write_radiographs(path, frames(), VIEW, frame_time_ms=40.0, description="push")
+    return path
+
+
+def changed(path: Path, change: Callable[[pydicom.Dataset], None]) -> Path:
+    dataset = pydicom.dcmread(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        change(dataset)
+        dataset.save_as(path)
+    return path
+
+
+def without(*keywords: str) -> Callable[[pydicom.Dataset], None]:
+    def change(dataset: pydicom.Dataset) -> None:
+        for keyword in keywords:
+            delattr(dataset, keyword)
+
+    return change
+
+
+def having(**values: object) -> Callable[[pydicom.Dataset], None]:
+    def change(dataset: pydicom.Dataset) -> None:
+        for keyword, value in values.items():
+            setattr(dataset, keyword, value)
+
+    return change
+
+
+def compress(path: Path, syntax: str, **declared: int) -> None:
+    """Code the file's frames; then declare other values."""
+    dataset = pydicom.dcmread(path)
+    if syntax == "JPEG2000Lossless":
+        # By the codec itself: pydicom's encoder wants one more package, its decoder doesn't.
+        dataset.PixelData = encapsulate([bytes(encode_array(frame)) for frame in dataset.pixel_array])
+        dataset["PixelData"].VR = "OB"
+        dataset.file_meta.TransferSyntaxUID = pydicom.uid.JPEG2000Lossless
+    else:
+        dataset.compress(getattr(pydicom.uid, syntax))
+    having(**declared)(dataset)
+    dataset.save_as(path)
+
+
+def assert_same_view(a: XRayView, b: XRayView) -> None:
+    assert a.shape == b.shape
+    assert a.source_to_patient == pytest.approx(b.source_to_patient, rel=1e-9)
+    for key in ("source", "detector_origin", "detector_axes", "pixel_spacing"):
+        np.testing.assert_allclose(getattr(a, key), getattr(b, key), atol=1e-6)
+
+
+def test_lps_turns_world_axes_and_back() -> None:
+    np.testing.assert_array_equal(lps_from_world(np.eye(3)), [[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    v = np.random.default_rng(0).normal(size=(5, 3))
+    np.testing.assert_array_equal(world_from_lps(lps_from_world(v)), v)
+
+
+@pytest.mark.parametrize("view", [VIEW, lateral_view(shape=(40, 36), pixel=0.417)])
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_written_file_reads_as_it_was(tmp_path: Path, view: XRayView, count: int) -> None:
+    write_radiographs(tmp_path / "a.dcm", frames(count), view, frame_time_ms=40.0)
+    read = read_radiographs(tmp_path / "a.dcm")
+    assert len(read) == count
+    for i, radiograph in enumerate(read):
+        assert radiograph.pixels.dtype == np.float32
+        np.testing.assert_array_equal(radiograph.pixels, frames(count)[i])
+        assert_same_view(radiograph.view, view)
+        assert (radiograph.frame, radiograph.source) == (i, "a.dcm")
+        assert radiograph.time_s == pytest.approx(0.04 * i)
+        assert radiograph.provenance["pixel spacing"] == "DICOM ImagerPixelSpacing, at the detector"
+    assert len(read[0].sha256) == 64
+
+
+def test_the_same_call_writes_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a.dcm", "b.dcm"):
+        write_radiographs(tmp_path / name, frames(), VIEW, description="x")
+    assert (tmp_path / "a.dcm").read_bytes() == (tmp_path / "b.dcm").read_bytes()
+
+
+def test_written_files_are_radiofluoroscopic_or_digital_x_ray_without_a_patient(tmp_path: Path) -> None:
+    for count, name in ((3, "X-Ray Radiofluoroscopic Image Storage"),
+                        (1, "Digital X-Ray Image Storage - For Presentation")):  # fmt: skip
+        write_radiographs(tmp_path / "a.dcm", frames(count), VIEW)
+        dataset = pydicom.dcmread(tmp_path / "a.dcm")
+        assert dataset.SOPClassUID.name == name
+        assert dataset.PatientIdentityRemoved == "YES"
+        assert dataset.PatientBirthDate == ""
+        assert list(dataset.PatientOrientation) == ["L", "F"]
+        assert float(dataset.KVP) == 71.0
+        assert list(dataset.ImagerPixelSpacing) == [0.4, 0.3]
+
+
+def test_frame_times_may_differ(tmp_path: Path) -> None:
+    write_radiographs(tmp_path / "a.dcm", frames(), VIEW, frame_time_ms=[0.0, 50.0, 70.0])
+    assert [r.time_s for r in read_radiographs(tmp_path / "a.dcm")] == pytest.approx([0.0, 0.05, 0.12])
+    changed(tmp_path / "a.dcm", having(FrameTimeVector=["30", "50", "70"]))
+    assert [r.time_s for r in read_radiographs(tmp_path / "a.dcm")] == pytest.approx([0.0, 0.05, 0.12])
+
+
+def folder_of_frames(folder: Path, times: list[str | None], numbers: list[int]) -> Path:
+    for i, (time, number) in enumerate(zip(times, numbers)):
+        write_radiographs(folder / f"{'cab'[i]}.dcm", frames()[i], VIEW, instance_number=number, acquisition_time=time)
+    return folder
+
+
+def test_a_folder_is_ordered_by_time(tmp_path: Path) -> None:
+    read = read_radiographs(folder_of_frames(tmp_path, ["120000.5", "120001", "120003"], [1, 2, 3]))
+    assert [r.source for r in read] == ["c.dcm", "a.dcm", "b.dcm"]
+    assert [r.time_s for r in read] == pytest.approx([0.0, 0.5, 2.5])
+    assert [r.frame for r in read] == [0, 1, 2]
+    np.testing.assert_array_equal(read[2].pixels, frames()[2])
+
+
+def test_a_folder_without_times_is_ordered_by_instance_number(tmp_path: Path) -> None:
+    read = read_radiographs(folder_of_frames(tmp_path, [None, None, None], [3, 1, 2]))
+    assert [r.source for r in read] == ["a.dcm", "b.dcm", "c.dcm"]
+    assert [r.time_s for r in read] == [None, None, None]
+
+
+def test_times_and_numbers_that_disagree_are_told(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="disagree; ordered by time"):
+        read = read_radiographs(folder_of_frames(tmp_path, ["120003", "120001", "120002"], [1, 2, 3]))
+    assert [r.source for r in read] == ["a.dcm", "b.dcm", "c.dcm"]
+
+
+def test_folders_that_are_no_series_are_refused(tmp_path: Path, series: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(RadiographError, match="empty: no radiographs"):
+        read_radiographs(tmp_path / "empty")
+    assert len(read_radiographs(tmp_path)) == 3
+    write_radiographs(tmp_path / "z.dcm", frames(1), VIEW)
+    with pytest.raises(RadiographError, match=r"series.dcm: 3 frames in a folder"):
+        read_radiographs(tmp_path)
+    series.unlink()
+    write_radiographs(tmp_path / "y.dcm", np.zeros((9, 9), np.uint16), frontal_view(shape=(9, 9)))
+    with pytest.raises(RadiographError, match=r"z.dcm: another size than y.dcm"):
+        read_radiographs(tmp_path)
+
+
+def test_monochrome1_and_rescale_are_undone(tmp_path: Path, series: Path) -> None:
+    changed(series, without("PixelIntensityRelationshipSign"))
+    changed(series, having(PhotometricInterpretation="MONOCHROME1", RescaleSlope="2", RescaleIntercept="-5"))
+    read = read_radiographs(series)[1]
+    np.testing.assert_array_equal(read.pixels, 2.0 * (65535.0 - frames()[1]) - 5.0)
+    assert read.provenance["grey values"] == "MONOCHROME1, rescaled by 2 and -5, inverted"
+
+
+@pytest.mark.parametrize(("photometric", "sign", "inverted"),
+                         [("MONOCHROME1", -1, False), ("MONOCHROME1", 1, True), ("MONOCHROME2", 1, True)])  # fmt: skip
+def test_the_sign_of_the_beam_decides_where_bone_is_bright(
+    series: Path, photometric: str, sign: int, inverted: bool
+) -> None:
+    changed(series, having(PhotometricInterpretation=photometric, PixelIntensityRelationshipSign=sign))
+    wanted = 65535.0 - frames()[0] if inverted else frames()[0]
+    np.testing.assert_array_equal(read_radiographs(series)[0].pixels, wanted)
+
+
+def test_bits_above_the_stored_ones_are_dropped(series: Path) -> None:
+    changed(series, having(BitsStored=12, HighBit=11))
+    np.testing.assert_array_equal(read_radiographs(series)[0].pixels, frames()[0] & 4095)
+
+
+def test_signed_pixels_keep_their_sign(series: Path) -> None:
+    changed(series, having(PixelRepresentation=1))
+    np.testing.assert_array_equal(read_radiographs(series)[0].pixels, frames()[0].view(np.int16))
+
+
+@pytest.mark.parametrize("syntax", ["RLELossless", "JPEG2000Lossless", "JPEGLSLossless"])
+def test_compressed_pixels_are_the_same(series: Path, syntax: str) -> None:
+    compress(series, syntax)
+    for i, radiograph in enumerate(read_radiographs(series)):
+        np.testing.assert_array_equal(radiograph.pixels, frames()[i])
+
+
+@pytest.mark.parametrize("syntax", ["JPEG2000Lossless", "JPEGLSLossless"])
+def test_a_coded_frame_larger_than_declared_is_refused_before_decoding(series: Path, syntax: str) -> None:
+    compress(series, syntax, Rows=12)
+    with pytest.raises(RadiographError, match="a coded frame is 40 x 36, but 12 x 36 is declared"):
+        read_radiographs(series)
+
+
+def test_a_file_without_geometry_takes_what_is_given(series: Path) -> None:
+    changed(series, without("ImagerPixelSpacing", "DistanceSourceToDetector", "DistanceSourceToPatient",
+                            "PatientOrientation", "ViewPosition"))  # fmt: skip
+    read = read_radiographs(series, geometry=Geometry(1500.0, 1340.0, 0.35, "lateral"))[0]
+    assert_same_view(read.view, lateral_view(shape=(40, 36), pixel=0.35))
+    assert read.provenance["pixel spacing"] == "given imager_pixel_mm, at the detector"
+    assert read.provenance["source to detector"] == "given source_detector_mm"
+    assert read.provenance["orientation"].startswith("given view lateral")
+
+
+def test_a_calibrated_spacing_is_that_of_the_patient_plane(series: Path) -> None:
+    changed(series, without("ImagerPixelSpacing"))
+    changed(series, having(PixelSpacing=["0.4", "0.3"], PixelSpacingCalibrationType="FIDUCIAL"))
+    read = read_radiographs(series)[0]
+    np.testing.assert_allclose(read.view.pixel_spacing, np.array([0.3, 0.4]) * 1500.0 / 1340.0)
+    assert "patient plane" in read.provenance["pixel spacing"]
+
+
+@pytest.mark.parametrize(
+    ("letters", "position", "columns", "beam"),
+    [
+        (["L", "F"], "AP", [1, 0, 0], [0, 0, -1]),
+        (["R", "F"], "PA", [-1, 0, 0], [0, 0, 1]),
+        (["A", "F"], "LL", [0, 0, 1], [1, 0, 0]),
+        (["PL", "FR"], "RL", [0, 0, -1], [-1, 0, 0]),
+        (["L", "F"], "", [1, 0, 0], [0, 0, -1]),
+    ],
+)
+def test_orientation_and_position_decide_columns_and_beam(
+    series: Path, letters: list[str], position: str, columns: list[int], beam: list[int]
+) -> None:
+    changed(series, having(PatientOrientation=letters, ViewPosition=position))
+    view = read_radiographs(series)[0].view
+    np.testing.assert_array_equal(view.detector_axes, [columns, [0, -1, 0]])
+    np.testing.assert_allclose(view.normal, beam, atol=1e-12)
+
+
+REFUSED = {
+    "no spacing": (without("ImagerPixelSpacing"), None, "no ImagerPixelSpacing; add imager_pixel_mm"),
+    "spacing of no plane": (
+        lambda d: (without("ImagerPixelSpacing")(d), having(PixelSpacing=["0.4", "0.3"])(d)),
+        None, "PixelSpacing doesn't say for which plane; add imager_pixel_mm",
+    ),
+    "spacing nan": (having(ImagerPixelSpacing=[float("nan"), 0.4]), None, "ImagerPixelSpacing is no number"),
+    "spacing zero": (having(ImagerPixelSpacing=[0.0, 0.4]), None, "ImagerPixelSpacing 0 mm"),
+    "spacing huge": (having(ImagerPixelSpacing=[0.4, 2.5]), None, "ImagerPixelSpacing 2.5 mm"),
+    "no distance": (without("DistanceSourceToDetector"), None, "no DistanceSourceToDetector; add source_detector_mm"),
+    "no patient": (without("DistanceSourceToPatient"), None, "no DistanceSourceToPatient; add source_patient_mm"),
+    "metres": (having(DistanceSourceToDetector="1.5"), None, r"DistanceSourceToDetector 1.5 mm; wanted 300"),
+    "patient behind": (having(DistanceSourceToPatient="1600"), None, "is not below source to detector"),
+    "other distance": (having(), Geometry(source_detector_mm=1530.0), "1500 mm, but subject.json gives source_d"),
+    "other spacing": (having(), Geometry(imager_pixel_mm=0.3), "ImagerPixelSpacing is 0.4 mm, but subject.json"),
+    "other view": (having(), Geometry(view="lateral"), "is frontal, but subject.json has view lateral"),
+    "no orientation": (without("PatientOrientation"), None, "no PatientOrientation; add view"),
+    "lying": (having(PatientOrientation=["F", "L"]), None, "not upright"),
+    "modality": (having(Modality="CT"), None, "modality CT is no projection radiograph"),
+    "no picture": (without("PixelData"), None, "no picture"),
+    "colour": (having(PhotometricInterpretation="RGB", SamplesPerPixel=3), None, "colour picture"),
+    "cut": (lambda d: setattr(d, "PixelData", d.PixelData[:-200]), None, "pixel data cut short: 8440 of 8640"),
+    "too wide": (having(Columns=8193), None, "declares 3 frames of 40 x 8193"),
+    "too many": (having(NumberOfFrames=129), None, "declares 129 frames"),
+    "too large": (having(Rows=8000, Columns=8000, NumberOfFrames=100), None, "12207 MB; at most 512 MB"),
+    "no rows": (having(Rows=0), None, "wanted at least one pixel"),
+    "bits": (having(BitsStored=17), None, "17 bits stored in 16"),
+    "slope": (having(RescaleSlope="0"), None, "RescaleSlope is 0"),
+    "back in time": (having(FrameTime="-3"), None, "frame times go backwards"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_measured_is_refused_with_the_file_and_the_reason(series: Path, name: str) -> None:
+    change, geometry, message = REFUSED[name]
+    changed(series, change)
+    with pytest.raises(RadiographError, match=message) as refusal:
+        read_radiographs(series, geometry=geometry)
+    assert str(refusal.value).startswith("series.dcm: ")
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"not DICOM at all", b"\x00" * 5000])
+def test_other_files_are_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "x.dcm").write_bytes(content)
+    with pytest.raises(RadiographError, match=r"^x.dcm: "):
+        read_radiographs(tmp_path / "x.dcm")
+
+
+def test_a_missing_file_is_told(tmp_path: Path) -> None:
+    with pytest.raises(RadiographError, match=r"^none.dcm: no such file"):
+        read_radiographs(tmp_path / "none.dcm")
+
+
+def test_a_deflated_file_is_refused_before_it_grows(series: Path) -> None:
+    dataset = pydicom.dcmread(series)
+    dataset.file_meta.TransferSyntaxUID = pydicom.uid.DeflatedExplicitVRLittleEndian
+    dataset.save_as(series)
+    with pytest.raises(RadiographError, match="deflated"):
+        read_radiographs(series)
+
+
+def test_a_close_given_value_agrees_and_the_file_wins(series: Path) -> None:
+    read = read_radiographs(series, geometry=Geometry(source_detector_mm=1505.0, view="frontal"))[0]
+    assert read.view.source_to_detector == pytest.approx(1500.0)
+
+
+def attempt(path: Path, geometry: Geometry | None) -> tuple[tuple[Radiograph, ...], str | None]:
+    """Radiographs or a refusal; any other exception passes."""
+    try:
+        return read_radiographs(path, geometry=geometry), None
+    except RadiographError as refusal:
+        return (), str(refusal)
+
+
+def one_line_about(path: Path, refusal: str) -> bool:
+    return refusal.startswith(f"{path.name}: ") and refusal.isprintable() and len(refusal) < 200
+
+
+GIVEN = (None, Geometry(1500.0, 1340.0, 0.2, "frontal"), Geometry(source_patient_mm=900.0, view="frontal"))
+
+
+@pytest.mark.skipif(not PUBLIC_FILES.is_dir(), reason="public DICOM test files are not here")
+def test_public_files_give_radiographs_or_one_line() -> None:
+    read: set[str] = set()
+    for path in sorted(PUBLIC_FILES.iterdir()):
+        for geometry in GIVEN:
+            found, refusal = attempt(path, geometry)
+            assert refusal is None or one_line_about(path, refusal)
+            assert all(isinstance(radiograph, Radiograph) for radiograph in found)
+            read |= {path.name} if found else set()
+    assert {"gdcm-CR-MONO1-10-chest.dcm", "RG3_J2KR_CR_extremity.dcm", "highdicom_dx_thorax.dcm"} <= read
+
+
+def test_damaged_bytes_give_radiographs_or_one_line(tmp_path: Path, series: Path) -> None:
+    content = series.read_bytes()
+    random = np.random.default_rng(7)
+    path = tmp_path / "damaged.dcm"
+    header = len(content) - frames().nbytes
+    refused = 0
+    for trial in range(400):
+        damaged = bytearray(content)
+        if trial % 4 == 0:
+            damaged = damaged[: random.integers(len(content))]
+        else:
+            for place in random.integers(100, header, random.integers(1, 5)):
+                damaged[place] = random.integers(256)
+        path.write_bytes(damaged)
+        _, refusal = attempt(path, None)
+        assert refusal is None or one_line_about(path, refusal)
+        refused += refusal is not None
+    assert refused > 150
+
+
+@pytest.mark.parametrize(
+    "pixels", [np.zeros((3, 40, 36)), np.zeros((36, 40), np.uint16), np.zeros((0, 40, 36), np.uint16)]
+)
+def test_pixels_that_do_not_fit_the_view_are_not_written(tmp_path: Path, pixels: np.ndarray) -> None:
+    with pytest.raises(RadiographError, match="pixels are"):
+        write_radiographs(tmp_path / "a.dcm", pixels, VIEW)
+
+
+def test_a_view_off_the_middle_is_not_written(tmp_path: Path) -> None:
+    aside = replace(VIEW, source=VIEW.source + [5.0, 0.0, 0.0])
+    with pytest.raises(RadiographError, match="principal point"):
+        write_radiographs(tmp_path / "a.dcm", frames(), aside)
+
+
+def test_bad_frame_times_are_not_written(tmp_path: Path) -> None:
+    with pytest.raises(RadiographError, match="frame times"):
+        write_radiographs(tmp_path / "a.dcm", frames(), VIEW, frame_time_ms=[0.0, 1.0])

@@ -1,0 +1,319 @@
+"""Tracking on pictures made here: textured vertebrae that move as known bodies through shading, ribs and noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.errors import TrackingError
+from spinestiff.imaging.features import VertebraCorners
+from spinestiff.imaging.projection import XRayView, frontal_view
+from spinestiff.imaging.tracking import SUPPORT_LIMIT_MM, support_motion, track
+
+SHAPE = (620, 360)
+VIEW = frontal_view(shape=SHAPE, pixel=0.7)
+PLANE_MM = float(VIEW.pixel_spacing[0] / VIEW.magnification)
+WIDTH, HEIGHT, PITCH = 46.0, 26.0, 34.0
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What tracking needs of a radiograph."""
+
+    pixels: np.ndarray
+    view: XRayView = VIEW
+
+
+def rest_poses(count=16):
+    """(n, 3) angle and centre in pixels of the vertebrae of a slightly curved spine."""
+    y = 50.0 + PITCH * np.arange(count)
+    return np.column_stack([0.1 * np.cos(y / 90.0), 180.0 + 9.0 * np.sin(y / 90.0), y])
+
+
+def pushed_poses(poses, pixels):
+    """The spine bent sideways by up to ``pixels``, vertebrae turned along."""
+    height = (poses[:, 2] - 50.0) / 520.0
+    bend = np.sin(np.pi * height)
+    slope = pixels * np.pi / 520.0 * np.cos(np.pi * height)
+    return poses + np.column_stack([-slope, pixels * bend, 0.05 * pixels * (1.0 - 2.0 * height)])
+
+
+def quads(poses):
+    """Corners (n, 4, 2): the patient's left at growing columns."""
+    flat = 0.5 * np.array([[WIDTH, -HEIGHT], [-WIDTH, -HEIGHT], [-WIDTH, HEIGHT], [WIDTH, HEIGHT]])
+    cosine, sine = np.cos(poses[:, 0]), np.sin(poses[:, 0])
+    turn = np.stack([np.stack([cosine, -sine], -1), np.stack([sine, cosine], -1)], -2)
+    return np.einsum("nij,kj->nki", turn, flat) + poses[:, None, 1:]
+
+
+def picture(poses, seed=0, gain=1.0, offset=0.0, noise=2.0, ribs_move=0.0):
+    """A radiograph-like picture: shading, oblique ribs, vertebrae with rims and texture of their own, noise."""
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    image = 60.0 + 40.0 * np.exp(-(((column - 180.0) / 110.0) ** 2))
+    image += 12.0 * (np.sin((row + 0.35 * np.abs(column - 180.0 - ribs_move)) / 6.5) > 0.45)
+    grain = np.random.default_rng(7).standard_normal((len(poses), 60, 80))
+    for (angle, x, y), texture in zip(poses, grain):
+        near = (slice(max(0, int(y) - 40), int(y) + 41), slice(max(0, int(x) - 50), int(x) + 51))
+        du, dv = column[near] - x, row[near] - y
+        u = np.cos(angle) * du + np.sin(angle) * dv
+        v = -np.sin(angle) * du + np.cos(angle) * dv
+        outside = np.maximum(np.abs(u) - WIDTH / 2, np.abs(v) - HEIGHT / 2)
+        inside = 1.0 / (1.0 + np.exp(np.clip(outside * 3.0, -50, 50)))
+        rim = np.exp(-((outside + 1.5) ** 2) / 3.0)
+        smooth = gaussian_filter(texture, 2.5) * 30.0
+        image[near] += (
+            inside * (35.0 + map_coordinates(smooth, [v + 30.0, u + 40.0], order=1, mode="nearest")) + 18.0 * rim
+        )
+    image = gaussian_filter(image, 0.6) * gain + offset
+    return (image + noise * np.random.default_rng(seed).standard_normal(SHAPE)).astype(np.float32)
+
+
+def sequence(largest, count=4, **changes):
+    """Frames under a growing push with exposure changes, and true corners (F, n, 4, 2) pixels."""
+    poses = [pushed_poses(rest_poses(), largest * k / (count - 1)) for k in range(count)]
+    gains = 1.0 + 0.25 * np.sin(np.arange(count))
+    frames = [
+        Frame(picture(pose, seed=k, gain=gain, offset=8.0 * k, ribs_move=0.6 * largest * k / count, **changes))
+        for k, (pose, gain) in enumerate(zip(poses, gains))
+    ]
+    return frames, np.stack([quads(pose) for pose in poses])
+
+
+def corners(pixels, view=VIEW):
+    return VertebraCorners(VERTEBRAE[: len(pixels)], view.from_pixels(pixels))
+
+
+def errors_mm(tracked, truth):
+    """(F, n, 4) mm at the patient plane."""
+    found = np.stack([VIEW.pixels(frame.corners) for frame in tracked])
+    return np.linalg.norm(found - truth, axis=-1) * PLANE_MM
+
+
+@pytest.mark.parametrize("largest", [0.0, 6.0, 30.0, 90.0])
+def test_corners_follow_a_bending_spine(largest):
+    frames, truth = sequence(largest)
+    first = corners(truth[0])
+    tracked = track(frames, first)
+    error = errors_mm(tracked, truth)
+    assert tracked[0] is first
+    assert np.median(error[1:]) <= 0.15
+    assert np.percentile(error[1:], 95) <= 0.5
+    assert np.median([frame.quality for frame in tracked]) > 0.5
+
+
+def test_errors_do_not_add_up():
+    """Eleven frames there and back: each is registered on the first one."""
+    poses = [pushed_poses(rest_poses(10), 12.0 * min(k, 10 - k)) for k in range(11)]
+    frames = [Frame(picture(pose, seed=k, ribs_move=5.0 * min(k, 10 - k))) for k, pose in enumerate(poses)]
+    truth = np.stack([quads(pose) for pose in poses])
+    error = errors_mm(track(frames, corners(truth[0])), truth)
+    assert np.percentile(error[-1], 95) <= 0.1
+    assert np.percentile(error, 95) <= 0.3
+
+
+def test_a_spoilt_frame_is_lost_and_spoils_no_other():
+    frames, truth = sequence(24.0, count=5)
+    frames[2] = Frame(np.full(SHAPE, 80.0, dtype=np.float32))
+    tracked = track(frames, corners(truth[0]))
+    assert not tracked[2].usable.any()
+    error = errors_mm(tracked, truth)
+    assert np.percentile(error[[1, 3, 4]], 95) <= 0.5
+    assert np.median(tracked[4].quality) > 0.5
+
+
+def test_quality_tells_a_vertebra_that_vanished():
+    """Forward and backward flow agree on the empty place; only the likeness tells."""
+    frames, truth = sequence(12.0, count=3)
+    hidden = [pushed_poses(rest_poses(), 6.0 * k) for k in range(3)]
+    row, column = (round(float(x)) for x in hidden[2][7, :0:-1])
+    gone = frames[2].pixels.copy()
+    patch = gone[row - 20 : row + 20, column - 32 : column + 32]
+    patch[:] = gaussian_filter(patch, 12.0) + np.random.default_rng(3).normal(0.0, 2.0, patch.shape)
+    frames[2] = Frame(gone)
+    quality = track(frames, corners(truth[0]))[2].quality
+    assert quality[7].max() < 0.3
+    assert np.median(np.delete(quality, 7, axis=0)) > 0.6
+
+
+def test_what_leaves_the_image_is_lost():
+    poses = [rest_poses() + [0.0, 0.0, 27.0 + 10.0 * k] for k in range(6)]
+    truth = np.stack([quads(pose) for pose in poses])
+    tracked = track([Frame(picture(pose, seed=k)) for k, pose in enumerate(poses)], corners(truth[0]))
+    outside = truth[..., 1] > SHAPE[0]
+    assert outside[2, -1].any()
+    assert not outside[2, -1].all()
+    assert outside[5, -1].all()
+    for frame, gone in zip(tracked, outside):
+        assert not frame.usable[gone].any()
+        assert frame.usable[:15].all()
+    assert np.percentile(errors_mm(tracked, truth)[:, :15], 95) < 0.5
+
+
+def test_a_quality_given_at_the_start_is_kept():
+    frames, truth = sequence(6.0, count=2)
+    quality = np.ones((16, 4))
+    quality[3, 1] = 0.0
+    given = VertebraCorners(VERTEBRAE[:16], VIEW.from_pixels(truth[0]), quality)
+    assert track(frames, given)[1].quality[3, 1] == 0.0
+
+
+def test_fine_pixels_are_binned_and_corners_stay_in_their_own():
+    frames, truth = sequence(18.0, count=2)
+    fine_view = frontal_view(shape=(3 * SHAPE[0], 3 * SHAPE[1]), pixel=0.7 / 6.0)
+    fine = [Frame(np.kron(frame.pixels, np.ones((3, 3), np.float32)), fine_view) for frame in frames]
+    tracked = track(fine, corners(3.0 * truth[0] + 1.0, fine_view))
+    error = np.linalg.norm(fine_view.pixels(tracked[1].corners) - (3.0 * truth[1] + 1.0), axis=-1)
+    assert np.median(error) < 0.6
+
+
+def test_the_observer_hears_of_every_frame():
+    frames, truth = sequence(4.0, count=3)
+    heard = []
+    track(frames, corners(truth[0]), lambda done, total: heard.append((done, total)))
+    assert heard == [(2, 3), (3, 3)]
+    assert len(track(frames[:1], corners(truth[0]))) == 1
+
+
+# Supports
+
+PELVIS = np.array([[90.0, 520.0], [270.0, 520.0]])
+SHOULDER = np.array([[300.0, 90.0]])
+
+
+def supported(shifts, turns=(0.0, 0.0, 0.0)):
+    """Frames with a disc at each support point; ``shifts`` (F, 2) pixels of the pelvis, which also turns."""
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    middle = PELVIS.mean(0)
+    frames = []
+    for k, (shift, angle) in enumerate(zip(np.asarray(shifts, dtype=float), turns)):
+        image = picture(pushed_poses(rest_poses(), 10.0 * k), seed=k).astype(float)
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        for x, y in (*(middle + (PELVIS - middle) @ turn.T + shift), *SHOULDER):
+            image += 40.0 / (1.0 + np.exp(np.clip(np.hypot(column - x, 0.7 * (row - y)) - 12.0, -50, 50)))
+        frames.append(Frame(image.astype(np.float32)))
+    return frames
+
+
+def test_a_support_that_moved_drops_the_frame():
+    limit = SUPPORT_LIMIT_MM / PLANE_MM
+    frames = supported([[0.0, 0.0], [0.7 * limit, 0.0], [1.4 * limit, 0.0]])
+    pelvis, shoulder = support_motion(frames, {"pelvis": PELVIS, "shoulder": SHOULDER})
+    assert pelvis.displacement[:, 0] == pytest.approx([0.0, 2.1, 4.2], abs=0.2)
+    assert pelvis.moved.tolist() == [False, False, True]
+    assert shoulder.distance.max() < 0.3
+    assert not shoulder.messages()
+    assert pelvis.messages()[2].startswith("frame 2: the pelvis moved by 4.")
+
+
+def test_a_pelvis_that_turns_about_its_hinge_has_not_moved():
+    frames = supported(np.zeros((3, 2)), turns=(0.0, 0.06, 0.12))
+    (pelvis,) = support_motion(frames, {"pelvis": PELVIS})
+    assert pelvis.distance.max() < 0.8
+    (one,) = support_motion(frames, {"pelvis": PELVIS[:1]})
+    assert one.moved[2]
+
+
+def test_a_support_that_is_not_visible_drops_nothing():
+    frames = supported(np.zeros((2, 2)))
+    frames[1] = Frame(np.full(SHAPE, 50.0, dtype=np.float32))
+    (pelvis,) = support_motion(frames, {"pelvis": PELVIS})
+    assert pelvis.quality[1] == 0.0
+    assert not pelvis.moved.any()
+    assert support_motion(frames, {}) == ()
+
+
+# Refusals
+
+
+def test_frames_that_belong_to_no_sequence():
+    frames, truth = sequence(4.0, count=2)
+    first = corners(truth[0])
+    with pytest.raises(TrackingError, match="no frames"):
+        track([], first)
+    smaller = Frame(frames[1].pixels[:-1], frontal_view(shape=(SHAPE[0] - 1, SHAPE[1]), pixel=0.7))
+    with pytest.raises(TrackingError, match=r"frame 1 has shape \(619, 360\), frame 0 \(620, 360\)"):
+        track([frames[0], smaller], first)
+    with pytest.raises(TrackingError, match="frame 1 has another pixel spacing"):
+        track([frames[0], replace(frames[1], view=frontal_view(shape=SHAPE, pixel=0.5))], first)
+    broken = frames[1].pixels.copy()
+    broken[3, 4] = np.nan
+    with pytest.raises(TrackingError, match="frame 1 holds pixels that are not finite"):
+        track([frames[0], Frame(broken)], first)
+    with pytest.raises(TrackingError, match="one grey value"):
+        track([Frame(np.ones(SHAPE, dtype=np.float32)), frames[1]], first)
+    with pytest.raises(TrackingError, match="no vertebra of the first frame was found"):
+        track([frames[0], Frame(np.ones(SHAPE, dtype=np.float32))], first)
+
+
+def test_corners_and_points_outside_the_first_frame():
+    frames, truth = sequence(4.0, count=2)
+    with pytest.raises(TrackingError, match="T1 lies outside the first frame of 360 columns and 620 rows"):
+        track(frames, corners(truth[0] - [0.0, 60.0]))
+    with pytest.raises(TrackingError, match="a pelvis point lies outside"):
+        support_motion(frames, {"pelvis": PELVIS + [0.0, 200.0]})
+
+
+# A rendered torso
+
+
+def test_vertebrae_of_a_rendered_torso():
+    """Each vertebra with its ribs moved as a body, as a push of some 12 mm does; skin and exposure follow."""
+    from spinestiff.anatomy.names import BONE_INDEX, BONES
+    from spinestiff.anatomy.rotation import exp_so3
+    from spinestiff.anatomy.template import template_torso
+    from spinestiff.anatomy.torso import TorsoState
+    from spinestiff.imaging.features import silhouette_choice, state_features
+    from spinestiff.imaging.rendering import (
+        CANCELLOUS_BONE,
+        CORTICAL_BONE,
+        SOFT_TISSUE,
+        Absorber,
+        Exposure,
+        expose,
+        optical_depth,
+    )
+
+    torso = template_torso(150.0)
+    rest = torso.rest_pose
+    spine = rest.bone_positions[:17]
+    view = frontal_view(shape=(1100, 700), pixel=0.45, centre=(0.0, float(spine[[0, -1], 1].mean()), 0.0))
+    carrier = np.arange(len(BONES))
+    for name in BONES:
+        if name[0] == "R":
+            carrier[BONE_INDEX[name]] = BONE_INDEX["T" + name[1:].split("_")[0]]
+    low, high = rest.bone_positions[BONE_INDEX["pelvis"], 1], spine[0, 1]
+
+    def bend(y, millimetres):
+        phase = np.pi * np.clip((y - low) / (high - low), 0.0, 1.0)
+        return millimetres * np.sin(phase), millimetres * np.pi / (high - low) * np.cos(phase)
+
+    def posed(millimetres):
+        centres = rest.bone_positions[carrier]
+        aside, slope = bend(centres[:, 1], millimetres)
+        turn = np.stack([exp_so3(np.array([0.0, 0.0, -s])) for s in slope])
+        turned = np.einsum("bij,bj->bi", turn, rest.bone_positions - centres)
+        positions = centres + turned + np.column_stack([aside, 0.0 * aside, 0.0 * aside])
+        return TorsoState(positions, turn @ rest.bone_rotations, rest.tissue_positions)
+
+    def radiograph(state, millimetres, seed, factor):
+        skin = np.array(torso.tissue.rest_positions)
+        skin[:, 0] += bend(skin[:, 1], millimetres)[0]
+        bodies = [Absorber(skin, torso.tissue.boundary_faces()[:, :3], SOFT_TISSUE, smoothing=4.0)]
+        for surface, position, rotation in zip(torso.bone_surfaces, state.bone_positions, state.bone_rotations):
+            world = surface.vertices @ rotation.T + position
+            bodies.append(Absorber(world, surface.faces, CANCELLOUS_BONE, 0.9, CORTICAL_BONE - CANCELLOUS_BONE))
+        return expose(optical_depth(bodies, view), view, Exposure(factor=factor), seed).astype(np.float32)
+
+    states = [posed(push) for push in (0.0, 6.0, 12.0)]
+    images = [radiograph(s, p, i, f) for i, (s, p, f) in enumerate(zip(states, (0.0, 6.0, 12.0), (1.0, 1.25, 0.8)))]
+    choice = silhouette_choice(torso, view, rest)
+    truth = [state_features(torso, view, state, choice).corners for state in states]
+    tracked = track([Frame(image, view) for image in images], VertebraCorners(VERTEBRAE, truth[0]))
+    error = np.linalg.norm(np.stack([f.corners for f in tracked[1:]]) - truth[1:], axis=-1) / view.magnification
+    assert np.median(error) <= 0.15
+    assert np.percentile(error, 95) <= 0.5
+    assert min(frame.quality.min() for frame in tracked) > 0.3

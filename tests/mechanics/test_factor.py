@@ -1,0 +1,110 @@
+"""spinestiff.mechanics.factor: the sparse solvers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from spinestiff.errors import EquilibriumError
+from spinestiff.mechanics.factor import Analysis, default_backend
+
+BACKENDS = sorted({default_backend(), "superlu"})
+
+
+def _lower(full):
+    lower = sp.csc_array(np.tril(full))
+    lower.sort_indices()
+    return lower.indptr.astype(np.int64), lower.indices.astype(np.int64), lower.data
+
+
+def _matrix(shift, seed=0, n=25):
+    random = np.random.default_rng(seed)
+    full = np.where(random.random((n, n)) < 0.2, random.normal(size=(n, n)), 0.0)
+    full = np.tril(full, -1)
+    return full + full.T + shift * np.eye(n)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_solves_one_and_many_right_hand_sides(backend):
+    full = _matrix(6.0)
+    indptr, indices, values = _lower(full)
+    factor = Analysis(indptr, indices, backend).factor(values)
+    rhs = np.random.default_rng(1).normal(size=(25, 3))
+    assert factor.solve(rhs) == pytest.approx(np.linalg.solve(full, rhs), rel=1e-12)
+    assert factor.solve(rhs[:, 1]) == pytest.approx(np.linalg.solve(full, rhs[:, 1]), rel=1e-12)
+    assert factor.multiply(rhs) == pytest.approx(full @ rhs, rel=1e-13)
+    assert (factor.solve(np.zeros(25)) == 0.0).all()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("shift", [6.0, 2.0, 0.5, -6.0])
+def test_tells_definite_from_indefinite(backend, seed, shift):
+    full = _matrix(shift, seed)
+    indptr, indices, values = _lower(full)
+    definite = bool(np.linalg.eigvalsh(full)[0] > 0.0)
+    assert Analysis(indptr, indices, backend).factor(values).positive_definite is definite
+    if shift in (6.0, -6.0):
+        assert definite is (shift > 0.0)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_zero_diagonal_is_solved_and_called_indefinite(backend):
+    full = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 2.0], [0.0, 2.0, 5.0]])
+    indptr, indices = np.array([0, 2, 4, 5]), np.array([0, 1, 1, 2, 2])
+    factor = Analysis(indptr, indices, backend).factor(np.array([0.0, 1.0, 0.0, 2.0, 5.0]))
+    rhs = np.array([1.0, -2.0, 0.5])
+    assert not factor.positive_definite
+    assert factor.solve(rhs) == pytest.approx(np.linalg.solve(full, rhs), rel=1e-12)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_one_analysis_serves_many_matrices(backend):
+    first, second = _matrix(6.0), _matrix(6.0) * 3.0 - np.eye(25)
+    indptr, indices, values = _lower(first)
+    analysis = Analysis(indptr, indices, backend)
+    rhs = np.ones(25)
+    kept = analysis.factor(values)
+    again = analysis.factor(_lower(second)[2])
+    assert again.solve(rhs) == pytest.approx(np.linalg.solve(second, rhs), rel=1e-12)
+    # The earlier factor is not stale.
+    assert kept.solve(rhs) == pytest.approx(np.linalg.solve(first, rhs), rel=1e-12)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_singular_matrix_is_an_error_or_flagged_never_an_answer(backend):
+    full = np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
+    with pytest.raises(EquilibriumError, match="singular"):
+        Analysis(np.array([0, 2, 3, 4]), np.array([0, 1, 1, 2]), backend).factor(
+            full[[0, 1, 1, 2], [0, 0, 1, 2]]
+        ).solve(np.array([1.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("seed", range(4))
+def test_a_matrix_singular_up_to_rounding_is_an_error_never_an_answer(backend, seed):
+    """No pivot is exactly nought, as with a free body's rigid motions: only the residual tells."""
+    random = np.random.default_rng(seed)
+    root = random.normal(size=(25, 22))
+    full = root @ root.T
+    indptr, indices, values = _lower(full)
+    with pytest.raises(EquilibriumError, match="singular"):
+        Analysis(indptr, indices, backend).factor(values).solve(random.normal(size=25))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_values_that_are_not_finite_are_refused(backend):
+    with pytest.raises(EquilibriumError, match="not finite"):
+        Analysis(np.array([0, 1]), np.array([0]), backend).factor(np.array([np.nan]))
+
+
+def test_unknown_backend_is_refused_by_name():
+    with pytest.raises(EquilibriumError, match="'magic'"):
+        Analysis(np.array([0, 1]), np.array([0]), "magic")
+
+
+def test_the_environment_chooses_the_backend(monkeypatch):
+    monkeypatch.setenv("SPINESTIFF_SOLVER", "superlu")
+    assert default_backend() == "superlu"
+    assert Analysis(np.array([0, 1]), np.array([0])).backend == "superlu"

@@ -1,0 +1,155 @@
+"""spinestiff.mechanics.potential: assembly of the total energy (Eq. 3) and its derivatives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.stiffness import parameter_group, stiffness_ratios
+from spinestiff.anatomy.torso import retract
+from spinestiff.mechanics import joints as joint_law
+from spinestiff.mechanics import tissue as tissue_law
+from spinestiff.mechanics.loads import LoadCase
+from spinestiff.mechanics.potential import Potential, build_pattern
+from spinestiff.mechanics.supports import Supports
+from spinestiff.mechanics.terms import PointSprings
+from spinestiff.verification.blocks import holds
+from spinestiff.verification.energies import dense
+from spinestiff.verification.models import points_on, shaken, toy_torso
+
+
+@pytest.fixture(scope="module", params=[4, 10])
+def case(request):
+    torso = toy_torso(1, request.param)
+    random = np.random.default_rng(3)
+    load = LoadCase(points_on(torso, 3, 5), random.uniform(-20, 20, (3, 3)))
+    spring = PointSprings(
+        PointsOnBones(np.array([0]), np.ones((1, 3))), np.zeros((1, 3)), np.array([[0.6, 0, 0.8]]), np.array([3.0])
+    )
+    return torso, Potential(torso), shaken(torso, 4), (load, spring)
+
+
+def test_models_visit_every_way_two_nodes_of_an_element_can_be_tied():
+    for nodes in (4, 10):
+        torso = toy_torso(1, nodes)
+        owner = torso.tissue.bone_of_node[torso.tissue.elements]
+        a, b = np.tril_indices(owner.shape[1], -1)
+        first, second = owner[:, a], owner[:, b]
+        both = (first >= 0) & (second >= 0)
+        assert (both & (first == second)).any()
+        assert (both & (first != second)).any()
+        assert ((first >= 0) ^ (second >= 0)).any()
+        assert ((first < 0) & (second < 0)).any()
+
+
+def test_eq3_total_energy_is_the_sum_of_its_terms(case):
+    torso, potential, state, terms = case
+    stiffness = potential.stiffness(None)
+    data = potential.tissue
+    parts, smallest = tissue_law.element_energies(
+        torso.node_positions(state), data.elements, data.gradients, data.weights
+    )
+    tissue = stiffness.mu @ parts[:, 0] + stiffness.lambda_ @ parts[:, 1]
+    joints = joint_law.joint_energies(torso.joints, state, stiffness.joints).sum()
+    loads, springs = (term.energy(state) for term in terms)
+    energy, j = potential.energy(state, stiffness, terms)
+    assert energy == pytest.approx(tissue + joints + loads + springs, rel=1e-13)
+    assert j == smallest.min()
+    assert min(abs(tissue), abs(joints), abs(loads), abs(springs)) > 1.0
+
+
+def test_eq5_gradient_and_tangent_by_differences_along_a_line(case):
+    _, potential, state, terms = case
+    stiffness = potential.stiffness(None)
+    direction = np.random.default_rng(6).normal(size=potential.dofs)
+    direction[: 6 * potential.bones].reshape(-1, 6)[:, 3:] *= 0.03
+    h = 2e-4
+    up, mid, down = (potential.energy(retract(state, s * direction), stiffness, terms)[0] for s in (h, 0.0, -h))
+    assert potential.gradient(state, stiffness, terms) @ direction == pytest.approx((up - down) / (2 * h), rel=1e-6)
+    hessian = dense(potential, potential.hessian(state, stiffness, terms))
+    assert direction @ hessian @ direction == pytest.approx((up - 2 * mid + down) / h**2, rel=1e-4)
+
+
+def test_pattern_holds_every_diagonal_and_sorted_rows(case):
+    _, potential, _, _ = case
+    indptr, indices = potential.pattern.indptr, potential.pattern.indices
+    for column in range(potential.dofs):
+        rows = indices[indptr[column] : indptr[column + 1]]
+        assert rows[0] == column
+        assert (np.diff(rows) > 0).all()
+
+
+def test_pattern_of_a_small_graph():
+    # Two entities of 6 and one of 3; pairs in any order and repeated.
+    pattern = build_pattern(np.array([[2, 0], [0, 2], [1, 1]]), np.array([6, 6, 3]))
+    full = np.zeros((15, 15), dtype=bool)
+    for column in range(15):
+        full[pattern.indices[pattern.indptr[column] : pattern.indptr[column + 1]], column] = True
+    wanted = np.tril(np.ones((15, 15), dtype=bool))
+    wanted[6:12, :6] = wanted[12:, 6:12] = False
+    assert (full == wanted).all()
+    assert pattern.offset(np.array([0, 2]), np.array([2, 0])).tolist() == [6, 6]
+
+
+def test_ratios_scale_energy_terms_by_themselves(case):
+    torso, potential, state, _ = case
+    kinds = torso.joints.kinds
+    base, doubled = potential.stiffness(None), potential.stiffness(stiffness_ratios({"everything": 2.0}, kinds))
+    assert potential.energy(state, doubled, ())[0] == pytest.approx(
+        2.0 * potential.energy(state, base, ())[0], rel=1e-14
+    )
+    mu = potential.stiffness(stiffness_ratios({"tissue_mu": 3.0}, kinds))
+    assert mu.mu == pytest.approx(3.0 * base.mu)
+    assert (mu.lambda_ == base.lambda_).all()
+    assert (mu.joints == base.joints).all()
+    bending = potential.stiffness(stiffness_ratios({"lateral_bending": 0.5}, kinds)).joints
+    assert bending[:, 5] == pytest.approx(0.5 * base.joints[:, 5])
+    assert (bending[:, :5] == base.joints[:, :5]).all()
+
+
+def test_eq6_right_hand_side_is_the_derivative_of_the_force(case):
+    torso, potential, state, _ = case
+    kinds = torso.joints.kinds
+    for name in ("tissue_mu", "tissue_lambda", "tissue", "lateral_bending", "separation"):
+        group, h = parameter_group(name, kinds), 1e-4
+        found = potential.ratio_gradients(state, potential.stiffness(None), [group])[:, 0]
+        up, down = (
+            potential.gradient(state, potential.stiffness(stiffness_ratios({name: np.exp(s * h)}, kinds)), ())
+            for s in (1, -1)
+        )
+        assert np.abs(found - (up - down) / (2 * h)).max() < 1e-7 * np.abs(found).max()
+        assert np.abs(found).max() > 0.1
+
+
+def test_projected_hessian_has_no_negative_curvature_where_the_exact_one_has(case):
+    torso, potential, _, terms = case
+    state, stiffness = shaken(torso, 3), potential.stiffness(None)
+    exact = np.linalg.eigvalsh(dense(potential, potential.hessian(state, stiffness, terms)))
+    projected = np.linalg.eigvalsh(dense(potential, potential.hessian(state, stiffness, terms, project=True)))
+    assert exact[0] < -1e-6 * exact[-1]
+    assert projected[0] > -1e-10 * projected[-1]
+
+
+def test_projected_hessian_equals_the_exact_one_where_nothing_is_negative(case):
+    torso, potential, _, _ = case
+    stiffness = potential.stiffness(None)
+    exact = potential.hessian(torso.rest_pose, stiffness, ())
+    assert potential.hessian(torso.rest_pose, stiffness, (), project=True) == pytest.approx(
+        exact, abs=1e-9 * np.abs(exact).max()
+    )
+
+
+def test_infinite_energy_where_an_element_is_turned_out(case):
+    torso, potential, _, terms = case
+    rest = torso.rest_pose
+    state = retract(rest, np.concatenate([np.zeros(6 * potential.bones), -2.0 * rest.tissue_positions.ravel()]))
+    energy, smallest = potential.energy(state, potential.stiffness(None), terms)
+    assert energy == np.inf
+    assert smallest < 0.0
+
+
+def test_holds_are_supports_without_springs():
+    supports = holds(np.ones((2, 6), dtype=bool))
+    assert isinstance(supports, Supports)
+    assert len(supports.springs.points) == 0

@@ -1,0 +1,245 @@
+"""The shape of the source: which way imports point, where third-party packages live, what is documented."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "spinestiff"
+MODULES = sorted(SOURCE.rglob("*.py"))
+
+# A package may import from packages of a lower layer, never from its own layer's neighbours.
+LAYERS = {
+    "errors": 0,
+    "arrays": 1,
+    "anatomy": 2,
+    "mechanics": 3,
+    "imaging": 3,
+    "estimation": 4,
+    "personalise": 4,
+    "study": 5,
+    "verification": 6,
+    "app": 7,
+}
+# Where a third-party package may be imported; what is missing here may be imported nowhere.
+HOMES: dict[str, tuple[str, ...]] = {
+    "numpy": ("*",),
+    "scipy": ("*",),
+    "pydicom": ("imaging/*",),
+    "cv2": ("imaging/*",),
+    "skimage": ("imaging/*",),
+    "numba": ("mechanics/*", "imaging/rendering.py"),
+    "rslab": ("mechanics/factor.py",),
+    "matplotlib": ("study/figures.py", "study/report.py"),
+    "jinja2": ("study/report.py",),
+    "pydantic": ("study/*",),
+    "pydantic_core": ("study/*",),
+    "typer": ("app/*",),
+    "rich": ("app/*",),
+}
+# The distribution that holds a package, where it is named otherwise.
+DISTRIBUTIONS = {"cv2": "opencv-python-headless", "skimage": "scikit-image", "pydantic_core": "pydantic"}
+# Found by pydicom at run time, never imported.
+CODECS = {"pylibjpeg-openjpeg", "pyjpegls"}
+EMPTY_NAMES = re.compile(r"manager|handler|helper|utils?\b|utilities|misc", re.IGNORECASE)
+# Written so that this file does not hold what it looks for.
+FOREIGN = re.compile(r"(?<![\w.])/(?:wor[k]|tm[p]|hom[e]|roo[t]|User[s])/\w|\b(?:this|developer'?s?) sessio[n]\b")
+TEXT = {".py", ".md", ".toml", ".yml", ".yaml", ".cff", ".j2", ".html", ".css", ".js", ".json", ".csv", ".txt", ""}
+FOLDERS = ("src", "tests", "docs", "examples", "benchmarks", "tools", ".ci", ".github")
+
+
+class Import(NamedTuple):
+    """One imported module or name, and where."""
+
+    target: str
+    line: int
+    typing_only: bool
+
+
+def name_of(path: Path) -> str:
+    parts = path.relative_to(SOURCE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+NAMES = {name_of(path): path for path in MODULES}
+
+
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"), str(path))
+
+
+def imports(path: Path) -> Iterator[Import]:
+    """Every import of a file, those inside functions and under TYPE_CHECKING included."""
+    typing_only = set()
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            typing_only |= {id(inner) for statement in node.body for inner in ast.walk(statement)}
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield Import(alias.name, node.lineno, id(node) in typing_only)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.name}:{node.lineno}: relative import; write the whole name"
+            for alias in node.names:
+                submodule = f"{node.module}.{alias.name}"
+                target = submodule if submodule in NAMES else str(node.module)
+                yield Import(target, node.lineno, id(node) in typing_only)
+
+
+def package_of(module: str) -> str:
+    return module.split(".")[1] if "." in module else ""
+
+
+def ids(path: Path) -> str:
+    return str(path.relative_to(SOURCE))
+
+
+def test_every_module_lies_in_a_known_layer() -> None:
+    assert len(MODULES) > 15
+    unknown = {package_of(name) for name in NAMES} - set(LAYERS) - {""}
+    assert not unknown, f"packages without a layer: {unknown}"
+
+
+def test_imports_point_one_way() -> None:
+    wrong, seen = [], 0
+    for path in MODULES:
+        if path == SOURCE / "__init__.py":
+            continue  # the list of public names, above all layers
+        own = package_of(name_of(path))
+        for found in imports(path):
+            if found.target.split(".")[0] != "spinestiff":
+                continue
+            seen += 1
+            other = package_of(found.target)
+            # The version is the one thing that everybody may have from the top.
+            allowed = other == "" if found.target == "spinestiff" else other == own or LAYERS[other] < LAYERS[own]
+            if not allowed:
+                wrong.append(f"{ids(path)}:{found.line} imports {found.target}")
+    assert seen > 10
+    assert not wrong, "\n".join(wrong)
+
+
+def test_only_the_version_is_imported_from_the_top() -> None:
+    wrong = [
+        f"{ids(path)}:{node.lineno}"
+        for path in MODULES
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.ImportFrom)
+        and node.module == "spinestiff"
+        and any(alias.name != "__version__" and f"spinestiff.{alias.name}" not in NAMES for alias in node.names)
+    ]
+    assert not wrong, wrong
+
+
+def test_third_party_packages_stay_at_home() -> None:
+    wrong, seen = [], set()
+    for path in MODULES:
+        for found in imports(path):
+            package = found.target.split(".")[0]
+            if package == "spinestiff" or package in sys.stdlib_module_names:
+                continue
+            seen.add(package)
+            if not any(is_at(path, home) for home in HOMES.get(package, ())):
+                wrong.append(f"{ids(path)}:{found.line} imports {package}")
+    assert "numpy" in seen
+    assert not wrong, "\n".join(wrong)
+
+
+def test_every_dependency_is_declared_and_used() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    declared = {re.split(r"[<>=~!; \[]", line)[0] for line in project["dependencies"]}
+    packages = {found.target.split(".")[0] for path in MODULES for found in imports(path)}
+    used = {DISTRIBUTIONS.get(package, package) for package in packages - sys.stdlib_module_names - {"spinestiff"}}
+    assert declared == used | CODECS
+
+
+def is_at(path: Path, home: str) -> bool:
+    relative = path.relative_to(SOURCE)
+    return home in ("*", relative.as_posix(), f"{relative.parts[0]}/*")
+
+
+def test_no_import_cycles() -> None:
+    graph = {
+        name: {found.target for found in imports(path) if found.target in NAMES and not found.typing_only}
+        - {name, "spinestiff"}
+        for name, path in NAMES.items()
+        if name != "spinestiff"
+    }
+    assert sum(map(len, graph.values())) > 10
+    # Remove what imports nothing that is left, until nothing changes; a cycle is what stays.
+    left = dict(graph)
+    while free := [name for name, targets in left.items() if not targets & left.keys()]:
+        for name in free:
+            del left[name]
+    assert not left, f"import cycle among {sorted(left)}"
+
+
+def test_public_names_exist_and_are_the_typed_ones() -> None:
+    top = importlib.import_module("spinestiff")
+    names = set(dir(top)) - {"__version__"}
+    typed = {
+        (f"{node.module}", alias.name)
+        for node in ast.walk(tree_of(SOURCE / "__init__.py"))
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("spinestiff.")
+        for alias in node.names
+    }
+    assert {name for _, name in typed} == names
+    assert 10 < len(names) < 30
+    for module, name in typed:
+        assert getattr(top, name) is getattr(importlib.import_module(module), name)
+
+
+def test_importing_the_package_imports_nothing_heavy() -> None:
+    code = "import sys, spinestiff; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert "spinestiff" in loaded
+    assert not loaded & {"numpy", "scipy", "numba", "cv2", "skimage", "pydicom", "matplotlib", "pydantic"}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=ids)
+def test_modules_and_public_functions_are_documented(path: Path) -> None:
+    tree = tree_of(path)
+    if tree.body or path.name != "__init__.py":
+        assert ast.get_docstring(tree), f"{ids(path)} has no docstring"
+    missing = [
+        f"{ids(path)}:{node.lineno} {node.name}"
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef | ast.ClassDef)
+        and not node.name.startswith("_")
+        and not ast.get_docstring(node)
+    ]
+    assert not missing, "without a docstring:\n" + "\n".join(missing)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=ids)
+def test_names_say_what_a_thing_is(path: Path) -> None:
+    names = [path.stem] + [node.name for node in tree_of(path).body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+    empty = [name for name in names if EMPTY_NAMES.search(name)]
+    assert not empty, f"{ids(path)}: {empty}"
+
+
+def test_files_name_nothing_outside_the_project() -> None:
+    files = [path for path in ROOT.iterdir() if path.is_file()]
+    files += [path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.is_file()]
+    files = [path for path in files if path.suffix in TEXT and "__pycache__" not in path.parts]
+    assert len(files) > 20
+    wrong = [
+        f"{path.relative_to(ROOT)}:{number}: {line.strip()[:100]}"
+        for path in files
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if FOREIGN.search(line)
+    ]
+    assert not wrong, "\n".join(wrong)

@@ -1,0 +1,124 @@
+"""The documents are true: their code runs, the names and files they mention exist, the commands are the tested ones."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FENCE = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+# Python blocks of each document. A block that a change of marking hides from this test would show here.
+BLOCKS = {"README.md": 1, "conventions.md": 1, "mechanics.md": 1, "subject-folder.md": 1}
+COMMANDS = {
+    "demo": "python3 -m venv .venv && .venv/bin/pip install -e . && .venv/bin/spinestiff demo",
+    "test": 'python3 -m venv .venv && .venv/bin/pip install -e ".[test]" && .venv/bin/pytest',
+}
+
+
+def blocks(document: Path) -> list[str]:
+    return FENCE.findall(document.read_text(encoding="utf-8"))
+
+
+def test_every_python_block_is_collected() -> None:
+    assert {path.name: len(blocks(path)) for path in DOCUMENTS if blocks(path)} == BLOCKS
+    for path in DOCUMENTS:
+        marked = len(re.findall(r"```\s*(?:python|py|pycon)\b", path.read_text(encoding="utf-8"), re.IGNORECASE))
+        assert marked == BLOCKS.get(path.name, 0), f"{path.name}: a block of Python that is not executed"
+
+
+def write_documented_subject(folder: Path) -> None:
+    """The subject folder that docs/subject-folder.md shows, with empty radiographs."""
+    document = (ROOT / "docs" / "subject-folder.md").read_text(encoding="utf-8")
+    subject, annotation = re.findall(r"^```json\n(.*?)^```$", document, re.MULTILINE | re.DOTALL)
+    for name in ("rest/frontal.dcm", "rest/lateral.dcm", "pushes/right-8.dcm"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).touch()
+    (folder / "subject.json").write_text(subject, encoding="utf-8")
+    (folder / "annotation.json").write_text(annotation, encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", sorted(BLOCKS))
+def test_python_blocks_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_documented_subject(tmp_path / "03")
+    (document,) = [path for path in DOCUMENTS if path.name == name]
+    namespace: dict[str, object] = {"__name__": "__document__"}
+    for number, block in enumerate(blocks(document), 1):
+        exec(compile(block, f"{name}, block {number}", "exec"), namespace)  # one after the other, as a reader would
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_named_objects_exist(document: Path) -> None:
+    text = document.read_text(encoding="utf-8")
+    missing = [name for name in re.findall(r"`(spinestiff(?:\.\w+)+)`", text) if not resolves(name)]
+    assert not missing, missing
+
+
+def resolves(name: str) -> bool:
+    parts = name.split(".")
+    for cut in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(parts[:cut]))
+        except ModuleNotFoundError:
+            continue
+        for attribute in parts[cut:]:
+            if not hasattr(found, attribute):
+                return False
+            found = getattr(found, attribute)
+        return True
+    return False
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_named_files_and_links_exist(document: Path) -> None:
+    text = re.sub(r"^```.*?^```$", "", document.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    named = re.findall(r"`((?:\w+/)+[\w.-]+\.(?:py|md|png|toml))`", text)
+    bases = (ROOT, ROOT / "src", ROOT / "src" / "spinestiff")
+    missing = [name for name in named if not any((base / name).exists() for base in bases)]
+    links = [link.split("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link]
+    missing += [link for link in links if link and not (document.parent / link).exists()]
+    assert not missing, missing
+
+
+def test_architecture_lists_every_module() -> None:
+    source = ROOT / "src" / "spinestiff"
+    real = {path.relative_to(source).as_posix() for path in source.rglob("*.py") if path.stat().st_size}
+    listed, folder = set(), ""
+    document = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    (tree,) = re.findall(r"^```text\n(\(top\).*?)^```$", document, re.MULTILINE | re.DOTALL)
+    for line in tree.splitlines():
+        name = line.split()[0]
+        if not line.startswith(" "):
+            folder = name if name.endswith("/") else ""
+        else:
+            listed.add(folder + name)
+    # What only holds a sentence about its folder needs no line of its own.
+    packages = {f"{package.name}/__init__.py" for package in source.iterdir() if package.is_dir()}
+    assert listed - packages == real - packages
+
+
+def test_readme_names_the_commands_that_exist() -> None:
+    from typer.main import get_group
+
+    from spinestiff.app.cli import app
+
+    real = set(get_group(app).commands)
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    shown = set(re.findall(r"(?:^|`|/)spinestiff ([a-z]+)", readme, re.MULTILINE))
+    assert shown <= real, shown - real
+    assert not [verb for verb in real if not re.search(rf"`{verb}`|spinestiff {verb}\b", readme)]
+
+
+def test_readme_gives_the_two_commands_that_ci_runs() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()
+    position = 0
+    for command in (COMMANDS["demo"], COMMANDS["test"]):
+        assert command in readme, f"the README does not give: {command}"
+        for step in command.split(" && "):
+            assert step in script[position:], f".ci/run does not run, in this order: {step}"
+            position += script[position:].index(step) + 1

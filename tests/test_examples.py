@@ -1,0 +1,43 @@
+"""Every example runs and shows what it says; each keeps its result in module variables."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
+
+
+def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    monkeypatch.chdir(folder)
+    (path,) = [path for path in EXAMPLES if path.name == name]
+    return runpy.run_path(str(path), run_name="__main__")
+
+
+def test_every_example_has_a_test() -> None:
+    assert [path.name for path in EXAMPLES] == ["01_push_a_torso.py", "02_recover_ratios.py"]
+    for path in EXAMPLES:
+        assert f"test_{path.stem[3:]}(" in Path(__file__).read_text(encoding="utf-8")
+
+
+def test_push_a_torso(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    result = run("01_push_a_torso.py", tmp_path, monkeypatch)
+    change = result["tilt_change_deg"]
+    assert isinstance(change, float)
+    assert change > 1.0  # a push from the right makes the spine convex to the left
+    assert f"{change:.1f}" in capsys.readouterr().out
+
+
+def test_recover_ratios(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    result = run("02_recover_ratios.py", tmp_path, monkeypatch)
+    truth, found = result["truth"], result["found"]
+    assert isinstance(truth, dict)
+    assert isinstance(found, dict)
+    assert set(found) == {"lateral_bending", "tissue"}
+    printed = capsys.readouterr().out
+    for name, value in truth.items():
+        # Noise-free and on the same mesh: nothing but the stopping rule of the fit is in between.
+        assert found[name] == pytest.approx(value, rel=1e-3)
+        assert name in printed

@@ -1,0 +1,66 @@
+"""Build the template torsos that ship with the package (a run of the package only reads them).
+
+    python tools/build_torso.py [--mesh coarse fine] [--out src/spinestiff/anatomy/data]
+
+Deterministic: fixed seeds, so that the same versions of NumPy and SciPy write the same files.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from improve import dihedral_angles
+from tissue_mesh import Spacing, half_mesh, mirror, quadratic
+
+from spinestiff.anatomy.files import write_torso
+from spinestiff.anatomy.template.assemble import Skeleton, assemble, build_skeleton
+from spinestiff.anatomy.torso import TorsoModel
+
+SPACINGS = {
+    "coarse": Spacing(bone=64.0, skin=54.0, inside=39.0, outwards=3.5),
+    "fine": Spacing(bone=31.0, skin=29.0, inside=24.5, outwards=1.2),
+}
+# A mid-edge node this close to the bone that holds both ends of its edge rides on that bone.
+NEAR_MM = {"coarse": 5.0, "fine": 3.0}
+SEED = 20260101
+DATA = Path(__file__).parent.parent / "src" / "spinestiff" / "anatomy" / "data"
+
+
+def build(skeleton: Skeleton, mesh: str) -> TorsoModel:
+    """One torso."""
+    half = half_mesh(skeleton, SPACINGS[mesh], SEED)
+    nodes, elements, bones = quadratic(*mirror(half), skeleton, NEAR_MM[mesh])
+    return assemble(skeleton, nodes, elements, bones)
+
+
+def report(torso: TorsoModel) -> str:
+    """Figures of a mesh in a few lines."""
+    tissue = torso.tissue
+    angle = dihedral_angles(tissue.rest_positions[tissue.elements[:, :4]]).min(1)
+    tied = np.bincount(tissue.bone_of_node[tissue.bone_of_node >= 0], minlength=len(torso.bone_names))
+    fewest = torso.bone_names[int(np.argmin(tied))]
+    return (
+        f"{len(tissue.rest_positions)} nodes ({len(tissue.free_nodes)} free), {len(tissue.elements)} elements, "
+        f"{tissue.corner_volumes().sum() * 1e-6:.2f} l; smallest dihedral {angle.min():.1f} deg, "
+        f"{(angle < 10).sum()} elements below 10; tied nodes a bone {tied.min()} ({fewest}) to {tied.max()}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--mesh", nargs="+", choices=sorted(SPACINGS), default=sorted(SPACINGS))
+    parser.add_argument("--out", type=Path, default=DATA)
+    arguments = parser.parse_args()
+    skeleton = build_skeleton()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    for mesh in arguments.mesh:
+        torso = build(skeleton, mesh)
+        path = arguments.out / f"torso_{mesh}.npz"
+        write_torso(path, torso)
+        print(f"{path.name}: {path.stat().st_size / 1e6:.2f} MB; {report(torso)}")
+
+
+if __name__ == "__main__":
+    main()

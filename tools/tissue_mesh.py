@@ -1,0 +1,368 @@
+"""Ten-node tetrahedra that fill the skin and pass through sample points in the bones; built for the template.
+
+The left half is meshed and mirrored, so that the torso answers mirrored loads with mirrored shapes. Steps: sample
+points (bones, skin, inside), Delaunay, carve down to the skin, then swaps and moves that raise the smallest angle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from improve import Tetrahedra, quality, volumes
+from scipy.spatial import Delaunay, cKDTree
+
+from spinestiff.anatomy.names import BONES
+from spinestiff.anatomy.template.assemble import Skeleton
+from spinestiff.anatomy.template.skin import Skin
+from spinestiff.anatomy.template.surfaces import Surface, inside
+from spinestiff.anatomy.torso import TET10_EDGES
+
+WANTED_ANGLE = 16.0
+BURIED = 0.16  # of the skin's spacing: how deep a bone's points shall lie, so that no facet bares them
+INSIDE, PLANE, SKIN, PLANE_SKIN, RIM, PLANE_RIM = range(6)
+PLANAR = (PLANE, PLANE_SKIN, PLANE_RIM)
+
+
+@dataclass(frozen=True)
+class Spacing:
+    """Wanted distances, mm: between points of a bone, on the skin, inside; and how far the corners of the skin are put
+    outside it, to make up for the facets' cutting of its curves."""
+
+    bone: float
+    skin: float
+    inside: float
+    outwards: float
+
+
+@dataclass
+class HalfMesh:
+    """The left half while it is improved: corners (n, 3), tetrahedra, place of each corner and its bone or -1."""
+
+    points: np.ndarray
+    tetrahedra: np.ndarray
+    place: np.ndarray
+    bone: np.ndarray
+
+
+def farthest_points(candidates: np.ndarray, chosen: np.ndarray, spacing: float, least: int = 0) -> np.ndarray:
+    """Candidates added one by one, each the farthest from all before, until none is ``spacing`` away."""
+    added: list[np.ndarray] = []
+    if not len(candidates):
+        return np.zeros((0, 3))
+    distance = cKDTree(chosen).query(candidates)[0] if len(chosen) else np.full(len(candidates), np.inf)
+    while True:
+        worst = int(np.argmax(distance))
+        if (distance[worst] < spacing and len(added) >= least) or distance[worst] < 1e-9:
+            return np.array(added).reshape(-1, 3)
+        added.append(candidates[worst])
+        distance = np.minimum(distance, np.linalg.norm(candidates - candidates[worst], axis=1))
+
+
+def bone_samples(
+    surface: Surface, spacing: float, middle: bool, others: np.ndarray, skin: Skin, buried: float
+) -> np.ndarray:
+    """Points inside a bone, spread out, clear of those in other bones and ``buried`` mm under the skin where the bone
+    allows; of a bone in the middle plane those with x >= 0."""
+    vertices, faces = surface
+    # Candidates: points a little under the surface and between opposite vertices.
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-12
+    centre = corners.mean(1)
+    candidates = np.vstack([centre - d * normal for d in (1.3, 2.5, 4.0)])
+    if middle:
+        candidates = candidates[candidates[:, 0] >= -1e-9]
+        near = candidates[:, 0] < 0.12 * spacing
+        candidates[near, 0] = 0.0
+        candidates = candidates[near | (candidates[:, 0] > 0.3 * spacing)]
+    candidates = candidates[inside(surface, candidates)]
+    candidates = np.unique(np.round(candidates, 3), axis=0)
+    deep = skin.depth(candidates) > buried
+    if deep.mean() > 0.6:
+        candidates = candidates[deep]
+    if len(others):
+        distance = cKDTree(others).query(candidates)[0]
+        for clearance in (0.34, 0.28, 0.22, 0.16, 0.1, 0.0):
+            clear = candidates[distance >= clearance * spacing]
+            if (
+                len(clear) > 0.3 * len(candidates)
+                and np.ptp(clear, axis=0).max() > 0.6 * np.ptp(candidates, axis=0).max()
+            ):
+                break
+        candidates = clear
+    first = candidates[[np.argmax(np.linalg.norm(candidates - candidates.mean(0), axis=1))]]
+    return np.vstack([first, farthest_points(candidates, first, spacing, least=2)])
+
+
+Stage = tuple[np.ndarray, int, float]  # candidates, their place, wanted distance
+
+
+def sample(skeleton: Skeleton, spacing: Spacing) -> HalfMesh:
+    """All corner points of the left half."""
+    points, place, bones = [], [], []
+    for index, name in enumerate(BONES):
+        if name.endswith("_R"):
+            continue
+        middle = not name.endswith("_L")
+        others = np.vstack([np.zeros((0, 3)), *points])
+        buried = BURIED * spacing.skin
+        found = bone_samples(skeleton.surfaces[index], spacing.bone, middle, others, skeleton.skin, buried)
+        points.append(found)
+        bones.append(np.full(len(found), index))
+        place.append(np.where(middle & (found[:, 0] == 0.0), PLANE, INSIDE))
+    bony = len(points)
+    for candidates, kind, apart in (*skin_stages(skeleton.skin, spacing.skin), *inside_stages(skeleton.skin, spacing)):
+        # The skin is sampled whatever bones lie under it: a bone must not come to lie on the boundary.
+        near = points if kind in (INSIDE, PLANE) else [np.zeros((0, 3)), *points[bony:]]
+        found = farthest_points(candidates, np.vstack(near), apart)
+        points.append(found)
+        place.append(np.full(len(found), kind))
+        bones.append(np.full(len(found), -1))
+    return HalfMesh(np.vstack(points), np.zeros((0, 4), dtype=int), np.concatenate(place), np.concatenate(bones))
+
+
+def skin_stages(skin: Skin, h: float) -> list[Stage]:
+    """Candidates on the left half of the skin, edges before faces: first the ends and the rims of floor and lid."""
+    levels = np.linspace(skin.y[0], skin.y[-1], 240)
+    rings = np.array([skin.ring(y, 360) for y in levels])
+    left = rings[..., 0] > 0.3 * h
+    _, front, back, _, _ = skin.row(levels)
+    zero = np.zeros_like(levels)
+    outline = np.vstack([np.stack([zero, levels, front], -1), np.stack([zero, levels, back], -1)])
+    ends = np.array([[0.0, levels[i], side[i]] for i in (0, -1) for side in (front, back)])
+    line = np.linspace(0.0, 1.0, 80)[:, None]
+    middle = np.vstack([ends[0] + line * (ends[1] - ends[0]), ends[2] + line * (ends[3] - ends[2])])
+    caps = []
+    for ring in (rings[0], rings[-1]):
+        axis = np.array([0.0, ring[0, 1], ring[:, 2].mean()])
+        caps.append((axis + np.linspace(0.0, 1.0, 40)[:, None, None] * (ring - axis)).reshape(-1, 3))
+    cap = np.vstack(caps)
+    return [
+        (ends, PLANE_RIM, 1.0),
+        (np.vstack([rings[0][left[0]], rings[-1][left[-1]]]), RIM, h),
+        (middle, PLANE_RIM, h),
+        (outline, PLANE_SKIN, h),
+        (rings[left], SKIN, h),
+        (cap[cap[:, 0] > 0.4 * h], RIM, h),
+    ]
+
+
+def inside_stages(skin: Skin, spacing: Spacing) -> list[Stage]:
+    """Candidates inside the left half, the middle plane first."""
+    axes = np.arange(0.0, 190.0, 6.0), np.arange(skin.y[0], skin.y[-1], 6.0), np.arange(-130.0, 140.0, 6.0)
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    grid = grid[skin.depth(grid) > 0.55 * spacing.skin]
+    h = spacing.inside
+    return [(grid[grid[:, 0] == 0.0], PLANE, h), (grid[grid[:, 0] > 0.45 * h], INSIDE, h)]
+
+
+def tetrahedralise(mesh: HalfMesh, skeleton: Skeleton) -> None:
+    """Delaunay, carved down to the skin."""
+    t = Delaunay(mesh.points, qhull_options="Qbb Qc Qz Q12").simplices
+    planar = np.isin(mesh.place, PLANAR)
+    t = t[~planar[t].all(1)]
+    flip = volumes(mesh.points[t]) < 0.0
+    t[flip] = t[flip][:, [1, 0, 2, 3]]
+    mesh.tetrahedra = t
+    _carve(mesh, skeleton)
+
+
+def _cover(mesh: HalfMesh, skeleton: Skeleton) -> int:
+    # Bones that came to lie on the boundary get a corner of the skin over them; how many were added.
+    faces, _ = boundary(mesh.tetrahedra)
+    faces = faces[~np.isin(mesh.place, PLANAR)[faces].all(1)]
+    bare = np.unique(faces[mesh.bone[faces] >= 0])
+    if not len(bare):
+        return 0
+    dense = skeleton.skin.surface(160, 240)[0][:-2]
+    dense = dense[dense[:, 0] > 1.0]
+    cover = np.unique(cKDTree(dense).query(mesh.points[bare])[1])
+    mesh.points = np.vstack([mesh.points, dense[cover]])
+    mesh.place = np.append(mesh.place, np.full(len(cover), SKIN))
+    mesh.bone = np.append(mesh.bone, np.full(len(cover), -1))
+    return len(cover)
+
+
+def _carve(mesh: HalfMesh, skeleton: Skeleton) -> None:
+    # Elements that lie outside the skin, or flat on it, come off from the outside inwards. Only elements between four
+    # points of the skin may go, and none whose loss would pinch the boundary: no bone is bared, the boundary stays a
+    # closed surface.
+    on_skin = np.isin(mesh.place, (SKIN, PLANE_SKIN, RIM, PLANE_RIM))
+    p = mesh.points[mesh.tetrahedra]
+    depth = skeleton.skin.depth(p.mean(1))
+    wanted = on_skin[mesh.tetrahedra].all(1) & (
+        (depth < -0.5) | (quality(p) < 9.0) & (depth < 6.0) | (quality(p) < 2.0)
+    )
+    alive = np.ones(len(p), dtype=bool)
+    while True:
+        faces, owner = boundary(mesh.tetrahedra[alive])
+        owner = np.flatnonzero(alive)[owner]
+        corners = set(faces.ravel().tolist())
+        edges = {frozenset(e) for f in faces.tolist() for e in ((f[0], f[1]), (f[1], f[2]), (f[2], f[0]))}
+        exposed: dict[int, list[list[int]]] = {}
+        for face, tetrahedron in zip(faces.tolist(), owner.tolist()):
+            exposed.setdefault(tetrahedron, []).append(face)
+        ready = sorted(
+            (k for k in exposed if wanted[k] and _simple(mesh.tetrahedra[k], exposed[k], corners, edges)),
+            key=lambda k: depth[k],
+        )
+        if not ready:
+            break
+        touched: set[int] = set()
+        for k in ready:
+            if touched.isdisjoint(mesh.tetrahedra[k].tolist()):
+                alive[k] = False
+                touched.update(mesh.tetrahedra[k].tolist())
+    mesh.tetrahedra = mesh.tetrahedra[alive]
+
+
+def _simple(tetrahedron: np.ndarray, exposed: list[list[int]], corners: set[int], edges: set[frozenset[int]]) -> bool:
+    corner = set(tetrahedron.tolist())
+    if len(exposed) == 1:
+        return (corner - set(exposed[0])).isdisjoint(corners)
+    if len(exposed) == 2:
+        shared = set(exposed[0]) & set(exposed[1])
+        return frozenset(corner - shared) not in edges
+    return False
+
+
+def faces_of(t: np.ndarray) -> np.ndarray:
+    return t[:, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]]
+
+
+def boundary(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Boundary faces (s, 3) outward and the tetrahedron of each."""
+    faces = faces_of(t).reshape(-1, 3)
+    _, first, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
+    chosen = np.sort(first[count == 1])
+    return faces[chosen], chosen // 4
+
+
+def improve(mesh: HalfMesh, skeleton: Skeleton, rng: np.random.Generator, wanted: float, roam: float) -> None:
+    """Swaps and moves until no element is below ``wanted`` degrees or nothing helps; corners of the skin stay within
+    ``roam`` mm."""
+    work = Tetrahedra(mesh.points, mesh.tetrahedra)
+    home = mesh.points.copy()
+
+    def moves(corner: int, point: np.ndarray) -> np.ndarray | None:
+        if mesh.place[corner] >= PLANE_SKIN and np.linalg.norm(point - home[corner]) > roam:
+            return None  # corners of the skin stay spread out
+        return _allowed(mesh, skeleton, corner, point)
+
+    stale, last = 0, (0, 0.0)
+    for _ in range(400):
+        work.swap(wanted)
+        work.move(wanted, moves, rng)
+        bad = work.bad(wanted)
+        if not bad or stale >= 6:
+            break
+        now = (-len(bad), round(float(work.qualities().min()), 2))
+        stale, last = (stale + 1, last) if now <= last and last[0] else (0, now)
+        if stale in (3, 6):
+            _peel(work, mesh, bad)
+    mesh.points, mesh.tetrahedra = work.points, work.array()
+
+
+def _peel(work: Tetrahedra, mesh: HalfMesh, bad: list[int]) -> None:
+    # Bad elements with two faces on the skin come off: the edge between those faces is flipped.
+    faces, _ = boundary(work.array())
+    exposed = {frozenset(f) for f in faces.tolist()}
+    outer = {frozenset(e) for f in faces.tolist() for e in ((f[0], f[1]), (f[1], f[2]), (f[2], f[0]))}
+    corners = set(faces.ravel().tolist())
+    for key in bad:
+        element = work.elements[key]
+        mine = [list(f) for f in combinations(element, 3) if frozenset(f) in exposed]
+        skin = all(mesh.place[c] >= PLANE_SKIN for c in element)
+        planar = any(all(mesh.place[c] in PLANAR for c in f) for f in mine)
+        if len(mine) == 2 and skin and not planar and _simple(np.array(element), mine, corners, outer):
+            work.replace([key], [])
+            outer |= {frozenset(e) for e in combinations(element, 2)}
+
+
+def _allowed(mesh: HalfMesh, skeleton: Skeleton, corner: int, point: np.ndarray) -> np.ndarray | None:
+    place, bone, skin = mesh.place[corner], mesh.bone[corner], skeleton.skin
+    if place in PLANAR:
+        point[0] = 0.0
+    if bone >= 0:
+        if float(skin.depth(point)) < min(8.0, float(skin.depth(mesh.points[corner]))):
+            return None
+        return point if inside(skeleton.surfaces[bone], point[None])[0] else None
+    if place in (INSIDE, PLANE):
+        return point if float(skin.depth(point)) > 8.0 and point[0] >= 0.0 else None
+    if place in (RIM, PLANE_RIM):
+        return None
+    if not skin.y[0] < point[1] < skin.y[-1]:
+        return None
+    return _onto_skin(skin, point)
+
+
+def _onto_skin(skin, point: np.ndarray) -> np.ndarray:
+    w, f, b, c, n = (float(v) for v in skin.row(point[1]))
+    d = f - c if point[2] >= c else c - b
+    r = ((abs(point[0]) / w) ** n + (abs(point[2] - c) / d) ** n) ** (1.0 / n)
+    return np.array([point[0] / r, point[1], c + (point[2] - c) / r])
+
+
+def mirror(mesh: HalfMesh, names: tuple[str, ...] = BONES) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Both halves: corners, tetrahedra, bone of each corner."""
+    n = len(mesh.points)
+    points = mesh.points.copy()
+    plane = np.isin(mesh.place, PLANAR)
+    points[plane, 0] = 0.0
+    other = np.where(plane, np.arange(n), n + np.cumsum(~plane) - 1)
+    both = np.vstack([points, points[~plane] * [-1.0, 1.0, 1.0]])
+    opposite = np.array(
+        [
+            names.index(name[:-1] + {"L": "R", "R": "L"}[name[-1]]) if name[-2:] in ("_L", "_R") else i
+            for i, name in enumerate(names)
+        ]
+    )
+    right = np.where(mesh.bone >= 0, opposite[mesh.bone], -1)
+    t = np.vstack([mesh.tetrahedra, other[mesh.tetrahedra][:, [1, 0, 2, 3]]])
+    return both, t, np.concatenate([mesh.bone, right[~plane]])
+
+
+def quadratic(
+    points: np.ndarray, t: np.ndarray, bone: np.ndarray, skeleton: Skeleton, near: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes, ten-node elements and bone of each node; mid-edge nodes in a bone, or within ``near`` mm of one that
+    holds both ends, are tied to it, and so is every node inside a bone."""
+    edges = np.sort(t[:, np.array(TET10_EDGES)].reshape(-1, 2), axis=1)
+    unique, inverse = np.unique(edges, axis=0, return_inverse=True)
+    nodes = np.vstack([points, points[unique].mean(1)])
+    elements = np.hstack([t, len(points) + inverse.reshape(-1, 6)])
+    bones = np.concatenate([bone, np.full(len(unique), -1)])
+    ends = bone[unique]
+    same = (ends[:, 0] >= 0) & (ends[:, 0] == ends[:, 1])
+    for index in range(len(skeleton.surfaces)):
+        surface = skeleton.surfaces[index]
+        free = np.flatnonzero(bones < 0)
+        bones[free[inside(surface, nodes[free])]] = index
+        middle = len(points) + np.flatnonzero(same & (ends[:, 0] == index))
+        middle = middle[bones[middle] < 0]
+        if len(middle):
+            close = cKDTree(_dense(surface)).query(nodes[middle])[0] < near
+            bones[middle[close]] = index
+    return nodes, elements, bones
+
+
+def _dense(surface) -> np.ndarray:
+    p = surface[0][surface[1]]
+    return np.vstack([p.reshape(-1, 3), p.mean(1), 0.5 * (p[:, 0] + p[:, 1]), 0.5 * (p[:, 1] + p[:, 2])])
+
+
+def half_mesh(skeleton: Skeleton, spacing: Spacing, seed: int) -> HalfMesh:
+    """The left half, improved."""
+    rng = np.random.default_rng(seed)
+    skin, out = skeleton.skin, spacing.outwards
+    skin = replace(skin, half_width=skin.half_width + out, front=skin.front + out, back=skin.back - out)
+    skeleton = replace(skeleton, skin=skin)
+    mesh = sample(skeleton, spacing)
+    for _ in range(5):
+        tetrahedralise(mesh, skeleton)
+        if not _cover(mesh, skeleton):
+            break
+    improve(mesh, skeleton, rng, WANTED_ANGLE, 0.3 * spacing.skin)
+    return mesh
