@@ -109,7 +109,9 @@ def main() -> None:
     rows = []
     for body, ratio in zip(bodies, newtons_per_degree(young)):
         tilt, moved = body.response(young)
-        rows.append({**body.row._asdict(), "tilt_deg": round(tilt, 2), "n_per_deg": round(ratio, 2), "rms_mm": round(moved, 2)})
+        rows.append(
+            {**body.row._asdict(), "tilt_deg": round(tilt, 2), "n_per_deg": round(ratio, 2), "rms_mm": round(moved, 2)}
+        )
         print(rows[-1])
     result = {
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),

@@ -30,11 +30,11 @@ if TYPE_CHECKING:  # the same list for editors and type checkers; a test compare
     from spinestiff.study.metrics import cobb_angle as cobb_angle
     from spinestiff.study.metrics import cobb_change as cobb_change
     from spinestiff.study.metrics import rmse as rmse
-    from spinestiff.study.pipeline import open_visit as open_visit
     from spinestiff.study.pipeline import run_steps as run_steps
     from spinestiff.study.subject import read_subject as read_subject
     from spinestiff.study.synthetic import Recipe as Recipe
     from spinestiff.study.synthetic import synthesise as synthesise
+    from spinestiff.study.visit import open_visit as open_visit
 
 _MODULES = {
     "anatomy.stiffness": ("stiffness_ratios",),
@@ -49,7 +49,8 @@ _MODULES = {
     "mechanics.loads": ("rib_push",),
     "mechanics.supports": ("three_point_supports",),
     "study.metrics": ("cobb_angle", "cobb_change", "rmse"),
-    "study.pipeline": ("open_visit", "run_steps"),
+    "study.pipeline": ("run_steps",),
+    "study.visit": ("open_visit",),
     "study.subject": ("read_subject",),
     "study.synthetic": ("Recipe", "synthesise"),
 }

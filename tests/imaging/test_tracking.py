@@ -105,6 +105,12 @@ def test_corners_follow_a_bending_spine(largest):
     assert np.median([frame.quality for frame in tracked]) > 0.5
 
 
+def test_a_vertebra_that_flow_lost_is_found_beside_its_neighbour():
+    """Two pitches in one step: flow alone takes some vertebrae for others, by 8 mm and more."""
+    frames, truth = sequence(70.0, count=2)
+    assert errors_mm(track(frames, corners(truth[0])), truth).max() < 0.5
+
+
 def test_errors_do_not_add_up():
     """Eleven frames there and back: each is registered on the first one."""
     poses = [pushed_poses(rest_poses(10), 12.0 * min(k, 10 - k)) for k in range(11)]
@@ -116,7 +122,7 @@ def test_errors_do_not_add_up():
 
 
 def test_a_spoilt_frame_is_lost_and_spoils_no_other():
-    frames, truth = sequence(24.0, count=5)
+    frames, truth = sequence(75.0, count=5)
     frames[2] = Frame(np.full(SHAPE, 80.0, dtype=np.float32))
     tracked = track(frames, corners(truth[0]))
     assert not tracked[2].usable.any()

@@ -23,8 +23,7 @@ from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.study.pipeline import Visit, open_visit
-from spinestiff.study.report import write_report
+from spinestiff.study.report import MISSING, fixed, number, write_report
 from spinestiff.study.results import write_json
 from spinestiff.study.subject import (
     Annotation,
@@ -34,6 +33,7 @@ from spinestiff.study.subject import (
     write_annotation,
     write_subject,
 )
+from spinestiff.study.visit import Visit, open_visit
 
 TRUE = {"lateral_bending": 0.22, "tissue": 0.045}
 ESTIMATE = {"lateral_bending": 0.2, "tissue": 0.05}
@@ -126,7 +126,7 @@ def personalised_record(views: dict[str, XRayView], names: tuple[str, ...]) -> d
         "prior_only": ["T1", "T2", "L5"],
         "poses": {view: {"shift_mm": [1.2, -3.4], "roll_deg": 0.51} for view in views},
         "views": {name: view_record(view) for name, view in views.items()},
-        "millimetres": {view: source for view in views},
+        "millimetres": dict.fromkeys(views, source),
     }
 
 
@@ -180,3 +180,247 @@ def assessment_record() -> list[dict]:
         {"push": "main", "frame": 2, "force_n": 60.0, "rmse_mm": errors, "cobb_change_deg": cobb},
         {"push": "second", "frame": 1, "force_n": 50.0, "rmse_mm": {**errors, "fit": None}, "cobb_change_deg": cobb},
     ]
+
+
+class Page(HTMLParser):
+    """What a page holds: tags, ids, headings, addresses, texts; complains about tags that don't close."""
+
+    VOID = frozenset({"meta", "link", "img", "br"})
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str, str]] = []
+        self.headings: list[str] = []
+        self.text: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open, f"left open: {self.open}"
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += [(tag, name, value or "") for name, value in attrs]
+        if tag not in self.VOID:
+            self.open.append(tag)
+        if re.fullmatch("h[1-6]", tag):
+            self.headings.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] != "style":
+            self.text.append(data)
+
+    def all(self, tag: str, name: str) -> list[str]:
+        return [value for t, n, value in self.attributes if t == tag and n == name]
+
+    @property
+    def words(self) -> str:
+        return " ".join(" ".join(self.text).split())
+
+
+def written(visit: Visit) -> str:
+    write_report(visit, lambda line: None)
+    return visit.file("report.html").read_text(encoding="utf-8")
+
+
+def changed(visit: Visit, folder: Path, name: str, change) -> Visit:
+    """A copy of the visit with one result file changed by ``change(content)``."""
+    shutil.copytree(visit.subject.folder, folder)
+    path = folder / "results" / name
+    content = json.loads(path.read_text(encoding="utf-8"))
+    change(content)
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return open_visit(folder)
+
+
+@pytest.fixture(scope="module")
+def visit(tmp_path_factory: pytest.TempPathFactory) -> Visit:
+    return make_visit(tmp_path_factory.mktemp("visit"))
+
+
+@pytest.fixture(scope="module")
+def html(visit: Visit) -> str:
+    return written(visit)
+
+
+@pytest.fixture(scope="module")
+def page(html: str) -> Page:
+    return Page(html)
+
+
+def test_every_section_is_there_and_linked(page: Page) -> None:
+    assert tuple(page.all("section", "id")) == SECTIONS
+    assert tuple(link.removeprefix("#") for link in page.all("a", "href")) == SECTIONS
+    assert page.headings[0] == "h1" and page.headings.count("h1") == 1
+    # No level is jumped over.
+    levels = [int(tag[1]) for tag in page.headings]
+    assert all(b <= a + 1 for a, b in zip(levels, levels[1:]))
+
+
+def test_nothing_is_asked_of_another_host(html: str, page: Page) -> None:
+    assert not re.search(r"https?://|@import|url\(|<script|javascript:", html, re.IGNORECASE)
+    assert all(source.startswith("data:image/") for source in page.all("img", "src"))
+    assert all(link.startswith("#") for link in page.all("a", "href"))
+    assert page.all("link", "href") == ["data:,"]
+    assert not {"iframe", "object", "embed", "form", "base", "script"} & set(page.tags)
+    policy = page.all("meta", "content")[0]
+    assert policy.startswith("default-src 'none'; img-src data:; style-src 'unsafe-inline'")
+    assert not [name for _, name, _ in page.attributes if name.startswith("on")]
+
+
+def test_every_picture_is_described_and_lies_beside_the_page(visit: Visit, page: Page) -> None:
+    alts = page.all("img", "alt")
+    assert len(alts) == page.tags.count("img") == 7
+    assert all(len(alt) > 40 for alt in alts)
+    files = sorted(path.name for path in visit.file("figures").iterdir())
+    assert len(files) == 7
+    assert all(f"figures/{name}" in page.words for name in files)
+    for path in visit.file("figures").iterdir():
+        assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_numbers_stand_in_the_text(page: Page) -> None:
+    words = page.words
+    for expected in (
+        "made-up-1", "0.200", "0.173 to 0.231", "0.0500", "30.8 N m/rad", "26.6 to 35.6 N m/rad", "50.0 kPa",
+        "34.0 to 74.0 kPa", "incremental about the standing posture, net of gravity and muscle tone",
+        "Not for diagnosis", "the back wall pulls at 2 points", "1.3 to 1.8 N m per degree", "T1, T2 and L5", "−0.42",
+        "−14.2° ", "−15.6° (T6–T12)", "9 equilibria",
+    ):  # fmt: skip
+        assert expected in words, expected
+    assert not re.search(r"\b([nN]a[nN]|None|inf|Infinity|[uU]ndefined)\b", words)
+
+
+def test_missing_values_say_so(page: Page) -> None:
+    # The second push has no prediction by the fit.
+    row = page.words.split("Model, estimated stiffness")[1]
+    assert row.split()[:4] == ["1.50", "not", "available", "Training"]
+
+
+def test_best_predictor_is_marked_and_an_oracle_never_is(visit: Visit, tmp_path: Path) -> None:
+    def oracle(content: list) -> None:
+        for frame in content:
+            frame["rmse_mm"]["truth"] = 0.5
+            frame["rmse_mm"]["extrapolation"] = 1.0
+
+    html = written(changed(visit, tmp_path / "copy", "assessment.json", oracle))
+    assert re.findall(r'class="best">([^<]*)<', html) == ["1.00", "1.00"]
+    assert "0.50" in Page(html).words
+
+
+def test_a_better_simple_predictor_is_owned_up_to(visit: Visit, tmp_path: Path) -> None:
+    def worse(content: list) -> None:
+        content.pop()
+        content[0]["rmse_mm"]["fit"] = 2.5
+
+    words = Page(written(changed(visit, tmp_path / "copy", "assessment.json", worse))).words
+    assert "A simpler predictor does better: “Model, one ratio for all stiffnesses” with 1.9 mm." in words
+
+
+def test_open_intervals_and_doubt_are_shown(visit: Visit, tmp_path: Path) -> None:
+    def vague(content: dict) -> None:
+        content["status"], content["status_text"] = "NOT_IDENTIFIABLE", "these radiographs can't tell"
+        content["ratios"]["tissue"]["interval95"] = [None, 5.0]
+        content["joint_region"] = content["correlation"] = content["condition"] = None
+
+    words = Page(written(changed(visit, tmp_path / "copy", "estimate.json", vague))).words
+    assert "≤ 0.005 to ≥ 5" in words
+    assert "not identifiable" in words and "These radiographs can't tell." in words
+    assert "condition number not available" in words
+
+
+def test_names_from_files_are_escaped(visit: Visit, tmp_path: Path) -> None:
+    hostile = "<script>alert('x')</script><img src=x onerror=alert(1)>\" onmouseover=\"x"
+
+    def poison(content: dict) -> None:
+        content["warnings"] = [hostile]
+        content["reactions_n"]["push"] = hostile
+        content["status_text"] = hostile
+        content["status"] = "<b>odd"
+
+    def poison_tracked(content: dict) -> None:
+        content["pushes"]["main"]["millimetres"] = {hostile: hostile}
+
+    first = changed(visit, tmp_path / "one", "estimate.json", poison)
+    html = written(changed(first, tmp_path / "two", "tracked.json", poison_tracked))
+    found = Page(html)
+    assert "script" not in found.tags
+    assert not [name for _, name, _ in found.attributes if name.startswith("on")]
+    assert "<script" not in html and found.words.count("<script>alert('x')</script>") >= 4
+    assert len(found.all("img", "src")) == 7
+
+
+def test_same_results_give_the_same_bytes(visit: Visit, html: str, tmp_path: Path) -> None:
+    pictures = {path.name: path.read_bytes() for path in visit.file("figures").iterdir()}
+    shutil.copytree(visit.subject.folder, tmp_path / "copy")
+    again = open_visit(tmp_path / "copy")
+    stale = again.file("figures") / "09-of-an-earlier-run.png"
+    stale.write_bytes(b"old")
+    assert written(again) == html
+    assert {path.name: path.read_bytes() for path in again.file("figures").iterdir()} == pictures
+    assert not list(again.subject.results.glob(".*"))
+
+
+def test_truth_is_compared_when_known(visit: Visit, tmp_path: Path) -> None:
+    def sized(content: dict) -> None:
+        content["joint_region_size"], content["parameters"] = 6.5, ["lateral_bending", "tissue"]
+
+    copy = changed(visit, tmp_path / "copy", "estimate.json", sized)
+    write_json(tmp_path / "truth.json", {"ratios": TRUE})
+    words = Page(written(Visit(copy.subject, copy.settings, tmp_path / "truth.json"))).words
+    assert "Synthetic subject with known truth" in words and "truth 0.220" in words and "truth 0.0450" in words
+    assert "The 95 % joint region holds the true ratios" in words
+
+
+def test_results_of_another_version_are_refused(visit: Visit, tmp_path: Path) -> None:
+    copy = changed(visit, tmp_path / "copy", "estimate.json", lambda content: content.pop("plain"))
+    before = copy.file("report.html").read_bytes()
+    with pytest.raises(SubjectError, match=r"results lack what the report needs \('plain'\)"):
+        write_report(copy, lambda line: None)
+    assert copy.file("report.html").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.2, "0.200"), (0.04567, "0.0457"), (1234.5, "1234"), (-3.0, "−3.00"), (0.0, "0"), (None, MISSING), (np.nan, MISSING)],
+)
+def test_number(value: float | None, text: str) -> None:
+    assert number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(3.04, "+3.0"), (-0.04, "0.0"), (-1.26, "−1.3"), (np.inf, MISSING), (None, MISSING)]
+)
+def test_fixed(value: float | None, text: str) -> None:
+    assert fixed(value, 1, sign=True) == text
+
+
+def browser() -> str | None:
+    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+    return next((found for name in names if (found := shutil.which(name))), None)
+
+
+@pytest.mark.skipif(browser() is None, reason="no Chromium to open the report in")
+def test_a_browser_shows_it_without_complaint(visit: Visit, html: str, tmp_path: Path) -> None:
+    flags = [
+        "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
+        "--disable-background-networking", "--disable-component-update", "--enable-logging=stderr", "--v=0",
+    ]  # fmt: skip
+
+    def shown(page: Path) -> tuple[str, str]:
+        command = [str(browser()), *flags, f"--user-data-dir={tmp_path / page.stem}", "--dump-dom", page.as_uri()]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        return done.stdout, "\n".join(line for line in done.stderr.splitlines() if "CONSOLE" in line)
+
+    dom, complaints = shown(visit.file("report.html"))
+    assert complaints == ""
+    assert dom.count("<section") == len(SECTIONS)
+    # The policy is in force: what it forbids is complained about.
+    bad = tmp_path / "bad.html"
+    bad.write_text(html.replace("</main>", "<script>document.title = 'ran'</script></main>"), encoding="utf-8")
+    dom, complaints = shown(bad)
+    assert "Content Security Policy" in complaints and "<title>ran" not in dom

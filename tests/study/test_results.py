@@ -79,6 +79,7 @@ def test_a_step_is_current_until_something_changes(tmp_path):
     record_step(tmp_path, "estimate", record)
     assert is_current(tmp_path, "estimate", digest)
     assert is_current(tmp_path, "track", "11")
+    assert not is_current(tmp_path, "estimate", "11")
     run = read_json(tmp_path / "results/run.json")
     assert run["steps"]["estimate"]["inputs"] == inputs
     assert set(run) == {"schema_version", "version", "steps"}

@@ -32,8 +32,7 @@ def _joints() -> tuple[JointName, ...]:
     # T12-L1 and L5-pelvis take the lumbar row (design decision, docs/errata.md).
     below = (*VERTEBRAE[1:], "pelvis")
     joints = [
-        JointName(lower, upper, "thoracic" if lower in THORACIC else "lumbar")
-        for upper, lower in zip(VERTEBRAE, below)
+        JointName(lower, upper, "thoracic" if lower in THORACIC else "lumbar") for upper, lower in zip(VERTEBRAE, below)
     ]
     joints += [JointName(f"T{i}", f"R{i}_{s}", "rib_vertebra") for i in range(1, 13) for s in SIDES]
     joints += [JointName("sternum", f"R{i}_{s}", "rib_sternum") for i in range(1, 11) for s in SIDES]

@@ -55,7 +55,7 @@ def left_jacobian(w: Floats) -> Floats:
 def log_so3(rotation: Floats) -> Floats:
     """Rotation vector of a rotation matrix, its length in [0, pi). Shapes (..., 3, 3) -> (..., 3) rad.
 
-    Accurate for all angles below pi (about 1e-8 rad at pi - 1e-6); at pi itself the axis' sign is arbitrary.
+    Accurate to rounding for all angles below pi; at pi itself the axis' sign is arbitrary.
     """
     r = np.asarray(rotation, dtype=float)
     # Twice the sine times the axis; loses the axis near pi, where the symmetric part gives it.

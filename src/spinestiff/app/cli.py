@@ -67,7 +67,9 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _options(
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
 ) -> None:
     pass
 
@@ -171,7 +173,7 @@ def demo(
 def cobb(folder: Folder) -> None:
     """Cobb angles of the annotated rest image and of every tracked frame."""
     from spinestiff.app import tables
-    from spinestiff.study.pipeline import cobb_rows, open_visit
+    from spinestiff.study.visit import cobb_rows, open_visit
 
     tables.show(tables.cobb_table(cobb_rows(open_visit(folder))))
 
@@ -228,9 +230,10 @@ def _recipe(
     return Recipe(seed, height, cobb, curve, force, chosen, real)
 
 
-def _steps(folder: Path, steps: tuple[str, ...], redo: bool, truth: Path | None = None, **settings: str) -> Any:
+def _steps(folder: Path, steps: tuple[str, ...], redo: bool, truth: Path | None = None, **settings: Any) -> Any:
     from spinestiff.app.progress import progress
-    from spinestiff.study.pipeline import Settings, open_visit, run_steps
+    from spinestiff.study.pipeline import run_steps
+    from spinestiff.study.visit import Settings, open_visit
 
     visit = open_visit(folder, Settings(**settings), truth)
     with progress() as say:
@@ -242,7 +245,8 @@ def _steps(folder: Path, steps: tuple[str, ...], redo: bool, truth: Path | None 
 
 def _assess(visit: Any) -> None:
     from spinestiff.app import tables
-    from spinestiff.study.pipeline import read_json, truth_in_region
+    from spinestiff.study.results import read_json
+    from spinestiff.study.visit import truth_in_region
 
     tables.show(tables.assessment_table(read_json(visit.file("assessment.json"))))
     inside = truth_in_region(visit)
@@ -252,7 +256,7 @@ def _assess(visit: Any) -> None:
 
 def _summary(visit: Any) -> None:
     from spinestiff.app import tables
-    from spinestiff.study.pipeline import read_json
+    from spinestiff.study.results import read_json
 
     tables.show(tables.estimate_table(read_json(visit.file("estimate.json"))))
     _assess(visit)

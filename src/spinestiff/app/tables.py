@@ -16,8 +16,21 @@ from rich.table import Table
 if TYPE_CHECKING:
     from spinestiff.verification.outcome import Check
 
-LIBRARIES = ("numpy", "scipy", "numba", "rslab", "pydantic", "pydicom", "opencv-python-headless", "scikit-image", "matplotlib")
-EXTRAS = {"python-gdcm": "JPEG Lossless radiographs (extra [dicom])", "mmgpy": "building torso meshes anew (extra [mesh])"}
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "numba",
+    "rslab",
+    "pydantic",
+    "pydicom",
+    "opencv-python-headless",
+    "scikit-image",
+    "matplotlib",
+)
+EXTRAS = {
+    "python-gdcm": "JPEG Lossless radiographs (extra [dicom])",
+    "mmgpy": "building torso meshes anew (extra [mesh])",
+}
 
 
 def show(table: Table) -> None:
@@ -52,7 +65,9 @@ def estimate_table(record: dict[str, Any]) -> Table:
         table.add_row(escape(name), f"{entry['value']:.4g}", span, "yes" if entry["at_bound"] else "no")
     plain = record["plain"]
     table.add_section()
-    table.add_row("thoracic level, lateral bending", f"{plain['lateral_bending_thoracic_nm_per_rad']:.1f} N m/rad", "", "")
+    table.add_row(
+        "thoracic level, lateral bending", f"{plain['lateral_bending_thoracic_nm_per_rad']:.1f} N m/rad", "", ""
+    )
     table.add_row("lumbar level, lateral bending", f"{plain['lateral_bending_lumbar_nm_per_rad']:.1f} N m/rad", "", "")
     table.add_row("tissue, Young's modulus", f"{plain['tissue_young_kpa']:.1f} kPa", "", "")
     for warning in record["warnings"]:
@@ -63,19 +78,31 @@ def estimate_table(record: dict[str, Any]) -> Table:
 def assessment_table(records: Sequence[dict[str, Any]]) -> Table:
     """RMSE of every held-out frame by predictor, and the change of the Cobb angle (tilt form)."""
     names = ("rest", "default", "fit", "extrapolation", "single_ratio", "truth")
-    table = _table("Held-out frames: corner RMSE, mm, and change of tilt, degrees", "frame", "force N", *names, "measured", "fitted")
+    table = _table(
+        "Held-out frames: corner RMSE, mm, and change of tilt, degrees",
+        "frame",
+        "force N",
+        *names,
+        "measured",
+        "fitted",
+    )
     for record in records:
         errors = [_number(record["rmse_mm"][name]) for name in names]
         tilt = [(record["cobb_change_deg"].get(key) or {}).get("tilt") for key in ("measured", "fit")]
         table.add_row(
-            escape(f"{record['push']} {record['frame']}"), f"{record['force_n']:.0f}", *errors, *[_number(t, 1) for t in tilt]
+            escape(f"{record['push']} {record['frame']}"),
+            f"{record['force_n']:.0f}",
+            *errors,
+            *[_number(t, 1) for t in tilt],
         )
     return table
 
 
 def cobb_table(rows: Sequence[tuple[str, str, str, str, str]]) -> Table:
     """Rows of image, Cobb angle with levels, and the three forms of its change."""
-    table = _table("Cobb angles, degrees (above 0: convex to the left)", "image", "angle", "signed", "fixed levels", "tilt")
+    table = _table(
+        "Cobb angles, degrees (above 0: convex to the left)", "image", "angle", "signed", "fixed levels", "tilt"
+    )
     for row in rows:
         table.add_row(*[escape(cell) for cell in row])
     return table
@@ -96,7 +123,9 @@ def check_record(check: Check) -> dict[str, Any]:
 
 def check_table(results: Sequence[Check]) -> Table:
     failed = sum(not result.passed for result in results)
-    table = _table(f"{len(results) - failed} of {len(results)} checks passed", "check", "kind", "error", "tolerance", "")
+    table = _table(
+        f"{len(results) - failed} of {len(results)} checks passed", "check", "kind", "error", "tolerance", ""
+    )
     for r in results:
         verdict = "passed" if r.passed else "[bold red]FAILED[/bold red]"
         table.add_row(escape(r.name), r.kind, f"{r.error:.1e}", f"{r.tolerance:.0e}", verdict)
@@ -119,7 +148,9 @@ def doctor_table() -> Table:
         table.add_row(f"{name} (optional)", _installed(name) or f"not installed; needed for {escape(use)}")
     for mesh in ("coarse", "fine"):
         torso = template_torso(157.0, mesh)
-        table.add_row(f"template mesh '{mesh}'", f"{len(torso.tissue.rest_positions)} nodes, {len(torso.joints)} joints")
+        table.add_row(
+            f"template mesh '{mesh}'", f"{len(torso.tissue.rest_positions)} nodes, {len(torso.joints)} joints"
+        )
     return table
 
 

@@ -156,6 +156,7 @@ class EquilibriumProblem:
         Where a start fails, the rest pose is tried, then the load in four steps. What is returned says by its
         status whether it is an equilibrium; ``require()`` turns a failure into an error.
         """
+
         def newton(load: LoadCase, state: TorsoState) -> Equilibrium:
             wanted = self.tolerance(load) if tolerance is None else tolerance
             return self._newton(load, ratios, state, observer, max_iterations, wanted)
@@ -177,11 +178,15 @@ class EquilibriumProblem:
                 attempt = stepped
         return Equilibrium(**{**attempt.__dict__, "factorisations": spent})
 
-    def linearise(self, equilibrium: Equilibrium, load: LoadCase, ratios: StiffnessRatios | None = None) -> Linearisation:
+    def linearise(
+        self, equilibrium: Equilibrium, load: LoadCase, ratios: StiffnessRatios | None = None
+    ) -> Linearisation:
         """The tangent at a converged equilibrium, factorised, for sensitivities (Eqs. 6-7)."""
         return Linearisation(self, equilibrium, load, ratios)
 
-    def free_gradient(self, state: TorsoState, stiffness: Stiffness, terms: Sequence[BoneTerm]) -> tuple[Floats, Floats]:
+    def free_gradient(
+        self, state: TorsoState, stiffness: Stiffness, terms: Sequence[BoneTerm]
+    ) -> tuple[Floats, Floats]:
         """The energy's gradient (dofs,), once with held DoFs set to zero and once as it is."""
         full = self.potential.gradient(state, stiffness, terms)
         free = full.copy()
@@ -263,7 +268,15 @@ class EquilibriumProblem:
             if step == 0.0:
                 break
         return Equilibrium(
-            state, status, energy, residual, tolerance, self._reactions(state, full), tuple(history), factorisations, smallest_j
+            state,
+            status,
+            energy,
+            residual,
+            tolerance,
+            self._reactions(state, full),
+            tuple(history),
+            factorisations,
+            smallest_j,
         )
 
     def _is_minimum(self, state: TorsoState, stiffness: Stiffness, terms: Sequence[BoneTerm]) -> bool:

@@ -144,7 +144,16 @@ def _left_jacobian_inverse_derivative(theta: Floats, w: Floats) -> Floats:
 
 
 # |B_2k| / (2k)! of the Bernoulli numbers: (1 - (p/2) cot(p/2)) / p^2 = sum_k of these times p^(2k - 2).
-_BERNOULLI = (1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000, 1 / 74724249600, 3617 / 10670622842880000)
+_BERNOULLI = (
+    1 / 12,
+    1 / 720,
+    1 / 30240,
+    1 / 1209600,
+    1 / 47900160,
+    691 / 1307674368000,
+    1 / 74724249600,
+    3617 / 10670622842880000,
+)
 
 
 def _jacobian_coefficients(theta: Floats) -> tuple[Floats, Floats]:

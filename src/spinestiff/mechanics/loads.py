@@ -98,6 +98,8 @@ def three_point_reactions(force_n: float, d21_mm: float, d31_mm: float) -> tuple
     TorsoError : the ribs don't lie between shoulder and pelvis.
     """
     if not 0.0 < d31_mm < d21_mm:
-        raise TorsoError(f"d31 = {d31_mm} mm, d21 = {d21_mm} mm; wanted 0 < d31 < d21 (ribs between shoulder and pelvis)")
+        raise TorsoError(
+            f"d31 = {d31_mm} mm, d21 = {d21_mm} mm; wanted 0 < d31 < d21 (ribs between shoulder and pelvis)"
+        )
     f2 = d31_mm / d21_mm * force_n
     return force_n - f2, f2

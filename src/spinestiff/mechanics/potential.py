@@ -170,9 +170,11 @@ class Potential:
         """Stiffnesses at the given ratios; ``None`` is the default model."""
         mu, lambda_ = ratios.tissue if ratios else (1.0, 1.0)
         joints = self.torso.joints.stiffness
-        mesh, index = self.torso.tissue, self.tissue.index
+        mesh, number = self.torso.tissue, self.tissue.number
         return Stiffness(
-            ratios.scale_joints(joints) if ratios else joints, mu * mesh.lame_mu[index], lambda_ * mesh.lame_lambda[index]
+            ratios.scale_joints(joints) if ratios else joints,
+            mu * mesh.lame_mu[number],
+            lambda_ * mesh.lame_lambda[number],
         )
 
     def nodes(self, state: TorsoState) -> Floats:
@@ -227,9 +229,7 @@ class Potential:
         _scatter_dense_blocks(data, p.indptr, _positive_part(bones) if project else bones, dof, dof, offset)
         return data
 
-    def ratio_gradients(
-        self, state: TorsoState, stiffness: Stiffness, groups: Sequence[ParameterGroup]
-    ) -> Floats:
+    def ratio_gradients(self, state: TorsoState, stiffness: Stiffness, groups: Sequence[ParameterGroup]) -> Floats:
         """(dofs, P) d gradient / d log ratio of each group: the group's own share of the force (paper 3.3)."""
         d = self.tissue
         parts = tissue_law.element_gradients(self.nodes(state), d.elements, d.gradients, d.weights)

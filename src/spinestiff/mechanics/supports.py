@@ -70,11 +70,7 @@ def three_point_supports(torso: TorsoModel, side: str, pelvis: str = "hinge", wa
     if wall:
         back = torso.landmarks["wall"]
         rows += [(f"wall_{torso.bone_names[back.bone[i]]}", back[[i]], 2) for i in range(len(back))]
-    points = PointsOnBones(
-        np.concatenate([p.bone for _, p, _ in rows]), np.concatenate([p.offset for _, p, _ in rows])
-    )
+    points = PointsOnBones(np.concatenate([p.bone for _, p, _ in rows]), np.concatenate([p.offset for _, p, _ in rows]))
     directions = np.eye(3)[[axis for _, _, axis in rows]]
-    springs = PointSprings(
-        points, points.positions(torso.rest_pose), directions, np.full(len(rows), SUPPORT_STIFFNESS)
-    )
+    springs = PointSprings(points, points.positions(torso.rest_pose), directions, np.full(len(rows), SUPPORT_STIFFNESS))
     return Supports(held, springs, tuple(name for name, _, _ in rows))

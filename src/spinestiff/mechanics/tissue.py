@@ -32,13 +32,13 @@ class ElementData(NamedTuple):
     """Constant data of the elements that can deform.
 
     elements : (T, n) nodes. gradients : (T, Q, n, 3) 1/mm, shape-function gradients at rest. weights : (T, Q) mm3.
-    index : (T,) position in the mesh's element list.
+    number : (T,) position in the mesh's element list.
     """
 
     elements: Ints
     gradients: Floats
     weights: Floats
-    index: Ints
+    number: Ints
 
 
 def shape_gradients(nodes: int, barycentric: Floats) -> Floats:

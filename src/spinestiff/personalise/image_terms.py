@@ -52,9 +52,7 @@ class CornerTerm:
         return BoneBlocks(self.torso.vertebra_bones[self.rows], gradient, hessian)
 
 
-def corner_term(
-    torso: TorsoModel, view: XRayView, corners: VertebraCorners, choice: Ints, weight: float
-) -> CornerTerm:
+def corner_term(torso: TorsoModel, view: XRayView, corners: VertebraCorners, choice: Ints, weight: float) -> CornerTerm:
     """The term of annotated ``corners``; raises TrackingError for corners that are no picture of this torso."""
     targets = target_features(torso, view, corners)
     return CornerTerm(torso, view, vertebra_rows(torso, corners), targets, choice, weight)

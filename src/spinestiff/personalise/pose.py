@@ -8,7 +8,13 @@ import numpy as np
 
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats, Ints
-from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features, target_features, vertebra_rows
+from spinestiff.imaging.features import (
+    VertebraCorners,
+    silhouette_choice,
+    state_features,
+    target_features,
+    vertebra_rows,
+)
 from spinestiff.imaging.projection import XRayView
 
 

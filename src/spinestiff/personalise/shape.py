@@ -146,9 +146,7 @@ def _pelvis_clamped(torso: TorsoModel) -> Supports:
     return Supports(held, PointSprings(none, np.empty((0, 3)), np.empty((0, 3)), np.empty(0)), ())
 
 
-def _vertebra_rmse(
-    torso: TorsoModel, view: XRayView, corners: VertebraCorners, state: TorsoState
-) -> dict[str, float]:
+def _vertebra_rmse(torso: TorsoModel, view: XRayView, corners: VertebraCorners, state: TorsoState) -> dict[str, float]:
     term = corner_term(torso, view, corners, silhouette_choice(torso, view, state), 1.0)
     rms = np.sqrt(np.mean(np.sum(term.residuals(state) ** 2, axis=-1), axis=-1))
     return dict(zip(corners.vertebrae, rms.tolist()))

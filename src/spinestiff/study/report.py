@@ -10,7 +10,7 @@ import base64
 import math
 import os
 import secrets
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
 
+from spinestiff import __version__
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
@@ -42,12 +43,11 @@ from spinestiff.study.figures import (
     draw_tilt_changes,
 )
 from spinestiff.study.metrics import cobb_angle, cobb_change, tilts
-from spinestiff.study.pipeline import Visit, estimated_ratios, load_pushes, read_truth, truth_in_region
-from spinestiff.study.results import package_version, read_json
+from spinestiff.study.results import read_json
 from spinestiff.study.subject import PushRecord, image_corners, read_push, read_rest
 from spinestiff.study.trials import PushSet, PushTrial
+from spinestiff.study.visit import Visit, estimated_ratios, load_pushes, read_truth, truth_in_region
 
-Observer = Callable[[str], None]
 MISSING = "not available"
 # Secant lateral-bending stiffness of cadaver thoracic segments at 7.5 N m (Wilke et al. 2017), N m/degree, and the
 # range of ratios in the seven subjects of the method's first study.
@@ -172,7 +172,7 @@ def _compose(visit: Visit, say: Observer) -> tuple[dict[str, bytes], str]:
         "millimetres": _millimetre_rows(personalised, tracked),
         "cost": estimate["cost"],
         "training": {key: fixed(value, 2) for key, value in estimate["training_rmse_mm"].items()},
-        "version": package_version(),
+        "version": __version__,
         "missing": MISSING,
     }
     environment = Environment(

@@ -132,7 +132,7 @@ def _axial_rotation(points: dict[str, dict[str, Floats]], up: Floats) -> Floats:
     if known.sum() < 3:
         return np.zeros(len(VERTEBRAE))
     level = np.arange(len(VERTEBRAE))
-    filled = np.interp(level, level[known], angles[known] - np.median(angles[known]))
+    filled = np.interp(level.astype(float), level[known].astype(float), angles[known] - np.median(angles[known]))
     padded = np.pad(filled, 1, mode="edge")
     return (padded[:-2] + padded[1:-1] + padded[2:]) / 3.0
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -20,15 +21,8 @@ from spinestiff.errors import SubjectError
 from spinestiff.imaging.features import silhouette_choice, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
-from spinestiff.imaging.rendering import (
-    CANCELLOUS_BONE,
-    CORTICAL_BONE,
-    SOFT_TISSUE,
-    Absorber,
-    Exposure,
-    Texture,
-    render_radiograph,
-)
+from spinestiff.imaging.rendering import Exposure, render_radiograph
+from spinestiff.imaging.torso_absorbers import torso_absorbers
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
@@ -36,7 +30,15 @@ from spinestiff.personalise.shape import place_vertebrae
 from spinestiff.study.metrics import cobb_angle, cobb_change, tilts
 from spinestiff.study.results import read_json, write_json
 from spinestiff.study.spines import VertebraPoses, curved_spine, real_spine
-from spinestiff.study.subject import Annotation, ImageAnnotation, PushRecord, SubjectRecord, write_annotation, write_subject
+from spinestiff.study.subject import (
+    Annotation,
+    ImageAnnotation,
+    PushRecord,
+    Role,
+    SubjectRecord,
+    write_annotation,
+    write_subject,
+)
 
 Observer = Callable[[str], None]
 
@@ -46,9 +48,9 @@ FRAME_TIME_MS = 250.0  # four radiographs a second (paper 2.1)
 ANNOTATION_SD_MM = 0.3  # of a hand-set corner, at the patient plane
 STANDING_SD_MM, STANDING_SD_RAD = 4.0, 0.012  # how differently a patient stands from one exposure to the next
 EXPOSURE_SD = 0.06
-CORTEX_MM = 0.8
+RAYS_A_PIXEL = 2  # along each axis; one leaves steps on slanted endplates
 SHARES = {"main": (0.0, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0), "second": (0.0, 1 / 3, 2 / 3, 1.0)}
-ROLES = {
+ROLES: dict[str, tuple[Role, ...]] = {
     "main": ("unused", "unused", "training", "unused", "training", "unused", "validation"),
     "second": ("unused", "unused", "unused", "validation"),
 }
@@ -91,7 +93,12 @@ class Recipe:
         """As written into the truth file."""
         own = {f.name: getattr(self, f.name) for f in fields(self)}
         spine = None if self.spine is None else [self.spine[0].name, self.spine[1]]
-        return {**own, "ratios": None if self.ratios is None else list(self.ratios), "shape": list(self.shape), "spine": spine}
+        return {
+            **own,
+            "ratios": None if self.ratios is None else list(self.ratios),
+            "shape": list(self.shape),
+            "spine": spine,
+        }
 
 
 def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = None) -> Path:
@@ -183,7 +190,7 @@ class _Acquisition:
         self._rest_tilts = self._tilts(torso.rest_pose)
         self.rest_cobb = cobb_angle(self._rest_tilts)
         # A push on the convex side straightens the curve.
-        self.pushed_side = "left" if self.rest_cobb.degrees > 0.0 else "right"
+        self.pushed_side: Literal["left", "right"] = "left" if self.rest_cobb.degrees > 0.0 else "right"
 
     def rest_images(self) -> None:
         for name, nominal, orientation in (
@@ -259,9 +266,14 @@ class _Acquisition:
 
     def _radiograph(self, state: TorsoState, view: XRayView) -> np.ndarray:
         exposure = Exposure(factor=float(np.exp(self.random.normal(0.0, EXPOSURE_SD))))
-        return render_radiograph(torso_absorbers(self.torso, state), view, exposure, int(self.random.integers(2**31)))
+        noise = int(self.random.integers(2**31))
+        return render_radiograph(
+            torso_absorbers(self.torso, state, self.recipe.seed), view, exposure, noise, RAYS_A_PIXEL
+        )
 
-    def _write(self, path: Path, pixels: np.ndarray, view: XRayView, orientation: tuple[str, str], description: str) -> None:
+    def _write(
+        self, path: Path, pixels: np.ndarray, view: XRayView, orientation: tuple[str, str], description: str
+    ) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_radiographs(
             path,
@@ -298,29 +310,16 @@ class _Acquisition:
         share = np.abs(load.forces[:, 0])
         rib = float(share @ load.points.positions(rest)[:, 1])
         held = 1 if self.pushed_side == "left" else 0
-        return float(marks["humerus_head"].positions(rest)[held, 1]), float(marks["pelvis_belt"].positions(rest)[0, 1]), rib
+        return (
+            float(marks["humerus_head"].positions(rest)[held, 1]),
+            float(marks["pelvis_belt"].positions(rest)[0, 1]),
+            rib,
+        )
 
     def _tilts(self, state: TorsoState):  # type: ignore[no-untyped-def]
         view = self._nominal(frontal_view)
         choice = silhouette_choice(self.torso, view, self.torso.rest_pose)
         return tilts(VERTEBRAE, state_features(self.torso, view, state, choice).corners, view)
-
-
-def torso_absorbers(torso: TorsoModel, state: TorsoState) -> list[Absorber]:
-    """Bones with a cortical shell and cancellous texture, and the tissue around them, in a state."""
-    absorbers = []
-    for bone, surface in enumerate(torso.bone_surfaces):
-        texture = Texture(0.5, 4.0, bone, state.bone_positions[bone], state.bone_rotations[bone])
-        vertices = torso.surface_positions(state, bone)
-        absorbers.append(
-            Absorber(vertices, surface.faces, CANCELLOUS_BONE, CORTEX_MM, CORTICAL_BONE, texture)
-        )
-    faces = torso.tissue.boundary_faces()
-    if faces.shape[1] == 6:
-        # A curved six-node face as four flat triangles.
-        faces = faces[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]].reshape(-1, 3)
-    absorbers.append(Absorber(torso.node_positions(state), faces, SOFT_TISSUE))
-    return absorbers
 
 
 def _inside(pixels: Floats, view: XRayView) -> np.ndarray:
@@ -331,4 +330,3 @@ def _inside(pixels: Floats, view: XRayView) -> np.ndarray:
 
 def _as_dict(change) -> dict[str, float]:  # type: ignore[no-untyped-def]
     return {key: round(float(getattr(change, key)), 4) for key in ("signed", "fixed_levels", "tilt")}
-

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.template import sizes
 from spinestiff.anatomy.template.surfaces import Surface, joined, loft, mirrored, superellipse, tube
@@ -161,8 +160,3 @@ def vertebra_surface(level: int) -> Surface:
     """Body, arch and processes of vertebra ``level`` (0 = T1), in the vertebra's frame."""
     left = _left_arch(level)
     return joined(_body(level), left, mirrored(left), _spinous(level))
-
-
-def vertebra_names() -> tuple[str, ...]:
-    """Names in the order of the tables."""
-    return VERTEBRAE
