@@ -91,8 +91,8 @@ class Body:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mesh", choices=("coarse", "fine"), default="coarse")
-    parser.add_argument("--low", type=float, default=0.3, help="MPa, where the search starts")
-    parser.add_argument("--high", type=float, default=3.0, help="MPa, where it ends")
+    parser.add_argument("--low", type=float, default=0.5, help="MPa, where the search starts")
+    parser.add_argument("--high", type=float, default=1.0, help="MPa, where it ends")
     parser.add_argument("--write", action="store_true", help="store the result in benchmarks/results/")
     arguments = parser.parse_args()
     bodies = [Body(row, arguments.mesh) for row in SUBJECTS]

@@ -168,8 +168,8 @@ FAULTS = (
     Fault(
         "assembly: lambda scaled by mu's ratio",
         "mechanics/potential.py",
-        "lambda_ * mesh.lame_lambda[index]",
-        "mu * mesh.lame_lambda[index]",
+        "lambda_ * mesh.lame_lambda[number]",
+        "mu * mesh.lame_lambda[number]",
         MECHANICS + "/test_potential.py",
     ),
     Fault(

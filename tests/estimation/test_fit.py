@@ -159,6 +159,27 @@ def test_no_force_is_refused(spine, trials) -> None:
         fit_stiffness(spine, trials(forces=(0.0, 0.0)))
 
 
+def test_secant_curvature_meets_its_equation_and_is_symmetric(spine, trials) -> None:
+    """S s = (J+ - J)^T r+ : what Gauss-Newton leaves out along the step just made."""
+    groups = stiffness_ratios(TRUTH, spine.torso.joints.kinds).groups
+    trial_set = TrialSet([spine] * 2, trials(error=1.0), groups, "procrustes", None)
+    here, there = (trial_set.solve(np.log(values)) for values in ([0.2, 0.06], [0.11, 0.035]))
+    before, after = trial_set.slope(here), trial_set.slope(there)
+    step = there.log_ratios - here.log_ratios
+    curvature = fitting._secant(np.eye(2), step, here, before, there, after)
+    assert np.allclose(curvature, curvature.T)
+    wanted = (after.jacobian - before.jacobian).T @ there.values
+    assert np.abs(wanted).min() > 1.0
+    assert np.allclose(curvature @ step, wanted)
+
+
+def test_open_ends_are_warned_of(spine, trials) -> None:
+    fit = fit_stiffness(spine, trials(), names=("lateral_bending", "flexion_extension"), start={"lateral_bending": 0.5})
+    assert any(
+        "flexion_extension: the radiographs also allow ratios below 0.005 and above 5" in w for w in fit.warnings
+    )
+
+
 @pytest.mark.slow
 def test_eqs_8_10_on_the_template_torso() -> None:
     """The real engine on the coarse template: adjoint is forward, and the ratios come back from two radiographs."""

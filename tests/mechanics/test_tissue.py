@@ -121,7 +121,7 @@ def test_elements_tied_whole_to_one_bone_are_left_out_and_all_others_kept():
     tied[torso.tissue.elements[0]] = 0
     tied[torso.tissue.elements[1]] = 1
     mesh = replace(torso.tissue, bone_of_node=tied)
-    kept = element_data(mesh).index
+    kept = element_data(mesh).number
     owner = tied[mesh.elements]
     whole = (owner >= 0).all(1) & (owner == owner[:, :1]).all(1)
     assert not np.isin(np.flatnonzero(whole), kept).any()

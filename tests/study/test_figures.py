@@ -74,8 +74,8 @@ def test_overlay_draws_measured_and_simulated_boxes_where_they_are(overlay: Over
 
 def test_crop_holds_every_box_and_stays_inside_the_picture(overlay: Overlay) -> None:
     left, right, top, bottom = overlay.crop
-    # 150 mm at 0.5 mm a pixel is all 300 columns; 18 mm below and above the boxes.
-    assert (left, right, top, bottom) == (0, 299, 104, 256)
+    # At 0.5 mm a pixel: 150 mm about the boxes' middle (column 160), and 18 mm above and below them.
+    assert (left, right, top, bottom) == (10, 299, 104, 256)
     moved = replace(overlay, measured=boxes(150.0) + [0.0, 170.0])
     assert moved.crop[3] == 399
 

@@ -23,6 +23,7 @@ from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.study import report
 from spinestiff.study.report import MISSING, fixed, number, write_report
 from spinestiff.study.results import write_json
 from spinestiff.study.subject import (
@@ -150,6 +151,8 @@ def estimate_record() -> dict:
         "covariance_log": [[0.005, -0.002], [-0.002, 0.03]],
         "correlation": -0.42,
         "condition": 18.0,
+        "parameters": ["lateral_bending", "tissue"],
+        "joint_region_size": 6.5,
         "joint_region": region,
         "training_rmse_mm": {"default": 7.31, "fit": 1.12},
         "reactions_n": {
@@ -243,8 +246,23 @@ def visit(tmp_path_factory: pytest.TempPathFactory) -> Visit:
 
 
 @pytest.fixture(scope="module")
-def html(visit: Visit) -> str:
-    return written(visit)
+def drawn() -> dict[str, list]:
+    """What the figures were asked to show while ``html`` was made, by drawing function."""
+    return {}
+
+
+@pytest.fixture(scope="module")
+def html(visit: Visit, drawn: dict[str, list]) -> str:
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("draw_overlay", "draw_curve_changes", "draw_tilt_changes", "draw_ratio_map"):
+            real = getattr(report, name)
+
+            def noted(content, name=name, real=real):
+                drawn.setdefault(name, []).append(content)
+                return real(content)
+
+            patch.setattr(report, name, noted)
+        return written(visit)
 
 
 @pytest.fixture(scope="module")
@@ -283,6 +301,47 @@ def test_every_picture_is_described_and_lies_beside_the_page(visit: Visit, page:
         assert path.read_bytes().startswith(b"\x89PNG")
 
 
+def test_boxes_lie_on_the_corners_that_were_tracked(visit: Visit, html: str, drawn: dict[str, list]) -> None:
+    assert html
+    overlay = drawn["draw_overlay"][0]
+    tracked = json.loads(visit.file("tracked.json").read_text(encoding="utf-8"))["pushes"]["main"]
+    corners = np.array(tracked["frames"][2]["corners_px"])
+    assert overlay.vertebrae == tuple(tracked["vertebrae"])
+    # A box has the model's size and stands on the middle of its corners.
+    np.testing.assert_allclose(overlay.measured.mean(1), corners.mean(1), atol=1e-6)
+    np.testing.assert_allclose(overlay.measured, corners, atol=4.0)
+    rest, default, fit = overlay.panels
+    assert rest.rmse_mm > default.rmse_mm > 3.0 * fit.rmse_mm
+    for panel in overlay.panels:
+        apart = (panel.boxes - overlay.measured) * overlay.mm_per_pixel
+        assert np.sqrt(np.mean(np.sum(apart**2, axis=-1))) == pytest.approx(panel.rmse_mm, rel=1e-6)
+    # A push from the patient's left, who faces the tube: from the picture's right edge to its left.
+    assert overlay.sides == ("R", "L") and overlay.arrow[1] == -1.0 and overlay.arrow[2] == "60 N"
+    frontal, lateral = drawn["draw_overlay"][2:]
+    assert frontal.sides == ("R", "L") and lateral.sides == ("P", "A") and lateral.arrow is None
+
+
+def test_curves_and_tilts_agree_with_the_pushes(html: str, drawn: dict[str, list]) -> None:
+    assert html
+    main, second = drawn["draw_curve_changes"][0]
+    assert (main.push, second.push) == ("main", "second")
+    assert main.measured["training"][:, 0].tolist() == [30.0] and main.measured["validation"][:, 0].tolist() == [60.0]
+    # Pushed from the left the spine becomes right-convex, and the measured spine follows the estimate.
+    measured = main.measured["validation"][0, 1]
+    fit, default = (main.simulated[name][-1, 1] for name in ("fit", "default"))
+    assert measured < 0.0 and fit < 0.0 and abs(fit - measured) < abs(default - measured)
+    assert main.simulated["fit"][0].tolist() == [0.0, 0.0] and len(main.simulated["fit"]) == 3
+    tilts = drawn["draw_tilt_changes"][0]
+    titles = ["“main”, 30 N (training)", "“main”, 60 N (held out)", "“second”, 50 N (held out)"]
+    assert [t.title for t in tilts] == titles
+    # T8 is the sixth of T3 to L4; above the push the left side sinks, below it rises.
+    assert tilts[1].level == 5.0 and tilts[2].level == 2.5
+    assert tilts[1].simulated["fit"][0] < 0.0 < tilts[1].simulated["fit"][-1]
+    np.testing.assert_allclose(tilts[1].measured, tilts[1].simulated["fit"], atol=3.0)
+    path = drawn["draw_ratio_map"][0].path
+    assert path.tolist() == [[1.0, 1.0], [0.4, 0.3], [0.22, 0.08], [0.2, 0.05]]
+
+
 def test_numbers_stand_in_the_text(page: Page) -> None:
     words = page.words
     for expected in (
@@ -301,57 +360,67 @@ def test_missing_values_say_so(page: Page) -> None:
     assert row.split()[:4] == ["1.50", "not", "available", "Training"]
 
 
-def test_best_predictor_is_marked_and_an_oracle_never_is(visit: Visit, tmp_path: Path) -> None:
-    def oracle(content: list) -> None:
-        for frame in content:
-            frame["rmse_mm"]["truth"] = 0.5
-            frame["rmse_mm"]["extrapolation"] = 1.0
-
-    html = written(changed(visit, tmp_path / "copy", "assessment.json", oracle))
-    assert re.findall(r'class="best">([^<]*)<', html) == ["1.00", "1.00"]
-    assert "0.50" in Page(html).words
+HOSTILE = "<script>alert('x')</script><img src=x onerror=alert(1)>\" onmouseover=\"x"
 
 
-def test_a_better_simple_predictor_is_owned_up_to(visit: Visit, tmp_path: Path) -> None:
-    def worse(content: list) -> None:
-        content.pop()
-        content[0]["rmse_mm"]["fit"] = 2.5
+@pytest.fixture(scope="module")
+def odd_html(visit: Visit, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A report of results that are doubtful, beaten by a simpler predictor, beside a truth, and full of bad names."""
+    folder = tmp_path_factory.mktemp("odd")
 
-    words = Page(written(changed(visit, tmp_path / "copy", "assessment.json", worse))).words
-    assert "A simpler predictor does better: “Model, one ratio for all stiffnesses” with 1.9 mm." in words
-
-
-def test_open_intervals_and_doubt_are_shown(visit: Visit, tmp_path: Path) -> None:
-    def vague(content: dict) -> None:
-        content["status"], content["status_text"] = "NOT_IDENTIFIABLE", "these radiographs can't tell"
+    def doubtful(content: dict) -> None:
+        content["status"], content["status_text"] = "NOT_IDENTIFIABLE", "these radiographs can't tell " + HOSTILE
         content["ratios"]["tissue"]["interval95"] = [None, 5.0]
         content["joint_region"] = content["correlation"] = content["condition"] = None
+        content["warnings"] = [HOSTILE]
+        content["reactions_n"]["push"] = HOSTILE
 
-    words = Page(written(changed(visit, tmp_path / "copy", "estimate.json", vague))).words
+    def beaten(content: list) -> None:
+        for frame in content:
+            frame["rmse_mm"] |= {"truth": 0.5, "extrapolation": 1.0, "fit": 2.5}
+        content[0]["rmse_mm"]["single_ratio"] = 1.0004
+
+    def named(content: dict) -> None:
+        content["pushes"]["main"]["millimetres"] = {HOSTILE: HOSTILE}
+
+    found = changed(visit, folder / "one", "estimate.json", doubtful)
+    found = changed(found, folder / "two", "assessment.json", beaten)
+    found = changed(found, folder / "three", "tracked.json", named)
+    write_json(folder / "truth.json", {"ratios": TRUE})
+    return written(Visit(found.subject, found.settings, folder / "truth.json"))
+
+
+def test_best_predictor_is_marked_and_an_oracle_never_is(odd_html: str) -> None:
+    assert re.findall(r'class="best">([^<]*)<', odd_html) == ["1.00", "1.00", "1.00"]
+    assert "0.50" in Page(odd_html).words
+
+
+def test_a_better_simple_predictor_is_owned_up_to(odd_html: str, page: Page) -> None:
+    simple = "A simpler predictor does better: “No model: training motion scaled by force”, 1.00 mm."
+    assert simple in Page(odd_html).words
+    assert "A simpler predictor" not in page.words
+
+
+def test_open_intervals_and_doubt_are_shown(odd_html: str) -> None:
+    words = Page(odd_html).words
     assert "≤ 0.005 to ≥ 5" in words
-    assert "not identifiable" in words and "These radiographs can't tell." in words
+    assert "not identifiable" in words and "These radiographs can't tell" in words
     assert "condition number not available" in words
 
 
-def test_names_from_files_are_escaped(visit: Visit, tmp_path: Path) -> None:
-    hostile = "<script>alert('x')</script><img src=x onerror=alert(1)>\" onmouseover=\"x"
-
-    def poison(content: dict) -> None:
-        content["warnings"] = [hostile]
-        content["reactions_n"]["push"] = hostile
-        content["status_text"] = hostile
-        content["status"] = "<b>odd"
-
-    def poison_tracked(content: dict) -> None:
-        content["pushes"]["main"]["millimetres"] = {hostile: hostile}
-
-    first = changed(visit, tmp_path / "one", "estimate.json", poison)
-    html = written(changed(first, tmp_path / "two", "tracked.json", poison_tracked))
-    found = Page(html)
-    assert "script" not in found.tags
+def test_names_from_files_are_escaped(odd_html: str) -> None:
+    found = Page(odd_html)
+    assert "script" not in found.tags and "<script" not in odd_html
+    assert found.words.count(HOSTILE) == 5
     assert not [name for _, name, _ in found.attributes if name.startswith("on")]
-    assert "<script" not in html and found.words.count("<script>alert('x')</script>") >= 4
     assert len(found.all("img", "src")) == 7
+
+
+def test_truth_is_compared_when_known(odd_html: str, page: Page) -> None:
+    words = Page(odd_html).words
+    assert "Synthetic subject with known truth" in words and "truth 0.220" in words and "truth 0.0450" in words
+    assert "The 95 % joint region holds the true ratios" in words
+    assert "truth" not in page.words.replace("without knowledge of the truth", "")
 
 
 def test_same_results_give_the_same_bytes(visit: Visit, html: str, tmp_path: Path) -> None:
@@ -365,17 +434,6 @@ def test_same_results_give_the_same_bytes(visit: Visit, html: str, tmp_path: Pat
     assert not list(again.subject.results.glob(".*"))
 
 
-def test_truth_is_compared_when_known(visit: Visit, tmp_path: Path) -> None:
-    def sized(content: dict) -> None:
-        content["joint_region_size"], content["parameters"] = 6.5, ["lateral_bending", "tissue"]
-
-    copy = changed(visit, tmp_path / "copy", "estimate.json", sized)
-    write_json(tmp_path / "truth.json", {"ratios": TRUE})
-    words = Page(written(Visit(copy.subject, copy.settings, tmp_path / "truth.json"))).words
-    assert "Synthetic subject with known truth" in words and "truth 0.220" in words and "truth 0.0450" in words
-    assert "The 95 % joint region holds the true ratios" in words
-
-
 def test_results_of_another_version_are_refused(visit: Visit, tmp_path: Path) -> None:
     copy = changed(visit, tmp_path / "copy", "estimate.json", lambda content: content.pop("plain"))
     before = copy.file("report.html").read_bytes()
@@ -386,14 +444,14 @@ def test_results_of_another_version_are_refused(visit: Visit, tmp_path: Path) ->
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0.2, "0.200"), (0.04567, "0.0457"), (1234.5, "1234"), (-3.0, "−3.00"), (0.0, "0"), (None, MISSING), (np.nan, MISSING)],
+    [(0.2, "0.200"), (0.04567, "0.0457"), (1234.5, "1234"), (-3.0, "−3.00"), (0.0, "0"), (None, MISSING)],
 )
 def test_number(value: float | None, text: str) -> None:
     assert number(value) == text
 
 
 @pytest.mark.parametrize(
-    ("value", "text"), [(3.04, "+3.0"), (-0.04, "0.0"), (-1.26, "−1.3"), (np.inf, MISSING), (None, MISSING)]
+    ("value", "text"), [(3.04, "+3.0"), (-0.04, "0.0"), (-1.26, "−1.3"), (np.inf, MISSING), (np.nan, MISSING)]
 )
 def test_fixed(value: float | None, text: str) -> None:
     assert fixed(value, 1, sign=True) == text

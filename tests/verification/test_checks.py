@@ -16,7 +16,7 @@ def test_every_check_passes_by_its_own_measured_error(group):
     done = checks.run_checks(groups=(group,))
     assert done
     assert [f"{c.name}: {c.error:.1e} > {c.tolerance:.0e}" for c in done if not c.passed] == []
-    assert all(c.kind == "independent" and c.tolerance <= 0.1 for c in done if "without" not in c.name)
+    assert all(c.kind == "independent" and c.tolerance <= 0.25 for c in done)
     assert len({c.name for c in done}) == len(done)
 
 

@@ -55,8 +55,8 @@ SMALLEST_RMSE = 1e-7  # mm; equilibria are no more exact than this
 # One step changes a ratio by at most these factors: beyond, the linear model says nothing.
 LARGEST_SOFTENING, LARGEST_STIFFENING = 20.0, 10.0
 FIRST_DAMPING, LARGEST_DAMPING = 1e-3, 1e12
-# Ends of an interval further apart than this factor say that the data can't tell.
-WIDEST_INTERVAL = 100.0
+# An interval that covers more of the bounds (in log) than this says that the data can't tell.
+WIDEST_INTERVAL = 0.9
 IntervalKind = Literal["inverted", "linear"]
 
 
@@ -69,8 +69,8 @@ class FitStatus(enum.Enum):
         "check force, pushed point and rest geometry, or widen the bounds"
     )
     NOT_IDENTIFIABLE = (
-        "these radiographs can't tell the ratios apart (an interval spans more than a factor of 100, "
-        "or all of the bounds): use larger forces, more vertebrae or fewer ratios"
+        "these radiographs can't tell the ratios apart (an interval covers nearly all that the bounds "
+        "allow): use larger forces, more vertebrae or fewer ratios"
     )
     ITERATION_LIMIT = "not converged within the iteration limit; raise it or start from the ratios reached"
     STALLED = (
@@ -213,7 +213,7 @@ def fit_stiffness(
     if status is FitStatus.CONVERGED:
         if edge.any():
             status = FitStatus.AT_BOUND
-        elif not ends.width.max() < np.log(WIDEST_INTERVAL):
+        elif not ends.width.max() < WIDEST_INTERVAL * (limits[1] - limits[0]):
             status = FitStatus.NOT_IDENTIFIABLE
     trial_set.cost.seconds = time.perf_counter() - began
     return StiffnessFit(
@@ -233,18 +233,20 @@ def fit_stiffness(
         method=method,
         orientation=orientation,
         bounds=(float(bounds[0]), float(bounds[1])),
-        warnings=_warnings(trial_set, default, point),
+        warnings=(*_warnings(trial_set, default, point), *_open_ends(names, ends, bounds)),
     )
 
 
 def _levenberg_marquardt(
     trial_set: TrialSet, point: Evaluation, limits: tuple[float, float], max_iterations: int
 ) -> tuple[Evaluation, Slope, FitStatus]:
-    slope, damping, growth = trial_set.slope(point), FIRST_DAMPING, 2.0
+    slope, damping, growth = trial_set.slope(point), FIRST_DAMPING, 4.0
+    curvature, bent = np.zeros((len(point.log_ratios),) * 2), False
     for _ in range(max_iterations):
-        if _finished(point, slope, limits):
+        model = curvature if bent else None
+        if _finished(point, slope, limits, model):
             return point, slope, FitStatus.CONVERGED
-        change, predicted = _damped_step(point, slope, limits, damping)
+        change, predicted = _damped_step(point, slope, limits, damping, model)
         target = np.clip(point.log_ratios + change, *limits)
         try:
             trial = trial_set.solve(target, point, slope)
@@ -252,35 +254,73 @@ def _levenberg_marquardt(
             trial_set.note(target, None, False, damping)
             damping = max(10.0 * damping, 0.1)
         else:
-            gain = (point.loss - trial.loss) / predicted
-            better = gain > 1e-4
-            trial_set.note(target, trial, better, damping)
-            if better:
-                point = trial
-                slope = trial_set.slope(point)
-                damping, growth = damping * max(1.0 / 5.0, 1.0 - (2.0 * gain - 1.0) ** 3), 2.0
+            decrease = point.loss - trial.loss
+            gain = decrease / max(predicted, 1e-300)
+            trial_set.note(target, trial, gain > 1e-4, damping)
+            if gain > 1e-4:
+                after = trial_set.slope(trial)
+                straight, curved = (_predicted(point, slope, compliance_step(change), c) for c in (None, curvature))
+                bent = bool(curvature.any()) and abs(curved - decrease) < abs(straight - decrease)
+                curvature, first = _secant(curvature, change, point, slope, trial, after), not curvature.any()
+                # A first curvature has not predicted anything yet; it is tried where the straight model was poor.
+                bent = bent or (first and not 0.75 < gain < 1.5)
+                point, slope = trial, after
+                damping, growth = damping * max(1.0 / 5.0, 1.0 - (2.0 * gain - 1.0) ** 3), 4.0
             else:
-                damping, growth = max(damping, 1e-3) * growth, 2.0 * growth
+                damping, growth, bent = max(damping, 3e-3) * growth, 2.0 * growth, False
         if damping > LARGEST_DAMPING:
             # At the rounding of the equilibria no step gains any more: that is a minimum, as well as it can be had.
-            done = _finished(point, slope, limits, STALLED_DECREASE)
+            done = _finished(point, slope, limits, None, STALLED_DECREASE)
             return point, slope, FitStatus.CONVERGED if done else FitStatus.STALLED
-    done = _finished(point, slope, limits)
+    done = _finished(point, slope, limits, curvature if bent else None)
     return point, slope, FitStatus.CONVERGED if done else FitStatus.ITERATION_LIMIT
 
 
+def _secant(
+    curvature: Floats, change: Floats, point: Evaluation, slope: Slope, trial: Evaluation, after: Slope
+) -> Floats:
+    """What Gauss-Newton leaves out, sum r d2r, by the sized secant update of Dennis, Gay and Welsch (1981).
+
+    Ratios that trade against each other change the residuals little, so that there the left-out part can be as large
+    as J^T J, and plain Gauss-Newton steps overshoot to and fro.
+    """
+    wanted = (after.jacobian - slope.jacobian).T @ trial.values
+    grown = after.jacobian.T @ trial.values - slope.jacobian.T @ point.values
+    along = float(grown @ change)
+    if not along > 1e-12 * float(np.linalg.norm(grown) * np.linalg.norm(change)):
+        return np.zeros_like(curvature)
+    old = float(change @ curvature @ change)
+    size = min(1.0, abs(float(change @ wanted)) / abs(old)) if old != 0.0 else 1.0
+    miss = wanted - size * curvature @ change
+    update = (np.outer(miss, grown) + np.outer(grown, miss)) / along
+    return np.asarray(size * curvature + update - float(miss @ change) * np.outer(grown, grown) / along**2)
+
+
 def _finished(
-    point: Evaluation, slope: Slope, limits: tuple[float, float], decrease: float = PREDICTED_DECREASE
+    point: Evaluation,
+    slope: Slope,
+    limits: tuple[float, float],
+    curvature: Floats | None,
+    decrease: float = PREDICTED_DECREASE,
 ) -> bool:
     """Whether the undamped step would gain (relative to the loss) or move next to nothing."""
     if point.rmse < SMALLEST_RMSE:
         return True
-    change, predicted = _damped_step(point, slope, limits, 1e-10)
+    change, predicted = _damped_step(point, slope, limits, 1e-10, curvature)
     return bool(predicted <= decrease * point.loss or np.abs(change).max() < SMALLEST_STEP)
 
 
-def _damped_step(point: Evaluation, slope: Slope, limits: tuple[float, float], damping: float) -> tuple[Floats, float]:
-    """Change of log ratios inside the box, and the decrease of the loss that the linear model promises.
+def _predicted(point: Evaluation, slope: Slope, p: Floats, curvature: Floats | None) -> float:
+    """Decrease of the loss that the model promises for a step p."""
+    moved = slope.jacobian @ p
+    bend = 0.0 if curvature is None else 0.5 * float(p @ curvature @ p)
+    return -float(point.values @ moved) - 0.5 * float(moved @ moved) - bend
+
+
+def _damped_step(
+    point: Evaluation, slope: Slope, limits: tuple[float, float], damping: float, curvature: Floats | None
+) -> tuple[Floats, float]:
+    """Change of log ratios inside the box, and the decrease of the loss that the model promises.
 
     Marquardt's scaling: the damping is relative to each column, so that the units of a ratio don't matter.
     """
@@ -288,18 +328,24 @@ def _damped_step(point: Evaluation, slope: Slope, limits: tuple[float, float], d
     low = np.maximum(limits[0] - point.log_ratios, -np.log(LARGEST_SOFTENING))
     high = np.minimum(limits[1] - point.log_ratios, np.log(LARGEST_STIFFENING))
     columns = np.sum(jacobian**2, axis=0)
-    damped = np.diag(np.sqrt(damping * np.maximum(columns, 1e-12 * columns.max(initial=0.0) + 1e-300)))
+    columns = np.maximum(columns, 1e-12 * columns.max(initial=0.0) + 1e-300)
     # The QR's triangle holds all that the step needs; the rows are hundreds, the columns a few.
     triangle = np.asarray(np.linalg.qr(np.column_stack([jacobian, values]), mode="r"))
-    rows = np.vstack([triangle[:, :-1], damped])
-    wanted = np.concatenate([-triangle[:, -1], np.zeros(len(low))])
+    root, wanted = triangle[:, :-1], -triangle[:, -1]
+    if curvature is not None:
+        scale = np.sqrt(columns)
+        sizes, axes = np.linalg.eigh((jacobian.T @ jacobian + curvature) / np.outer(scale, scale))
+        # Downhill only: a direction that curves down is taken as nearly straight.
+        roots = np.sqrt(np.maximum(sizes, 1e-6))
+        root = (roots * axes).T * scale
+        wanted = -(axes / roots).T @ ((jacobian.T @ values) / scale)
+    rows = np.vstack([root, np.diag(np.sqrt(damping * columns))])
+    wanted = np.concatenate([wanted, np.zeros(len(low))])
     # A bound that is reached leaves no room; the solver wants some.
     floor, ceiling = compliance_step(low) - 1e-14, compliance_step(high) + 1e-14
     p = lsq_linear(rows, wanted, (floor, ceiling), method="bvls").x
     change = np.clip(log_step(p), low, high)
-    p = compliance_step(change)
-    predicted = -float(values @ (jacobian @ p)) - 0.5 * float(np.sum((jacobian @ p) ** 2))
-    return change, max(predicted, 0.0)
+    return change, max(_predicted(point, slope, compliance_step(change), curvature), 0.0)
 
 
 def _lbfgsb(
@@ -399,3 +445,16 @@ def _warnings(trial_set: TrialSet, default: Evaluation | None, point: Evaluation
         if square:
             found.append(f"{name}: orientation by covariance means little for {', '.join(square)} (near-square box)")
     return tuple(found)
+
+
+def _open_ends(names: Sequence[str], ends: Intervals, bounds: tuple[float, float]) -> list[str]:
+    found = []
+    for name, low, high in zip(names, ends.open_low, ends.open_high):
+        sides = [
+            f"{side} {bound:g}"
+            for side, bound, is_open in (("below", bounds[0], low), ("above", bounds[1], high))
+            if is_open
+        ]
+        if sides:
+            found.append(f"{name}: the radiographs also allow ratios {' and '.join(sides)}, the bounds of the fit")
+    return found

@@ -26,7 +26,7 @@ from spinestiff.estimation.uncertainty import Uncertainty
 # Of the half-width, in h: from here the last linear step is taken without another solve.
 CLOSE_ENOUGH = 0.15
 LARGEST_FACTOR = 8.0  # change of a ratio in one step
-MOST_STEPS = 6
+MOST_STEPS = 5
 
 
 @dataclass(frozen=True)
@@ -87,18 +87,23 @@ def _solve_end(
     """Log ratio i where h reaches ``wanted``, and whether it is the bound; None without an answer."""
     at, around = point, slope
     largest = np.log(LARGEST_FACTOR)
+    edge = limits[1] if wanted[i] > 0.0 else limits[0]
+    free = np.ones(len(wanted), dtype=bool)
     for _ in range(MOST_STEPS):
-        left = wanted - estimator_offset(point, slope, at)
-        edge = limits[1] if wanted[i] > 0.0 else limits[0]
-        gain = np.linalg.lstsq(slope.jacobian, around.jacobian, rcond=None)[0]
-        step = np.linalg.lstsq(gain, left, rcond=1e-9)[0]
+        left = (wanted - estimator_offset(point, slope, at))[free]
+        gain = np.linalg.lstsq(slope.jacobian, around.jacobian, rcond=None)[0][np.ix_(free, free)]
+        step = np.zeros(len(wanted))
+        step[free] = np.linalg.lstsq(gain, left, rcond=1e-9)[0]
         ceiling = compliance_step(np.full(len(step), largest))
         change = np.clip(log_step(np.minimum(step, ceiling)), -largest, largest)
         goal = np.clip(at.log_ratios + change, *limits)
-        if np.abs(left).max() < CLOSE_ENOUGH * np.abs(wanted).max():
+        if np.abs(left).max() < CLOSE_ENOUGH * np.abs(wanted[free]).max():
             return float(goal[i]), bool(goal[i] == edge)
-        if at.log_ratios[i] == edge and goal[i] == edge:
-            return edge, True
+        stuck = (goal == at.log_ratios) & free
+        if stuck[i]:
+            return float(goal[i]), True
+        # Another ratio at its bound can't follow any more; the end is then sought without it.
+        free &= ~stuck
         try:
             at = trial_set.solve(goal, at, around)
             around = trial_set.slope(at)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -33,7 +33,7 @@ NARROWEST_CROP_MM = 150.0
 MARGIN_MM = 18.0
 PERCENTILES = (1.0, 99.7)  # of the crop's grey values, black to white
 SCALE_BAR_MM = 50.0
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 10.5,
     "axes.spines.top": False,
@@ -232,7 +232,7 @@ def draw_overlay(overlay: Overlay) -> Figure:
 def _draw_boxes(axis: Axes, overlay: Overlay, panel: Panel) -> None:
     for simulated, measured in zip(panel.boxes, overlay.measured):
         closed = np.vstack([simulated, simulated[:1]])
-        axis.plot(*closed.T, color=SIMULATED_ON_DARK, linewidth=2.6, solid_joinstyle="round")
+        axis.plot(*closed.T, color=SIMULATED_ON_DARK, linewidth=2.3, solid_joinstyle="round")
         closed = np.vstack([measured, measured[:1]])
         axis.plot(*closed.T, color=MEASURED_ON_DARK, linewidth=0.9, marker="o", markersize=2.6)
 
@@ -241,10 +241,9 @@ def _draw_marks(axis: Axes, overlay: Overlay, first: bool) -> None:
     """Letters of the sides, names of every other level, a scale bar and the push."""
     left, right, top, bottom = overlay.crop
     column, row = overlay.mm_per_pixel
-    light = {"color": "white", "fontsize": 10, "fontweight": "bold"}
-    inset_x, inset_y = 5.0 / column, 9.0 / row
-    axis.text(left + inset_x, top + inset_y, overlay.sides[0], ha="left", va="center", **light)
-    axis.text(right - inset_x, top + inset_y, overlay.sides[1], ha="right", va="center", **light)
+    light: dict[str, Any] = {"color": "white", "fontsize": 10, "fontweight": "bold"}
+    for place, letter, side in ((0.0, overlay.sides[0], "left"), (1.0, overlay.sides[1], "right")):
+        axis.text(place, 1.008, letter, ha=side, va="bottom", fontweight="bold", transform=axis.transAxes)
     if overlay.arrow is not None:
         height, direction, text = overlay.arrow
         if top < height < bottom:
@@ -257,23 +256,32 @@ def _draw_marks(axis: Axes, overlay: Overlay, first: bool) -> None:
             axis.text(place, height - 7.0 / row, text, ha=side, va="center", **light)
     if not first:
         return
-    for index, name in enumerate(overlay.vertebrae):
-        box = overlay.measured[index]
-        # On the side that the push leaves free.
-        from_left = overlay.arrow is None or overlay.arrow[1] < 0.0
-        place = left + 4.0 / column if from_left else right - 4.0 / column
+    # Names stand on the side that the push leaves free, the scale bar on the other.
+    names_left = overlay.arrow is None or overlay.arrow[1] < 0.0
+    for name, box in zip(overlay.vertebrae, overlay.measured):
+        place = left + 4.0 / column if names_left else right - 4.0 / column
         height = float(box[:, 1].mean())
-        axis.text(place, height, name, color="white", fontsize=7.5, ha="left" if from_left else "right", va="center")
-    start, height = left + inset_x, bottom - 8.0 / row
-    axis.plot([start, start + SCALE_BAR_MM / column], [height, height], color="white", linewidth=3, solid_capstyle="butt")
-    axis.text(start, height - 4.0 / row, f"{SCALE_BAR_MM:g} mm", color="white", fontsize=8.5, ha="left", va="bottom")
+        axis.text(place, height, name, color="white", fontsize=7.5, ha="left" if names_left else "right", va="center")
+    length, height = SCALE_BAR_MM / column, bottom - 7.0 / row
+    start = right - 5.0 / column - length if names_left else left + 5.0 / column
+    axis.plot([start, start + length], [height, height], color="white", linewidth=3, solid_capstyle="butt")
+    above = height - 3.0 / row
+    axis.text(start, above, f"{SCALE_BAR_MM:g} mm", color="white", fontsize=8.5, ha="left", va="bottom")
 
 
-_LINES = {
+_LINES: dict[str, dict[str, Any]] = {
     "default": {"color": DEFAULT, "linestyle": (0, (5, 2)), "linewidth": 1.8, "label": "default stiffness"},
     "fit": {"color": FIT, "linestyle": "-", "linewidth": 2.2, "label": "estimated stiffness"},
 }
-_ROLES = {
+_POINTS: dict[str, Any] = {
+    "linestyle": "none",
+    "markersize": 7.5,
+    "markeredgecolor": MEASURED,
+    "markeredgewidth": 1.4,
+    "zorder": 4,
+    "clip_on": False,
+}
+_ROLES: dict[str, dict[str, Any]] = {
     "training": {"marker": "o", "markerfacecolor": MEASURED, "label": "measured, training"},
     "validation": {"marker": "D", "markerfacecolor": "#9CD3F2", "label": "measured, held out"},
     "unused": {"marker": "o", "markerfacecolor": "white", "label": "measured, not used"},
@@ -285,16 +293,15 @@ def draw_curve_changes(changes: Sequence[CurveChange]) -> Figure:
     with rc_context(STYLE):
         figure = Figure(figsize=(max(4.6 * len(changes), 6.4), 4.3), layout="constrained")
         axes = figure.subplots(1, len(changes), squeeze=False, sharey=True)[0]
-        handles: dict[str, object] = {}
+        handles: dict[str, Any] = {}
         for axis, change in zip(axes, changes):
             for name, style in _LINES.items():
                 if name in change.simulated:
-                    handles[name] = axis.plot(*change.simulated[name].T, **style)[0]  # type: ignore[arg-type]
+                    handles[name] = axis.plot(*change.simulated[name].T, **style)[0]
             for role, style in _ROLES.items():
                 points = change.measured.get(role)
                 if points is not None and len(points):
-                    look = {"linestyle": "none", "markersize": 7.5, "markeredgecolor": MEASURED, "markeredgewidth": 1.4}
-                    handles[role] = axis.plot(*points.T, zorder=4, clip_on=False, **look, **style)[0]  # type: ignore[arg-type]
+                    handles[role] = axis.plot(*points.T, **_POINTS, **style)[0]
             axis.axhline(0.0, color="#999999", linewidth=0.9, zorder=1)
             axis.set_title(f"Push “{change.push}”", fontsize=11)
             axis.set_xlabel("force, N")
@@ -302,7 +309,7 @@ def draw_curve_changes(changes: Sequence[CurveChange]) -> Figure:
             axis.set_xlim(left=0.0)
         axes[0].set_ylabel("change of Cobb angle (tilt form), degrees\n← right-convex      left-convex →")
         order = [key for key in ("training", "validation", "unused", "fit", "default") if key in handles]
-        figure.legend(handles=[handles[key] for key in order], loc="outside lower center", ncols=3)  # type: ignore[misc]
+        figure.legend(handles=[handles[key] for key in order], loc="outside lower center", ncols=3)
     return figure
 
 
@@ -313,7 +320,7 @@ def draw_tilt_changes(changes: Sequence[TiltChange], columns: int = 4) -> Figure
     with rc_context(STYLE):
         figure = Figure(figsize=(max(3.0 * columns, 5.0), 4.9 * rows + 0.5), layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
-        handles: list[object] = []
+        handles: list[Any] = []
         for axis in grid.ravel()[len(changes) :]:
             axis.set_visible(False)
         for axis, change in zip(grid.ravel(), changes):
@@ -321,18 +328,19 @@ def draw_tilt_changes(changes: Sequence[TiltChange], columns: int = 4) -> Figure
             handles = []
             if change.level is not None:
                 axis.axhline(change.level, color="#BBBBBB", linewidth=7, alpha=0.45, zorder=1)
-            dots = {"marker": "o", "markersize": 5.0, "linestyle": ":", "linewidth": 1.0, "color": MEASURED}
-            handles += axis.plot(change.measured, level, zorder=4, label="measured", **dots)  # type: ignore[arg-type]
+            handles += axis.plot(
+                change.measured, level, "o:", color=MEASURED, markersize=5.0, linewidth=1.0, zorder=4, label="measured"
+            )
             for name in ("fit", "default"):
                 if name in change.simulated:
-                    handles += axis.plot(change.simulated[name], level, **_LINES[name])  # type: ignore[arg-type]
+                    handles += axis.plot(change.simulated[name], level, **_LINES[name])
             axis.axvline(0.0, color="#999999", linewidth=0.9, zorder=1)
             axis.set_yticks(level, change.vertebrae, fontsize=8.5)
             axis.set_ylim(len(level) - 0.5, -0.5)
             axis.xaxis.set_major_locator(MaxNLocator(5))
             axis.set_title(change.title, fontsize=10)
             axis.set_xlabel("change of tilt, degrees")
-        figure.legend(handles=handles, loc="outside lower center", ncols=3)  # type: ignore[arg-type]
+        figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
 
 
@@ -349,7 +357,7 @@ def draw_ratio_map(ratios: RatioMap) -> Figure:
         whole.set_ylabel(f"ratio, {ratios.names[1]}")
         whole.plot(*ratios.path.T, color="#444444", linewidth=1.2, marker=".", markersize=6, label="accepted steps")
         whole.plot(1.0, 1.0, marker="s", markersize=7, color=DEFAULT, linestyle="none", label="default (1, 1)")
-        whole.set_title("Way of the fit", fontsize=11)
+        whole.set_title("Steps of the fit", fontsize=11)
         near.set_title("95 % joint region", fontsize=11)
         points = [ratios.estimate[None], *([ratios.region] if len(ratios.region) else [])]
         points += [] if ratios.truth is None else [ratios.truth[None]]

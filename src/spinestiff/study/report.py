@@ -46,13 +46,14 @@ from spinestiff.study.metrics import cobb_angle, cobb_change, tilts
 from spinestiff.study.results import read_json
 from spinestiff.study.subject import PushRecord, image_corners, read_push, read_rest
 from spinestiff.study.trials import PushSet, PushTrial
-from spinestiff.study.visit import Visit, estimated_ratios, load_pushes, read_truth, truth_in_region
+from spinestiff.study.visit import Observer, Visit, estimated_ratios, load_pushes, read_truth, truth_in_region
 
 MISSING = "not available"
-# Secant lateral-bending stiffness of cadaver thoracic segments at 7.5 N m (Wilke et al. 2017), N m/degree, and the
-# range of ratios in the seven subjects of the method's first study.
+# Secant lateral-bending stiffness of cadaver thoracic segments at 7.5 N m (Wilke et al. 2017), N m/degree.
 BENDING_BAND = (1.3, 1.8)
-PUBLISHED = {"lateral_bending": (0.01, 0.63), "tissue": (0.01, 0.15)}
+# Range of the ratio in the seven subjects of the method's first study. Its tissue ratios are left out: they belong to
+# another default tissue.
+PUBLISHED = {"lateral_bending": (0.01, 0.63)}
 RATIO_TITLES = {
     "lateral_bending": "Lateral bending of the spine",
     "tissue": "Soft tissue of the trunk",
@@ -80,6 +81,7 @@ PREDICTORS = {
     "truth": "Model, true ratios (known for synthetic subjects only)",
 }
 ORACLE = "truth"
+EQUAL_MM = 0.1  # mean errors that differ by less are called equal
 MODELS = {"rest": "Rest pose, no motion", "default": "Default stiffness", "fit": "Estimated stiffness"}
 STATUS_TITLES = {"CONVERGED": "converged", "AT_BOUND": "at a bound", "NOT_IDENTIFIABLE": "not identifiable"}
 
@@ -148,23 +150,14 @@ def write_report(visit: Visit, say: Observer) -> None:
 
 
 def _compose(visit: Visit, say: Observer) -> tuple[dict[str, bytes], str]:
-    estimate, assessment = read_json(visit.file("estimate.json")), read_json(visit.file("assessment.json"))
-    personalised, tracked = read_json(visit.file("personalised.json")), read_json(visit.file("tracked.json"))
-    torso = read_torso(visit.file("torso.npz"))
-    pushes = load_pushes(visit, torso)
-    predictions = _predict(pushes, estimated_ratios(visit, torso), say)
-    say("drawing")
-    album = _Album()
+    names = ("estimate", "assessment", "personalised", "tracked")
+    estimate, assessment, personalised, tracked = (read_json(visit.file(f"{name}.json")) for name in names)
+    # What is quick comes first: results of another version are refused before anything is solved.
     page = {
         "subject": _subject_context(visit),
         "result": _result_context(visit, estimate),
         "comparison": _comparison(assessment),
-        "held_out": [album.add(*_frame_picture(visit, torso, p), vector=False) for p in _of_role(predictions, "validation")],
-        "rest": [album.add(*_rest_picture(visit, torso, view, personalised), vector=False) for view in ("frontal", "lateral")],
-        "curves": album.add(*_curve_picture(pushes, predictions)),
-        "certainty": _certainty_context(visit, estimate, album),
         "prediction": _prediction_context(assessment),
-        "levels": album.add(*_tilt_picture(visit, pushes, predictions)),
         "reactions": _reaction_rows(estimate["reactions_n"]),
         "reaction_push": estimate["reactions_n"]["push"],
         "supports": _support_rows(tracked),
@@ -173,7 +166,18 @@ def _compose(visit: Visit, say: Observer) -> tuple[dict[str, bytes], str]:
         "cost": estimate["cost"],
         "training": {key: fixed(value, 2) for key, value in estimate["training_rmse_mm"].items()},
         "version": __version__,
-        "missing": MISSING,
+    }
+    torso = read_torso(visit.file("torso.npz"))
+    pushes = load_pushes(visit, torso)
+    predictions = _predict(pushes, estimated_ratios(visit, torso), say)
+    say("drawing")
+    album = _Album()
+    page |= {
+        "held_out": [album.add(*_frame_picture(visit, torso, p)) for p in _of_role(predictions, "validation")],
+        "rest": [album.add(*_rest_picture(visit, torso, view, personalised)) for view in ("frontal", "lateral")],
+        "curves": album.add(*_curve_picture(pushes, predictions)),
+        "certainty": _certainty_context(visit, estimate, album),
+        "levels": album.add(*_tilt_picture(visit, pushes, predictions)),
     }
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
@@ -191,11 +195,12 @@ class _Album:
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
 
-    def add(self, name: str, figure: Figure, alt: str, caption: str, vector: bool = True) -> Picture:
+    def add(self, name: str, figure: Figure, alt: str, caption: str) -> Picture:
         file = f"{len(self.files) + 1:02d}-{name}.png"
         content = self.files[file] = as_png(figure)
         kind = "image/png"
-        if vector:
+        # Lines stay sharp at any zoom; radiographs would only grow.
+        if not any(axis.images for axis in figure.axes):
             kind, content = "image/svg+xml", as_svg(figure)
         return Picture(file, f"data:{kind};base64,{base64.b64encode(content).decode()}", alt, caption)
 
@@ -270,7 +275,9 @@ def _frame_picture(visit: Visit, torso: TorsoModel, prediction: Prediction) -> t
     push = visit.subject.push(item.push)
     errors = {name: residuals(torso, target, state).rmse for name, state in prediction.states.items()}
     panels = tuple(
-        Panel(MODELS[name], _pixels(view, prediction.boxes(torso, name)), errors[name]) for name in MODELS if name in errors
+        Panel(title, _pixels(view, prediction.boxes(torso, name)), errors[name])
+        for name, title in MODELS.items()
+        if name in errors
     )
     frame = next(f for f in read_push(visit.subject, push) if f.frame == item.frame)
     names = item.trial.corners.vertebrae
@@ -278,9 +285,7 @@ def _frame_picture(visit: Visit, torso: TorsoModel, prediction: Prediction) -> t
     found = _listed(f"{MODELS[name].lower()} {error:.1f} mm" for name, error in errors.items())
     where = f"push “{item.push}”, frame {item.frame}, {item.force_n:.0f} N from the patient’s {push.side}"
     alt = f"Radiograph of {where}, with measured and simulated vertebra boxes. RMSE: {found}."
-    caption = (
-        f"Held-out frame: {where}. Blue: vertebrae as measured. Orange: as simulated. The estimate did not use this frame."
-    )
+    caption = f"Held-out frame, not used by the estimate: {where}. Vertebrae as measured (blue) and simulated (orange)."
     return f"{item.push}-frame-{item.frame}", draw_overlay(overlay), alt, caption
 
 
@@ -343,8 +348,7 @@ def _curve_picture(pushes: PushSet, predictions: Sequence[Prediction]) -> tuple[
             for name in simulated:
                 if name in p.states:
                     simulated[name].append((p.item.force_n, _simulated_change(pushes, p, name)))
-        arrays = ({key: np.array(sorted(rows)) for key, rows in group.items() if rows} for group in (measured, simulated))
-        changes.append(CurveChange(push, *arrays))
+        changes.append(CurveChange(push, _sorted_points(measured), _sorted_points(simulated)))
     words = [
         f"push {c.push}: measured {rows[-1, 1]:+.1f} degrees at {rows[-1, 0]:.0f} N"
         for c in changes
@@ -357,6 +361,10 @@ def _curve_picture(pushes: PushSet, predictions: Sequence[Prediction]) -> tuple[
         "Frames that the estimate did not use test it."
     )
     return "force-and-curve", draw_curve_changes(changes), alt, caption
+
+
+def _sorted_points(groups: Mapping[str, list[tuple[float, float]]]) -> dict[str, Floats]:
+    return {name: np.array(sorted(points)) for name, points in groups.items() if points}
 
 
 def _measured_change(pushes: PushSet, item: PushTrial) -> float:
@@ -399,7 +407,7 @@ def _tilt_picture(visit: Visit, pushes: PushSet, predictions: Sequence[Predictio
         start = tilt(seen["rest"])
         role = "held out" if item.role == "validation" else "training"
         title = f"“{item.push}”, {item.force_n:.0f} N ({role})"
-        simulated = {name: tilt(seen[name]) - start for name in ("default", "fit") if name in seen}
+        simulated: dict[str, Floats] = {name: tilt(seen[name]) - start for name in ("default", "fit") if name in seen}
         level = _row_of_level(visit.subject.push(item.push).level, common)
         changes.append(TiltChange(title, common, tilt(after) - tilt(before), simulated, level))
     worst = max(changes, key=lambda c: float(np.abs(c.measured).max()))
@@ -571,36 +579,37 @@ def _certainty_context(visit: Visit, estimate: Mapping[str, Any], album: _Album)
 
 
 def _comparison(assessment: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Mean errors over the held-out frames that every named predictor predicts, in one sentence's parts."""
+    """Mean errors over the held-out frames, and what the estimate is worth beside the best simpler predictor."""
     means = {}
     for name in PREDICTORS:
         values = [frame["rmse_mm"].get(name) for frame in assessment]
         if values and all(value is not None for value in values):
             means[name] = float(np.mean([value for value in values if value is not None]))
     rivals = {name: value for name, value in means.items() if name not in ("fit", ORACLE)}
-    best = min(rivals, key=lambda name: rivals[name]) if rivals else None
+    best = min(rivals, key=lambda name: rivals[name]) if rivals else ""
+    verdict = ""
+    if best and "fit" in means:
+        difference = means["fit"] - rivals[best]
+        verdict = "equal" if abs(difference) < EQUAL_MM else "worse" if difference > 0.0 else "better"
     return {
         "frames": len(assessment),
-        "fit": fixed(means["fit"]) if "fit" in means else "",
-        "default": fixed(means["default"]) if "default" in means else "",
-        "beaten_by": PREDICTORS[best] if best and "fit" in means and rivals[best] < means["fit"] else "",
-        "rival": PREDICTORS[best] if best else "",
-        "rival_error": fixed(rivals[best]) if best else "",
+        "fit": fixed(means["fit"], 2) if "fit" in means else "",
+        "default": fixed(means["default"], 2) if "default" in means else "",
+        "verdict": verdict,
+        "rival": PREDICTORS.get(best, ""),
+        "rival_error": fixed(rivals[best], 2) if best else "",
     }
 
 
 def _prediction_context(assessment: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     shown = [name for name in PREDICTORS if any(frame["rmse_mm"].get(name) is not None for frame in assessment)]
-    best = []
-    for frame in assessment:
-        errors = {k: v for k, v in frame["rmse_mm"].items() if v is not None and k != ORACLE}
-        best.append(min(errors, key=lambda name: errors[name]) if errors else "")
     rows = [
         {
             "title": PREDICTORS[name],
             "fit": name == "fit",
             "cells": [
-                {"text": fixed(frame["rmse_mm"].get(name), 2), "best": name == top} for frame, top in zip(assessment, best)
+                {"text": fixed(frame["rmse_mm"].get(name), 2), "best": name in _best(frame["rmse_mm"])}
+                for frame in assessment
             ],
         }
         for name in shown
@@ -612,10 +621,15 @@ def _prediction_context(assessment: Sequence[Mapping[str, Any]]) -> dict[str, An
     }
 
 
+def _best(errors: Mapping[str, float | None]) -> list[str]:
+    """The predictors with the least error as printed; the oracle doesn't compete."""
+    known = {name: round(value, 2) for name, value in errors.items() if value is not None and name != ORACLE}
+    return [name for name, value in known.items() if value == min(known.values())]
+
+
 def _cobb_rows(frame: Mapping[str, Any]) -> dict[str, Any]:
-    titles = {"measured": "Measured", "default": "Default stiffness", "fit": "Estimated stiffness", "truth": "True ratios"}
     rows = []
-    for name, title in titles.items():
+    for name, title in {"measured": "Measured", **MODELS, "truth": "True ratios"}.items():
         if name not in frame["cobb_change_deg"]:
             continue
         change = frame["cobb_change_deg"][name]
@@ -661,7 +675,8 @@ def _geometry_context(personalised: Mapping[str, Any], estimate: Mapping[str, An
         largest = f"{worst}, {fixed(each[worst])} mm" if worst else MISSING
         rows.append({"title": f"Rest, {view}", "rmse": fixed(error, 2), "worst": largest, **_pose(pose)})
     for push, pose in estimate["poses"].items():
-        rows.append({"title": f"Push “{push}”, least force", "rmse": fixed(pose["rms_mm"], 2), "worst": "", **_pose(pose)})
+        title = f"Push “{push}”, least force"
+        rows.append({"title": title, "rmse": fixed(pose["rms_mm"], 2), "worst": "", **_pose(pose)})
     return {"rows": rows, "prior_only": _listed(personalised["prior_only"])}
 
 

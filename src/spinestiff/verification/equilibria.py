@@ -248,10 +248,10 @@ def reciprocity() -> Iterator[Check]:
             # Work of the other force between the ends, fourth order in the step.
             values = [-effect.energy(end.state) for end in ends]
             works.append(float(np.array([1.0, -8.0, 8.0, -1.0]) @ values) / (12.0 * step))
-        yield compared(f"reciprocity: by whole solves, {nodes} nodes", works[0], works[1], 1e-6)
+        yield compared(f"reciprocity: by whole solves, {nodes} nodes", works[0], works[1], 1e-9)
         moves = problem.linearise(found, load, ratios).load_derivative(small[0])[6:12]
         work = float(small[1].forces[0] @ small[1].points.jacobian(found.state)[0] @ moves)
-        yield compared(f"reciprocity: the tangent's answer, {nodes} nodes", work, works[0], 1e-6)
+        yield compared(f"reciprocity: the tangent's answer, {nodes} nodes", work, works[0], 1e-9)
 
 
 def _with(load: LoadCase, extra: LoadCase) -> LoadCase:
