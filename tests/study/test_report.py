@@ -24,7 +24,8 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study import report
-from spinestiff.study.report import MISSING, fixed, number, write_report
+from spinestiff.study.report import write_report
+from spinestiff.study.report_content import MISSING, fixed, number
 from spinestiff.study.results import write_json
 from spinestiff.study.subject import (
     Annotation,

@@ -30,7 +30,7 @@ KINDS = tuple(joint.kind for joint in JOINTS)  # of the whole torso's joints, ro
 
 # Young's modulus of the default tissue, MPa. Calibrated by benchmarks/calibrate_tissue.py, not a literature value:
 # the paper delegates it to Koutras 2021, whose values are not public.
-DEFAULT_YOUNG_MPA = 1.0
+DEFAULT_YOUNG_MPA = 0.58
 DEFAULT_POISSON = 0.45
 
 # The six directions of an intervertebral joint (paper 3.1), clinical name -> column of the stiffness table.

@@ -146,7 +146,7 @@ class EquilibriumProblem:
         ratios: StiffnessRatios | None = None,
         start: TorsoState | None = None,
         observer: Observer | None = None,
-        max_iterations: int = 60,
+        max_iterations: int = 100,
         tolerance: float | None = None,
     ) -> Equilibrium:
         """The state of least energy under ``load`` (Eq. 4), from ``start`` or the rest pose.

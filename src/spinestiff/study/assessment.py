@@ -105,7 +105,12 @@ def single_ratio(pushes: PushSet) -> StiffnessRatios | None:
     """One common ratio for all stiffnesses, fitted to the training frames; None if that fit fails."""
     training = [t for t in pushes.of_role("training") if t.force_n > 0.0]
     try:
-        fit = fit_stiffness([pushes.problems[t.push] for t in training], [t.trial for t in training], ("everything",))
+        fit = fit_stiffness(
+            [pushes.problems[t.push] for t in training],
+            [t.trial for t in training],
+            ("everything",),
+            intervals="linear",
+        )
     except (FitError, EquilibriumError):
         return None
     return fit.ratios if fit.status.usable else None

@@ -390,11 +390,20 @@ def _zoom(axis: Axes, points: Floats, bounds: tuple[float, float]) -> None:
     axis.set_ylim(*limits[:, 1])
 
 
+# Marks within a decade, for axes up to so many decades.
+_TICKS = (
+    (0.12, tuple(np.arange(1.0, 10.0, 0.2))),
+    (0.3, tuple(np.arange(1.0, 10.0, 0.5))),
+    (0.7, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)),
+    (2.0, (1.0, 2.0, 5.0)),
+    (np.inf, (1.0,)),
+)
+
+
 def _plain_ticks(axis: Axes) -> None:
     for side, limits in ((axis.xaxis, axis.get_xlim()), (axis.yaxis, axis.get_ylim())):
         decades = float(np.log10(limits[1] / limits[0]))
-        subs = (1.0, 2.0, 5.0) if decades > 0.7 else tuple(np.arange(1.0, 10.0, 0.5 if decades > 0.35 else 0.2))
-        subs = (1.0,) if decades > 2.0 else subs
+        subs = next(marks for widest, marks in _TICKS if decades <= widest)
         side.set_major_locator(LogLocator(subs=subs, numticks=8))
         side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
         side.set_minor_formatter(NullFormatter())

@@ -6,7 +6,7 @@ The truth is written beside the folder (``DIR.truth.json``), never into it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
 
@@ -48,6 +48,7 @@ FRAME_TIME_MS = 250.0  # four radiographs a second (paper 2.1)
 ANNOTATION_SD_MM = 0.3  # of a hand-set corner, at the patient plane
 STANDING_SD_MM, STANDING_SD_RAD = 4.0, 0.012  # how differently a patient stands from one exposure to the next
 EXPOSURE_SD = 0.06
+DETECTOR_WIDTH_MM = 427.0
 RAYS_A_PIXEL = 2  # along each axis; one leaves steps on slanted endplates
 SHARES = {"main": (0.0, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0), "second": (0.0, 1 / 3, 2 / 3, 1.0)}
 ROLES: dict[str, tuple[Role, ...]] = {
@@ -68,6 +69,8 @@ class Recipe:
     ratios : true lateral bending and tissue ratio; drawn from Table 4's range if None.
     spine : table and id of a real spine as rest shape, instead of ``cobb_deg`` and ``curve``.
     level, second_level : rib levels of the two pushes.
+    shape : rows, columns of a radiograph; the detector keeps its width.
+    mesh : of the subject's tissue, "coarse" or "fine"; anything but "fine" is no test of an estimate on "coarse".
     """
 
     seed: int = 0
@@ -79,7 +82,8 @@ class Recipe:
     spine: tuple[Path, str] | None = None
     level: float = 8.0
     second_level: float = 6.0
-    shape: tuple[int, int] = field(default=(1024, 1024))
+    shape: tuple[int, int] = (1024, 1024)
+    mesh: str = "fine"
 
     def __post_init__(self) -> None:
         if not 0.0 < self.force_n <= 500.0:
@@ -124,7 +128,7 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
         raise SubjectError(f"{folder}: is not empty; choose another folder, nothing was written")
     say = observer or (lambda line: None)
     random = np.random.default_rng(recipe.seed)
-    say("shaping the fine torso")
+    say(f"shaping the {recipe.mesh} torso")
     torso = _subject_torso(recipe)
     bending, tissue = recipe.ratios or tuple(
         float(np.exp(random.uniform(*np.log(limits)))) for limits in (BENDING_RANGE, TISSUE_RANGE)
@@ -168,7 +172,7 @@ def made_by(folder: str | Path, recipe: Recipe) -> bool:
 
 
 def _subject_torso(recipe: Recipe) -> TorsoModel:
-    template = template_torso(recipe.height_cm, "fine")
+    template = template_torso(recipe.height_cm, recipe.mesh)
     poses: VertebraPoses
     if recipe.spine:
         poses = real_spine(template, *recipe.spine)
@@ -258,7 +262,8 @@ class _Acquisition:
         return path
 
     def _nominal(self, make: Callable[..., XRayView]) -> XRayView:
-        return make(shape=self.recipe.shape, centre=self.centre)
+        shape = self.recipe.shape
+        return make(shape=shape, pixel=round(DETECTOR_WIDTH_MM / shape[1], 4), centre=self.centre)
 
     def _standing(self, nominal: XRayView) -> XRayView:
         shift = self.random.normal(0.0, STANDING_SD_MM, 2)

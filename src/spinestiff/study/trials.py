@@ -114,7 +114,8 @@ def push_set(
                 f"push '{push.id}': its least force is {push.forces_n[least]:g} N, so that where the patient stood "
                 "is read under load; record a frame without force"
             )
-        view, poses[push.id] = align_view(torso, state, found.view, usable_corners(found.frames[least].corners))
+        reference = usable_corners(found.frames[least].corners)
+        view, poses[push.id] = align_view(torso, state, found.view, reference)
         for index, (frame, force, role) in enumerate(zip(found.frames, push.forces_n, push.roles)):
             label = f"push '{push.id}' frame {index}"
             if frame.dropped and role != "unused":
@@ -122,7 +123,9 @@ def push_set(
             if frame.dropped:
                 continue
             load = rib_push(torso, push.side, push.level, force, label=label)
-            trial = Trial(load, usable_corners(frame.corners), view, label, push.id)
+            # Seen unloaded in the same sequence, vertebrae are compared by how far they moved from there.
+            unloaded = reference if push.forces_n[least] == 0.0 and index != least else None
+            trial = Trial(load, usable_corners(frame.corners), view, label, push.id, unloaded)
             lost = len(frame.corners) - len(trial.corners)
             if lost and role != "unused":
                 warnings.append(f"{label}: {lost} vertebrae were lost in tracking and are left out")

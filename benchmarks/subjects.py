@@ -1,0 +1,109 @@
+"""The demo's pipeline on several subjects of known stiffness, judged against fixed criteria.
+
+Subjects: the procedural one of ``spinestiff demo`` and, with ``--spines CSV``, the three spines of the table with the
+largest coronal curves as rest shapes. All at bending 0.10, tissue 0.01, 60 N; training at 1/3 and 2/3 of the force,
+validation at full force and at a second rib. A row holds the corner RMSE by predictor and four verdicts:
+
+    near_oracle     fit <= 1.15 x truth on the estimator's own mesh + 0.2 mm, both held-out frames
+    default_worse   default >= 3 x truth, both frames
+    beats_baselines fit below rest, default, extrapolation and single ratio at the second rib
+    truth_inside    true ratios inside the joint 95 % region
+
+``python benchmarks/subjects.py FOLDER [--spines CSV] [--write]`` (two minutes a subject; FOLDER takes the subjects).
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import datetime
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.template import template_torso
+from spinestiff.errors import SpinestiffError
+from spinestiff.study.pipeline import run_steps
+from spinestiff.study.results import read_json
+from spinestiff.study.spines import real_spine
+from spinestiff.study.synthetic import Recipe, made_by, synthesise, truth_path
+from spinestiff.study.visit import open_visit, truth_in_region
+
+RATIOS, FORCE_N = (0.10, 0.01), 60.0
+BASELINES = ("rest", "default", "extrapolation", "single_ratio")
+
+
+def most_curved(table: Path, count: int) -> list[tuple[str, float]]:
+    """Ids and coronal angles (largest difference of a vertebra's tilt, degrees) of the most curved spines."""
+    torso = template_torso(157.0)
+    with table.open(newline="", encoding="utf-8") as file:
+        ids = dict.fromkeys(row["id"] for row in csv.DictReader(file))
+    found = []
+    for spine_id in ids:
+        try:
+            _, frames = real_spine(torso, table, spine_id)
+        except SpinestiffError:
+            continue
+        tilt = np.degrees(np.arctan2(-frames[:, 0, 1], frames[:, 1, 1]))
+        found.append((spine_id, float(tilt.max() - tilt.min())))
+    return sorted(found, key=lambda entry: -entry[1])[:count]
+
+
+def run_subject(folder: Path, recipe: Recipe) -> dict[str, object]:
+    """Make the subject if it is not there, run all steps, and judge."""
+    began = time.perf_counter()
+    if not made_by(folder, recipe):
+        synthesise(folder, recipe)
+    visit = open_visit(folder, truth=truth_path(folder))
+    run_steps(visit, ("track", "personalise", "estimate", "assess"))
+    estimate, frames = read_json(visit.file("estimate.json")), read_json(visit.file("assessment.json"))
+    errors = {frame["push"]: frame["rmse_mm"] for frame in frames}
+    second = errors["second"]
+    return {
+        "subject": folder.name,
+        "rest_cobb_deg": round(read_json(truth_path(folder))["rest_cobb_deg"], 1),
+        "vertebrae_seen": len(read_json(visit.file("tracked.json"))["pushes"]["main"]["vertebrae"]),
+        "ratios": {k: [v["value"], *v["interval95"]] for k, v in estimate["ratios"].items()},
+        "rmse_mm": errors,
+        "tilt_change_deg": {
+            f["push"]: {k: f["cobb_change_deg"][k]["tilt"] for k in ("measured", "fit", "truth")} for f in frames
+        },
+        "near_oracle": all(e["fit"] <= 1.15 * e["truth"] + 0.2 for e in errors.values()),
+        "default_worse": all(e["default"] >= 3.0 * e["truth"] for e in errors.values()),
+        "beats_baselines": all(second["fit"] < second[name] for name in BASELINES),
+        "truth_inside": truth_in_region(visit),
+        "seconds": round(time.perf_counter() - began, 1),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--spines", type=Path)
+    parser.add_argument("--write", action="store_true", help="store the result in benchmarks/results/")
+    arguments = parser.parse_args()
+    recipes = {"demo": Recipe(seed=0, ratios=RATIOS, force_n=FORCE_N)}
+    if arguments.spines:
+        for number, (spine_id, angle) in enumerate(most_curved(arguments.spines, 3), start=1):
+            print(f"spine {number}: {spine_id}, coronal angle {angle:.1f} degrees", flush=True)
+            recipes[f"spine{number}"] = Recipe(
+                seed=number, ratios=RATIOS, force_n=FORCE_N, spine=(arguments.spines, spine_id)
+            )
+    rows = []
+    for name, recipe in recipes.items():
+        try:
+            rows.append(run_subject(arguments.folder / name, recipe))
+        except SpinestiffError as error:
+            rows.append({"subject": name, "failed": str(error)})
+        print(json.dumps(rows[-1]), flush=True)
+    if arguments.write:
+        path = Path(__file__).parent / "results" / "subjects.json"
+        result = {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), "subjects": rows}
+        path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
