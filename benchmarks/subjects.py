@@ -23,7 +23,6 @@ from pathlib import Path
 
 import numpy as np
 
-from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
 from spinestiff.study.pipeline import run_steps

@@ -30,7 +30,7 @@ def read_only(
     error : raised if the shape differs or a float is not finite.
     dtype : element type.
     """
-    array = np.array(values, dtype=dtype, order="C")
+    array: NDArray[Any] = np.array(values, dtype=dtype, order="C")
     if array.ndim != len(shape) or any(w is not None and w != n for w, n in zip(shape, array.shape)):
         wanted = "(" + ", ".join("n" if w is None else str(w) for w in shape) + ")"
         raise error(f"{name} has shape {array.shape}, wanted {wanted}")

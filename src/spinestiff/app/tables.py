@@ -42,6 +42,7 @@ def show(table: Table) -> None:
 
 
 def show_json(data: Any) -> None:
+    """Print JSON; nothing that is not finite passes."""
     print(json.dumps(data, indent=1, allow_nan=False))
 
 
@@ -122,6 +123,7 @@ def check_record(check: Check) -> dict[str, Any]:
 
 
 def check_table(results: Sequence[Check]) -> Table:
+    """All checks with their errors; the title counts what passed."""
     failed = sum(not result.passed for result in results)
     table = _table(
         f"{len(results) - failed} of {len(results)} checks passed", "check", "kind", "error", "tolerance", ""

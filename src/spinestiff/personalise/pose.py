@@ -8,6 +8,7 @@ import numpy as np
 
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats, Ints
+from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import (
     VertebraCorners,
     silhouette_choice,
@@ -37,7 +38,13 @@ def align_view(
 
     ``XRayView.moved`` carries a picture of the patient plane by a plane rigid motion q -> Q q + shift, so the best
     motion is that of two point sets (Procrustes); points off the patient plane need a few rounds.
+
+    Raises
+    ------
+    TrackingError : no vertebra to align by, or corners that are no picture of this torso.
     """
+    if not len(corners):
+        raise TrackingError("no vertebra is left to say where the patient stood; check annotation and tracking")
     choice = silhouette_choice(torso, nominal, state) if choice is None else choice
     rows = vertebra_rows(torso, corners)
     shift, roll, view = np.zeros(2), 0.0, nominal

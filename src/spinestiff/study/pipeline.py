@@ -74,6 +74,7 @@ def _recipe(visit: Visit, step: str) -> tuple[list[Path], list[Path], dict[str, 
     """Input files, output files and settings of a step."""
     file, settings, subject = visit.file, visit.settings, visit.subject
     images = [*subject.inputs]
+    truth = None if visit.truth is None else file_digest(visit.truth)
     chosen: dict[str, dict[str, Any]] = {
         "track": {},
         "personalise": {"mesh": settings.mesh},
@@ -82,8 +83,8 @@ def _recipe(visit: Visit, step: str) -> tuple[list[Path], list[Path], dict[str, 
             "orientation": settings.orientation,
             "parameters": list(settings.parameters),
         },
-        "assess": {"truth": None if visit.truth is None else file_digest(visit.truth)},
-        "report": {},
+        "assess": {"truth": truth},
+        "report": {"truth": truth},
     }
     shape = [file("torso.npz"), file("personalised.json")]
     needed = {

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import csv
+import io
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import UnivariateSpline
 from scipy.optimize import brentq
 
 from spinestiff.anatomy.names import VERTEBRAE
@@ -25,6 +25,8 @@ CURVES = {
 # Vertebrae turn towards the convexity, about a third of the coronal tilt's size at the apex (Easwar et al. 2011 report
 # the coupling, its size varies).
 AXIAL_COUPLING = 0.3
+SMOOTHING_LEVELS = 4.0
+LARGEST_STRAY_MM = 5.0
 
 VertebraPoses = tuple[Floats, Floats]
 
@@ -71,32 +73,56 @@ def real_spine(torso: TorsoModel, table: str | Path, spine_id: str) -> VertebraP
     """A measured spine of the table, scaled to the torso's spine and set on its pelvis.
 
     The table has columns ``id, level, keypoint, x_mm, y_mm, z_mm`` with a ``body`` and, where known, a ``left`` and
-    a ``right`` pedicle point for T1 to L5, in DICOM's patient frame (x left, y posterior, z up). Directions come from
-    a spline through the bodies; axial rotation from the pedicles, smoothed over three levels.
+    a ``right`` pedicle point for T1 to L5, in DICOM's patient frame (x left, y posterior, z up). Places and
+    directions come from local parabolas through the bodies; axial rotation from the pedicles, smoothed alike.
 
     Raises
     ------
-    SubjectError : no such file or spine, or a spine without all 17 bodies.
+    SubjectError : no such file or spine, a spine without all 17 bodies, or with one far off the others' line.
     """
     points = _read_points(Path(table), spine_id)
     rest, _ = rest_vertebrae(torso)
     bodies = np.array([points[level]["body"] for level in VERTEBRAE])
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(bodies, axis=0), axis=1))])
     wanted = float(np.sum(np.linalg.norm(np.diff(rest, axis=0), axis=1)))
-    # Grid points of 1 to 3 mm: a spline that stays within about a millimetre of them.
-    splines = [UnivariateSpline(arc, bodies[:, i], k=4, s=len(arc) * 1.0**2) for i in range(3)]
-    centres = np.stack([spline(arc) for spline in splines], 1) * wanted / arc[-1]
-    up = -np.stack([spline.derivative()(arc) for spline in splines], 1)
-    axial = _axial_rotation(points, up)
+    smooth, slope = _smoothed(bodies, arc)
+    stray = np.linalg.norm(smooth - bodies, axis=1)
+    if stray.max() > LARGEST_STRAY_MM:
+        worst = int(np.argmax(stray))
+        raise SubjectError(
+            f"{table}: spine '{spine_id}': {VERTEBRAE[worst]} lies {stray[worst]:.0f} mm off the others' line "
+            f"(limit {LARGEST_STRAY_MM:g}); a wrong point?"
+        )
+    centres, up = smooth * wanted / arc[-1], -slope
+    axial = _axial_rotation(points)
     frames = _upright(centres, rest)
     return rest[-1] + (centres - centres[-1]) @ frames.T, frames @ _vertebra_frames(up, axial)
+
+
+def _smoothed(bodies: Floats, arc: Floats) -> VertebraPoses:
+    """Points and tangents (V, 3) of local parabolas over about three vertebrae to each side.
+
+    Points on a grid of 1 to 3 mm carry angles of several degrees of noise from one to the next.
+    """
+    smooth, slope = np.empty_like(bodies), np.empty_like(bodies)
+    for i, here in enumerate(arc):
+        distance = np.abs(np.arange(len(arc)) - i) / SMOOTHING_LEVELS
+        weight = np.sqrt(np.where(distance < 1.0, (1.0 - distance**3) ** 3, 0.0))
+        powers = (arc - here)[:, None] ** np.arange(3)
+        fit = np.linalg.lstsq(weight[:, None] * powers, weight[:, None] * bodies, rcond=None)[0]
+        smooth[i], slope[i] = fit[0], fit[1]
+    return smooth, slope
 
 
 def _read_points(table: Path, spine_id: str) -> dict[str, dict[str, Floats]]:
     if not table.is_file():
         raise SubjectError(f"{table}: no such file; wanted a table of spines")
     points: dict[str, dict[str, Floats]] = {}
-    with table.open(newline="", encoding="utf-8") as file:
+    try:
+        text = table.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise SubjectError(f"{table}: not UTF-8 text (byte {error.start}); wanted a CSV table") from None
+    with io.StringIO(text, newline="") as file:
         rows = csv.DictReader(file)
         missing = {"id", "level", "keypoint", "x_mm", "y_mm", "z_mm"} - set(rows.fieldnames or ())
         if missing:
@@ -105,7 +131,9 @@ def _read_points(table: Path, spine_id: str) -> dict[str, dict[str, Floats]]:
             if row["id"] == spine_id and row["x_mm"]:
                 try:
                     lps = [float(row[key]) for key in ("x_mm", "y_mm", "z_mm")]
-                except ValueError:
+                    if not np.isfinite(lps).all():
+                        raise ValueError
+                except (ValueError, TypeError):
                     raise SubjectError(f"{table}: line {rows.line_num}: not a number") from None
                 points.setdefault(row["level"], {})[row["keypoint"]] = torso_from_lps(np.array(lps))
     if not points:
@@ -121,7 +149,7 @@ def torso_from_lps(points: Floats) -> Floats:
     return np.stack([points[..., 0], points[..., 2], -points[..., 1]], -1)
 
 
-def _axial_rotation(points: dict[str, dict[str, Floats]], up: Floats) -> Floats:
+def _axial_rotation(points: dict[str, dict[str, Floats]]) -> Floats:
     angles = np.full(len(VERTEBRAE), np.nan)
     for i, level in enumerate(VERTEBRAE):
         pair = points[level]
@@ -131,10 +159,9 @@ def _axial_rotation(points: dict[str, dict[str, Floats]], up: Floats) -> Floats:
     known = np.isfinite(angles)
     if known.sum() < 3:
         return np.zeros(len(VERTEBRAE))
-    level = np.arange(len(VERTEBRAE))
-    filled = np.interp(level.astype(float), level[known].astype(float), angles[known] - np.median(angles[known]))
-    padded = np.pad(filled, 1, mode="edge")
-    return (padded[:-2] + padded[1:-1] + padded[2:]) / 3.0
+    number = np.arange(float(len(VERTEBRAE)))
+    filled = np.interp(number, number[known], angles[known] - np.median(angles[known]))
+    return np.asarray(_smoothed(filled[:, None], number)[0][:, 0])
 
 
 def _vertebra_frames(up: Floats, axial: Floats) -> Floats:

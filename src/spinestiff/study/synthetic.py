@@ -86,6 +86,8 @@ class Recipe:
     mesh: str = "fine"
 
     def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise SubjectError(f"seed {self.seed}; wanted 0 or more")
         if not 0.0 < self.force_n <= 500.0:
             raise SubjectError(f"force {self.force_n} N; wanted above 0 and at most 500 (the gauge's limit)")
         low, high = RATIO_BOUNDS
@@ -135,24 +137,31 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     )
     ratios = stiffness_ratios({"lateral_bending": bending, "tissue": tissue})
     maker = _Acquisition(folder, torso, recipe, random)
-    maker.rest_images()
-    for push_id, level in (("main", recipe.level), ("second", recipe.second_level)):
-        side = maker.pushed_side
-        problem = EquilibriumProblem(torso, three_point_supports(torso, side))
-        states, state = [], torso.rest_pose
+    side = maker.pushed_side
+    problem = EquilibriumProblem(torso, three_point_supports(torso, side))
+    levels = {"main": recipe.level, "second": recipe.second_level}
+    # All equilibria before the first file: a push that the torso can't carry leaves nothing behind.
+    states: dict[str, list[TorsoState]] = {}
+    for push_id, level in levels.items():
+        states[push_id], state = [], torso.rest_pose
         for share in SHARES[push_id]:
             say(f"push '{push_id}': equilibrium at {share * recipe.force_n:.0f} N")
             state = problem.solve(rib_push(torso, side, level, share * recipe.force_n), ratios, state).require().state
-            states.append(state)
-        say(f"push '{push_id}': rendering {len(states)} radiographs")
-        maker.push(push_id, level, states)
+            states[push_id].append(state)
+    say("rendering the rest radiographs")
+    maker.rest_images()
+    for push_id, level in levels.items():
+        say(f"push '{push_id}': rendering {len(states[push_id])} radiographs")
+        maker.push(push_id, level, states[push_id])
     return maker.finish({"lateral_bending": bending, "tissue": tissue})
 
 
 def truth_path(folder: str | Path) -> Path:
     """Where the truth of a synthetic subject lies: beside its folder."""
     folder = Path(folder)
-    return folder.with_name(folder.name + ".truth.json")
+    if folder.name in ("", ".."):  # "." and the like have a name only once resolved
+        folder = folder.resolve()
+    return folder.parent / f"{folder.name}.truth.json"
 
 
 def made_by(folder: str | Path, recipe: Recipe) -> bool:

@@ -127,6 +127,9 @@ def push_set(
             unloaded = reference if push.forces_n[least] == 0.0 and index != least else None
             trial = Trial(load, usable_corners(frame.corners), view, label, push.id, unloaded)
             lost = len(frame.corners) - len(trial.corners)
+            if not len(trial.corners):
+                warnings.append(f"{label}: dropped, all vertebrae were lost in tracking")
+                continue
             if lost and role != "unused":
                 warnings.append(f"{label}: {lost} vertebrae were lost in tracking and are left out")
             trials.append(PushTrial(push.id, index, force, role, trial))

@@ -10,9 +10,11 @@ import numpy as np
 
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.stiffness import NMM_PER_NM, StiffnessRatios, stiffness_ratios
+from spinestiff.anatomy.template import MESHES
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import SubjectError
-from spinestiff.imaging.features import VertebraCorners
+from spinestiff.estimation.fit import METHODS
+from spinestiff.imaging.features import ORIENTATIONS, VertebraCorners
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.equilibrium import Equilibrium
 from spinestiff.study.assessment import FrameAssessment, assess
@@ -43,6 +45,15 @@ class Settings:
     orientation: str = "procrustes"
     parameters: tuple[str, ...] = ("lateral_bending", "tissue")
 
+    def __post_init__(self) -> None:
+        for what, found, known in (
+            ("mesh", self.mesh, MESHES),
+            ("method", self.method, METHODS),
+            ("orientation", self.orientation, ORIENTATIONS),
+        ):
+            if found not in known:
+                raise SubjectError(f"unknown {what} '{found}'; wanted one of {', '.join(known)}")
+
 
 @dataclass(frozen=True)
 class Visit:
@@ -57,7 +68,9 @@ class Visit:
 
 
 def open_visit(folder: str | Path, settings: Settings | None = None, truth: Path | None = None) -> Visit:
-    """Read and check a subject folder for the steps below. Raises SubjectError."""
+    """Read and check a subject folder (and the truth file) for the steps below. Raises SubjectError."""
+    if truth is not None:
+        read_truth(truth)
     return Visit(read_subject(folder), settings or Settings(), truth)
 
 
@@ -81,6 +94,8 @@ def load_tracked(visit: Visit) -> dict[str, TrackedPush]:
     for push in visit.subject.pushes:
         try:
             entry = record["pushes"][push.id]
+            if len(entry["frames"]) != len(push.forces_n):
+                raise ValueError(f"{len(entry['frames'])} frames for {len(push.forces_n)} forces_n")
             view = XRayView(**{**entry["view"], "shape": tuple(entry["view"]["shape"])})
             names = tuple(entry["vertebrae"])
             frames = tuple(
@@ -182,6 +197,9 @@ def truth_in_region(visit: Visit) -> bool | None:
     if visit.truth is None or size is None or any(v is None for row in covariance for v in row):
         return None
     truth = read_truth(visit.truth)
+    lacking = [name for name in record["ratios"] if name not in truth]
+    if lacking:
+        raise SubjectError(f"{visit.truth}: holds no true ratio of {lacking[0]}, which was estimated")
     offset = np.array([np.log(truth[name] / entry["value"]) for name, entry in record["ratios"].items()])
     order = list(record["ratios"])
     matrix = np.array(covariance)
