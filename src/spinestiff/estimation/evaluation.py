@@ -107,7 +107,9 @@ class Slope:
     ----------
     moves : (dofs, P) of each trial, dx / d log ratio.
     jacobian : (n, P) of the stacked residuals in log ratio.
-    responses : (n_i, 2) of each trial: its residuals per log force and per mm of the pushed point's height.
+    responses : (n_i, 4) of each trial, its residuals per log force, per mm of the pushed point's height, per relative
+        error of the simulated motion, and per such an error that grows from -1 at the lowest to 1 at the highest
+        vertebra.
     """
 
     moves: tuple[Floats, ...]
@@ -171,7 +173,8 @@ class TrialSet:
             rows.append(part.along(moves[-1]))
             load = self.trials[i].load
             changes = (load, push_height_change(load, self.problems[i].torso.rest_pose))
-            responses.append(part.along(np.stack([linearisation.load_derivative(c) for c in changes], axis=1)))
+            loaded = part.along(np.stack([linearisation.load_derivative(c) for c in changes], axis=1))
+            responses.append(np.column_stack([loaded, *self._motion_errors(i, part)]))
         return Slope(tuple(moves), np.concatenate(rows), tuple(responses))
 
     def gradient(self, point: Evaluation) -> Floats:
@@ -183,14 +186,27 @@ class TrialSet:
         return total
 
     def nuisances(self, slope: Slope, settings: UncertaintySettings) -> tuple[Nuisance, ...]:
-        """Errors of gauge and pushed point, each common to the frames of a push."""
+        """Errors of gauge, pushed point and model, each common to the frames of a push."""
         pushes = [trial.push or f"trial {i + 1}" for i, trial in enumerate(self.trials)]
         found = []
-        for j, (name, sd) in enumerate({"force": settings.force_sd, "push height": settings.push_height_sd_mm}.items()):
+        known = {
+            "force": settings.force_sd,
+            "push height": settings.push_height_sd_mm,
+            "motion": settings.motion_sd,
+            "motion along the spine": settings.motion_sd,
+        }
+        for j, (name, sd) in enumerate(known.items()):
             for push in dict.fromkeys(pushes):
                 columns = [part[:, j] * (push == mine) for part, mine in zip(slope.responses, pushes)]
                 found.append(Nuisance(f"{name} of {push}", np.concatenate(columns), sd))
         return (*found, *self._picture_shifts(pushes, settings.picture_shift_sd_mm))
+
+    def _motion_errors(self, i: int, part: Residuals) -> tuple[Floats, Floats]:
+        """What mesh and geometry do to a simulated motion: scale it, and scale it differently up and down the spine."""
+        torso, target = self.problems[i].torso, self.targets[i]
+        motion = part.values - residuals(torso, target, torso.rest_pose).values
+        height = 1.0 - 2.0 * target.rows / max(len(torso.vertebrae) - 1, 1)
+        return motion, motion * np.repeat(height, 8)
 
     def _picture_shifts(self, pushes: Sequence[str], sd: float) -> list[Nuisance]:
         """The patient stands a little elsewhere in each radiograph than at rest."""

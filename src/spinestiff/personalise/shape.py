@@ -25,6 +25,8 @@ from spinestiff.personalise.pose import ViewPose, align_view
 ANNEALING = (0.3, 3.0, 30.0, 300.0)
 # The regulariser's softness: bones and tissue only have to carry along what no image shows.
 REGULARISER = {"everything": 0.05}
+# Springs that hold the pelvis: mm from its origin, N/mm.
+PELVIS_ARM, PELVIS_STIFFNESS = 100.0, 0.1
 # N; a geometry needs no equilibrium to the last digit.
 SHAPE_TOLERANCE = 1e-3
 
@@ -74,7 +76,7 @@ def personalise(
     EquilibriumError : the template can't be moved that far without an element turning over.
     TrackingError : corners that are no picture of this torso.
     """
-    problem = EquilibriumProblem(template, _pelvis_clamped(template))
+    problem = EquilibriumProblem(template, _pelvis_on_springs(template))
     state = template.rest_pose
     views = {name: view for name, (_, view) in pictures.items()}
     poses: dict[str, ViewPose] = {}
@@ -121,7 +123,7 @@ def place_vertebrae(
     goal = np.repeat(positions, 8, axis=0) + np.einsum("nij,nj->ni", np.repeat(rotations, 8, axis=0), offset)
     points = PointsOnBones(np.repeat(bone, 3), np.repeat(offset, 3, axis=0))
     directions = np.tile(np.eye(3), (8 * count, 1))
-    problem = EquilibriumProblem(torso, _pelvis_clamped(torso))
+    problem = EquilibriumProblem(torso, _pelvis_on_springs(torso))
     state = torso.rest_pose
     for k in stiffness:
         springs = PointSprings(points, np.repeat(goal, 3, axis=0), directions, np.full(len(points), k))
@@ -139,11 +141,15 @@ def _relaxed(problem: EquilibriumProblem, terms: Sequence[BoneTerm], start: Tors
     return found.state
 
 
-def _pelvis_clamped(torso: TorsoModel) -> Supports:
-    held = np.zeros((len(torso.bone_names), 6), dtype=bool)
-    held[torso.bone("pelvis")] = True
-    none = PointsOnBones(np.empty(0, np.int64), np.empty((0, 3)))
-    return Supports(held, PointSprings(none, np.empty((0, 3)), np.empty((0, 3)), np.empty(0)), ())
+def _pelvis_on_springs(torso: TorsoModel) -> Supports:
+    """The pelvis held softly: it keeps the torso in place, yet follows the spine where L5 leans otherwise."""
+    arms = PELVIS_ARM * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
+    offsets = np.repeat(arms, 3, axis=0)
+    points = PointsOnBones(np.full(len(offsets), torso.bone("pelvis")), offsets)
+    directions = np.tile(np.eye(3), (len(arms), 1))
+    stiffness = np.full(len(offsets), PELVIS_STIFFNESS)
+    springs = PointSprings(points, points.positions(torso.rest_pose), directions, stiffness)
+    return Supports(np.zeros((len(torso.bone_names), 6), dtype=bool), springs, ("pelvis",) * len(offsets))
 
 
 def _vertebra_rmse(torso: TorsoModel, view: XRayView, corners: VertebraCorners, state: TorsoState) -> dict[str, float]:

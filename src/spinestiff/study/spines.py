@@ -25,7 +25,7 @@ CURVES = {
 # Vertebrae turn towards the convexity, about a third of the coronal tilt's size at the apex (Easwar et al. 2011 report
 # the coupling, its size varies).
 AXIAL_COUPLING = 0.3
-SMOOTHING_LEVELS = 4.0
+SMOOTHING_LEVELS = 3.0
 LARGEST_STRAY_MM = 5.0
 
 VertebraPoses = tuple[Floats, Floats]
@@ -100,17 +100,20 @@ def real_spine(torso: TorsoModel, table: str | Path, spine_id: str) -> VertebraP
 
 
 def _smoothed(bodies: Floats, arc: Floats) -> VertebraPoses:
-    """Points and tangents (V, 3) of local parabolas over about three vertebrae to each side.
+    """Points and tangents (V, 3) from about two vertebrae to each side: local parabolas, and local lines.
 
-    Points on a grid of 1 to 3 mm carry angles of several degrees of noise from one to the next.
+    Points on a grid of 1 to 3 mm carry angles of several degrees of noise from one to the next; a parabola's slope at
+    the ends of the spine would be three times as noisy as the line's.
     """
     smooth, slope = np.empty_like(bodies), np.empty_like(bodies)
     for i, here in enumerate(arc):
         distance = np.abs(np.arange(len(arc)) - i) / SMOOTHING_LEVELS
-        weight = np.sqrt(np.where(distance < 1.0, (1.0 - distance**3) ** 3, 0.0))
+        weight = np.sqrt(np.where(distance < 1.0, (1.0 - distance**3) ** 3, 0.0))[:, None]
         powers = (arc - here)[:, None] ** np.arange(3)
-        fit = np.linalg.lstsq(weight[:, None] * powers, weight[:, None] * bodies, rcond=None)[0]
-        smooth[i], slope[i] = fit[0], fit[1]
+        parabola, line = (
+            np.linalg.lstsq(weight * powers[:, :terms], weight * bodies, rcond=None)[0] for terms in (3, 2)
+        )
+        smooth[i], slope[i] = parabola[0], line[1]
     return smooth, slope
 
 

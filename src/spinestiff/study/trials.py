@@ -26,7 +26,7 @@ FEWEST_CORNERS = 3
 
 @dataclass(frozen=True)
 class TrackedFrame:
-    """One frame of a push: its corners, and a message if it must not be used (a support moved)."""
+    """One frame of a push: its corners, and why it must not be used ("frame 2: the pelvis moved ..."), if so."""
 
     corners: VertebraCorners
     dropped: str = ""
@@ -119,7 +119,7 @@ def push_set(
         for index, (frame, force, role) in enumerate(zip(found.frames, push.forces_n, push.roles)):
             label = f"push '{push.id}' frame {index}"
             if frame.dropped and role != "unused":
-                warnings.append(f"{label}: dropped, {frame.dropped}")
+                warnings.append(f"push '{push.id}' {frame.dropped}")
             if frame.dropped:
                 continue
             load = rib_push(torso, push.side, push.level, force, label=label)

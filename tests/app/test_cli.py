@@ -1,0 +1,471 @@
+"""The command line as installed: what it prints, what it refuses, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pydicom
+import pytest
+
+from spinestiff import __version__
+from spinestiff.app import cli
+from spinestiff.errors import EquilibriumError, FitError
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.study.results import file_digest, read_json, write_json
+from spinestiff.verification.outcome import Check
+
+COMMANDS = {
+    "synth": ("--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
+    "track": ("--redo",),
+    "personalise": ("--mesh", "--redo"),
+    "estimate": ("--method", "--orientation", "--redo"),
+    "assess": ("--truth", "--redo"),
+    "report": ("--truth", "--redo"),
+    "run": ("--mesh", "--method", "--orientation", "--truth", "--redo"),
+    "demo": ("--out", "--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
+    "cobb": (),
+    "check": ("--json",),
+    "doctor": (),
+}
+HEAVY = ("numba", "scipy", "cv2", "matplotlib", "skimage", "pydicom", "rslab", "pydantic")
+
+
+@pytest.fixture
+def spinestiff(monkeypatch, capsys):
+    """Run a command line as the installed program does; gives its exit status and output."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["spinestiff", *map(str, arguments)])
+        try:
+            cli.main()
+            status = 0
+        except SystemExit as end:
+            status = end.code or 0
+        out, err = capsys.readouterr()
+        assert "Traceback" not in out + err
+        return SimpleNamespace(status=status, out=out, err=err, lines=err.splitlines())
+
+    return call
+
+
+def digests(folder):
+    return {p.relative_to(folder).as_posix(): file_digest(p) for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def refused(result, words, status=2):
+    """The command ended with one line that says why."""
+    assert result.status == status
+    complaints = [line for line in result.lines if line.startswith("spinestiff: ")]
+    assert complaints == result.lines[-1:]
+    assert re.search(words, complaints[0]), complaints[0]
+
+
+def refused_at_once(result, words):
+    refused(result, words)
+    assert len(result.lines) == 1
+    assert result.out == ""
+
+
+# Help
+
+
+def test_help_lists_every_command_and_option(spinestiff):
+    overview = spinestiff("--help")
+    assert overview.status == 0
+    assert {command.name or command.callback.__name__ for command in cli.app.registered_commands} == set(COMMANDS)
+    for command, options in COMMANDS.items():
+        assert re.search(rf"^ +{command} ", overview.out, re.M), command
+        shown = spinestiff(command, "--help")
+        assert shown.status == 0
+        assert set(re.findall(r"^ +(--[a-z-]+)", shown.out, re.M)) == {*options, "--help"}
+
+
+def test_help_imports_nothing_heavy():
+    """In a fresh interpreter, all help texts one after the other."""
+    code = f"""
+import sys
+from spinestiff.app.cli import main
+for command in {[[], *([name] for name in COMMANDS)]!r}:
+    sys.argv = ["spinestiff", *command, "--help"]
+    try:
+        main()
+    except SystemExit as end:
+        assert not end.code, command
+print([name for name in {HEAVY!r} if name in sys.modules], file=sys.stderr)
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert ended.stderr.strip() == "[]"
+    assert ended.stdout.count("Usage: ") == 1 + len(COMMANDS)
+
+
+def test_the_module_runs_as_a_program(tmp_path):
+    def run(*arguments):
+        command = [sys.executable, "-m", "spinestiff.app.cli", *arguments]
+        return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, cwd=tmp_path)
+
+    version = run("--version")
+    assert (version.returncode, version.stdout.strip()) == (0, __version__)
+    missing = run("run", "nobody")
+    assert (missing.returncode, missing.stdout) == (2, "")
+    assert missing.stderr == "spinestiff: nobody: no such folder; wanted a subject folder with subject.json\n"
+
+
+@pytest.mark.parametrize("arguments", [("fly",), ("run",), ("run", "--fast", "x"), ("synth", "x", "--seed", "few")])
+def test_wrong_usage_ends_with_2(spinestiff, arguments):
+    result = spinestiff(*arguments)
+    assert result.status == 2
+    assert "Error: " in result.lines[-1]
+
+
+# What goes well
+
+
+def test_run_on_a_finished_subject_prints_the_result(spinestiff, subject, finished):
+    before = digests(subject)
+    result = spinestiff("run", subject, "--truth", finished.truth)
+    assert result.status == 0
+    assert [line.split(maxsplit=2)[2] for line in result.lines] == [
+        f"{step}: up to date" for step in ("track", "personalise", "estimate", "assess", "report")
+    ]
+    assert digests(subject) == before
+    for name, value in finished.fit.ratios.as_dict().items():
+        assert re.search(rf"{name} .*{value:.4g}", result.out)
+    assert re.search(r"main 3 .*30 ", result.out)
+    assert re.search(r"true ratios inside the joint 95 % region: (yes|no)\n", result.out)
+    assert f"report: {subject / 'results' / 'report.html'}" in result.out
+
+
+def test_every_step_runs_by_its_own_name(spinestiff, subject, finished, no_report):
+    """For real, up to the estimate: with other settings, on the copy."""
+    assert spinestiff("track", subject, "--redo").status == 0
+    result = spinestiff("personalise", subject, "--redo")
+    assert result.status == 0
+    assert "image weight 300 N/mm" in result.err
+    assessed = spinestiff("assess", subject, "--truth", finished.truth)
+    assert assessed.status == 0
+    assert "Held-out frames" in assessed.out
+    assert "true ratios inside" in assessed.out
+    reported = spinestiff("report", subject, "--truth", finished.truth)
+    assert (reported.status, reported.out) == (0, f"report: {subject / 'results' / 'report.html'}\n")
+
+
+def test_without_truth_there_is_none_in_the_assessment(spinestiff, subject, monkeypatch):
+    """Predictions are stubbed: what counts is what reaches the file."""
+    from spinestiff.study import assessment
+
+    monkeypatch.setattr(assessment, "single_ratio", lambda pushes: None)
+    monkeypatch.setattr(assessment, "_predict", lambda *args: None)
+    result = spinestiff("assess", subject)
+    assert result.status == 0
+    assert "true ratios inside" not in result.out
+    records = read_json(subject / "results" / "assessment.json")
+    assert len(records) == 2
+    for record in records:
+        assert record["rmse_mm"]["truth"] is None
+        assert record["rmse_mm"]["rest"] > 0.0
+        assert "truth" not in record["cobb_change_deg"]
+
+
+def test_redo_reaches_the_step(spinestiff, subject, finished, monkeypatch):
+    from spinestiff.study import pipeline
+
+    asked = []
+
+    def fit(problems, trials, names, method, orientation, observer):
+        asked.append((method, orientation))
+        return finished.fit
+
+    monkeypatch.setattr(pipeline, "fit_stiffness", fit)
+    assert spinestiff("estimate", subject).status == 0
+    assert asked == []
+    assert spinestiff("estimate", subject, "--redo").status == 0
+    assert spinestiff("estimate", subject, "--method", "lbfgsb", "--orientation", "covariance").status == 0
+    assert asked == [("lm", "procrustes"), ("lbfgsb", "covariance")]
+
+
+def test_cobb_prints_three_forms(spinestiff, subject):
+    result = spinestiff("cobb", subject)
+    assert (result.status, result.err) == (0, "")
+    for words in ("signed", "fixed levels", "tilt", "rest/frontal", "convexity left", "main frame 3, 30 N"):
+        assert words in result.out
+    forms = re.search(r"main frame 3, 30 N.*│ +(-\d+\.\d) │ +(-\d+\.\d) │ +(-\d+\.\d) │", result.out)
+    assert forms is not None
+
+
+def test_doctor_prints_solver_and_versions(spinestiff):
+    result = spinestiff("doctor")
+    assert (result.status, result.err) == (0, "")
+    for words in ("sparse solver in use", "numpy", np.__version__, __version__, "template mesh 'fine'"):
+        assert words in result.out
+
+
+def checks(*passed):
+    def run(observer=None):
+        done = [Check(f"check {i}", "independent", 0.0 if ok else float("inf"), 1e-9, ok) for i, ok in enumerate(passed)]
+        for check in done:
+            if observer:
+                observer(check)
+        return done
+
+    return run
+
+
+@pytest.mark.parametrize(("passed", "status"), [((True, True), 0), ((True, False), 1)])
+def test_check(spinestiff, monkeypatch, passed, status):
+    monkeypatch.setattr("spinestiff.verification.checks.run_checks", checks(*passed))
+    result = spinestiff("check", "--json")
+    assert (result.status, result.err) == (status, "")
+    records = json.loads(result.out)
+    assert [record["passed"] for record in records] == list(passed)
+    assert all(set(record) == {"name", "kind", "error", "tolerance", "passed"} for record in records)
+    table = spinestiff("check")
+    assert table.status == status
+    assert f"{sum(passed)} of 2 checks passed" in table.out
+    assert len(table.lines) == 2
+
+
+def test_synth_and_demo_hand_their_options_on(spinestiff, tmp_path, monkeypatch):
+    from spinestiff.study import synthetic
+
+    asked = []
+
+    def synthesise(folder, recipe, say):
+        asked.append((folder, recipe))
+        say("done")
+        raise FitError("far enough")
+
+    monkeypatch.setattr(synthetic, "synthesise", synthesise)
+    options = ("--seed", 4, "--height", 150, "--cobb", -20, "--curve", "lumbar", "--force", 80)
+    refused(spinestiff("synth", tmp_path / "x", *options, "--ratios", "0.2,0.03"), "far enough", 3)
+    refused(spinestiff("demo", "--out", tmp_path / "y"), "far enough", 3)
+    assert asked[0] == (tmp_path / "x", synthetic.Recipe(4, 150.0, -20.0, "lumbar", 80.0, (0.2, 0.03)))
+    assert asked[1] == (tmp_path / "y", synthetic.Recipe(ratios=(0.1, 0.01)))
+
+
+# What is refused
+
+
+def edit(name, change):
+    def apply(subject):
+        content = read_json(subject / name)
+        change(content)
+        write_json(subject / name, content)
+
+    return apply
+
+
+def write_raw(name, old, new):
+    def apply(subject):
+        text = (subject / name).read_text()
+        assert old in text
+        (subject / name).write_text(text.replace(old, new, 1))
+
+    return apply
+
+
+def few_vertebrae(content):
+    image = content["images"]["push/main"]["vertebrae"]
+    for name in list(image)[7:]:
+        del image[name]
+
+
+BAD_JSON = {
+    "unknown key": (edit("subject.json", lambda c: c.update(colour="red")), r"subject\.json: colour: unknown key"),
+    "NaN": (write_raw("subject.json", "157.0", "NaN"), r"subject\.json: found NaN"),
+    "not JSON": (write_raw("subject.json", "{", ""), r"subject\.json: not JSON"),
+    "zero force": (
+        edit("subject.json", lambda c: c["pushes"][0].update(forces_n=[0.0] * 4)),
+        r"all forces are zero|all training forces are zero",
+    ),
+    "negative force": (
+        edit("subject.json", lambda c: c["pushes"][0].update(forces_n=[0.0, -1.0, 2.0, 3.0])),
+        "forces are magnitudes",
+    ),
+    "no subject.json": (lambda subject: (subject / "subject.json").unlink(), r"subject\.json: no such file"),
+    "no annotation": (lambda subject: (subject / "annotation.json").unlink(), r"annotation\.json: no annotation"),
+    "few vertebrae": (edit("annotation.json", few_vertebrae), "found 7 vertebrae, wanted at least 8"),
+    "no radiograph": (lambda subject: (subject / "rest" / "frontal.dcm").unlink(), r"frontal\.dcm: no such file"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_JSON)
+@pytest.mark.parametrize("command", ["run", "estimate", "cobb"])
+def test_bad_folders_are_refused_at_once(spinestiff, subject, case, command):
+    spoil, words = BAD_JSON[case]
+    spoil(subject)
+    before = digests(subject)
+    refused_at_once(spinestiff(command, subject), words)
+    assert digests(subject) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("run", "nobody"), "nobody: no such folder"),
+        (("synth", "new", "--ratios", "0.1"), "--ratios 0.1: wanted two numbers BENDING,TISSUE"),
+        (("synth", "new", "--ratios", "a,b"), "--ratios a,b: wanted two numbers"),
+        (("synth", "new", "--ratios", "0.1,0.1,0.1"), "wanted two numbers"),
+        (("synth", "new", "--ratios", "0.1,0"), "stiffness ratio 0.0; wanted"),
+        (("synth", "new", "--ratios", "nan,0.1"), "stiffness ratio nan"),
+        (("synth", "new", "--force", "0"), "force 0.0 N"),
+        (("synth", "new", "--seed", "-3"), "seed -3"),
+        (("synth", "new", "--spine", "t.csv"), "--spine and --spine-id belong together"),
+        (("demo", "--out", "new", "--spine-id", "a"), "--spine and --spine-id belong together"),
+        (("demo", "--out", "new", "--ratios", "soft"), "--ratios soft"),
+    ],
+)
+def test_bad_arguments_are_refused_at_once(spinestiff, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    refused_at_once(spinestiff(*arguments), words)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--curve", "zigzag"), "unknown curve 'zigzag'; wanted one of"),
+        (("--cobb", "90"), "Cobb angle 90.0 degrees"),
+        (("--height", "90"), "body height 90 cm"),
+        (("--spine", "none.csv", "--spine-id", "a"), r"none\.csv: no such file"),
+    ],
+)
+def test_impossible_subjects_are_refused(spinestiff, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    refused(spinestiff("synth", "new", *arguments), words)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("run", "--mesh", "huge"), "unknown mesh 'huge'; wanted one of coarse, fine"),
+        (("personalise", "--mesh", ""), "unknown mesh ''"),
+        (("run", "--method", "guess"), "unknown method 'guess'; wanted one of lm, lbfgsb"),
+        (("estimate", "--orientation", "up"), "unknown orientation 'up'"),
+        (("assess", "--truth", "none.json"), r"none\.json: no such file"),
+        (("run", "--truth", "subject.json"), r"subject\.json: holds no true ratios"),
+    ],
+)
+def test_bad_settings_are_refused_before_any_step(spinestiff, subject, monkeypatch, arguments, words):
+    monkeypatch.chdir(subject)
+    before = digests(subject)
+    refused_at_once(spinestiff(arguments[0], ".", *arguments[1:]), words)
+    assert digests(subject) == before
+
+
+def test_a_folder_in_use_is_not_overwritten(spinestiff, subject):
+    before = digests(subject)
+    refused_at_once(spinestiff("synth", subject), "is not empty; choose another folder, nothing was written")
+    refused_at_once(spinestiff("demo", "--out", subject), "holds another subject")
+    file = subject / "subject.json"
+    assert spinestiff("synth", file).status == 2
+    assert digests(subject) == before
+
+
+def without_spacing(subject):
+    path = subject / "pushes" / "main.dcm"
+    dataset = pydicom.dcmread(path)
+    for key in ("ImagerPixelSpacing", "PixelSpacing"):
+        if key in dataset:
+            delattr(dataset, key)
+    dataset.save_as(path)
+
+
+def truncated(name):
+    def apply(subject):
+        path = subject / name
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+    return apply
+
+
+def more_forces(content):
+    content["pushes"][1].update(forces_n=[0.0, 15.0, 30.0], roles=["unused", "unused", "validation"])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (edit("subject.json", more_forces), r"push 'second' has 3 forces_n, but pushes/second\.dcm holds 2 frames"),
+        (without_spacing, r"main\.dcm: .*[Ss]pacing"),
+        (truncated("pushes/main.dcm"), r"main\.dcm: "),
+        (truncated("rest/lateral.dcm"), r"lateral\.dcm: "),
+        (lambda subject: (subject / "pushes" / "main.dcm").write_bytes(b""), r"main\.dcm: "),
+        (lambda subject: (subject / "pushes" / "main.dcm").write_bytes(b"no DICOM" * 99), r"main\.dcm: "),
+    ],
+)
+def test_bad_radiographs_keep_all_results(spinestiff, subject, spoil, words):
+    spoil(subject)
+    before = digests(subject)
+    refused(spinestiff("run", subject), words)
+    after = digests(subject)
+    # Steps before the one that fails may have been redone, to the same bytes; the record says so.
+    assert {k: v for k, v in after.items() if k != "results/run.json"} == {
+        k: v for k, v in before.items() if k != "results/run.json"
+    }
+
+
+def test_a_stale_tracking_is_refused(spinestiff, subject):
+    edit("subject.json", more_forces)(subject)
+    refused(spinestiff("estimate", subject), r"2 frames for 3 forces_n\); run spinestiff track again")
+
+
+def test_steps_ask_for_those_before(spinestiff, subject):
+    for path in (subject / "results").iterdir():
+        path.unlink()
+    refused_at_once(spinestiff("estimate", subject), r"run the step that makes it first \(spinestiff track\)")
+    refused_at_once(spinestiff("report", subject), r"run the step that makes it first \(spinestiff track\)")
+    assert list((subject / "results").iterdir()) == []
+
+
+@pytest.mark.parametrize("error", [FitError("no minimum here"), EquilibriumError("no\nequilibrium here")])
+def test_a_failed_computation_ends_with_3_and_keeps_the_estimate(spinestiff, subject, monkeypatch, error):
+    from spinestiff.study import pipeline
+
+    def fails(*args, **kwargs):
+        raise error
+
+    monkeypatch.setattr(pipeline, "fit_stiffness", fails)
+    before = digests(subject)
+    refused(spinestiff("estimate", subject, "--redo"), " here$", 3)
+    assert digests(subject) == before
+
+
+def test_an_absurd_force_ends_with_3_and_keeps_the_estimate(spinestiff, subject, monkeypatch):
+    """For real: 500 N, more than Newton's method settles within the few steps that are left to it here."""
+
+    def short(self, *args, solve=EquilibriumProblem.solve, **kwargs):
+        return solve(self, *args, **{**kwargs, "max_iterations": 2})
+
+    monkeypatch.setattr(EquilibriumProblem, "solve", short)
+    edit("subject.json", lambda c: c["pushes"][0].update(forces_n=[0.0, 400.0, 450.0, 500.0]))(subject)
+    before = digests(subject)
+    refused(spinestiff("estimate", subject), r"equilibrium", 3)
+    assert digests(subject) == before
+
+
+def test_the_systems_own_refusals_are_one_line(spinestiff, subject, monkeypatch):
+    from spinestiff.study import pipeline
+
+    def full(*args):
+        raise OSError(28, "No space left on device", "tracked.json")
+
+    monkeypatch.setitem(dict(pipeline._FUNCTIONS), "track", full)
+    monkeypatch.setattr(pipeline, "_FUNCTIONS", {**pipeline._FUNCTIONS, "track": full})
+    refused(spinestiff("track", subject, "--redo"), r"tracked\.json: No space left on device")
+
+
+def test_an_interruption_is_one_line(spinestiff, subject, monkeypatch):
+    from spinestiff.study import pipeline
+
+    def interrupted(*args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pipeline, "_FUNCTIONS", {**pipeline._FUNCTIONS, "track": interrupted})
+    result = spinestiff("track", subject, "--redo")
+    assert result.status == 130

@@ -1,0 +1,109 @@
+"""Tables and JSON that commands print."""
+
+from __future__ import annotations
+
+import copy
+import json
+
+import pytest
+
+from spinestiff import __version__
+from spinestiff.app import tables
+from spinestiff.mechanics.factor import default_backend
+from spinestiff.verification.outcome import Check
+
+ESTIMATE = {
+    "status_text": "converged",
+    "ratios": {
+        "lateral_bending": {"value": 0.10234, "interval95": [0.08, 0.131], "at_bound": False},
+        "tissue": {"value": 0.005, "interval95": [None, 0.01], "at_bound": True},
+    },
+    "plain": {
+        "lateral_bending_thoracic_nm_per_rad": 12.34,
+        "lateral_bending_lumbar_nm_per_rad": 20.0,
+        "tissue_young_kpa": 3.21,
+    },
+    "warnings": ["push [main] is unusual"],
+}
+ASSESSMENT = {
+    "push": "main",
+    "frame": 6,
+    "force_n": 60.0,
+    "rmse_mm": {
+        "rest": 9.0,
+        "default": 7.126,
+        "fit": 1.234,
+        "extrapolation": None,
+        "single_ratio": 2.0,
+        "truth": None,
+    },
+    "cobb_change_deg": {"measured": {"signed": -5.0, "fixed_levels": -5.1, "tilt": -7.04}, "fit": None},
+}
+
+
+@pytest.fixture
+def printed(capsys):
+    def show(table):
+        tables.show(table)
+        return capsys.readouterr().out
+
+    return show
+
+
+def row_of(text, start):
+    (line,) = [line for line in text.splitlines() if line.strip("│┃ ").startswith(start)]
+    return [cell.strip() for cell in line.strip("│").split("│")]
+
+
+def test_estimate(printed):
+    text = printed(tables.estimate_table(ESTIMATE))
+    assert "Estimate: converged" in text
+    assert row_of(text, "lateral_bending") == ["lateral_bending", "0.1023", "0.08 to 0.131", "no"]
+    assert row_of(text, "tissue  ") == ["tissue", "0.005", "not available", "yes"]
+    assert row_of(text, "thoracic level")[1] == "12.3 N m/rad"
+    assert row_of(text, "tissue, Young")[1] == "3.2 kPa"
+    assert "warning: push [main] is unusual" in text
+
+
+def test_assessment(printed):
+    text = printed(tables.assessment_table([ASSESSMENT]))
+    assert row_of(text, "main 6") == ["main 6", "60", "9.00", "7.13", "1.23", "-", "2.00", "-", "-7.0", "-"]
+
+
+def test_cobb(printed):
+    text = printed(tables.cobb_table([("main [1]", "+12.0 deg (T5-L1)", "-1.0", "-2.0", "-3.0")]))
+    assert row_of(text, "main [1]") == ["main [1]", "+12.0 deg (T5-L1)", "-1.0", "-2.0", "-3.0"]
+
+
+def test_checks(printed):
+    checks = [Check("energy [a]", "independent", 1e-12, 1e-9, True), Check("b", "independent", 2.0, 1e-9, False)]
+    text = printed(tables.check_table(checks))
+    assert "1 of 2 checks passed" in text
+    assert row_of(text, "energy [a]") == ["energy [a]", "independent", "1.0e-12", "1e-09", "passed"]
+    assert row_of(text, "b")[-1] == "FAILED"
+
+
+@pytest.mark.parametrize(("error", "shown"), [(0.5, 0.5), (float("inf"), "inf"), (float("nan"), "nan")])
+def test_a_check_as_json(capsys, error, shown):
+    record = tables.check_record(Check("a", "independent", error, 1e-9, False))
+    assert record == {"name": "a", "kind": "independent", "error": shown, "tolerance": 1e-9, "passed": False}
+    tables.show_json([record])
+    assert json.loads(capsys.readouterr().out) == [record]
+
+
+def test_doctor(printed, monkeypatch):
+    text = printed(tables.doctor_table())
+    assert row_of(text, "spinestiff")[1] == __version__ if text.count("spinestiff") == 1 else __version__ in text
+    assert row_of(text, "sparse solver in use")[1] == default_backend()
+    assert "nodes" in row_of(text, "template mesh 'coarse'")[1]
+    for name in tables.LIBRARIES:
+        assert row_of(text, f"{name} ")[1]
+    monkeypatch.setattr(tables, "_installed", lambda name: None)
+    bare = printed(tables.doctor_table())
+    assert bare.count("MISSING: pip install it") == len(tables.LIBRARIES)
+    assert "not installed; needed for JPEG Lossless radiographs (extra [dicom])" in bare
+
+
+def test_names_from_files_are_no_markup(printed):
+    record = copy.deepcopy(ASSESSMENT) | {"push": "[red]x[/red]"}
+    assert "[red]x[/red] 6" in printed(tables.assessment_table([record]))

@@ -1,0 +1,84 @@
+"""One small synthetic subject for all tests that need a whole one: coarse mesh, few frames, small radiographs."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+TRUTH = {"lateral_bending": 0.2, "tissue": 0.05}
+SHARES = {"main": (0.0, 0.5, 0.75, 1.0), "second": (0.0, 1.0)}
+ROLES = {"main": ("unused", "training", "training", "validation"), "second": ("unused", "validation")}
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A subject folder with all results, its truth file, the fit behind ``estimate.json`` and what was said."""
+
+    folder: Path
+    truth: Path
+    fit: object
+    lines: tuple[str, ...]
+
+
+def stub_report(visit, say):
+    """Stands in for the report, which has tests of its own and takes longer than all other steps."""
+    say("writing")
+    visit.file("report.html").write_text("report", encoding="utf-8")
+
+
+@pytest.fixture(scope="session")
+def few_frames():
+    """Pushes of four and two frames, for as long as the fixture's user lives."""
+    from spinestiff.study import synthetic
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(synthetic, "SHARES", SHARES)
+        patch.setattr(synthetic, "ROLES", ROLES)
+        patch.setattr(synthetic, "RAYS_A_PIXEL", 1)
+        yield
+
+
+@pytest.fixture(scope="session")
+def cheap_recipe():
+    from spinestiff.study.synthetic import Recipe
+
+    return Recipe(seed=3, force_n=30.0, ratios=tuple(TRUTH.values()), shape=(512, 512), mesh="coarse")
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory, few_frames, cheap_recipe):
+    """The finished subject; shared, so only to be read (``subject`` is a copy to change)."""
+    from spinestiff.study import pipeline
+    from spinestiff.study.synthetic import synthesise
+    from spinestiff.study.visit import open_visit
+
+    folder = tmp_path_factory.mktemp("synthetic") / "girl"
+    fits, lines = [], []
+    truth = synthesise(folder, cheap_recipe)
+
+    def fit_and_keep(*args, **kwargs):
+        fits.append(fit_stiffness(*args, **kwargs))
+        return fits[-1]
+
+    fit_stiffness = pipeline.fit_stiffness
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline, "fit_stiffness", fit_and_keep)
+        patch.setattr("spinestiff.study.report.write_report", stub_report)
+        ran = pipeline.run_steps(open_visit(folder, truth=truth), observer=lines.append)
+    assert ran == list(pipeline.STEPS)
+    return Finished(folder, truth, fits[0], tuple(lines))
+
+
+@pytest.fixture
+def subject(finished, tmp_path):
+    """A copy of the finished subject folder, with its truth beside it."""
+    shutil.copy(finished.truth, tmp_path / finished.truth.name)
+    return Path(shutil.copytree(finished.folder, tmp_path / finished.folder.name))
+
+
+@pytest.fixture
+def no_report(monkeypatch):
+    monkeypatch.setattr("spinestiff.study.report.write_report", stub_report)

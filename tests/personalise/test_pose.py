@@ -1,0 +1,64 @@
+"""Where the patient stood: a known motion of the view is found again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from spinestiff.anatomy.template import template_torso
+from spinestiff.errors import TrackingError
+from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
+from spinestiff.imaging.projection import frontal_view, lateral_view
+from spinestiff.personalise.pose import align_view
+
+
+@pytest.fixture(scope="module")
+def torso():
+    return template_torso(157.0, "coarse")
+
+
+def seen(torso, view, choice, rows=slice(None)):
+    corners = state_features(torso, view, torso.rest_pose, choice).corners
+    return VertebraCorners(torso.vertebrae[rows], corners[rows])
+
+
+@pytest.mark.parametrize("make", [frontal_view, lateral_view])
+@pytest.mark.parametrize(("shift", "roll"), [((8.0, -5.0), 0.03), ((-20.0, 12.0), -0.08), ((0.0, 0.0), 0.0)])
+def test_a_moved_view_is_found(torso, make, shift, roll):
+    nominal = make()
+    choice = silhouette_choice(torso, nominal, torso.rest_pose)
+    true = nominal.moved(shift, roll)
+    found, pose = align_view(torso, torso.rest_pose, nominal, seen(torso, true, choice), choice)
+    assert pose.shift == pytest.approx(shift, abs=1e-6)
+    assert pose.roll == pytest.approx(roll, abs=1e-8)
+    assert pose.rms_mm < 1e-6
+    assert found.source == pytest.approx(true.source, abs=1e-5)
+    assert found.detector_origin == pytest.approx(true.detector_origin, abs=1e-5)
+    assert found.detector_axes == pytest.approx(true.detector_axes, abs=1e-8)
+
+
+def test_part_of_the_spine_is_enough(torso):
+    nominal = frontal_view()
+    choice = silhouette_choice(torso, nominal, torso.rest_pose)
+    corners = seen(torso, nominal.moved((6.0, 3.0), 0.05), choice, slice(2, 11))
+    _, pose = align_view(torso, torso.rest_pose, nominal, corners, choice)
+    assert pose.shift == pytest.approx((6.0, 3.0), abs=1e-6)
+    assert pose.roll == pytest.approx(0.05, abs=1e-8)
+
+
+def test_what_no_pose_explains_is_reported(torso):
+    """Every other vertebra 1 mm aside (at the patient plane): the pose stays and 1 mm remains."""
+    nominal = frontal_view()
+    choice = silhouette_choice(torso, nominal, torso.rest_pose)
+    corners = seen(torso, nominal, choice, slice(0, 16))
+    aside = np.where(np.arange(16) % 2, 1.0, -1.0)[:, None, None] * [1.0, 0.0] * nominal.magnification
+    _, pose = align_view(
+        torso, torso.rest_pose, nominal, VertebraCorners(corners.vertebrae, corners.corners + aside), choice
+    )
+    assert pose.rms_mm == pytest.approx(1.0, abs=0.05)
+    assert np.abs(pose.shift).max() < 0.1
+
+
+def test_no_vertebra_at_all_is_refused(torso):
+    with pytest.raises(TrackingError, match="no vertebra is left"):
+        align_view(torso, torso.rest_pose, frontal_view(), VertebraCorners((), np.empty((0, 4, 2))))

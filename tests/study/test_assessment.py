@@ -1,0 +1,190 @@
+"""Predictions of held-out frames beside their baselines, on examples whose numbers can be worked out by hand."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from spinestiff.anatomy.stiffness import stiffness_ratios
+from spinestiff.anatomy.template import template_torso
+from spinestiff.estimation.fit import FitStatus
+from spinestiff.errors import EquilibriumError, FitError
+from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
+from spinestiff.imaging.projection import frontal_view
+from spinestiff.study import assessment
+from spinestiff.study.assessment import BASELINES, assess, extrapolated, single_ratio
+from spinestiff.study.subject import PushRecord
+from spinestiff.study.trials import TrackedFrame, TrackedPush, push_set
+
+FORCES = (0.0, 10.0, 20.0, 30.0)
+MOVES = (0.0, 1.0, 3.0, 4.0)  # mm to the patient's left at the patient plane
+# Through the origin, least squares: (10 * 1 + 20 * 3) / (10^2 + 20^2) = 0.14 mm/N, so 4.2 mm at 30 N.
+EXTRAPOLATED = 4.2
+
+
+@pytest.fixture(scope="module")
+def torso():
+    return template_torso(157.0, "coarse")
+
+
+@pytest.fixture(scope="module")
+def rest(torso):
+    view = frontal_view()
+    choice = silhouette_choice(torso, view, torso.rest_pose)
+    corners = state_features(torso, view, torso.rest_pose, choice).corners
+    return VertebraCorners(torso.vertebrae, corners).selected(torso.vertebrae[2:16])
+
+
+def shifted(corners, mm):
+    return VertebraCorners(corners.vertebrae, corners.corners + [mm * frontal_view().magnification, 0.0])
+
+
+def tilted(corners, name, degrees):
+    """One vertebra turned about its centre; above 0: its left side up (rows grow downward)."""
+    quads, row = corners.corners.copy(), corners.vertebrae.index(name)
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    middle = quads[row].mean(0)
+    quads[row] = middle + (quads[row] - middle) @ np.array([[c, -s], [s, c]])
+    return VertebraCorners(corners.vertebrae, quads)
+
+
+def make_set(torso, frames):
+    push = PushRecord(
+        id="main",
+        side="right",
+        level=8.0,
+        d21_mm=400.0,
+        d31_mm=200.0,
+        frames="main.dcm",
+        forces_n=FORCES,
+        roles=("unused", "training", "training", "validation"),
+    )
+    return push_set(torso, [push], {"main": TrackedPush(frontal_view(), tuple(map(TrackedFrame, frames)))})
+
+
+@pytest.fixture
+def pushes(torso, rest):
+    return make_set(torso, [shifted(rest, mm) for mm in MOVES])
+
+
+@pytest.fixture
+def no_predictions(monkeypatch):
+    """Equilibria cost time and are tested elsewhere: here no model predicts anything."""
+    monkeypatch.setattr(assessment, "single_ratio", lambda pushes: None)
+    monkeypatch.setattr(assessment, "_predict", lambda *args: None)
+
+
+def test_extrapolation_is_linear_in_the_force(torso, pushes):
+    (item,) = pushes.of_role("validation")
+    names, features = extrapolated(pushes, item)
+    assert names == item.trial.corners.vertebrae
+    moved = features - np.stack(list(assessment._measured(pushes, pushes.reference("main")).values()))
+    assert moved[..., 0] == pytest.approx(np.full((14, 4), EXTRAPOLATED), abs=1e-9)
+    assert moved[..., 1] == pytest.approx(np.zeros((14, 4)), abs=1e-9)
+
+
+def test_extrapolation_takes_each_vertebra_from_the_frames_that_show_it(torso, rest):
+    without = rest.selected(tuple(v for v in rest.vertebrae if v not in ("T7", "L2")))
+    never = rest.selected(tuple(v for v in rest.vertebrae if v != "L2"))
+    frames = [rest, shifted(never, 1.0), shifted(without, 3.0), shifted(rest, 4.0)]
+    found = make_set(torso, frames)
+    (item,) = found.of_role("validation")
+    names, features = extrapolated(found, item)
+    assert "L2" not in names
+    base = assessment._measured(found, found.reference("main"))
+    # T7 is seen at 10 N alone: 0.1 mm/N.
+    assert (features[names.index("T7")] - base["T7"])[:, 0] == pytest.approx(np.full(4, 3.0), abs=1e-9)
+    assert (features[names.index("T8")] - base["T8"])[:, 0] == pytest.approx(np.full(4, EXTRAPOLATED), abs=1e-9)
+
+
+def test_without_a_common_vertebra_nothing_is_extrapolated(torso, rest):
+    upper, lower = rest.selected(rest.vertebrae[:7]), rest.selected(rest.vertebrae[7:])
+    found = make_set(torso, [rest, shifted(upper, 1.0), shifted(upper, 3.0), shifted(lower, 4.0)])
+    assert extrapolated(found, found.of_role("validation")[0]) is None
+
+
+def test_errors_are_those_at_the_patient_plane(pushes, no_predictions):
+    (frame,) = assess(pushes, stiffness_ratios({"tissue": 0.1}, pushes.torso.joints.kinds))
+    assert (frame.push, frame.frame, frame.force_n) == ("main", 3, 30.0)
+    assert frame.rmse_mm["rest"] == pytest.approx(4.0, abs=1e-6)
+    assert frame.rmse_mm["extrapolation"] == pytest.approx(0.2, abs=1e-6)
+    assert [frame.rmse_mm[name] for name in ("default", "fit", "single_ratio", "truth")] == [None] * 4
+    assert set(frame.rmse_mm) == set(BASELINES)
+    assert frame.cobb_change_deg["fit"] is None
+    assert frame.cobb_change_deg["measured"].tilt == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_measured_change_of_curvature_is_the_tilt_of_the_corners(torso, rest, no_predictions):
+    frames = [rest, rest, rest, tilted(rest, "T3", 6.0)]
+    (frame,) = assess(make_set(torso, frames), stiffness_ratios({"tissue": 0.1}, torso.joints.kinds))
+    change = frame.cobb_change_deg["measured"]
+    # Left side up at the uppermost one, unchanged below: convex to the left, above 0.
+    assert change.tilt == pytest.approx(6.0, abs=1e-6)
+    assert change.tilt_levels == ("T3", "T4")
+    record = frame.as_record()
+    assert record["cobb_change_deg"]["measured"]["tilt"] == pytest.approx(6.0, abs=1e-3)
+    assert record["cobb_change_deg"]["default"] is None
+    assert json.loads(json.dumps(record, allow_nan=False)) == record
+
+
+def test_a_prediction_that_is_the_truth_has_no_error(torso, monkeypatch):
+    """The engine's own state as the measured frame: every model that is right has RMSE 0, the others do not."""
+    kinds = torso.joints.kinds
+    true, wrong = {"lateral_bending": 0.5, "tissue": 0.3}, {"lateral_bending": 1.5, "tissue": 1.5}
+    view = frontal_view()
+    choice = silhouette_choice(torso, view, torso.rest_pose)
+    rest = VertebraCorners(torso.vertebrae, state_features(torso, view, torso.rest_pose, choice).corners)
+    monkeypatch.setattr(assessment, "single_ratio", lambda pushes: None)
+    blank = make_set(torso, [rest] * 4)
+    (item,) = blank.of_role("validation")
+    state = blank.problems["main"].solve(item.trial.load, stiffness_ratios(true, kinds)).require().state
+    pushed = VertebraCorners(torso.vertebrae, state_features(torso, view, state, choice).corners)
+    lines = []
+    found = make_set(torso, [rest, rest, rest, pushed])
+    (frame,) = assess(found, stiffness_ratios(wrong, kinds), true, lines.append)
+    assert frame.rmse_mm["truth"] < 1e-4
+    assert frame.rmse_mm["fit"] > 10.0 * frame.rmse_mm["truth"]
+    assert frame.rmse_mm["rest"] > frame.rmse_mm["fit"] > frame.rmse_mm["default"] > 0.0
+    changes = frame.cobb_change_deg
+    # Tilts of the picture's corners against tilts of the placed boxes: within a few tenths of a degree.
+    assert changes["truth"].tilt == pytest.approx(changes["measured"].tilt, abs=0.1)
+    assert changes["measured"].tilt > changes["default"].tilt > changes["fit"].tilt > 0.0
+    assert lines == ["fitting the one-ratio baseline", "push 'main' frame 3: predicting 30 N"]
+
+
+def test_a_failed_baseline_fit_makes_no_prediction(pushes, finished, monkeypatch):
+    for error in (FitError("no"), EquilibriumError("no")):
+
+        def fails(*args, error=error, **kwargs):
+            raise error
+
+        monkeypatch.setattr(assessment, "fit_stiffness", fails)
+        assert single_ratio(pushes) is None
+    monkeypatch.setattr(
+        assessment, "fit_stiffness", lambda *args, **kwargs: replace(finished.fit, status=FitStatus.STALLED)
+    )
+    assert single_ratio(pushes) is None
+    asked = []
+    monkeypatch.setattr(assessment, "fit_stiffness", lambda *args, **kwargs: asked.append(args) or finished.fit)
+    assert single_ratio(pushes) is finished.fit.ratios
+    problems, trials, names = asked[0]
+    assert len(problems) == len(trials) == 2
+    assert names == ("everything",)
+
+
+def test_what_is_written_of_a_whole_subject(finished):
+    records = json.loads((finished.folder / "results" / "assessment.json").read_text())
+    assert [(r["push"], r["frame"], r["force_n"]) for r in records] == [("main", 3, 30.0), ("second", 1, 30.0)]
+    for record in records:
+        assert set(record) == {"push", "frame", "force_n", "rmse_mm", "cobb_change_deg"}
+        assert set(record["rmse_mm"]) == set(BASELINES)
+        assert set(record["cobb_change_deg"]) == {"measured", "default", "fit", "truth"}
+        for change in record["cobb_change_deg"].values():
+            assert {"signed", "fixed_levels", "tilt"} <= set(change)
+        errors = record["rmse_mm"]
+        assert 0.0 < errors["fit"] < errors["default"] < errors["rest"]
+        assert errors["truth"] < errors["default"]
+        assert record["cobb_change_deg"]["measured"]["tilt"] < 0.0  # pushed from the left

@@ -1,0 +1,176 @@
+"""Synthetic subjects: a folder like any other, with a truth that never leaks into it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.errors import EquilibriumError, SubjectError
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.study import synthetic
+from spinestiff.study.results import file_digest
+from spinestiff.study.subject import image_corners, image_supports, read_push, read_rest, read_subject
+from spinestiff.study.synthetic import BENDING_RANGE, TISSUE_RANGE, Recipe, made_by, synthesise, truth_path
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {p.relative_to(folder).as_posix(): file_digest(p) for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.fixture(scope="module")
+def tiny(cheap_recipe):
+    return replace(cheap_recipe, shape=(128, 128), force_n=10.0, ratios=None)
+
+
+@pytest.fixture(scope="module")
+def twins(tmp_path_factory, few_frames, tiny):
+    folders = []
+    for name, seed in (("a", 5), ("b", 5), ("c", 6)):
+        folders.append(tmp_path_factory.mktemp("twins") / name)
+        synthesise(folders[-1], replace(tiny, seed=seed))
+    return folders
+
+
+def test_the_folder_is_a_subject(finished):
+    subject = read_subject(finished.folder)
+    assert subject.warnings == ()
+    assert subject.record.height_cm == 157.0
+    assert [push.id for push in subject.pushes] == ["main", "second"]
+    main, second = subject.pushes
+    assert main.side == second.side == "left"  # the curve is left-convex and is pushed straight
+    assert main.forces_n == (0.0, 15.0, 22.5, 30.0)
+    assert main.frames_of("training") == (1, 2)
+    assert second.frames_of("training") == ()
+    assert 100.0 < main.d31_mm < main.d21_mm < 500.0
+    assert second.d31_mm < main.d31_mm  # rib 6 lies higher than rib 8
+    for push in subject.pushes:
+        frames = read_push(subject, push)
+        corners = image_corners(subject, push.image, frames[0].view)
+        assert len(corners) >= 12
+        supports = image_supports(subject, push.image)
+        assert supports and set(supports) <= {"pelvis", "shoulder"}
+        assert frames[1].time_s == pytest.approx(0.25)
+    assert read_rest(subject, "lateral").view.shape == (512, 512)
+
+
+def test_radiographs_show_the_torso(finished):
+    """The spine absorbs more than what is beside it, and pushing changes the picture."""
+    subject = read_subject(finished.folder)
+    picture = read_rest(subject, "frontal")
+    pixels = np.asarray(picture.pixels, dtype=float)
+    corners = image_corners(subject, "rest/frontal", picture.view)
+    column, row = picture.view.pixels(corners.corners[corners.vertebrae.index("L1")]).mean(0).astype(int)
+    patch = pixels[row - 5 : row + 5, column - 5 : column + 5].mean()
+    assert patch > pixels[row - 5 : row + 5, :8].mean() + 0.2 * np.ptp(pixels)
+    first, *_, last = (np.asarray(frame.pixels, dtype=float) for frame in read_push(subject, subject.push("main")))
+    assert np.abs(last / last.mean() - first / first.mean()).mean() > 0.01
+
+
+def test_the_truth_lies_beside_the_folder_and_not_inside(finished, cheap_recipe):
+    assert finished.truth == finished.folder.with_name("girl.truth.json") == truth_path(finished.folder)
+    truth = json.loads(finished.truth.read_text())
+    assert truth["ratios"] == {"lateral_bending": 0.2, "tissue": 0.05}
+    assert truth["recipe"] == cheap_recipe.as_record()
+    assert truth["vertebrae"] == list(VERTEBRAE)
+    assert truth["rest_cobb_deg"] == pytest.approx(12.0, abs=2.0)
+    assert [len(truth["pushes"][push]) for push in ("main", "second")] == [4, 2]
+    changes = [frame["cobb_change_deg"]["tilt"] for frame in truth["pushes"]["main"]]
+    assert changes[0] == pytest.approx(0.0, abs=0.1)  # an unloaded torso is at rest
+    assert changes[-1] < changes[1] < 0.0  # a push from the left makes a spine right-convex
+    words = [b"truth", b"ratios"]
+    for path in finished.folder.rglob("*"):
+        if path.is_file() and "results" not in path.parts:
+            assert not any(word in path.read_bytes() for word in words), path
+
+
+def test_the_annotation_is_the_truth_with_a_persons_error(finished):
+    subject = read_subject(finished.folder)
+    truth = json.loads(finished.truth.read_text())
+    view = read_push(subject, subject.push("main"))[0].view
+    clicked = image_corners(subject, "push/main", view)
+    true = np.array(truth["pushes"]["main"][0]["corners_px"])[[VERTEBRAE.index(v) for v in clicked.vertebrae]]
+    error = view.to_patient_plane(clicked.corners) - view.to_patient_plane(view.from_pixels(true))
+    assert error.std() == pytest.approx(synthetic.ANNOTATION_SD_MM, rel=0.3)
+    assert abs(error.mean()) < 0.1
+
+
+def test_the_same_seed_gives_the_same_bytes(twins):
+    first, second, other = twins
+    assert digests(first) == digests(second)
+    assert file_digest(truth_path(first)) == file_digest(truth_path(second))
+    assert len(digests(first)) == 6
+    for name, digest in digests(other).items():
+        assert digests(first)[name] != digest, name
+
+
+def test_ratios_that_are_not_given_are_drawn_from_the_papers_range(twins):
+    drawn = [json.loads(truth_path(folder).read_text())["ratios"] for folder in twins]
+    assert drawn[0] == drawn[1] != drawn[2]
+    for ratios in drawn:
+        assert BENDING_RANGE[0] <= ratios["lateral_bending"] <= BENDING_RANGE[1]
+        assert TISSUE_RANGE[0] <= ratios["tissue"] <= TISSUE_RANGE[1]
+
+
+def test_a_folder_in_use_is_refused_untouched(twins, tiny):
+    before = digests(twins[0])
+    with pytest.raises(SubjectError, match="is not empty; choose another folder, nothing was written"):
+        synthesise(twins[0], tiny)
+    assert digests(twins[0]) == before
+
+
+def test_made_by_tells_the_same_recipe_from_another(twins, tiny, tmp_path):
+    recipe = replace(tiny, seed=5)
+    assert made_by(twins[0], recipe)
+    with pytest.raises(SubjectError, match="holds another subject"):
+        made_by(twins[0], replace(recipe, force_n=11.0))
+    assert not made_by(tmp_path / "new", recipe)
+    assert not made_by(tmp_path, recipe)
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(SubjectError, match="holds another subject"):
+        made_by(tmp_path, recipe)
+
+
+def test_a_push_that_cannot_be_carried_leaves_nothing_behind(tmp_path, few_frames, tiny, monkeypatch):
+    def limited(self, load, *args, solve=EquilibriumProblem.solve, **kwargs):
+        return solve(self, load, *args, **{**kwargs, **({"max_iterations": 2} if load.size > 200.0 else {})})
+
+    monkeypatch.setattr(EquilibriumProblem, "solve", limited)
+    with pytest.raises(EquilibriumError, match="reduce the force"):
+        synthesise(tmp_path / "crushed", replace(tiny, force_n=490.0, ratios=(0.05, 0.01)))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_truth_of_the_folder_one_stands_in_has_a_name(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert truth_path(".") == truth_path(tmp_path / "here") == tmp_path / "here.truth.json"
+    assert truth_path("sub") == Path("sub.truth.json")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"ratios": (0.001, 0.1)}, "stiffness ratio 0.001; wanted 0.005 to 5.0"),
+        ({"ratios": (0.1, 6.0)}, "stiffness ratio 6.0"),
+        ({"ratios": (float("nan"), 0.1)}, "stiffness ratio nan"),
+        ({"force_n": 0.0}, "force 0.0 N"),
+        ({"force_n": 501.0}, "force 501.0 N"),
+        ({"force_n": float("nan")}, "force nan N"),
+        ({"seed": -1}, "seed -1; wanted 0 or more"),
+    ],
+)
+def test_impossible_recipes_are_refused(wrong, words):
+    with pytest.raises(SubjectError, match=words):
+        Recipe(**wrong)
+
+
+def test_a_recipes_record_names_the_table_without_its_place():
+    record = Recipe(spine=(Path("somewhere") / "spines.csv", "a1"), ratios=(0.1, 0.01)).as_record()
+    assert record["spine"] == ["spines.csv", "a1"]
+    assert record["ratios"] == [0.1, 0.01]
+    assert json.loads(json.dumps(record)) == record

@@ -1,0 +1,140 @@
+"""From tracked corners to trials: what is used, what is left out, and what is said about it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from spinestiff.anatomy.template import template_torso
+from spinestiff.errors import SubjectError, TrackingError
+from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
+from spinestiff.imaging.projection import frontal_view
+from spinestiff.study.subject import PushRecord
+from spinestiff.study.trials import TrackedFrame, TrackedPush, push_set, usable_corners
+
+STOOD = ((6.0, -4.0), 0.02)
+
+
+@pytest.fixture(scope="module")
+def torso():
+    return template_torso(157.0, "coarse")
+
+
+@pytest.fixture(scope="module")
+def corners(torso):
+    """The torso at rest as a nominal view's detector shows it after the patient stood elsewhere."""
+    view = frontal_view()
+    choice = silhouette_choice(torso, view, torso.rest_pose)
+    seen = state_features(torso, view.moved(*STOOD), torso.rest_pose, choice).corners
+    return VertebraCorners(torso.vertebrae, seen).selected(torso.vertebrae[2:16])
+
+
+def record(forces=(0.0, 20.0, 40.0), roles=("unused", "training", "validation"), name="main", side="right"):
+    return PushRecord(
+        id=name,
+        side=side,
+        level=8.0,
+        d21_mm=400.0,
+        d31_mm=200.0,
+        frames=f"{name}.dcm",
+        forces_n=forces,
+        roles=roles,
+    )
+
+
+def tracked(*frames):
+    return TrackedPush(frontal_view(), tuple(f if isinstance(f, TrackedFrame) else TrackedFrame(f) for f in frames))
+
+
+def with_quality(corners, **lost):
+    quality = corners.quality.copy()
+    for name, value in lost.items():
+        quality[corners.vertebrae.index(name)] = value
+    return VertebraCorners(corners.vertebrae, corners.corners, quality)
+
+
+def test_every_frame_becomes_a_trial(torso, corners):
+    found = push_set(torso, [record()], {"main": tracked(corners, corners, corners)})
+    assert [(t.push, t.frame, t.force_n, t.role) for t in found.trials] == [
+        ("main", 0, 0.0, "unused"),
+        ("main", 1, 20.0, "training"),
+        ("main", 2, 40.0, "validation"),
+    ]
+    assert [t.frame for t in found.of_role("validation")] == [2]
+    assert found.reference("main").frame == 0
+    assert found.warnings == ()
+    assert [t.trial.load.size for t in found.trials] == pytest.approx([0.0, 20.0, 40.0])
+    assert found.trials[2].trial.label == "push 'main' frame 2"
+    assert {t.trial.push for t in found.trials} == {"main"}
+
+
+def test_where_the_patient_stood_is_read_from_the_unloaded_frame(torso, corners):
+    moved = VertebraCorners(corners.vertebrae, corners.corners + 3.0)
+    found = push_set(torso, [record()], {"main": tracked(corners, moved, moved)})
+    assert found.poses["main"].shift == pytest.approx(STOOD[0], abs=1e-5)
+    assert found.poses["main"].roll == pytest.approx(STOOD[1], abs=1e-7)
+    assert all(t.trial.view is found.trials[0].trial.view for t in found.trials)
+
+
+def test_the_push_points_from_its_side_and_sides_share_a_problem(torso, corners):
+    pushes = [record(), record(name="again"), record(name="other", side="left")]
+    found = push_set(torso, pushes, {p.id: tracked(corners, corners, corners) for p in pushes})
+    forces = {t.push: t.trial.load.forces[:, 0].sum() for t in found.of_role("training")}
+    assert forces == pytest.approx({"main": 20.0, "again": 20.0, "other": -20.0})
+    assert found.problems["main"] is found.problems["again"] is not found.problems["other"]
+
+
+def test_a_frame_whose_support_moved_is_left_out_and_named(torso, corners):
+    message = "frame 2: the pelvis moved by 3.4 mm (limit 3 mm); the frame is dropped"
+    frames = tracked(corners, corners, TrackedFrame(corners, message), corners)
+    roles = ("unused", "training", "validation", "validation")
+    found = push_set(torso, [record((0.0, 20.0, 40.0, 50.0), roles)], {"main": frames})
+    assert [t.frame for t in found.trials] == [0, 1, 3]
+    assert found.warnings == (f"push 'main' {message}",)
+    unused = push_set(torso, [record((0.0, 20.0, 40.0, 50.0), (*roles[:2], "unused", roles[3]))], {"main": frames})
+    assert unused.warnings == ()
+
+
+def test_lost_vertebrae_are_left_out_and_counted(torso, corners):
+    poor = with_quality(corners, T5=0.0, T8=[1.0, 1.0, 0.2, 0.1], L1=[1.0, 1.0, 1.0, 0.2])
+    found = push_set(torso, [record()], {"main": tracked(corners, poor, corners)})
+    (trial,) = found.of_role("training")
+    assert set(corners.vertebrae) - set(trial.trial.corners.vertebrae) == {"T5", "T8"}
+    l1 = trial.trial.corners.vertebrae.index("L1")
+    assert trial.trial.corners.quality[l1].tolist() == [1.0, 1.0, 1.0, 0.0]
+    assert found.warnings == ("push 'main' frame 1: 2 vertebrae were lost in tracking and are left out",)
+
+
+def test_a_frame_that_lost_all_is_left_out(torso, corners):
+    nothing = VertebraCorners(corners.vertebrae, corners.corners, np.zeros((len(corners), 4)))
+    found = push_set(torso, [record()], {"main": tracked(corners, corners, nothing)})
+    assert [t.frame for t in found.trials] == [0, 1]
+    assert found.warnings == ("push 'main' frame 2: dropped, all vertebrae were lost in tracking",)
+    with pytest.raises(TrackingError, match="no vertebra is left"):
+        push_set(torso, [record()], {"main": tracked(nothing, corners, corners)})
+
+
+def test_no_training_frame_left_is_refused(torso, corners):
+    dropped = TrackedFrame(corners, "frame 1: the shoulder moved by 9.0 mm")
+    with pytest.raises(SubjectError, match="no training frame is left after tracking"):
+        push_set(torso, [record()], {"main": tracked(corners, dropped, corners)})
+
+
+def test_a_push_without_an_unloaded_frame_is_warned_of(torso, corners):
+    push = record((5.0, 20.0, 40.0))
+    found = push_set(torso, [push], {"main": tracked(corners, corners, corners)})
+    assert found.warnings == (
+        "push 'main': its least force is 5 N, so that where the patient stood is read under load; "
+        "record a frame without force",
+    )
+    known = push_set(torso, [push], {"main": tracked(corners, corners, corners)}, {"main": torso.rest_pose})
+    assert known.warnings == ()
+    assert known.trials[1].trial.reference is None
+
+
+def test_usable_corners_keep_what_was_well_tracked(corners):
+    kept = usable_corners(with_quality(corners, T4=[0.29, 0.5, 0.5, 0.5], T6=[0.29, 0.29, 1.0, 1.0]))
+    assert "T4" in kept.vertebrae
+    assert "T6" not in kept.vertebrae
+    assert kept.quality[kept.vertebrae.index("T4")].tolist() == [0.0, 0.5, 0.5, 0.5]
+    assert len(kept) == len(corners) - 1
