@@ -31,7 +31,10 @@ def moved(torso):
     random = np.random.default_rng(0)
     step = np.zeros(torso.rest_pose.dofs)
     bones = step[: 6 * len(torso.bone_names)].reshape(-1, 6)
-    bones[:, :3], bones[:, 3:] = random.normal(0.0, 2.0, bones[:, :3].shape), random.normal(0.0, 0.03, bones[:, 3:].shape)
+    bones[:, :3], bones[:, 3:] = (
+        random.normal(0.0, 2.0, bones[:, :3].shape),
+        random.normal(0.0, 0.03, bones[:, 3:].shape),
+    )
     return retract(torso.rest_pose, step)
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.estimation.fit import FitStatus
 from spinestiff.errors import EquilibriumError, FitError
+from spinestiff.estimation.fit import FitStatus
 from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.study import assessment

@@ -15,6 +15,8 @@ import typer
 from spinestiff import __version__
 from spinestiff.errors import SpinestiffError, SubjectError
 
+INTERRUPTED = 130
+
 app = typer.Typer(
     name="spinestiff",
     help="Stiffness of spine and torso, with its uncertainty, from radiographs taken under measured pushes.",
@@ -47,9 +49,11 @@ def main() -> None:
     except SpinestiffError as error:
         _complain(str(error))
         sys.exit(error.exit_status)
-    except KeyboardInterrupt:
-        _complain("stopped; results of finished steps are kept")
-        sys.exit(130)
+    except SystemExit as end:
+        # Typer turns Ctrl-C into this status without a word.
+        if end.code == INTERRUPTED:
+            _complain("stopped; results of finished steps are kept")
+        raise
     except OSError as error:
         _complain(f"{error.filename or 'file system'}: {error.strerror or error}")
         sys.exit(2)

@@ -29,7 +29,6 @@ LIBRARIES = (
 )
 EXTRAS = {
     "python-gdcm": "JPEG Lossless radiographs (extra [dicom])",
-    "mmgpy": "building torso meshes anew (extra [mesh])",
 }
 
 

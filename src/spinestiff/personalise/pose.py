@@ -32,12 +32,19 @@ class ViewPose:
 
 
 def align_view(
-    torso: TorsoModel, state: TorsoState, nominal: XRayView, corners: VertebraCorners, choice: Ints | None = None
+    torso: TorsoModel,
+    state: TorsoState,
+    nominal: XRayView,
+    corners: VertebraCorners,
+    choice: Ints | None = None,
+    roll_share: float = 1.0,
 ) -> tuple[XRayView, ViewPose]:
     """The nominal view, moved so that the simulated features of ``state`` meet the measured ones best.
 
     ``XRayView.moved`` carries a picture of the patient plane by a plane rigid motion q -> Q q + shift, so the best
     motion is that of two point sets (Procrustes); points off the patient plane need a few rounds.
+
+    ``roll_share`` is how much of the best roll the view takes; the rest is left to the torso, as its own lean.
 
     Raises
     ------
@@ -51,9 +58,11 @@ def align_view(
     for _ in range(8):
         seen = state_features(torso, view, state, choice).z[rows].reshape(-1, 2)
         target = target_features(torso, view, corners).reshape(-1, 2)
-        if _is_still(seen, target):
+        wanted, _ = _rigid_motion(seen, target, None)
+        best = roll + wanted
+        turn, move = _rigid_motion(seen, target, roll_share * best - roll)
+        if abs(turn) < 1e-9 and np.abs(move).max() < 1e-7:
             break
-        turn, move = _rigid_motion(seen, target)
         # q -> Q(turn) (Q(roll) q + shift) + move
         shift, roll = _rotated(shift, turn) + move, roll + turn
         view = nominal.moved(shift, roll)
@@ -62,14 +71,11 @@ def align_view(
     return view, ViewPose(shift, roll, float(np.sqrt(np.mean(np.sum(residual**2, -1)))))
 
 
-def _is_still(seen: Floats, target: Floats) -> bool:
-    turn, move = _rigid_motion(seen, target)
-    return bool(abs(turn) < 1e-9 and np.abs(move).max() < 1e-7)
-
-
-def _rigid_motion(seen: Floats, target: Floats) -> tuple[float, Floats]:
-    a, b = seen - seen.mean(0), target - target.mean(0)
-    turn = float(np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)))
+def _rigid_motion(seen: Floats, target: Floats, turn: float | None) -> tuple[float, Floats]:
+    """The turn (the best one, or the given one) and the shift after it that bring one point set to the other."""
+    if turn is None:
+        a, b = seen - seen.mean(0), target - target.mean(0)
+        turn = float(np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)))
     return turn, target.mean(0) - _rotated(seen.mean(0), turn)
 
 

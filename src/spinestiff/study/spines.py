@@ -164,7 +164,10 @@ def _axial_rotation(points: dict[str, dict[str, Floats]]) -> Floats:
         return np.zeros(len(VERTEBRAE))
     number = np.arange(float(len(VERTEBRAE)))
     filled = np.interp(number, number[known], angles[known] - np.median(angles[known]))
-    return np.asarray(_smoothed(filled[:, None], number)[0][:, 0])
+    # Pedicle points of single levels stray by tens of degrees: a median of five before the smoothing.
+    padded = np.pad(filled, 2, mode="reflect")
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
+    return np.asarray(_smoothed(middle[:, None], number)[0][:, 0])
 
 
 def _vertebra_frames(up: Floats, axial: Floats) -> Floats:
