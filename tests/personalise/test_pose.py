@@ -37,6 +37,21 @@ def test_a_moved_view_is_found(torso, make, shift, roll):
     assert found.detector_axes == pytest.approx(true.detector_axes, abs=1e-8)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_a_roll_may_be_left_to_the_torso(torso, share):
+    """The view takes its share; the middles of both pictures meet all the same."""
+    nominal = frontal_view()
+    choice = silhouette_choice(torso, nominal, torso.rest_pose)
+    corners = seen(torso, nominal.moved((8.0, -5.0), 0.05), choice)
+    view, pose = align_view(torso, torso.rest_pose, nominal, corners, choice, roll_share=share)
+    assert pose.roll == pytest.approx(share * 0.05, abs=1e-4)
+    assert pose.rms_mm > 1.0
+    shown, wanted = (
+        view.to_patient_plane(c).reshape(-1, 2).mean(0) for c in (seen(torso, view, choice).corners, corners.corners)
+    )
+    assert shown == pytest.approx(wanted, abs=1e-3)
+
+
 def test_part_of_the_spine_is_enough(torso):
     nominal = frontal_view()
     choice = silhouette_choice(torso, nominal, torso.rest_pose)

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import json
-from itertools import product
 
 import numpy as np
 import pytest
 
+from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoState
 from spinestiff.errors import SubjectError
-from spinestiff.estimation.uncertainty import joint_region_contains
 from spinestiff.mechanics.equilibrium import Equilibrium, SolveStatus
 from spinestiff.mechanics.supports import Reaction
+from spinestiff.study.pipeline import run_steps
 from spinestiff.study.results import read_json, write_json
 from spinestiff.study.visit import (
     Settings,
     cobb_rows,
+    compare_with_truth,
     estimated_ratios,
+    load_pushes,
     load_tracked,
     open_visit,
     plain_stiffness,
@@ -41,42 +43,46 @@ def with_truth(tmp_path, **ratios):
     return path
 
 
-def test_the_joint_region_is_the_fits(finished, tmp_path):
-    """Read from the file as computed from the fit, for truths inside and outside, near the region's edge too."""
+def compared(folder, truth):
+    visit = open_visit(folder, truth=truth)
+    return compare_with_truth(visit, load_pushes(visit, read_torso(visit.file("torso.npz"))))
+
+
+def test_the_truth_is_measured_on_the_model(finished, tmp_path):
+    """At the estimate itself the distance is 0; for truths near it the linear answer; far off it is outside."""
     fit = finished.fit
-    scale, axes = np.linalg.eigh(fit.uncertainty.covariance)
-    answers = []
-    for angle, far in product(np.linspace(0.0, 2.0 * np.pi, 7), (0.0, 0.5, 0.99, 1.01, 3.0)):
-        direction = axes @ (np.array([np.cos(angle), np.sin(angle)]) * np.sqrt(scale * fit.uncertainty.region_size))
-        truth = dict(zip(fit.names, np.exp(np.log(fit.ratios.values) + far * direction).tolist()))
-        found = truth_in_region(open_visit(finished.folder, truth=with_truth(tmp_path, **truth)))
-        assert found is joint_region_contains(fit, truth) is (far < 1.0)
-        answers.append(found)
-    assert {True, False} == set(answers)
+    at_estimate = compared(finished.folder, with_truth(tmp_path, **fit.ratios.as_dict()))
+    assert at_estimate["distance2"] < 1e-6
+    assert at_estimate["inside"] is True
+    direction = np.linalg.cholesky(fit.uncertainty.covariance) @ np.array([0.6, 0.8])
+    near = dict(zip(fit.names, np.exp(np.log(fit.ratios.values) + 0.05 * direction).tolist()))
+    assert compared(finished.folder, with_truth(tmp_path, **near))["distance2"] == pytest.approx(0.05**2, rel=0.15)
+    stiff = compared(finished.folder, with_truth(tmp_path, lateral_bending=1.0, tissue=1.0))
+    assert stiff["distance2"] > stiff["region_size"]
+    assert stiff["inside"] is False
 
 
-def test_the_order_of_names_in_the_file_does_not_matter(subject, tmp_path):
-    """Keys are sorted when written; the covariance keeps the order of the fit."""
-    path = subject / "results" / "estimate.json"
-    record = read_json(path)
-    record["parameters"] = record["parameters"][::-1]
-    record["covariance_log"] = np.array(record["covariance_log"])[::-1, ::-1].tolist()
-    before = truth_in_region(open_visit(subject, truth=with_truth(tmp_path, lateral_bending=0.25, tissue=0.05)))
-    write_json(path, record)
-    assert truth_in_region(open_visit(subject, truth=tmp_path / "other.truth.json")) is before
+def test_assess_writes_the_comparison_and_others_read_it(subject, finished, tmp_path):
+    visit = open_visit(subject, truth=finished.truth)
+    run_steps(visit, ("assess",))
+    record = read_json(visit.file("comparison.json"))
+    assert record["inside"] is (record["distance2"] <= record["region_size"])
+    assert truth_in_region(visit) is record["inside"]
+    another = open_visit(subject, truth=with_truth(tmp_path, lateral_bending=0.3, tissue=0.05))
+    assert truth_in_region(another) is None
 
 
 def test_no_truth_no_answer(finished, subject):
     assert truth_in_region(open_visit(finished.folder)) is None
+    assert compared(finished.folder, None) is None
     record = read_json(subject / "results" / "estimate.json")
     write_json(subject / "results" / "estimate.json", {**record, "covariance_log": [[None, None], [None, None]]})
-    assert truth_in_region(open_visit(subject, truth=finished.truth)) is None
+    assert compared(subject, finished.truth)["inside"] is None
 
 
 def test_a_truth_without_an_estimated_ratio_is_refused(finished, tmp_path):
-    visit = open_visit(finished.folder, truth=with_truth(tmp_path, tissue=0.05))
     with pytest.raises(SubjectError, match="holds no true ratio of lateral_bending"):
-        truth_in_region(visit)
+        compared(finished.folder, with_truth(tmp_path, tissue=0.05))
 
 
 @pytest.mark.parametrize("content", ["[]", '{"ratios": 3}', '{"ratios": {"tissue": "much"}}', '{"ratio": {}}'])

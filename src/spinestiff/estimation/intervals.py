@@ -14,14 +14,19 @@ h(q) = +-t C_i / sd_i, with C_i the i-th column: as far as h_i may go, the other
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.evaluation import Evaluation, Slope, TrialSet, compliance_step, log_step
+from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.uncertainty import Uncertainty
+from spinestiff.imaging.features import Orientation
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
 
 # Of the half-width, in h: from here the last linear step is taken without another solve.
 CLOSE_ENOUGH = 0.15
@@ -79,6 +84,25 @@ def inverted_intervals(
 def estimator_offset(point: Evaluation, slope: Slope, other: Evaluation) -> Floats:
     """h(q) (P,) of another evaluation of the same trials: distributed as the estimate's error if q is the truth."""
     return np.asarray(np.linalg.lstsq(slope.jacobian, other.values - point.values, rcond=None)[0])
+
+
+def offset_from(
+    problems: Sequence[EquilibriumProblem],
+    trials: Sequence[Trial],
+    estimate: StiffnessRatios,
+    true_ratios: Mapping[str, float],
+    orientation: Orientation,
+) -> Floats:
+    """h(q) (P,) of known true ratios: what the joint region has to hold if it holds the truth.
+
+    Raises
+    ------
+    EquilibriumError : no equilibrium at the estimate or at the truth.
+    """
+    trial_set = TrialSet(problems, trials, estimate.groups, orientation, None)
+    centre = trial_set.solve(np.log(estimate.values))
+    slope = trial_set.slope(centre)
+    return estimator_offset(centre, slope, trial_set.solve(np.log([true_ratios[name] for name in estimate.names])))
 
 
 def _solve_end(

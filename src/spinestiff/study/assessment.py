@@ -103,7 +103,7 @@ def assess(
 
 def single_ratio(pushes: PushSet) -> StiffnessRatios | None:
     """One common ratio for all stiffnesses, fitted to the training frames; None if that fit fails."""
-    training = [t for t in pushes.of_role("training") if t.force_n > 0.0]
+    training = pushes.training
     try:
         fit = fit_stiffness(
             [pushes.problems[t.push] for t in training],

@@ -32,7 +32,15 @@ from spinestiff.study.results import (
 )
 from spinestiff.study.subject import image_corners, image_supports, read_push, read_rest
 from spinestiff.study.trials import PushSet
-from spinestiff.study.visit import Observer, Visit, assess_visit, load_pushes, plain_stiffness, support_warnings
+from spinestiff.study.visit import (
+    Observer,
+    Visit,
+    assess_visit,
+    compare_with_truth,
+    load_pushes,
+    plain_stiffness,
+    support_warnings,
+)
 
 SCHEMA_VERSION = 1
 STEPS = ("track", "personalise", "estimate", "assess", "report")
@@ -87,11 +95,12 @@ def _recipe(visit: Visit, step: str) -> tuple[list[Path], list[Path], dict[str, 
         "report": {"truth": truth},
     }
     shape = [file("torso.npz"), file("personalised.json")]
+    assessed = [file("assessment.json"), *([file("comparison.json")] if visit.truth else [])]
     needed = {
         "track": (images, [file("tracked.json")]),
         "personalise": (images, shape),
         "estimate": ([*images[:2], file("tracked.json"), *shape], [file("estimate.json")]),
-        "assess": ([*images[:2], file("tracked.json"), *shape, file("estimate.json")], [file("assessment.json")]),
+        "assess": ([*images[:2], file("tracked.json"), *shape, file("estimate.json")], assessed),
         "report": (
             [*images, file("tracked.json"), *shape, file("estimate.json"), file("assessment.json")],
             [file("report.html")],
@@ -179,10 +188,13 @@ def estimate_step(visit: Visit, say: Observer) -> None:
 
 
 def assess_step(visit: Visit, say: Observer) -> None:
-    """Predict the held-out frames; writes ``assessment.json``."""
-    frames, _ = assess_visit(visit, say)
+    """Predict the held-out frames; writes ``assessment.json`` and, where the truth is given, ``comparison.json``."""
+    frames, pushes = assess_visit(visit, say)
     records: list[dict[str, Any]] = [frame.as_record() for frame in frames]
+    comparison = compare_with_truth(visit, pushes)
     write_json(visit.file("assessment.json"), records)
+    if comparison is not None:
+        write_json(visit.file("comparison.json"), comparison)
 
 
 def report_step(visit: Visit, say: Observer) -> None:
@@ -203,7 +215,7 @@ _FUNCTIONS: Mapping[str, Callable[[Visit, Observer], None]] = {
 
 def fit_training(visit: Visit, pushes: PushSet, say: Observer) -> StiffnessFit:
     """The fit of the training frames under load."""
-    training = [t for t in pushes.of_role("training") if t.force_n > 0.0]
+    training = pushes.training
 
     def progress(step: FitStep) -> None:
         tried = ", ".join(f"{name} {value:.4g}" for name, value in step.ratios.items())
@@ -221,7 +233,7 @@ def fit_training(visit: Visit, pushes: PushSet, say: Observer) -> StiffnessFit:
 
 
 def _estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit) -> dict[str, Any]:
-    training = [t for t in pushes.of_role("training") if t.force_n > 0.0]
+    training = pushes.training
     last = int(np.argmax([t.force_n for t in training]))
     item, equilibrium = training[last], fit.equilibria[last]
     push = visit.subject.push(item.push)

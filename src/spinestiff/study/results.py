@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import json
 import math
 import os
@@ -16,6 +15,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
 
+from spinestiff import __version__
 from spinestiff.errors import SpinestiffError, SubjectError
 
 LARGEST_JSON = 10_000_000
@@ -119,11 +119,8 @@ def _plain(value: Any) -> Any:
 
 
 def package_version() -> str:
-    """The installed version of spinestiff."""
-    try:
-        return importlib.metadata.version("spinestiff")
-    except importlib.metadata.PackageNotFoundError:
-        return "not installed"
+    """The version of spinestiff that runs."""
+    return __version__
 
 
 def inputs_digest(folder: Path, paths: Iterable[Path]) -> dict[str, str]:

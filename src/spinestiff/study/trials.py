@@ -79,6 +79,11 @@ class PushSet:
     def of_role(self, role: str) -> tuple[PushTrial, ...]:
         return tuple(trial for trial in self.trials if trial.role == role)
 
+    @property
+    def training(self) -> tuple[PushTrial, ...]:
+        """The training frames under a force."""
+        return tuple(trial for trial in self.of_role("training") if trial.force_n > 0.0)
+
     def reference(self, push: str) -> PushTrial:
         """The frame of a push with the least force, to which changes are measured."""
         return min((t for t in self.trials if t.push == push), key=lambda t: t.force_n)

@@ -12,8 +12,9 @@ from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.stiffness import NMM_PER_NM, StiffnessRatios, stiffness_ratios
 from spinestiff.anatomy.template import MESHES
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.errors import SubjectError
+from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.estimation.fit import METHODS
+from spinestiff.estimation.intervals import offset_from
 from spinestiff.imaging.features import ORIENTATIONS, VertebraCorners
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.equilibrium import Equilibrium
@@ -190,20 +191,45 @@ def _usable_tilts(push: TrackedPush, index: int) -> SpineTilts:
     return tilts(corners.vertebrae, corners.corners, push.view)
 
 
-def truth_in_region(visit: Visit) -> bool | None:
-    """Whether the 95 % joint region of ``estimate.json`` holds the true ratios; None without truth or region."""
-    record = read_json(visit.file("estimate.json"))
-    covariance, size = record["covariance_log"], record["joint_region_size"]
-    if visit.truth is None or size is None or any(v is None for row in covariance for v in row):
+def compare_with_truth(visit: Visit, pushes: PushSet) -> dict[str, object] | None:
+    """How far the estimate lies from known true ratios, in the measure of its joint region; None without a truth.
+
+    The offset is found on the model, as the intervals' ends are (estimation/intervals.py).
+
+    Raises
+    ------
+    SubjectError : the truth lacks a ratio that was estimated.
+    """
+    if visit.truth is None:
         return None
-    truth = read_truth(visit.truth)
-    lacking = [name for name in record["ratios"] if name not in truth]
+    record, truth = read_json(visit.file("estimate.json")), read_truth(visit.truth)
+    lacking = [name for name in record["parameters"] if name not in truth]
     if lacking:
         raise SubjectError(f"{visit.truth}: holds no true ratio of {lacking[0]}, which was estimated")
-    offset = np.array([np.log(truth[name] / entry["value"]) for name, entry in record["ratios"].items()])
-    order = list(record["ratios"])
-    matrix = np.array(covariance)
-    if record["parameters"] != order:
-        which = [record["parameters"].index(name) for name in order]
-        matrix = matrix[np.ix_(which, which)]
-    return bool(offset @ np.linalg.solve(matrix, offset) <= size)
+    covariance, size = record["covariance_log"], record["joint_region_size"]
+    result: dict[str, object] = {"truth": truth, "region_size": size, "distance2": None, "inside": None}
+    if size is None or any(v is None for row in covariance for v in row):
+        return result
+    values = {name: record["ratios"][name]["value"] for name in record["parameters"]}
+    estimate = stiffness_ratios(values, pushes.torso.joints.kinds)
+    training = pushes.training
+    try:
+        offset = offset_from(
+            [pushes.problems[t.push] for t in training],
+            [t.trial for t in training],
+            estimate,
+            truth,
+            record["orientation"],
+        )
+    except EquilibriumError:
+        return result
+    distance2 = float(offset @ np.linalg.solve(np.array(covariance), offset))
+    return {**result, "distance2": distance2, "inside": bool(distance2 <= size)}
+
+
+def truth_in_region(visit: Visit) -> bool | None:
+    """Whether the 95 % joint region holds the true ratios, as ``assess`` found; None where that is not known."""
+    if visit.truth is None or not visit.file("comparison.json").exists():
+        return None
+    record = read_json(visit.file("comparison.json"))
+    return record["inside"] if record["truth"] == read_truth(visit.truth) else None
