@@ -388,6 +388,7 @@ def odd_html(visit: Visit, tmp_path_factory: pytest.TempPathFactory) -> str:
     found = changed(found, folder / "two", "assessment.json", beaten)
     found = changed(found, folder / "three", "tracked.json", named)
     write_json(folder / "truth.json", {"ratios": TRUE})
+    write_json(found.file("comparison.json"), {"truth": TRUE, "inside": True})
     return written(Visit(found.subject, found.settings, folder / "truth.json"))
 
 

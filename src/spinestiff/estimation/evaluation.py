@@ -52,7 +52,7 @@ class FitStep:
     iteration : evaluations so far, 0 = start.
     ratios : name -> value tried.
     loss : mm^2, NaN where no equilibrium was found.
-    rmse_mm : same, as a distance.
+    rmse_mm : corner RMSE of places; not what the loss is made of where trials have an unloaded reference.
     accepted : whether the fit moved there.
     damping : Levenberg-Marquardt's; NaN for L-BFGS-B.
     """

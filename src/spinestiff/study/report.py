@@ -115,7 +115,7 @@ def write_report(visit: Visit, say: Observer) -> None:
         pictures, page = _compose(visit, say)
     except (KeyError, TypeError, IndexError) as error:
         raise SubjectError(
-            f"{visit.subject.results}: results lack what the report needs ({error}); run spinestiff run --force"
+            f"{visit.subject.results}: results lack what the report needs ({error}); run spinestiff run --redo"
         ) from None
     folder = visit.file("figures")
     folder.mkdir(parents=True, exist_ok=True)
