@@ -60,6 +60,9 @@ def run_subject(folder: Path, recipe: Recipe) -> dict[str, object]:
     run_steps(visit, ("track", "personalise", "estimate", "assess"))
     estimate, frames = read_json(visit.file("estimate.json")), read_json(visit.file("assessment.json"))
     errors = {frame["push"]: frame["rmse_mm"] for frame in frames}
+    missing = {"main", "second"} - set(errors)
+    if missing:
+        raise SpinestiffError(f"no held-out frame of push {sorted(missing)[0]}: {'; '.join(estimate['warnings'])}")
     second = errors["second"]
     return {
         "subject": folder.name,

@@ -161,7 +161,11 @@ def test_without_truth_there_is_none_in_the_assessment(spinestiff, subject, monk
     from spinestiff.study import assessment
 
     monkeypatch.setattr(assessment, "single_ratio", lambda pushes: None)
-    monkeypatch.setattr(assessment, "_predict", lambda *args: None)
+
+    def at_rest(pushes, item, model, start):
+        return SimpleNamespace(converged=True, status=None, state=pushes.torso.rest_pose)
+
+    monkeypatch.setattr(assessment, "_predict", at_rest)
     result = spinestiff("assess", subject)
     assert result.status == 0
     assert "true ratios inside" not in result.out
@@ -416,7 +420,7 @@ def test_bad_radiographs_keep_all_results(spinestiff, subject, spoil, words):
 
 def test_a_stale_tracking_is_refused(spinestiff, subject):
     edit("subject.json", more_forces)(subject)
-    refused(spinestiff("estimate", subject), r"2 frames for 3 forces_n\); run spinestiff track again")
+    refused(spinestiff("estimate", subject), r"was made before subject\.json changed; run spinestiff track again")
 
 
 def test_steps_ask_for_those_before(spinestiff, subject):
@@ -446,8 +450,10 @@ def test_an_absurd_force_ends_with_3_and_keeps_the_estimate(spinestiff, subject,
     def short(self, *args, solve=EquilibriumProblem.solve, **kwargs):
         return solve(self, *args, **{**kwargs, "max_iterations": 2})
 
-    monkeypatch.setattr(EquilibriumProblem, "solve", short)
     edit("subject.json", lambda c: c["pushes"][0].update(forces_n=[0.0, 400.0, 450.0, 500.0]))(subject)
+    spinestiff("track", subject)
+    spinestiff("personalise", subject)
+    monkeypatch.setattr(EquilibriumProblem, "solve", short)
     before = digests(subject)
     refused(spinestiff("estimate", subject), r"equilibrium", 3)
     assert digests(subject) == before

@@ -164,7 +164,7 @@ def fake_fit(covariance: np.ndarray, dof: float) -> SimpleNamespace:
     spread = estimator_uncertainty(toy_jacobian(), np.zeros(2 * V * 8), LAYOUT)
     spread = spread.__class__(covariance, np.full(2, dof), {}, float(np.linalg.cond(jacobian) ** 2), 0.0)
     ratios = SimpleNamespace(values=np.array([0.1, 0.01]))
-    return SimpleNamespace(ratios=ratios, names=("lateral_bending", "tissue"), uncertainty=spread)
+    return SimpleNamespace(bounds=(1e-9, 1e9), ratios=ratios, names=("lateral_bending", "tissue"), uncertainty=spread)
 
 
 def test_joint_region_is_chi_square_for_many_degrees_of_freedom() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.fit import FitStatus
 from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
 from spinestiff.imaging.projection import frontal_view
+from spinestiff.mechanics.equilibrium import SolveStatus
 from spinestiff.study import assessment
 from spinestiff.study.assessment import BASELINES, assess, extrapolated, single_ratio
 from spinestiff.study.subject import PushRecord
@@ -70,11 +72,17 @@ def pushes(torso, rest):
     return make_set(torso, [shifted(rest, mm) for mm in MOVES])
 
 
+def failing_but_for_the_fit(pushes, item, model, start):
+    """The estimate predicts the rest pose, no other model finds an equilibrium."""
+    status = SolveStatus.STALLED if model is None else SolveStatus.CONVERGED
+    return SimpleNamespace(converged=model is not None, status=status, state=pushes.torso.rest_pose)
+
+
 @pytest.fixture
 def no_predictions(monkeypatch):
-    """Equilibria cost time and are tested elsewhere: here no model predicts anything."""
+    """Equilibria cost time and are tested elsewhere."""
     monkeypatch.setattr(assessment, "single_ratio", lambda pushes: None)
-    monkeypatch.setattr(assessment, "_predict", lambda *args: None)
+    monkeypatch.setattr(assessment, "_predict", failing_but_for_the_fit)
 
 
 def test_extrapolation_is_linear_in_the_force(torso, pushes):
@@ -107,13 +115,17 @@ def test_without_a_common_vertebra_nothing_is_extrapolated(torso, rest):
 
 
 def test_errors_are_those_at_the_patient_plane(pushes, no_predictions):
-    (frame,) = assess(pushes, stiffness_ratios({"tissue": 0.1}, pushes.torso.joints.kinds))
+    lines = []
+    (frame,) = assess(pushes, stiffness_ratios({"tissue": 0.1}, pushes.torso.joints.kinds), observer=lines.append)
+    assert any("no prediction by 'default'" in line for line in lines)
     assert (frame.push, frame.frame, frame.force_n) == ("main", 3, 30.0)
     assert frame.rmse_mm["rest"] == pytest.approx(4.0, abs=1e-6)
     assert frame.rmse_mm["extrapolation"] == pytest.approx(0.2, abs=1e-6)
-    assert [frame.rmse_mm[name] for name in ("default", "fit", "single_ratio", "truth")] == [None] * 4
+    assert frame.rmse_mm["fit"] == pytest.approx(frame.rmse_mm["rest"])
+    assert [frame.rmse_mm[name] for name in ("default", "single_ratio", "truth")] == [None] * 3
     assert set(frame.rmse_mm) == set(BASELINES)
-    assert frame.cobb_change_deg["fit"] is None
+    assert frame.cobb_change_deg["default"] is None
+    assert frame.cobb_change_deg["fit"].tilt == 0.0
     assert frame.cobb_change_deg["measured"].tilt == pytest.approx(0.0, abs=1e-9)
 
 
@@ -128,6 +140,14 @@ def test_the_measured_change_of_curvature_is_the_tilt_of_the_corners(torso, rest
     assert record["cobb_change_deg"]["measured"]["tilt"] == pytest.approx(6.0, abs=1e-3)
     assert record["cobb_change_deg"]["default"] is None
     assert json.loads(json.dumps(record, allow_nan=False)) == record
+
+
+def test_an_estimate_without_a_prediction_is_a_failure(pushes, monkeypatch):
+    monkeypatch.setattr(assessment, "single_ratio", lambda pushes: None)
+    stalled = SimpleNamespace(converged=False, status=SolveStatus.STALLED)
+    monkeypatch.setattr(assessment, "_predict", lambda *args: stalled)
+    with pytest.raises(EquilibriumError, match="no prediction by the estimate"):
+        assess(pushes, stiffness_ratios({"tissue": 0.1}, pushes.torso.joints.kinds))
 
 
 def test_a_prediction_that_is_the_truth_has_no_error(torso, monkeypatch):

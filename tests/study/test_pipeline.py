@@ -199,7 +199,16 @@ def test_a_lost_or_damaged_result_is_made_again(subject, dry, name, redone, how)
 
 def test_redo_runs_what_was_asked(subject, dry):
     assert run_steps(opened(subject), ("estimate",), force=True) == ["estimate"]
-    assert run_steps(opened(subject), ("report", "track"), force=True) == ["track", "report"]
+    assert run_steps(opened(subject), ("assess", "estimate"), force=True) == ["estimate", "assess"]
+
+
+def test_results_made_from_something_else_are_refused(subject, dry):
+    """What lies between the step asked for and the changed file has to be redone first."""
+    path = subject / "results" / "tracked.json"
+    path.write_text(path.read_text(encoding="utf-8") + " ", encoding="utf-8")
+    with pytest.raises(SubjectError, match=r"estimate\.json: was made before results/tracked\.json changed"):
+        run_steps(opened(subject), ("assess",))
+    assert run_steps(opened(subject), ("estimate", "assess")) == ["estimate", "assess"]
 
 
 def test_tracking_again_is_the_same_tracking(subject):
@@ -301,4 +310,4 @@ def test_a_frame_whose_supports_moved_is_found_and_left_out(subject):
     assert [t.frame for t in pushes.of_role("training")] == [2]
     (warning,) = [w for w in pushes.warnings if "dropped" in w]
     assert warning.startswith("push 'main' frame 1: the ")
-    assert "(limit 3 mm); the frame is dropped" in warning
+    assert "mm); the frame is dropped" in warning

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from spinestiff.anatomy.template import template_torso
-from spinestiff.errors import SubjectError, TrackingError
+from spinestiff.errors import SubjectError
 from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.study.subject import PushRecord
@@ -109,9 +111,10 @@ def test_a_frame_that_lost_all_is_left_out(torso, corners):
     nothing = VertebraCorners(corners.vertebrae, corners.corners, np.zeros((len(corners), 4)))
     found = push_set(torso, [record()], {"main": tracked(corners, corners, nothing)})
     assert [t.frame for t in found.trials] == [0, 1]
-    assert found.warnings == ("push 'main' frame 2: dropped, all vertebrae were lost in tracking",)
-    with pytest.raises(TrackingError, match="no vertebra is left"):
-        push_set(torso, [record()], {"main": tracked(nothing, corners, corners)})
+    assert found.warnings == ("push 'main' frame 2: dropped, no vertebrae are left (wanted 3)",)
+    first_lost = push_set(torso, [record()], {"main": tracked(nothing, corners, corners)})
+    assert [t.frame for t in first_lost.trials] == [1, 2]
+    assert first_lost.trials[1].trial.reference is None
 
 
 def test_no_training_frame_left_is_refused(torso, corners):
@@ -127,9 +130,22 @@ def test_a_push_without_an_unloaded_frame_is_warned_of(torso, corners):
         "push 'main': its least force is 5 N, so that where the patient stood is read under load; "
         "record a frame without force",
     )
-    known = push_set(torso, [push], {"main": tracked(corners, corners, corners)}, {"main": torso.rest_pose})
-    assert known.warnings == ()
-    assert known.trials[1].trial.reference is None
+    assert found.trials[1].trial.reference is None
+
+
+def test_the_reference_is_the_least_loaded_frame_that_can_be_used(torso, corners):
+    """A first frame that was dropped says nothing about where the patient stood."""
+    dropped = TrackedFrame(corners, "frame 0: the pelvis moved")
+    view = tracked(corners, corners, corners)
+    found = push_set(torso, [record((0.0, 20.0, 40.0))], {"main": replace(view, frames=(dropped, *view.frames[1:]))})
+    assert found.reference("main").frame == 1
+    assert any("least force is 20 N" in w for w in found.warnings)
+
+
+def test_a_push_of_which_nothing_is_left_is_refused(torso, corners):
+    nothing = VertebraCorners(corners.vertebrae, corners.corners, np.zeros((len(corners), 4)))
+    with pytest.raises(SubjectError, match="no frame is usable"):
+        push_set(torso, [record()], {"main": tracked(nothing, nothing, nothing)})
 
 
 def test_usable_corners_keep_what_was_well_tracked(corners):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import secrets
 import zlib
 from pathlib import Path
 from typing import Any
@@ -51,13 +53,18 @@ def write_torso(path: str | Path, torso: TorsoModel) -> None:
     if surfaces:
         arrays["surface_vertices"] = np.vstack([s.vertices for s in surfaces])
         arrays["surface_faces"] = _compact(np.vstack([s.faces for s in surfaces]))
+    temporary = Path(path).with_name(f".{Path(path).name}.{secrets.token_hex(4)}.tmp")
     try:
-        with open(path, "wb") as stream:
+        # Whole or not at all: an interrupted write leaves the old file.
+        with temporary.open("xb") as stream:
             np.savez_compressed(stream, **arrays)
+        os.replace(temporary, path)
     except OSError as error:
         raise TorsoError(
             f"{path}: can't write the torso ({error.strerror}); choose a folder you may write to"
         ) from None
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def read_torso(path: str | Path) -> TorsoModel:

@@ -250,20 +250,21 @@ def _levenberg_marquardt(
         target = np.clip(point.log_ratios + change, *limits)
         try:
             trial = trial_set.solve(target, point, slope)
+            decrease = point.loss - trial.loss
+            # More than promised counts as promised: a promise can be as small as rounding.
+            gain = min(decrease / max(predicted, 1e-300), 1.0)
+            after = trial_set.slope(trial) if gain > 1e-4 else None
         except EquilibriumError:
             trial_set.note(target, None, False, damping)
             damping = max(10.0 * damping, 0.1)
         else:
-            decrease = point.loss - trial.loss
-            gain = decrease / max(predicted, 1e-300)
-            trial_set.note(target, trial, gain > 1e-4, damping)
-            if gain > 1e-4:
-                after = trial_set.slope(trial)
+            trial_set.note(target, trial, after is not None, damping)
+            if after is not None:
                 straight, curved = (_predicted(point, slope, compliance_step(change), c) for c in (None, curvature))
                 bent = bool(curvature.any()) and abs(curved - decrease) < abs(straight - decrease)
                 curvature, first = _secant(curvature, change, point, slope, trial, after), not curvature.any()
                 # A first curvature has not predicted anything yet; it is tried where the straight model was poor.
-                bent = bent or (first and not 0.75 < gain < 1.5)
+                bent = bent or (first and not 0.75 < decrease / max(predicted, 1e-300) < 1.5)
                 point, slope = trial, after
                 damping, growth = damping * max(1.0 / 5.0, 1.0 - (2.0 * gain - 1.0) ** 3), 4.0
             else:
@@ -357,10 +358,11 @@ def _lbfgsb(
     def objective(log_ratios: Floats) -> tuple[float, Floats]:
         nonlocal best
         if np.array_equal(log_ratios, point.log_ratios):
-            found = point
+            found, gradient = point, trial_set.gradient(point)
         else:
             try:
                 found = trial_set.solve(log_ratios, last[0])
+                gradient = trial_set.gradient(found)
             except EquilibriumError:
                 trial_set.note(log_ratios, None, False)
                 # A wall: the line search turns back from it.
@@ -368,7 +370,7 @@ def _lbfgsb(
             trial_set.note(log_ratios, found, found.loss < best.loss)
         last[0] = found
         best = found if found.loss < best.loss else best
-        return found.loss / scale, trial_set.gradient(found) / scale
+        return found.loss / scale, gradient / scale
 
     result = minimize(
         objective,

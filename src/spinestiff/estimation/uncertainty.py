@@ -320,6 +320,8 @@ def joint_region_contains(fit: StiffnessFit, truth: dict[str, float]) -> bool:
 def joint_region_outline(fit: StiffnessFit, pair: tuple[str, str] | None = None, points: int = 100) -> Floats:
     """(points, 2) ratios on the edge of the 95 % joint region of two of the fitted ratios, for drawing.
 
+    Cut at the fit's bounds.
+
     Raises
     ------
     FitError : fewer than two ratios, a name that was not fitted, or a covariance that is not finite.
@@ -339,4 +341,5 @@ def joint_region_outline(fit: StiffnessFit, pair: tuple[str, str] | None = None,
     size = 2.0 * fisher.ppf(CONFIDENCE, 2, float(fit.uncertainty.dof[rows].min()))
     angle = np.linspace(0.0, 2.0 * np.pi, points)
     circle = np.stack([np.cos(angle), np.sin(angle)], 1) * np.sqrt(size * np.maximum(scale, 0.0))
-    return np.asarray(np.exp(np.log(fit.ratios.values[rows]) + circle @ axes.T))
+    outline = np.log(fit.ratios.values[rows]) + circle @ axes.T
+    return np.asarray(np.exp(np.clip(outline, *np.log(fit.bounds))))

@@ -34,6 +34,8 @@ Observer = Callable[[int, int], None]
 
 SUPPORT_LIMIT_MM = 3.0
 """A support that moved by more (patient plane) makes a frame unfit for use (paper 2.1)."""
+DEPTH_OF_SLIDE = 0.4
+"""Motion in depth of a shoulder for each mm that it slides along its wall: 0.3 to 0.4 in the template under a push."""
 # Half width of the band along a vertebra's outline that is registered, in parts of the vertebra's size.
 BAND = 0.2
 # Pictures finer than this (mm at the patient plane) are binned first: noise shrinks and flow needs its time.
@@ -68,11 +70,13 @@ class SupportMotion:
     displacement : (F, 2) mm at the patient plane along columns and rows, mean over the support's points: a pelvis that
         turns about its hinge does not count as moved.
     quality : (F,) in 0..1; 0 = not visible, the displacement means nothing.
+    off_axis : how far the support's points lie from the principal ray, over the distance of the source.
     """
 
     name: str
     displacement: Floats
     quality: Floats
+    off_axis: float = 0.0
 
     def __post_init__(self) -> None:
         displacement = read_only("displacement", self.displacement, (None, 2), TrackingError)
@@ -86,15 +90,21 @@ class SupportMotion:
         return np.asarray(np.linalg.norm(counting, axis=1))
 
     @property
+    def limit(self) -> Floats:
+        """(F,) mm: 3, and for a shoulder what its slide may add: with it goes a motion in depth, seen off the axis."""
+        slide = np.abs(self.displacement[:, 1]) if self.name == "shoulder" else 0.0 * self.displacement[:, 1]
+        return np.asarray(SUPPORT_LIMIT_MM + self.off_axis * DEPTH_OF_SLIDE * slide)
+
+    @property
     def moved(self) -> NDArray[np.bool_]:
-        """(F,) whether it is seen to have moved by more than 3 mm."""
-        return (self.distance > SUPPORT_LIMIT_MM) & (self.quality > 0.0)
+        """(F,) whether it is seen to have moved by more than its limit."""
+        return np.asarray((self.distance > self.limit) & (self.quality > 0.0))
 
     def messages(self) -> dict[int, str]:
         """For each frame to be dropped, why."""
         return {
             int(frame): f"frame {frame}: the {self.name} moved by {self.distance[frame]:.1f} mm "
-            f"(limit {SUPPORT_LIMIT_MM:g} mm); the frame is dropped"
+            f"(limit {self.limit[frame]:.1f} mm); the frame is dropped"
             for frame in np.flatnonzero(self.moved)
         }
 
@@ -165,12 +175,14 @@ def support_motion(
     bodies = [_Body.of_square(point, radius) for where in groups.values() for point in pictures.binned(where)]
     poses, quality = _follow(pictures, bodies, observer, chained=False)
     shifts = poses[:, :, 1:] * pictures.mm
+    view = frames[0].view
     found = []
     for name in groups:
         mine = owners == name
         weight = quality[:, mine] + 1e-12
         mean = np.einsum("fp,fpi->fi", weight / weight.sum(1, keepdims=True), shifts[:, mine])
-        found.append(SupportMotion(name, mean, quality[:, mine].max(1)))
+        away = np.abs(view.to_patient_plane(view.from_pixels(groups[name]))[:, 0]).max()
+        found.append(SupportMotion(name, mean, quality[:, mine].max(1), float(away) / view.source_to_patient))
     return tuple(found)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -68,7 +68,7 @@ class Equilibrium:
     residual_norm : N, largest unbalanced force (moments over 30 mm).
     tolerance : N, what ``residual_norm`` was asked to reach.
     reactions : what the supports exert.
-    history : one entry an iteration. factorisations : numeric factorisations done.
+    history : one entry an iteration, of all attempts. factorisations : numeric factorisations of all attempts.
     smallest_j : smallest volume ratio at the integration points.
     """
 
@@ -161,22 +161,24 @@ class EquilibriumProblem:
             wanted = self.tolerance(load) if tolerance is None else tolerance
             return self._newton(load, ratios, state, observer, max_iterations, wanted)
 
-        attempt = newton(load, start or self.torso.rest_pose)
-        spent = attempt.factorisations
-        if not attempt.converged and start is not None:
-            attempt = newton(load, self.torso.rest_pose)
-            spent += attempt.factorisations
-        if not attempt.converged:
+        attempts = [newton(load, start or self.torso.rest_pose)]
+        if not attempts[-1].converged and start is not None:
+            attempts.append(newton(load, self.torso.rest_pose))
+        best = attempts[-1]
+        if not best.converged:
             state = self.torso.rest_pose
             for share in (0.25, 0.5, 0.75, 1.0):
-                stepped = newton(load.scaled(share), state)
-                spent += stepped.factorisations
-                if not stepped.converged:
+                attempts.append(newton(load.scaled(share), state))
+                if not attempts[-1].converged:
                     break
-                state = stepped.state
+                state = attempts[-1].state
             else:
-                attempt = stepped
-        return Equilibrium(**{**attempt.__dict__, "factorisations": spent})
+                best = attempts[-1]
+        return replace(
+            best,
+            history=tuple(step for attempt in attempts for step in attempt.history),
+            factorisations=sum(attempt.factorisations for attempt in attempts),
+        )
 
     def linearise(
         self, equilibrium: Equilibrium, load: LoadCase, ratios: StiffnessRatios | None = None
@@ -239,8 +241,8 @@ class EquilibriumProblem:
             residual = self.residual_norm(gradient)
             step, projected = 0.0, False
             if residual <= tolerance:
-                if iteration == 0:
-                    # A start that balances may be a saddle: no tangent has been asked yet.
+                if iteration == 0 or not stable:
+                    # The last tangent was asked a step ago, or none was: a balance may be a saddle or not.
                     stable = self._is_minimum(state, stiffness, terms)
                     factorisations += 1
                 status = SolveStatus.CONVERGED if stable else SolveStatus.SADDLE
@@ -299,7 +301,8 @@ class EquilibriumProblem:
         if not slope < 0.0:
             return None
         # Near the solution energy differences drown in rounding; there a smaller residual decides.
-        rounding = 1e-12 * (abs(energy) + float(np.abs(stiffness.joints).max(initial=0.0)) * 1e-12)
+        outside = sum(abs(term.energy(state)) for term in terms)
+        rounding = 1e-12 * (abs(energy) + outside)
         step = 1.0
         for _ in range(40):
             trial = advance(state, step * direction)

@@ -93,11 +93,17 @@ def assess(
     for item in pushes.of_role("validation"):
         say(f"push '{item.push}' frame {item.frame}: predicting {item.force_n:.0f} N")
         states = {"rest": pushes.torso.rest_pose}
+        starts = {}
         for name, model in models.items():
-            equilibrium = _predict(pushes, item, model, last.get((name, item.push)))
-            if equilibrium is not None:
-                states[name] = last[(name, item.push)] = equilibrium.state
-        frames.append(_compare(pushes, item, states))
+            found = _predict(pushes, item, model, last.get((name, item.push)))
+            if found.converged:
+                states[name] = last[(name, item.push)] = found.state
+                starts[name] = _start(pushes, item.push, model)
+            elif name == "fit":
+                raise EquilibriumError(f"{item.trial.label}: no prediction by the estimate: {found.status.value}")
+            else:
+                say(f"{item.trial.label}: no prediction by '{name}': {found.status.value}")
+        frames.append(_compare(pushes, item, states, starts))
     return tuple(frames)
 
 
@@ -146,14 +152,21 @@ def _measured(pushes: PushSet, item: PushTrial) -> dict[str, Floats]:
     return dict(zip(item.trial.corners.vertebrae, features))
 
 
-def _predict(
-    pushes: PushSet, item: PushTrial, model: StiffnessRatios | None, start: TorsoState | None
-) -> Equilibrium | None:
-    found = pushes.problems[item.push].solve(item.trial.load, model, start)
-    return found if found.converged else None
+def _predict(pushes: PushSet, item: PushTrial, model: StiffnessRatios | None, start: TorsoState | None) -> Equilibrium:
+    return pushes.problems[item.push].solve(item.trial.load, model, start)
 
 
-def _compare(pushes: PushSet, item: PushTrial, states: Mapping[str, TorsoState]) -> FrameAssessment:
+def _start(pushes: PushSet, push: str, model: StiffnessRatios | None) -> TorsoState:
+    """What a model makes of the frame that changes are measured from: at rest, unless even that one is loaded."""
+    reference = pushes.reference(push)
+    if reference.force_n == 0.0:
+        return pushes.torso.rest_pose
+    return _predict(pushes, reference, model, None).require().state
+
+
+def _compare(
+    pushes: PushSet, item: PushTrial, states: Mapping[str, TorsoState], starts: Mapping[str, TorsoState]
+) -> FrameAssessment:
     target = make_target(pushes.torso, item.trial)
     errors: dict[str, float | None] = dict.fromkeys(BASELINES)
     for name, state in states.items():
@@ -165,22 +178,28 @@ def _compare(pushes: PushSet, item: PushTrial, states: Mapping[str, TorsoState])
         errors["extrapolation"] = rmse(features, target.z[rows])
     reference = pushes.reference(item.push)
     common = tuple(v for v in item.trial.corners.vertebrae if v in reference.trial.corners.vertebrae)
-    changes: dict[str, CobbChange | None] = {"measured": _measured_change(reference, item, common)}
-    rest = _simulated_tilts(pushes, target, pushes.torso.rest_pose, common)
+    changes: dict[str, CobbChange | None] = {"measured": _measured_change(pushes, reference, item, common)}
     for name in ("default", "fit", "truth"):
         if name in states:
-            changes[name] = cobb_change(rest, _simulated_tilts(pushes, target, states[name], common))
+            before = _simulated_tilts(pushes, target, starts[name], common)
+            changes[name] = cobb_change(before, _simulated_tilts(pushes, target, states[name], common))
         elif name != "truth":
             changes[name] = None
     return FrameAssessment(item.push, item.frame, item.force_n, errors, changes, dict(states))
 
 
-def _measured_change(reference: PushTrial, item: PushTrial, common: tuple[str, ...]) -> CobbChange | None:
+def _measured_change(
+    pushes: PushSet, reference: PushTrial, item: PushTrial, common: tuple[str, ...]
+) -> CobbChange | None:
+    """From placed boxes, as the simulated change is: the corners' own endplates carry the annotation's noise twice."""
     if len(common) < 2:
         return None
-    before, after = (t.trial.corners.selected(common) for t in (reference, item))
     view = item.trial.view
-    return cobb_change(tilts(common, before.corners, view), tilts(common, after.corners, view))
+    before, after = (
+        tilts(common, target_features(pushes.torso, view, t.trial.corners.selected(common)), view)
+        for t in (reference, item)
+    )
+    return cobb_change(before, after)
 
 
 def _simulated_tilts(pushes: PushSet, target: Target, state: TorsoState, common: tuple[str, ...]) -> SpineTilts:

@@ -23,6 +23,7 @@ from spinestiff.mechanics.loads import three_point_reactions
 from spinestiff.personalise.shape import Personalised, personalise
 from spinestiff.study.results import (
     StepRecord,
+    changed_inputs,
     file_digest,
     inputs_digest,
     is_current,
@@ -64,6 +65,7 @@ def run_steps(
         for path in inputs:
             if not path.exists():
                 raise SubjectError(f"{path}: no such file; run the step that makes it first ({_maker(path)})")
+            _refuse_stale(visit.subject.folder, path)
         hashes = inputs_digest(visit.subject.folder, inputs)
         digest = step_digest(hashes, settings)
         if not force and is_current(visit.subject.folder, step, digest):
@@ -110,15 +112,24 @@ def _recipe(visit: Visit, step: str) -> tuple[list[Path], list[Path], dict[str, 
     return inputs, outputs, chosen[step]
 
 
+MAKERS = {
+    "tracked.json": "track",
+    "torso.npz": "personalise",
+    "personalised.json": "personalise",
+    "estimate.json": "estimate",
+    "assessment.json": "assess",
+}
+
+
 def _maker(path: Path) -> str:
-    makers = {
-        "tracked.json": "track",
-        "torso.npz": "personalise",
-        "personalised.json": "personalise",
-        "estimate.json": "estimate",
-        "assessment.json": "assess",
-    }
-    return f"spinestiff {makers[path.name]}" if path.name in makers else "see docs/subject-folder.md"
+    return f"spinestiff {MAKERS[path.name]}" if path.name in MAKERS else "see docs/subject-folder.md"
+
+
+def _refuse_stale(folder: Path, path: Path) -> None:
+    """Raise SubjectError if what made a result has changed since."""
+    changed = changed_inputs(folder, MAKERS[path.name]) if path.name in MAKERS else ()
+    if changed:
+        raise SubjectError(f"{path}: was made before {changed[0]} changed; run {_maker(path)} again, or spinestiff run")
 
 
 def track_step(visit: Visit, say: Observer) -> None:
@@ -268,8 +279,9 @@ def _estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit) -> dict[s
         "reactions_n": {
             "push": item.trial.label,
             "f3": item.force_n,
-            "shoulder": abs(float(equilibrium.reaction("shoulder")[0])),
-            "pelvis": abs(float(equilibrium.reaction("pelvis")[0])),
+            # Above 0 against the push; below 0 a support would have to pull.
+            "shoulder": -push.sign * float(equilibrium.reaction("shoulder")[0]),
+            "pelvis": -push.sign * float(equilibrium.reaction("pelvis")[0]),
             "eq2_shoulder": f1,
             "eq1_pelvis": f2,
         },

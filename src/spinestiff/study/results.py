@@ -184,6 +184,15 @@ def is_current(folder: Path, step: str, digest: str) -> bool:
     return all((folder / name).is_file() and file_digest(folder / name) == sha for name, sha in outputs.items())
 
 
+def changed_inputs(folder: Path, step: str) -> tuple[str, ...]:
+    """Input files of a recorded step that have changed or gone since it ran, by path relative to ``folder``."""
+    recorded = _recorded_steps(folder).get(step)
+    inputs = recorded.get("inputs", {}) if isinstance(recorded, dict) else {}
+    return tuple(
+        name for name, sha in inputs.items() if not (folder / name).is_file() or file_digest(folder / name) != sha
+    )
+
+
 def _run_file(folder: Path) -> Path:
     return folder / RESULTS / "run.json"
 

@@ -153,10 +153,10 @@ class PushRecord(_Record):
             raise ValueError(
                 f"found {len(self.forces_n)} forces_n and {len(self.roles)} roles, wanted one of each a frame"
             )
-        if self.d31_mm > self.d21_mm:
+        if self.d31_mm >= self.d21_mm:
             raise ValueError(
-                f"d31_mm {self.d31_mm:g} exceeds d21_mm {self.d21_mm:g}; wanted the push between shoulder and pelvis "
-                "(Eqs. 1-2)"
+                f"d31_mm {self.d31_mm:g} is not below d21_mm {self.d21_mm:g}; "
+                "wanted the push between shoulder and pelvis (Eqs. 1-2)"
             )
         used = [force for force, role in zip(self.forces_n, self.roles) if role != "unused"]
         if used and not any(used):

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import SubjectError
-from spinestiff.estimation.objective import Trial
+from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Trial
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -93,17 +93,12 @@ def push_set(
     torso: TorsoModel,
     pushes: Sequence[PushRecord],
     tracked: Mapping[str, TrackedPush],
-    reference_states: Mapping[str, TorsoState] | None = None,
 ) -> PushSet:
-    """Trials of all pushes; each push's view is moved to meet its frame of least force.
-
-    Parameters
-    ----------
-    reference_states : push id -> simulated state under the least force, where that force is not zero.
+    """Trials of all pushes; each push's view is moved to meet its usable frame of least force.
 
     Raises
     ------
-    SubjectError : no training frame is left.
+    SubjectError : a push without a usable frame, or no training frame is left.
     """
     problems, trials, poses, warnings = {}, [], {}, []
     by_side: dict[str, EquilibriumProblem] = {}
@@ -112,15 +107,19 @@ def push_set(
         if push.side not in by_side:
             by_side[push.side] = EquilibriumProblem(torso, three_point_supports(torso, push.side))
         problems[push.id] = by_side[push.side]
-        least = int(np.argmin(push.forces_n))
-        state = (reference_states or {}).get(push.id, torso.rest_pose)
-        if push.forces_n[least] > 0.0 and push.id not in (reference_states or {}):
+        corners = [usable_corners(frame.corners) for frame in found.frames]
+        usable = [
+            i for i, frame in enumerate(found.frames) if not frame.dropped and len(corners[i]) >= FEWEST_VERTEBRAE
+        ]
+        if not usable:
+            raise SubjectError(f"push '{push.id}': no frame is usable after tracking; see the messages of that step")
+        least = min(usable, key=lambda i: push.forces_n[i])
+        if push.forces_n[least] > 0.0:
             warnings.append(
                 f"push '{push.id}': its least force is {push.forces_n[least]:g} N, so that where the patient stood "
                 "is read under load; record a frame without force"
             )
-        reference = usable_corners(found.frames[least].corners)
-        view, poses[push.id] = align_view(torso, state, found.view, reference)
+        view, poses[push.id] = align_view(torso, torso.rest_pose, found.view, corners[least])
         for index, (frame, force, role) in enumerate(zip(found.frames, push.forces_n, push.roles)):
             label = f"push '{push.id}' frame {index}"
             if frame.dropped and role != "unused":
@@ -129,11 +128,12 @@ def push_set(
                 continue
             load = rib_push(torso, push.side, push.level, force, label=label)
             # Seen unloaded in the same sequence, vertebrae are compared by how far they moved from there.
-            unloaded = reference if push.forces_n[least] == 0.0 and index != least else None
-            trial = Trial(load, usable_corners(frame.corners), view, label, push.id, unloaded)
+            unloaded = corners[least] if push.forces_n[least] == 0.0 and index != least else None
+            trial = Trial(load, corners[index], view, label, push.id, unloaded)
             lost = len(frame.corners) - len(trial.corners)
-            if not len(trial.corners):
-                warnings.append(f"{label}: dropped, all vertebrae were lost in tracking")
+            if index not in usable:
+                left = len(trial.corners)
+                warnings.append(f"{label}: dropped, {left or 'no'} vertebrae are left (wanted {FEWEST_VERTEBRAE})")
                 continue
             if lost and role != "unused":
                 warnings.append(f"{label}: {lost} vertebrae were lost in tracking and are left out")
