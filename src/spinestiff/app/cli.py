@@ -262,7 +262,10 @@ def _summary(visit: Any) -> None:
     from spinestiff.app import tables
     from spinestiff.study.results import read_json
 
-    tables.show(tables.estimate_table(read_json(visit.file("estimate.json"))))
+    estimate = read_json(visit.file("estimate.json"))
+    tables.show(tables.estimate_table(estimate))
+    for warning in estimate["warnings"]:
+        typer.echo(f"warning: {warning}")
     _assess(visit)
     typer.echo(f"report: {visit.file('report.html')}")
 

@@ -70,8 +70,6 @@ def estimate_table(record: dict[str, Any]) -> Table:
     )
     table.add_row("lumbar level, lateral bending", f"{plain['lateral_bending_lumbar_nm_per_rad']:.1f} N m/rad", "", "")
     table.add_row("tissue, Young's modulus", f"{plain['tissue_young_kpa']:.1f} kPa", "", "")
-    for warning in record["warnings"]:
-        table.add_row(f"warning: {escape(warning)}")
     return table
 
 
