@@ -137,6 +137,9 @@ def test_run_on_a_finished_subject_prints_the_result(spinestiff, subject, finish
     assert digests(subject) == before
     for name, value in finished.fit.ratios.as_dict().items():
         assert re.search(rf"{name} .*{value:.4g}", result.out)
+    warnings = read_json(subject / "results" / "estimate.json")["warnings"]
+    assert warnings
+    assert [f"warning: {text}" in result.out for text in warnings] == [True] * len(warnings)
     assert re.search(r"main 3 .*30 ", result.out)
     assert re.search(r"true ratios inside the joint 95 % region: (yes|no)\n", result.out)
     assert f"report: {subject / 'results' / 'report.html'}" in result.out
