@@ -268,7 +268,7 @@ REFUSED = {
     "other distance": (having(), Geometry(source_detector_mm=1530.0), "1500 mm, but subject.json gives source_d"),
     "other spacing": (having(), Geometry(imager_pixel_mm=0.3), "ImagerPixelSpacing is 0.4 mm, but subject.json"),
     "other view": (having(), Geometry(view="lateral"), "is frontal, but subject.json has view lateral"),
-    "no orientation": (without("PatientOrientation"), None, "no PatientOrientation; add view"),
+    "no orientation": (without("PatientOrientation"), None, "no PatientOrientation; if the image is shown as usual"),
     "lying": (having(PatientOrientation=["F", "L"]), None, "not upright"),
     "modality": (having(Modality="CT"), None, "modality CT is no projection radiograph"),
     "no picture": (without("PixelData"), None, "no picture"),

@@ -7,6 +7,7 @@ input, 3 no equilibrium or no estimate.
 from __future__ import annotations
 
 import sys
+import warnings
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -44,6 +45,7 @@ SpineId = Annotated[str | None, typer.Option(help="Which spine of the table.")]
 
 def main() -> None:
     """Run the command line; every known failure ends in one line and its exit status."""
+    warnings.showwarning = lambda message, *_, **__: _complain(f"warning: {message}")
     try:
         app()
     except SpinestiffError as error:
@@ -117,7 +119,7 @@ def estimate(
     folder: Folder, method: Method = "lm", orientation: Orientation = "procrustes", redo: Force = False
 ) -> None:
     """Estimate the stiffness ratios from the training frames."""
-    _steps(folder, ("estimate",), redo, method=method, orientation=orientation)
+    _print_estimate(_steps(folder, ("estimate",), redo, method=method, orientation=orientation))
 
 
 @app.command()
@@ -192,7 +194,7 @@ def check(
     from spinestiff.verification.checks import run_checks
 
     with progress(quiet=json) as say:
-        results = run_checks(lambda done: say(str(done)))
+        results = run_checks(lambda done: say(f"check: {done.name}"))
     if json:
         tables.show_json([tables.check_record(result) for result in results])
     else:
@@ -258,7 +260,7 @@ def _assess(visit: Any) -> None:
         typer.echo(f"true ratios inside the joint 95 % region: {'yes' if inside else 'no'}")
 
 
-def _summary(visit: Any) -> None:
+def _print_estimate(visit: Any) -> None:
     from spinestiff.app import tables
     from spinestiff.study.results import read_json
 
@@ -266,6 +268,10 @@ def _summary(visit: Any) -> None:
     tables.show(tables.estimate_table(estimate))
     for warning in estimate["warnings"]:
         typer.echo(f"warning: {warning}")
+
+
+def _summary(visit: Any) -> None:
+    _print_estimate(visit)
     _assess(visit)
     typer.echo(f"report: {visit.file('report.html')}")
 

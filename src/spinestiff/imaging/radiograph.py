@@ -491,7 +491,9 @@ def _orientation(dataset: Dataset, given: Geometry) -> tuple[str, str, str]:
         raise RadiographError(f"view '{given.view}'; wanted frontal or lateral")
     if not tag or len(tag) != 2 or not all(str(part).strip() for part in tag):
         if given.view is None:
-            raise RadiographError("no PatientOrientation; add view (frontal or lateral) to subject.json")
+            raise RadiographError(
+                "no PatientOrientation; if the image is shown as usual, add xray.orientation 'standard' to subject.json"
+            )
         assumed = ("L", "F") if given.view == "frontal" else ("A", "F")
         return *assumed, f"given view {given.view}, columns taken to grow to {assumed[0]}, rows to {assumed[1]}"
     column, row = (_plain(part)[:1] for part in tag)

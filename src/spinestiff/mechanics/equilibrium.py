@@ -97,8 +97,12 @@ class Equilibrium:
         return self
 
     def reaction(self, name: str) -> Floats:
-        """(3,) N, the summed force of all supports whose name starts with ``name``."""
-        return np.sum([r.force for r in self.reactions if r.name.startswith(name)] or [np.zeros(3)], axis=0)
+        """(3,) N, the summed force of all supports whose name starts with ``name``; EquilibriumError if none does."""
+        forces = [r.force for r in self.reactions if r.name.startswith(name)]
+        if not forces:
+            known = ", ".join(dict.fromkeys(r.name for r in self.reactions))
+            raise EquilibriumError(f"no support '{name}'; there are {known}")
+        return np.sum(forces, axis=0)
 
 
 Observer = Callable[[NewtonStep], None]

@@ -19,6 +19,7 @@ from spinestiff.errors import EquilibriumError
 
 # A free body's six rigid modes pass a factorisation in silence and give |x| ~ 1e15; the residual shows it.
 RESIDUAL_LIMIT = 1e-8
+BACKENDS = ("rslab", "superlu")
 
 
 class _Backend(Protocol):
@@ -82,8 +83,8 @@ class Analysis:
         # Ones, so that no entry of the pattern is dropped as an exact zero.
         self._pattern = sp.csc_array((np.ones(len(indices)), indices, indptr), shape=(n, n))
         self.backend = backend or default_backend()
-        if self.backend not in ("rslab", "superlu"):
-            raise EquilibriumError(f"unknown sparse solver '{self.backend}'; wanted 'rslab' or 'superlu'")
+        if self.backend not in BACKENDS:
+            raise EquilibriumError(f"unknown sparse solver '{self.backend}'; wanted one of {', '.join(BACKENDS)}")
         if self.backend == "rslab":
             import rslab
 
@@ -113,6 +114,8 @@ def default_backend() -> str:
     """The solver in use: SPINESTIFF_SOLVER, else "rslab" where it can be imported, else "superlu"."""
     chosen = os.environ.get("SPINESTIFF_SOLVER")
     if chosen:
+        if chosen not in BACKENDS:
+            raise EquilibriumError(f"SPINESTIFF_SOLVER names '{chosen}'; wanted one of {', '.join(BACKENDS)}")
         return chosen
     try:
         import rslab  # noqa: F401
