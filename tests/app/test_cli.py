@@ -163,7 +163,7 @@ def test_without_truth_there_is_none_in_the_assessment(spinestiff, subject, monk
     """Predictions are stubbed: what counts is what reaches the file."""
     from spinestiff.study import assessment
 
-    monkeypatch.setattr(assessment, "single_ratio", lambda pushes: None)
+    monkeypatch.setattr(assessment, "single_ratio", lambda *args: None)
 
     def at_rest(pushes, item, model, start):
         return SimpleNamespace(converged=True, status=None, state=pushes.torso.rest_pose)

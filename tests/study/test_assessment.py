@@ -81,7 +81,7 @@ def failing_but_for_the_fit(pushes, item, model, start):
 @pytest.fixture
 def no_predictions(monkeypatch):
     """Equilibria cost time and are tested elsewhere."""
-    monkeypatch.setattr(assessment, "single_ratio", lambda pushes: None)
+    monkeypatch.setattr(assessment, "single_ratio", lambda *args: None)
     monkeypatch.setattr(assessment, "_predict", failing_but_for_the_fit)
 
 
@@ -143,7 +143,7 @@ def test_the_measured_change_of_curvature_is_the_tilt_of_the_corners(torso, rest
 
 
 def test_an_estimate_without_a_prediction_is_a_failure(pushes, monkeypatch):
-    monkeypatch.setattr(assessment, "single_ratio", lambda pushes: None)
+    monkeypatch.setattr(assessment, "single_ratio", lambda *args: None)
     stalled = SimpleNamespace(converged=False, status=SolveStatus.STALLED)
     monkeypatch.setattr(assessment, "_predict", lambda *args: stalled)
     with pytest.raises(EquilibriumError, match="no prediction by the estimate"):
@@ -157,7 +157,7 @@ def test_a_prediction_that_is_the_truth_has_no_error(torso, monkeypatch):
     view = frontal_view()
     choice = silhouette_choice(torso, view, torso.rest_pose)
     rest = VertebraCorners(torso.vertebrae, state_features(torso, view, torso.rest_pose, choice).corners)
-    monkeypatch.setattr(assessment, "single_ratio", lambda pushes: None)
+    monkeypatch.setattr(assessment, "single_ratio", lambda *args: None)
     blank = make_set(torso, [rest] * 4)
     (item,) = blank.of_role("validation")
     state = blank.problems["main"].solve(item.trial.load, stiffness_ratios(true, kinds)).require().state

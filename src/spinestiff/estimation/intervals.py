@@ -102,7 +102,8 @@ def offset_from(
     trial_set = TrialSet(problems, trials, estimate.groups, orientation, None)
     centre = trial_set.solve(np.log(estimate.values))
     slope = trial_set.slope(centre)
-    return estimator_offset(centre, slope, trial_set.solve(np.log([true_ratios[name] for name in estimate.names])))
+    truth = np.log([true_ratios[name] for name in estimate.names])
+    return estimator_offset(centre, slope, trial_set.solve(truth, centre, slope))
 
 
 def _solve_end(

@@ -83,7 +83,7 @@ def assess(
     kinds = pushes.torso.joints.kinds
     models: dict[str, StiffnessRatios | None] = {"default": None, "fit": ratios}
     say("fitting the one-ratio baseline")
-    single = single_ratio(pushes)
+    single = single_ratio(pushes, float(np.exp(np.mean(np.log(ratios.values)))))
     if single is not None:
         models["single_ratio"] = single
     if truth is not None:
@@ -107,14 +107,15 @@ def assess(
     return tuple(frames)
 
 
-def single_ratio(pushes: PushSet) -> StiffnessRatios | None:
-    """One common ratio for all stiffnesses, fitted to the training frames; None if that fit fails."""
+def single_ratio(pushes: PushSet, start: float = 1.0) -> StiffnessRatios | None:
+    """One common ratio for all stiffnesses, fitted to the training frames from ``start``; None if that fit fails."""
     training = pushes.training
     try:
         fit = fit_stiffness(
             [pushes.problems[t.push] for t in training],
             [t.trial for t in training],
             ("everything",),
+            start={"everything": start},
             intervals="linear",
         )
     except (FitError, EquilibriumError):
