@@ -185,7 +185,7 @@ def test_redo_reaches_the_step(spinestiff, subject, finished, monkeypatch):
 
     asked = []
 
-    def fit(problems, trials, names, method, orientation, observer):
+    def fit(problems, trials, names, method, start, orientation, observer):
         asked.append((method, orientation))
         return finished.fit
 

@@ -144,7 +144,8 @@ def equilibrium(torso, reactions=(), pelvis_deg=0.0):
     rotations = rest.bone_rotations.copy()
     rotations[pelvis] = exp_so3(np.array([0.0, 0.0, np.radians(pelvis_deg)])) @ rotations[pelvis]
     state = TorsoState(rest.bone_positions, rotations, rest.tissue_positions)
-    found = tuple(Reaction(name, np.zeros(3), np.array(force), np.zeros(3)) for name, force in reactions)
+    named = [("shoulder", (0, 0, 0)), *reactions]
+    found = tuple(Reaction(name, np.zeros(3), np.array(force), np.zeros(3)) for name, force in named)
     return Equilibrium(state, SolveStatus.CONVERGED, 0.0, 0.0, 1e-8, found, (), 0, 1.0)
 
 
