@@ -22,16 +22,25 @@ SPACINGS = {
     "coarse": Spacing(bone=64.0, skin=54.0, inside=39.0, outwards=3.5),
     "fine": Spacing(bone=31.0, skin=29.0, inside=24.5, outwards=1.2),
 }
-# A mid-edge node this close to the bone that holds both ends of its edge rides on that bone.
-NEAR_MM = {"coarse": 5.0, "fine": 3.0}
+# Nodes this close to a bone ride on it, as a share of the spacing inside. The last nodes in a bone lie under its
+# surface, so that those alone make bones too thin, in proportion to the spacing; with this share meshes of 3,000 to
+# 100,000 nodes give the same motion (benchmarks/mesh_convergence.py).
+NEAR = 0.11
 SEED = 20260101
 DATA = Path(__file__).parent.parent / "src" / "spinestiff" / "anatomy" / "data"
 
 
-def build(skeleton: Skeleton, mesh: str) -> TorsoModel:
-    """One torso."""
-    half = half_mesh(skeleton, SPACINGS[mesh], SEED)
-    nodes, elements, bones = quadratic(*mirror(half), skeleton, NEAR_MM[mesh])
+def family_spacing(inside: float) -> Spacing:
+    """The fine mesh's distances in proportion, for a family of meshes: ``inside`` mm between points inside."""
+    share = inside / SPACINGS["fine"].inside
+    bone, skin = (share * length for length in (SPACINGS["fine"].bone, SPACINGS["fine"].skin))
+    return Spacing(bone, skin, inside, SPACINGS["fine"].outwards * share**2)
+
+
+def build(skeleton: Skeleton, spacing: Spacing, near: float = NEAR) -> TorsoModel:
+    """One torso; nodes within ``near`` times the spacing inside of a bone are tied to it."""
+    half = half_mesh(skeleton, spacing, SEED)
+    nodes, elements, bones = quadratic(*mirror(half), skeleton, near * spacing.inside)
     return assemble(skeleton, nodes, elements, bones)
 
 
@@ -56,7 +65,7 @@ def main() -> None:
     skeleton = build_skeleton()
     arguments.out.mkdir(parents=True, exist_ok=True)
     for mesh in arguments.mesh:
-        torso = build(skeleton, mesh)
+        torso = build(skeleton, SPACINGS[mesh])
         path = arguments.out / f"torso_{mesh}.npz"
         write_torso(path, torso)
         print(f"{path.name}: {path.stat().st_size / 1e6:.2f} MB; {report(torso)}")

@@ -11,15 +11,18 @@ from itertools import combinations
 
 import numpy as np
 from improve import Tetrahedra, quality, volumes
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay, cKDTree
 
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.template.assemble import Skeleton
 from spinestiff.anatomy.template.skin import Skin
-from spinestiff.anatomy.template.surfaces import Surface, inside
+from spinestiff.anatomy.template.surfaces import Surface, inside, signed_volume
 from spinestiff.anatomy.torso import TET10_EDGES
 
 WANTED_ANGLE = 16.0
+VOLUME_TOLERANCE = 0.005  # a share; bending stiffness goes with the square of the cross-section
 BURIED = 0.16  # of the skin's spacing: how deep a bone's points shall lie, so that no facet bares them
 INSIDE, PLANE, SKIN, PLANE_SKIN, RIM, PLANE_RIM = range(6)
 PLANAR = (PLANE, PLANE_SKIN, PLANE_RIM)
@@ -186,16 +189,22 @@ def _cover(mesh: HalfMesh, skeleton: Skeleton) -> int:
 
 
 def _carve(mesh: HalfMesh, skeleton: Skeleton) -> None:
-    # Elements that lie outside the skin, or flat on it, come off from the outside inwards. Only elements between four
-    # points of the skin may go, and none whose loss would pinch the boundary: no bone is bared, the boundary stays a
-    # closed surface.
+    # Elements that lie outside the skin, or flat on it, come off; only such between four points of the skin, so that no
+    # bone is bared. All at once leaves pinches: what touches one is put back. Then one by one, from the outside
+    # inwards, where the boundary stays a closed surface.
     on_skin = np.isin(mesh.place, (SKIN, PLANE_SKIN, RIM, PLANE_RIM))
     p = mesh.points[mesh.tetrahedra]
     depth = skeleton.skin.depth(p.mean(1))
     wanted = on_skin[mesh.tetrahedra].all(1) & (
         (depth < -0.5) | (quality(p) < 9.0) & (depth < 6.0) | (quality(p) < 2.0)
     )
-    alive = np.ones(len(p), dtype=bool)
+    alive = ~wanted
+    while True:
+        pinched = _pinched(mesh.tetrahedra[alive], len(mesh.points))
+        back = ~alive & pinched[mesh.tetrahedra].any(1)
+        if not back.any():
+            break
+        alive |= back
     while True:
         faces, owner = boundary(mesh.tetrahedra[alive])
         owner = np.flatnonzero(alive)[owner]
@@ -215,7 +224,40 @@ def _carve(mesh: HalfMesh, skeleton: Skeleton) -> None:
             if touched.isdisjoint(mesh.tetrahedra[k].tolist()):
                 alive[k] = False
                 touched.update(mesh.tetrahedra[k].tolist())
-    mesh.tetrahedra = mesh.tetrahedra[alive]
+    t = mesh.tetrahedra[alive]
+    used = np.unique(t)
+    number = np.full(len(mesh.points), -1)
+    number[used] = np.arange(len(used))
+    mesh.tetrahedra = number[t]
+    mesh.points, mesh.place, mesh.bone = mesh.points[used], mesh.place[used], mesh.bone[used]
+
+
+def _pinched(t: np.ndarray, count: int) -> np.ndarray:
+    # (count,) bool, corners at which the boundary is no simple surface: more than one fan of faces, or none where the
+    # corner is lost.
+    faces, _ = boundary(t)
+    f = len(faces)
+    # A node of the graph is a corner of a face; it is joined to the next face's around the same corner.
+    at = np.repeat(np.arange(f), 3), np.tile(np.arange(3), f)
+    first, second = faces[at], faces[at[0], (at[1] + 1) % 3]
+    order = np.lexsort((np.maximum(first, second), np.minimum(first, second)))
+    low, high = np.minimum(first, second)[order], np.maximum(first, second)[order]
+    same = np.flatnonzero((low[1:] == low[:-1]) & (high[1:] == high[:-1]))
+    rows, columns = [], []
+    for end in (0, 1):
+        one = 3 * at[0] + at[1]
+        two = 3 * at[0] + (at[1] + 1) % 3
+        chosen = np.where((faces.ravel()[one] == np.minimum(first, second)) == (end == 0), one, two)[order]
+        rows.append(chosen[same])
+        columns.append(chosen[same + 1])
+    graph = coo_array((np.ones(2 * len(same)), (np.concatenate(rows), np.concatenate(columns))), shape=(3 * f, 3 * f))
+    fan = connected_components(graph, directed=False)[1]
+    fans = np.unique(np.stack([faces.ravel(), fan], -1), axis=0)[:, 0]
+    pinched = np.bincount(fans, minlength=count) > 1
+    heavy = np.bincount(np.searchsorted(np.unique(low * count + high), low * count + high)) > 2
+    pairs = np.unique(low * count + high)[heavy]
+    pinched[pairs // count] = pinched[pairs % count] = True
+    return pinched
 
 
 def _simple(tetrahedron: np.ndarray, exposed: list[list[int]], corners: set[int], edges: set[frozenset[int]]) -> bool:
@@ -298,11 +340,65 @@ def _allowed(mesh: HalfMesh, skeleton: Skeleton, corner: int, point: np.ndarray)
     return _onto_skin(skin, point)
 
 
-def _onto_skin(skin, point: np.ndarray) -> np.ndarray:
-    w, f, b, c, n = (float(v) for v in skin.row(point[1]))
-    d = f - c if point[2] >= c else c - b
-    r = ((abs(point[0]) / w) ** n + (abs(point[2] - c) / d) ** n) ** (1.0 / n)
-    return np.array([point[0] / r, point[1], c + (point[2] - c) / r])
+def _onto_skin(skin: Skin, points: np.ndarray) -> np.ndarray:
+    reach = _reach(skin, points)[..., None]
+    centre = np.stack([0.0 * points[..., 0], points[..., 1], skin.row(points[..., 1])[3]], -1)
+    return centre + (points - centre) / reach
+
+
+def _reach(skin: Skin, points: np.ndarray) -> np.ndarray:
+    # 1 on the skin, 0 in the middle of a row.
+    x, y, z = np.moveaxis(points, -1, 0)
+    w, f, b, c, n = skin.row(y)
+    return ((np.abs(x) / w) ** n + (np.abs(z - c) / np.where(z >= c, f - c, c - b)) ** n) ** (1.0 / n)
+
+
+def _gap(skin: Skin, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    # Distance (to first order) from points outwards to the skin, and the skin's normal there.
+    step = 0.2 * np.eye(3)
+    slope = np.stack([_reach(skin, points + h) - _reach(skin, points - h) for h in step], -1) / 0.4
+    size = np.linalg.norm(slope, axis=-1, keepdims=True)
+    return (1.0 - _reach(skin, points)) / size[..., 0], slope / size
+
+
+def fit_skin(mesh: HalfMesh, skin: Skin, most: float, rounds: int = 8) -> None:
+    """Move the skin's corners outwards or inwards, by at most ``most`` mm a round, until its facets lie on the skin on
+    average: no region of the body gains or loses volume to the facets. A move that would spoil an element is left out.
+    """
+    n = 5
+    i, j = np.nonzero(np.add.outer(np.arange(n), np.arange(n)) < n)
+    samples = np.stack([i + 1.0 / 3.0, j + 1.0 / 3.0], -1) / n
+    i, j = np.nonzero(np.add.outer(np.arange(n), np.arange(n)) < n - 1)
+    samples = np.vstack([samples, np.stack([i + 2.0 / 3.0, j + 2.0 / 3.0], -1) / n])
+    samples = np.column_stack([samples, 1.0 - samples.sum(1)])
+    faces, _ = boundary(mesh.tetrahedra)
+    level = mesh.points[:, 1][faces]
+    cap = (np.abs(level - skin.y[0]) < 1e-6).all(1) | (np.abs(level - skin.y[-1]) < 1e-6).all(1)
+    faces = faces[~cap & ~np.isin(mesh.place, PLANAR)[faces].all(1)]
+    corners = np.unique(faces)
+    work = Tetrahedra(mesh.points, mesh.tetrahedra)
+    for _ in range(rounds):
+        p = work.points[faces]
+        points = np.einsum("qk,fkd->fqd", samples, p)
+        gap, normal = _gap(skin, points)
+        area = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+        weight = np.maximum(np.einsum("fqd,fd->fq", normal, area), 0.0)
+        wanted = np.bincount(faces.ravel(), np.einsum("fq,fq,qk->fk", gap, weight, samples).ravel(), len(mesh.points))
+        wanted /= np.maximum(np.bincount(faces.ravel(), (weight @ samples).ravel(), len(mesh.points)), 1e-9)
+        normal = np.zeros_like(work.points)
+        normal[corners] = _gap(skin, work.points[corners])[1]
+        normal[np.isin(mesh.place, PLANAR), 0] = 0.0
+        normal[np.isin(mesh.place, (RIM, PLANE_RIM)), 1] = 0.0
+        move = np.clip(wanted, -most, most)[:, None] * normal
+        for corner in corners.tolist():
+            star = np.array([work.elements[k] for k in sorted(work.around[corner])])
+            p = work.points[star]
+            before = quality(p).min()
+            old = work.points[corner].copy()
+            p[star == corner] = old + move[corner]
+            if quality(p).min() >= min(before, 10.0):
+                work.points[corner] = old + move[corner]
+    mesh.points = work.points
 
 
 def mirror(mesh: HalfMesh, names: tuple[str, ...] = BONES) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -313,56 +409,98 @@ def mirror(mesh: HalfMesh, names: tuple[str, ...] = BONES) -> tuple[np.ndarray, 
     points[plane, 0] = 0.0
     other = np.where(plane, np.arange(n), n + np.cumsum(~plane) - 1)
     both = np.vstack([points, points[~plane] * [-1.0, 1.0, 1.0]])
-    opposite = np.array(
-        [
-            names.index(name[:-1] + {"L": "R", "R": "L"}[name[-1]]) if name[-2:] in ("_L", "_R") else i
-            for i, name in enumerate(names)
-        ]
-    )
-    right = np.where(mesh.bone >= 0, opposite[mesh.bone], -1)
+    right = np.where(mesh.bone >= 0, opposite_bones(names)[mesh.bone], -1)
     t = np.vstack([mesh.tetrahedra, other[mesh.tetrahedra][:, [1, 0, 2, 3]]])
     return both, t, np.concatenate([mesh.bone, right[~plane]])
+
+
+def opposite_bones(names: tuple[str, ...]) -> np.ndarray:
+    """(n,) index of each bone's counterpart on the other side; its own for a bone in the middle."""
+    other = {"L": "R", "R": "L"}
+    return np.array([names.index(n[:-1] + other[n[-1]]) if n[-2:] in ("_L", "_R") else i for i, n in enumerate(names)])
 
 
 def quadratic(
     points: np.ndarray, t: np.ndarray, bone: np.ndarray, skeleton: Skeleton, near: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes, ten-node elements and bone of each node; mid-edge nodes in a bone, or within ``near`` mm of one that
-    holds both ends, are tied to it, and so is every node inside a bone."""
+    """Nodes, ten-node elements and bone of each node: what lies in a bone, or within ``near`` mm of its surface, is
+    tied to it; of several bones to the one it lies deepest in. Nodes of the skin stay free."""
     edges = np.sort(t[:, np.array(TET10_EDGES)].reshape(-1, 2), axis=1)
     unique, inverse = np.unique(edges, axis=0, return_inverse=True)
     nodes = np.vstack([points, points[unique].mean(1)])
     elements = np.hstack([t, len(points) + inverse.reshape(-1, 6)])
-    bones = np.concatenate([bone, np.full(len(unique), -1)])
-    ends = bone[unique]
-    same = (ends[:, 0] >= 0) & (ends[:, 0] == ends[:, 1])
-    for index in range(len(skeleton.surfaces)):
-        surface = skeleton.surfaces[index]
-        free = np.flatnonzero(bones < 0)
-        bones[free[inside(surface, nodes[free])]] = index
-        middle = len(points) + np.flatnonzero(same & (ends[:, 0] == index))
-        middle = middle[bones[middle] < 0]
-        if len(middle):
-            close = cKDTree(_dense(surface)).query(nodes[middle])[0] < near
-            bones[middle[close]] = index
+    owner, outside = nearest_bones(nodes, skeleton)
+    bones = np.where(outside <= near, owner, -1)
+    faces, _ = boundary(t)
+    skin = np.zeros(len(nodes), dtype=bool)
+    skin[faces] = True
+    rim = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    skin[len(points) :] = np.isin(unique @ [len(points), 1], rim @ [len(points), 1])
+    bones[skin] = -1
+    sampled = np.flatnonzero(bone >= 0)
+    bones[sampled] = bone[sampled]
     return nodes, elements, bones
 
 
-def _dense(surface) -> np.ndarray:
+def nearest_bones(nodes: np.ndarray, skeleton: Skeleton, reach: float = 12.0) -> tuple[np.ndarray, np.ndarray]:
+    """For each node the bone it lies deepest in or nearest to, and how far outside it lies, mm.
+
+    Below 0: inside; infinite beyond ``reach``. Mirrored nodes get mirrored answers.
+    """
+    left = nodes * np.where(nodes[:, :1] < 0.0, -1.0, 1.0) ** np.array([1.0, 0.0, 0.0])
+    owner, outside = np.full(len(nodes), -1), np.full(len(nodes), np.inf)
+    for index, name in enumerate(BONES):
+        if name.endswith("_R"):
+            continue
+        surface = skeleton.surfaces[index]
+        low, high = surface[0].min(0) - reach, surface[0].max(0) + reach
+        close = np.flatnonzero(((left >= low) & (left <= high)).all(1))
+        distance = cKDTree(_dense(surface)).query(left[close], distance_upper_bound=reach)[0]
+        distance = np.where(inside(surface, left[close]), -distance, distance)
+        if name.endswith("_L"):
+            distance[left[close, 0] < 1e-6] = np.inf  # the middle plane belongs to neither side
+        nearer = distance < outside[close]
+        owner[close[nearer]], outside[close[nearer]] = index, distance[nearer]
+    right = (nodes[:, 0] < 0.0) & (owner >= 0)
+    owner[right] = opposite_bones(BONES)[owner[right]]
+    return owner, outside
+
+
+def _dense(surface: Surface, step: float = 1.0) -> np.ndarray:
+    # Points of a surface, at most ``step`` mm apart.
     p = surface[0][surface[1]]
-    return np.vstack([p.reshape(-1, 3), p.mean(1), 0.5 * (p[:, 0] + p[:, 1]), 0.5 * (p[:, 1] + p[:, 2])])
+    longest = np.linalg.norm(p - np.roll(p, 1, axis=1), axis=2).max(1)
+    parts = np.maximum(1, np.ceil(longest / step - 1e-6)).astype(int)
+    points = []
+    for k in np.unique(parts):
+        i, j = np.nonzero(np.add.outer(np.arange(k + 1), np.arange(k + 1)) <= k)
+        points.append((np.stack([i, j, k - i - j], -1) / k @ p[parts == k]).reshape(-1, 3))
+    return np.unique(np.vstack(points).round(6), axis=0)
 
 
 def half_mesh(skeleton: Skeleton, spacing: Spacing, seed: int) -> HalfMesh:
-    """The left half, improved."""
+    """The left half, improved.
+
+    Raises
+    ------
+    ValueError : its volume is not the skin's: another spacing or seed is wanted.
+    """
     rng = np.random.default_rng(seed)
     skin, out = skeleton.skin, spacing.outwards
-    skin = replace(skin, half_width=skin.half_width + out, front=skin.front + out, back=skin.back - out)
-    skeleton = replace(skeleton, skin=skin)
-    mesh = sample(skeleton, spacing)
+    wide = replace(skin, half_width=skin.half_width + out, front=skin.front + out, back=skin.back - out)
+    grown = replace(skeleton, skin=wide)
+    mesh = sample(grown, spacing)
     for _ in range(5):
-        tetrahedralise(mesh, skeleton)
-        if not _cover(mesh, skeleton):
+        tetrahedralise(mesh, grown)
+        if not _cover(mesh, grown):
             break
-    improve(mesh, skeleton, rng, WANTED_ANGLE, 0.3 * spacing.skin)
+    improve(mesh, grown, rng, WANTED_ANGLE, 0.3 * spacing.skin)
+    for _ in range(3):
+        # Swaps have freed elements outside the skin that could not come off before.
+        _carve(mesh, grown)
+        fit_skin(mesh, skin, 0.1 * spacing.skin)
+        improve(mesh, skeleton, rng, WANTED_ANGLE, 0.0)
+    volume, wanted = 2.0 * volumes(mesh.points[mesh.tetrahedra]).sum(), signed_volume(skin.surface(160, 240))
+    if abs(volume / wanted - 1.0) > VOLUME_TOLERANCE:
+        raise ValueError(f"{spacing} gives {volume * 1e-6:.2f} l inside a skin of {wanted * 1e-6:.2f} l")
     return mesh
