@@ -36,12 +36,20 @@ def test_impossible_materials_are_refused(young, poisson):
         lame_parameters(young, poisson)
 
 
-@pytest.mark.parametrize("name", DIRECTIONS)
+@pytest.mark.parametrize("name", [*(n for n in DIRECTIONS if n != "lateral_bending"), "intervertebral_bending"])
 def test_a_direction_scales_one_column_of_the_seventeen_intervertebral_joints(name):
     group = parameter_group(name, KINDS)
     assert group.joints.sum() == 17
-    assert group.joints[:17, DIRECTIONS[name]].all()
+    assert group.joints[:17, DIRECTIONS.get(name, 5)].all()
     assert not (group.mu or group.lambda_)
+
+
+def test_lateral_bending_takes_the_sternal_joints_along():
+    group, papers = parameter_group("lateral_bending", KINDS), parameter_group("intervertebral_bending", KINDS)
+    added = group.joints & ~papers.joints
+    assert (group.joints >= papers.joints).all()
+    assert added.sum() == 20 * 6
+    assert {KINDS[i] for i in np.flatnonzero(added.any(1))} == {"rib_sternum"}
 
 
 def test_a_row_of_table_1_scales_all_its_directions():
@@ -62,7 +70,8 @@ def test_ratios_of_overlapping_groups_multiply():
     assert factor[KINDS.index("thoracic"), 5] == pytest.approx(0.1)
     assert factor[KINDS.index("thoracic"), 4] == pytest.approx(0.2)
     assert factor[KINDS.index("lumbar"), 5] == pytest.approx(1.0)
-    assert factor[KINDS.index("rib_sternum"), 0] == pytest.approx(2.0)
+    assert factor[KINDS.index("rib_sternum"), 0] == pytest.approx(1.0)
+    assert factor[KINDS.index("rib_vertebra"), 0] == pytest.approx(2.0)
     assert ratios.tissue == (2.0, 2.0)
 
 

@@ -5,10 +5,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from importlib.resources import as_file, files
 from typing import Literal
 
+import numpy as np
+
+from spinestiff.anatomy.stiffness import DEFAULT_POISSON, DEFAULT_YOUNG_MPA, joint_stiffness, lame_parameters
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import TorsoError
 
@@ -42,4 +46,9 @@ def _reference(mesh: str) -> TorsoModel:
     from spinestiff.anatomy.files import read_torso
 
     with as_file(files("spinestiff.anatomy") / "data" / f"torso_{mesh}.npz") as path:
-        return read_torso(path)
+        stored = read_torso(path)
+    # The file's stiffness is that of the day it was built; the default lives in anatomy/stiffness.py alone.
+    count = len(stored.tissue.elements)
+    mu, lambda_ = (np.full(count, value) for value in lame_parameters(DEFAULT_YOUNG_MPA, DEFAULT_POISSON))
+    tissue = replace(stored.tissue, lame_mu=mu, lame_lambda=lambda_)
+    return replace(stored, tissue=tissue, joints=replace(stored.joints, stiffness=joint_stiffness()))
