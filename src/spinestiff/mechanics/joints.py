@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spinestiff.anatomy.rotation import cross_matrix, log_so3
+from spinestiff.anatomy.rotation import cross, cross_matrix, log_so3
 from spinestiff.anatomy.torso import JointTable, TorsoState
 from spinestiff.arrays import Floats
 
@@ -67,10 +67,22 @@ def joint_gradients(joints: JointTable, state: TorsoState, stiffness: Floats) ->
     force, moment = _world_force_and_moment(pose, stiffness)
     gradient = np.empty((len(joints), 12))
     gradient[:, PARENT_T] = -force
-    gradient[:, PARENT_W] = -np.cross(pose.gap, force) - moment
+    gradient[:, PARENT_W] = -cross(pose.gap, force) - moment
     gradient[:, CHILD_T] = force
-    gradient[:, CHILD_W] = np.cross(pose.child_arm, force) + moment
+    gradient[:, CHILD_W] = cross(pose.child_arm, force) + moment
     return gradient
+
+
+def joint_gradient_products(joints: JointTable, state: TorsoState, stiffness: Floats, along: Floats) -> Floats:
+    """(J, 6) the gradient times a direction ``along`` (J, 12), split into what each stiffness contributes."""
+    pose = joint_pose(joints, state)
+    (parent_t, parent_w), (child_t, child_w) = np.split(along[:, :6], 2, 1), np.split(along[:, 6:], 2, 1)
+    moved = child_t + cross(child_w, pose.child_arm) - parent_t - cross(parent_w, pose.gap)
+    translation = np.einsum("jba,jb->ja", pose.axes, moved)
+    turned = np.einsum("jba,jb->ja", pose.axes, child_w - parent_w)
+    rotation = np.einsum("jab,jb->ja", left_jacobian_inverse(pose.rotation), turned)
+    strain = np.hstack([pose.translation, pose.rotation])
+    return stiffness * strain * np.hstack([translation, rotation])
 
 
 def joint_hessians(joints: JointTable, state: TorsoState, stiffness: Floats) -> Floats:
@@ -139,7 +151,7 @@ def _left_jacobian_inverse_derivative(theta: Floats, w: Floats) -> Floats:
     return (
         0.5 * k_w
         + slope[:, None, None] * theta[:, :, None] * squared_w[:, None, :]
-        - c[:, None, None] * (k_w @ k_theta + cross_matrix(np.cross(w, theta)))
+        - c[:, None, None] * (k_w @ k_theta + cross_matrix(cross(w, theta)))
     )
 
 

@@ -13,12 +13,16 @@ import numba
 import numpy as np
 
 from spinestiff.anatomy.points import rotation_second_derivative
+from spinestiff.anatomy.rotation import cross
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats, Ints
 from spinestiff.mechanics import joints as joint_law
 from spinestiff.mechanics import tissue as tissue_law
 from spinestiff.mechanics.terms import BoneTerm
+
+# A moment counts as a force, and a turn as a shift, at this arm, mm, so that one number measures both.
+ROTATION_LENGTH = 30.0
 
 
 class Stiffness(NamedTuple):
@@ -92,7 +96,7 @@ def _scatter_dense_blocks(data, indptr, blocks, row_dof, column_dof, offset):  #
 
 @numba.njit(cache=True)
 def _scatter_elements(data, indptr, hessians, elements, entity, first_dof, arms, bones, offsets):  # type: ignore[no-untyped-def]
-    """Add element Hessians (T, n, n, 3, 3; a >= b filled), pulling tied nodes back to their bones.
+    """Add element Hessians (T, pairs, 3, 3) as ``tissue.element_hessians``, pulling tied nodes back to their bones.
 
     A tied node moves by dt - [arm]x dw, so its rows become [K; [arm]x K] and its columns [K, -K [arm]x].
     """
@@ -111,7 +115,7 @@ def _scatter_elements(data, indptr, hessians, elements, entity, first_dof, arms,
                 columns = 6 if column < bones else 3
                 for i in range(3):
                     for j in range(3):
-                        block[i, j] = hessians[t, a, b, j, i] if swap else hessians[t, a, b, i, j]
+                        block[i, j] = hessians[t, pair, j, i] if swap else hessians[t, pair, i, j]
                 if rows == 6:
                     x, y, z = arms[node_a, 0], arms[node_a, 1], arms[node_a, 2]
                     for j in range(3):
@@ -135,6 +139,14 @@ def _scatter_elements(data, indptr, hessians, elements, entity, first_dof, arms,
                     else:
                         for r in range(rows):
                             data[base + r] += block[r, k]
+
+
+@numba.njit(cache=True)
+def _add_to_nodes(nodes, elements, parts, mu, lambda_):  # type: ignore[no-untyped-def]
+    for t in range(len(elements)):
+        for a in range(elements.shape[1]):
+            for i in range(3):
+                nodes[elements[t, a], i] += mu[t] * parts[t, 0, a, i] + lambda_[t] * parts[t, 1, a, i]
 
 
 class Potential:
@@ -233,8 +245,9 @@ class Potential:
         """(dofs, P) d gradient / d log ratio of each group: the group's own share of the force (paper 3.3)."""
         d = self.tissue
         parts = tissue_law.element_gradients(self.nodes(state), d.elements, d.gradients, d.weights)
-        shares = [self._assemble(parts[:, i], k) for i, k in enumerate((stiffness.mu, stiffness.lambda_))]
-        shares = [self._scatter_nodes(state, share) for share in shares]
+        none = np.zeros_like(stiffness.mu)
+        moduli = (stiffness.mu, none), (none, stiffness.lambda_)
+        shares = [self._scatter_nodes(state, self._assemble(parts, *pair)) for pair in moduli]
         columns = np.zeros((self.dofs, len(groups)))
         for column, group in enumerate(groups):
             masked = np.where(group.joints, stiffness.joints, 0.0)
@@ -243,26 +256,41 @@ class Potential:
             columns[:, column] = one
         return columns
 
+    def ratio_products(
+        self, state: TorsoState, stiffness: Stiffness, groups: Sequence[ParameterGroup], direction: Floats
+    ) -> Floats:
+        """(P,) ``ratio_gradients`` times ``direction`` (dofs,), in one pass for any number of groups."""
+        d = self.tissue
+        rows = direction[: 6 * self.bones].reshape(-1, 6)
+        nodes = np.empty_like(self.torso.tissue.rest_positions)
+        on = rows[self.tied_points.bone]
+        nodes[self.tied] = on[:, :3] + cross(on[:, 3:], self.tied_points.arms(state))
+        nodes[self.free] = direction[6 * self.bones :].reshape(-1, 3)
+        parts = tissue_law.element_gradient_products(self.nodes(state), d.elements, d.gradients, d.weights, nodes)
+        mu, lambda_ = stiffness.mu @ parts[:, 0], stiffness.lambda_ @ parts[:, 1]
+        joints = self.torso.joints
+        along = np.hstack([rows[joints.parent], rows[joints.child]])
+        shares = joint_law.joint_gradient_products(joints, state, stiffness.joints, along)
+        return np.array([g.mu * mu + g.lambda_ * lambda_ + shares[g.joints].sum() for g in groups])
+
     def _bone_rows(self, gradient: Floats) -> Floats:
         return gradient[: 6 * self.bones].reshape(self.bones, 6)
 
     def _node_gradient(self, state: TorsoState, stiffness: Stiffness) -> Floats:
         d = self.tissue
         parts = tissue_law.element_gradients(self.nodes(state), d.elements, d.gradients, d.weights)
-        both = parts[:, 0] * stiffness.mu[:, None, None] + parts[:, 1] * stiffness.lambda_[:, None, None]
-        return self._assemble(both, np.ones(len(both)))
+        return self._assemble(parts, stiffness.mu, stiffness.lambda_)
 
-    def _assemble(self, element_values: Floats, scale: Floats) -> Floats:
-        """Element nodal values (T, n, 3) times ``scale`` (T,), summed to nodes (N, 3)."""
-        flat = self.tissue.elements.ravel()
-        values = (element_values * scale[:, None, None]).reshape(-1, 3)
-        n = len(self.torso.tissue.rest_positions)
-        return np.stack([np.bincount(flat, values[:, i], minlength=n) for i in range(3)], 1)
+    def _assemble(self, parts: Floats, mu: Floats, lambda_: Floats) -> Floats:
+        """Element gradients per unit mu and lambda (T, 2, n, 3), times the moduli, summed to nodes (N, 3)."""
+        nodes = np.zeros_like(self.torso.tissue.rest_positions)
+        _add_to_nodes(nodes, self.tissue.elements, parts, mu, lambda_)
+        return nodes
 
     def _scatter_nodes(self, state: TorsoState, node_gradient: Floats) -> Floats:
         gradient = np.zeros(self.dofs)
         on_bones = node_gradient[self.tied]
-        rows = np.hstack([on_bones, np.cross(self.tied_points.arms(state), on_bones)])
+        rows = np.hstack([on_bones, cross(self.tied_points.arms(state), on_bones)])
         np.add.at(self._bone_rows(gradient), self.tied_points.bone, rows)
         gradient[6 * self.bones :] = node_gradient[self.free].ravel()
         return gradient

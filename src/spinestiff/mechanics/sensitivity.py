@@ -19,6 +19,7 @@ from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
 from spinestiff.anatomy.torso import TorsoState, state_digest
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
+from spinestiff.mechanics.kinematics import FrameFactor
 from spinestiff.mechanics.loads import LoadCase
 
 if TYPE_CHECKING:
@@ -58,6 +59,16 @@ class Linearisation:
         if not self._factor.positive_definite:
             raise EquilibriumError("no derivative at a state that is no energy minimum (indefinite tangent)")
 
+    @property
+    def state(self) -> TorsoState:
+        return self._state
+
+    @property
+    def frame_factor(self) -> FrameFactor:
+        """The factor, to be applied at other states (``EquilibriumProblem.solve``)."""
+        frame = self._problem.kinematics.at(self._state)
+        return FrameFactor(frame, self._factor, self._problem.held, exact=True)
+
     def solve(self, rhs: Floats) -> Floats:
         """K^-1 rhs, (dofs,) or (dofs, k); rows of held DoFs are zero."""
         free = np.array(rhs, dtype=float)
@@ -70,7 +81,8 @@ class Linearisation:
 
     def adjoint(self, gradient: Floats, groups: Sequence[ParameterGroup]) -> Floats:
         """(P,) d L / d log ratio for ``gradient`` = dL/dx, (dofs,) (Eq. 7). One solve for any number of groups."""
-        return -self._ratio_gradients(groups).T @ self.solve(gradient)
+        products = self._problem.potential.ratio_products
+        return -products(self._state, self._stiffness, groups, self.solve(gradient))
 
     def load_derivative(self, change: BoneTerm) -> Floats:
         """(dofs,) d x / d s for a load that grows as load + s * ``change``."""

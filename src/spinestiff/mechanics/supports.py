@@ -12,8 +12,9 @@ from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import TorsoError
 from spinestiff.mechanics.terms import PointSprings
 
-# Stiff against the torso (tens of N/mm), soft enough for the tangent's conditioning; 60 N move it by 0.06 mm.
-SUPPORT_STIFFNESS = 1e3
+# N/mm; stiff against the torso (tens of N/mm). 25 N, the most that was seen, move the shoulder by 0.03 mm, and the back
+# by 0.25 mm at one of its points, to the front or rear: less than the skin between bone and wall gives way.
+SHOULDER_STIFFNESS, WALL_STIFFNESS = 1e3, 1e2
 
 
 @dataclass(frozen=True)
@@ -72,5 +73,6 @@ def three_point_supports(torso: TorsoModel, side: str, pelvis: str = "hinge", wa
         rows += [(f"wall_{torso.bone_names[back.bone[i]]}", back[[i]], 2) for i in range(len(back))]
     points = PointsOnBones(np.concatenate([p.bone for _, p, _ in rows]), np.concatenate([p.offset for _, p, _ in rows]))
     directions = np.eye(3)[[axis for _, _, axis in rows]]
-    springs = PointSprings(points, points.positions(torso.rest_pose), directions, np.full(len(rows), SUPPORT_STIFFNESS))
+    stiffness = np.array([WALL_STIFFNESS if name.startswith("wall") else SHOULDER_STIFFNESS for name, _, _ in rows])
+    springs = PointSprings(points, points.positions(torso.rest_pose), directions, stiffness)
     return Supports(held, springs, tuple(name for name, _, _ in rows))

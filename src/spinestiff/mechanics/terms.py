@@ -83,3 +83,33 @@ class PointSprings:
     def blocks(self, state: TorsoState) -> BoneBlocks:
         outer = self.directions[:, :, None] * self.directions[:, None, :]
         return point_blocks(self.points, state, -self.forces(state), self.stiffness[:, None, None] * outer)
+
+    def extended(self, state: TorsoState, dx: Floats) -> Floats:
+        """(S,) mm, the extension to first order after a step ``dx`` (dofs,)."""
+        rows = dx[: 6 * len(state.bone_positions)].reshape(-1, 6)[self.points.bone]
+        return self.extension(state) + np.einsum("si,sij,sj->s", self.directions, self.points.jacobian(state), rows)
+
+
+@dataclass(frozen=True)
+class PredictedSprings:
+    """Springs whose force turns with their points as if they were extended by ``extension`` (S,) mm.
+
+    Their energy and gradient are those of ``springs``; in the Hessian, k d^2 x times the force is taken with the
+    force that the last step predicted. A stiff spring's own force is far off after a large step, k times an error of
+    second order, and so would be the tangent (mechanics/equilibrium.py).
+    """
+
+    springs: PointSprings
+    extension: Floats
+
+    def energy(self, state: TorsoState) -> float:
+        return self.springs.energy(state)
+
+    def blocks(self, state: TorsoState) -> BoneBlocks:
+        own = self.springs.blocks(state)
+        wrong = self.springs.stiffness * (self.extension - self.springs.extension(state))
+        hessian = own.hessian.copy()
+        hessian[:, 3:, 3:] += rotation_second_derivative(
+            wrong[:, None] * self.springs.directions, self.springs.points.arms(state)
+        )
+        return BoneBlocks(own.bone, own.gradient, hessian)

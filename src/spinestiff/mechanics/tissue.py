@@ -144,11 +144,30 @@ def element_gradients(x, elements, gradients, weights):  # type: ignore[no-untyp
 
 
 @numba.njit(cache=True)
+def element_gradient_products(x, elements, gradients, weights, direction):  # type: ignore[no-untyped-def]
+    """(T, 2) the gradients of ``element_gradients`` times nodal values ``direction`` (N, 3)."""
+    t_count, q_count = weights.shape
+    out = np.zeros((t_count, 2))
+    f, g, u = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    for t in range(t_count):
+        for q in range(q_count):
+            log_j = np.log(_deformation(x, elements, gradients, t, q, f, g))
+            u[:] = 0.0
+            for a in range(elements.shape[1]):
+                for i in range(3):
+                    for j in range(3):
+                        u[i, j] += direction[elements[t, a], i] * gradients[t, q, a, j]
+            out[t, 0] += weights[t, q] * np.sum((f - g) * u)
+            out[t, 1] += weights[t, q] * log_j * np.sum(g * u)
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
 def element_hessians(x, elements, gradients, weights, mu, lam):  # type: ignore[no-untyped-def]
-    """(T, n, n, 3, 3) Hessian blocks in N/mm; only a >= b is filled (the rest is its transpose)."""
+    """(T, n (n + 1) / 2, 3, 3) Hessian blocks of the node pairs a >= b, row by row, in N/mm."""
     t_count, q_count = weights.shape
     n = elements.shape[1]
-    out = np.zeros((t_count, n, n, 3, 3))
+    out = np.zeros((t_count, n * (n + 1) // 2, 3, 3))
     f, g = np.empty((3, 3)), np.empty((3, 3))
     h = np.empty((n, 3))
     for t in range(t_count):
@@ -164,15 +183,26 @@ def element_hessians(x, elements, gradients, weights, mu, lam):  # type: ignore[
                         + g[i, 1] * gradients[t, q, a, 1]
                         + g[i, 2] * gradients[t, q, a, 2]
                     )
+            pair = 0
             for a in range(n):
+                g0, g1, g2 = gradients[t, q, a]
+                h0, h1, h2 = h[a]
                 for b in range(a + 1):
-                    dot = 0.0
-                    for j in range(3):
-                        dot += gradients[t, q, a, j] * gradients[t, q, b, j]
-                    for i in range(3):
-                        for j in range(3):
-                            out[t, a, b, i, j] += w_mix * h[b, i] * h[a, j] + w_lam * h[a, i] * h[b, j]
-                        out[t, a, b, i, i] += w_mu * dot
+                    grad = gradients[t, q, b]
+                    dot = w_mu * (g0 * grad[0] + g1 * grad[1] + g2 * grad[2])
+                    m0, m1, m2 = w_mix * h[b, 0], w_mix * h[b, 1], w_mix * h[b, 2]
+                    l0, l1, l2 = w_lam * h[b, 0], w_lam * h[b, 1], w_lam * h[b, 2]
+                    block = out[t, pair]
+                    block[0, 0] += (m0 + l0) * h0 + dot
+                    block[0, 1] += m0 * h1 + l1 * h0
+                    block[0, 2] += m0 * h2 + l2 * h0
+                    block[1, 0] += m1 * h0 + l0 * h1
+                    block[1, 1] += (m1 + l1) * h1 + dot
+                    block[1, 2] += m1 * h2 + l2 * h1
+                    block[2, 0] += m2 * h0 + l0 * h2
+                    block[2, 1] += m2 * h1 + l1 * h2
+                    block[2, 2] += (m2 + l2) * h2 + dot
+                    pair += 1
     return out
 
 
@@ -195,8 +225,8 @@ def projected_element_hessians(x: Floats, data: ElementData, mu: Floats, lam: Fl
     factor = np.einsum("tqijm,tqnj->tnimq", root, data.gradients)
     t, n = data.elements.shape
     flat = factor.reshape(t, 3 * n, 9 * data.weights.shape[1])
-    full = flat @ np.swapaxes(flat, 1, 2)
-    return np.ascontiguousarray(full.reshape(t, n, 3, n, 3).transpose(0, 1, 3, 2, 4))
+    full = (flat @ np.swapaxes(flat, 1, 2)).reshape(t, n, 3, n, 3).transpose(0, 1, 3, 2, 4)
+    return np.ascontiguousarray(full[:, *np.tril_indices(n)])
 
 
 def smallest_nodal_jacobian(rest: Floats, x: Floats, elements: Ints) -> float:

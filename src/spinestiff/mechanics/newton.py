@@ -1,0 +1,322 @@
+"""Newton's method for the equilibrium of a torso (Eq. 5).
+
+Steps are taken in relative coordinates (``mechanics.kinematics``), where stiff joints stay as they are in large turns.
+Three things make them few and cheap:
+
+- *Mixed steps.* What holds the torso from outside is stiff too, and no coordinates make all of it linear. A spring's
+  force counts as an unknown of its own, so that the tangent turns the force that the last step predicted, not k times
+  the error of second order that a large step leaves (a Hellinger-Reissner form; Magisano, Leonetti and Garcea 2017).
+  That unknown is eliminated, the linear system stays the same. The energy may rise for a step.
+- *Chord steps.* A factor goes on serving, and learns, as long as that is expected to be cheaper than a new one.
+- *Descent.* Where mixed steps end without an equilibrium, the load is applied in steps, and then every step has to
+  lower the energy, on a tangent whose negative curvature is projected out.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from spinestiff.anatomy.stiffness import StiffnessRatios
+from spinestiff.anatomy.torso import TorsoState
+from spinestiff.arrays import Floats, Ints
+from spinestiff.errors import EquilibriumError
+from spinestiff.mechanics import diagnosis
+from spinestiff.mechanics.factor import symmetric_product
+from spinestiff.mechanics.kinematics import Frame, FrameFactor
+from spinestiff.mechanics.loads import LoadCase
+from spinestiff.mechanics.potential import ROTATION_LENGTH
+from spinestiff.mechanics.solution import Equilibrium, NewtonStep, Observer, SolveStatus
+from spinestiff.mechanics.terms import PredictedSprings
+
+if TYPE_CHECKING:
+    from spinestiff.mechanics.equilibrium import EquilibriumProblem
+
+LARGEST_TURN = 0.5  # rad in one step
+LARGEST_MOVE = 100.0  # mm in one step
+# A step may not bring the smallest J below this share of what it was.
+LEAST_J_SHARE = 0.2
+# A fresh factor goes on serving once the residual is below this share of the load, or of what it was.
+NEAR = 0.05
+# A chord step costs about a fifteenth of a factorisation: a factor is kept while this many are expected to do.
+CHORD_STEPS = 15
+# Vectors and steps of the power iteration that tells how far a tangent is from a factorised one.
+POWER_STEPS = 5
+LARGEST_DISTANCE = 0.9
+
+
+class Run:
+    """One solve: its attempts share the observer and the count of what they cost."""
+
+    def __init__(
+        self,
+        problem: EquilibriumProblem,
+        ratios: StiffnessRatios | None,
+        observer: Observer | None,
+        max_iterations: int,
+        tolerance: float | None,
+    ) -> None:
+        self.problem = problem
+        self.potential = problem.potential
+        self.stiffness = problem.potential.stiffness(ratios)
+        self.max_iterations = max_iterations
+        self.factorisations = 0
+        self.history: list[NewtonStep] = []
+        self._tolerance = tolerance
+        self._observer = observer
+        problem.require_held(self.stiffness)
+
+    def wants_more(self, found: Equilibrium) -> bool:
+        return found.status not in (SolveStatus.CONVERGED, SolveStatus.CANCELLED)
+
+    def newton(self, load: LoadCase, state: TorsoState, factor: FrameFactor | None = None) -> Equilibrium:
+        """Mixed and chord steps."""
+        at = Point(self, load, state)
+        if not np.isfinite(at.energy):
+            return at.ended(SolveStatus.INVERTED_START)
+        predicted: Floats | None = None
+        springs = self.problem.supports.springs
+        chord = Chord(at)
+        for iteration in range(self.max_iterations + 1):
+            if at.residual <= at.tolerance:
+                return at.ended(self._judged(at, factor), iteration)
+            if iteration == self.max_iterations:
+                break
+            if factor is not None and chord.spent(at):
+                at, factor = chord.best, None
+            fresh, projected = factor is None, False
+            try:
+                if factor is None:
+                    factor, projected = self._factor(at, predicted)
+                    chord = Chord(at)
+                y = _capped(-factor.solve(at.force), self.potential.bones)
+            except EquilibriumError:
+                return at.ended(SolveStatus.SINGULAR, iteration)
+            step, there = self._admissible(at, y)
+            if there is None:
+                return at.ended(SolveStatus.STALLED, iteration)
+            predicted = springs.extended(at.state, step * at.frame.to_world(y))
+            if self._note(iteration, at, step, fresh, projected):
+                return there.ended(SolveStatus.CANCELLED)
+            far = fresh and there.residual > NEAR * max(load.size, at.residual)
+            if step < 1.0 or projected or far:
+                factor = None
+            elif factor is not None:
+                factor.learn(y, there.force - at.force)
+                chord.took(there)
+            at = there
+        return at.ended(SolveStatus.ITERATION_LIMIT, self.max_iterations)
+
+    def in_steps(self, load: LoadCase) -> Equilibrium:
+        """The load in four steps; ends with the first that fails."""
+        state = self.problem.torso.rest_pose
+        for share in (0.25, 0.5, 0.75, 1.0):
+            found = self.newton(load.scaled(share), state)
+            if found.status is not SolveStatus.CONVERGED:
+                break
+            state = found.state
+        return found
+
+    def descend(self, load: LoadCase, state: TorsoState) -> Equilibrium:
+        """Steps that lower the energy, on a tangent that is projected where it is not positive definite."""
+        at = Point(self, load, state)
+        if not np.isfinite(at.energy):
+            return at.ended(SolveStatus.INVERTED_START)
+        factor: FrameFactor | None = None
+        for iteration in range(self.max_iterations + 1):
+            if at.residual <= at.tolerance:
+                return at.ended(self._judged(at, factor), iteration)
+            if iteration == self.max_iterations:
+                break
+            try:
+                factor, projected = self._factor(at, None)
+                direction = _capped(-factor.solve(at.force), self.potential.bones)
+            except EquilibriumError:
+                return at.ended(SolveStatus.SINGULAR, iteration)
+            found = self._line_search(at, direction)
+            if found is None:
+                return at.ended(SolveStatus.STALLED, iteration)
+            step, there = found
+            if self._note(iteration, at, step, True, projected):
+                return there.ended(SolveStatus.CANCELLED)
+            at = there
+        return at.ended(SolveStatus.ITERATION_LIMIT, self.max_iterations)
+
+    def tolerance(self, load: LoadCase) -> float:
+        return self.problem.tolerance(load) if self._tolerance is None else self._tolerance
+
+    def _factor(self, at: Point, predicted: Floats | None) -> tuple[FrameFactor, bool]:
+        terms = at.terms
+        if predicted is not None:
+            springs = self.problem.supports.springs
+            terms = tuple(PredictedSprings(springs, predicted) if term is springs else term for term in terms)
+        factor = self.problem.factorise(at.state, self.stiffness, terms)
+        self.factorisations += 1
+        projected = not factor.positive_definite
+        if projected:
+            factor = self.problem.factorise(at.state, self.stiffness, terms, project=True)
+            self.factorisations += 1
+        return FrameFactor(at.frame, factor, self.problem.held, exact=not projected), projected
+
+    def _admissible(self, at: Point, y: Floats) -> tuple[float, Point | None]:
+        # The whole step, or as much of it as no element loses most of its volume over.
+        step = 1.0
+        for _ in range(30):
+            state = at.frame.move(step * y)
+            energy, smallest_j = self.potential.energy(state, self.stiffness, at.terms)
+            if smallest_j > LEAST_J_SHARE * min(1.0, at.smallest_j) and np.isfinite(energy):
+                return step, Point(self, at.load, state, energy, smallest_j)
+            step *= 0.5
+        return 0.0, None
+
+    def _line_search(self, at: Point, y: Floats) -> tuple[float, Point] | None:
+        slope = float(at.force @ y)
+        if not slope < 0.0:
+            return None
+        # Near the solution energy differences drown in rounding; there a smaller residual decides.
+        rounding = 1e-12 * (abs(at.energy) + sum(abs(term.energy(at.state)) for term in at.terms))
+        step = 1.0
+        for _ in range(40):
+            state = at.frame.move(step * y)
+            energy, smallest_j = self.potential.energy(state, self.stiffness, at.terms)
+            if smallest_j > 0.0:
+                there = Point(self, at.load, state, energy, smallest_j)
+                if energy <= at.energy + 1e-4 * step * slope:
+                    return step, there
+                if energy <= at.energy + rounding and there.residual < at.residual:
+                    return step, there
+            step *= 0.5
+        return None
+
+    def _judged(self, at: Point, factor: FrameFactor | None) -> SolveStatus:
+        # Force balance is a minimum where the tangent is positive definite. It is if it is near one that is.
+        if factor is not None and factor.exact and self._distance(at, factor) < LARGEST_DISTANCE:
+            return SolveStatus.CONVERGED
+        try:
+            self.factorisations += 1
+            stable = self.problem.factorise(at.state, self.stiffness, at.terms).positive_definite
+        except EquilibriumError:
+            stable = False
+        return SolveStatus.CONVERGED if stable else SolveStatus.SADDLE
+
+    def _distance(self, at: Point, factor: FrameFactor) -> float:
+        """Largest |1 - eigenvalue| of K0^-1 K by power iteration: below 1, K is positive definite as K0 is."""
+        potential, held = self.potential, self.problem.held
+        values = potential.hessian(at.state, self.stiffness, at.terms)
+        size = np.ones(potential.dofs)
+        size[: 6 * potential.bones].reshape(-1, 6)[:, 3:] = ROTATION_LENGTH
+        v = factor.apply(at.frame.pull(_masked(size * np.random.default_rng(0).normal(size=potential.dofs), held)))
+        distance = np.inf
+        for _ in range(POWER_STEPS):
+            length = float(np.linalg.norm(size * v))
+            if length == 0.0:
+                return 0.0
+            v = v / length
+            product = symmetric_product(
+                potential.pattern.indptr, potential.pattern.indices, values, at.frame.to_world(v)
+            )
+            v = v - factor.apply(at.frame.pull(_masked(product, held)))
+            distance = float(np.linalg.norm(size * v))
+        return distance
+
+    def _note(self, iteration: int, at: Point, step: float, factorised: bool, projected: bool) -> bool:
+        self.history.append(NewtonStep(iteration, at.residual, at.energy, at.smallest_j, step, factorised, projected))
+        return bool(self._observer and self._observer(self.history[-1]))
+
+
+class Point:
+    """A state on the way: energy, smallest J, gradient and frame, each worked out once."""
+
+    def __init__(
+        self,
+        run: Run,
+        load: LoadCase,
+        state: TorsoState,
+        energy: float | None = None,
+        smallest_j: float = np.nan,
+    ) -> None:
+        self._run, self.load, self.state = run, load, state
+        problem = run.problem
+        self.terms = problem.all_terms(load)
+        if energy is None:
+            energy, smallest_j = run.potential.energy(state, run.stiffness, self.terms)
+        self.energy, self.smallest_j = energy, smallest_j
+        self.tolerance = run.tolerance(load)
+        self.residual = np.inf
+        if np.isfinite(energy):
+            self.gradient, self.full = problem.free_gradient(state, run.stiffness, self.terms)
+            self.residual = problem.residual_norm(self.gradient)
+
+    @cached_property
+    def frame(self) -> Frame:
+        return self._run.problem.kinematics.at(self.state)
+
+    @cached_property
+    def force(self) -> Floats:
+        """The gradient per relative coordinate."""
+        return self.frame.pull(self.gradient)
+
+    def ended(self, status: SolveStatus, iteration: int | None = None) -> Equilibrium:
+        """The result with this as its last state."""
+        run, torso = self._run, self._run.problem.torso
+        if iteration is not None:
+            run._note(iteration, self, 0.0, False, False)
+        fault = ""
+        if status is SolveStatus.INVERTED_START:
+            fault = diagnosis.worst_element(torso, self.state)
+        elif status is not SolveStatus.CONVERGED:
+            fault = f"largest {diagnosis.largest_residual(torso, self.state, self.gradient)}; "
+            fault += (
+                f"{diagnosis.largest_joint_motion(torso, self.state)}; {diagnosis.worst_element(torso, self.state)}"
+            )
+        full = self.full if np.isfinite(self.energy) else np.zeros(run.potential.dofs)
+        return Equilibrium(
+            self.state,
+            status,
+            self.energy,
+            self.residual,
+            self.tolerance,
+            run.problem.reactions(self.state, full),
+            (),
+            0,
+            self.smallest_j,
+            fault,
+        )
+
+
+class Chord:
+    """Steps on one factor: whether to take another or to factorise anew."""
+
+    def __init__(self, start: Point) -> None:
+        self.best = self._start = start
+        self._steps = self._without_gain = 0
+
+    def took(self, there: Point) -> None:
+        self._steps += 1
+        self._without_gain += 1
+        if there.residual < self.best.residual or self._steps == 1:
+            self.best, self._without_gain = there, 0
+
+    def spent(self, at: Point) -> bool:
+        """Whether a new factor is expected to be cheaper than to go on."""
+        if self._without_gain > 2:
+            return True
+        if self._steps < 3:
+            return False
+        rate = np.log(self.best.residual / self._start.residual) / self._steps
+        return bool(rate >= 0.0 or np.log(at.tolerance / at.residual) < CHORD_STEPS * rate)
+
+
+def _masked(values: Floats, held: Ints) -> Floats:
+    values = values.copy()
+    values[held] = 0.0
+    return values
+
+
+def _capped(direction: Floats, bones: int) -> Floats:
+    rows = direction[: 6 * bones].reshape(-1, 6)
+    turn = np.linalg.norm(rows[:, 3:], axis=1).max(initial=0.0) / LARGEST_TURN
+    move = max(np.abs(rows[:, :3]).max(initial=0.0), np.abs(direction[6 * bones :]).max(initial=0.0)) / LARGEST_MOVE
+    return direction / max(1.0, turn, move)
