@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
-from spinestiff.anatomy.torso import retract
+from spinestiff.anatomy.torso import TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.objective import (
@@ -105,14 +105,14 @@ class Slope:
 
     Attributes
     ----------
-    moves : (dofs, P) of each trial, dx / d log ratio.
+    tangents : of each trial.
     jacobian : (n, P) of the stacked residuals in log ratio.
     responses : (n_i, 4) of each trial, its residuals per log force, per mm of the pushed point's height, per relative
         error of the simulated motion, and per such an error that grows from -1 at the lowest to 1 at the highest
         vertebra.
     """
 
-    moves: tuple[Floats, ...]
+    tangents: tuple[Linearisation, ...]
     jacobian: Floats
     responses: tuple[Floats, ...]
 
@@ -138,7 +138,7 @@ class TrialSet:
         return StiffnessRatios(self.groups, np.exp(log_ratios))
 
     def solve(self, log_ratios: Floats, near: Evaluation | None = None, slope: Slope | None = None) -> Evaluation:
-        """Equilibria of all trials, each from its last one moved by the first-order prediction.
+        """Equilibria of all trials, each from its last one and on its factor.
 
         Raises
         ------
@@ -146,11 +146,9 @@ class TrialSet:
         """
         ratios, found, parts = self.ratios(log_ratios), [], []
         for i, (problem, trial, target) in enumerate(zip(self.problems, self.trials, self.targets)):
-            start = None if near is None else near.equilibria[i].state
-            if near is not None and slope is not None:
-                start = retract(
-                    near.equilibria[i].state, slope.moves[i] @ compliance_step(log_ratios - near.log_ratios)
-                )
+            start: TorsoState | Linearisation | None = None if near is None else near.equilibria[i].state
+            if slope is not None:
+                start = slope.tangents[i]
             try:
                 equilibrium = problem.solve(trial.load, ratios, start=start)
             except EquilibriumError as error:
@@ -166,16 +164,16 @@ class TrialSet:
 
     def slope(self, point: Evaluation) -> Slope:
         """Forward sensitivities (Eq. 6) at a point, of ratios and of what is uncertain in the push."""
-        moves, rows, responses = [], [], []
+        tangents, rows, responses = [], [], []
         for i, part in enumerate(point.residuals):
             linearisation = self._linearise(point, i)
-            moves.append(linearisation.forward(self.groups))
-            rows.append(part.along(moves[-1]))
+            tangents.append(linearisation)
+            rows.append(part.along(linearisation.forward(self.groups)))
             load = self.trials[i].load
             changes = (load, push_height_change(load, self.problems[i].torso.rest_pose))
             loaded = part.along(np.stack([linearisation.load_derivative(c) for c in changes], axis=1))
             responses.append(np.column_stack([loaded, *self._motion_errors(i, part)]))
-        return Slope(tuple(moves), np.concatenate(rows), tuple(responses))
+        return Slope(tuple(tangents), np.concatenate(rows), tuple(responses))
 
     def gradient(self, point: Evaluation) -> Floats:
         """df/d log ratio by the adjoint (Eqs. 7, 10)."""

@@ -26,6 +26,7 @@ __all__ = ["Equilibrium", "EquilibriumProblem", "NewtonStep", "Observer", "Solve
 
 RELATIVE_TOLERANCE = 1e-10
 ABSOLUTE_TOLERANCE = 1e-8  # N
+MAX_ITERATIONS = 60
 
 
 class EquilibriumProblem:
@@ -46,7 +47,9 @@ class EquilibriumProblem:
         self.terms = tuple(terms)
         self.potential = Potential(torso)
         self.kinematics = Kinematics(torso, supports)
-        self._analysis = Analysis(self.potential.pattern.indptr, self.potential.pattern.indices, backend)
+        scale = np.ones(self.potential.dofs)
+        scale[: 6 * self.potential.bones].reshape(-1, 6)[:, 3:] /= ROTATION_LENGTH
+        self._analysis = Analysis(self.potential.pattern.indptr, self.potential.pattern.indices, backend, scale)
         held = np.flatnonzero(supports.held.ravel())
         self.held = held
         columns = np.repeat(np.arange(self.potential.dofs), np.diff(self.potential.pattern.indptr))
@@ -86,7 +89,7 @@ class EquilibriumProblem:
         ratios: StiffnessRatios | None = None,
         start: TorsoState | Linearisation | None = None,
         observer: Observer | None = None,
-        max_iterations: int = 60,
+        max_iterations: int = MAX_ITERATIONS,
         tolerance: float | None = None,
     ) -> Equilibrium:
         """The state of least energy under ``load`` (Eq. 4), from ``start`` or the rest pose.
@@ -106,6 +109,26 @@ class EquilibriumProblem:
         EquilibriumError : a part of the torso can move freely (``mechanics.mechanisms``).
         """
         run = Run(self, ratios, observer, max_iterations, tolerance)
+        return self._solved(run, load, start)
+
+    def solve_linearised(
+        self,
+        load: LoadCase,
+        ratios: StiffnessRatios | None = None,
+        start: TorsoState | Linearisation | None = None,
+        observer: Observer | None = None,
+    ) -> tuple[Equilibrium, Linearisation]:
+        """``solve`` and ``linearise`` at once: one factorisation fewer, or what tells that it can be spared.
+
+        Raises
+        ------
+        EquilibriumError : no equilibrium was found.
+        """
+        run = Run(self, ratios, observer, MAX_ITERATIONS, None, always_factorise=True)
+        found = self._solved(run, load, start).require()
+        return found, Linearisation(self, found, load, ratios, run.tangent)
+
+    def _solved(self, run: Run, load: LoadCase, start: TorsoState | Linearisation | None) -> Equilibrium:
         rest = self.torso.rest_pose
         if isinstance(start, Linearisation):
             found = run.newton(load, start.state, start.frame_factor)

@@ -20,6 +20,9 @@ from spinestiff.errors import EquilibriumError
 
 # A free body's six rigid modes pass a factorisation in silence and give |x| ~ 1e15; the residual shows it.
 RESIDUAL_LIMIT = 1e-8
+# A solution of a very stiff and very soft matrix may leave more than that by rounding alone, but not more than this.
+LARGEST_ROUNDING = 1e-5
+EPSILON = float(np.finfo(float).eps)
 BACKENDS = ("rslab", "superlu")
 
 
@@ -32,43 +35,61 @@ class _Backend(Protocol):
 class Factor:
     """A factorised symmetric matrix.
 
+    Parameters
+    ----------
+    lower : the matrix's lower triangle, rows and columns times ``scale`` (n,).
+    backend : its factor.
+
     Attributes
     ----------
     positive_definite : whether all eigenvalues are positive (by inertia).
     """
 
-    def __init__(self, matrix: sp.csc_array, backend: _Backend) -> None:
-        self._lower = matrix
+    def __init__(self, lower: sp.csc_array, backend: _Backend, scale: Floats) -> None:
+        self._lower = lower
         self._backend = backend
+        self._scale = scale
+        self._largest = float(np.abs(lower.data).max(initial=0.0))
         self.positive_definite = backend.positive_definite
 
     def multiply(self, x: Floats) -> Floats:
         """The matrix times (n,) or (n, k)."""
-        return symmetric_product(self._lower.indptr, self._lower.indices, self._lower.data, x)
+        return (self._product((x.T / self._scale).T).T / self._scale).T
 
     def solve(self, rhs: Floats, tolerance: float = 1e-12) -> Floats:
-        """Solution for (n,) or (n, k), refined until the residual is below ``tolerance`` times the right-hand side.
+        """Solution for (n,) or (n, k), refined until its residual is below ``tolerance`` of ``rhs``, scaled.
 
         Raises
         ------
-        EquilibriumError : the residual stays above 1e-8 (or ``tolerance``, if that is larger): the matrix is singular
-            to working precision (a bone without support, a mechanism).
+        EquilibriumError : the residual stays above 1e-8 (or ``tolerance``, if that is larger) and above rounding: the
+            matrix is singular to working precision (a bone without support, a mechanism).
         """
-        x = self._backend.solve(rhs)
-        scale = float(np.abs(rhs).max(initial=0.0))
-        error = 0.0
-        for again in (True, True, True, False):
-            residual = rhs - self.multiply(x)
-            error = float(np.abs(residual).max(initial=0.0))
-            if not again or not np.isfinite(error) or error <= tolerance * scale:
+        b = (rhs.T * self._scale).T
+        size, error = float(np.abs(b).max(initial=0.0)), np.inf
+        best = x = self._backend.solve(b)
+        for _ in range(4):
+            residual = b - self._product(x)
+            found = float(np.abs(residual).max(initial=0.0))
+            if not found < error:
+                break
+            best, error = x, found
+            if error <= tolerance * size:
                 break
             x = x + self._backend.solve(residual)
-        if not error <= max(RESIDUAL_LIMIT, tolerance) * scale:
+        rounding = 16.0 * EPSILON * self._largest * float(np.abs(best).max(initial=0.0))
+        if not error <= max(RESIDUAL_LIMIT, tolerance) * size and not error <= rounding <= LARGEST_ROUNDING * size:
             raise EquilibriumError(
-                f"the stiffness matrix is singular (relative residual {error / scale:.1e}): "
+                f"the stiffness matrix is singular (relative residual {error / size:.1e}): "
                 "a part is held by nothing, or a stiffness is zero"
             )
-        return x
+        return (best.T * self._scale).T
+
+    def inverse(self, rhs: Floats) -> Floats:
+        """As ``solve``, without a look at the residual: for steps that are judged by what they bring about."""
+        return (self._backend.solve((rhs.T * self._scale).T).T * self._scale).T
+
+    def _product(self, x: Floats) -> Floats:
+        return symmetric_product(self._lower.indptr, self._lower.indices, self._lower.data, x)
 
 
 def symmetric_product(indptr: Ints, indices: Ints, lower: Floats, x: Floats) -> Floats:
@@ -99,10 +120,13 @@ class Analysis:
     ----------
     indptr, indices : compressed columns of the lower triangle.
     backend : "rslab" or "superlu"; default: the environment's SPINESTIFF_SOLVER, else rslab where it is installed.
+    scale : (n,) units in which unknowns compare, e.g. 1 for mm and 1/30 for rad at an arm of 30 mm; default: ones.
     """
 
-    def __init__(self, indptr: Ints, indices: Ints, backend: str | None = None) -> None:
+    def __init__(self, indptr: Ints, indices: Ints, backend: str | None = None, scale: Floats | None = None) -> None:
         n = len(indptr) - 1
+        self._scale = np.ones(n) if scale is None else scale
+        self._scale_of_value = np.repeat(self._scale, np.diff(indptr)) * self._scale[indices]
         # Ones, so that no entry of the pattern is dropped as an exact zero.
         self._pattern = sp.csc_array((np.ones(len(indices)), indices, indptr), shape=(n, n))
         self.backend = backend or default_backend()
@@ -123,14 +147,14 @@ class Analysis:
         if not np.isfinite(values).all():
             raise EquilibriumError("the stiffness matrix holds a value that is not finite")
         matrix = self._pattern.copy()
-        matrix.data = np.array(values)
+        matrix.data = values * self._scale_of_value
         try:
             backend: _Backend = (
                 _Rslab(self._symbolic.factor(matrix.data)) if self.backend == "rslab" else _SuperLU(matrix)
             )
         except RuntimeError as error:
             raise EquilibriumError(f"the stiffness matrix is singular ({error}); a part is held by nothing") from error
-        return Factor(matrix, backend)
+        return Factor(matrix, backend, self._scale)
 
 
 def default_backend() -> str:

@@ -73,16 +73,15 @@ def joint_gradients(joints: JointTable, state: TorsoState, stiffness: Floats) ->
     return gradient
 
 
-def joint_gradient_products(joints: JointTable, state: TorsoState, stiffness: Floats, along: Floats) -> Floats:
-    """(J, 6) the gradient times a direction ``along`` (J, 12), split into what each stiffness contributes."""
+def joint_gradient_shares(joints: JointTable, state: TorsoState, stiffness: Floats) -> Floats:
+    """(J, 6, 12) what each stiffness contributes to ``joint_gradients``."""
     pose = joint_pose(joints, state)
-    (parent_t, parent_w), (child_t, child_w) = np.split(along[:, :6], 2, 1), np.split(along[:, 6:], 2, 1)
-    moved = child_t + cross(child_w, pose.child_arm) - parent_t - cross(parent_w, pose.gap)
-    translation = np.einsum("jba,jb->ja", pose.axes, moved)
-    turned = np.einsum("jba,jb->ja", pose.axes, child_w - parent_w)
-    rotation = np.einsum("jab,jb->ja", left_jacobian_inverse(pose.rotation), turned)
-    strain = np.hstack([pose.translation, pose.rotation])
-    return stiffness * strain * np.hstack([translation, rotation])
+    to_joint = np.swapaxes(pose.axes, 1, 2)
+    strains = np.zeros((len(joints), 6, 12))
+    strains[:, :3] = to_joint @ _centre_jacobian(pose)
+    turn = left_jacobian_inverse(pose.rotation) @ to_joint
+    strains[:, 3:, PARENT_W], strains[:, 3:, CHILD_W] = -turn, turn
+    return (stiffness * np.hstack([pose.translation, pose.rotation]))[:, :, None] * strains
 
 
 def joint_hessians(joints: JointTable, state: TorsoState, stiffness: Floats) -> Floats:
@@ -98,12 +97,16 @@ def _world_force_and_moment(pose: JointPose, stiffness: Floats) -> tuple[Floats,
     return force, moment
 
 
+def _centre_jacobian(pose: JointPose) -> Floats:
+    """(J, 3, 12) d (a_c - a_p) in world axes, as the parent's joint frame sees it."""
+    eye = np.broadcast_to(np.eye(3), (len(pose.gap), 3, 3))
+    return np.concatenate([-eye, cross_matrix(pose.gap), eye, -cross_matrix(pose.child_arm)], axis=2)
+
+
 def _translation_hessians(pose: JointPose, stiffness: Floats) -> Floats:
     # d = Q_p^T (exp(-w_p) y - a), y = t_c + exp(w_c) b - t_p: expand to second order in the update.
     y, b = pose.gap, pose.child_arm
-    n = len(y)
-    eye = np.broadcast_to(np.eye(3), (n, 3, 3))
-    first = np.concatenate([-eye, cross_matrix(y), eye, -cross_matrix(b)], axis=2)
+    first = _centre_jacobian(pose)
     spring = np.einsum("jab,jb,jcb->jac", pose.axes, stiffness, pose.axes)
     force = np.einsum("jab,jb->ja", pose.axes, stiffness * pose.translation)
     hessian = np.swapaxes(first, 1, 2) @ spring @ first

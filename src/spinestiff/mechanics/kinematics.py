@@ -181,13 +181,16 @@ class FrameFactor:
         self.factor = factor
         self.exact = exact
         self._held = held
+        self._checked = False
         self._pairs: list[tuple[Floats, Floats, float]] = []
 
     def apply(self, gradient: Floats) -> Floats:
         """T0^-1 K0^-1 T0^-T times a gradient per y."""
         world = self.frame.push(gradient)
         world[self._held] = 0.0
-        return self.frame.from_world(self.factor.solve(world, tolerance=1e-6))
+        # One solve tells whether the matrix is singular.
+        checked, self._checked = self._checked, True
+        return self.frame.from_world(self.factor.inverse(world) if checked else self.factor.solve(world, 1e-6))
 
     def solve(self, gradient: Floats) -> Floats:
         """As ``apply``, with what was learnt: the inverse BFGS matrix by its two loops."""
@@ -289,26 +292,30 @@ def _harmonic_weights(torso: TorsoModel) -> Floats:
 
 @numba.njit(cache=True)
 def _polar(matrices):  # type: ignore[no-untyped-def]
-    """The rotation nearest to each (3, 3), by Newton-Schulz steps; the identity where there is none near."""
+    """The rotation nearest to each (3, 3), in place, by Newton-Schulz steps; the identity where there is none near."""
+    off, step = np.empty((3, 3)), np.empty((3, 3))
     for f in range(len(matrices)):
-        m = matrices[f].copy()
-        near = False
+        m = matrices[f]
+        largest = np.inf
         for _ in range(20):
-            square = m.T @ m
-            off = 0.0
+            last, largest = largest, 0.0
             for i in range(3):
-                square[i, i] -= 1.0
-            off = np.abs(square).max()
-            if off < 1e-12:
-                near = True
+                for j in range(i + 1):
+                    value = m[0, i] * m[0, j] + m[1, i] * m[1, j] + m[2, i] * m[2, j]
+                    if i == j:
+                        value -= 1.0
+                    off[i, j] = off[j, i] = value
+                    largest = max(largest, abs(value))
+            if largest < 1e-12 or not largest < min(last, 1.0):
                 break
-            if not off < 1.0:
-                break
-            m = m - 0.5 * (m @ square)
-        if near:
-            matrices[f] = m
-        else:
-            matrices[f] = np.eye(3)
+            for i in range(3):
+                for j in range(3):
+                    step[i, j] = m[i, 0] * off[0, j] + m[i, 1] * off[1, j] + m[i, 2] * off[2, j]
+            for i in range(3):
+                for j in range(3):
+                    m[i, j] -= 0.5 * step[i, j]
+        if not largest < 1e-9:
+            m[:] = np.eye(3)
     return matrices
 
 

@@ -18,13 +18,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import eigvalsh_tridiagonal
 
 from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.anatomy.torso import TorsoState
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics import diagnosis
-from spinestiff.mechanics.factor import symmetric_product
+from spinestiff.mechanics.factor import Factor, symmetric_product
 from spinestiff.mechanics.kinematics import Frame, FrameFactor
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.potential import ROTATION_LENGTH
@@ -39,16 +40,20 @@ LARGEST_MOVE = 100.0  # mm in one step
 # A step may not bring the smallest J below this share of what it was.
 LEAST_J_SHARE = 0.2
 # A fresh factor goes on serving once the residual is below this share of the load, or of what it was.
-NEAR = 0.05
-# A chord step costs about a fifteenth of a factorisation: a factor is kept while this many are expected to do.
-CHORD_STEPS = 15
-# Vectors and steps of the power iteration that tells how far a tangent is from a factorised one.
-POWER_STEPS = 5
-LARGEST_DISTANCE = 0.9
+NEAR = 0.1
+# A chord step costs a twentieth of a factorisation and they grow better: a factor is kept while this many may do.
+CHORD_STEPS = 25
+# A tangent counts as positive definite without a factor of its own if no Ritz value of it against a factorised one is
+# below this after so many Lanczos steps from a random vector.
+LEAST_RITZ = 0.1
+LANCZOS_STEPS = 6
 
 
 class Run:
-    """One solve: its attempts share the observer and the count of what they cost."""
+    """One solve: its attempts share the observer and the count of what they cost.
+
+    ``always_factorise``: the tangent at an equilibrium is factorised in any case, since it is wanted (``tangent``).
+    """
 
     def __init__(
         self,
@@ -57,6 +62,7 @@ class Run:
         observer: Observer | None,
         max_iterations: int,
         tolerance: float | None,
+        always_factorise: bool = False,
     ) -> None:
         self.problem = problem
         self.potential = problem.potential
@@ -64,8 +70,10 @@ class Run:
         self.max_iterations = max_iterations
         self.factorisations = 0
         self.history: list[NewtonStep] = []
+        self.tangent: Factor | None = None  # at the equilibrium, once it was factorised there
         self._tolerance = tolerance
         self._observer = observer
+        self._always_factorise = always_factorise
         problem.require_held(self.stiffness)
 
     def wants_more(self, found: Equilibrium) -> bool:
@@ -192,34 +200,46 @@ class Run:
 
     def _judged(self, at: Point, factor: FrameFactor | None) -> SolveStatus:
         # Force balance is a minimum where the tangent is positive definite. It is if it is near one that is.
-        if factor is not None and factor.exact and self._distance(at, factor) < LARGEST_DISTANCE:
+        spare = factor if factor is not None and factor.exact and not self._always_factorise else None
+        if spare is not None and self._least_ritz(at, spare) > LEAST_RITZ:
             return SolveStatus.CONVERGED
         try:
             self.factorisations += 1
-            stable = self.problem.factorise(at.state, self.stiffness, at.terms).positive_definite
+            self.tangent = self.problem.factorise(at.state, self.stiffness, at.terms)
         except EquilibriumError:
-            stable = False
-        return SolveStatus.CONVERGED if stable else SolveStatus.SADDLE
+            return SolveStatus.SADDLE
+        return SolveStatus.CONVERGED if self.tangent.positive_definite else SolveStatus.SADDLE
 
-    def _distance(self, at: Point, factor: FrameFactor) -> float:
-        """Largest |1 - eigenvalue| of K0^-1 K by power iteration: below 1, K is positive definite as K0 is."""
+    def _least_ritz(self, at: Point, factor: FrameFactor) -> float:
+        """Smallest Ritz value of K0^-1 K: about its smallest eigenvalue, which is above 0 where K is as K0 is.
+
+        The coefficients of conjugate gradients on K with K0 as preconditioner give Lanczos' tridiagonal matrix.
+        """
         potential, held = self.potential, self.problem.held
-        values = potential.hessian(at.state, self.stiffness, at.terms)
+        pattern, values = potential.pattern, potential.hessian(at.state, self.stiffness, at.terms)
         size = np.ones(potential.dofs)
         size[: 6 * potential.bones].reshape(-1, 6)[:, 3:] = ROTATION_LENGTH
-        v = factor.apply(at.frame.pull(_masked(size * np.random.default_rng(0).normal(size=potential.dofs), held)))
-        distance = np.inf
-        for _ in range(POWER_STEPS):
-            length = float(np.linalg.norm(size * v))
-            if length == 0.0:
-                return 0.0
-            v = v / length
-            product = symmetric_product(
-                potential.pattern.indptr, potential.pattern.indices, values, at.frame.to_world(v)
-            )
-            v = v - factor.apply(at.frame.pull(_masked(product, held)))
-            distance = float(np.linalg.norm(size * v))
-        return distance
+        r = at.frame.pull(_masked(size * np.random.default_rng(0).normal(size=potential.dofs), held))
+        z = factor.apply(r)
+        p, rz = z, float(r @ z)
+        diagonal, off, before = [], [], (1.0, 0.0)
+        for _ in range(LANCZOS_STEPS):
+            product = symmetric_product(pattern.indptr, pattern.indices, values, at.frame.to_world(p))
+            kp = at.frame.pull(_masked(product, held))
+            curvature = float(p @ kp)
+            if not curvature > 0.0:
+                return 0.0 if rz > 0.0 else np.inf
+            alpha = rz / curvature
+            diagonal.append(1.0 / alpha + before[1] / before[0])
+            r = r - alpha * kp
+            z = factor.apply(r)
+            rz, last = float(r @ z), rz
+            if not rz > 1e-24 * last:
+                break
+            before = (alpha, rz / last)
+            off.append(np.sqrt(rz / last) / alpha)
+            p = z + (rz / last) * p
+        return float(eigvalsh_tridiagonal(diagonal, off[: len(diagonal) - 1]).min()) if diagonal else np.inf
 
     def _note(self, iteration: int, at: Point, step: float, factorised: bool, projected: bool) -> bool:
         self.history.append(NewtonStep(iteration, at.residual, at.energy, at.smallest_j, step, factorised, projected))

@@ -249,10 +249,10 @@ class Potential:
         moduli = (stiffness.mu, none), (none, stiffness.lambda_)
         shares = [self._scatter_nodes(state, self._assemble(parts, *pair)) for pair in moduli]
         columns = np.zeros((self.dofs, len(groups)))
+        joints = joint_law.joint_gradient_shares(self.torso.joints, state, stiffness.joints)
         for column, group in enumerate(groups):
-            masked = np.where(group.joints, stiffness.joints, 0.0)
             one = group.mu * shares[0] + group.lambda_ * shares[1]
-            self._add_joints(one, joint_law.joint_gradients(self.torso.joints, state, masked))
+            self._add_joints(one, np.einsum("js,jsd->jd", group.joints, joints))
             columns[:, column] = one
         return columns
 
@@ -270,7 +270,7 @@ class Potential:
         mu, lambda_ = stiffness.mu @ parts[:, 0], stiffness.lambda_ @ parts[:, 1]
         joints = self.torso.joints
         along = np.hstack([rows[joints.parent], rows[joints.child]])
-        shares = joint_law.joint_gradient_products(joints, state, stiffness.joints, along)
+        shares = np.einsum("jsd,jd->js", joint_law.joint_gradient_shares(joints, state, stiffness.joints), along)
         return np.array([g.mu * mu + g.lambda_ * lambda_ + shares[g.joints].sum() for g in groups])
 
     def _bone_rows(self, gradient: Floats) -> Floats:

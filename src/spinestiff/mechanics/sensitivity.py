@@ -19,6 +19,7 @@ from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
 from spinestiff.anatomy.torso import TorsoState, state_digest
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
+from spinestiff.mechanics.factor import Factor
 from spinestiff.mechanics.kinematics import FrameFactor
 from spinestiff.mechanics.loads import LoadCase
 
@@ -28,10 +29,13 @@ if TYPE_CHECKING:
 
 # Above this relative residual a derivative is as wrong as the state (measured: error ~ residual).
 LARGEST_RELATIVE_RESIDUAL = 1e-8
+LINEAR_RESIDUAL = 1e-11
 
 
 class Linearisation:
     """The factorised true tangent at one converged equilibrium.
+
+    ``tangent``: its factor, if the caller has just made it (``EquilibriumProblem.solve_linearised``).
 
     Raises
     ------
@@ -40,7 +44,12 @@ class Linearisation:
     """
 
     def __init__(
-        self, problem: EquilibriumProblem, equilibrium: Equilibrium, load: LoadCase, ratios: StiffnessRatios | None
+        self,
+        problem: EquilibriumProblem,
+        equilibrium: Equilibrium,
+        load: LoadCase,
+        ratios: StiffnessRatios | None,
+        tangent: Factor | None = None,
     ) -> None:
         equilibrium.require()
         self._problem = problem
@@ -55,7 +64,7 @@ class Linearisation:
                 f"no derivative at a residual of {residual:.1e} N under {load.size:.0f} N: "
                 "the state, load and ratios do not belong together"
             )
-        self._factor = problem.factorise(self._state, self._stiffness, terms)
+        self._factor = tangent or problem.factorise(self._state, self._stiffness, terms)
         if not self._factor.positive_definite:
             raise EquilibriumError("no derivative at a state that is no energy minimum (indefinite tangent)")
 
@@ -73,7 +82,7 @@ class Linearisation:
         """K^-1 rhs, (dofs,) or (dofs, k); rows of held DoFs are zero."""
         free = np.array(rhs, dtype=float)
         free[self._problem.held] = 0.0
-        return self._factor.solve(free)
+        return self._factor.solve(free, LINEAR_RESIDUAL)
 
     def forward(self, groups: Sequence[ParameterGroup]) -> Floats:
         """(dofs, P) d x / d log ratio of each group (Eq. 6)."""
