@@ -157,7 +157,7 @@ class PlanarSpine:
 
     def solve(self, load, ratios=None, start=None) -> Equilibrium:
         self.solves += 1
-        state = start or self.torso.rest_pose
+        state = start.state if isinstance(start, PlanarLinearisation) else start or self.torso.rest_pose
         status, steps, norm = SolveStatus.ITERATION_LIMIT, 0, np.inf
         if ratios is not None and ratios.values.min() < self.fails_below:
             return Equilibrium(state, SolveStatus.STALLED, 0.0, 1.0, 0.0, (), (), 0, 1.0)
