@@ -28,6 +28,7 @@ LAYERS = {
     "imaging": 3,
     "estimation": 4,
     "personalise": 4,
+    "interop": 4,
     "study": 5,
     "verification": 6,
     "app": 7,
@@ -47,7 +48,11 @@ HOMES: dict[str, tuple[str, ...]] = {
     "pydantic_core": ("study/*",),
     "typer": ("app/*",),
     "rich": ("app/*",),
+    "torch": ("interop/torch.py",),
+    "jax": ("interop/jax.py",),
 }
+# Packages of extras: the module that needs one says so in one line, and nothing imports that module.
+EXTRAS = {"torch", "jax"}
 # The distribution that holds a package, where it is named otherwise.
 DISTRIBUTIONS = {"cv2": "opencv-python-headless", "skimage": "scikit-image", "pydantic_core": "pydantic"}
 # Found by pydicom at run time, never imported.
@@ -162,7 +167,20 @@ def test_every_dependency_is_declared_and_used() -> None:
     declared = {re.split(r"[<>=~!; \[]", line)[0] for line in project["dependencies"]}
     packages = {found.target.split(".")[0] for path in MODULES for found in imports(path)}
     used = {DISTRIBUTIONS.get(package, package) for package in packages - sys.stdlib_module_names - {"spinestiff"}}
-    assert declared == used | CODECS
+    assert declared == (used - EXTRAS) | CODECS
+    for extra in EXTRAS:
+        assert extra in used
+        assert [re.split(r"[<>=~!; \[]", line)[0] for line in project["optional-dependencies"][extra]] == [extra]
+
+
+def test_nothing_imports_what_needs_an_extra() -> None:
+    wrong = [
+        f"{ids(path)}:{found.line} imports {found.target}"
+        for path in MODULES
+        for found in imports(path)
+        if found.target.startswith("spinestiff.interop")
+    ]
+    assert not wrong, wrong
 
 
 def is_at(path: Path, home: str) -> bool:

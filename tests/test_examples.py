@@ -17,7 +17,11 @@ def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, o
 
 
 def test_every_example_has_a_test() -> None:
-    assert [path.name for path in EXAMPLES] == ["01_push_a_torso.py", "02_recover_ratios.py"]
+    assert [path.name for path in EXAMPLES] == [
+        "01_push_a_torso.py",
+        "02_recover_ratios.py",
+        "03_your_own_model.py",
+    ]
     for path in EXAMPLES:
         assert f"test_{path.stem[3:]}(" in Path(__file__).read_text(encoding="utf-8")
 
@@ -41,3 +45,16 @@ def test_recover_ratios(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
         # Noise-free and on the same mesh: nothing but the stopping rule of the fit is in between.
         assert found[name] == pytest.approx(value, rel=1e-3)
         assert name in printed
+
+
+def test_your_own_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    result = run("03_your_own_model.py", tmp_path, monkeypatch)
+    error, truth, found = result["gradient_error"], result["truth"], result["found"]
+    assert isinstance(error, float)
+    assert isinstance(truth, dict)
+    assert isinstance(found, dict)
+    assert error < 1e-6  # second-order differences with h = 1e-4
+    for name, value in truth.items():
+        assert found[name] == pytest.approx(value, rel=1e-4)
+    assert (tmp_path / "your_own_model.png").stat().st_size > 10_000
+    assert "lower joint: true ratio 2, found 2.0000" in capsys.readouterr().out

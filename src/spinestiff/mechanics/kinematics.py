@@ -315,45 +315,37 @@ def _polar(matrices):  # type: ignore[no-untyped-def]
                 for j in range(3):
                     m[i, j] -= 0.5 * step[i, j]
         if not largest < 1e-9:
-            m[:] = np.eye(3)
+            for i in range(3):
+                for j in range(3):
+                    m[i, j] = 1.0 if i == j else 0.0
     return matrices
-
-
-@numba.njit(cache=True)
-def _cross(a, b, out):  # type: ignore[no-untyped-def]
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
 
 
 @numba.njit(cache=True)
 def _push_tree(order, parent, arm, gap, strain, rows):  # type: ignore[no-untyped-def]
     # Turns in rows[:, 3:] are given; displacements follow from the parents and the strains.
-    with_parent, with_bone = np.empty(3), np.empty(3)
     for b in order:
         p = parent[b]
-        _cross(rows[b, 3:], arm[b], with_bone)
-        rows[b, :3] = strain[b] - with_bone
-        if p >= 0:
-            _cross(rows[p, 3:], gap[b], with_parent)
-            rows[b, :3] += rows[p, :3] + with_parent
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            rows[b, i] = strain[b, i] - rows[b, 3 + j] * arm[b, k] + rows[b, 3 + k] * arm[b, j]
+            if p >= 0:
+                rows[b, i] += rows[p, i] + rows[p, 3 + j] * gap[b, k] - rows[p, 3 + k] * gap[b, j]
 
 
 @numba.njit(cache=True)
 def _pull_tree(order, parent, arm, gap, axes, rows, y):  # type: ignore[no-untyped-def]
     # Forces and moments in ``rows`` are handed down to the roots; y[:, :3] takes each joint's force.
-    moment = np.empty(3)
-    for i in range(len(order) - 1, -1, -1):
-        b = order[i]
-        for k in range(3):
-            y[b, k] = axes[b, 0, k] * rows[b, 0] + axes[b, 1, k] * rows[b, 1] + axes[b, 2, k] * rows[b, 2]
+    for n in range(len(order) - 1, -1, -1):
+        b = order[n]
         p = parent[b]
-        if p >= 0:
-            _cross(gap[b], rows[b, :3], moment)
-            rows[p, :3] += rows[b, :3]
-            rows[p, 3:] += moment
-        _cross(arm[b], rows[b, :3], moment)
-        rows[b, 3:] -= moment
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            y[b, i] = axes[b, 0, i] * rows[b, 0] + axes[b, 1, i] * rows[b, 1] + axes[b, 2, i] * rows[b, 2]
+            if p >= 0:
+                rows[p, i] += rows[b, i]
+                rows[p, 3 + i] += gap[b, j] * rows[b, k] - gap[b, k] * rows[b, j]
+            rows[b, 3 + i] -= arm[b, j] * rows[b, k] - arm[b, k] * rows[b, j]
 
 
 @numba.njit(cache=True)

@@ -1,0 +1,1 @@
+"""The engine inside other frameworks' automatic differentiation. Each module needs its framework installed."""
