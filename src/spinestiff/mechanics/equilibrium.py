@@ -15,6 +15,7 @@ from spinestiff.mechanics.factor import Analysis, Factor
 from spinestiff.mechanics.kinematics import Kinematics
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.mechanisms import require_no_mechanism
+from spinestiff.mechanics.multilevel import MANY_DOFS, TWO_LEVEL, TwoLevelAnalysis, corner_prolongation
 from spinestiff.mechanics.newton import Run
 from spinestiff.mechanics.potential import ROTATION_LENGTH, Potential, Stiffness
 from spinestiff.mechanics.sensitivity import Linearisation
@@ -36,7 +37,8 @@ class EquilibriumProblem:
     ----------
     torso, supports : what is solved.
     terms : further energies of bones, e.g. image terms (``mechanics.terms.BoneTerm``).
-    backend : sparse solver, see ``mechanics.factor.Analysis``.
+    backend : sparse solver, see ``mechanics.factor.Analysis``, or "two-level" (``mechanics.multilevel``), which is also
+        taken where none is named and there are more than 80,000 unknowns.
     """
 
     def __init__(
@@ -49,7 +51,14 @@ class EquilibriumProblem:
         self.kinematics = Kinematics(torso, supports)
         scale = np.ones(self.potential.dofs)
         scale[: 6 * self.potential.bones].reshape(-1, 6)[:, 3:] /= ROTATION_LENGTH
-        self._analysis = Analysis(self.potential.pattern.indptr, self.potential.pattern.indices, backend, scale)
+        pattern = self.potential.pattern
+        many = backend is None and self.potential.dofs > MANY_DOFS and torso.tissue.elements.shape[1] == 10
+        self._analysis: Analysis | TwoLevelAnalysis
+        if many or backend == TWO_LEVEL:
+            prolongation = corner_prolongation(self.potential)
+            self._analysis = TwoLevelAnalysis(pattern.indptr, pattern.indices, prolongation, scale)
+        else:
+            self._analysis = Analysis(pattern.indptr, pattern.indices, backend, scale)
         held = np.flatnonzero(supports.held.ravel())
         self.held = held
         columns = np.repeat(np.arange(self.potential.dofs), np.diff(self.potential.pattern.indptr))

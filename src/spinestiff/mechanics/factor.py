@@ -43,7 +43,10 @@ class Factor:
     Attributes
     ----------
     positive_definite : whether all eigenvalues are positive (by inertia).
+    iterative : whether a solve costs about as much as the factor.
     """
+
+    iterative = False
 
     def __init__(self, lower: sp.csc_array, backend: _Backend, scale: Floats) -> None:
         self._lower = lower

@@ -189,7 +189,7 @@ class FrameFactor:
         world = self.frame.push(gradient)
         world[self._held] = 0.0
         # One solve tells whether the matrix is singular.
-        checked, self._checked = self._checked, True
+        checked, self._checked = self._checked or self.factor.iterative, True
         return self.frame.from_world(self.factor.inverse(world) if checked else self.factor.solve(world, 1e-6))
 
     def solve(self, gradient: Floats) -> Floats:

@@ -109,9 +109,9 @@ class Run:
             if self._note(iteration, at, step, fresh, projected):
                 return there.ended(SolveStatus.CANCELLED)
             far = fresh and there.residual > NEAR * max(load.size, at.residual)
-            if step < 1.0 or projected or far:
+            if step < 1.0 or projected or far or factor.factor.iterative:
                 factor = None
-            elif factor is not None:
+            else:
                 factor.learn(y, there.force - at.force)
                 chord.took(there)
             at = there
