@@ -11,7 +11,7 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.torso import TorsoState, retract
-from spinestiff.errors import EquilibriumError
+from spinestiff.errors import EquilibriumError, TorsoError
 from spinestiff.mechanics.equilibrium import EquilibriumProblem, SolveStatus
 from spinestiff.mechanics.loads import LoadCase, no_load
 from spinestiff.mechanics.newton import Run
@@ -196,7 +196,10 @@ def test_a_failed_start_falls_back_to_rest_then_to_load_steps_then_to_descent(pr
     load = toy_load()
     direct = problem.solve(load, soft)
     tried = _failing(monkeypatch, 3)
-    found = problem.solve(load, soft, start=shaken(problem.torso, 1, 0.01, 0.1))
+    start, rest = shaken(problem.torso, 1, 0.01, 0.1), problem.torso.rest_pose
+    positions, rotations = start.bone_positions.copy(), start.bone_rotations.copy()
+    positions[2], rotations[2] = rest.bone_positions[2], rest.bone_rotations[2]  # the bone that is held
+    found = problem.solve(load, soft, start=TorsoState(positions, rotations, start.tissue_positions))
     names, shares, at_rest = zip(*tried)
     assert names == (*["newton"] * 6, "descend")
     assert shares == (1.0, 1.0, 0.25, 0.5, 0.75, 1.0, 1.0)
@@ -210,15 +213,60 @@ def test_what_fails_to_the_end_is_returned_as_a_failure(problem, soft, monkeypat
     _failing(monkeypatch, 9)
     found = problem.solve(toy_load(), soft)
     assert found.status is SolveStatus.STALLED
-    with pytest.raises(EquilibriumError, match="line search"):
+    with pytest.raises(EquilibriumError, match="no step led to a lower energy"):
         found.require()
 
 
 def test_a_failure_names_bone_joint_and_element(problem, soft):
     found = problem.solve(toy_load(), soft, max_iterations=0)
     assert found.status is SolveStatus.ITERATION_LIMIT
-    for what in ("largest force of", "bone", "joint", "element"):
+    for what in ("force of", "bone", "joint", "element"):
         assert what in found.fault
+
+
+def test_starts_that_do_not_fit_are_refused(torso, problem, soft):
+    rest, load = torso.rest_pose, toy_load()
+    with pytest.raises(EquilibriumError, match="the start has 3 bones"):
+        problem.solve(load, soft, TorsoState(rest.bone_positions, rest.bone_rotations, rest.tissue_positions[1:]))
+    with pytest.raises(TorsoError, match="no right-handed rotation"):
+        problem.solve(load, soft, TorsoState(rest.bone_positions, 1.1 * rest.bone_rotations, rest.tissue_positions))
+    # A start on a factor of what holds more could hide an instability.
+    held = np.ones_like(problem.supports.held)
+    stiffer = EquilibriumProblem(torso, replace(problem.supports, held=held))
+    other = stiffer.linearise(stiffer.solve(load, soft), load, soft)
+    with pytest.raises(EquilibriumError, match="another problem's"):
+        problem.solve(load, soft, other)
+    for tolerance in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(EquilibriumError, match="tolerance"):
+            problem.solve(load, soft, tolerance=tolerance)
+
+
+def test_a_start_that_moves_what_is_held_is_solved_there_or_not_at_all(torso, problem, soft):
+    """The fallbacks begin at rest, where other places would be held."""
+    rest, bone = torso.rest_pose, int(np.flatnonzero(problem.supports.held.all(axis=1))[0])
+    for far in (0.5, 60.0):
+        positions = rest.bone_positions.copy()
+        positions[bone, 0] += far
+        found = problem.solve(toy_load(), soft, TorsoState(positions, rest.bone_rotations, rest.tissue_positions))
+        assert found.state.bone_positions[bone, 0] == positions[bone, 0]
+    assert not found.converged
+
+
+class _NoNumber:
+    """An energy whose moment on a bone is not a number."""
+
+    def energy(self, state):
+        return 0.0
+
+    def blocks(self, state):
+        gradient = np.zeros((1, 6))
+        gradient[0, 5] = np.nan
+        return BoneBlocks(np.array([0]), gradient, np.zeros((1, 6, 6)))
+
+
+def test_what_is_no_number_is_no_equilibrium(problem):
+    found = problem.with_terms([_NoNumber()]).solve(no_load())
+    assert not found.converged
 
 
 def test_an_observer_can_cancel_and_the_last_good_state_is_kept(problem, soft):

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from spinestiff.anatomy.rotation import log_so3
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel, TorsoState, check_rotations
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.factor import Analysis, Factor
@@ -68,6 +69,11 @@ class EquilibriumProblem:
         self._held_diagonal = self.potential.pattern.indptr[held]
         self._held_with: tuple[np.ndarray, np.ndarray] | None = None  # what was stiff when mechanisms were looked for
 
+    @property
+    def backend(self) -> str:
+        """The linear solver in use."""
+        return self._analysis.backend
+
     def with_terms(self, terms: Sequence[BoneTerm]) -> EquilibriumProblem:
         """The same problem with other ``terms``; shares pattern and analysis."""
         other = object.__new__(EquilibriumProblem)
@@ -110,12 +116,15 @@ class EquilibriumProblem:
         max_iterations : of each attempt.
         tolerance : residual to reach, N; default: 1e-10 of the load or 1e-8 N, the larger.
 
+        Held degrees of freedom stay where the start has them, so that bones can be moved to where they are wanted.
         What is returned says by its status whether it is an equilibrium; ``require()`` turns a failure into an error.
-        Where a start fails, the rest pose is tried, then the load in steps, then descent.
+        Where a start fails, the rest pose is tried, then the load in steps, then descent; only descent where what is
+        held is not at rest in the start.
 
         Raises
         ------
-        EquilibriumError : a part of the torso can move freely (``mechanics.mechanisms``).
+        EquilibriumError : a part of the torso can move freely (``mechanics.mechanisms``), the start belongs to another
+            torso, or the tolerance is not a finite one above 0.
         """
         run = Run(self, ratios, observer, max_iterations, tolerance)
         return self._solved(run, load, start)
@@ -138,18 +147,39 @@ class EquilibriumProblem:
         return found, Linearisation(self, found, load, ratios, run.tangent)
 
     def _solved(self, run: Run, load: LoadCase, start: TorsoState | Linearisation | None) -> Equilibrium:
-        rest = self.torso.rest_pose
+        rest, factor = self.torso.rest_pose, None
         if isinstance(start, Linearisation):
-            found = run.newton(load, start.state, start.frame_factor)
+            if start.problem.kinematics is not self.kinematics:
+                raise EquilibriumError("the linearisation to start from is another problem's; start from its state")
+            state, factor = start.state, start.new_frame_factor()
         else:
-            found = run.newton(load, start or rest)
-        if run.wants_more(found) and start is not None:
-            found = run.newton(load, rest)
+            state = rest if start is None else self._checked(start)
+        found = run.newton(load, state, factor)
+        if self._held_at_rest(state):
+            if run.wants_more(found) and state is not rest:
+                found = run.newton(load, rest)
+            if run.wants_more(found):
+                found = run.in_steps(load)
         if run.wants_more(found):
-            found = run.in_steps(load)
-        if run.wants_more(found):
-            found = run.descend(load, found.state if np.isfinite(found.energy) else rest)
+            found = run.descend(load, found.state if found.smallest_j > 0.0 else state)
         return replace(found, history=tuple(run.history), factorisations=run.factorisations)
+
+    def _checked(self, start: TorsoState) -> TorsoState:
+        rest = self.torso.rest_pose
+        shapes = [(s.bone_positions.shape, s.tissue_positions.shape) for s in (start, rest)]
+        if shapes[0] != shapes[1]:
+            raise EquilibriumError(
+                f"the start has {len(start.bone_positions)} bones and {len(start.tissue_positions)} free nodes, "
+                f"the torso {len(rest.bone_positions)} and {len(rest.tissue_positions)}"
+            )
+        check_rotations("start rotation of bone", start.bone_rotations, self.torso.bone_names)
+        return start
+
+    def _held_at_rest(self, state: TorsoState) -> bool:
+        rest = self.torso.rest_pose
+        turned = log_so3(state.bone_rotations @ np.swapaxes(rest.bone_rotations, 1, 2))
+        moved = np.hstack([state.bone_positions - rest.bone_positions, turned])
+        return bool(np.abs(moved[self.supports.held]).max(initial=0.0) < 1e-9)
 
     def linearise(
         self, equilibrium: Equilibrium, load: LoadCase, ratios: StiffnessRatios | None = None
@@ -195,7 +225,7 @@ class EquilibriumProblem:
         bones = gradient[: 6 * self.potential.bones].reshape(-1, 6)
         turning = np.abs(bones[:, 3:]).max(initial=0.0) / ROTATION_LENGTH
         rest = np.abs(gradient[6 * self.potential.bones :]).max(initial=0.0)
-        return float(max(np.abs(bones[:, :3]).max(initial=0.0), turning, rest))
+        return float(np.max([np.abs(bones[:, :3]).max(initial=0.0), turning, rest]))  # not max(): it can lose a NaN
 
     def reactions(self, state: TorsoState, gradient: Floats) -> tuple[Reaction, ...]:
         """What the supports exert in ``state``, for the gradient there with held DoFs as they are."""

@@ -173,13 +173,13 @@ class FrameFactor:
     frame : where the tangent was factorised.
     factor : of the tangent in dx, held DoFs replaced by the identity.
     held : indices of held DoFs.
-    exact : whether the factorised matrix is the true tangent there, neither projected nor with predicted forces.
+    projected : whether negative curvature was left out of what was factorised.
     """
 
-    def __init__(self, frame: Frame, factor: Factor, held: Ints, exact: bool) -> None:
+    def __init__(self, frame: Frame, factor: Factor, held: Ints, projected: bool = False) -> None:
         self.frame = frame
         self.factor = factor
-        self.exact = exact
+        self.projected = projected
         self._held = held
         self._checked = False
         self._pairs: list[tuple[Floats, Floats, float]] = []

@@ -2,8 +2,8 @@
 
 The coarse level keeps the bones and the corner nodes of ten-node tetrahedra; a node in the middle of an edge takes the
 mean of its two ends. Its matrix P^T K P, P the prolongation, has an eighth of the nodes and is factorised. The fine
-level is smoothed by a symmetric Gauss-Seidel sweep before and after. Time and memory grow with the number of nodes,
-where a factorisation's time grows with its square.
+level is smoothed by a symmetric Gauss-Seidel sweep before and after. Time and memory grow little faster than the number
+of nodes (what is left to factorise is an eighth), where a factorisation's time grows with its square.
 """
 
 from __future__ import annotations
@@ -85,8 +85,7 @@ class TwoLevelAnalysis:
         coarse_scale[prolongation.indices[prolongation.indptr[:-1][own]]] = scale[own]
         self._p = sp.csr_array(sp.diags_array(1.0 / scale) @ prolongation @ sp.diags_array(coarse_scale))
         self._shape = (n, n)
-        self._coarse: Analysis | None = None
-        self._coarse_pattern: tuple[Ints, Ints] | None = None
+        self._coarse: tuple[Ints, Ints, Analysis] | None = None
         self.backend = TWO_LEVEL
 
     def factor(self, values: Floats) -> TwoLevelFactor:
@@ -107,10 +106,11 @@ class TwoLevelAnalysis:
         product = self._p.T @ (half @ self._p)
         coarse = sp.csc_array(sp.tril(product + product.T))
         coarse.sort_indices()
-        pattern = (coarse.indptr.astype(np.int64), coarse.indices.astype(np.int64))
-        if self._coarse is None or not all(map(np.array_equal, pattern, self._coarse_pattern or ())):
-            self._coarse, self._coarse_pattern = Analysis(*pattern), pattern
-        return TwoLevelFactor(lower, self._coarse.factor(coarse.data), self._p, self._scale)
+        pointers, rows = coarse.indptr.astype(np.int64), coarse.indices.astype(np.int64)
+        known = self._coarse
+        if known is None or not (np.array_equal(known[0], pointers) and np.array_equal(known[1], rows)):
+            known = self._coarse = (pointers, rows, Analysis(pointers, rows))
+        return TwoLevelFactor(lower, known[2].factor(coarse.data), self._p, self._scale)
 
 
 class TwoLevelFactor(Factor):

@@ -1,9 +1,9 @@
 """More than one equilibrium: whether a load's equilibrium is the only one, and how far a branch of them goes.
 
 A torso that turns far can have several states of least energy under one load (it may buckle or snap over). Newton's
-method ends in one of them, by its start. ``equilibria`` looks for others; ``follow_load`` tells which of them the unloaded
-torso comes to when the load is raised slowly, or at what share of the load that path ends (a limit point: the least
-eigenvalue of the tangent falls to zero there, and the torso jumps).
+method ends in one of them, by its start. ``equilibria`` looks for others; ``follow_load`` tells which of them the
+unloaded torso comes to when the load is raised slowly, or at what share of the load that path ends (a limit point: the
+least eigenvalue of the tangent falls to zero there, and the torso jumps).
 """
 
 from __future__ import annotations
@@ -122,14 +122,19 @@ def equilibria(
 ) -> tuple[Equilibrium, ...]:
     """Different stable equilibria under one load, least energy first.
 
-    Looked for from the rest pose, along the growing load, and from where random forces, one on every bone, take those
-    found so far once they are let go. That none but one was found is no proof that there is no other.
+    Looked for from the rest pose, along the growing load, and from where other loads lead once they are taken away:
+    three times the load, its reverse, and random forces at 30 mm from every bone's origin. That only one is found is no
+    proof that there is no other.
 
     Parameters
     ----------
     known : equilibria under the same load and ratios, found by the caller.
     pushes : how often random forces are tried.
     push_n : their size in sum, N; default: the load's.
+
+    Raises
+    ------
+    EquilibriumError : a part of the torso can move freely, or the unloaded torso has no stable equilibrium.
     """
     found = [one for one in known if one.converged]
 
@@ -141,22 +146,27 @@ def equilibria(
     branch = follow_load(problem, load, ratios)
     if branch.end is BranchEnd.REACHED:
         add(branch.equilibrium)
-    random = np.random.default_rng(seed)
-    bones = np.arange(len(problem.torso.bone_names))
     size = load.size if push_n is None else push_n
-    for trial in range(pushes if found else 0):
-        forces = random.normal(size=(len(bones), 3))
-        forces *= size / np.linalg.norm(forces, axis=1).sum()
-        points = PointsOnBones(
-            np.concatenate([load.points.bone, bones]),
-            np.concatenate([load.points.offset, np.zeros((len(bones), 3))]),
-        )
-        pushed = problem.solve(
-            LoadCase(points, np.concatenate([load.forces, forces])), ratios, found[trial % len(found)].state
-        )
-        if pushed.converged:
-            add(problem.solve(load, ratios, pushed.state))
+    random = np.random.default_rng(seed)
+    others = [load.scaled(3.0), load.scaled(-1.0)]
+    others += [_pushed(problem, load, size, random) for _ in range(pushes)]
+    for number, other in enumerate(others):
+        start = found[number % len(found)].state if found else None
+        away = problem.solve(other, ratios, start)
+        if away.converged:
+            add(problem.solve(load, ratios, away.state))
     return tuple(sorted(found, key=lambda one: one.energy))
+
+
+def _pushed(problem: EquilibriumProblem, load: LoadCase, size: float, random: np.random.Generator) -> LoadCase:
+    """``load`` and random forces of ``size`` N in sum, one on every bone."""
+    bones = len(problem.torso.bone_names)
+    forces, offsets = random.normal(size=(2, bones, 3))
+    forces *= size / np.linalg.norm(forces, axis=1).sum()
+    offsets *= ROTATION_LENGTH / np.linalg.norm(offsets, axis=1, keepdims=True)
+    bone = np.concatenate([load.points.bone, np.arange(bones)])
+    points = PointsOnBones(bone, np.concatenate([load.points.offset, offsets]))
+    return LoadCase(points, np.concatenate([load.forces, forces]))
 
 
 def least_eigenvalue(problem: EquilibriumProblem, linear: Linearisation) -> float:

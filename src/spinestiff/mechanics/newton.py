@@ -71,18 +71,21 @@ class Run:
         self.factorisations = 0
         self.history: list[NewtonStep] = []
         self.tangent: Factor | None = None  # at the equilibrium, once it was factorised there
+        if tolerance is not None and not 0.0 < tolerance < np.inf:
+            raise EquilibriumError(f"tolerance {tolerance} N; wanted a finite residual above 0")
         self._tolerance = tolerance
         self._observer = observer
+        self._cancelled = False
         self._always_factorise = always_factorise
         problem.require_held(self.stiffness)
 
     def wants_more(self, found: Equilibrium) -> bool:
-        return found.status not in (SolveStatus.CONVERGED, SolveStatus.CANCELLED)
+        return found.status is not SolveStatus.CONVERGED and not self._cancelled
 
     def newton(self, load: LoadCase, state: TorsoState, factor: FrameFactor | None = None) -> Equilibrium:
         """Mixed and chord steps."""
         at = Point(self, load, state)
-        if not np.isfinite(at.energy):
+        if not at.smallest_j > 0.0:
             return at.ended(SolveStatus.INVERTED_START)
         predicted: Floats | None = None
         springs = self.problem.supports.springs
@@ -93,7 +96,7 @@ class Run:
             if iteration == self.max_iterations:
                 break
             if factor is not None and chord.spent(at):
-                at, factor = chord.best, None
+                at, factor, predicted = chord.best, None, None
             fresh, projected = factor is None, False
             try:
                 if factor is None:
@@ -118,19 +121,19 @@ class Run:
         return at.ended(SolveStatus.ITERATION_LIMIT, self.max_iterations)
 
     def in_steps(self, load: LoadCase) -> Equilibrium:
-        """The load in four steps; ends with the first that fails."""
+        """The load in four steps; ends with the first that fails, seen under the whole load."""
         state = self.problem.torso.rest_pose
         for share in (0.25, 0.5, 0.75, 1.0):
             found = self.newton(load.scaled(share), state)
-            if found.status is not SolveStatus.CONVERGED:
-                break
             state = found.state
+            if found.status is not SolveStatus.CONVERGED:
+                return Point(self, load, state).ended(found.status)
         return found
 
     def descend(self, load: LoadCase, state: TorsoState) -> Equilibrium:
         """Steps that lower the energy, on a tangent that is projected where it is not positive definite."""
         at = Point(self, load, state)
-        if not np.isfinite(at.energy):
+        if not at.smallest_j > 0.0:
             return at.ended(SolveStatus.INVERTED_START)
         factor: FrameFactor | None = None
         for iteration in range(self.max_iterations + 1):
@@ -166,7 +169,7 @@ class Run:
         if projected:
             factor = self.problem.factorise(at.state, self.stiffness, terms, project=True)
             self.factorisations += 1
-        return FrameFactor(at.frame, factor, self.problem.held, exact=not projected), projected
+        return FrameFactor(at.frame, factor, self.problem.held, projected=projected), projected
 
     def _admissible(self, at: Point, y: Floats) -> tuple[float, Point | None]:
         # The whole step, or as much of it as no element loses most of its volume over.
@@ -200,9 +203,12 @@ class Run:
 
     def _judged(self, at: Point, factor: FrameFactor | None) -> SolveStatus:
         # Force balance is a minimum where the tangent is positive definite. It is if it is near one that is.
-        spare = factor if factor is not None and factor.exact and not self._always_factorise else None
-        if spare is not None and self._least_ritz(at, spare) > LEAST_RITZ:
-            return SolveStatus.CONVERGED
+        spare = factor if factor is not None and not factor.projected and not self._always_factorise else None
+        try:
+            if spare is not None and self._least_ritz(at, spare) > LEAST_RITZ:
+                return SolveStatus.CONVERGED
+        except EquilibriumError:
+            pass  # its own factor has to tell
         try:
             self.factorisations += 1
             self.tangent = self.problem.factorise(at.state, self.stiffness, at.terms)
@@ -222,13 +228,15 @@ class Run:
         r = at.frame.pull(_masked(size * np.random.default_rng(0).normal(size=potential.dofs), held))
         z = factor.apply(r)
         p, rz = z, float(r @ z)
+        if rz == 0.0:
+            return np.inf  # nothing can move
         diagonal, off, before = [], [], (1.0, 0.0)
         for _ in range(LANCZOS_STEPS):
             product = symmetric_product(pattern.indptr, pattern.indices, values, at.frame.to_world(p))
             kp = at.frame.pull(_masked(product, held))
             curvature = float(p @ kp)
-            if not curvature > 0.0:
-                return 0.0 if rz > 0.0 else np.inf
+            if not (curvature > 0.0 and rz > 0.0):
+                return 0.0
             alpha = rz / curvature
             diagonal.append(1.0 / alpha + before[1] / before[0])
             r = r - alpha * kp
@@ -239,11 +247,12 @@ class Run:
             before = (alpha, rz / last)
             off.append(np.sqrt(rz / last) / alpha)
             p = z + (rz / last) * p
-        return float(eigvalsh_tridiagonal(diagonal, off[: len(diagonal) - 1]).min()) if diagonal else np.inf
+        return float(eigvalsh_tridiagonal(diagonal, off[: len(diagonal) - 1]).min())
 
     def _note(self, iteration: int, at: Point, step: float, factorised: bool, projected: bool) -> bool:
         self.history.append(NewtonStep(iteration, at.residual, at.energy, at.smallest_j, step, factorised, projected))
-        return bool(self._observer and self._observer(self.history[-1]))
+        self._cancelled |= bool(self._observer and self._observer(self.history[-1]))
+        return self._cancelled
 
 
 class Point:
@@ -265,7 +274,7 @@ class Point:
         self.energy, self.smallest_j = energy, smallest_j
         self.tolerance = run.tolerance(load)
         self.residual = np.inf
-        if np.isfinite(energy):
+        if smallest_j > 0.0:
             self.gradient, self.full = problem.free_gradient(state, run.stiffness, self.terms)
             self.residual = problem.residual_norm(self.gradient)
 
@@ -281,17 +290,14 @@ class Point:
     def ended(self, status: SolveStatus, iteration: int | None = None) -> Equilibrium:
         """The result with this as its last state."""
         run, torso = self._run, self._run.problem.torso
-        if iteration is not None:
-            run._note(iteration, self, 0.0, False, False)
+        if iteration is not None and run._note(iteration, self, 0.0, False, False):
+            status = status if status is SolveStatus.CONVERGED else SolveStatus.CANCELLED
         fault = ""
         if status is SolveStatus.INVERTED_START:
             fault = diagnosis.worst_element(torso, self.state)
         elif status is not SolveStatus.CONVERGED:
-            fault = f"largest {diagnosis.largest_residual(torso, self.state, self.gradient)}; "
-            fault += (
-                f"{diagnosis.largest_joint_motion(torso, self.state)}; {diagnosis.worst_element(torso, self.state)}"
-            )
-        full = self.full if np.isfinite(self.energy) else np.zeros(run.potential.dofs)
+            fault = diagnosis.at_fault(torso, self.state, self.gradient)
+        full = self.full if self.smallest_j > 0.0 else np.zeros(run.potential.dofs)
         return Equilibrium(
             self.state,
             status,
@@ -336,6 +342,8 @@ def _masked(values: Floats, held: Ints) -> Floats:
 
 
 def _capped(direction: Floats, bones: int) -> Floats:
+    if not np.isfinite(direction).all():
+        raise EquilibriumError("a step is not finite")
     rows = direction[: 6 * bones].reshape(-1, 6)
     turn = np.linalg.norm(rows[:, 3:], axis=1).max(initial=0.0) / LARGEST_TURN
     move = max(np.abs(rows[:, :3]).max(initial=0.0), np.abs(direction[6 * bones :]).max(initial=0.0)) / LARGEST_MOVE

@@ -73,10 +73,13 @@ class Linearisation:
         return self._state
 
     @property
-    def frame_factor(self) -> FrameFactor:
-        """The factor, to be applied at other states (``EquilibriumProblem.solve``)."""
+    def problem(self) -> EquilibriumProblem:
+        return self._problem
+
+    def new_frame_factor(self) -> FrameFactor:
+        """The factor, for use at other states (``EquilibriumProblem.solve``). Each learns for itself."""
         frame = self._problem.kinematics.at(self._state)
-        return FrameFactor(frame, self._factor, self._problem.held, exact=True)
+        return FrameFactor(frame, self._factor, self._problem.held)
 
     def solve(self, rhs: Floats) -> Floats:
         """K^-1 rhs, (dofs,) or (dofs, k); rows of held DoFs are zero."""

@@ -23,12 +23,15 @@ class SolveStatus(enum.Enum):
         "reduce the force or raise the ratios"
     )
     STALLED = (
-        "the line search found no lower energy; the state may be a fold or a limit point: "
+        "no step led to a lower energy without folding an element; the state may be a limit point: "
         "reduce the force or start from a nearer state"
     )
     INVERTED_START = "the start state has an inverted element; start from the rest pose"
-    SINGULAR = "the stiffness matrix is singular; a bone is held by nothing or a stiffness is zero"
-    SADDLE = "force balance without stability: the state is no energy minimum; start from a nearer state"
+    SINGULAR = (
+        "the stiffness matrix is singular or not finite; the load may be far beyond what the torso carries: "
+        "reduce the force or raise the ratios"
+    )
+    SADDLE = "force balance without stability: the state is no energy minimum; start from a state a little to its side"
     CANCELLED = "cancelled before an equilibrium was reached; the state is the last good one, to go on from"
 
 

@@ -23,7 +23,7 @@ class Supports:
 
     Attributes
     ----------
-    held : (B, 6) bool, bone DoFs (dt, dw; world axes) that stay at rest.
+    held : (B, 6) bool, bone DoFs (dt, dw; world axes) that stay where a solve's start has them: at rest by default.
     springs : points held along a direction.
     names : (S,) what each spring stands for.
     """

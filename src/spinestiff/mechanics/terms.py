@@ -96,7 +96,7 @@ class PredictedSprings:
 
     Their energy and gradient are those of ``springs``; in the Hessian, k d^2 x times the force is taken with the
     force that the last step predicted. A stiff spring's own force is far off after a large step, k times an error of
-    second order, and so would be the tangent (mechanics/equilibrium.py).
+    second order, and so would be the tangent (mechanics/newton.py).
     """
 
     springs: PointSprings

@@ -45,7 +45,7 @@ from spinestiff.study.visit import (
 
 SCHEMA_VERSION = 1
 # Where a fit starts: the geometric means of Table 4. From the default ratios it gets to the same place in more steps.
-USUAL_RATIOS = {"lateral_bending": 0.07, "tissue": 0.04}
+USUAL_RATIOS = {"lateral_bending": 0.07, "intervertebral_bending": 0.07, "tissue": 0.04}
 STEPS = ("track", "personalise", "estimate", "assess", "report")
 
 

@@ -17,9 +17,10 @@ MISSING = "not available"
 BENDING_BAND = (1.3, 1.8)
 # Range of the ratio in the seven subjects of the method's first study. Its tissue ratios are left out: they belong to
 # another default tissue.
-PUBLISHED = {"lateral_bending": (0.01, 0.63)}
+PUBLISHED = {"lateral_bending": (0.01, 0.63), "intervertebral_bending": (0.01, 0.63)}
 RATIO_TITLES = {
     "lateral_bending": "Lateral bending of the spine",
+    "intervertebral_bending": "Lateral bending of the spine, rib cage as it is",
     "tissue": "Soft tissue of the trunk",
     "tissue_mu": "Soft tissue of the trunk, shear",
     "tissue_lambda": "Soft tissue of the trunk, bulk",
@@ -30,10 +31,11 @@ RATIO_TITLES = {
     "separation": "Axial stiffness of the spine",
     "everything": "All stiffnesses together",
 }
+BENDING = ("lateral_bending", "intervertebral_bending", "everything")  # ratios that scale a level's lateral bending
 # Plain quantity -> the ratios that scale it as a whole, its name and unit.
 PLAIN = {
-    "lateral_bending_thoracic_nm_per_rad": (("lateral_bending", "everything"), "per thoracic level", "N m/rad"),
-    "lateral_bending_lumbar_nm_per_rad": (("lateral_bending", "everything"), "per lumbar level", "N m/rad"),
+    "lateral_bending_thoracic_nm_per_rad": (BENDING, "per thoracic level", "N m/rad"),
+    "lateral_bending_lumbar_nm_per_rad": (BENDING, "per lumbar level", "N m/rad"),
     "tissue_young_kpa": (("tissue", "everything"), "Young’s modulus", "kPa"),
 }
 PREDICTORS = {
@@ -179,10 +181,10 @@ def _strip(name: str, entry: Mapping[str, Any], bounds: Sequence[float], truth: 
 def _bending_line(estimate: Mapping[str, Any]) -> dict[str, Any] | None:
     """The bending stiffness of a level beside cadaver segments."""
     value = estimate["plain"].get("lateral_bending_thoracic_nm_per_rad")
-    if value is None or not {"lateral_bending", "everything"} & set(estimate["ratios"]):
+    name = next((name for name in BENDING if name in estimate["ratios"]), None)
+    if value is None or name is None:
         return None
     low, high = (float(np.degrees(edge)) for edge in BENDING_BAND)
-    name = "lateral_bending" if "lateral_bending" in estimate["ratios"] else "everything"
     entry = estimate["ratios"][name]
     first, last = (bound if end is None else end for end, bound in zip(entry["interval95"], estimate["bounds"]))
     overlap = first * value / entry["value"] <= high and last * value / entry["value"] >= low

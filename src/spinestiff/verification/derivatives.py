@@ -9,18 +9,21 @@ import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios, parameter_group, stiffness_ratios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel, TorsoState, retract
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import EquilibriumError
-from spinestiff.imaging.features import reference_boxes, silhouette_choice, state_features
+from spinestiff.estimation.evaluation import TrialSet
+from spinestiff.estimation.objective import Trial, make_target, residuals
+from spinestiff.imaging.features import VertebraCorners, reference_boxes, silhouette_choice, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.mechanics.loads import LoadCase
+from spinestiff.mechanics.loads import LoadCase, no_load
 from spinestiff.mechanics.sensitivity import Linearisation
-from spinestiff.verification.energies import dense
+from spinestiff.personalise.image_terms import corner_term
+from spinestiff.verification.energies import GRADIENT_TOLERANCE, STATES, dense
 from spinestiff.verification.equilibria import toy_load, toy_supports
 from spinestiff.verification.models import points_on, shaken, toy_torso
-from spinestiff.verification.oracle import STEP, Complexes, rotation
+from spinestiff.verification.oracle import STEP, Complexes, Dual, EnergyOracle, curvature_along, rotation
 from spinestiff.verification.outcome import Check, compared, counted, judged, vanishing
 
 NAMES = {"lateral_bending": 0.3, "tissue": 0.2, "axial_rotation": 0.5, "tissue_mu": 0.8}
@@ -56,13 +59,15 @@ class _Case:
         self.problem = EquilibriumProblem(self.torso, toy_supports(self.torso))
         self.load: LoadCase = toy_load(40.0)
         self.ratios: StiffnessRatios = stiffness_ratios(NAMES, self.torso.joints.kinds)
-        self.found = self.problem.solve(self.load, self.ratios).require()
+        # Tighter than the default 1e-10 of the load: differences of solves are taken.
+        self.fine = 1e-12 * self.load.size
+        self.found = self.problem.solve(self.load, self.ratios, tolerance=self.fine).require()
         self.tangent: Linearisation = self.problem.linearise(self.found, self.load, self.ratios)
         self.goal = _Goal(self.torso, 3)
 
     def at(self, log_change: Floats) -> TorsoState:
         ratios = self.ratios.with_values(self.ratios.values * np.exp(log_change))
-        return self.problem.solve(self.load, ratios, start=self.found.state).require().state
+        return self.problem.solve(self.load, ratios, start=self.found.state, tolerance=self.fine).require().state
 
     def along(self, direction: Floats) -> Callable[[float], float]:
         """The goal as a function of the step in log ratios along ``direction``."""
@@ -77,16 +82,16 @@ def sensitivities() -> Iterator[Check]:
         forward = case.tangent.forward(groups)
         gradient = case.goal.gradient(case.found.state)
         adjoint = case.tangent.adjoint(gradient, groups)
-        yield compared(f"Eqs. 6-7: adjoint against forward, {nodes} nodes", adjoint, gradient @ forward, 1e-10)
+        yield compared(f"D1 Eqs. 6-7: adjoint against forward, {nodes} nodes", adjoint, gradient @ forward, 1e-10)
         stiffness, terms = potential.stiffness(case.ratios), case.problem.all_terms(case.load)
         free = np.setdiff1d(np.arange(potential.dofs), case.problem.held)
         hessian = dense(potential, potential.hessian(case.found.state, stiffness, terms))[np.ix_(free, free)]
         shares = potential.ratio_gradients(case.found.state, stiffness, groups)[free]
         wanted = np.zeros_like(forward)
         wanted[free] = -np.linalg.inv(hessian) @ shares
-        yield compared(f"Eq. 6: forward against a dense inverse, {nodes} nodes", forward, wanted, 1e-10)
+        yield compared(f"D1 Eq. 6: forward against a dense inverse, {nodes} nodes", forward, wanted, 1e-10)
         yield vanishing(
-            f"Eq. 6: held bones stay, {nodes} nodes", forward[case.problem.held], float(np.abs(forward).max()), 0.0
+            f"D1 Eq. 6: held bones stay, {nodes} nodes", forward[case.problem.held], float(np.abs(forward).max()), 0.0
         )
         step = 1e-3
         for i, name in enumerate(case.ratios.names):
@@ -96,7 +101,10 @@ def sensitivities() -> Iterator[Check]:
                 w * (case.goal.value(case.at(k * unit)) - case.goal.value(case.at(-k * unit))) for k, w in weights
             )
             yield compared(
-                f"Eq. 7: d goal / d log {name} against differences, {nodes} nodes", adjoint[i], difference / step, 1e-6
+                f"D3 Eq. 7: d goal / d log {name} against differences, {nodes} nodes",
+                adjoint[i],
+                difference / step,
+                1e-6,
             )
 
 
@@ -115,9 +123,9 @@ def taylor() -> Iterator[Check]:
         case = _Case(nodes)
         direction = np.array([0.6, -0.7, 0.4, 0.5])
         slope = float(case.tangent.adjoint(case.goal.gradient(case.found.state), case.ratios.groups) @ direction)
-        without, remainder = taylor_slopes(case.along(direction), slope, 0.1, 8)
-        yield judged(f"Taylor: slope of the remainder less 2, {nodes} nodes", np.abs(remainder[3:] - 2.0).max(), 0.05)
-        yield judged(f"Taylor: slope without the gradient less 1, {nodes} nodes", np.abs(without[3:] - 1.0).max(), 0.05)
+        without, remainder = taylor_slopes(case.along(direction), slope, 0.04, 8)
+        yield judged(f"D2 Taylor: slope of the remainder less 2, {nodes} nodes", np.abs(remainder - 2.0).max(), 0.05)
+        yield judged(f"D2 Taylor: slope without the gradient less 1, {nodes} nodes", np.abs(without - 1.0).max(), 0.05)
 
 
 def load_derivative() -> Iterator[Check]:
@@ -126,9 +134,10 @@ def load_derivative() -> Iterator[Check]:
     found = case.tangent.load_derivative(case.load)[18:]
     step, total = 1e-3, np.zeros_like(found)
     for k, weight in ((1, 8 / 12), (2, -1 / 12)):
-        ends = [case.problem.solve(case.load.scaled(1 + s * k * step), case.ratios).require() for s in (1, -1)]
+        loads = [case.load.scaled(1 + s * k * step) for s in (1, -1)]
+        ends = [case.problem.solve(load, case.ratios, tolerance=case.fine).require() for load in loads]
         total = total + weight * (ends[0].state.tissue_positions - ends[1].state.tissue_positions).ravel()
-    yield compared("load derivative against differences of solves", found, total / step, 1e-6)
+    yield compared("D3 load derivative against differences of solves", found, total / step, 1e-6)
 
 
 def superposition() -> Iterator[Check]:
@@ -146,20 +155,94 @@ def superposition() -> Iterator[Check]:
         return problem.potential.ratio_gradients(state, stiffness, groups).sum(1)
 
     whole = problem.potential.gradient(state, stiffness, ())
-    yield compared("superposition: shares of all parts are the force", shares(directions + tissue), whole, 1e-13)
+    yield compared("D5 superposition: shares of all parts are the force", shares(directions + tissue), whole, 1e-14)
     yield compared(
-        "superposition: one group for everything", shares([parameter_group("everything", kinds)]), whole, 1e-13
+        "D5 superposition: one group for everything", shares([parameter_group("everything", kinds)]), whole, 1e-14
     )
     yield compared(
-        "superposition: tissue is mu and lambda", shares([parameter_group("tissue", kinds)]), shares(tissue), 1e-13
+        "D5 superposition: tissue is mu and lambda", shares([parameter_group("tissue", kinds)]), shares(tissue), 1e-14
     )
-    log_step, total = 1e-3, np.zeros_like(whole)
-    for k, weight in ((1, 8 / 12), (2, -1 / 12)):
-        for sign in (1, -1):
-            scaled = ratios.with_values(ratios.values * np.exp(sign * k * log_step * np.array([1.0, 0, 0, 0])))
-            total = total + sign * weight * problem.potential.gradient(state, problem.potential.stiffness(scaled), ())
-    bending = shares([parameter_group("lateral_bending", kinds)])
-    yield compared("superposition: a share is d force / d log ratio", bending, total / log_step, 1e-9)
+    # The energy is linear in a ratio: a complex step in the ratio leaves the share's own energy, whose slope is asked.
+    random = np.random.default_rng(15)
+    for name in ("lateral_bending", "axial_rotation", "tissue_mu", "tissue_lambda", "tissue", "everything"):
+        group = parameter_group(name, kinds)
+        share = shares([group])
+        oracle = _GroupOracle(torso, state, ratios, group)
+        directions_tried = random.normal(size=(20, len(share)))
+        directions_tried[:, : 6 * problem.potential.bones].reshape(20, -1, 6)[:, :, 3:] *= 0.03
+        found = directions_tried @ share
+        wanted = [curvature_along(oracle, np.array([1.0]), d) for d in directions_tried]
+        yield compared(f"D5 superposition: d force / d log {name}, complex step in the ratio", found, wanted, 1e-12)
+
+
+class _GroupOracle:
+    """The second energy as a function of one log ratio and the state: a complex step in one, a slope in the other."""
+
+    def __init__(self, torso: TorsoModel, state: TorsoState, ratios: StiffnessRatios, group: ParameterGroup) -> None:
+        self._group, self._ratios = group, ratios
+        self._whole = EnergyOracle(torso, state, ratios)
+        mesh = torso.tissue
+        kept = replace(
+            torso,
+            joints=replace(torso.joints, stiffness=np.where(group.joints, torso.joints.stiffness, 0.0)),
+            tissue=replace(mesh, lame_mu=group.mu * mesh.lame_mu, lame_lambda=group.lambda_ * mesh.lame_lambda),
+        )
+        self._own = EnergyOracle(kept, state, ratios)
+
+    def __call__(self, step: Dual) -> Dual:
+        change, direction = step.value[0], step.slope
+        at = Dual(np.zeros(len(direction), dtype=complex), direction)
+        # E(ratio (1 + change)) = E + change E_own, to first order exactly.
+        return self._whole(at) + self._own(at) * change
+
+
+def _by_dense_algebra(case: _Case, state: TorsoState, ratios: StiffnessRatios) -> Floats:
+    """The goal's derivative in the log ratios at any state (Eq. 7), by a dense solution."""
+    potential = case.problem.potential
+    stiffness, terms = potential.stiffness(ratios), case.problem.all_terms(case.load)
+    free = np.setdiff1d(np.arange(potential.dofs), case.problem.held)
+    hessian = dense(potential, potential.hessian(state, stiffness, terms))[np.ix_(free, free)]
+    shares = potential.ratio_gradients(state, stiffness, ratios.groups)[free]
+    return np.asarray(-shares.T @ np.linalg.solve(hessian, case.goal.gradient(state)[free]))
+
+
+def loose_derivatives() -> Iterator[Check]:
+    """What a gradient is worth at a state out of balance: its error goes with the residual, so the limit of 1e-8."""
+    case = _Case(10)
+    exact = _by_dense_algebra(case, case.found.state, case.ratios)
+    away = np.random.default_rng(3).normal(size=case.problem.potential.dofs)
+    away[: 6 * case.problem.potential.bones].reshape(-1, 6)[:, 3:] *= 0.03
+    away[case.problem.held] = 0.0
+    for residual in (1e-2, 1e-4, 1e-6, 1e-8):
+        found = _by_dense_algebra(case, _off_balance(case, away, residual), case.ratios)
+        yield compared(f"D4 gradient at a residual of {residual:.0e} of the load", found, exact, 3.0 * residual)
+
+
+def earlier_factors() -> Iterator[Check]:
+    """An earlier factor serves for steps, never for a derivative: the state it leads to has a tangent of its own."""
+    case = _Case(10)
+    changed = case.ratios.with_values(1.2 * case.ratios.values)
+    found = case.problem.solve(case.load, changed, start=case.tangent, tolerance=case.fine).require()
+    tangent = case.problem.linearise(found, case.load, changed)
+    slopes = tangent.adjoint(case.goal.gradient(found.state), changed.groups)
+    wanted = _by_dense_algebra(case, found.state, changed)
+    yield compared("D4 gradient after steps with an earlier factor, against dense algebra", slopes, wanted, 1e-10)
+    theirs = [case.tangent.belongs_to(state) for state in (found.state, case.found.state)]
+    yield counted("D4 tangent told from that of another state", int(theirs != [False, True]), 1)
+
+
+def _off_balance(case: _Case, direction: Floats, share: float) -> TorsoState:
+    """The equilibrium moved along ``direction`` (dofs,) until the residual is ``share`` of the load."""
+    potential = case.problem.potential
+    stiffness, terms = potential.stiffness(case.ratios), case.problem.all_terms(case.load)
+    size, state = 1e-3 * share, case.found.state
+    for _ in range(8):
+        state = retract(case.found.state, size * direction)
+        gradient = potential.gradient(state, stiffness, terms)
+        gradient[case.problem.held] = 0.0
+        gradient[: 6 * potential.bones].reshape(-1, 6)[:, 3:] /= 30.0
+        size *= share * case.load.size / float(np.abs(gradient).max())
+    return state
 
 
 def refused_derivatives() -> Iterator[Check]:
@@ -167,9 +250,13 @@ def refused_derivatives() -> Iterator[Check]:
     case = _Case(10)
     short = case.problem.solve(case.load, case.ratios, max_iterations=1)
     loose = case.problem.solve(case.load, case.ratios, tolerance=1e-3 * case.load.size)
+    away = np.zeros(case.found.state.dofs)
+    away[-1] = 1.0
+    nudged = replace(case.found, state=_off_balance(case, away, 1.5e-8))
     tries = [
         (short, case.load, case.ratios),
         (loose, case.load, case.ratios),
+        (nudged, case.load, case.ratios),
         (case.found, case.load.scaled(1.001), case.ratios),
         (case.found, case.load, None),
     ]
@@ -180,8 +267,16 @@ def refused_derivatives() -> Iterator[Check]:
         except EquilibriumError:
             continue
         given += 1
-    yield counted("refusal: derivatives away from equilibrium", given, len(tries))
-    yield judged("refusal: the loose state passed as converged", float(not loose.converged), 0.0)
+    yield counted("D4 refusal: derivatives away from equilibrium", given, len(tries))
+    yield judged("D4 refusal: the loose state passed as converged", float(not loose.converged), 0.0)
+    near = replace(case.found, state=_off_balance(case, away, 5e-9))
+    try:
+        tangent = case.problem.linearise(near, case.load, case.ratios)
+        slopes = tangent.adjoint(case.goal.gradient(near.state), case.ratios.groups)
+    except EquilibriumError:
+        slopes = np.full(len(NAMES), np.nan)
+    wanted = case.tangent.adjoint(case.goal.gradient(case.found.state), case.ratios.groups)
+    yield compared("D4 gradient given at a residual of 5e-9 of the load", slopes, wanted, 1e-7)
 
 
 def boxed_torso() -> TorsoModel:
@@ -247,7 +342,9 @@ def features() -> Iterator[Check]:
                 return _features_oracle(torso, view, state, choice, kind, dx)
 
             name = f"{view_name} view, {orientation}"
-            yield compared(f"features: Eqs. 9-11, {name}", found.z, oracle(np.zeros((3, 6), dtype=complex)).real, 1e-12)
+            yield compared(
+                f"D6 features: Eqs. 9-11, {name}", found.z, oracle(np.zeros((3, 6), dtype=complex)).real, 1e-12
+            )
             wanted = np.empty((3, 4, 2, 6))
             for dof in range(6):
                 dx = np.zeros((3, 6), dtype=complex)
@@ -255,11 +352,82 @@ def features() -> Iterator[Check]:
                 wanted[..., dof] = oracle(dx).imag / STEP
             for part, columns in (("shifts", slice(0, 3)), ("turns", slice(3, 6))):
                 yield compared(
-                    f"features: derivative in {part} (Eq. 12), {name}",
+                    f"D6 features: derivative in {part} (Eq. 12), {name}",
                     found.jacobian[..., columns],
                     wanted[..., columns],
                     1e-11,
                 )
 
 
-GROUPS = (sensitivities, taylor, load_derivative, superposition, refused_derivatives, features)
+def _corners(torso: TorsoModel, view: XRayView, state: TorsoState, choice: Ints) -> VertebraCorners:
+    """The picture of ``state``: corners on the detector whose features are the state's own."""
+    z = state_features(torso, view, state, choice).z
+    return VertebraCorners(torso.vertebrae, view.from_patient_plane(z), np.ones(z.shape[:2]))
+
+
+def image_loss() -> Iterator[Check]:
+    """The image loss's slope in the pose (Eqs. 9-12) over 100 random states, as a fit and as a geometry feel it."""
+    torso = boxed_torso()
+    view = frontal_view()
+    choice = silhouette_choice(torso, view, torso.rest_pose)
+    seen = _corners(torso, view, shaken(torso, STATES, turn=0.1, move=4.0), choice)
+    target = make_target(torso, Trial(no_load(), seen, view, "picture"))
+    term = corner_term(torso, view, seen, choice, 2.0)
+    random = np.random.default_rng(16)
+    errors = []
+    for seed in range(STATES):
+        state = shaken(torso, seed, turn=0.1, move=4.0)
+        part = residuals(torso, target, state)
+        direction = random.normal(size=(3, 6)) * [1, 1, 1, 0.03, 0.03, 0.03]
+        z = _features_oracle(torso, view, state, choice, "procrustes", 1j * STEP * direction)
+        weights = target.weights[:, None, None]
+        wanted = float((0.5 * np.sum(weights * (z - target.z) ** 2)).imag / STEP)
+        pulled = float((np.sum((z - term.targets) ** 2)).imag / STEP)  # weight 2, halved
+        found = part.gradient(state.dofs)[:18].reshape(3, 6) * direction
+        blocks = term.blocks(state)
+        felt = np.zeros((3, 6))
+        np.add.at(felt, blocks.bone, blocks.gradient)
+        felt = felt * direction
+        errors.append([abs(v.sum() - w) / np.linalg.norm(v) for v, w in ((found, wanted), (felt, pulled))])
+    for name, worst in zip(("of a fit", "as a term that pulls vertebrae"), np.max(errors, axis=0)):
+        yield judged(f"A1 gradient: image loss {name}, worst of {STATES} random states", worst, GRADIENT_TOLERANCE)
+
+
+def gauss_newton() -> Iterator[Check]:
+    """J^T J of a fit against differences of the loss's gradient by whole solves, where the radiograph fits exactly."""
+    torso = boxed_torso()
+    problem = EquilibriumProblem(torso, toy_supports(torso))
+    view, load = frontal_view(), toy_load(40.0)
+    choice = silhouette_choice(torso, view, torso.rest_pose)
+    names = {"lateral_bending": 0.3, "tissue": 0.2}
+    truth = stiffness_ratios(names, torso.joints.kinds)
+    pictured = problem.solve(load, truth, tolerance=1e-12 * load.size).require().state
+    trials = [Trial(load, _corners(torso, view, pictured, choice), view, "push")]
+    fit = TrialSet([problem], trials, truth.groups, "procrustes", None)
+    at = np.log(truth.values)
+    point = fit.solve(at)
+    jacobian = fit.slope(point).jacobian
+    step, hessian = 1e-3, np.zeros((2, 2))
+    for i in range(2):
+        for k, weight in ((1, 8 / 12), (2, -1 / 12)):
+            for sign in (1, -1):
+                there = fit.solve(at + sign * k * step * np.eye(2)[i], near=point)
+                hessian[:, i] += sign * weight * fit.gradient(there) / step
+    yield compared(
+        "D7 fit: J^T J against the loss's second differences at no residual", jacobian.T @ jacobian, hessian, 1e-5
+    )
+    yield vanishing("D7 fit: residual where the radiograph is the model's own, mm", point.values, 1.0, 1e-8)
+
+
+GROUPS = (
+    sensitivities,
+    taylor,
+    load_derivative,
+    superposition,
+    loose_derivatives,
+    earlier_factors,
+    refused_derivatives,
+    features,
+    image_loss,
+    gauss_newton,
+)
