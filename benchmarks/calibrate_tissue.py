@@ -6,8 +6,8 @@ at which their median force per degree of curve change is 3.66 N per degree, whi
 vertebrae. Everything else (spread over subjects, sizes of displacement) is left unfitted.
 
 Run ``python benchmarks/calibrate_tissue.py [--mesh coarse|fine]``; it prints the modulus and a row a subject, and with
-``--write`` stores them in benchmarks/results/. Copy the modulus into anatomy/stiffness.py and rebuild the meshes
-(tools/build_torso.py) whenever element, mesh or template change.
+``--write`` stores them in benchmarks/results/. Copy the modulus into anatomy/stiffness.py whenever element, mesh,
+template, joints or supports change.
 """
 
 from __future__ import annotations
@@ -21,19 +21,21 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from spinestiff.anatomy.stiffness import DEFAULT_POISSON, lame_parameters, stiffness_ratios
-from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.names import RIBS
+from spinestiff.anatomy.stiffness import DEFAULT_POISSON, StiffnessRatios, lame_parameters, stiffness_ratios
+from spinestiff.anatomy.template import MESHES, template_torso
+from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.imaging.features import silhouette_choice, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.mechanics.loads import rib_push
+from spinestiff.mechanics.loads import LoadCase, rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.shape import place_vertebrae
-from spinestiff.study.metrics import cobb_change, tilts
-from spinestiff.study.spines import curved_spine
+from spinestiff.study.metrics import CobbChange, SpineTilts, cobb_change, tilts
+from spinestiff.study.spines import CURVES, curved_spine
 
 TARGET_N_PER_DEG = 3.66
-LEVELS = {"thoracic": 8.0, "thoracolumbar": 9.0, "lumbar": 10.0}
+LOWEST_RIB = 10  # the last one that is joined to the sternum
 
 
 class Row(NamedTuple):
@@ -58,64 +60,98 @@ SUBJECTS = (
 )
 
 
+def apex_level(torso: TorsoModel, curve: str, side: str) -> float:
+    """The rib, 1 to 10, whose lateral point lies at the height of the curve's apex.
+
+    Where the paper's pushes acted is not stated; ribs slope, so rib 8 would act on T11.
+    """
+    spine = torso.rest_pose.bone_positions[torso.vertebra_bones, 1]
+    apex = spine[-1] + CURVES[curve][0][0] * (spine[0] - spine[-1])
+    rows = [RIBS.index(f"R{i}_{side[0].upper()}") for i in range(1, LOWEST_RIB + 1)]
+    ribs = torso.landmarks["rib_lateral"][rows].positions(torso.rest_pose)[:, 1]
+    return float(np.interp(-apex, -ribs, np.arange(1, LOWEST_RIB + 1)))
+
+
 class Body:
     """A subject's torso, ready to be pushed at any tissue modulus."""
 
-    def __init__(self, row: Row, mesh: str) -> None:
+    def __init__(self, row: Row, mesh: str, pelvis: str = "hinge") -> None:
         template = template_torso(row.height_cm, mesh)
         self.row = row
         self.torso = place_vertebrae(template, *curved_spine(template, row.cobb_deg, row.curve))
         self.side = "right" if row.force_n > 0 else "left"
-        self.problem = EquilibriumProblem(self.torso, three_point_supports(self.torso, self.side))
+        self.level = apex_level(self.torso, row.curve, self.side)
+        self.problem = EquilibriumProblem(self.torso, three_point_supports(self.torso, self.side, pelvis))
         self.view = frontal_view(centre=(0.0, 200.0, 0.0))
         self.choice = silhouette_choice(self.torso, self.view, self.torso.rest_pose)
         self.state = self.torso.rest_pose
 
+    def load(self) -> LoadCase:
+        """The subject's largest push."""
+        return rib_push(self.torso, self.side, self.level, abs(self.row.force_n))
+
+    def ratios(self, tissue: float = 1.0) -> StiffnessRatios:
+        """The subject's ratios of Table 4, those of the tissue times ``tissue``."""
+        return stiffness_ratios({"lateral_bending": self.row.bending, "tissue": self.row.tissue * tissue})
+
     def response(self, young_mpa: float) -> tuple[float, float]:
         """Change of tilt, degrees, and RMS displacement of the vertebrae, mm, under the largest push."""
         mu = float(self.torso.tissue.lame_mu[0])
-        scale = lame_parameters(young_mpa, DEFAULT_POISSON)[0] / mu
-        ratios = stiffness_ratios({"lateral_bending": self.row.bending, "tissue": self.row.tissue * scale})
-        load = rib_push(self.torso, self.side, LEVELS[self.row.curve], abs(self.row.force_n))
-        self.state = self.problem.solve(load, ratios, self.state).require().state
-        bones = self.torso.vertebra_bones
-        moved = self.state.bone_positions[bones] - self.torso.rest_pose.bone_positions[bones]
-        change = cobb_change(self._tilts(self.torso.rest_pose), self._tilts(self.state))
-        return change.tilt, float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+        ratios = self.ratios(lame_parameters(young_mpa, DEFAULT_POISSON)[0] / mu)
+        self.state = self.problem.solve(self.load(), ratios, self.state).require().state
+        return self.change(self.state).tilt, self.moved(self.state)
 
-    def _tilts(self, state):  # type: ignore[no-untyped-def]
-        corners = state_features(self.torso, self.view, state, self.choice).corners
-        return tilts(self.torso.vertebrae, corners, self.view)
+    def moved(self, state: TorsoState) -> float:
+        """RMS displacement of the vertebrae from rest, mm."""
+        bones = self.torso.vertebra_bones
+        moved = state.bone_positions[bones] - self.torso.rest_pose.bone_positions[bones]
+        return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+
+    def change(self, state: TorsoState) -> CobbChange:
+        """Change of the Cobb angle from rest in its three forms."""
+        return cobb_change(self._tilts(self.torso.rest_pose), self._tilts(state))
+
+    def corners(self, state: TorsoState) -> np.ndarray:
+        """(17, 4, 2) mm, the vertebrae's corners in the frontal picture, at the patient plane."""
+        return state_features(self.torso, self.view, state, self.choice).corners
+
+    def _tilts(self, state: TorsoState) -> SpineTilts:
+        return tilts(self.torso.vertebrae, self.corners(state), self.view)
+
+
+def calibrated(bodies: list[Body], low: float, high: float) -> float:
+    """Young's modulus, MPa, at which the bodies' median force per degree is the target."""
+
+    def miss(log_young: float) -> float:
+        young = float(np.exp(log_young))
+        found = float(np.median([abs(body.row.force_n / body.response(young)[0]) for body in bodies]))
+        print(f"E = {young:.4f} MPa: median {found:.3f} N per degree", flush=True)
+        return found - TARGET_N_PER_DEG
+
+    return float(np.exp(brentq(miss, np.log(low), np.log(high), xtol=2e-3)))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--mesh", choices=("coarse", "fine"), default="coarse")
-    parser.add_argument("--low", type=float, default=0.5, help="MPa, where the search starts")
+    parser.add_argument("--mesh", choices=MESHES, default="coarse")
+    parser.add_argument("--pelvis", choices=("hinge", "clamp"), default="hinge", help="its support")
+    parser.add_argument("--low", type=float, default=0.4, help="MPa, where the search starts")
     parser.add_argument("--high", type=float, default=1.0, help="MPa, where it ends")
     parser.add_argument("--write", action="store_true", help="store the result in benchmarks/results/")
     arguments = parser.parse_args()
-    bodies = [Body(row, arguments.mesh) for row in SUBJECTS]
-
-    def newtons_per_degree(young: float) -> list[float]:
-        return [abs(body.row.force_n / body.response(young)[0]) for body in bodies]
-
-    def miss(log_young: float) -> float:
-        found = float(np.median(newtons_per_degree(float(np.exp(log_young)))))
-        print(f"E = {np.exp(log_young):.4f} MPa: median {found:.3f} N per degree", flush=True)
-        return found - TARGET_N_PER_DEG
-
-    young = float(np.exp(brentq(miss, np.log(arguments.low), np.log(arguments.high), xtol=2e-3)))
+    bodies = [Body(row, arguments.mesh, arguments.pelvis) for row in SUBJECTS]
+    young = calibrated(bodies, arguments.low, arguments.high)
     rows = []
-    for body, ratio in zip(bodies, newtons_per_degree(young)):
+    for body in bodies:
         tilt, moved = body.response(young)
-        rows.append(
-            {**body.row._asdict(), "tilt_deg": round(tilt, 2), "n_per_deg": round(ratio, 2), "rms_mm": round(moved, 2)}
-        )
+        found = {"level": round(body.level, 2), "tilt_deg": round(tilt, 2)}
+        found |= {"n_per_deg": round(abs(body.row.force_n / tilt), 2), "rms_mm": round(moved, 2)}
+        rows.append({**body.row._asdict(), **found})
         print(rows[-1])
     result = {
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "mesh": arguments.mesh,
+        "pelvis": arguments.pelvis,
         "nodes": len(bodies[0].torso.tissue.rest_positions),
         "young_mpa": round(young, 4),
         "target_n_per_deg": TARGET_N_PER_DEG,
@@ -123,7 +159,11 @@ def main() -> None:
     }
     print(json.dumps({k: v for k, v in result.items() if k != "subjects"}))
     if arguments.write:
-        path = Path(__file__).parent / "results" / f"calibrate_tissue_{arguments.mesh}.json"
+        path = (
+            Path(__file__).parent
+            / "results"
+            / f"calibrate_tissue_{arguments.mesh}{'' if arguments.pelvis == 'hinge' else '_clamp'}.json"
+        )
         path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
