@@ -24,7 +24,7 @@ SPACINGS = {
 }
 # Nodes this close to a bone ride on it, as a share of the spacing inside. The last nodes in a bone lie under its
 # surface, so that those alone make bones too thin, in proportion to the spacing; with this share meshes of 3,000 to
-# 100,000 nodes give the same motion (benchmarks/mesh_convergence.py).
+# 64,000 nodes move alike to about 3 % (benchmarks/mesh_convergence.py).
 NEAR = 0.11
 SEED = 20260101
 DATA = Path(__file__).parent.parent / "src" / "spinestiff" / "anatomy" / "data"

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from spinestiff.anatomy.rotation import cross_matrix, exp_so3, log_so3, mean_rotation, nearest_rotation
+from spinestiff.anatomy.rotation import cross_matrix, exp_so3, log_so3, mean_rotation
 
 ANGLES = (0.0, 1e-9, 1e-6, 1e-4, 0.9e-4, 1.1e-4, 1.0, 3.0, 3.13, 3.14, np.pi - 1e-4, np.pi - 1e-6, np.pi - 1e-8)
 
@@ -45,14 +45,6 @@ def test_ten_thousand_updates_stay_orthonormal():
         r = exp_so3(w) @ r
     np.testing.assert_allclose(r @ r.T, np.eye(3), atol=1e-11)
     assert np.linalg.det(r) > 0.0
-
-
-def test_nearest_rotation_leaves_a_rotation_and_repairs_a_reflection():
-    r = exp_so3(np.array([[0.3, -0.2, 0.9], [2.0, 1.0, 0.5]]))
-    np.testing.assert_allclose(nearest_rotation(r), r, atol=1e-14)
-    np.testing.assert_allclose(nearest_rotation(3.0 * r), r, atol=1e-14)
-    mirrored = nearest_rotation(np.diag([1.0, 1.0, -0.2]))
-    np.testing.assert_allclose(mirrored, np.eye(3), atol=1e-14)
 
 
 def test_mean_rotation_is_halfway_from_either_side():

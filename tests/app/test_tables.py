@@ -77,7 +77,7 @@ def test_cobb(printed):
 def test_checks(printed):
     checks = [Check("energy [a]", "independent", 1e-12, 1e-9, True), Check("b", "independent", 2.0, 1e-9, False)]
     text = printed(tables.check_table(checks))
-    assert "1 of 2 checks passed" in text
+    assert "1 of 2 independent checks passed" in text
     assert row_of(text, "energy [a]") == ["energy [a]", "independent", "1.0e-12", "1e-09", "passed"]
     assert row_of(text, "b")[-1] == "FAILED"
 

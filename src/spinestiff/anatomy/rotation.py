@@ -45,22 +45,6 @@ def exp_so3(w: Floats) -> Floats:
     return np.eye(3) + sine * k + cosine * (k @ k)
 
 
-def left_jacobian(w: Floats) -> Floats:
-    """V with V w' the path of a point that starts with velocity w' and is turned by w: the mean of exp(s w), s in 0..1.
-
-    I + (1 - cos p)/p^2 [w] + (p - sin p)/p^3 [w]^2. Shapes (..., 3) rad -> (..., 3, 3).
-    """
-    w = np.asarray(w, dtype=float)
-    angle2 = np.sum(w * w, axis=-1)[..., None, None]
-    angle = np.sqrt(angle2)
-    small = angle2 < 1e-4
-    safe = np.where(small, 1.0, angle)
-    cosine = np.where(small, 0.5 - angle2 / 24.0, 2.0 * (np.sin(0.5 * safe) / safe) ** 2)
-    sine = np.where(small, 1.0 / 6.0 - angle2 / 120.0, (safe - np.sin(safe)) / safe**3)
-    k = cross_matrix(w)
-    return np.eye(3) + cosine * k + sine * (k @ k)
-
-
 def log_so3(rotation: Floats) -> Floats:
     """Rotation vector of a rotation matrix, its length in [0, pi). Shapes (..., 3, 3) -> (..., 3) rad.
 
@@ -90,15 +74,6 @@ def _log_near_pi(r: Floats, v: Floats, angle: Floats) -> Floats:
     axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
     sign = np.where(np.sum(axis * v, axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
     return sign * angle[..., None] * axis
-
-
-def nearest_rotation(matrix: Floats) -> Floats:
-    """The proper rotation closest to ``matrix`` in the Frobenius norm. Shapes (..., 3, 3)."""
-    u, _, vt = np.linalg.svd(matrix)
-    sign = np.linalg.det(u @ vt)
-    u = u.copy()
-    u[..., :, 2] *= sign[..., None]
-    return u @ vt
 
 
 def mean_rotation(a: Floats, b: Floats) -> Floats:

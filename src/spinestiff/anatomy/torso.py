@@ -15,7 +15,7 @@ import numpy as np
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.rotation import exp_so3, left_jacobian, mean_rotation
+from spinestiff.anatomy.rotation import exp_so3, mean_rotation
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import TorsoError
 
@@ -178,20 +178,6 @@ def retract(state: TorsoState, dx: Floats) -> TorsoState:
         exp_so3(bones[:, 3:]) @ state.bone_rotations,
         state.tissue_positions + dx[6 * b :].reshape(-1, 3),
     )
-
-
-def advance(state: TorsoState, dx: Floats) -> TorsoState:
-    """``retract`` along screws: a bone's origin follows the arc of its own rotation, t <- t + V(dw) dt.
-
-    Equal to ``retract`` to first order, so Newton's method may use either for its steps. Bones that turn together
-    about a distant centre stay together, where straight steps would stretch the stiff joints between them by
-    |dw|^2 r / 2 and cost Newton's method iterations.
-    """
-    b = len(state.bone_positions)
-    bones = dx[: 6 * b].reshape(b, 6)
-    screwed = np.array(dx)
-    screwed[: 6 * b].reshape(b, 6)[:, :3] = np.einsum("bij,bj->bi", left_jacobian(bones[:, 3:]), bones[:, :3])
-    return retract(state, screwed)
 
 
 def state_digest(state: TorsoState) -> str:

@@ -120,11 +120,10 @@ def check_record(check: Check) -> dict[str, Any]:
 
 
 def check_table(results: Sequence[Check]) -> Table:
-    """All checks with their errors; the title counts what passed."""
-    failed = sum(not result.passed for result in results)
-    table = _table(
-        f"{len(results) - failed} of {len(results)} checks passed", "check", "kind", "error", "tolerance", ""
-    )
+    """All checks with their errors; the title counts what passed, each kind by itself."""
+    from spinestiff.verification.outcome import summary
+
+    table = _table(summary(results), "check", "kind", "error", "tolerance", "")
     for r in results:
         verdict = "passed" if r.passed else "[bold red]FAILED[/bold red]"
         table.add_row(escape(r.name), r.kind, f"{r.error:.1e}", f"{r.tolerance:.0e}", verdict)

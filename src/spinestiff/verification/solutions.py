@@ -421,18 +421,28 @@ def buckling() -> Iterator[Check]:
     held = np.zeros((2, 6), dtype=bool)
     held[0] = True
     problem = EquilibriumProblem(torso, holds(held))
+    critical = LoadCase(
+        PointsOnBones(np.array([1]), np.array([[0.0, length, 0.0]])), np.array([[0.0, -spring / length, 0.0]])
+    )
+
+    def upright(found: Equilibrium) -> bool:
+        return bool(np.abs(log_so3(found.state.bone_rotations[1])).max() < 1e-6)
+
     wrong = 0
     for share in (0.9, 0.999, 1.001, 1.1):
-        weight = LoadCase(
-            PointsOnBones(np.array([1]), np.array([[0.0, length, 0.0]])),
-            np.array([[0.0, -share * spring / length, 0.0]]),
-        )
+        weight = critical.scaled(share)
         found = problem.solve(weight)
-        upright = np.abs(log_so3(found.state.bone_rotations[1])).max() < 1e-6
-        wrong += found.converged != (share < 1.0 or not upright)
+        wrong += found.converged != (share < 1.0 or not upright(found))
         # Restarted at itself, a saddle balances from the first moment on; it is still none.
         wrong += problem.solve(weight, start=found.state).converged != found.converged
     yield counted("C2 buckling: a column stands below k / L and is unstable above", wrong, 4)
+    below = critical.scaled(0.9)
+    tangent, wrong = problem.linearise(problem.solve(below), below), 0
+    for share in (0.99, 1.01, 1.1):
+        # On the factor of a stable state the steps upright converge; what they lead to is looked at all the same.
+        found = problem.solve(critical.scaled(share), start=tangent)
+        wrong += found.converged != (share < 1.0 or not upright(found))
+    yield counted("C2 buckling: so it is where a stable state's factor has served for the steps", wrong, 3)
 
 
 def beams() -> Iterator[Check]:

@@ -44,8 +44,8 @@ def template() -> Iterator[Check]:
     yield from _by_the_oracle(problem, found, load, ratios)
     yield _by_conjugate_gradients(problem, found, load, ratios)
     iterative = EquilibriumProblem(torso, problem.supports, backend=TWO_LEVEL).solve(load, ratios).require().state
-    nodes = [state.tissue_positions - torso.rest_pose.tissue_positions for state in (iterative, found.state)]
-    yield compared("C7 whole torso: equilibrium without factorising against the direct one", *nodes, 1e-8)
+    there, here = (s.tissue_positions - torso.rest_pose.tissue_positions for s in (iterative, found.state))
+    yield compared("C7 whole torso: equilibrium without factorising against the direct one", there, here, 1e-8)
 
     tangent = problem.linearise(found, load, ratios)
     corners = PointsOnBones(np.repeat(torso.vertebra_bones, 8), torso.vertebra_boxes.reshape(-1, 3))
