@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 # Above this relative residual a derivative is as wrong as the state (measured: error ~ residual).
 LARGEST_RELATIVE_RESIDUAL = 1e-8
-LINEAR_RESIDUAL = 1e-11
+LINEAR_RESIDUAL = 1e-10
 
 
 class Linearisation:
