@@ -61,7 +61,7 @@ class UncertaintySettings:
         the patient plane.
     motion_sd : relative error of the simulated motion that mesh and rest geometry leave, common to the frames of a
         push: one that scales it and one that grows along the spine. Measured on the shipped meshes in soft states:
-        the coarse mesh moves 3 to 8 % less than the fine one, most in the upper thorax.
+        the coarse mesh lies 5 to 10 % below the limit, the fine one 2 to 5 % (docs/validation.md).
     """
 
     corner_sd_mm: float = 0.3
