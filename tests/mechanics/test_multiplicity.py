@@ -13,6 +13,7 @@ from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.multiplicity import BranchEnd, apart, equilibria, follow_load, least_eigenvalue
 from spinestiff.mechanics.supports import Supports
 from spinestiff.mechanics.terms import PointSprings
+from spinestiff.verification.blocks import holds
 from spinestiff.verification.equilibria import toy_load, toy_supports
 from spinestiff.verification.models import make_torso, toy_torso
 
@@ -111,3 +112,34 @@ def test_a_mechanism_is_refused(toggle):
     problem = EquilibriumProblem(torso, Supports(held, toggle.supports.springs, ("tip",)))
     with pytest.raises(EquilibriumError, match="bone1"):
         equilibria(problem, _push(1.0))
+
+
+@pytest.mark.parametrize("share", [0.9, 1.05, 4 / 3, 2.0])
+def test_a_straight_column_ends_at_its_critical_load_and_raises_nothing(share):
+    """At the critical load the tangent is singular to working precision, which is no error but the answer."""
+    bones, stiffness = 8, 12e3
+    places = np.array([[0.0, 100.0 * i, 0.0] for i in range(bones)])
+    springs = np.array([1e3, 1e3, 1e3, stiffness, 1e6, 0.8 * stiffness])
+    torso = make_torso(places, [(i, i + 1) for i in range(bones - 1)], springs)
+    held = np.zeros((bones, 6), dtype=bool)
+    held[0] = True
+    problem = EquilibriumProblem(torso, holds(held))
+
+    def weight(force):
+        return LoadCase(PointsOnBones(np.array([bones - 1]), np.zeros((1, 3))), np.array([[0.0, -force, 0.0]]))
+
+    def stable(force):
+        return problem.solve(weight(force)).converged
+
+    low, high = 0.01, 1000.0
+    for _ in range(30):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    branch = follow_load(problem, weight(share * low))
+    if share < 1.0:
+        assert branch.end is BranchEnd.REACHED
+        assert 0.0 < branch.stiffness < 0.5
+    else:
+        assert branch.end is BranchEnd.LIMIT_POINT
+        assert branch.share * share == pytest.approx(1.0, rel=5e-3)
+        assert branch.stiffness < 0.05

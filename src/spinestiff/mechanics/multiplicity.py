@@ -19,6 +19,7 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.anatomy.torso import TorsoState
 from spinestiff.arrays import Floats
+from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.newton import Run
@@ -89,19 +90,29 @@ def follow_load(problem: EquilibriumProblem, load: LoadCase, ratios: StiffnessRa
     share, step = 0.0, FIRST_STEP
     while share < 1.0:
         to = min(1.0, share + step)
-        slope = linear.load_derivative(load)
+        try:
+            slope = linear.load_derivative(load)
+        except EquilibriumError:  # singular to working precision: the limit point itself
+            break
         frame = problem.kinematics.at(at.state)
         predicted = frame.move((to - share) * frame.from_world(slope))
         found = run.newton(load.scaled(to), predicted)
         strayed = apart(found.state, predicted) > apart(predicted, at.state) + SAME_MM
         if found.status is SolveStatus.CONVERGED and not strayed:
-            at, share, step = found, to, min(LARGEST_STEP, 2.0 * step)
-            linear = problem.linearise(at, load.scaled(share), ratios)
-            continue
+            try:
+                linear = problem.linearise(found, load.scaled(to), ratios)
+            except EquilibriumError:  # a minimum by its Ritz values, not by its own inertia: too near to tell
+                pass
+            else:
+                at, share, step = found, to, min(LARGEST_STEP, 2.0 * step)
+                continue
         step *= 0.5
         if step < LEAST_STEP:
             break
-    stiffness = least_eigenvalue(problem, linear) / at_rest
+    try:
+        stiffness = least_eigenvalue(problem, linear) / at_rest
+    except EquilibriumError:
+        stiffness = 0.0
     if share >= 1.0:
         end = BranchEnd.REACHED
     elif stiffness < LOST_STIFFNESS:
