@@ -228,6 +228,8 @@ def test_starts_that_do_not_fit_are_refused(torso, problem, soft):
     rest, load = torso.rest_pose, toy_load()
     with pytest.raises(EquilibriumError, match="the start has 3 bones"):
         problem.solve(load, soft, TorsoState(rest.bone_positions, rest.bone_rotations, rest.tissue_positions[1:]))
+    with pytest.raises(EquilibriumError, match="not a tuple"):
+        problem.solve(load, soft, (rest.bone_positions, rest.bone_rotations, rest.tissue_positions))
     with pytest.raises(TorsoError, match="no right-handed rotation"):
         problem.solve(load, soft, TorsoState(rest.bone_positions, 1.1 * rest.bone_rotations, rest.tissue_positions))
     # A start on a factor of what holds more could hide an instability.

@@ -166,6 +166,8 @@ class EquilibriumProblem:
 
     def _checked(self, start: TorsoState) -> TorsoState:
         rest = self.torso.rest_pose
+        if not isinstance(start, TorsoState):
+            raise EquilibriumError(f"a solve starts from a TorsoState or a Linearisation, not a {type(start).__name__}")
         shapes = [(s.bone_positions.shape, s.tissue_positions.shape) for s in (start, rest)]
         if shapes[0] != shapes[1]:
             raise EquilibriumError(
