@@ -175,9 +175,9 @@ def convergence(
 ) -> dict[str, Any]:
     """Limit of a family in a state, its uncertainty, and how far from it every mesh lies.
 
-    Meshes of one size scatter, because each meets the bones at other places; so the limit is that of a line fitted to all
-    of them, value = limit + a h^p with weights 1/h (Eca and Hoekstra, J Comput Phys 2014; 262:104). The order p is the
-    one between 0.5 and 2 that fits best. ``gci`` is that of the finest mesh on the fitted line, ``standard_error``
+    Meshes of one size scatter, because each meets the bones at other places; so the limit is that of a line fitted to
+    all of them, value = limit + a h^p with weights 1/h (Eca and Hoekstra 2014, J Comput Phys 262:104). The order p is
+    the one between 0.5 and 2 that fits best. ``gci`` is that of the finest mesh on the fitted line, ``standard_error``
     the limit's from the scatter about it, ``scatter`` a single mesh's; all as shares of the limit.
     """
     family = _family(rows, state, element)

@@ -22,7 +22,7 @@ from spinestiff.anatomy.template.surfaces import Surface, inside, signed_volume
 from spinestiff.anatomy.torso import TET10_EDGES
 
 WANTED_ANGLE = 16.0
-VOLUME_TOLERANCE = 0.005  # a share; bending stiffness goes with the square of the cross-section
+VOLUME_TOLERANCE = 0.002  # a share; bending stiffness goes with the square of the cross-section
 GAP = 1.0 / 3.0  # of the distance to the next bone: how far a bone's tied nodes reach into the gap between the two
 BURIED = 0.16  # of the skin's spacing: how deep a bone's points shall lie, so that no facet bares them
 INSIDE, PLANE, SKIN, PLANE_SKIN, RIM, PLANE_RIM = range(6)
@@ -484,14 +484,23 @@ def _dense(surface: Surface, step: float = 1.0) -> np.ndarray:
     return np.unique(np.vstack(points).round(6), axis=0)
 
 
-def half_mesh(skeleton: Skeleton, spacing: Spacing, seed: int) -> HalfMesh:
-    """The left half, improved.
+def half_mesh(skeleton: Skeleton, spacing: Spacing, seed: int, tries: int = 5) -> HalfMesh:
+    """The left half, improved; where a pocket outside the skin could not be carved, anew with the next seed.
 
     Raises
     ------
-    ValueError : its volume is not the skin's: another spacing or seed is wanted.
+    ValueError : its volume is not the skin's with any of ``tries`` seeds: another spacing is wanted.
     """
-    rng = np.random.default_rng(seed)
+    wanted = signed_volume(skeleton.skin.surface(160, 240))
+    for attempt in range(tries):
+        mesh = _half_mesh(skeleton, spacing, np.random.default_rng(seed + attempt))
+        volume = 2.0 * volumes(mesh.points[mesh.tetrahedra]).sum()
+        if abs(volume / wanted - 1.0) <= VOLUME_TOLERANCE:
+            return mesh
+    raise ValueError(f"{spacing} gives {volume * 1e-6:.2f} l inside a skin of {wanted * 1e-6:.2f} l")
+
+
+def _half_mesh(skeleton: Skeleton, spacing: Spacing, rng: np.random.Generator) -> HalfMesh:
     skin, out = skeleton.skin, spacing.outwards
     wide = replace(skin, half_width=skin.half_width + out, front=skin.front + out, back=skin.back - out)
     grown = replace(skeleton, skin=wide)
@@ -506,7 +515,4 @@ def half_mesh(skeleton: Skeleton, spacing: Spacing, seed: int) -> HalfMesh:
         _carve(mesh, grown)
         fit_skin(mesh, skin, 0.1 * spacing.skin)
         improve(mesh, skeleton, rng, WANTED_ANGLE, 0.0)
-    volume, wanted = 2.0 * volumes(mesh.points[mesh.tetrahedra]).sum(), signed_volume(skin.surface(160, 240))
-    if abs(volume / wanted - 1.0) > VOLUME_TOLERANCE:
-        raise ValueError(f"{spacing} gives {volume * 1e-6:.2f} l inside a skin of {wanted * 1e-6:.2f} l")
     return mesh
