@@ -7,7 +7,8 @@ vertebrae. Everything else (spread over subjects, sizes of displacement) is left
 
 Run ``python benchmarks/calibrate_tissue.py [--mesh coarse|fine]``; it prints the modulus and a row a subject, and with
 ``--write`` stores them in benchmarks/results/. Copy the modulus into anatomy/stiffness.py whenever element, mesh,
-template, joints or supports change.
+template, joints or supports change. Other readings of the paper have a modulus of their own: ``--pelvis clamp``, and
+``--tissue kept|literal``, where the tissue's ratio scales mu alone (search from ``--low 0.02``).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from elements import linear_torso
 from scipy.optimize import brentq
 
 from spinestiff.anatomy.names import RIBS
@@ -35,6 +37,8 @@ from spinestiff.study.metrics import CobbChange, SpineTilts, cobb_change, tilts
 from spinestiff.study.spines import CURVES, curved_spine
 
 TARGET_N_PER_DEG = 3.66
+# lambda tied to mu on ten-node tetrahedra (the package's); lambda kept at its default; and that on linear tetrahedra.
+TISSUES = ("tied", "kept", "literal")
 LOWEST_RIB = 10  # the last one that is joined to the sternum
 
 
@@ -75,10 +79,12 @@ def apex_level(torso: TorsoModel, curve: str, side: str) -> float:
 class Body:
     """A subject's torso, ready to be pushed at any tissue modulus."""
 
-    def __init__(self, row: Row, mesh: str, pelvis: str = "hinge") -> None:
+    def __init__(self, row: Row, mesh: str, pelvis: str = "hinge", tissue: str = "tied") -> None:
         template = template_torso(row.height_cm, mesh)
-        self.row = row
+        self.row, self.tissue = row, tissue
         self.torso = place_vertebrae(template, *curved_spine(template, row.cobb_deg, row.curve))
+        if tissue == "literal":
+            self.torso = linear_torso(self.torso)
         self.side = "right" if row.force_n > 0 else "left"
         self.level = apex_level(self.torso, row.curve, self.side)
         self.problem = EquilibriumProblem(self.torso, three_point_supports(self.torso, self.side, pelvis))
@@ -91,8 +97,11 @@ class Body:
         return rib_push(self.torso, self.side, self.level, abs(self.row.force_n))
 
     def ratios(self, tissue: float = 1.0) -> StiffnessRatios:
-        """The subject's ratios of Table 4, those of the tissue times ``tissue``."""
-        return stiffness_ratios({"lateral_bending": self.row.bending, "tissue": self.row.tissue * tissue})
+        """The subject's ratios of Table 4, the default tissue itself ``tissue`` times as stiff."""
+        if self.tissue == "tied":
+            return stiffness_ratios({"lateral_bending": self.row.bending, "tissue": self.row.tissue * tissue})
+        mu = {"tissue_mu": self.row.tissue * tissue, "tissue_lambda": tissue}
+        return stiffness_ratios({"intervertebral_bending": self.row.bending, **mu})
 
     def response(self, young_mpa: float) -> tuple[float, float]:
         """Change of tilt, degrees, and RMS displacement of the vertebrae, mm, under the largest push."""
@@ -135,11 +144,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mesh", choices=MESHES, default="coarse")
     parser.add_argument("--pelvis", choices=("hinge", "clamp"), default="hinge", help="its support")
+    parser.add_argument("--tissue", choices=TISSUES, default="tied", help="lambda; literal: kept, linear")
     parser.add_argument("--low", type=float, default=0.4, help="MPa, where the search starts")
     parser.add_argument("--high", type=float, default=1.0, help="MPa, where it ends")
     parser.add_argument("--write", action="store_true", help="store the result in benchmarks/results/")
     arguments = parser.parse_args()
-    bodies = [Body(row, arguments.mesh, arguments.pelvis) for row in SUBJECTS]
+    bodies = [Body(row, arguments.mesh, arguments.pelvis, arguments.tissue) for row in SUBJECTS]
     young = calibrated(bodies, arguments.low, arguments.high)
     rows = []
     for body in bodies:
@@ -152,6 +162,7 @@ def main() -> None:
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "mesh": arguments.mesh,
         "pelvis": arguments.pelvis,
+        "tissue": arguments.tissue,
         "nodes": len(bodies[0].torso.tissue.rest_positions),
         "young_mpa": round(young, 4),
         "target_n_per_deg": TARGET_N_PER_DEG,
@@ -159,11 +170,9 @@ def main() -> None:
     }
     print(json.dumps({k: v for k, v in result.items() if k != "subjects"}))
     if arguments.write:
-        path = (
-            Path(__file__).parent
-            / "results"
-            / f"calibrate_tissue_{arguments.mesh}{'' if arguments.pelvis == 'hinge' else '_clamp'}.json"
-        )
+        readings = [word for word in (arguments.pelvis, arguments.tissue) if word not in ("hinge", "tied")]
+        name = "_".join(("calibrate_tissue", arguments.mesh, *readings))
+        path = Path(__file__).parent / "results" / f"{name}.json"
         path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
