@@ -10,14 +10,18 @@ neighbours; ``Form.MIXED`` keeps one pressure increment y a node, [[A, G^T], [G,
 negative eigenvalues as there are pressures where the state is a minimum. Both have the same solution.
 
 Benchmark code: it shares the element kernels and the joints with the package, not its assembly. ``python
-benchmarks/elements.py`` prints how far it is from finite differences and from the package.
+benchmarks/elements.py [--write]`` prints how far it is from finite differences and from the package.
 """
 
 from __future__ import annotations
 
+import argparse
+import datetime
 import enum
+import json
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import rslab
@@ -301,8 +305,8 @@ class VolumeAveraged:
         return sp.csc_array(sp.coo_array((whole.data, whole.coords), shape=(self.dofs, self.dofs)))
 
 
-def main() -> None:
-    """Print how far the element is from what it must agree with (relative errors)."""
+def agreement() -> dict[str, float]:
+    """Relative differences of the element from what it must agree with, by name."""
     torso = linear_torso(template_torso(157.0, "coarse"))
     supports, load = three_point_supports(torso, "right"), rib_push(torso, "right", 8.0, 60.0)
     random = np.random.default_rng(0)
@@ -315,23 +319,37 @@ def main() -> None:
     before, here, after = (condensed.energy(retract(state, s * along), load) for s in (-step, 0.0, step))
     gradient, tangent = condensed.gradient(state, load), condensed.tangent(state, load)
     slope, curvature = gradient @ along, along @ (tangent @ along)
-    print(f"gradient against differences of the energy: {abs((after - before) / (2 * step) / slope - 1.0):.1e}")
-    print(
-        f"tangent against differences of the energy: {abs((after + before - 2 * here) / step**2 / curvature - 1.0):.1e}"
-    )
+    found = {
+        "gradient against differences of the energy": abs((after - before) / (2 * step) / slope - 1.0),
+        "tangent against differences of the energy": abs((after + before - 2 * here) / step**2 / curvature - 1.0),
+    }
     gradient[condensed.held] = 0.0
     one, two = (element._direction(state, load, gradient)[0] for element in (condensed, mixed))
-    print(f"Newton step, mixed against condensed: {np.abs(one - two).max() / np.abs(one).max():.1e}")
+    found["Newton step, mixed against condensed"] = np.abs(one - two).max() / np.abs(one).max()
     thin = stiffness_ratios({"lateral_bending": 0.10, "tissue_mu": 0.01, "tissue_lambda": 1e-9})
     ours, package = VolumeAveraged(torso, supports, thin, Form.CONDENSED), Potential(torso)
     terms, stiffness = (load, supports.springs), package.stiffness(thin)
     energy = package.energy(state, stiffness, terms)[0]
-    print(f"energy at lambda near 0 against the package's: {abs(ours.energy(state, load) / energy - 1.0):.1e}")
+    found["energy at lambda near 0 against the package's"] = abs(ours.energy(state, load) / energy - 1.0)
     theirs = package.gradient(state, stiffness, terms)
-    print(f"its gradient: {np.abs(ours.gradient(state, load) - theirs).max() / np.abs(theirs).max():.1e}")
+    found["its gradient"] = np.abs(ours.gradient(state, load) - theirs).max() / np.abs(theirs).max()
     stretch = np.array([[1.10, 0.10, 0.0], [0.0, 0.95, 0.05], [0.02, 0.0, 1.03]])
     averaged = condensed.volumes(torso.tissue.rest_positions @ stretch.T)[1]
-    print(f"averaged J under a uniform deformation: {np.abs(averaged / np.linalg.det(stretch) - 1.0).max():.1e}")
+    found["averaged J under a uniform deformation"] = np.abs(averaged / np.linalg.det(stretch) - 1.0).max()
+    return {name: float(error) for name, error in found.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--write", action="store_true", help="store the differences in benchmarks/results/")
+    arguments = parser.parse_args()
+    found = agreement()
+    for name, error in found.items():
+        print(f"{name}: {error:.1e}")
+    if arguments.write:
+        record = {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), "relative_difference": found}
+        path = Path(__file__).parent / "results" / "elements.json"
+        path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -147,6 +147,16 @@ def step_cpu(problem: EquilibriumProblem, state: TorsoState, ratios: StiffnessRa
     return np.median(times, axis=0).tolist()
 
 
+def wanted(inside: float, element: str, state: str) -> bool:
+    """Whether a row belongs to the study: every mesh with the ten-node element alone, the literal and the averaged
+    elements in the soft state alone, the averaged ones (assembled in SciPy) not on meshes beyond the fine one."""
+    if element == "ten-node":
+        return True
+    if inside not in ONE_A_SIZE or (element != "linear" and state != "soft"):
+        return False
+    return element not in FORMS or inside >= build_torso.SPACINGS["fine"].inside
+
+
 def solve(torso: TorsoModel, element: str, state: str, torso_linear: TorsoModel) -> dict[str, Any]:
     """One row, without mesh and date."""
     ratios = stiffness_ratios(LITERAL if element == "literal" else STATES[state])
@@ -241,7 +251,7 @@ def time_to(rows: list[dict[str, Any]], limit: float, state: str = "soft") -> di
     """
     found: dict[str, dict[str, float] | None] = {}
     for element in ELEMENTS:
-        own = sorted((r for r in rows if r["element"] == element and r["state"] == state), key=lambda r: r["nodes"])
+        own = _family(rows, state, element)
         if len(own) < 2:
             continue
         error = np.array([abs(r["tilt_deg"] / limit - 1.0) for r in own])
@@ -270,6 +280,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "convergence": list(done.values()),
         "rms_mm": [convergence(rows, state, "rms_mm") for state in STATES],
         "t1_to_t5_over_limit": {state: levels_over_limit(rows, state) for state in STATES},
+        "linear_tetrahedra": [convergence(rows, state, element="linear") for state in STATES],
         "to_5_percent": time_to(rows, done["soft"]["limit"]),
     }
 
@@ -284,19 +295,22 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     colours = dict(zip(ELEMENTS, ("#0072b2", "#e69f00", "#999999", "#009e73", "#cc79a7")))
     marks = dict(zip(ELEMENTS, "osvD^"))
     found = convergence(rows, "soft")
-    limit, band = found["limit"], found["gci"] * found[("tilt_deg")][-1]
+    limit, band = found["limit"], found["gci"] * found["limit"]
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.2), layout="constrained")
     left.axhspan(limit - band, limit + band, color=colours["ten-node"], alpha=0.15, label="limit ± GCI")
     for element in ELEMENTS:
-        own = sorted((r for r in rows if r["element"] == element and r["state"] == "soft"), key=lambda r: r["nodes"])
+        own = _family(rows, "soft", element)
         if not own:
             continue
-        # 26 l of tissue; the node spacing is the edge of the cube that belongs to a node.
-        h = [(26.04e6 / r["nodes"]) ** (1.0 / 3.0) for r in own]
         style = {"color": colours[element], "marker": marks[element], "markersize": 6 if element != "mixed" else 4}
-        left.plot(h, [r["tilt_deg"] for r in own], label=element, **style)
-        error = [max(100.0 * abs(r["tilt_deg"] / limit - 1.0), 0.01) for r in own]
-        right.loglog([_solver_cpu(r) for r in own], error, label=element, **style)
+        scattered = [r for r in own if r["spacing_mm"] not in ONE_A_SIZE]
+        alone = {**style, "linestyle": "none", "alpha": 0.5}
+        for some, look in ((scattered, alone), ([r for r in own if r not in scattered], {**style, "label": element})):
+            # 26 l of tissue; the node spacing is the edge of the cube that belongs to a node.
+            h = [(26.2e6 / r["nodes"]) ** (1.0 / 3.0) for r in some]
+            left.plot(h, [r["tilt_deg"] for r in some], **look)
+            error = [max(100.0 * abs(r["tilt_deg"] / limit - 1.0), 0.01) for r in some]
+            right.loglog([_solver_cpu(r) for r in some], error, **look)
     left.set(
         xlim=(0.0, None), ylim=(0.0, None), xlabel="distance between nodes, mm", ylabel="largest change of tilt, deg"
     )
@@ -336,7 +350,7 @@ def main() -> None:
         linear = linear_torso(torso)
         for element in arguments.element:
             for state in arguments.state:
-                if element not in ("ten-node", "linear") and state != "soft":
+                if not wanted(inside, element, state):
                     continue
                 row = {"spacing_mm": inside, "nodes": len(torso.tissue.rest_positions), "element": element}
                 row |= {"state": state, **solve(torso, element, state, linear)}
