@@ -1,9 +1,9 @@
 """Does an equilibrium come out at every stiffness and force that a fit may try?
 
-``OMP_NUM_THREADS=1 python benchmarks/sweep.py [--points 1000] [--json] [--write] [--log FILE]``: a scrambled Sobol
-sample of lateral bending, tissue mu and tissue lambda (each 0.005 to 5, on a log scale) and force (0 to 114 N) over
-five bodies of ``calibrate_tissue.py`` on the coarse mesh. lambda goes apart from mu, so Poisson's ratio runs from 0.004
-to 0.49994. Every point is solved
+``OMP_NUM_THREADS=1 python benchmarks/sweep.py [--points 1000] [--body 0 ...] [--json] [--write] [--log FILE]``: a
+scrambled Sobol sample of lateral bending, tissue mu and tissue lambda (each 0.005 to 5, on a log scale) and force (0 to
+114 N) over five bodies of ``calibrate_tissue.py`` on the coarse mesh. lambda goes apart from mu, so Poisson's ratio
+runs from 0.004 to 0.49994. Every point is solved
 
     rest    from the rest pose
     warm    from the equilibrium of the point before it, its nearest neighbour among the body's points not yet visited
@@ -17,7 +17,8 @@ are apart. Where a start fails or states differ, the load is raised from zero in
 branch ends (``mechanics.multiplicity.follow_load``). A point with a failed start is named by that: a limit point or an
 inversion at a share of the load, or "missed", an equilibrium that the solver did not find.
 
-With ``--log`` a run that was stopped goes on where it was. The point before the first new one is solved again.
+With ``--log`` a run that was stopped goes on where it was. The point before the first new one is solved again. Bodies
+can be run beside each other, each with a log of its own; the logs one after the other are the log of all.
 """
 
 from __future__ import annotations
@@ -220,19 +221,21 @@ def spread(values: list[float]) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--points", type=int, default=1000)
+    parser.add_argument("--body", type=int, action="append", choices=range(len(BODIES)), help="default: all")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--log", type=Path, help="rows as they come; what is there is not done again")
     parser.add_argument("--json", action="store_true", help="print all of the result")
     parser.add_argument("--write", action="store_true", help="store the result in benchmarks/results/")
     arguments = parser.parse_args()
-    points = sample(arguments.points, arguments.seed)
+    chosen = arguments.body or range(len(BODIES))
+    points = [point for point in sample(arguments.points, arguments.seed) if point.body in chosen]
     rows: list[dict[str, Any]] = []
     if arguments.log is not None and arguments.log.exists():
         rows = [json.loads(line) for line in arguments.log.read_text(encoding="utf-8").splitlines()]
     done = {row["number"] for row in rows}
     if len(done) < len(points):
-        bodies = [Body(SUBJECTS[subject], "coarse") for subject in BODIES]
-        walks = [walk([p for p in points if p.body == i], body, done) for i, body in enumerate(bodies)]
+        bodies = {i: Body(SUBJECTS[BODIES[i]], "coarse") for i in chosen}
+        walks = [walk([p for p in points if p.body == i], body, done) for i, body in bodies.items()]
         # In turn, so that a run that is stopped has seen all bodies.
         for row in (row for turn in zip_longest(*walks) for row in turn if row is not None):
             rows.append(row)
@@ -243,6 +246,7 @@ def main() -> None:
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "seed": arguments.seed,
         "threads": os.environ.get("OMP_NUM_THREADS", "all"),
+        "of_points": arguments.points,
         **summary(rows),
     }
     print(json.dumps(result if arguments.json else {k: v for k, v in result.items() if k != "dearest"}, indent=1))

@@ -8,8 +8,9 @@ Three things make them few and cheap:
   the error of second order that a large step leaves (a Hellinger-Reissner form; Magisano, Leonetti and Garcea 2017).
   That unknown is eliminated, the linear system stays the same. The energy may rise for a step.
 - *Chord steps.* A factor goes on serving, and learns, as long as that is expected to be cheaper than a new one.
-- *Descent.* Where mixed steps end without an equilibrium, the load is applied in steps, and then every step has to
-  lower the energy, on a tangent whose negative curvature is projected out.
+- *Descent.* Once a tangent was indefinite, steps on a fresh one have to lower the energy, if some part of them does.
+  Where mixed steps end without an equilibrium, the load is applied in steps, and then every step has to lower the
+  energy, on a tangent whose negative curvature is projected out.
 """
 
 from __future__ import annotations
@@ -90,6 +91,7 @@ class Run:
         predicted: Floats | None = None
         springs = self.problem.supports.springs
         chord = Chord(at)
+        rough = False  # an indefinite tangent was met
         for iteration in range(self.max_iterations + 1):
             if at.residual <= at.tolerance:
                 return at.ended(self._judged(at, factor), iteration)
@@ -105,10 +107,13 @@ class Run:
                 y = _capped(-factor.solve(at.force), self.potential.bones)
             except EquilibriumError:
                 return at.ended(SolveStatus.SINGULAR, iteration)
-            step, there = self._admissible(at, y)
+            rough |= projected
+            # On rough ground mixed steps run up and down; a fresh tangent's step that lowers the energy gets through.
+            lower = self._line_search(at, y) if rough and fresh else None
+            step, there = lower or self._admissible(at, y)
             if there is None:
                 return at.ended(SolveStatus.STALLED, iteration)
-            predicted = springs.extended(at.state, step * at.frame.to_world(y))
+            predicted = None if lower else springs.extended(at.state, step * at.frame.to_world(y))
             if self._note(iteration, at, step, fresh, projected):
                 return there.ended(SolveStatus.CANCELLED)
             far = fresh and there.residual > NEAR * max(load.size, at.residual)
@@ -230,24 +235,29 @@ class Run:
         p, rz = z, float(r @ z)
         if rz == 0.0:
             return np.inf  # nothing can move
-        diagonal, off, before = [], [], (1.0, 0.0)
-        for _ in range(LANCZOS_STEPS):
+        diagonal: list[float] = []
+        off: list[float] = []
+        carried = 0.0  # beta / alpha of the step before
+        while True:
             product = symmetric_product(pattern.indptr, pattern.indices, values, at.frame.to_world(p))
             kp = at.frame.pull(_masked(product, held))
             curvature = float(p @ kp)
             if not (curvature > 0.0 and rz > 0.0):
                 return 0.0
             alpha = rz / curvature
-            diagonal.append(1.0 / alpha + before[1] / before[0])
+            diagonal.append(1.0 / alpha + carried)
+            if len(diagonal) == LANCZOS_STEPS:
+                break
             r = r - alpha * kp
             z = factor.apply(r)
             rz, last = float(r @ z), rz
             if not rz > 1e-24 * last:
                 break
-            before = (alpha, rz / last)
-            off.append(np.sqrt(rz / last) / alpha)
-            p = z + (rz / last) * p
-        return float(eigvalsh_tridiagonal(diagonal, off[: len(diagonal) - 1]).min())
+            beta = rz / last
+            carried = beta / alpha
+            off.append(np.sqrt(beta) / alpha)
+            p = z + beta * p
+        return float(eigvalsh_tridiagonal(diagonal, off).min())
 
     def _note(self, iteration: int, at: Point, step: float, factorised: bool, projected: bool) -> bool:
         self.history.append(NewtonStep(iteration, at.residual, at.energy, at.smallest_j, step, factorised, projected))

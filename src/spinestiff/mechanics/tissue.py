@@ -85,20 +85,28 @@ def element_data(mesh: TissueMesh) -> ElementData:
 @numba.njit(cache=True)
 def _deformation(x, elements, gradients, t, q, f, g):  # type: ignore[no-untyped-def]
     """F into ``f``, F^-T into ``g``; returns J."""
-    f[:] = 0.0
-    for a in range(elements.shape[1]):
-        node = elements[t, a]
-        for i in range(3):
-            for j in range(3):
-                f[i, j] += x[node, i] * gradients[t, q, a, j]
     for i in range(3):
-        i1, i2 = (i + 1) % 3, (i + 2) % 3
-        for j in range(3):
-            j1, j2 = (j + 1) % 3, (j + 2) % 3
-            g[i, j] = f[i1, j1] * f[i2, j2] - f[i1, j2] * f[i2, j1]
+        f0, f1, f2 = 0.0, 0.0, 0.0
+        for a in range(elements.shape[1]):
+            own = x[elements[t, a], i]
+            f0 += own * gradients[t, q, a, 0]
+            f1 += own * gradients[t, q, a, 1]
+            f2 += own * gradients[t, q, a, 2]
+        f[i, 0], f[i, 1], f[i, 2] = f0, f1, f2
+    g[0, 0] = f[1, 1] * f[2, 2] - f[1, 2] * f[2, 1]
+    g[0, 1] = f[1, 2] * f[2, 0] - f[1, 0] * f[2, 2]
+    g[0, 2] = f[1, 0] * f[2, 1] - f[1, 1] * f[2, 0]
+    g[1, 0] = f[2, 1] * f[0, 2] - f[2, 2] * f[0, 1]
+    g[1, 1] = f[2, 2] * f[0, 0] - f[2, 0] * f[0, 2]
+    g[1, 2] = f[2, 0] * f[0, 1] - f[2, 1] * f[0, 0]
+    g[2, 0] = f[0, 1] * f[1, 2] - f[0, 2] * f[1, 1]
+    g[2, 1] = f[0, 2] * f[1, 0] - f[0, 0] * f[1, 2]
+    g[2, 2] = f[0, 0] * f[1, 1] - f[0, 1] * f[1, 0]
     det = f[0, 0] * g[0, 0] + f[0, 1] * g[0, 1] + f[0, 2] * g[0, 2]
     if det > 0.0:
-        g /= det
+        for i in range(3):
+            for j in range(3):
+                g[i, j] /= det
     return det
 
 
@@ -117,7 +125,10 @@ def element_energies(x, elements, gradients, weights):  # type: ignore[no-untype
                 energy[t] = np.inf
                 break
             log_j = np.log(det)
-            energy[t, 0] += weights[t, q] * (0.5 * (np.sum(f * f) - 3.0) - log_j)
+            i1 = 0.0
+            for i in range(3):
+                i1 += f[i, 0] * f[i, 0] + f[i, 1] * f[i, 1] + f[i, 2] * f[i, 2]
+            energy[t, 0] += weights[t, q] * (0.5 * (i1 - 3.0) - log_j)
             energy[t, 1] += weights[t, q] * 0.5 * log_j * log_j
     return energy, smallest
 
@@ -130,16 +141,19 @@ def element_gradients(x, elements, gradients, weights):  # type: ignore[no-untyp
     out = np.zeros((t_count, 2, n, 3))
     f, g = np.empty((3, 3)), np.empty((3, 3))
     for t in range(t_count):
+        shear, volume = out[t, 0], out[t, 1]
         for q in range(q_count):
+            weight = weights[t, q]
             log_j = np.log(_deformation(x, elements, gradients, t, q, f, g))
+            for i in range(3):
+                for j in range(3):
+                    f[i, j] = weight * (f[i, j] - g[i, j])
+                    g[i, j] *= weight * log_j
             for a in range(n):
+                x0, x1, x2 = gradients[t, q, a, 0], gradients[t, q, a, 1], gradients[t, q, a, 2]
                 for i in range(3):
-                    shear, volume = 0.0, 0.0
-                    for j in range(3):
-                        shear += (f[i, j] - g[i, j]) * gradients[t, q, a, j]
-                        volume += g[i, j] * gradients[t, q, a, j]
-                    out[t, 0, a, i] += weights[t, q] * shear
-                    out[t, 1, a, i] += weights[t, q] * log_j * volume
+                    shear[a, i] += f[i, 0] * x0 + f[i, 1] * x1 + f[i, 2] * x2
+                    volume[a, i] += g[i, 0] * x0 + g[i, 1] * x1 + g[i, 2] * x2
     return out
 
 
