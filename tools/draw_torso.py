@@ -108,13 +108,13 @@ def draw_bodies(mesh: str) -> Figure:
         "woman, 165 cm": template_torso(165.0, mesh, age_years=30.0, sex="female"),
         "man, 190 cm": template_torso(190.0, mesh, age_years=30.0, sex="male"),
     }
-    figure = Figure(figsize=(17.0, 13.0), layout="constrained")
+    figure = Figure(figsize=(17.0, 12.3), layout="constrained")
     axes = figure.subplots(2, len(bodies))
     for column, (title, torso) in zip(axes.T, bodies.items()):
         for ax, view in zip(column, (FRONT, SIDE)):
             draw_view(ax, torso, view)
-            ax.set_xlim(-260.0, 260.0)
-            ax.set_ylim(-210.0, 540.0)
+            ax.set_xlim(-250.0, 250.0)
+            ax.set_ylim(-200.0, 520.0)
         column[0].set_title(title, fontsize=11)
     for ax, view in zip(axes[:, 0], (FRONT, SIDE)):
         ax.set_ylabel(f"{view[0]}; mm above the sacral endplate", fontsize=9)
@@ -146,7 +146,7 @@ def draw_joint_frames(mesh: str) -> Figure:
     axes[1].set_title(f"{SIDE[0]}: intervertebral joints", fontsize=10)
     axes[2].set_title("left ribs, sternum and shoulder, from the front", fontsize=10)
     axes[2].set_xlim(-35.0, 175.0)
-    axes[2].set_ylim(195.0, 412.0)
+    axes[2].set_ylim(110.0, 412.0)
     for colour, name, height in zip(AXIS_COLOURS, ("X", "Y", "Z"), (0.97, 0.935, 0.90)):
         axes[0].text(0.02, height, name, color=colour, transform=axes[0].transAxes, weight="bold", va="top")
     axes[0].set_ylabel("mm above the sacral endplate", fontsize=8)

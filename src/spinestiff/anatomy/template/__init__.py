@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from spinestiff.anatomy.stiffness import DEFAULT_POISSON, DEFAULT_YOUNG_MPA, joint_stiffness, lame_parameters
-from spinestiff.anatomy.template.body import HEIGHT_RANGE_CM, Body, Proportions, Sex, body_of, proportions
+from spinestiff.anatomy.template.body import HEIGHT_RANGE_CM, Body, Sex, body_of, proportions
 from spinestiff.anatomy.template.options import Thoracolumbar, with_options
+from spinestiff.anatomy.template.proportions import REFERENCE, Proportions
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import TorsoError
 
@@ -76,7 +77,6 @@ def template_torso(
 @lru_cache(maxsize=8)
 def _warped(body: Body, mesh: str) -> TorsoModel:
     from spinestiff.anatomy.template.assemble import assemble
-    from spinestiff.anatomy.template.body import REFERENCE
     from spinestiff.anatomy.template.warp import warped_nodes
 
     tissue, skeleton = _reference(mesh).tissue, _skeleton(proportions(body))

@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 from spinestiff.anatomy.names import BONE_INDEX, BONES, JOINTS, RIBS, VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.stiffness import DEFAULT_POISSON, DEFAULT_YOUNG_MPA, joint_stiffness, lame_parameters
-from spinestiff.anatomy.template.body import REFERENCE, Proportions
 from spinestiff.anatomy.template.girdle import (
     LeftGirdle,
     clavicle_surface,
@@ -20,6 +19,7 @@ from spinestiff.anatomy.template.girdle import (
     sternum_surface,
 )
 from spinestiff.anatomy.template.pelvis import pelvis_surface
+from spinestiff.anatomy.template.proportions import REFERENCE, Proportions
 from spinestiff.anatomy.template.ribs import LeftRib, left_ribs, rib_surface
 from spinestiff.anatomy.template.skin import COVER, Skin, build_skin, covering, fitted_skin
 from spinestiff.anatomy.template.surfaces import Surface, meet, mirrored, signed_volume, tangents

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spinestiff.anatomy.template import sizes
-from spinestiff.anatomy.template.body import REFERENCE, Proportions
+from spinestiff.anatomy.template.proportions import REFERENCE, Proportions
 from spinestiff.anatomy.template.ribs import jugular_notch
 from spinestiff.anatomy.template.surfaces import Surface, ball, joined, loft, slab, smooth_curve, superellipse, tube
 from spinestiff.anatomy.template.vertebrae import Spine

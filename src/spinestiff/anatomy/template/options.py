@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.names import INTERVERTEBRAL
 from spinestiff.anatomy.stiffness import NMM_PER_NM, TABLE_1
@@ -68,6 +67,8 @@ def _regrouped(joints: JointTable, kind: str) -> JointTable:
 
 def _with_scapular_springs(torso: TorsoModel, stiffness: float) -> TorsoModel:
     # One joint a side between the nearest points of blade and rib; X from rib to blade, which glides and turns freely.
+    from scipy.spatial import cKDTree
+
     rest, joints = torso.rest_pose, torso.joints
     rib, scapula = torso.bone(f"R{SCAPULA_RIB}_L"), torso.bone("scapula_L")
     on_rib, on_blade = (torso.surface_positions(rest, bone) for bone in (rib, scapula))

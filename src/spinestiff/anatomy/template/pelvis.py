@@ -6,7 +6,7 @@ import numpy as np
 
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.template import sizes
-from spinestiff.anatomy.template.body import REFERENCE, Proportions
+from spinestiff.anatomy.template.proportions import REFERENCE, Proportions
 from spinestiff.anatomy.template.surfaces import (
     Surface,
     ball,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spinestiff.anatomy.template import sizes
-from spinestiff.anatomy.template.body import REFERENCE, Proportions
+from spinestiff.anatomy.template.proportions import REFERENCE, Proportions
 from spinestiff.anatomy.template.surfaces import Surface, arc_length, meet, resampled, smooth_curve, tangents, tube
 from spinestiff.anatomy.template.vertebrae import Spine, costotransverse, costovertebral, vertebra_surface
 from spinestiff.arrays import Floats

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spinestiff.anatomy.template import sizes
-from spinestiff.anatomy.template.body import Proportions
 from spinestiff.anatomy.template.girdle import LeftGirdle
+from spinestiff.anatomy.template.proportions import Proportions
 from spinestiff.anatomy.template.surfaces import Surface, loft, superellipse
 from spinestiff.anatomy.template.vertebrae import Spine
 from spinestiff.arrays import Floats
