@@ -1,6 +1,6 @@
-"""Draw the template torso from the front, the side and behind, at true proportions (needs matplotlib).
+"""Draw the template at true proportions (needs matplotlib): the reference body, a row of bodies, the joints' frames.
 
-python tools/draw_torso.py [--height 157] [--mesh fine] [--out docs/images/torso.png]
+python tools/draw_torso.py [--only torso bodies joint_frames] [--mesh fine] [--out docs/images]
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
@@ -19,11 +19,10 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 
 # title, world axis and sign that runs to the right of the page, direction towards the viewer
-VIEWS = (
-    ("front", 0, 1.0, (0.0, 0.0, 1.0)),
-    ("patient's right side", 2, 1.0, (-1.0, 0.0, 0.0)),
-    ("rear", 0, -1.0, (0.0, 0.0, -1.0)),
-)
+View = tuple[str, int, float, tuple[float, float, float]]
+FRONT: View = ("front", 0, 1.0, (0.0, 0.0, 1.0))
+SIDE: View = ("patient's right side", 2, 1.0, (-1.0, 0.0, 0.0))
+REAR: View = ("rear", 0, -1.0, (0.0, 0.0, -1.0))
 COLOURS = {
     "R": "#e3d5b0",
     "T": "#f0e2b6",
@@ -33,17 +32,28 @@ COLOURS = {
     "c": "#b4cdb0",
     "h": "#d3b1ab",
 }
+AXIS_COLOURS = ("#d02020", "#208020", "#2040d0")
+LANDSCAPE, DPI = (17.0, 9.0), 80
 
 
 def _colour(name: str) -> tuple[float, float, float]:
     return to_rgb("#cdb4c6" if name == "sternum" else COLOURS[name[0]])
 
 
-def draw_view(ax: Axes, torso: TorsoModel, across: int, sign: float, viewer: tuple[float, float, float]) -> None:
-    """One view: skin in grey, bones shaded and sorted by depth, joint centres as dots."""
+def draw_skin(ax: Axes, torso: TorsoModel, across: int, sign: float) -> None:
+    """The outline of the skin as a grey area."""
     skin = torso.tissue.rest_positions[torso.tissue.boundary_faces()[:, :3]]
     flat = np.stack([sign * skin[..., across], skin[..., 1]], -1)
     ax.add_collection(PolyCollection(flat, facecolors="#eeeef2", edgecolors="#eeeef2", linewidths=0.3))
+    ax.set_aspect("equal")
+    ax.set_xlim(flat[..., 0].min() - 15, flat[..., 0].max() + 15)
+    ax.set_ylim(flat[..., 1].min() - 15, flat[..., 1].max() + 15)
+    ax.tick_params(labelsize=7)
+
+
+def draw_bones(ax: Axes, torso: TorsoModel, view: View, alpha: float = 1.0) -> None:
+    """The bones, shaded and sorted by depth."""
+    _, across, sign, viewer = view
     direction = np.array(viewer)
     polygons, depth, colours = [], [], []
     for index, name in enumerate(torso.bone_names):
@@ -56,36 +66,105 @@ def draw_view(ax: Axes, torso: TorsoModel, across: int, sign: float, viewer: tup
         colours.append(np.array(_colour(name)) * (0.30 + 0.70 * facing[:, None]))
     order = np.argsort(np.concatenate(depth))
     colour = np.concatenate(colours)[order]
+    colour = alpha * colour + (1.0 - alpha)
     ax.add_collection(
         PolyCollection(np.concatenate(polygons)[order], facecolors=colour, edgecolors=colour, linewidths=0.2)
     )
-    joints = PointsOnBones(torso.joints.parent, torso.joints.parent_position).positions(torso.rest_pose)
-    ax.plot(sign * joints[:, across], joints[:, 1], ".", color="#b03030", markersize=2.5)
-    ax.set_aspect("equal")
-    ax.set_xlim(flat[..., 0].min() - 15, flat[..., 0].max() + 15)
-    ax.set_ylim(flat[..., 1].min() - 15, flat[..., 1].max() + 15)
-    ax.tick_params(labelsize=7)
 
 
-def draw(torso: TorsoModel, path: Path, dpi: int = 80) -> None:
-    """Write the picture."""
-    figure = Figure(figsize=(17, 9), layout="constrained")
+def joint_places(torso: TorsoModel) -> tuple[np.ndarray, np.ndarray]:
+    """World centres (J, 3) mm and world_from_joint axes (J, 3, 3)."""
+    joints = torso.joints
+    centres = PointsOnBones(joints.parent, joints.parent_position).positions(torso.rest_pose)
+    return centres, torso.rest_pose.bone_rotations[joints.parent] @ joints.parent_axes
+
+
+def draw_view(ax: Axes, torso: TorsoModel, view: View) -> None:
+    """One view: skin in grey, bones, joint centres as dots."""
+    _, across, sign, _ = view
+    draw_skin(ax, torso, across, sign)
+    draw_bones(ax, torso, view)
+    centres, _ = joint_places(torso)
+    ax.plot(sign * centres[:, across], centres[:, 1], ".", color="#b03030", markersize=2.5)
+
+
+def draw_torso(mesh: str) -> Figure:
+    """The reference body from three sides."""
+    torso = template_torso(157.0, mesh)
+    figure = Figure(figsize=LANDSCAPE, layout="constrained")
     axes = figure.subplots(1, 3, width_ratios=(1.5, 1.0, 1.5))
-    for ax, (title, across, sign, viewer) in zip(axes, VIEWS):
-        draw_view(ax, torso, across, sign, viewer)
-        ax.set_title(title, fontsize=10)
+    for ax, view in zip(axes, (FRONT, SIDE, REAR)):
+        draw_view(ax, torso, view)
+        ax.set_title(view[0], fontsize=10)
     axes[0].set_ylabel("mm above the sacral endplate", fontsize=8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=dpi, pil_kwargs={"optimize": True})
+    return figure
+
+
+def draw_bodies(mesh: str) -> Figure:
+    """Bodies of four ages and both sexes, front and side, at one scale."""
+    bodies = {
+        "girl, 8 years, 120 cm": template_torso(120.0, mesh, age_years=8.0, sex="female"),
+        "girl, 13 years, 157 cm": template_torso(157.0, mesh, age_years=13.0, sex="female"),
+        "woman, 165 cm": template_torso(165.0, mesh, age_years=30.0, sex="female"),
+        "man, 190 cm": template_torso(190.0, mesh, age_years=30.0, sex="male"),
+    }
+    figure = Figure(figsize=(17.0, 12.3), layout="constrained")
+    axes = figure.subplots(2, len(bodies))
+    for column, (title, torso) in zip(axes.T, bodies.items()):
+        for ax, view in zip(column, (FRONT, SIDE)):
+            draw_view(ax, torso, view)
+            ax.set_xlim(-250.0, 250.0)
+            ax.set_ylim(-200.0, 520.0)
+        column[0].set_title(title, fontsize=11)
+    for ax, view in zip(axes[:, 0], (FRONT, SIDE)):
+        ax.set_ylabel(f"{view[0]}; mm above the sacral endplate", fontsize=9)
+    return figure
+
+
+def draw_frames(ax: Axes, torso: TorsoModel, view: View, kinds: tuple[str, ...] | None, length: float) -> None:
+    """X, Y and Z of the joints as red, green and blue lines."""
+    _, across, sign, _ = view
+    centres, axes = joint_places(torso)
+    chosen = [kinds is None or kind in kinds for kind in torso.joints.kinds]
+    for axis, colour in enumerate(AXIS_COLOURS):
+        ends = centres + length * axes[:, :, axis]
+        lines = np.stack([centres, ends], 1)[chosen][..., [across, 1]] * [sign, 1.0]
+        ax.add_collection(LineCollection(lines, colors=colour, linewidths=1.6))
+    ax.plot(sign * centres[chosen, across], centres[chosen, 1], ".", color="black", markersize=3.5)
+
+
+def draw_joint_frames(mesh: str) -> Figure:
+    """The frames of all joints: the whole from the front and the side, and the shoulder and sternum near."""
+    torso = template_torso(157.0, mesh)
+    figure = Figure(figsize=LANDSCAPE, layout="constrained")
+    axes = figure.subplots(1, 3, width_ratios=(1.35, 0.85, 1.4))
+    for ax, view in zip(axes, (FRONT, SIDE, FRONT)):
+        draw_skin(ax, torso, view[1], view[2])
+        draw_bones(ax, torso, view, 0.45)
+        draw_frames(ax, torso, view, ("thoracic", "lumbar") if view == SIDE else None, 12.0 if ax is axes[2] else 16.0)
+        ax.set_title(view[0], fontsize=10)
+    axes[1].set_title(f"{SIDE[0]}: intervertebral joints", fontsize=10)
+    axes[2].set_title("left ribs, sternum and shoulder, from the front", fontsize=10)
+    axes[2].set_xlim(-35.0, 175.0)
+    axes[2].set_ylim(110.0, 412.0)
+    for colour, name, height in zip(AXIS_COLOURS, ("X", "Y", "Z"), (0.97, 0.935, 0.90)):
+        axes[0].text(0.02, height, name, color=colour, transform=axes[0].transAxes, weight="bold", va="top")
+    axes[0].set_ylabel("mm above the sacral endplate", fontsize=8)
+    return figure
+
+
+PICTURES = {"torso": draw_torso, "bodies": draw_bodies, "joint_frames": draw_joint_frames}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--height", type=float, default=157.0, help="body height, cm")
+    parser.add_argument("--only", nargs="+", choices=sorted(PICTURES), default=sorted(PICTURES))
     parser.add_argument("--mesh", choices=("coarse", "fine"), default="fine")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent.parent / "docs" / "images" / "torso.png")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent.parent / "docs" / "images")
     arguments = parser.parse_args()
-    draw(template_torso(arguments.height, arguments.mesh), arguments.out)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    for name in arguments.only:
+        PICTURES[name](arguments.mesh).savefig(arguments.out / f"{name}.png", dpi=DPI, pil_kwargs={"optimize": True})
 
 
 if __name__ == "__main__":

@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spinestiff.errors import SubjectError
+from spinestiff.anatomy.template import template_torso
+from spinestiff.errors import SubjectError, TorsoError
 from spinestiff.imaging.projection import frontal_view, lateral_view, placed_view
 from spinestiff.imaging.radiograph import write_radiographs
+from spinestiff.study.pipeline import subject_template
 from spinestiff.study.subject import (
     Annotation,
     ImageAnnotation,
@@ -346,3 +348,15 @@ def test_annotation_needs_no_file_to_be_built(tmp_path):
     images = {name: ImageAnnotation.model_validate(image) for name, image in ANNOTATION["images"].items()}
     write_annotation(tmp_path, Annotation(schema_version=1, images=images))
     assert read_annotation(tmp_path / "annotation.json").images == images
+
+
+def test_a_mass_makes_the_template_the_subjects_own(folder):
+    record = read_subject(folder).record
+    plain = subject_template(record, "coarse")
+    np.testing.assert_array_equal(plain.tissue.rest_positions, template_torso(152.0).tissue.rest_positions)
+    own = subject_template(record.model_copy(update={"mass_kg": 50.0}), "coarse")
+    wanted = template_torso(152.0, age_years=record.age, sex=record.sex, mass_kg=50.0)
+    np.testing.assert_array_equal(own.tissue.rest_positions, wanted.tissue.rest_positions)
+    assert own.tissue.corner_volumes().sum() > 1.1 * plain.tissue.corner_volumes().sum()
+    with pytest.raises(TorsoError, match="age 6 years; wanted 8 to 100"):
+        subject_template(record.model_copy(update={"mass_kg": 50.0, "age": 6.0}), "coarse")

@@ -14,6 +14,7 @@ import numpy as np
 
 from spinestiff.anatomy.files import read_torso, write_torso
 from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.fit import FitStep, StiffnessFit, fit_stiffness
 from spinestiff.estimation.uncertainty import joint_region_outline
@@ -31,7 +32,7 @@ from spinestiff.study.results import (
     step_digest,
     write_json,
 )
-from spinestiff.study.subject import image_corners, image_supports, read_push, read_rest
+from spinestiff.study.subject import SubjectRecord, image_corners, image_supports, read_push, read_rest
 from spinestiff.study.trials import PushSet
 from spinestiff.study.visit import (
     Observer,
@@ -170,10 +171,23 @@ def track_step(visit: Visit, say: Observer) -> None:
     write_json(visit.file("tracked.json"), {"schema_version": SCHEMA_VERSION, "pushes": pushes})
 
 
+def subject_template(record: SubjectRecord, mesh: str) -> TorsoModel:
+    """The torso that a subject's radiographs shape: of the subject's own sizes where the mass is known, else the
+    reference body scaled to the height.
+
+    Raises
+    ------
+    TorsoError : the template has no body of this age and mass.
+    """
+    if record.mass_kg is None:
+        return template_torso(record.height_cm, mesh)
+    return template_torso(record.height_cm, mesh, age_years=record.age, sex=record.sex, mass_kg=record.mass_kg)
+
+
 def personalise_step(visit: Visit, say: Observer) -> None:
     """Shape the template to the rest radiographs; writes ``torso.npz`` and ``personalised.json``."""
     subject = visit.subject
-    template = template_torso(subject.record.height_cm, visit.settings.mesh)
+    template = subject_template(subject.record, visit.settings.mesh)
     pictures, provenance = {}, {}
     for name in ("frontal", "lateral"):
         picture = read_rest(subject, name)  # type: ignore[arg-type]

@@ -188,6 +188,7 @@ class SubjectRecord(_Record):
     age : years.
     sex : "female" or "male".
     height_cm : standing height.
+    mass_kg : body mass; with it the template takes the sizes of this age, sex, height and mass.
     xray : geometry where DICOM lacks it.
     pushes : at least one, with at least one training frame under a force.
     """
@@ -197,6 +198,7 @@ class SubjectRecord(_Record):
     age: Annotated[float, Field(gt=0.0, le=120.0)]
     sex: Literal["female", "male"]
     height_cm: Annotated[float, Field(ge=120.0, le=200.0)]
+    mass_kg: Annotated[float, Field(gt=0.0, le=300.0)] | None = None
     xray: XRayRecord = XRayRecord()
     pushes: Annotated[tuple[PushRecord, ...], Field(min_length=1, strict=False)]
 

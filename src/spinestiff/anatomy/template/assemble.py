@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.names import BONE_INDEX, BONES, JOINTS, RIBS, VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.stiffness import DEFAULT_POISSON, DEFAULT_YOUNG_MPA, joint_stiffness, lame_parameters
-from spinestiff.anatomy.template import sizes
 from spinestiff.anatomy.template.girdle import (
     LeftGirdle,
     clavicle_surface,
@@ -18,28 +18,33 @@ from spinestiff.anatomy.template.girdle import (
     scapula_surface,
     sternum_surface,
 )
-from spinestiff.anatomy.template.pelvis import pelvis_bounds, pelvis_surface
+from spinestiff.anatomy.template.pelvis import pelvis_surface
+from spinestiff.anatomy.template.proportions import REFERENCE, Proportions
 from spinestiff.anatomy.template.ribs import LeftRib, left_ribs, rib_surface
-from spinestiff.anatomy.template.skin import Skin, build_skin
-from spinestiff.anatomy.template.surfaces import Surface, mirrored, signed_volume, tangents
+from spinestiff.anatomy.template.skin import COVER, Skin, build_skin, covering, fitted_skin
+from spinestiff.anatomy.template.surfaces import Surface, meet, mirrored, signed_volume, tangents
 from spinestiff.anatomy.template.vertebrae import Spine, build_spine, vertebra_boxes, vertebra_surface
 from spinestiff.anatomy.torso import BoneSurface, JointTable, TissueMesh, TorsoModel, TorsoState, joint_frames
 from spinestiff.arrays import Floats, Ints
+from spinestiff.errors import TorsoError
 
+SCAPULA_CLEAR = 2.9  # mm between points of scapula and ribs, as in the reference body
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class Skeleton:
-    """The reference body's bones in the world.
+    """A body's bones in the world.
 
     Attributes
     ----------
+    size : the body's sizes over the reference's.
     spine, ribs, girdle, skin : the parts it is made of; ribs and girdle are the left ones.
     positions, rotations : (49, 3), (49, 3, 3) bone frames.
     surfaces : (49,) in world axes.
     """
 
+    size: Proportions
     spine: Spine
     ribs: tuple[LeftRib, ...]
     girdle: LeftGirdle
@@ -49,28 +54,48 @@ class Skeleton:
     surfaces: tuple[Surface, ...]
 
 
-def build_skeleton() -> Skeleton:
-    """The reference skeleton and skin."""
-    spine = build_spine()
-    girdle = left_girdle(spine)
-    skin = build_skin(spine, girdle)
-    ribs = left_ribs(spine)
+def build_skeleton(size: Proportions = REFERENCE) -> Skeleton:
+    """Skeleton and skin of a body; the reference's without ``size``.
+
+    Raises
+    ------
+    TorsoError : the sizes do not go together.
+    """
+    spine = build_spine(size)
+    girdle = left_girdle(spine, size)
+    ribs = left_ribs(spine, size)
     surfaces: dict[str, Surface] = {}
     for i, name in enumerate(VERTEBRAE):
         vertices, faces = vertebra_surface(i)
-        surfaces[name] = (vertices @ spine.rotations[i].T + spine.centres[i], faces)
-    surfaces["pelvis"], surfaces["sternum"] = pelvis_surface(), sternum_surface(spine)
-    left = {f"R{i + 1}": rib_surface(rib, i) for i, rib in enumerate(ribs)}
-    left |= {"clavicle": clavicle_surface(girdle), "scapula": scapula_surface(girdle, spine)}
-    left |= {"humerus": humerus_surface(girdle)}
+        surfaces[name] = (size.spine * vertices @ spine.rotations[i].T + spine.centres[i], faces)
+    surfaces["pelvis"], surfaces["sternum"] = pelvis_surface(size), sternum_surface(spine, size)
+    left = {f"R{i + 1}": rib_surface(rib, i, size) for i, rib in enumerate(ribs)}
+    left |= {"clavicle": clavicle_surface(girdle, size), "humerus": humerus_surface(girdle, size)}
+    left["scapula"] = _scapula_behind([left[f"R{i + 1}"] for i in range(9)], girdle, spine, size)
     for name, surface in left.items():
         surfaces[f"{name}_L"], surfaces[f"{name}_R"] = surface, mirrored(surface)
+    skin = build_skin(build_spine(), left_girdle(build_spine()))
+    if size != REFERENCE:
+        spines, girdles = (build_spine(), spine), (left_girdle(build_spine()), girdle)
+        skin = fitted_skin(skin, spines, girdles, size)
+        skin = covering(skin, np.vstack([surface[0] for surface in surfaces.values()]), size.spine * COVER)
     positions = np.array([centroid(surfaces[name]) for name in BONES])
     rotations = np.tile(np.eye(3), (len(BONES), 1, 1))
     positions[: len(VERTEBRAE)], rotations[: len(VERTEBRAE)] = spine.centres, spine.rotations
-    positions[BONE_INDEX["pelvis"]] = _pelvis_origin(skin)
+    positions[BONE_INDEX["pelvis"]] = _pelvis_origin(skin, surfaces["pelvis"])
     positions[: BONE_INDEX["sternum"] + 1, 0] = 0.0  # exactly in the middle plane
-    return Skeleton(spine, ribs, girdle, skin, positions, rotations, tuple(surfaces[name] for name in BONES))
+    return Skeleton(size, spine, ribs, girdle, skin, positions, rotations, tuple(surfaces[name] for name in BONES))
+
+
+def _scapula_behind(ribs: list[Surface], girdle: LeftGirdle, spine: Spine, size: Proportions) -> Surface:
+    # The arm's joints are given, but the blade glides: as far back as keeps it clear of the ribs.
+    tree = cKDTree(np.vstack([rib[0] for rib in ribs]))
+    for behind in np.arange(0.0, 40.0, 1.0):
+        surface = scapula_surface(girdle, spine, size, float(behind))
+        near = tree.query(surface[0])[0].min() < SCAPULA_CLEAR * size.spine
+        if not near and not any(meet(surface, rib) for rib in ribs):
+            return surface
+    raise TorsoError("no room for the scapulae behind the ribs of this body")
 
 
 def centroid(surface: Surface) -> Floats:
@@ -81,8 +106,8 @@ def centroid(surface: Surface) -> Floats:
     return np.asarray((volume[:, None] * (a + b + c)).sum(0) / 4.0 / signed_volume(surface))
 
 
-def _pelvis_origin(skin: Skin) -> Floats:
-    bottom, top = pelvis_bounds()
+def _pelvis_origin(skin: Skin, pelvis: Surface) -> Floats:
+    bottom, top = float(pelvis[0][:, 1].min()), float(pelvis[0][:, 1].max())
     y = 0.5 * (bottom + top)
     _, front, back, _, _ = skin.row(np.array(y))
     return np.array([0.0, y, 0.5 * (float(front) + float(back))])
@@ -181,7 +206,7 @@ def build_landmarks(skeleton: Skeleton, rest: TorsoState) -> dict[str, PointsOnB
 
 
 def assemble(skeleton: Skeleton, nodes: Floats, elements: Ints, bone_of_node: Ints) -> TorsoModel:
-    """The torso from its skeleton and a tissue mesh (as ``TissueMesh``), 157 cm tall."""
+    """The torso from its skeleton and a tissue mesh (as ``TissueMesh``)."""
     rest = TorsoState(skeleton.positions, skeleton.rotations, nodes[bone_of_node < 0])
     mu, lambda_ = lame_parameters(DEFAULT_YOUNG_MPA, DEFAULT_POISSON)
     count = len(elements)
@@ -194,8 +219,8 @@ def assemble(skeleton: Skeleton, nodes: Floats, elements: Ints, bone_of_node: In
         rest_pose=rest,
         joints=build_joints(skeleton, rest),
         tissue=TissueMesh(nodes, elements, bone_of_node, np.full(count, mu), np.full(count, lambda_)),
-        vertebra_boxes=vertebra_boxes(),
+        vertebra_boxes=skeleton.size.spine * vertebra_boxes(),
         bone_surfaces=surfaces,
         landmarks=build_landmarks(skeleton, rest),
-        height_cm=sizes.HEIGHT_CM,
+        height_cm=skeleton.size.height_cm,
     )

@@ -6,6 +6,7 @@ import numpy as np
 
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.template import sizes
+from spinestiff.anatomy.template.proportions import REFERENCE, Proportions
 from spinestiff.anatomy.template.surfaces import (
     Surface,
     ball,
@@ -23,10 +24,10 @@ from spinestiff.arrays import Floats
 CREST_HALF = 0.5 * sizes.BI_ILIAC - 8.0
 
 
-def _sacrum() -> Surface:
+def _sacrum(sacral_slope_deg: float) -> Surface:
     # Its face is the sacral endplate; then it curves down and back (adult 100 to 110 mm long), narrowing to the coccyx.
     width, depth = sizes.VERTEBRA_SIZES[-1, 2:4]
-    slope = np.deg2rad(sizes.SACRAL_SLOPE_DEG)
+    slope = np.deg2rad(sacral_slope_deg)
     # along the sacrum from the endplate, half width, half depth, tilt of the section beyond the endplate's
     w, d = 0.5 * width, 0.5 * depth
     rows = [(-0.5, w - 2, d - 1, 0), (1, w, d, 0), (4, w + 6, d, 0), (7, 41, 16, 2), (12, 49, 15, 4), (22, 50, 15, 8),
@@ -101,9 +102,9 @@ def _left_lower() -> Surface:
     return joined(cup, iliac, ischium, upper, body, lower)
 
 
-def _sacral_crest() -> Surface:
+def _sacral_crest(sacral_slope_deg: float) -> Surface:
     # The median crest: what is left of the sacral spinous processes.
-    slope = np.deg2rad(sizes.SACRAL_SLOPE_DEG)
+    slope = np.deg2rad(sacral_slope_deg)
     along, behind = np.array([14.0, 24.0, 38.0, 52.0, 64.0]), np.array([18.0, 20.0, 19.0, 15.0, 10.0])
     tilt = slope + np.deg2rad(np.array([4.0, 5.0, 7.0, 8.0, 7.0]))
     points = np.stack([0.0 * along, -along * np.cos(tilt) + behind * np.sin(tilt), 0.0 * along], -1)
@@ -111,13 +112,9 @@ def _sacral_crest() -> Surface:
     return tube(points, np.array([[3, 4], [3.5, 6], [3.5, 6], [3, 5], [2, 3]]), np.array([0.0, 0.4, -1.0]), 8)
 
 
-def pelvis_surface() -> Surface:
+def pelvis_surface(size: Proportions = REFERENCE) -> Surface:
     """The whole pelvis, world mm (origin: middle of the sacral endplate)."""
+    slope = size.sacral_slope_deg
     left = joined(_left_wing(), _left_lower())
-    return joined(_sacrum(), _sacral_crest(), left, mirrored(left))
-
-
-def pelvis_bounds() -> tuple[float, float]:
-    """(bottom, top) mm of the pelvis."""
-    y = pelvis_surface()[0][:, 1]
-    return float(y.min()), float(y.max())
+    vertices, faces = joined(_sacrum(slope), _sacral_crest(slope), left, mirrored(left))
+    return vertices * size.pelvis_scale, faces

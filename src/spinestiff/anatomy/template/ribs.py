@@ -7,15 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from spinestiff.anatomy.template import sizes
-from spinestiff.anatomy.template.surfaces import Surface, arc_length, resampled, smooth_curve, tangents, tube
-from spinestiff.anatomy.template.vertebrae import Spine, costotransverse, costovertebral
+from spinestiff.anatomy.template.proportions import REFERENCE, Proportions
+from spinestiff.anatomy.template.surfaces import Surface, arc_length, meet, resampled, smooth_curve, tangents, tube
+from spinestiff.anatomy.template.vertebrae import Spine, costotransverse, costovertebral, vertebra_surface
 from spinestiff.arrays import Floats
+from spinestiff.errors import TorsoError
 
 SAMPLES = 37  # points of a centreline
 FLOATING = 10  # from the eleventh rib on
 ARCH = 4  # from the fifth rib on the cartilages bend upwards, side by side
 ARCH_SPACING = {4: 9.5, 5: 9.0, 6: 8.0, 7: 6.5, 8: 6.0, 9: 6.0}  # mm, centreline to that of the cartilage above
 CARTILAGE_HALF_HEIGHT = (3.7, 5.3, 5.3, 4.8, 4.4, 3.8, 2.8, 2.4, 2.4, 2.4)  # mm
+ASIDE = tuple(0.5 * i for i in range(25))  # mm, tried in turn
 SHORT = 1.5  # mm between a cartilage's end and the middle of its joint
 _OUTWARDS = np.array([0.3, 0.0, 0.95])  # normal of the chest wall beside the sternum
 # Arc lengths scale like the chest: a mean of the three directions' scales, weighted by a rib's run in them.
@@ -42,20 +45,22 @@ class LeftRib:
     notch: Floats
 
 
-def costal_notches(spine: Spine) -> Floats:
+def costal_notches(spine: Spine, size: Proportions = REFERENCE) -> Floats:
     """(10, 3) mm, left costal notches of the sternum."""
     down = sizes.COSTAL_NOTCHES_DOWN
-    top = jugular_notch(spine)
+    top = jugular_notch(spine, size)
     forward = sizes.STERNUM_SLOPE * down
-    return top + np.stack([sizes.COSTAL_NOTCHES_HALF, -down, forward], -1)
+    scale = np.array([size.thorax[0], size.spine, size.thorax[1]])
+    return top + scale * np.stack([sizes.COSTAL_NOTCHES_HALF, -down, forward], -1)
 
 
-def jugular_notch(spine: Spine) -> Floats:
+def jugular_notch(spine: Spine, size: Proportions = REFERENCE) -> Floats:
     """(3,) mm, top of the sternum in the middle plane."""
-    return spine.discs[0] + np.array([0.0, *sizes.JUGULAR_NOTCH])
+    down, forward = sizes.JUGULAR_NOTCH
+    return spine.discs[0] + np.array([0.0, size.spine * down, size.thorax[1] * forward])
 
 
-def _bony_points(level: int, head: Floats, tubercle: Floats, bulge: float) -> Floats:
+def _bony_points(level: int, head: Floats, tubercle: Floats, bulge: float, size: Proportions, out: float) -> Floats:
     # Shape: back from the tubercle to the angle, round the side, forward and down to the costochondral junction.
     _, forward, drop, end, reach = sizes.ADULT_RIBS[level]
     scale = np.array([sizes.RIB_SCALE_LATERAL, -sizes.RIB_SCALE_DOWN, sizes.RIB_SCALE_FORWARD])
@@ -73,25 +78,32 @@ def _bony_points(level: int, head: Floats, tubercle: Floats, bulge: float) -> Fl
             (0.62 * reach + 0.38 * end, 0.83 * drop, 0.80 * forward),
             (end, drop, forward),
         ]
+    scale = scale * [size.thorax[0], size.spine, size.thorax[1]]
     points = np.array([[0.0, head[1], head[2]]]) + np.array(wanted) * scale
+    points[0, 0] += out
     return np.vstack([head, tubercle, points])
 
 
-def _bony_curve(level: int, head: Floats, tubercle: Floats) -> Floats:
+def _bony_curve(level: int, head: Floats, tubercle: Floats, size: Proportions, out: float) -> Floats:
     # The backward bulge of the angle is what the table leaves open: it brings the arc to the scaled adult length.
     from scipy.optimize import brentq
 
     def curve(bulge: float) -> Floats:
-        return smooth_curve(_bony_points(level, head, tubercle, bulge), 200)
+        return smooth_curve(_bony_points(level, head, tubercle, bulge, size, out), 200)
 
     def excess(bulge: float) -> float:
         return arc_length(curve(bulge)) - wanted
 
-    wanted = ARC_SCALE * sizes.ADULT_RIBS[level, 0]
+    wanted = arc_scale(size) * sizes.ADULT_RIBS[level, 0]
     low, high = BULGES
     if excess(low) > 0.0:
         return curve(low)
     return curve(brentq(excess, low, high) if excess(high) > 0.0 else high)
+
+
+def arc_scale(size: Proportions = REFERENCE) -> float:
+    """A rib's bony length over the adult's of the table: a mean of the scales along it (mostly sideways)."""
+    return ARC_SCALE * (0.4 * size.thorax[0] + 0.35 * size.thorax[1] + 0.25 * size.spine)
 
 
 def _cartilage(level: int, bony: Floats, notch: Floats) -> Floats:
@@ -125,28 +137,56 @@ def _clear_of(above: Floats, curve: Floats, apart: float) -> Floats:
     return curve
 
 
-def left_ribs(spine: Spine) -> tuple[LeftRib, ...]:
-    """The left ribs, 1 to 12; a cartilage keeps clear of the one above it."""
+def left_ribs(spine: Spine, size: Proportions = REFERENCE) -> tuple[LeftRib, ...]:
+    """The left ribs, 1 to 12, clear of their vertebrae and of each other.
+
+    Raises
+    ------
+    TorsoError : a rib finds no way past its vertebra.
+    """
+    vertebrae = [_vertebra(level, spine, size) for level in range(12)]
     ribs: list[LeftRib] = []
     for level in range(12):
-        rotation, centre = spine.rotations[level], spine.centres[level]
-        head, tubercle = (centre + rotation @ point(level) for point in (costovertebral, costotransverse))
-        bony = _bony_curve(level, head, tubercle)
-        if level >= FLOATING:
-            ribs.append(LeftRib(head, tubercle, resampled(bony, SAMPLES), 1.0, bony[-1]))
-            continue
-        notch = costal_notches(spine)[level]
-        cartilage = _cartilage(level, bony, notch)
-        if level >= ARCH:
-            cartilage = _clear_of(resampled(ribs[-1].curve, 400), cartilage, ARCH_SPACING[level])
-        cartilage = cartilage[: -max(1, round(SHORT * len(cartilage) / arc_length(cartilage)))]
-        whole = np.vstack([bony, cartilage[1:]])
-        share = arc_length(bony) / arc_length(whole)
-        ribs.append(LeftRib(head, tubercle, resampled(whole, SAMPLES), share, notch))
+        near = vertebrae[max(0, level - 1) : level + 1]
+        if level == 0:
+            near.append(rib_surface(_left_rib(1, spine, size, None, 0.0), 1, size))
+        for aside in ASIDE:
+            rib = _left_rib(level, spine, size, ribs[-1] if ribs else None, size.spine * aside)
+            if not any(meet(rib_surface(rib, level, size), other) for other in near):
+                break
+        else:
+            raise TorsoError(f"rib {level + 1} finds no way past its vertebra in this body")
+        ribs.append(rib)
     return tuple(ribs)
 
 
-def rib_surface(rib: LeftRib, level: int) -> Surface:
+def _vertebra(level: int, spine: Spine, size: Proportions) -> Surface:
+    vertices, faces = vertebra_surface(level)
+    return size.spine * vertices @ spine.rotations[level].T + spine.centres[level], faces
+
+
+def _left_rib(level: int, spine: Spine, size: Proportions, above: LeftRib | None, aside: float) -> LeftRib:
+    # ``aside``, mm: how far the rib keeps off the transverse process; the first, how far it runs out beside it.
+    rotation, centre = spine.rotations[level], spine.centres[level]
+    off = aside * np.array([0.5, 0.0, 1.0]) * (level > 0)
+    head, tubercle = (
+        centre + rotation @ (size.spine * point + shift)
+        for point, shift in ((costovertebral(level), 0.0), (costotransverse(level), off))
+    )
+    bony = _bony_curve(level, head, tubercle, size, aside if level == 0 else 0.0)
+    if level >= FLOATING:
+        return LeftRib(head, tubercle, resampled(bony, SAMPLES), 1.0, bony[-1])
+    notch = costal_notches(spine, size)[level]
+    cartilage = _cartilage(level, bony, notch)
+    if level >= ARCH and above is not None:
+        cartilage = _clear_of(resampled(above.curve, 400), cartilage, size.spine * ARCH_SPACING[level])
+    cartilage = cartilage[: -max(1, round(size.spine * SHORT * len(cartilage) / arc_length(cartilage)))]
+    whole = np.vstack([bony, cartilage[1:]])
+    share = arc_length(bony) / arc_length(whole)
+    return LeftRib(head, tubercle, resampled(whole, SAMPLES), share, notch)
+
+
+def rib_surface(rib: LeftRib, level: int, size: Proportions = REFERENCE) -> Surface:
     """Left rib and its cartilage as one closed tube, world mm."""
     n = len(rib.curve)
     share = np.linspace(0.0, 1.0, n)
@@ -167,7 +207,7 @@ def rib_surface(rib: LeftRib, level: int) -> Surface:
         end = CARTILAGE_HALF_HEIGHT[level]
         bony = rib.bony
         high = np.interp(share, [0.0, bony, bony + 0.4 * (1.0 - bony), 1.0], [1.0, 1.0, 0.0, 0.0]) * (high - end) + end
-    radii = np.stack([thick, high], -1)
+    radii = size.spine * np.stack([thick, high], -1)
     radii[0] *= 0.8
     radii[-1] *= 0.7
     return tube(rib.curve, radii, tall, 8)

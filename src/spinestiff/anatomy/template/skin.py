@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from spinestiff.anatomy.template import sizes
 from spinestiff.anatomy.template.girdle import LeftGirdle
+from spinestiff.anatomy.template.proportions import Proportions
 from spinestiff.anatomy.template.surfaces import Surface, loft, superellipse
 from spinestiff.anatomy.template.vertebrae import Spine
 from spinestiff.arrays import Floats
+from spinestiff.errors import TorsoError
+
+COVER = 5.0  # mm of skin and fat over any bone, at least, times the scale of the spine
+# Whose scale a row of the reference skin takes at which height, mm: over the sacral endplate, over the shoulder joint.
+_BELOW_CHEST = ((-156.0, "hips"), (-95.0, "hips"), (25.0, "waist"), (112.0, "waist"), (200.0, "chest"))
+_FROM_SHOULDER = ((-70.0, "chest"), (-40.0, "shoulder"), (32.0, "shoulder"), (66.0, "neck"))
 
 
 @dataclass(frozen=True)
@@ -98,3 +105,78 @@ def build_skin(spine: Spine, girdle: LeftGirdle) -> Skin:
     ]
     columns = np.array(sorted(rows), dtype=float).T
     return Skin(*columns)
+
+
+def fitted_skin(
+    skin: Skin, spines: tuple[Spine, Spine], girdles: tuple[LeftGirdle, LeftGirdle], size: Proportions
+) -> Skin:
+    """The reference skin made another body's, row by row.
+
+    Parameters
+    ----------
+    skin : the reference's.
+    spines, girdles : the reference's and the other body's.
+    size : the other body over the reference.
+    """
+    shoulders = [float(girdle.glenohumeral[1]) for girdle in girdles]
+    over_shoulder = skin.y - shoulders[0]
+    upper = over_shoulder > -93.0
+    heights, forward = zip(*(_sagittal_line(spine, scale) for spine, scale in zip(spines, (1.0, size.spine))))
+    y = np.where(skin.y < 0.0, size.spine * skin.y, np.interp(skin.y, heights[0], heights[1]))
+    y = np.where(upper, shoulders[1] + size.spine * over_shoulder, y)
+    if (np.diff(y) <= 0.0).any():
+        raise TorsoError("the skin's rows cross each other for this body; its curves and sizes do not go together")
+    scale = {"hips": size.hips, "waist": size.waist, "chest": size.chest, "neck": size.neck}
+    scale["shoulder"] = (size.shoulder, size.chest[1])
+
+    def at(height: Floats, stops: tuple[tuple[float, str], ...], axis: int) -> Floats:
+        return np.asarray(np.interp(height, [h for h, _ in stops], [scale[name][axis] for _, name in stops]))
+
+    across, deep = (
+        np.where(upper, at(over_shoulder, _FROM_SHOULDER, axis), at(skin.y, _BELOW_CHEST, axis)) for axis in (0, 1)
+    )
+    # The back follows the spine, the front its ends alone.
+    was = np.where(skin.y > 0.0, np.interp(skin.y, heights[0], forward[0]), 0.0)
+    now = np.where(skin.y > 0.0, np.interp(y, heights[1], forward[1]), 0.0)
+    return Skin(
+        y=y,
+        half_width=skin.half_width * across,
+        front=skin.front * deep,
+        back=skin.back + (now - was) + (was - skin.back) * (1.0 - deep),
+        centre=skin.centre * deep + 0.5 * (now - was * deep),
+        exponent=skin.exponent,
+    )
+
+
+def _sagittal_line(spine: Spine, scale: float) -> tuple[Floats, Floats]:
+    # Heights and forward places of the spine's middle line, from the sacral endplate to the neck.
+    y, z = spine.centres[::-1, 1], spine.centres[::-1, 2]
+    return np.concatenate([[0.0], y, [y[-1] + 100.0 * scale]]), np.concatenate([[0.0], z, [z[-1]]])
+
+
+def covering(skin: Skin, bones: Floats, cover: float) -> Skin:
+    """The skin moved outwards where points (n, 3) of bones come closer than ``cover`` mm to it.
+
+    Raises
+    ------
+    TorsoError : bones stay bare.
+    """
+    for _ in range(40):
+        lack = cover - skin.depth(bones)
+        short = lack > 0.0
+        if not short.any():
+            return skin
+        points, lack = bones[short], lack[short] + 0.05
+        w, front, back, centre, n = skin.row(points[:, 1])
+        ahead = points[:, 2] >= centre
+        side = (np.abs(points[:, 0]) / w) ** n
+        sagittal = (np.abs(points[:, 2] - centre) / np.where(ahead, front - centre, centre - back)) ** n
+        share = side / (side + sagittal)
+        upper = np.clip(np.searchsorted(skin.y, points[:, 1]), 1, len(skin.y) - 1)
+        grow = np.zeros((3, len(skin.y)))
+        for rows in (upper - 1, upper):
+            np.maximum.at(grow[0], rows, lack * share)
+            np.maximum.at(grow[1], rows[ahead], (lack * (1.0 - share))[ahead])
+            np.maximum.at(grow[2], rows[~ahead], (lack * (1.0 - share))[~ahead])
+        skin = replace(skin, half_width=skin.half_width + grow[0], front=skin.front + grow[1], back=skin.back - grow[2])
+    raise TorsoError(f"{int(short.sum())} points of bones stay less than {cover:.1f} mm under the skin of this body")

@@ -173,3 +173,46 @@ def inside(surface: Surface, points: Floats) -> np.ndarray:
         solid = 2.0 * np.arctan2(triple, la * lb * lc + sum(dots))
         found[some] = solid.sum(1) > 2.0 * np.pi
     return found
+
+
+def meet(one: Surface, other: Surface) -> bool:
+    """Whether two closed surfaces cross each other, or one lies inside the other."""
+    low = np.maximum(one[0].min(0), other[0].min(0))
+    high = np.minimum(one[0].max(0), other[0].max(0))
+    if (low > high).any():
+        return False
+    pairs = ((one, other), (other, one))
+    if any(_pierced(edged, faced, low, high) for edged, faced in pairs):
+        return True
+    # No crossing: of pieces inside the other surface all vertices are, so the first vertex of each piece would tell.
+    return any(bool(inside(faced, edged[0]).any()) for edged, faced in pairs)
+
+
+def _pierced(edged: Surface, faced: Surface, low: Floats, high: Floats) -> bool:
+    # Whether an edge of one surface goes through a triangle of the other, inside the box they share.
+    vertices, faces = edged
+    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1), axis=0)
+    start, end = vertices[edges[:, 0]], vertices[edges[:, 1]]
+    kept = ((np.minimum(start, end) <= high) & (np.maximum(start, end) >= low)).all(1)
+    start, end = start[kept], end[kept]
+    triangles = faced[0][faced[1]]
+    triangles = triangles[((triangles.min(1) <= high) & (triangles.max(1) >= low)).all(1)]
+    if not len(start) or not len(triangles):
+        return False
+    overlap = np.minimum(start, end)[:, None] <= triangles.max(1)[None]
+    overlap &= np.maximum(start, end)[:, None] >= triangles.min(1)[None]
+    i, j = np.nonzero(overlap.all(2))
+    # Moeller and Trumbore 1997.
+    along, corner = end[i] - start[i], triangles[j, 0]
+    u, v = triangles[j, 1] - corner, triangles[j, 2] - corner
+    normal = np.cross(along, v)
+    determinant = np.einsum("ni,ni->n", u, normal)
+    parallel = np.abs(determinant) < 1e-12
+    determinant = np.where(parallel, 1.0, determinant)
+    gap = start[i] - corner
+    turned = np.cross(gap, u)
+    first = np.einsum("ni,ni->n", gap, normal) / determinant
+    second = np.einsum("ni,ni->n", along, turned) / determinant
+    share = np.einsum("ni,ni->n", v, turned) / determinant
+    hit = (first >= 0.0) & (second >= 0.0) & (first + second <= 1.0) & (share >= 0.0) & (share <= 1.0)
+    return bool((hit & ~parallel).any())

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.template import sizes
+from spinestiff.anatomy.template.proportions import REFERENCE, Proportions
 from spinestiff.anatomy.template.surfaces import Surface, joined, loft, mirrored, superellipse, tube
 from spinestiff.arrays import Floats
 
@@ -30,28 +31,43 @@ class Spine:
     disc_rotations: Floats
 
 
-def tilts() -> Floats:
+def tilts(size: Proportions = REFERENCE) -> Floats:
     """(18,) rad, forward tilt of T1 ... L5 and of the sacral endplate."""
-    thoracic = sizes.THORACIC_SHARES * sizes.KYPHOSIS_DEG / sizes.THORACIC_SHARES.sum()
-    lumbar = -sizes.LUMBAR_SHARES * sizes.LORDOSIS_DEG / sizes.LUMBAR_SHARES.sum()
+    thoracic = sizes.THORACIC_SHARES * size.kyphosis_deg / sizes.THORACIC_SHARES.sum()
+    lumbar = -sizes.LUMBAR_SHARES * size.lordosis_deg / sizes.LUMBAR_SHARES.sum()
     # Kyphosis tilts the upper vertebra of a disc forward, lordosis backward.
     discs = np.concatenate([thoracic, [sizes.THORACOLUMBAR_DEG], lumbar])
     upwards = np.cumsum(discs[::-1])[::-1]
-    return np.deg2rad(sizes.SACRAL_SLOPE_DEG + np.append(upwards, 0.0))
+    return np.deg2rad(size.sacral_slope_deg + np.append(upwards, 0.0))
 
 
 def _tilted(angle: Floats) -> Floats:
     return exp_so3(np.multiply.outer(angle, [1.0, 0.0, 0.0]))
 
 
-def build_spine() -> Spine:
-    """The reference spine, stacked from the sacral endplate upwards."""
-    angle = tilts()
+def balanced_sacral_slope(kyphosis_deg: float, lordosis_deg: float) -> float:
+    """The sacral slope, degrees, that puts T1 before the sacrum as far, for its size, as in the reference body."""
+    from scipy.optimize import brentq
+
+    if (kyphosis_deg, lordosis_deg) == (REFERENCE.kyphosis_deg, REFERENCE.lordosis_deg):
+        return REFERENCE.sacral_slope_deg
+
+    def forward(slope: float) -> float:
+        curves = replace(REFERENCE, kyphosis_deg=kyphosis_deg, lordosis_deg=lordosis_deg, sacral_slope_deg=slope)
+        return float(build_spine(curves).centres[0, 2])
+
+    wanted = float(build_spine().centres[0, 2])
+    return float(brentq(lambda slope: forward(slope) - wanted, 0.0, 70.0, xtol=1e-9))
+
+
+def build_spine(size: Proportions = REFERENCE) -> Spine:
+    """The spine, stacked from the sacral endplate upwards."""
+    angle = tilts(size)
     rotations, disc_rotations = _tilted(angle[:-1]), _tilted(0.5 * (angle[:-1] + angle[1:]))
     centres, discs = np.zeros((17, 3)), np.zeros((17, 3))
     endplate = np.zeros(3)
     for i in reversed(range(17)):
-        height, disc = sizes.VERTEBRA_SIZES[i, 4:]
+        height, disc = size.spine * sizes.VERTEBRA_SIZES[i, 4:]
         up = disc_rotations[i, :, 1]
         discs[i] = endplate + 0.5 * disc * up
         lower = endplate + disc * up
@@ -61,7 +77,7 @@ def build_spine() -> Spine:
 
 
 def vertebra_boxes() -> Floats:
-    """(17, 8, 3) mm in the vertebra's frame; order as ``TorsoModel.vertebra_boxes``."""
+    """(17, 8, 3) mm in the reference vertebra's frame; order as ``TorsoModel.vertebra_boxes``."""
     wu, du, wl, dl, height, _ = sizes.VERTEBRA_SIZES.T
     half = 0.5 * np.stack([0.5 * (wu + wl), height, 0.5 * (du + dl)], -1)
     signs = np.array([(x, y, z) for y in (1, -1) for x in (1, -1) for z in (1, -1)], dtype=float)
@@ -69,14 +85,14 @@ def vertebra_boxes() -> Floats:
 
 
 def costovertebral(level: int) -> Floats:
-    """(3,) mm in the vertebra's frame, left rib head's middle: at the disc above, or on the body (T1, T11, T12)."""
+    """(3,) mm in the reference vertebra's frame, left rib head: at the disc above, or on the body (T1, T11, T12)."""
     width, depth, _, _, height, _ = sizes.VERTEBRA_SIZES[level]
     up = {0: 0.25, 10: 0.25, 11: 0.15}.get(level, 0.56) * height
     return np.array([0.5 * width + 2.5, up, -0.32 * depth])
 
 
 def costotransverse(level: int) -> Floats:
-    """(3,) mm in the vertebra's frame, left rib tubercle's middle: before the tip of the transverse process."""
+    """(3,) mm in the reference vertebra's frame, left rib tubercle: before the tip of the transverse process."""
     head = costovertebral(level)
     if level >= 10:  # floating ribs have no such joint; a point on the neck stands for it
         return head + np.array([9.0, -3.5, -9.0])
@@ -85,7 +101,7 @@ def costotransverse(level: int) -> Floats:
 
 
 def transverse_tip(level: int) -> Floats:
-    """(3,) mm in the vertebra's frame, tip of the left transverse process."""
+    """(3,) mm in the reference vertebra's frame, tip of the left transverse process."""
     depth, height = sizes.VERTEBRA_SIZES[level, 3], sizes.VERTEBRA_SIZES[level, 4]
     thoracic = level < 12
     back = -0.5 * depth - (0.8 if thoracic else 0.35) * sizes.CANAL_DEPTH - (4.0 if thoracic else 0.0)
@@ -157,6 +173,6 @@ def _spinous(level: int) -> Surface:
 
 
 def vertebra_surface(level: int) -> Surface:
-    """Body, arch and processes of vertebra ``level`` (0 = T1), in the vertebra's frame."""
+    """Body, arch and processes of the reference body's vertebra ``level`` (0 = T1), in the vertebra's frame."""
     left = _left_arch(level)
     return joined(_body(level), left, mirrored(left), _spinous(level))
