@@ -165,6 +165,7 @@ export class Panel {
     if (beyond) words = `${role ? `${role}; ` : ""}no equilibrium above ${where.after.force} N`;
     else if (!frame && force === 0) words = "at rest; no frame without force";
     else if (!frame) words = `between ${where.before.force} N and ${where.after.force} N`;
+    else if (where.share > 0) words = `${role}; no equilibrium found here, interpolated`;
     else if (force === 0) words = `at rest; ${role}`;
     this.text("force-text", number);
     this.text("frame-text", words);

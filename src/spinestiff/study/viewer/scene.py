@@ -20,7 +20,7 @@ from spinestiff.arrays import Floats, Ints
 from spinestiff.estimation.objective import make_target
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.loads import LoadCase
-from spinestiff.mechanics.supports import Reaction, Supports
+from spinestiff.mechanics.supports import Supports
 from spinestiff.study.predictions import Prediction
 from spinestiff.study.trials import PushSet, PushTrial
 
@@ -186,8 +186,10 @@ def _at_rest(torso: TorsoModel, trial: PushTrial, supports: int) -> Step:
 
 def _step(torso: TorsoModel, prediction: Prediction, name: str, supports: Sequence[Support]) -> Step:
     item = prediction.item
-    exerted: Mapping[str, Reaction] = {r.name: r for r in prediction.reactions[name]}
-    forces = np.array([exerted[support.name].force for support in supports]).reshape(-1, 3)
+    # In the order of the supports; a bone may touch the wall at two points, under one name.
+    exerted = prediction.reactions[name]
+    assert [r.name for r in exerted] == [support.name for support in supports]
+    forces = np.array([r.force for r in exerted]).reshape(-1, 3)
     names = item.trial.corners.vertebrae
     return Step(item.force_n, item.frame, prediction.states[name], names, prediction.boxes(torso, name), forces)
 

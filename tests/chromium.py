@@ -35,14 +35,8 @@ class Tab:
         to_browser, to_us = os.pipe(), os.pipe()
         # The browser reads file descriptor 3 and writes 4; they are moved there in a shell, after the fork.
         script = f'exec "$@" 3<&{to_browser[0]} 4>&{to_us[1]}'
-        command = [
-            str(browser()),
-            *FLAGS,
-            *flags,
-            f"--user-data-dir={profile}",
-            "--remote-debugging-pipe",
-            "about:blank",
-        ]
+        own = (f"--user-data-dir={profile}", "--remote-debugging-pipe", "about:blank")
+        command = [str(browser()), *FLAGS, *flags, *own]
         self.process = subprocess.Popen(
             ["bash", "-c", script, "browser", *command],
             pass_fds=(to_browser[0], to_us[1]),
