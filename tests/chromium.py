@@ -120,6 +120,17 @@ class Tab:
             for kind in ("rawKeyDown", "keyUp"):
                 self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=codes[key])
 
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Press the mouse at one place of the window, let go at another."""
+        middle = tuple(0.5 * (a + b) for a, b in zip(start, end))
+        for kind, place in (("Pressed", start), ("Moved", middle), ("Moved", end), ("Released", end)):
+            held = {"button": "left", "buttons": 1, "clickCount": 1}
+            self.call("Input.dispatchMouseEvent", type=f"mouse{kind}", x=place[0], y=place[1], **held)
+
+    def wheel(self, place: tuple[float, float], down: float) -> None:
+        """Turn the wheel over a place of the window."""
+        self.call("Input.dispatchMouseEvent", type="mouseWheel", x=place[0], y=place[1], deltaX=0.0, deltaY=down)
+
     def picture(self, whole: bool = False) -> bytes:
         """The window, or the whole page, as PNG."""
         return base64.b64decode(self.call("Page.captureScreenshot", captureBeyondViewport=whole)["data"])

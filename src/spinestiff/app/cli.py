@@ -257,8 +257,7 @@ def _recipe(
 
 def _visit_page(folder: Path | None, out: Path | None) -> Path:
     """The page of a visit as far as it has come."""
-    import shutil
-
+    from spinestiff.study.results import write_text
     from spinestiff.study.viewer.files import write_rest_view
     from spinestiff.study.visit import open_visit
 
@@ -268,7 +267,7 @@ def _visit_page(folder: Path | None, out: Path | None) -> Path:
         _steps(visit.subject.folder, ("view",), redo=False)
         if out is None:
             return page
-        shutil.copyfile(page, out)
+        write_text(out, page.read_text(encoding="utf-8"))
         return out
     typer.echo(write_rest_view(visit, out or page))
     return out or page

@@ -151,6 +151,26 @@ def test_the_keyboard_reaches_everything(tab, shown):
     assert {"force", "before", "push", "model", "front", "tube", "bones", "simulated", "SUMMARY"} <= set(reached)
 
 
+def test_the_mouse_turns_the_torso_and_zooms_once_it_was_chosen(tab, shown):
+    front = pixels(tab)
+    box = tab.run(f"JSON.parse(JSON.stringify({VIEWER}.querySelector('canvas').getBoundingClientRect()))")
+    middle = (box["left"] + 0.5 * box["width"], box["top"] + 0.5 * box["height"])
+    tab.run("document.activeElement.blur()")
+    tab.wheel(middle, 40.0)
+    # The page would scroll; the torso does not grow.
+    assert different(front, pixels(tab)) < 1e-3
+    tab.run("scrollTo(0, 0)")
+    tab.drag(middle, (middle[0] + 0.25 * box["height"], middle[1]))
+    assert different(front, pixels(tab)) > 0.05
+    # A quarter of the height is a quarter of a turn; dragged to the right, the patient's right comes to the front.
+    assert (text(tab, "side-left"), text(tab, "side-right")) == ("P", "A")
+    assert "Turned" in text(tab, "caption")
+    side = pixels(tab)
+    tab.wheel(middle, -200.0)
+    tab.run("new Promise(done => setTimeout(done, 200))")
+    assert different(side, pixels(tab)) > 0.02
+
+
 @pytest.mark.parametrize(
     ("view", "sides"), [("front", "RL"), ("right", "PA"), ("rear", "LR"), ("left", "AP"), ("tube", "RL")]
 )

@@ -52,9 +52,15 @@ function start(root: HTMLElement): void {
   };
   Object.assign(root, { viewer: handle });
   message.textContent = "Drawing …";
+  const table = root.querySelector<HTMLDetailsElement>("details");
+  const open = table?.open ?? false;
   addEventListener("beforeprint", () => {
     picture();
     panel.stage?.draw();
+    if (table) table.open = true;
+  });
+  addEventListener("afterprint", () => {
+    if (table) table.open = open;
   });
   new IntersectionObserver(
     (entries, observer) => {

@@ -168,6 +168,10 @@ export class Panel {
     else if (where.share > 0) words = `${role}; no equilibrium found here, interpolated`;
     else if (force === 0) words = `at rest; ${role}`;
     this.text("force-text", number);
+    // What paper needs instead of the panel.
+    const title = this.model?.selectedOptions[0]?.textContent ?? "";
+    const drawn = "Outlines: measured blue, simulated orange. Push red, reactions green.";
+    this.text("printed", [`Push ${push.id}, ${number}`, words, title].filter(Boolean).join("; ") + `. ${drawn}`);
     this.text("frame-text", words);
     this.force!.setAttribute("aria-valuetext", `${number}, ${words}`);
     this.root.dataset["force"] = String(force);
