@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import cv2
@@ -14,7 +15,9 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.study.viewer.page import view_page
 from spinestiff.study.viewer.scene import Scene
 
-pytestmark = pytest.mark.skipif(browser() is None, reason="no Chromium to open the viewer in")
+pytestmark = pytest.mark.skipif(
+    browser() is None or sys.platform == "win32", reason="no Chromium to open the viewer in, or no pipe to drive it by"
+)
 
 VIEWER = "document.querySelector('[data-viewer]')"
 

@@ -63,7 +63,7 @@ export class Marks {
   readonly simulated: Outlines;
   private readonly loadMaterial = new MeshLambertMaterial();
   private readonly supportMaterial = new MeshLambertMaterial();
-  private readonly plateMaterial = new MeshBasicMaterial({ transparent: true, opacity: 0.55, depthWrite: false });
+  private readonly plateMaterial = new MeshBasicMaterial({ transparent: true, opacity: 0.42, depthWrite: false });
   private loadArrows: Arrow[] = [];
   private supportArrows: Arrow[] = [];
   private glyphs: Mesh[] = [];

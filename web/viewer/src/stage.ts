@@ -183,11 +183,14 @@ export class Stage {
     const { clientWidth: width, clientHeight: height } = canvas;
     this.camera.eye.updateMatrixWorld();
     const right = new Vector3().setFromMatrixColumn(this.camera.eye.matrixWorld, 0);
+    const gaze = this.camera.eye.getWorldDirection(new Vector3());
     while (this.spans.length < this.marked.length) this.spans.push(labels.appendChild(document.createElement("span")));
     this.spans.forEach((span, i) => {
       const label = this.marked[i];
-      span.hidden = !label;
-      if (!label) return;
+      // An arrow seen from its end shows no length; its number would belong to nothing.
+      const endOn = label && label.kind !== "level" && label.away.clone().cross(gaze).length() < 0.35;
+      span.hidden = !label || Boolean(endOn);
+      if (!label || endOn) return;
       const at = label.at.clone();
       // Beside the vertebra, clear of its outline.
       if (label.kind === "level") at.addScaledVector(right, 33);
