@@ -23,10 +23,21 @@ class Finished:
     lines: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Viewed:
+    """What the viewer shows of the finished subject, and what it was made from."""
+
+    pushes: object
+    ratios: object
+    predictions: tuple
+    scene: object
+
+
 def stub_report(visit, say):
     """Stands in for the report, which has tests of its own and takes longer than all other steps."""
     say("writing")
-    visit.file("report.html").write_text("report", encoding="utf-8")
+    for name in ("report.html", "view.html"):
+        visit.file(name).write_text("page", encoding="utf-8")
 
 
 @pytest.fixture(scope="session")
@@ -82,3 +93,19 @@ def subject(finished, tmp_path):
 @pytest.fixture
 def no_report(monkeypatch):
     monkeypatch.setattr("spinestiff.study.report.write_report", stub_report)
+
+
+@pytest.fixture(scope="session")
+def viewed(finished):
+    """The finished subject's trials with what default and estimated stiffness make of them, and its viewer's scene."""
+    from spinestiff.anatomy.files import read_torso
+    from spinestiff.study.predictions import predict
+    from spinestiff.study.viewer.files import scene_of
+    from spinestiff.study.visit import estimated_ratios, load_pushes, open_visit
+
+    visit = open_visit(finished.folder)
+    torso = read_torso(visit.file("torso.npz"))
+    pushes = load_pushes(visit, torso)
+    ratios = estimated_ratios(visit, torso)
+    predictions = predict(pushes, ratios, lambda line: None)
+    return Viewed(pushes, ratios, predictions, scene_of(visit, pushes, predictions))

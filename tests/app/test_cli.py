@@ -26,6 +26,7 @@ COMMANDS = {
     "estimate": ("--method", "--orientation", "--redo"),
     "assess": ("--truth", "--redo"),
     "report": ("--truth", "--redo"),
+    "view": ("--torso", "--out", "--no-open"),
     "run": ("--mesh", "--method", "--orientation", "--truth", "--redo"),
     "demo": ("--out", "--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
     "cobb": (),
@@ -195,6 +196,91 @@ def test_redo_reaches_the_step(spinestiff, subject, finished, monkeypatch):
     assert spinestiff("estimate", subject, "--redo").status == 0
     assert spinestiff("estimate", subject, "--method", "lbfgsb", "--orientation", "covariance").status == 0
     assert asked == [("lm", "procrustes"), ("lbfgsb", "covariance")]
+
+
+@pytest.fixture
+def browsers(monkeypatch):
+    """A desktop whose browser only notes what it is asked to open."""
+    seen = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr("webbrowser.open", lambda address: seen.append(address) or True)
+    return seen
+
+
+def test_view_opens_what_the_report_left(spinestiff, subject, browsers):
+    page = subject / "results" / "view.html"
+    result = spinestiff("view", subject)
+    assert (result.status, result.out) == (0, f"view: {page}\n")
+    assert browsers == [page.as_uri()]
+    assert spinestiff("view", subject, "--no-open").status == 0
+    assert len(browsers) == 1
+
+
+def test_view_needs_an_estimate_but_no_report(spinestiff, subject, browsers, tmp_path):
+    """For real: every frame is solved again, and the page goes where it is wanted as well."""
+    for name in ("view.html", "report.html", "assessment.json"):
+        (subject / "results" / name).unlink()
+    out = tmp_path / "pages" / "girl.html"
+    result = spinestiff("view", subject, "--out", out)
+    assert (result.status, result.out) == (0, f"view: {out}\n")
+    assert browsers == [out.as_uri()]
+    page = out.read_text(encoding="utf-8")
+    assert page == (subject / "results" / "view.html").read_text(encoding="utf-8")
+    assert "Torso of synthetic-3" in page and "main: 30 N from the" in page
+    again = spinestiff("view", subject, "--no-open")
+    assert "view: up to date" in again.err
+
+
+def test_view_of_stale_results_is_refused(spinestiff, subject, browsers):
+    (subject / "results" / "tracked.json").write_text("{}", encoding="utf-8")
+    refused(spinestiff("view", subject), "estimate.json: was made before results/tracked.json changed")
+    assert browsers == []
+
+
+@pytest.mark.parametrize(
+    ("lacking", "words"),
+    [
+        (("estimate.json",), "the subject’s torso at rest"),
+        (("estimate.json", "torso.npz"), "the template at the subject’s height"),
+    ],
+)
+def test_view_before_an_estimate_shows_rest_and_says_what_to_run(spinestiff, subject, browsers, lacking, words):
+    for name in lacking:
+        (subject / "results" / name).unlink()
+    result = spinestiff("view", subject)
+    assert result.status == 0
+    assert re.match(rf"no estimate yet: shows {words}.*: spinestiff run {subject}\nview: ", result.out)
+    page = (subject / "results" / "view.html").read_text(encoding="utf-8")
+    assert words in page and "<input id" not in page
+    assert len(browsers) == 1
+
+
+def test_view_of_a_torso_file(spinestiff, subject, browsers, tmp_path):
+    torso = subject / "results" / "torso.npz"
+    result = spinestiff("view", "--torso", torso)
+    assert (result.status, result.out) == (0, f"view: {torso.with_suffix('.html')}\n")
+    assert "Torso of torso.npz" in torso.with_suffix(".html").read_text(encoding="utf-8")
+    assert spinestiff("view", "--torso", torso, "--out", tmp_path / "t.html", "--no-open").status == 0
+    assert (tmp_path / "t.html").is_file() and len(browsers) == 1
+    torso.write_bytes(b"PK")
+    refused_at_once(spinestiff("view", "--torso", torso), "torso.npz is no torso file, or it is damaged")
+
+
+def test_view_wants_one_thing(spinestiff, subject, browsers):
+    refused_at_once(spinestiff("view"), "a subject folder or a --torso file; give one")
+    refused_at_once(spinestiff("view", subject, "--torso", "t.npz"), "give one of them")
+    refused_at_once(spinestiff("view", subject / "nobody"), "no such folder")
+    assert browsers == []
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="a display is a matter of Linux")
+def test_view_without_a_display_says_so(spinestiff, subject, browsers, monkeypatch):
+    """Else a browser in the terminal might take it."""
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    result = spinestiff("view", subject)
+    assert result.status == 0 and "open this file in one" in result.out
+    assert browsers == []
 
 
 def test_cobb_prints_three_forms(spinestiff, subject):

@@ -58,7 +58,8 @@ def dry(monkeypatch):
         "personalise": write("torso.npz", "personalised.json"),
         "estimate": write("estimate.json"),
         "assess": write("assessment.json"),
-        "report": write("report.html"),
+        "report": write("report.html", "view.html"),
+        "view": write("view.html"),
     }
     monkeypatch.setattr(pipeline, "_FUNCTIONS", made)
 
@@ -69,7 +70,8 @@ def dry(monkeypatch):
 def test_the_record_of_a_run(finished):
     run = read_json(finished.folder / "results" / "run.json")
     assert run["version"] == package_version()
-    assert set(run["steps"]) == set(STEPS)
+    # The report writes the view as well.
+    assert set(run["steps"]) == {*STEPS, "view"}
     images = {"pushes/main.dcm", "pushes/second.dcm", "rest/frontal.dcm", "rest/lateral.dcm"}
     assert set(run["steps"]["track"]["inputs"]) == {"subject.json", "annotation.json", *images}
     assert set(run["steps"]["assess"]["inputs"]) >= {"results/estimate.json", "results/torso.npz", "annotation.json"}
@@ -189,6 +191,7 @@ def test_another_truth_touches_the_comparison_only(subject, dry):
         ("torso.npz", ["personalise", "estimate", "assess", "report"]),
         ("assessment.json", ["assess", "report"]),
         ("report.html", ["report"]),
+        ("view.html", ["report"]),
     ],
 )
 @pytest.mark.parametrize("how", ["deleted", "damaged"])
@@ -196,6 +199,17 @@ def test_a_lost_or_damaged_result_is_made_again(subject, dry, name, redone, how)
     path = subject / "results" / name
     path.unlink() if how == "deleted" else path.write_text("?")
     assert run_steps(opened(subject)) == redone
+
+
+def test_the_view_needs_no_report(subject, dry):
+    """It is there once the report is, and made again from the estimate alone."""
+    assert run_steps(opened(subject), ("view",)) == []
+    (subject / "results" / "view.html").unlink()
+    (subject / "results" / "assessment.json").unlink()
+    assert run_steps(opened(subject), ("view",)) == ["view"]
+    assert run_steps(opened(subject), ("view",)) == []
+    assert run_steps(opened(subject), ("estimate",), force=True) == ["estimate"]
+    assert run_steps(opened(subject), ("view",)) == ["view"]
 
 
 def test_redo_runs_what_was_asked(subject, dry):

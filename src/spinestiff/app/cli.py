@@ -40,6 +40,9 @@ Curve = Annotated[str, typer.Option(help="thoracic, thoracolumbar, lumbar or dou
 PushForce = Annotated[float, typer.Option("--force", help="Largest push, N.")]
 Ratios = Annotated[str | None, typer.Option(help="True ratios BENDING,TISSUE; drawn by the seed if left out.")]
 Spine = Annotated[Path | None, typer.Option(help="Table of real spines, as rest shape instead of --cobb and --curve.")]
+TorsoFile = Annotated[Path | None, typer.Option("--torso", help="A torso file instead of a subject folder.")]
+Page = Annotated[Path | None, typer.Option("--out", help="Where the page goes; results/view.html if left out.")]
+NoOpen = Annotated[bool, typer.Option("--no-open", help="Write the page, don't open it.")]
 SpineId = Annotated[str | None, typer.Option(help="Which spine of the table.")]
 
 
@@ -133,6 +136,22 @@ def report(folder: Folder, truth: Truth = None, redo: Force = False) -> None:
     """Write the report."""
     visit = _steps(folder, ("report",), redo, truth=truth)
     typer.echo(f"report: {visit.file('report.html')}")
+
+
+@app.command()
+def view(
+    folder: Annotated[Path | None, typer.Argument(help="Subject folder (docs/subject-folder.md).")] = None,
+    torso: TorsoFile = None,
+    out: Page = None,
+    no_open: NoOpen = False,
+) -> None:
+    """Show the torso in 3D in the browser, from rest to full load, measured against simulated."""
+    if (folder is None) == (torso is None):
+        raise SubjectError("view shows a subject folder or a --torso file; give one of them")
+    page = _torso_page(torso, out) if torso is not None else _visit_page(folder, out)
+    typer.echo(f"view: {page}")
+    if not no_open and not _opened(page):
+        typer.echo("no browser was found to open it with; open this file in one")
 
 
 @app.command()
@@ -234,6 +253,42 @@ def _recipe(
         chosen = (bending, tissue)
     real = None if spine is None or spine_id is None else (spine, spine_id)
     return Recipe(seed, height, cobb, curve, force, chosen, real)
+
+
+def _visit_page(folder: Path | None, out: Path | None) -> Path:
+    """The page of a visit as far as it has come."""
+    from spinestiff.study.results import write_text
+    from spinestiff.study.viewer.files import write_rest_view
+    from spinestiff.study.visit import open_visit
+
+    visit = open_visit(folder or Path())
+    page = visit.file("view.html")
+    if visit.file("estimate.json").exists():
+        _steps(visit.subject.folder, ("view",), redo=False)
+        if out is None:
+            return page
+        write_text(out, page.read_text(encoding="utf-8"))
+        return out
+    typer.echo(write_rest_view(visit, out or page))
+    return out or page
+
+
+def _torso_page(torso: Path, out: Path | None) -> Path:
+    from spinestiff.study.viewer.files import write_torso_view
+
+    page = out or torso.with_suffix(".html")
+    write_torso_view(torso, page)
+    return page
+
+
+def _opened(page: Path) -> bool:
+    """Whether a browser took the page; never one that runs in this terminal."""
+    import os
+    import webbrowser
+
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        return False
+    return webbrowser.open(page.resolve().as_uri())
 
 
 def _steps(folder: Path, steps: tuple[str, ...], redo: bool, truth: Path | None = None, **settings: Any) -> Any:

@@ -1,12 +1,14 @@
 """The steps from a subject folder to its results; each reads files, writes files and is redone only when needed.
 
 ``track`` -> ``personalise`` -> ``estimate`` -> ``assess`` -> ``report``. Results go to ``results/`` in the folder.
+``view``, the 3D page alone, needs only the estimate; the report brings it along.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +50,7 @@ SCHEMA_VERSION = 1
 # Where a fit starts: the geometric means of Table 4. From the default ratios it gets to the same place in more steps.
 USUAL_RATIOS = {"lateral_bending": 0.07, "intervertebral_bending": 0.07, "tissue": 0.04}
 STEPS = ("track", "personalise", "estimate", "assess", "report")
+ALL_STEPS = (*STEPS, "view")
 
 
 def run_steps(
@@ -61,26 +64,40 @@ def run_steps(
     """
     say = observer or (lambda line: None)
     ran = []
-    for step in STEPS:
+    for step in ALL_STEPS:
         if step not in steps:
             continue
-        inputs, outputs, settings = _recipe(visit, step)
+        inputs, outputs, _ = _recipe(visit, step)
         for path in inputs:
             if not path.exists():
                 raise SubjectError(f"{path}: no such file; run the step that makes it first ({_maker(path)})")
             _refuse_stale(visit.subject.folder, path)
-        hashes = inputs_digest(visit.subject.folder, inputs)
-        digest = step_digest(hashes, settings)
-        if not force and is_current(visit.subject.folder, step, digest):
+        record = _before(visit, step)
+        if not force and is_current(visit.subject.folder, step, record.digest):
             say(f"{step}: up to date")
             continue
+        # The report writes the view on its way.
+        along = _before(visit, "view") if step == "report" else None
         began = time.perf_counter()
         _FUNCTIONS[step](visit, lambda line, step=step: say(f"{step}: {line}"))  # type: ignore[misc]
-        made = {path.relative_to(visit.subject.folder).as_posix(): file_digest(path) for path in outputs}
         seconds = round(time.perf_counter() - began, 3)
-        record_step(visit.subject.folder, step, StepRecord(digest, hashes, settings, seconds, made))
+        _record(visit, step, replace(record, seconds=seconds), outputs)
+        if along is not None:
+            _record(visit, "view", along, _recipe(visit, "view")[1])
         ran.append(step)
     return ran
+
+
+def _before(visit: Visit, step: str) -> StepRecord:
+    """The record of a step that is about to run."""
+    inputs, _, settings = _recipe(visit, step)
+    hashes = inputs_digest(visit.subject.folder, inputs)
+    return StepRecord(step_digest(hashes, settings), hashes, settings)
+
+
+def _record(visit: Visit, step: str, record: StepRecord, outputs: list[Path]) -> None:
+    made = {path.relative_to(visit.subject.folder).as_posix(): file_digest(path) for path in outputs}
+    record_step(visit.subject.folder, step, replace(record, outputs=made))
 
 
 def _recipe(visit: Visit, step: str) -> tuple[list[Path], list[Path], dict[str, Any]]:
@@ -98,6 +115,7 @@ def _recipe(visit: Visit, step: str) -> tuple[list[Path], list[Path], dict[str, 
         },
         "assess": {"truth": truth},
         "report": {"truth": truth},
+        "view": {},
     }
     shape = [file("torso.npz"), file("personalised.json")]
     assessed = [file("assessment.json"), *([file("comparison.json")] if visit.truth else [])]
@@ -108,8 +126,9 @@ def _recipe(visit: Visit, step: str) -> tuple[list[Path], list[Path], dict[str, 
         "assess": ([*images[:2], file("tracked.json"), *shape, file("estimate.json")], assessed),
         "report": (
             [*images, file("tracked.json"), *shape, file("estimate.json"), file("assessment.json")],
-            [file("report.html")],
+            [file("report.html"), file("view.html")],
         ),
+        "view": ([*images[:2], file("tracked.json"), *shape, file("estimate.json")], [file("view.html")]),
     }
     inputs, outputs = needed[step]
     return inputs, outputs, chosen[step]
@@ -225,10 +244,17 @@ def assess_step(visit: Visit, say: Observer) -> None:
 
 
 def report_step(visit: Visit, say: Observer) -> None:
-    """Write ``report.html``."""
+    """Write ``report.html`` and ``view.html``."""
     from spinestiff.study.report import write_report
 
     write_report(visit, say)
+
+
+def view_step(visit: Visit, say: Observer) -> None:
+    """Write ``view.html``."""
+    from spinestiff.study.viewer.files import write_view
+
+    write_view(visit, say)
 
 
 _FUNCTIONS: Mapping[str, Callable[[Visit, Observer], None]] = {
@@ -237,6 +263,7 @@ _FUNCTIONS: Mapping[str, Callable[[Visit, Observer], None]] = {
     "estimate": estimate_step,
     "assess": assess_step,
     "report": report_step,
+    "view": view_step,
 }
 
 

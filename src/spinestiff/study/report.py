@@ -1,7 +1,7 @@
 """One page about a visit for people: what was found, how sure it is, and the pictures to judge it by.
 
 ``results/report.html`` is self-contained (it asks nothing of any other file or host); its pictures lie beside it as PNG
-in ``results/figures``. The same results give the same bytes.
+in ``results/figures``, its 3D torso as a page of its own, ``results/view.html``. The same results give the same bytes.
 """
 
 from __future__ import annotations
@@ -16,16 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from spinestiff import __version__
 from spinestiff.anatomy.files import read_torso
-from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
-from spinestiff.estimation.objective import Target, make_target, residuals
 from spinestiff.imaging.features import picture_axes, silhouette_choice, state_features, target_features, vertebra_rows
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
@@ -43,6 +40,7 @@ from spinestiff.study.figures import (
     draw_tilt_changes,
 )
 from spinestiff.study.metrics import cobb_change, tilts
+from spinestiff.study.predictions import Prediction, predict
 from spinestiff.study.report_content import (
     MODELS,
     certainty_content,
@@ -59,32 +57,12 @@ from spinestiff.study.report_content import (
     subject_content,
     support_rows,
 )
-from spinestiff.study.results import read_json
+from spinestiff.study.results import read_json, write_text
 from spinestiff.study.subject import PushRecord, image_corners, read_push, read_rest
 from spinestiff.study.trials import PushSet, PushTrial
+from spinestiff.study.viewer.files import scene_of
+from spinestiff.study.viewer.page import component, page_environment, script_hash, view_page
 from spinestiff.study.visit import Observer, Visit, estimated_ratios, load_pushes, read_truth
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """A frame with what the models make of it.
-
-    Attributes
-    ----------
-    item : the frame.
-    target : its measured features.
-    states : "rest", "default", "fit" where an equilibrium was found.
-    """
-
-    item: PushTrial
-    target: Target
-    states: Mapping[str, TorsoState]
-
-    def boxes(self, torso: TorsoModel, name: str) -> Floats:
-        """(Nv, 4, 2) mm at the patient plane, simulated boxes of the measured vertebrae."""
-        target = self.target
-        seen = state_features(torso, target.trial.view, self.states[name], target.choice, used=target.used)
-        return seen.z[target.rows]
 
 
 @dataclass(frozen=True)
@@ -105,14 +83,14 @@ class Picture:
 
 
 def write_report(visit: Visit, say: Observer) -> None:
-    """Write ``results/report.html`` and ``results/figures/*.png`` of a visit that has been assessed.
+    """Write ``report.html``, ``view.html`` and ``figures/*.png`` into ``results/`` of a visit that has been assessed.
 
     Raises
     ------
     SubjectError : a result of an earlier step is missing or belongs to another version of it.
     """
     try:
-        pictures, page = _compose(visit, say)
+        pictures, page, view = _compose(visit, say)
     except (KeyError, TypeError, IndexError) as error:
         raise SubjectError(
             f"{visit.subject.results}: results lack what the report needs ({error}); run spinestiff run --redo"
@@ -124,11 +102,13 @@ def write_report(visit: Visit, say: Observer) -> None:
             old.unlink()
     for name, content in pictures.items():
         _write_whole(folder / name, content)
-    _write_whole(visit.file("report.html"), page.encode())
+    write_text(visit.file("view.html"), view)
+    write_text(visit.file("report.html"), page)
     say(f"{visit.file('report.html')} and {len(pictures)} figures")
 
 
-def _compose(visit: Visit, say: Observer) -> tuple[dict[str, bytes], str]:
+def _compose(visit: Visit, say: Observer) -> tuple[dict[str, bytes], str, str]:
+    """Pictures by file name, the report's page and the viewer's."""
     names = ("estimate", "assessment", "personalised", "tracked")
     estimate, assessment, personalised, tracked = (read_json(visit.file(f"{name}.json")) for name in names)
     # What is quick comes first: results of another version are refused before anything is solved.
@@ -149,9 +129,10 @@ def _compose(visit: Visit, say: Observer) -> tuple[dict[str, bytes], str]:
     }
     torso = read_torso(visit.file("torso.npz"))
     pushes = load_pushes(visit, torso)
-    predictions = _predict(pushes, estimated_ratios(visit, torso), say)
+    predictions = predict(pushes, estimated_ratios(visit, torso), say)
     say("drawing")
     region = _region_picture(visit, estimate)
+    scene = scene_of(visit, pushes, predictions)
     album = _Album()
     page |= {
         "held_out": [album.add(*_frame_picture(visit, torso, p)) for p in _of_role(predictions, "validation")],
@@ -159,15 +140,10 @@ def _compose(visit: Visit, say: Observer) -> tuple[dict[str, bytes], str]:
         "curves": album.add(*_curve_picture(pushes, predictions)),
         "region": None if region is None else album.add(*region),
         "levels": album.add(*_tilt_picture(visit, pushes, predictions)),
+        "scene": component(scene),
+        "script_hash": script_hash(),
     }
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return album.files, environment.get_template("report.html.j2").render(page)
+    return album.files, page_environment().get_template("report.html.j2").render(page), view_page(scene)
 
 
 class _Album:
@@ -186,24 +162,7 @@ class _Album:
         return Picture(file, f"data:{kind};base64,{base64.b64encode(content).decode()}", alt, caption)
 
 
-# Predictions and pictures
-
-
-def _predict(pushes: PushSet, ratios: StiffnessRatios, say: Observer) -> tuple[Prediction, ...]:
-    """Every frame under force, each push from its least force up, with default and estimated stiffness."""
-    loaded = [t for t in pushes.trials if t.force_n > 0.0]
-    done = []
-    last: dict[tuple[str, str], TorsoState] = {}
-    for item in sorted(loaded, key=lambda t: (t.push, t.force_n)):
-        say(f"push '{item.push}' frame {item.frame}: {item.force_n:.0f} N")
-        states = {"rest": pushes.torso.rest_pose}
-        for name, model in (("default", None), ("fit", ratios)):
-            found = pushes.problems[item.push].solve(item.trial.load, model, last.get((name, item.push)))
-            if found.converged:
-                states[name] = last[(name, item.push)] = found.state
-        done.append(Prediction(item, make_target(pushes.torso, item.trial), states))
-    order = {(t.push, t.frame): i for i, t in enumerate(pushes.trials)}
-    return tuple(sorted(done, key=lambda p: order[(p.item.push, p.item.frame)]))
+# Pictures
 
 
 def _of_role(predictions: Sequence[Prediction], *roles: str) -> list[Prediction]:
@@ -214,7 +173,7 @@ def _frame_picture(visit: Visit, torso: TorsoModel, prediction: Prediction) -> t
     item, target = prediction.item, prediction.target
     view = item.trial.view
     push = visit.subject.push(item.push)
-    errors = {name: residuals(torso, target, state).rmse for name, state in prediction.states.items()}
+    errors = {name: prediction.rmse(torso, name) for name in prediction.states}
     panels = tuple(
         Panel(title, _pixels(view, prediction.boxes(torso, name)), errors[name])
         for name, title in MODELS.items()

@@ -93,9 +93,14 @@ def write_json(path: Path, data: Any) -> None:
         text = json.dumps(data, sort_keys=True, indent=1, allow_nan=False, ensure_ascii=False, default=_plain)
     except (ValueError, TypeError) as error:
         raise SpinestiffError(f"{path.name} is not written: {error}") from None
+    write_text(path, text + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file as UTF-8, whole or not at all. Raises SubjectError if it can't be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _replace(path, text + "\n")
+        _replace(path, text)
     except OSError as error:
         raise SubjectError(f"{path}: can't be written ({error.strerror})") from None
 
@@ -103,7 +108,7 @@ def write_json(path: Path, data: Any) -> None:
 def _replace(path: Path, text: str) -> None:
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
-        with temporary.open("x", encoding="utf-8") as file:
+        with temporary.open("x", encoding="utf-8", newline="\n") as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())

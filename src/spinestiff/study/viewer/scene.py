@@ -1,0 +1,361 @@
+"""What the 3D viewer shows: bones, skin, joints, pushes, supports and corners, packed for a browser.
+
+Lengths are mm in the world frame (docs/conventions.md), forces N. Bones are stored once, in their own frames, and a
+state holds a position and a quaternion for each; the skin is the tissue's boundary, with positions for each state.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from spinestiff.anatomy.names import RIBS, VERTEBRAE
+from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.arrays import Floats, Ints
+from spinestiff.estimation.objective import make_target
+from spinestiff.imaging.projection import XRayView
+from spinestiff.mechanics.loads import LoadCase
+from spinestiff.mechanics.supports import Supports
+from spinestiff.study.predictions import Prediction
+from spinestiff.study.trials import PushSet, PushTrial
+
+SCENE_VERSION = 1
+MODELS = ("fit", "default")
+_LARGEST_INT16 = 32767
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A measured frame of a push.
+
+    Attributes
+    ----------
+    frame, force_n, role : as in ``subject.json``.
+    vertebrae : (Nv,) names. measured : (Nv, 4, 2) mm at the patient plane.
+    rmse_mm : by model, where it found an equilibrium.
+    """
+
+    frame: int
+    force_n: float
+    role: str
+    vertebrae: tuple[str, ...]
+    measured: Floats
+    rmse_mm: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Step:
+    """A model's equilibrium under one force.
+
+    Attributes
+    ----------
+    force_n : magnitude. frame : the measured frame it belongs to, or None.
+    state : where everything is.
+    vertebrae : (Nv,) names. boxes : (Nv, 4, 2) mm at the patient plane, as they are compared with the measured ones.
+    reactions : (S, 3) N, in the order of ``PushScene.supports``.
+    """
+
+    force_n: float
+    frame: int | None
+    state: TorsoState
+    vertebrae: tuple[str, ...]
+    boxes: Floats
+    reactions: Floats
+
+
+@dataclass(frozen=True)
+class Support:
+    """Where the torso is held: a point on a bone, and the direction it is held along (None: the bone as a whole)."""
+
+    name: str
+    bone: int
+    offset: Floats
+    direction: Floats | None
+
+
+@dataclass(frozen=True)
+class PushScene:
+    """One push: its frames, and each model's way from rest to full load.
+
+    Attributes
+    ----------
+    push, side, level : as in ``subject.json``.
+    view : of its radiographs, moved to where the patient stood.
+    load : points and forces per N of push.
+    supports : see ``Support``.
+    frames : by force.
+    models : "fit", "default" -> steps by force, the first at rest.
+    """
+
+    push: str
+    side: str
+    level: float
+    view: XRayView
+    load: LoadCase
+    supports: tuple[Support, ...]
+    frames: tuple[Frame, ...]
+    models: Mapping[str, tuple[Step, ...]]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A torso, and what was done to it.
+
+    Attributes
+    ----------
+    title : of whom or what, in words. note : what is missing, or empty.
+    torso : at rest.
+    pushes : none for a torso alone.
+    """
+
+    title: str
+    torso: TorsoModel
+    pushes: tuple[PushScene, ...] = ()
+    note: str = ""
+
+
+def visit_scene(
+    title: str, pushes: PushSet, predictions: Sequence[Prediction], levels: Mapping[str, tuple[str, float]]
+) -> Scene:
+    """The scene of a visit with an estimate.
+
+    Parameters
+    ----------
+    pushes, predictions : the trials, and what ``predict`` made of those under force.
+    levels : push id -> pushed side and rib level.
+    """
+    made = {(p.item.push, p.item.frame): p for p in predictions}
+    scenes = []
+    for push, problem in pushes.problems.items():
+        trials = sorted((t for t in pushes.trials if t.push == push), key=lambda t: (t.force_n, t.frame))
+        supports = _supports(pushes.torso, problem.supports)
+        frames, steps = [], {name: [] for name in MODELS}  # type: ignore[var-annotated]
+        if trials[0].force_n > 0.0:
+            start = _at_rest(pushes.torso, trials[0], len(supports))
+            for name in MODELS:
+                steps[name].append(Step(0.0, None, start.state, start.vertebrae, start.boxes, start.reactions))
+        for trial in trials:
+            prediction = made.get((push, trial.frame))
+            if prediction is None:
+                resting = Prediction(
+                    trial, make_target(pushes.torso, trial.trial), {"rest": pushes.torso.rest_pose}, {}
+                )
+                found = {name: _at_rest(pushes.torso, trial, len(supports)) for name in MODELS}
+                frames.append(_frame(pushes.torso, resting, dict.fromkeys(MODELS, "rest")))
+            else:
+                known = [name for name in MODELS if name in prediction.states]
+                found = {name: _step(pushes.torso, prediction, name, supports) for name in known}
+                frames.append(_frame(pushes.torso, prediction, {name: name for name in known}))
+            for name, step in found.items():
+                steps[name].append(step)
+        largest = max(trials, key=lambda t: t.force_n)
+        load = largest.trial.load
+        unit = load.scaled(1.0 / load.size) if load.size else load
+        side, level = levels[push]
+        models = {name: tuple(found) for name, found in steps.items() if len(found) > 1}
+        scenes.append(PushScene(push, side, level, trials[0].trial.view, unit, supports, tuple(frames), models))
+    return Scene(title, pushes.torso, tuple(scene for scene in scenes if scene.models))
+
+
+def _supports(torso: TorsoModel, supports: Supports) -> tuple[Support, ...]:
+    springs = supports.springs
+    held = [
+        Support(torso.bone_names[bone], int(bone), np.zeros(3), None) for bone in np.flatnonzero(supports.held.any(1))
+    ]
+    points = springs.points
+    return (
+        *held,
+        *(
+            Support(name, int(points.bone[i]), points.offset[i], springs.directions[i])
+            for i, name in enumerate(supports.names)
+        ),
+    )
+
+
+def _at_rest(torso: TorsoModel, trial: PushTrial, supports: int) -> Step:
+    target = make_target(torso, trial.trial)
+    boxes = Prediction(trial, target, {"rest": torso.rest_pose}, {}).boxes(torso, "rest")
+    names, frame = trial.trial.corners.vertebrae, trial.frame
+    return Step(0.0, frame, torso.rest_pose, names, boxes, np.zeros((supports, 3)))
+
+
+def _step(torso: TorsoModel, prediction: Prediction, name: str, supports: Sequence[Support]) -> Step:
+    item = prediction.item
+    # In the order of the supports; a bone may touch the wall at two points, under one name.
+    exerted = prediction.reactions[name]
+    assert [r.name for r in exerted] == [support.name for support in supports]
+    forces = np.array([r.force for r in exerted]).reshape(-1, 3)
+    names = item.trial.corners.vertebrae
+    return Step(item.force_n, item.frame, prediction.states[name], names, prediction.boxes(torso, name), forces)
+
+
+def _frame(torso: TorsoModel, prediction: Prediction, states: Mapping[str, str]) -> Frame:
+    item = prediction.item
+    errors = {name: prediction.rmse(torso, state) for name, state in states.items()}
+    return Frame(
+        item.frame, item.force_n, item.role, item.trial.corners.vertebrae, np.asarray(prediction.target.z), errors
+    )
+
+
+# Packing
+
+
+def scene_record(scene: Scene) -> dict[str, Any]:
+    """The scene as JSON: names and numbers as they are, arrays as ``packed``.
+
+    ``states`` holds every state once, the rest pose first; steps name them by number.
+    """
+    torso = scene.torso
+    used, faces = skin_faces(torso)
+    states = _States(torso, used)
+    pushes = [_push_record(push, states) for push in scene.pushes]
+    surfaces = torso.bone_surfaces
+    offsets, ends = joint_points(torso)
+    return {
+        "version": SCENE_VERSION,
+        "title": scene.title,
+        "bones": [
+            {
+                "name": name,
+                "kind": "vertebra" if name in VERTEBRAE else "rib" if name in RIBS else "other",
+                "vertices": len(surfaces[i].vertices) if surfaces else 0,
+                "faces": len(surfaces[i].faces) if surfaces else 0,
+            }
+            for i, name in enumerate(torso.bone_names)
+        ],
+        "vertices": packed(_stacked([s.vertices for s in surfaces]), "int16"),
+        "faces": packed(_stacked([s.faces for s in surfaces]), "uint16"),
+        "skin": packed(faces, "uint16" if len(used) <= 65535 else "uint32"),
+        "joints": {"names": list(torso.joints.names), "bone": ends.tolist(), "offset": packed(offsets, "int16")},
+        "states": states.record(),
+        "pushes": pushes,
+    }
+
+
+def packed(array: Floats | Ints, kind: str) -> dict[str, Any]:
+    """An array as base64 of little-endian numbers.
+
+    "float32", "uint16" and "uint32" are stored as they are; "int16" is a real array over ``scale``, so that the
+    largest magnitude is 32767: half a ``scale`` is the most that a number loses.
+    """
+    values = np.asarray(array)
+    scale = 1.0
+    if kind == "int16":
+        scale = float(np.abs(values).max(initial=0.0)) / _LARGEST_INT16 or 1.0
+        values = np.rint(values / scale)
+    stored = values.astype(np.dtype(kind).newbyteorder("<"))
+    data = base64.b64encode(np.ascontiguousarray(stored).tobytes()).decode()
+    return {"type": kind, "shape": list(values.shape), "scale": scale, "data": data}
+
+
+def unpacked(record: Mapping[str, Any]) -> Floats:
+    """Inverse of ``packed``: float64."""
+    stored = np.frombuffer(base64.b64decode(record["data"]), np.dtype(record["type"]).newbyteorder("<"))
+    return stored.reshape(record["shape"]) * float(record["scale"])
+
+
+def skin_faces(torso: TorsoModel) -> tuple[Ints, Ints]:
+    """The tissue's boundary: its nodes (n,) among the mesh's, and its faces (S, 3) or (S, 6) among those."""
+    used, corners = np.unique(torso.tissue.boundary_faces(), return_inverse=True)
+    width = torso.tissue.elements.shape[1]
+    return used, corners.reshape(-1, 6 if width == 10 else 3)
+
+
+def joint_points(torso: TorsoModel) -> tuple[Floats, Ints]:
+    """Each joint's centre on its parent: offsets (J, 3) mm in the bone's frame, and the bones (J,)."""
+    return torso.joints.parent_position, torso.joints.parent
+
+
+def _stacked(arrays: Iterable[Any]) -> Any:
+    found = list(arrays)
+    return np.vstack(found) if found else np.empty((0, 3))
+
+
+class _States:
+    """Collects states, each once, the rest pose first."""
+
+    def __init__(self, torso: TorsoModel, skin: Ints) -> None:
+        self.torso, self.skin = torso, skin
+        self.known: list[TorsoState] = []
+        self.number(torso.rest_pose)
+
+    def number(self, state: TorsoState) -> int:
+        for i, other in enumerate(self.known):
+            if other is state:
+                return i
+        self.known.append(state)
+        return len(self.known) - 1
+
+    def record(self) -> dict[str, Any]:
+        poses = [
+            np.hstack([s.bone_positions, Rotation.from_matrix(s.bone_rotations).as_quat(canonical=True)])
+            for s in self.known
+        ]
+        skins = [self.torso.node_positions(s)[self.skin] for s in self.known]
+        return {"bones": packed(np.stack(poses), "float32"), "skin": packed(np.stack(skins), "int16")}
+
+
+def _push_record(push: PushScene, states: _States) -> dict[str, Any]:
+    view = push.view
+    foot = view.source + view.source_to_patient * view.normal
+    return {
+        "id": push.push,
+        "side": push.side,
+        "level": push.level,
+        # The patient plane: a point q of it lies at origin + q0 columns + q1 rows.
+        "view": {
+            "source": _rounded(view.source),
+            "origin": _rounded(foot),
+            "columns": _rounded(view.detector_axes[0], 7),
+            "rows": _rounded(view.detector_axes[1], 7),
+        },
+        "load": {
+            "bone": push.load.points.bone.tolist(),
+            "offset": _rounded(push.load.points.offset),
+            "force": _rounded(push.load.forces, 7),
+        },
+        "supports": [
+            {
+                "name": support.name,
+                "bone": support.bone,
+                "offset": _rounded(support.offset),
+                "direction": None if support.direction is None else _rounded(support.direction),
+            }
+            for support in push.supports
+        ],
+        "frames": [
+            {
+                "frame": frame.frame,
+                "force": frame.force_n,
+                "role": frame.role,
+                "vertebrae": list(frame.vertebrae),
+                "measured": _rounded(frame.measured),
+                "rmse": {name: round(value, 4) for name, value in frame.rmse_mm.items()},
+            }
+            for frame in push.frames
+        ],
+        "models": {
+            name: [
+                {
+                    "force": step.force_n,
+                    "frame": step.frame,
+                    "state": states.number(step.state),
+                    "vertebrae": list(step.vertebrae),
+                    "boxes": _rounded(step.boxes),
+                    "reactions": _rounded(step.reactions),
+                }
+                for step in steps
+            ]
+            for name, steps in push.models.items()
+        },
+    }
+
+
+def _rounded(array: Floats, decimals: int = 3) -> Any:
+    # Plus zero: no minus zeros.
+    return (np.round(array, decimals) + 0.0).tolist()

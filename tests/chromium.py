@@ -1,0 +1,164 @@
+"""A headless Chromium, driven over its debugging pipe; what a test needs of it and no more."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import select
+import shutil
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+FLAGS = (
+    "--headless", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-sync", "--hide-scrollbars",
+    "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage", "--no-proxy-server",
+    "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+)  # fmt: skip
+
+
+def browser() -> str | None:
+    """Path of a Chromium, if there is one."""
+    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+    return next((found for name in names if (found := shutil.which(name))), None)
+
+
+class Tab:
+    """One page of a browser of its own.
+
+    ``requests`` are the addresses that were asked for, ``complaints`` what reached the console or was thrown.
+    """
+
+    def __init__(self, profile: Path, width: int = 1280, height: int = 800, flags: tuple[str, ...] = ()) -> None:
+        to_browser, to_us = os.pipe(), os.pipe()
+        # The browser reads file descriptor 3 and writes 4; they are moved there in a shell, after the fork.
+        script = f'exec "$@" 3<&{to_browser[0]} 4>&{to_us[1]}'
+        own = (f"--user-data-dir={profile}", "--remote-debugging-pipe", "about:blank")
+        command = [str(browser()), *FLAGS, *flags, *own]
+        self.process = subprocess.Popen(
+            ["bash", "-c", script, "browser", *command],
+            pass_fds=(to_browser[0], to_us[1]),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(to_browser[0])
+        os.close(to_us[1])
+        self.reader, self.writer = to_us[0], to_browser[1]
+        self.buffer = b""
+        self.count = 0
+        self.session: str | None = None
+        self.loaded = False
+        self.requests: list[str] = []
+        self.complaints: list[str] = []
+        target = next(t for t in self.call("Target.getTargets")["targetInfos"] if t["type"] == "page")
+        self.session = self.call("Target.attachToTarget", targetId=target["targetId"], flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.call(f"{domain}.enable")
+        self.size(width, height)
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        os.close(self.reader)
+        os.close(self.writer)
+
+    def __enter__(self) -> Tab:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def call(self, method: str, **parameters: Any) -> Any:
+        self.count += 1
+        message: dict[str, Any] = {"id": self.count, "method": method, "params": parameters}
+        if self.session:
+            message["sessionId"] = self.session
+        os.write(self.writer, json.dumps(message).encode() + b"\0")
+        while True:
+            answer = self._next(60.0)
+            if answer.get("id") == self.count:
+                assert "error" not in answer, f"{method}: {answer['error']}"
+                return answer["result"]
+
+    def size(self, width: int, height: int) -> None:
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+
+    def theme(self, name: str) -> None:
+        self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": name}])
+
+    def open(self, page: Path) -> None:
+        self.loaded = False
+        self.call("Page.navigate", url=page.as_uri())
+        self.wait(lambda: self.loaded)
+
+    def run(self, script: str) -> Any:
+        """The value of a JavaScript expression, promises awaited."""
+        result = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in result, result["exceptionDetails"]
+        return result["result"].get("value")
+
+    def until(self, script: str, seconds: float = 30.0) -> None:
+        """Wait until a JavaScript expression holds."""
+        self.wait(lambda: bool(self.run(script)), seconds, script)
+
+    def wait(self, condition: Any, seconds: float = 30.0, what: str = "page loaded") -> None:
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, f"not within {seconds} s: {what}; {self.complaints}"
+            if select.select([self.reader], [], [], 0.05)[0] or b"\0" in self.buffer:
+                self._next(1.0)
+
+    def settle(self) -> None:
+        """Until what was asked for has been drawn."""
+        self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
+
+    def press(self, key: str, times: int = 1) -> None:
+        codes = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "Home": 36, "End": 35, "Tab": 9}
+        for _ in range(times):
+            for kind in ("rawKeyDown", "keyUp"):
+                self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=codes[key])
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Press the mouse at one place of the window, let go at another."""
+        middle = tuple(0.5 * (a + b) for a, b in zip(start, end))
+        for kind, place in (("Pressed", start), ("Moved", middle), ("Moved", end), ("Released", end)):
+            held = {"button": "left", "buttons": 1, "clickCount": 1}
+            self.call("Input.dispatchMouseEvent", type=f"mouse{kind}", x=place[0], y=place[1], **held)
+
+    def wheel(self, place: tuple[float, float], down: float) -> None:
+        """Turn the wheel over a place of the window."""
+        self.call("Input.dispatchMouseEvent", type="mouseWheel", x=place[0], y=place[1], deltaX=0.0, deltaY=down)
+
+    def picture(self, whole: bool = False) -> bytes:
+        """The window, or the whole page, as PNG."""
+        return base64.b64decode(self.call("Page.captureScreenshot", captureBeyondViewport=whole)["data"])
+
+    def pdf(self) -> bytes:
+        """The page as it is printed, on A4."""
+        paper = {"paperWidth": 8.27, "paperHeight": 11.69, "printBackground": False}
+        return base64.b64decode(self.call("Page.printToPDF", **paper)["data"])
+
+    def _next(self, seconds: float) -> dict[str, Any]:
+        while b"\0" not in self.buffer:
+            assert select.select([self.reader], [], [], seconds)[0], "the browser does not answer"
+            read = os.read(self.reader, 1 << 20)
+            assert read, "the browser has ended"
+            self.buffer += read
+        text, self.buffer = self.buffer.split(b"\0", 1)
+        message: dict[str, Any] = json.loads(text)
+        self._note(message.get("method", ""), message.get("params", {}))
+        return message
+
+    def _note(self, event: str, found: dict[str, Any]) -> None:
+        if event == "Page.loadEventFired":
+            self.loaded = True
+        elif event == "Network.requestWillBeSent":
+            self.requests.append(found["request"]["url"])
+        elif event == "Runtime.exceptionThrown":
+            self.complaints.append(str(found["exceptionDetails"]))
+        elif event == "Runtime.consoleAPICalled" and found["type"] in ("error", "warning"):
+            self.complaints.append(" ".join(str(argument.get("value")) for argument in found["args"]))
+        elif event == "Log.entryAdded":
+            self.complaints.append(found["entry"]["text"])

@@ -1,0 +1,84 @@
+// Where everything is at a force: a solved state, or between two of them.
+import { Quaternion, Vector3 } from "three";
+import type { Corner, Scene, Step, Vec } from "./scene";
+
+export interface Pose {
+  places: Vector3[];
+  turns: Quaternion[];
+  skin: Float32Array;
+}
+
+/** The steps around a force and the share of the later one; `share` is 0 on a step. */
+export interface Bracket {
+  before: Step;
+  after: Step;
+  share: number;
+}
+
+export function restPose(scene: Scene): Pose {
+  return between(scene, 0, 0, 0);
+}
+
+/** `frame` decides between steps of the same force. */
+export function bracket(steps: Step[], force: number, frame: number | null = null): Bracket {
+  const exact = steps.filter((step) => Math.abs(step.force - force) < 1e-9);
+  const chosen = exact.find((step) => frame !== null && step.frame === frame) ?? exact[0];
+  if (chosen) return { before: chosen, after: chosen, share: 0 };
+  const first = steps[0]!;
+  const last = steps[steps.length - 1]!;
+  if (force >= last.force) return { before: last, after: last, share: 0 };
+  const next = Math.max(
+    steps.findIndex((step) => step.force > force),
+    1,
+  );
+  const before = steps[next - 1] ?? first;
+  const after = steps[next] ?? last;
+  return { before, after, share: (force - before.force) / (after.force - before.force) };
+}
+
+/** Bones move along straight lines and turn by slerp, the skin moves along straight lines. */
+export function poseAt(scene: Scene, where: Bracket): Pose {
+  return between(scene, where.before.state, where.after.state, where.share);
+}
+
+function between(scene: Scene, first: number, second: number, share: number): Pose {
+  const a = scene.poses[first]!;
+  const b = scene.poses[second]!;
+  const places: Vector3[] = [];
+  const turns: Quaternion[] = [];
+  for (let i = 0; i < scene.bones.length; i++) {
+    places.push(new Vector3().fromArray(a, 7 * i).lerp(new Vector3().fromArray(b, 7 * i), share));
+    turns.push(new Quaternion().fromArray(a, 7 * i + 3).slerp(new Quaternion().fromArray(b, 7 * i + 3), share));
+  }
+  const from = scene.skins[first]!;
+  const to = scene.skins[second]!;
+  return { places, turns, skin: from.map((value, i) => value + share * (to[i]! - value)) };
+}
+
+export function onBone(pose: Pose, bone: number, offset: Vec | Vector3): Vector3 {
+  const point = offset instanceof Vector3 ? offset.clone() : new Vector3(...offset);
+  return point.applyQuaternion(pose.turns[bone]!).add(pose.places[bone]!);
+}
+
+/** Simulated outlines by vertebra: of both steps' common vertebrae, moved in proportion. */
+export function boxesAt(where: Bracket): Map<string, Corner[]> {
+  const found = new Map<string, Corner[]>();
+  where.before.vertebrae.forEach((name, i) => {
+    const other = where.after.vertebrae.indexOf(name);
+    if (other < 0) return;
+    const a = where.before.boxes[i]!;
+    const b = where.after.boxes[other]!;
+    found.set(
+      name,
+      a.map(([u, v], k): Corner => [u + where.share * (b[k]![0] - u), v + where.share * (b[k]![1] - v)]),
+    );
+  });
+  return found;
+}
+
+/** Forces of the supports on the torso, N. */
+export function reactionsAt(where: Bracket): Vector3[] {
+  return where.before.reactions.map((force, i) =>
+    new Vector3(...force).lerp(new Vector3(...where.after.reactions[i]!), where.share),
+  );
+}
