@@ -135,13 +135,13 @@ def fitted_skin(
     across, deep = (
         np.where(upper, at(over_shoulder, _FROM_SHOULDER, axis), at(skin.y, _BELOW_CHEST, axis)) for axis in (0, 1)
     )
-    # The back follows the spine, the front its ends alone.
+    # The back follows the spine; the front of the chest half as much, as the sternum does; the belly does not.
     was = np.where(skin.y > 0.0, np.interp(skin.y, heights[0], forward[0]), 0.0)
     now = np.where(skin.y > 0.0, np.interp(y, heights[1], forward[1]), 0.0)
     return Skin(
         y=y,
         half_width=skin.half_width * across,
-        front=skin.front * deep,
+        front=skin.front * deep + 0.5 * np.interp(skin.y, [100.0, 200.0], [0.0, 1.0]) * (now - size.spine * was),
         back=skin.back + (now - was) + (was - skin.back) * (1.0 - deep),
         centre=skin.centre * deep + 0.5 * (now - was * deep),
         exponent=skin.exponent,
