@@ -174,9 +174,11 @@ def covering(skin: Skin, bones: Floats, cover: float) -> Skin:
         share = side / (side + sagittal)
         upper = np.clip(np.searchsorted(skin.y, points[:, 1]), 1, len(skin.y) - 1)
         grow = np.zeros((3, len(skin.y)))
-        for rows in (upper - 1, upper):
-            np.maximum.at(grow[0], rows, lack * share)
-            np.maximum.at(grow[1], rows[ahead], (lack * (1.0 - share))[ahead])
-            np.maximum.at(grow[2], rows[~ahead], (lack * (1.0 - share))[~ahead])
+        near = (points[:, 1] - skin.y[upper - 1]) / (skin.y[upper] - skin.y[upper - 1])
+        for rows, weight in ((upper - 1, 1.0 - near), (upper, near)):
+            wanted = lack * np.clip(2.0 * weight, 0.0, 1.0)  # the nearer of two rows gives way first
+            np.maximum.at(grow[0], rows, wanted * share)
+            np.maximum.at(grow[1], rows[ahead], (wanted * (1.0 - share))[ahead])
+            np.maximum.at(grow[2], rows[~ahead], (wanted * (1.0 - share))[~ahead])
         skin = replace(skin, half_width=skin.half_width + grow[0], front=skin.front + grow[1], back=skin.back - grow[2])
     raise TorsoError(f"{int(short.sum())} points of bones stay less than {cover:.1f} mm under the skin of this body")
