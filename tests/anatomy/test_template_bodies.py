@@ -29,7 +29,7 @@ BODIES = {
             "lordosis_deg": 60.0},
 }  # fmt: skip
 MORE = {
-    "thin girl": {"height_cm": 157.0, "age_years": 13.0, "sex": "female", "mass_kg": 36.0},
+    "thin girl": {"height_cm": 157.0, "age_years": 13.0, "sex": "female", "mass_kg": 40.0},
     "heavy girl": {"height_cm": 157.0, "age_years": 13.0, "sex": "female", "mass_kg": 75.0},
     "flat back": {"height_cm": 157.0, "age_years": 13.0, "sex": "female", "kyphosis_deg": 20.0, "lordosis_deg": 35.0},
     "round back": {"height_cm": 157.0, "age_years": 13.0, "sex": "female", "kyphosis_deg": 50.0, "lordosis_deg": 60.0},

@@ -6,13 +6,14 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from chromium import browser
+from chromium import Tab, browser
 from spinestiff.anatomy.files import write_torso
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
@@ -499,3 +500,24 @@ def test_a_browser_shows_it_without_complaint(visit: Visit, html: str, tmp_path:
     bad.write_text(html.replace("</main>", "<script>document.title = 'ran'</script></main>"), encoding="utf-8")
     dom, complaints = shown(bad)
     assert "Content Security Policy" in complaints and "<title>ran" not in dom
+
+
+@pytest.mark.skipif(browser() is None or sys.platform == "win32", reason="no Chromium to drive by a pipe")
+def test_the_torso_is_drawn_where_it_is_reached_and_on_paper(visit: Visit, html: str, tmp_path: Path) -> None:
+    page, viewer = visit.file("report.html"), "document.querySelector('[data-viewer]')"
+    assert html
+    with Tab(tmp_path / "profile") as tab:
+        tab.open(page)
+        # Not before it is near: a report is read from its top.
+        assert tab.run(f"{viewer}.dataset.state ?? 'waiting'") == "waiting"
+        assert tab.pdf().startswith(b"%PDF")
+        assert tab.run(f"{viewer}.dataset.state") == "drawn"
+        printed = tab.run(f"{viewer}.querySelector('[data-role=printed]').textContent")
+        assert printed.startswith("Push main, 60 N; frame 2, held out; Estimated stiffness.")
+        tab.open(page)
+        tab.run("document.querySelector('#torso').scrollIntoView()")
+        tab.until(f"{viewer}.dataset.state === 'drawn'", 60.0)
+        assert tab.complaints == []
+        assert {address for address in tab.requests if not address.startswith("data:")} == {page.as_uri()}
+    # The same picture as a page of its own.
+    assert f"Torso of {visit.subject.record.id}" in visit.file("view.html").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Bones, joints, boxes and landmarks of the reference body, put together."""
+"""Bones, joints, boxes and landmarks of a body, put together."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from spinestiff.anatomy.template import sizes
 from spinestiff.anatomy.template.proportions import REFERENCE, Proportions
-from spinestiff.anatomy.template.ribs import jugular_notch
+from spinestiff.anatomy.template.ribs import jugular_notch, sternum_slope
 from spinestiff.anatomy.template.surfaces import Surface, ball, joined, loft, slab, smooth_curve, superellipse, tube
 from spinestiff.anatomy.template.vertebrae import Spine
 from spinestiff.arrays import Floats
@@ -42,13 +42,14 @@ def sternum_surface(spine: Spine, size: Proportions = REFERENCE) -> Surface:
     """Manubrium, body and xiphoid process, world mm."""
     top = jugular_notch(spine, size)
     scale = np.array([size.thorax[0], size.spine, size.thorax[1]])
+    slope = sternum_slope(spine, size)
     # down, half width, half thickness
     rows = [(-2, 17, 3.5), (3, 22, 5), (12, 21, 5), (26, 14, 4.5), (38, 12, 4.5), (46, 12.5, 4.5), (75, 14, 4.5),
             (105, 16, 4.5), (128, 13, 4), (138, 7, 3), (152, 4, 2), (158, 2, 1)]  # fmt: skip
     rings = []
     for down, width, thickness in rows:
         x, z = superellipse(width, thickness, thickness, 2.5, 12).T
-        rings.append(top + scale * np.stack([x, np.full(12, -float(down)), z + sizes.STERNUM_SLOPE * down], -1))
+        rings.append(top + scale * np.stack([x, np.full(12, -float(down)), z + slope * down], -1))
     return loft(np.array(rings))
 
 

@@ -9,7 +9,13 @@ import numpy as np
 from spinestiff.anatomy.template import sizes
 from spinestiff.anatomy.template.proportions import REFERENCE, Proportions
 from spinestiff.anatomy.template.surfaces import Surface, arc_length, meet, resampled, smooth_curve, tangents, tube
-from spinestiff.anatomy.template.vertebrae import Spine, costotransverse, costovertebral, vertebra_surface
+from spinestiff.anatomy.template.vertebrae import (
+    Spine,
+    costotransverse,
+    costovertebral,
+    sagittal_shift,
+    vertebra_surface,
+)
 from spinestiff.arrays import Floats
 from spinestiff.errors import TorsoError
 
@@ -45,11 +51,18 @@ class LeftRib:
     notch: Floats
 
 
+def sternum_slope(spine: Spine, size: Proportions = REFERENCE) -> float:
+    """Forward per mm down, before the scales of the body's sternum: a flat back carries its lower end forwards, half as
+    far as the vertebrae of ribs 5 to 8."""
+    shift = float(sagittal_shift(spine, size)[4:8].mean())
+    return sizes.STERNUM_SLOPE + 0.5 * shift / (size.thorax[1] * sizes.COSTAL_NOTCHES_DOWN[5])
+
+
 def costal_notches(spine: Spine, size: Proportions = REFERENCE) -> Floats:
     """(10, 3) mm, left costal notches of the sternum."""
     down = sizes.COSTAL_NOTCHES_DOWN
     top = jugular_notch(spine, size)
-    forward = sizes.STERNUM_SLOPE * down
+    forward = sternum_slope(spine, size) * down
     scale = np.array([size.thorax[0], size.spine, size.thorax[1]])
     return top + scale * np.stack([sizes.COSTAL_NOTCHES_HALF, -down, forward], -1)
 
@@ -60,9 +73,14 @@ def jugular_notch(spine: Spine, size: Proportions = REFERENCE) -> Floats:
     return spine.discs[0] + np.array([0.0, size.spine * down, size.thorax[1] * forward])
 
 
-def _bony_points(level: int, head: Floats, tubercle: Floats, bulge: float, size: Proportions, out: float) -> Floats:
+def _bony_points(
+    level: int, head: Floats, tubercle: Floats, bulge: float, size: Proportions, shift: float, out: float
+) -> Floats:
+    # The other half of a flat back's shift makes the chest shallower: ``shift`` mm, of the vertebra.
     # Shape: back from the tubercle to the angle, round the side, forward and down to the costochondral junction.
     _, forward, drop, end, reach = sizes.ADULT_RIBS[level]
+    if level < FLOATING:
+        forward = forward - 0.5 * shift / (sizes.RIB_SCALE_FORWARD * size.thorax[1])
     scale = np.array([sizes.RIB_SCALE_LATERAL, -sizes.RIB_SCALE_DOWN, sizes.RIB_SCALE_FORWARD])
     if level >= 10:
         wanted = [
@@ -84,12 +102,12 @@ def _bony_points(level: int, head: Floats, tubercle: Floats, bulge: float, size:
     return np.vstack([head, tubercle, points])
 
 
-def _bony_curve(level: int, head: Floats, tubercle: Floats, size: Proportions, out: float) -> Floats:
+def _bony_curve(level: int, head: Floats, tubercle: Floats, size: Proportions, shift: float, out: float) -> Floats:
     # The backward bulge of the angle is what the table leaves open: it brings the arc to the scaled adult length.
     from scipy.optimize import brentq
 
     def curve(bulge: float) -> Floats:
-        return smooth_curve(_bony_points(level, head, tubercle, bulge, size, out), 200)
+        return smooth_curve(_bony_points(level, head, tubercle, bulge, size, shift, out), 200)
 
     def excess(bulge: float) -> float:
         return arc_length(curve(bulge)) - wanted
@@ -173,7 +191,8 @@ def _left_rib(level: int, spine: Spine, size: Proportions, above: LeftRib | None
         centre + rotation @ (size.spine * point + shift)
         for point, shift in ((costovertebral(level), 0.0), (costotransverse(level), off))
     )
-    bony = _bony_curve(level, head, tubercle, size, aside if level == 0 else 0.0)
+    shift = float(sagittal_shift(spine, size)[level])
+    bony = _bony_curve(level, head, tubercle, size, shift, aside if level == 0 else 0.0)
     if level >= FLOATING:
         return LeftRib(head, tubercle, resampled(bony, SAMPLES), 1.0, bony[-1])
     notch = costal_notches(spine, size)[level]

@@ -135,13 +135,13 @@ def fitted_skin(
     across, deep = (
         np.where(upper, at(over_shoulder, _FROM_SHOULDER, axis), at(skin.y, _BELOW_CHEST, axis)) for axis in (0, 1)
     )
-    # The back follows the spine, the front its ends alone.
+    # The back follows the spine; the front of the chest half as much, as the sternum does; the belly does not.
     was = np.where(skin.y > 0.0, np.interp(skin.y, heights[0], forward[0]), 0.0)
     now = np.where(skin.y > 0.0, np.interp(y, heights[1], forward[1]), 0.0)
     return Skin(
         y=y,
         half_width=skin.half_width * across,
-        front=skin.front * deep,
+        front=skin.front * deep + 0.5 * np.interp(skin.y, [100.0, 200.0], [0.0, 1.0]) * (now - size.spine * was),
         back=skin.back + (now - was) + (was - skin.back) * (1.0 - deep),
         centre=skin.centre * deep + 0.5 * (now - was * deep),
         exponent=skin.exponent,
@@ -174,9 +174,11 @@ def covering(skin: Skin, bones: Floats, cover: float) -> Skin:
         share = side / (side + sagittal)
         upper = np.clip(np.searchsorted(skin.y, points[:, 1]), 1, len(skin.y) - 1)
         grow = np.zeros((3, len(skin.y)))
-        for rows in (upper - 1, upper):
-            np.maximum.at(grow[0], rows, lack * share)
-            np.maximum.at(grow[1], rows[ahead], (lack * (1.0 - share))[ahead])
-            np.maximum.at(grow[2], rows[~ahead], (lack * (1.0 - share))[~ahead])
+        near = (points[:, 1] - skin.y[upper - 1]) / (skin.y[upper] - skin.y[upper - 1])
+        for rows, weight in ((upper - 1, 1.0 - near), (upper, near)):
+            wanted = lack * np.clip(2.0 * weight, 0.0, 1.0)  # the nearer of two rows gives way first
+            np.maximum.at(grow[0], rows, wanted * share)
+            np.maximum.at(grow[1], rows[ahead], (wanted * (1.0 - share))[ahead])
+            np.maximum.at(grow[2], rows[~ahead], (wanted * (1.0 - share))[~ahead])
         skin = replace(skin, half_width=skin.half_width + grow[0], front=skin.front + grow[1], back=skin.back - grow[2])
     raise TorsoError(f"{int(short.sum())} points of bones stay less than {cover:.1f} mm under the skin of this body")

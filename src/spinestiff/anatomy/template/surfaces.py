@@ -184,8 +184,17 @@ def meet(one: Surface, other: Surface) -> bool:
     pairs = ((one, other), (other, one))
     if any(_pierced(edged, faced, low, high) for edged, faced in pairs):
         return True
-    # No crossing: of pieces inside the other surface all vertices are, so the first vertex of each piece would tell.
-    return any(bool(inside(faced, edged[0]).any()) for edged, faced in pairs)
+    # Nothing crosses: a piece lies inside the other surface if one of its vertices does.
+    return any(bool(inside(faced, edged[0][_one_of_each_piece(edged)]).any()) for edged, faced in pairs)
+
+
+def _one_of_each_piece(surface: Surface) -> Ints:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n, a, b = len(surface[0]), surface[1].ravel(), np.roll(surface[1], 1, axis=1).ravel()
+    piece = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)[1]
+    return np.unique(piece, return_index=True)[1]
 
 
 def _pierced(edged: Surface, faced: Surface, low: Floats, high: Floats) -> bool:

@@ -76,6 +76,11 @@ def build_spine(size: Proportions = REFERENCE) -> Spine:
     return Spine(centres, rotations, discs, disc_rotations)
 
 
+def sagittal_shift(spine: Spine, size: Proportions) -> Floats:
+    """(17,) mm, how far forward each vertebra lies of where it would with the reference's curves."""
+    return np.asarray(spine.centres[:, 2] - size.spine * build_spine().centres[:, 2])
+
+
 def vertebra_boxes() -> Floats:
     """(17, 8, 3) mm in the reference vertebra's frame; order as ``TorsoModel.vertebra_boxes``."""
     wu, du, wl, dl, height, _ = sizes.VERTEBRA_SIZES.T
