@@ -265,7 +265,7 @@ def time_to(rows: list[dict[str, Any]], limit: float, state: str = "soft") -> di
             found[element] = {"nodes": int(nodes[first]), "solver_cpu_s": round(float(cpu[first]), 3)}
             continue
         slope = np.log(error[-1] / error[-2]) / np.log(nodes[-1] / nodes[-2])
-        if slope >= -0.1:
+        if slope >= -0.2:  # no figure worth extrapolating
             found[element] = None
             continue
         wanted = nodes[-1] * (ASKED / error[-1]) ** (1.0 / slope)
