@@ -368,3 +368,28 @@ def test_flat_and_inverted_elements_are_refused():
         check_quality(corners * [1.0, 1.0, -1.0], t)
     with pytest.raises(TorsoError, match="0 of 1 elements are inverted, 1 have"):
         check_quality(corners * [1.0, 1.0, 0.02], t)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(16))
+def test_bodies_drawn_at_random_are_sound(seed):
+    random = np.random.default_rng(seed)
+    sex, age = ("female", "male")[seed % 2], float(random.uniform(8.0, 22.0))
+    mean = np.interp(
+        age, [8, 10, 12, 14, 18], [127, 141, 152, 162, 171] if sex == "male" else [127, 141, 153, 160, 165]
+    )
+    height = float(np.clip(mean + 7.0 * random.normal(), 120.0, 190.0))
+    mass = float(random.uniform(0.78, 1.4)) * bodies.usual_mass(height, age, sex)
+    curves = {"kyphosis_deg": float(random.uniform(20.0, 50.0)), "lordosis_deg": float(random.uniform(35.0, 60.0))}
+    skeleton = build_skeleton(proportions(body_of(height, age, sex, mass, **curves)))
+    surfaces = dict(zip(BONES, skeleton.surfaces))
+    left = [name for name in BONES if not name.endswith("_R")]
+    pairs = [(a, b) for i, a in enumerate(left) for b in left[i + 1 :]]
+    assert [pair for pair in pairs if meet(surfaces[pair[0]], surfaces[pair[1]])] == []
+    for vertices, _ in skeleton.surfaces:
+        assert skeleton.skin.depth(vertices).min() > 4.9 * skeleton.size.spine
+    for mesh in ("coarse", "fine"):
+        tissue = template_torso(height, mesh, age_years=age, sex=sex, mass_kg=mass, **curves).tissue
+        smallest = dihedral_angles(tissue.rest_positions[tissue.elements[:, :4]]).min()
+        print(f"{sex}, {age:.0f} years, {height:.0f} cm, {mass:.0f} kg, {curves}: {mesh} {smallest:.1f} degrees")
+        assert smallest > 6.0

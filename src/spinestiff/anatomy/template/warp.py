@@ -16,7 +16,7 @@ from spinestiff.errors import TorsoError
 
 SMALLEST_DIHEDRAL_DEG = 4.0  # of a warped mesh; the shipped meshes have 16
 REPAIR_DEG = 9.0  # corners of elements flatter than this are moved
-BONE_ROOM, SKIN_ROOM = 3.0, 4.0  # mm that a corner in a bone, or on the skin, may move for that
+BONE_ROOM, SKIN_ROOM = 4.0, 7.0  # mm that a corner in a bone, or on the skin, may move for that
 NEIGHBOURS = 8  # vertices of a bone whose shifts a node near it takes
 
 
