@@ -14,7 +14,7 @@ from spinestiff.anatomy.torso import TorsoState, retract
 from spinestiff.errors import EquilibriumError, TorsoError
 from spinestiff.mechanics.equilibrium import EquilibriumProblem, SolveStatus
 from spinestiff.mechanics.loads import LoadCase, no_load
-from spinestiff.mechanics.newton import Run
+from spinestiff.mechanics.newton import Point, Run
 from spinestiff.mechanics.terms import BoneBlocks
 from spinestiff.verification.blocks import holds
 from spinestiff.verification.equilibria import out_of_balance, toy_load, toy_supports
@@ -144,6 +144,17 @@ def test_once_a_tangent_was_indefinite_fresh_steps_lower_the_energy_and_arrive()
     changes = [(after.energy - step.energy) / abs(step.energy) for step, after in rough if step.factorised]
     assert len(changes) > 5
     assert max(changes) < 1e-12
+
+
+def test_a_second_indefinite_tangent_gets_half_of_the_projection_and_steps_farther():
+    problem, weight = _column(1.5)
+    run = Run(problem, None, None, 60, None)
+    at = Point(run, weight, problem.torso.rest_pose)
+    force = np.zeros(problem.potential.dofs)
+    force[11] = 1.0
+    (first, _), (second, again) = run._factor(at, None), run._factor(at, None)
+    assert first.factor.positive_definite and second.factor.positive_definite and again
+    assert second.solve(force)[11] > 1.5 * first.solve(force)[11] > 0.0
 
 
 def test_an_indefinite_start_is_left_by_projected_steps_towards_a_minimum():

@@ -40,6 +40,8 @@ LARGEST_TURN = 0.5  # rad in one step
 LARGEST_MOVE = 100.0  # mm in one step
 # A step may not bring the smallest J below this share of what it was.
 LEAST_J_SHARE = 0.2
+# The smallest share of the projection that is added to an indefinite tangent.
+LEAST_PROJECTION = 1.0 / 16.0
 # A fresh factor goes on serving once the residual is below this share of the load, or of what it was.
 NEAR = 0.1
 # A chord step costs a twentieth of a factorisation and they grow better: a factor is kept while this many may do.
@@ -72,6 +74,7 @@ class Run:
         self.factorisations = 0
         self.history: list[NewtonStep] = []
         self.tangent: Factor | None = None  # at the equilibrium, once it was factorised there
+        self._projection = 1.0  # how much of the projection the next indefinite tangent gets
         if tolerance is not None and not 0.0 < tolerance < np.inf:
             raise EquilibriumError(f"tolerance {tolerance} N; wanted a finite residual above 0")
         self._tolerance = tolerance
@@ -168,13 +171,24 @@ class Run:
         if predicted is not None:
             springs = self.problem.supports.springs
             terms = tuple(PredictedSprings(springs, predicted) if term is springs else term for term in terms)
-        factor = self.problem.factorise(at.state, self.stiffness, terms)
+        exact = self.potential.hessian(at.state, self.stiffness, terms)
+        factor = self._numeric(exact)
+        if factor.positive_definite:
+            self._projection = 1.0
+            return FrameFactor(at.frame, factor, self.problem.held), False
+        # All of the projection is far too stiff on a long way down; while that lasts, half as much is tried each time.
+        projected = self.potential.hessian(at.state, self.stiffness, terms, project=True)
+        while True:
+            share, self._projection = self._projection, max(0.5 * self._projection, LEAST_PROJECTION)
+            factor = self._numeric(exact + share * (projected - exact))
+            if factor.positive_definite or share == 1.0:
+                break
+            self._projection = min(1.0, 2.0 * share)
+        return FrameFactor(at.frame, factor, self.problem.held, projected=True), True
+
+    def _numeric(self, values: Floats) -> Factor:
         self.factorisations += 1
-        projected = not factor.positive_definite
-        if projected:
-            factor = self.problem.factorise(at.state, self.stiffness, terms, project=True)
-            self.factorisations += 1
-        return FrameFactor(at.frame, factor, self.problem.held, projected=projected), projected
+        return self.problem.numeric_factor(values)
 
     def _admissible(self, at: Point, y: Floats) -> tuple[float, Point | None]:
         # The whole step, or as much of it as no element loses most of its volume over.
@@ -197,7 +211,7 @@ class Run:
         for _ in range(40):
             state = at.frame.move(step * y)
             energy, smallest_j = self.potential.energy(state, self.stiffness, at.terms)
-            if smallest_j > 0.0:
+            if smallest_j > LEAST_J_SHARE * min(1.0, at.smallest_j):
                 there = Point(self, at.load, state, energy, smallest_j)
                 if energy <= at.energy + 1e-4 * step * slope:
                     return step, there
