@@ -1,0 +1,74 @@
+"""A picture of a torso for people: skin, bones and joints from the front, the side and behind, at true proportions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.torso import TorsoModel
+
+# title, world axis and sign that runs to the right of the page, direction towards the viewer
+VIEWS = (
+    ("front", 0, 1.0, (0.0, 0.0, 1.0)),
+    ("patient's right side", 2, 1.0, (-1.0, 0.0, 0.0)),
+    ("rear", 0, -1.0, (0.0, 0.0, -1.0)),
+)
+COLOURS = {
+    "R": "#e3d5b0",
+    "T": "#f0e2b6",
+    "L": "#f0dca0",
+    "p": "#dcc39a",
+    "s": "#b9c8d6",
+    "c": "#b4cdb0",
+    "h": "#d3b1ab",
+}
+
+
+def _colour(name: str) -> tuple[float, float, float]:
+    return to_rgb("#cdb4c6" if name == "sternum" else COLOURS[name[0]])
+
+
+def draw_view(ax: Axes, torso: TorsoModel, across: int, sign: float, viewer: tuple[float, float, float]) -> None:
+    """One view: skin in grey, bones shaded and sorted by depth, joint centres as dots."""
+    skin = torso.tissue.rest_positions[torso.tissue.boundary_faces()[:, :3]]
+    flat = np.stack([sign * skin[..., across], skin[..., 1]], -1)
+    ax.add_collection(PolyCollection(flat, facecolors="#eeeef2", edgecolors="#eeeef2", linewidths=0.3))
+    direction = np.array(viewer)
+    polygons, depth, colours = [], [], []
+    for index, name in enumerate(torso.bone_names):
+        p = torso.surface_positions(torso.rest_pose, index)[torso.bone_surfaces[index].faces]
+        normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+        facing = normal @ direction / (np.linalg.norm(normal, axis=1) + 1e-12)
+        p, facing = p[facing > 0.0], facing[facing > 0.0]
+        polygons.append(np.stack([sign * p[..., across], p[..., 1]], -1))
+        depth.append(p.mean(1) @ direction)
+        colours.append(np.array(_colour(name)) * (0.30 + 0.70 * facing[:, None]))
+    order = np.argsort(np.concatenate(depth))
+    colour = np.concatenate(colours)[order]
+    ax.add_collection(
+        PolyCollection(np.concatenate(polygons)[order], facecolors=colour, edgecolors=colour, linewidths=0.2)
+    )
+    joints = PointsOnBones(torso.joints.parent, torso.joints.parent_position).positions(torso.rest_pose)
+    ax.plot(sign * joints[:, across], joints[:, 1], ".", color="#b03030", markersize=2.5)
+    ax.set_aspect("equal")
+    ax.set_xlim(flat[..., 0].min() - 15, flat[..., 0].max() + 15)
+    ax.set_ylim(flat[..., 1].min() - 15, flat[..., 1].max() + 15)
+    ax.tick_params(labelsize=7)
+
+
+def draw_torso(torso: TorsoModel, path: Path, dpi: int = 80) -> None:
+    """Write the picture (PNG)."""
+    figure = Figure(figsize=(17, 9), layout="constrained")
+    axes = figure.subplots(1, 3, width_ratios=(1.5, 1.0, 1.5))
+    for ax, (title, across, sign, viewer) in zip(axes, VIEWS):
+        draw_view(ax, torso, across, sign, viewer)
+        ax.set_title(title, fontsize=10)
+    axes[0].set_ylabel("mm above the sacral endplate", fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=dpi, pil_kwargs={"optimize": True})
