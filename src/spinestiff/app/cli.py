@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from spinestiff import __version__
+from spinestiff.app.torso import torso
 from spinestiff.errors import SpinestiffError, SubjectError
 
 INTERRUPTED = 130
@@ -41,6 +42,9 @@ PushForce = Annotated[float, typer.Option("--force", help="Largest push, N.")]
 Ratios = Annotated[str | None, typer.Option(help="True ratios BENDING,TISSUE; drawn by the seed if left out.")]
 Spine = Annotated[Path | None, typer.Option(help="Table of real spines, as rest shape instead of --cobb and --curve.")]
 SpineId = Annotated[str | None, typer.Option(help="Which spine of the table.")]
+
+
+app.add_typer(torso, name="torso")
 
 
 def main() -> None:

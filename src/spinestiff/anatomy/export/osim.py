@@ -51,8 +51,8 @@ def content(torso: TorsoModel, state: TorsoState) -> bytes:
     for j in range(len(table)):
         name = table.names[j].replace("-", "_to_")
         force = ElementTree.SubElement(forces, "BushingForce", name=name)
-        _text(force, "socket_frame1", "frames/parent")
-        _text(force, "socket_frame2", "frames/child")
+        _text(force, "socket_frame1", "parent")
+        _text(force, "socket_frame2", "child")
         frames = ElementTree.SubElement(force, "frames")
         for side, bone in (("parent", table.parent[j]), ("child", table.child[j])):
             frame = ElementTree.SubElement(frames, "PhysicalOffsetFrame", name=side)

@@ -85,10 +85,8 @@ def import_torso(
     say = observer or (lambda line: None)
     find_mesher(mesher)  # before minutes of work
     files = find_files(Path(folder), None if mapping is None else Path(mapping))
-    raw = {}
-    for name in BONES:
-        say(f"read: {name}")
-        raw[name] = [(path.name, read_surface(path)) for path in files.bones[name]]
+    say(f"read: {sum(map(len, files.bones.values()))} meshes")
+    raw = {name: [(path.name, read_surface(path)) for path in files.bones[name]] for name in BONES}
     _refuse_copies(raw)
     whole = {name: joined(*(surface for _, surface in parts)) for name, parts in raw.items()}
     placement = find_placement(whole, unit or files.unit, axes or files.axes)
@@ -101,10 +99,8 @@ def import_torso(
         repairs.extend(lines)
         return fixed
 
-    surfaces: dict[str, Surface] = {}
-    for name in BONES:
-        say(f"repair: {name}")
-        surfaces[name] = joined(*(clean(file, surface) for file, surface in raw[name]))
+    say("repair: holes, turned and repeated triangles")
+    surfaces = {name: joined(*(clean(file, surface) for file, surface in raw[name])) for name in BONES}
     skin_path = Path(skin) if skin is not None else files.skin
     given = None if skin_path is None else clean(skin_path.name, read_surface(skin_path))
     say("joints: measuring vertebrae and ribs")
