@@ -51,7 +51,7 @@ def repaired(name: str, surface: Surface) -> tuple[Surface, list[str]]:
     if turned:
         notes.append(f"{name}: {turned} triangle{'s' * (turned > 1)} turned round to match the others")
     if inwards:
-        which = "it" if pieces == 1 else f"{inwards} of its {pieces} pieces"
+        which = "it" if inwards == pieces else f"{inwards} of its {pieces} pieces"
         notes.append(f"{name}: {which} faced inwards and was turned")
     extent = np.ptp(surface[0], axis=0)
     if signed_volume(surface) < 1e-4 * max(float(np.prod(extent)), float(extent.max()) ** 3 * 1e-3):
@@ -88,8 +88,8 @@ def _merged(surface: Surface) -> Surface:
     # STL files repeat a vertex in each of its triangles.
     vertices, faces = surface
     size = float(np.ptp(vertices[np.unique(faces)], axis=0).max()) or 1.0
-    vertices, number = np.unique(np.round(vertices / (1e-6 * size)), axis=0, return_inverse=True)
-    vertices, faces = vertices * (1e-6 * size), number.ravel()[faces]
+    _, first, number = np.unique(np.round(vertices / (1e-6 * size)), axis=0, return_index=True, return_inverse=True)
+    vertices, faces = vertices[first], number.ravel()[faces]
     used, number = np.unique(faces, return_inverse=True)
     return vertices[used], number.reshape(faces.shape)
 
@@ -253,25 +253,24 @@ def _area(surface: Surface) -> float:
 
 
 def _outward(surface: Surface) -> tuple[Surface, int, int]:
-    # Pieces that face inwards are turned, but for cavities: inward pieces inside an outward one.
+    # Pieces that face inwards are turned, and with each what lies inside it: a cavity faces against the piece around it.
     vertices, faces = surface
     piece = _pieces(surface)
-    count = piece.max() + 1
+    count = int(piece.max()) + 1
     volume = np.array([signed_volume((vertices, faces[piece == p])) for p in range(count)])
     inward = volume < -1e-6 * np.abs(volume).max()
     if not inward.any():
         return surface, 0, count
-    for p in np.flatnonzero(inward):
+    turn = np.zeros(count, dtype=bool)
+    for p in np.argsort(-np.abs(volume), kind="stable"):
         probe = vertices[faces[piece == p][0]].mean(0)[None]
-        others = [q for q in range(count) if q != p and abs(volume[q]) > abs(volume[p])]
-        around = [q for q in others if enclosed((vertices, _turned(faces[piece == q], inward[q])), probe)[0]]
-        # A cavity faces against the piece around it, whichever way that one stands in the file.
-        if around and inward[around[0]] != inward[p]:
-            inward[p] = False
+        larger = [q for q in range(count) if q != p and abs(volume[q]) > abs(volume[p])]
+        around = [q for q in larger if enclosed((vertices, _turned(faces[piece == q], inward[q])), probe)[0]]
+        turn[p] = turn[around[0]] if around else inward[p]
     faces = faces.copy()
-    chosen = inward[piece]
+    chosen = turn[piece]
     faces[chosen] = faces[chosen][:, ::-1]
-    return (vertices, faces), int(inward.sum()), count
+    return (vertices, faces), int(turn.sum()), count
 
 
 def _turned(faces: Ints, wanted: bool) -> Ints:
