@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.rotation import exp_so3
@@ -19,6 +20,9 @@ from spinestiff.errors import TorsoError
 
 BODY_SHAPE = (0.35, 1.5)  # depth over width
 ROUNDS = 4
+FAR_MM = 3.0
+MOST_TURNED = 0.6  # cosine of 53 degrees, a vertebra's turn from the body's left
+FLAT_MM = 3.2  # real endplates are concave by some 1 to 3 mm in sum; a body taken askew scores 4 and more
 TILTS_DEG = (0.0, 20.0, -20.0, 40.0, -40.0)
 _Plates = tuple[Floats, Floats, Floats, Floats, float]
 
@@ -45,38 +49,55 @@ class MeasuredVertebra:
     lower_axes: Floats
 
 
-def median_plane(points: Floats, normal: Floats, rounds: int = 30) -> tuple[Floats, Floats]:
-    """A point of the plane about which ``points`` (n, 3) mirror themselves best, and its unit normal.
+def median_plane(points: Floats, up: Floats, rounds: int = 12) -> tuple[Floats, Floats]:
+    """A point of the plane about which ``points`` (n, 3) on a surface mirror themselves best, and its unit normal.
 
-    Started at ``normal``; each round maps the mirror image rigidly onto the nearest points (trimmed to the better
-    80 %) and takes the mean plane of that map.
+    Looked for from the world's left and from 30 degrees about ``up`` to both sides of it. Pairs of a point and the
+    nearest to its mirror image give a plane, some rounds long; the best one is polished: the mean distance of the mirror
+    image, cut off at ``FAR_MM``, is minimised.
     """
     tree = cKDTree(points)
-    n, at = np.asarray(normal, dtype=float) / np.linalg.norm(normal), points.mean(0)
+    some = points[:: max(1, len(points) // 600)]
+
+    def apart_mm(place: Floats, normal: Floats) -> float:
+        mirrored = some - 2.0 * np.outer((some - place) @ normal, normal)
+        return float(tree.query(mirrored, distance_upper_bound=FAR_MM)[0].clip(max=FAR_MM).mean())
+
+    left = np.array([1.0, 0.0, 0.0]) - up[0] * up
+    starts = [exp_so3(np.deg2rad(turn) * up) @ (left / np.linalg.norm(left)) for turn in (0.0, 30.0, -30.0)]
+    at, n = min((_paired(some, points, tree, start, rounds) for start in starts), key=lambda plane: apart_mm(*plane))
+    across = np.linalg.svd(n[None])[2][1:]
+
+    def plane(change: Floats) -> tuple[Floats, Floats]:
+        turned = n + np.deg2rad(change[:2]) @ across
+        turned /= np.linalg.norm(turned)
+        return at + change[2] * turned, turned
+
+    start = np.vstack([np.zeros(3), 4.0 * np.eye(3)])
+    start[3, 2] = 1.0
+    options = {"initial_simplex": start, "xatol": 0.02, "fatol": 1e-4, "maxfev": 200}
+    return plane(minimize(lambda x: apart_mm(*plane(x)), np.zeros(3), method="Nelder-Mead", options=options).x)
+
+
+def _paired(some: Floats, points: Floats, tree: cKDTree, normal: Floats, rounds: int) -> tuple[Floats, Floats]:
+    at, n = points.mean(0), normal
     for _ in range(rounds):
-        mirrored = points - 2.0 * np.outer((points - at) @ n, n)
-        distance, nearest = tree.query(mirrored)
+        distance, nearest = tree.query(some - 2.0 * np.outer((some - at) @ n, n))
         good = distance <= np.quantile(distance, 0.8)
-        # The plane of the pairs (point, partner of its mirror image): their differences run along its normal.
-        p, q = points[good], points[nearest[good]]
+        p, q = some[good], points[nearest[good]]
         at = 0.5 * (p + q).mean(0)
-        half = 0.5 * (p + q) - at
-        apart = p - q
-        moment = half.T @ half - 0.25 * apart.T @ apart
-        new = np.linalg.eigh(moment)[1][:, 0]
-        new = new if new @ n > 0.0 else -new
-        if new @ n > 1.0 - 1e-10:
-            n = new
-            break
-        n = new
+        # Middles of pairs lie on the plane, differences across it.
+        half, apart = 0.5 * (p + q) - at, p - q
+        new = np.linalg.eigh(half.T @ half - 0.25 * apart.T @ apart)[1][:, 0]
+        n = new if new @ n > 0.0 else -new
     return at, n
 
 
 def measure_vertebra(name: str, surface: Surface, up: Floats, samples: Floats) -> MeasuredVertebra:
     """Frame, endplates and box of a vertebra.
 
-    The body is looked for along ``up`` and tilted forwards and backwards from it; the tilt whose endplates are flattest
-    holds.
+    The body is looked for along ``up`` and tilted forwards and backwards from it until its endplates are flat; else the
+    flattest hold.
 
     Parameters
     ----------
@@ -90,9 +111,9 @@ def measure_vertebra(name: str, surface: Surface, up: Floats, samples: Floats) -
     up = up / np.linalg.norm(up)
     left = np.array([1.0, 0.0, 0.0]) - up[0] * up
     left /= np.linalg.norm(left)
-    at, x = median_plane(samples, left)
-    if x @ left < 0.7:
-        at, x = samples.mean(0), left
+    at, x = median_plane(samples, up)
+    if x @ left < MOST_TURNED:
+        raise TorsoError(f"{name}: its two sides are too unlike to find its middle; is this mesh the right bone, and whole?")
     best: tuple[float, Floats, Floats, _Plates] | None = None
     failure: TorsoError | None = None
     for tilt in TILTS_DEG:
@@ -104,6 +125,8 @@ def measure_vertebra(name: str, surface: Surface, up: Floats, samples: Floats) -
             continue
         if best is None or score < best[0]:
             best = (score, origin, axes, plates)
+        if score < FLAT_MM:
+            break
     if best is None:
         assert failure is not None
         raise failure
