@@ -26,6 +26,8 @@ GROUP = "spinestiff.meshers"
 DEFAULT_MESHER = "mmg"
 SPACINGS_MM = (12.0, 60.0)
 LEAST_ANGLE_DEG = 5.0
+WANTED_ANGLE_DEG = 10.0
+HAUSDORFF_MM = 3.0  # of the skin from its triangles, where these may change
 TRIES = 6
 VOLUME_TOLERANCE = 0.02
 # Distances as shares of the spacing inside: along a bone and on the skin, as in the template's fine mesh.
@@ -35,7 +37,7 @@ NEAR = 0.11  # of the spacing: nodes this close to a bone ride on it
 GAP = 1.0 / 3.0  # of the distance to the next bone: how far a bone's tied nodes reach into the gap between the two
 
 # Takes corner points (n, 3) mm, tetrahedra (t, 4) that fill the torso and the numbers of points that must stay; gives
-# better points and tetrahedra with the same boundary.
+# better points and tetrahedra with about the same boundary.
 Mesher = Callable[[Floats, Ints, Ints], tuple[Floats, Ints]]
 Observer = Callable[[str], None]
 
@@ -78,7 +80,7 @@ def find_mesher(name: str) -> Mesher:
 
 
 def mmg(points: Floats, tetrahedra: Ints, required: Ints) -> tuple[Floats, Ints]:
-    """Better tetrahedra by MMG (through mmgpy): boundary and required points stay, sizes about as they are.
+    """Better tetrahedra by MMG (through mmgpy): required points stay, sizes and the boundary about as they are.
 
     Raises
     ------
@@ -88,16 +90,26 @@ def mmg(points: Floats, tetrahedra: Ints, required: Ints) -> tuple[Floats, Ints]
         import mmgpy
     except ImportError:
         raise TorsoError('meshing needs MMG; install it with pip install "spinestiff[mesh]"') from None
-    mesh = mmgpy.MmgMesh3D()
-    mesh.set_mesh_size(vertices=len(points), tetrahedra=len(tetrahedra))
-    mesh.set_vertices(np.ascontiguousarray(points, dtype=np.float64))
-    mesh.set_tetrahedra(np.ascontiguousarray(tetrahedra, dtype=np.int32))
-    mesh.set_required_vertices(np.ascontiguousarray(required, dtype=np.int32))
-    try:
-        mesh.remesh(optim=1, nosurf=1, verbose=-1)
-    except Exception as error:  # whatever MMG says, another set of points may do
-        raise TorsoError(f"MMG failed ({' '.join(str(error).split())[:120]})") from None
-    return np.asarray(mesh.get_vertices(), dtype=float), np.asarray(mesh.get_tetrahedra(), dtype=np.int64)
+    best: tuple[float, Floats, Ints] | None = None
+    # First inside alone; where that leaves flat elements, the skin's triangles may change, too.
+    for options in ({"nosurf": 1}, {"hausd": HAUSDORFF_MM}):
+        mesh = mmgpy.MmgMesh3D()
+        mesh.set_mesh_size(vertices=len(points), tetrahedra=len(tetrahedra))
+        mesh.set_vertices(np.ascontiguousarray(points, dtype=np.float64))
+        mesh.set_tetrahedra(np.ascontiguousarray(tetrahedra, dtype=np.int32))
+        mesh.set_required_vertices(np.ascontiguousarray(required, dtype=np.int32))
+        try:
+            mesh.remesh(optim=1, verbose=-1, **options)
+        except Exception as error:  # whatever MMG says, another set of points may do
+            raise TorsoError(f"MMG failed ({' '.join(str(error).split())[:120]})") from None
+        found = np.asarray(mesh.get_vertices(), dtype=float), np.asarray(mesh.get_tetrahedra(), dtype=np.int64)
+        angle = float(least_angles(found[0][found[1]]).min())
+        if best is None or angle > best[0]:
+            best = (angle, *found)
+        if angle >= WANTED_ANGLE_DEG:
+            break
+    assert best is not None
+    return best[1:]
 
 
 def mesh_tissue(
@@ -126,11 +138,11 @@ def mesh_tissue(
     best: tuple[float, Floats, Ints, float] | None = None
     failures: list[str] = []
     for attempt in range(TRIES):
-        # Other sizes inside, the same skin and bones: quality depends on them by chance.
-        inside = spacing * (1.0, 0.93, 1.06, 0.87, 1.12, 0.81)[attempt]
-        say(f"mesh: try {attempt + 1}, {inside:.1f} mm between corners")
+        # Other sizes: quality depends on them by chance.
+        now = spacing * (1.0, 0.95, 1.04, 0.9, 1.08, 0.86)[attempt]
+        say(f"mesh: try {attempt + 1}, {now:.1f} mm between corners")
         try:
-            points, tetrahedra, required = starting_mesh(surfaces, skin, spacing, inside, seed=attempt)
+            points, tetrahedra, required = starting_mesh(surfaces, skin, now, seed=attempt)
             kept = points[required]
             points, tetrahedra = improve(points, tetrahedra, required)
         except (TorsoError, QhullError) as error:
@@ -169,7 +181,7 @@ def mesh_tissue(
 
 
 def starting_mesh(
-    surfaces: Mapping[str, Surface], skin: Surface, spacing: float, inside: float, seed: int = 0
+    surfaces: Mapping[str, Surface], skin: Surface, spacing: float, seed: int = 0
 ) -> tuple[Floats, Ints, Ints]:
     """Corner points (n, 3), tetrahedra (t, 4) down to the skin, and the numbers of the points in bones."""
     rng = np.random.default_rng(seed)
@@ -188,11 +200,11 @@ def starting_mesh(
     outer = _farthest(shell, np.zeros((0, 3)), skin_spacing)
     normals = _normals(skin, outer)
     outer = outer + 0.0014 * skin_spacing**2 * normals
-    grid = _lattice(skin[0].min(0), skin[0].max(0), 0.28 * inside)
+    grid = _lattice(skin[0].min(0), skin[0].max(0), 0.28 * spacing)
     grid = grid[enclosed(skin, grid)]
     grid = grid[depth_tree.query(grid)[0] > 0.55 * skin_spacing]
-    fill = _farthest(grid, bones, inside)
-    fill = fill + rng.uniform(-0.06, 0.06, fill.shape) * inside  # regular points give flat tetrahedra
+    fill = _farthest(grid, bones, spacing)
+    fill = fill + rng.uniform(-0.06, 0.06, fill.shape) * spacing  # regular points give flat tetrahedra
     points = np.vstack([bones, outer, fill])
     on_skin = np.zeros(len(points), dtype=bool)
     on_skin[len(bones) : len(bones) + len(outer)] = True

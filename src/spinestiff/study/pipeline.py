@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 
 from spinestiff.anatomy.files import read_torso, write_torso
+from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.fit import FitStep, StiffnessFit, fit_stiffness
 from spinestiff.estimation.uncertainty import joint_region_outline
@@ -46,6 +48,7 @@ from spinestiff.study.visit import (
 SCHEMA_VERSION = 1
 # Where a fit starts: the geometric means of Table 4. From the default ratios it gets to the same place in more steps.
 USUAL_RATIOS = {"lateral_bending": 0.07, "intervertebral_bending": 0.07, "tissue": 0.04}
+OWN_HEIGHT = 0.1  # share by which an own torso's height may differ from the subject's
 STEPS = ("track", "personalise", "estimate", "assess", "report")
 
 
@@ -173,7 +176,7 @@ def track_step(visit: Visit, say: Observer) -> None:
 def personalise_step(visit: Visit, say: Observer) -> None:
     """Shape the template to the rest radiographs; writes ``torso.npz`` and ``personalised.json``."""
     subject = visit.subject
-    template = template_torso(subject.record.height_cm, visit.settings.mesh)
+    template = starting_torso(visit)
     pictures, provenance = {}, {}
     for name in ("frontal", "lateral"):
         picture = read_rest(subject, name)  # type: ignore[arg-type]
@@ -183,6 +186,27 @@ def personalise_step(visit: Visit, say: Observer) -> None:
     visit.subject.results.mkdir(exist_ok=True)
     write_torso(visit.file("torso.npz"), shaped.torso)
     write_json(visit.file("personalised.json"), _personalised_record(shaped, provenance))
+
+
+def starting_torso(visit: Visit) -> TorsoModel:
+    """The torso that is shaped to the radiographs: of the subject's own bones, or the template.
+
+    Raises
+    ------
+    SubjectError : the own torso isn't of the subject's height or bones.
+    """
+    record, own = visit.subject.record, visit.subject.torso_path
+    if own is None:
+        return template_torso(record.height_cm, visit.settings.mesh)
+    torso = read_torso(own)
+    if torso.bone_names != BONES:
+        raise SubjectError(f"{own}: has {len(torso.bone_names)} bones; wanted the 49 of spinestiff torso import")
+    if not abs(torso.height_cm / record.height_cm - 1.0) < OWN_HEIGHT:
+        raise SubjectError(
+            f"{own}: is of a body of {torso.height_cm:.0f} cm, but subject.json says {record.height_cm:g} cm; "
+            "import it with --height, or use the right bones"
+        )
+    return torso
 
 
 def estimate_step(visit: Visit, say: Observer) -> None:
