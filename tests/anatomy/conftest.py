@@ -46,7 +46,9 @@ def vtp_bytes(vertices, faces, form="ascii", packed=False, order="<", header="u4
         array = array.astype(array.dtype.newbyteorder(order))
         attributes = f'type="{kind}" Name="{name}" NumberOfComponents="{3 if name == "Points" else 1}"'
         if form == "ascii":
-            tags.append(f'<DataArray {attributes} format="ascii">{" ".join(map(str, array.ravel().tolist()))}</DataArray>')
+            tags.append(
+                f'<DataArray {attributes} format="ascii">{" ".join(map(str, array.ravel().tolist()))}</DataArray>'
+            )
             continue
         data = array.tobytes()
         if packed:

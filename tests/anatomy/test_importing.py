@@ -125,7 +125,15 @@ def test_mixed_formats_metres_and_dicom_axes_give_a_torso_on_the_command_line(
     (folder / "object.dat").rename(folder / "object.stl")
     (folder / "object.stl").write_bytes(meshes.stl(vertices @ (axes_matrix("LPS").T / 1000.0).T, faces[:, ::-1]))
     (tmp_path / "map.json").write_text(json.dumps({"bones": {"T5": "object.stl"}}))
-    arguments = ["torso", "import", str(folder), "--out", str(tmp_path / "own"), "--mapping", str(tmp_path / "map.json")]
+    arguments = [
+        "torso",
+        "import",
+        str(folder),
+        "--out",
+        str(tmp_path / "own"),
+        "--mapping",
+        str(tmp_path / "map.json"),
+    ]
     done = CliRunner().invoke(app, [*arguments, "--spacing", "36", "--height", "157"], catch_exceptions=False)
     assert done.exit_code == 0
     for words in ("unit m (found), axes LPS", "object.stl: it faced inwards", "bones: 49", "joints: 67", "torso.png"):
@@ -176,7 +184,7 @@ def test_the_real_bone_set_imports_and_solves(shared_bones):
 
 
 def _assert_near(torso, frames):
-    # Shoulders and sternoclavicular joints of the source's own model, relative to each other: no common origin is known.
+    # The shoulders of the source's own model, relative to each other: no common origin is known.
     world = axes_matrix("ASR") * 1000.0
     names = {"scapula_L-humerus_L": "humerus_l", "scapula_R-humerus_R": "humerus_r"}
     ours, theirs = [], []

@@ -86,7 +86,13 @@ def test_a_mapping_names_ignores_and_leaves_the_rest_to_names(folder):
     (folder / "skull.stl").touch()
     (folder / "body.ply").touch()
     path = mapping(
-        folder, bones={"T5": "object_17.stl"}, ignore=["skull.stl"], skin="body.ply", unit="m", axes="LPS", height_cm=161
+        folder,
+        bones={"T5": "object_17.stl"},
+        ignore=["skull.stl"],
+        skin="body.ply",
+        unit="m",
+        axes="LPS",
+        height_cm=161,
     )
     found = find_files(folder, path)
     assert found.bones["T5"][0].name == "object_17.stl"
@@ -119,7 +125,7 @@ def test_mappings_that_say_what_is_not_so(folder, record, message):
         find_files(folder, path)
 
 
-@pytest.mark.parametrize("text", ["", "{", '{"unit": "m", "unit": "mm"}', "[" * 100_000, '{"a": 1e999}', '\xff'])
+@pytest.mark.parametrize("text", ["", "{", '{"unit": "m", "unit": "mm"}', "[" * 100_000, '{"a": 1e999}', "\xff"])
 def test_mappings_that_are_no_json(folder, text):
     path = folder.parent / "map.json"
     path.write_bytes(text.encode("latin-1"))

@@ -121,7 +121,9 @@ def test_a_sphere_among_other_points():
 
 
 def test_a_long_humerus_is_cut_and_closed(template_bones):
-    shaft = tube(np.array([[0.0, 0, 0], [0, -100, 0], [2, -300, 1]]), np.array([10.0, 9.0]), np.array([0.0, 0.0, 1.0]), 12)
+    shaft = tube(
+        np.array([[0.0, 0, 0], [0, -100, 0], [2, -300, 1]]), np.array([10.0, 9.0]), np.array([0.0, 0.0, 1.0]), 12
+    )
     cut = cut_below(shaft, -60.0)
     assert cut[0][:, 1].min() == pytest.approx(-60.0)
     assert repaired("humerus", cut)[1] == []

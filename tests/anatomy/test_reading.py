@@ -40,7 +40,7 @@ def test_every_kind_of_file_gives_the_same_surface(tmp_path, meshes, kind):
 
 @pytest.mark.parametrize("options", VTP_FORMS, ids=lambda o: "-".join(map(str, o.values())))
 def test_vtp_in_all_its_encodings(tmp_path, meshes, options):
-    vertices, faces = read(tmp_path, "bone.vtp", meshes.vtp(VERTICES, FACES, **options, **{"block": 600}))
+    vertices, faces = read(tmp_path, "bone.vtp", meshes.vtp(VERTICES, FACES, **options, block=600))
     np.testing.assert_allclose(vertices, VERTICES, rtol=1e-6)
     np.testing.assert_array_equal(faces, FACES)
 
@@ -95,7 +95,7 @@ def test_files_cut_short_are_refused(tmp_path, meshes, kind, cut):
 
 
 def test_vtp_entities_are_never_expanded(tmp_path):
-    bomb = b'<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><VTKFile type="PolyData">&b;</VTKFile>'
+    bomb = b'<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><VTKFile>&b;</VTKFile>'
     assert "document type" in refusal(tmp_path, "bone.vtp", bomb)
 
 
@@ -111,7 +111,7 @@ def test_other_packers_are_named(tmp_path, meshes):
 
 
 def test_random_damage_never_ends_in_a_traceback(tmp_path, meshes):
-    rng = np.random.default_rng(0)
+    rng, said = np.random.default_rng(0), []
     for i in range(60):
         form = ("binary", "appended-raw")[i % 2]
         content = bytearray(meshes.vtp(VERTICES, FACES, form=form, packed=i % 3 == 0))
@@ -120,6 +120,8 @@ def test_random_damage_never_ends_in_a_traceback(tmp_path, meshes):
         (tmp_path / "bone.vtp").write_bytes(bytes(content))
         try:
             vertices, faces = read_surface(tmp_path / "bone.vtp")
-            assert faces.max() < len(vertices)
         except TorsoError as error:
-            assert "\n" not in str(error)
+            said.append(str(error))
+        else:
+            assert faces.max() < len(vertices)
+    assert said and not any("\n" in line for line in said)

@@ -1,7 +1,7 @@
-"""Exported torsos as OpenSim and MuJoCo load them: under a small moment their bones turn as ours do, loops of ribs and all.
+"""Exported torsos as OpenSim and MuJoCo load them: under a small moment their bones turn as ours do, loops and all.
 
-Both programs give forces, stiffnesses or constraints of their own making at the pose of the file; the small turn follows
-from those by one linear solve. Ours is the engine's equilibrium of the same bones without tissue.
+Both programs give forces, stiffnesses or constraints of their own making at the pose of the file; the small turn
+follows from those by one linear solve. Ours is the engine's equilibrium of the same bones without tissue.
 """
 
 from __future__ import annotations

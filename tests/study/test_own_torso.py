@@ -43,7 +43,7 @@ def test_torsos_that_are_not_the_subjects_are_refused(subject):
     with pytest.raises(SubjectError, match=r"own.npz: no such file; wanted the torso.npz"):
         read_subject(subject)
     write_torso(subject / "own.npz", template_torso(min(1.25 * height, 200.0)))
-    with pytest.raises(SubjectError, match="is of a body of .* cm, but subject.json says"):
+    with pytest.raises(SubjectError, match=r"is of a body of .* cm, but subject.json says"):
         starting_torso(open_visit(subject))
     few = read_torso(subject / "own.npz")
     write_torso(subject / "own.npz", replace(few, bone_names=(*few.bone_names[:-1], "tail"), height_cm=height))

@@ -176,7 +176,9 @@ def mesh_tissue(
     counts = np.bincount(bones[bones >= 0], minlength=len(BONES))
     if counts.min() < 3:
         few = BONES[int(np.argmin(counts))]
-        raise TorsoError(f"{few} has {int(counts.min())} nodes of the mesh in it, wanted 3 or more; use a smaller --spacing")
+        raise TorsoError(
+            f"{few} has {int(counts.min())} nodes of the mesh in it, wanted 3 or more; use a smaller --spacing"
+        )
     return MeshedTissue(nodes, elements, bones, mesher, angle, share)
 
 
@@ -320,7 +322,9 @@ def _pinched(tetrahedra: Ints, count: int) -> np.ndarray:
     # (count,) bool, corners around which the boundary is more than one fan, or an edge of which has four faces.
     faces = boundary(tetrahedra)
     f = len(faces)
-    edges = np.stack([faces, np.roll(faces, -1, axis=1)], -1).reshape(-1, 2)  # edge 3 i + k runs from corner k of face i
+    edges = np.stack([faces, np.roll(faces, -1, axis=1)], -1).reshape(
+        -1, 2
+    )  # edge 3 i + k runs from corner k of face i
     low, high = edges.min(1), edges.max(1)
     order = np.lexsort((high, low))
     key = (low * count + high)[order]
@@ -362,8 +366,8 @@ def tied_quadratic(
 ) -> tuple[Floats, Ints, Ints]:
     """Nodes, ten-node elements and the bone of each node.
 
-    What lies in a bone, or within ``near`` mm of its surface, is tied to it; of several bones to the one it lies deepest
-    in. Nodes of the skin stay free, and so does the middle of a gap between two bones (``GAP``): tied across, it would
+    What lies in a bone, or within ``near`` mm of its surface, is tied to it; of several bones to the one it lies
+    deepest in. Nodes of the skin stay free, and so does the middle of a gap between two bones (``GAP``): tied across, it would
     weld them.
     """
     edges = np.sort(tetrahedra[:, np.array(TET10_EDGES)].reshape(-1, 2), axis=1)

@@ -25,7 +25,9 @@ def import_(
     out: Annotated[Path, typer.Option(help="New folder for torso.npz, torso.json and torso.png.")],
     mapping: Annotated[Path | None, typer.Option(help="Which file is which bone (docs/your-own-anatomy.md).")] = None,
     unit: Annotated[str | None, typer.Option(help="mm, cm or m; found if left out.")] = None,
-    axes: Annotated[str | None, typer.Option(help="Where the files' x, y, z point, e.g. LPS; found if left out.")] = None,
+    axes: Annotated[
+        str | None, typer.Option(help="Where the files' x, y, z point, e.g. LPS; found if left out.")
+    ] = None,
     skin: Annotated[Path | None, typer.Option(help="Closed skin mesh; generated if left out.")] = None,
     spacing: Annotated[float, typer.Option(help="Distance of the tissue mesh's corners, mm.")] = 28.0,
     height: Annotated[float | None, typer.Option(help="Body height, cm; from the spine's length if left out.")] = None,
@@ -60,7 +62,9 @@ def import_(
 def export(
     file: TorsoFile = None,
     kind: Annotated[str, typer.Option("--format", help="vtu, glb, osim, mjcf, feb or mrk.")] = "vtu",
-    out: Annotated[Path | None, typer.Option(help="The file to write; torso with the format's ending if left out.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The file to write; torso with the format's ending if left out.")
+    ] = None,
     height: TemplateHeight = 157.0,
     mesh: TemplateMesh = "coarse",
 ) -> None:

@@ -33,8 +33,8 @@ FORMATS = {
     "osim": ExportFormat(
         ".osim",
         "OpenSim 4",
-        "tissue and supports; a bushing's rotations are body-fixed x-y-z angles, ours a rotation vector: alike for small "
-        "angles only; masses are those of the bones; m, N, N m",
+        "tissue and supports; a bushing's rotations are body-fixed x-y-z angles, ours a rotation vector: alike for "
+        "small angles only; masses are those of the bones; m, N, N m",
     ),
     "mjcf": ExportFormat(
         ".xml",

@@ -96,7 +96,9 @@ def content(torso: TorsoModel, state: TorsoState) -> bytes:
         tied = np.flatnonzero(tissue.bone_of_node == i)
         if len(tied):
             text = ",".join(map(str, tied + 1))
-            model.mesh_.add_node_set(fe.mesh.NodeSet(name=f"{name}_tied", text=text if len(tied) > 1 else f"{text},{text}"))
+            model.mesh_.add_node_set(
+                fe.mesh.NodeSet(name=f"{name}_tied", text=text if len(tied) > 1 else f"{text},{text}")
+            )
             model.boundary_.add_bc(fe.boundary.BCRigid(name=f"{name}_tied", node_set=f"{name}_tied", rb=name))
     _add_springs(fe, model, torso)
     written: Any = model.to_xml(pretty_print=True, encoding="ISO-8859-1", xml_declaration=True, skip_empty=True)

@@ -9,7 +9,13 @@ from spinestiff.anatomy.torso import TorsoModel, TorsoState
 _MM = 1e-3
 _SKIN = (222, 200, 186, 70)
 # By the first letters of a bone's name; the longest that fits counts.
-_COLOURS = {"": (227, 218, 201), "T": (240, 226, 182), "L": (236, 212, 150), "pelvis": (214, 190, 150), "R": (230, 220, 190)}
+_COLOURS = {
+    "": (227, 218, 201),
+    "T": (240, 226, 182),
+    "L": (236, 212, 150),
+    "pelvis": (214, 190, 150),
+    "R": (230, 220, 190),
+}
 
 
 def content(torso: TorsoModel, state: TorsoState) -> bytes:

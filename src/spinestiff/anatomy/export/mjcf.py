@@ -102,7 +102,10 @@ def _tree(torso: TorsoModel, root: int) -> tuple[list[int], dict[int, int], dict
             queue.append(start)
         here = queue.popleft()
         for j in range(len(table)):
-            for mine, other, turned in ((table.parent[j], table.child[j], False), (table.child[j], table.parent[j], True)):
+            for mine, other, turned in (
+                (table.parent[j], table.child[j], False),
+                (table.child[j], table.parent[j], True),
+            ):
                 if int(mine) == here and int(other) not in edge:
                     edge[int(other)], reversed_[int(other)] = j, turned
                     order.append(int(other))

@@ -19,7 +19,7 @@ _SCHEMA = (
 
 
 def lps_from_world(points: Floats) -> Floats:
-    """Points (..., 3) of the world (left, superior, anterior) in DICOM's and Slicer's axes (left, posterior, superior)."""
+    """Points (..., 3) of the world (left, up, front) in DICOM's and Slicer's axes (left, posterior, superior)."""
     points = np.asarray(points)
     return np.stack([points[..., 0], -points[..., 2], points[..., 1]], -1)
 
@@ -40,7 +40,9 @@ def content(torso: TorsoModel, state: TorsoState) -> bytes:
     corners = np.einsum("vij,vkj->vki", state.bone_rotations[bones], torso.vertebra_boxes)
     corners = corners + state.bone_positions[bones][:, None]
     # The order of ``TorsoModel.vertebra_boxes``.
-    ends = [f"{a}-{b}-{c}" for a in ("superior", "inferior") for b in ("left", "right") for c in ("anterior", "posterior")]
+    ends = [
+        f"{a}-{b}-{c}" for a in ("superior", "inferior") for b in ("left", "right") for c in ("anterior", "posterior")
+    ]
     names = [f"{vertebra} {end}" for vertebra in torso.vertebrae for end in ends]
     if names:
         lists.append(_fiducials("vertebral bodies", names, corners.reshape(-1, 3)))

@@ -14,7 +14,7 @@ LEAST_KG = 1e-3
 
 
 def masses(torso: TorsoModel) -> tuple[Floats, Floats]:
-    """Masses (B,) kg and inertia (B, 3) kg m2 about the bones' axes: of ellipsoids as large as the bones' bounding boxes."""
+    """Masses (B,) kg, and inertia (B, 3) kg m2 about the bones' axes: of ellipsoids that fill their bounding boxes."""
     mass, inertia = np.full(len(torso.bone_names), LEAST_KG), np.zeros((len(torso.bone_names), 3))
     size = np.full((len(torso.bone_names), 3), 20.0)
     for i, surface in enumerate(torso.bone_surfaces):

@@ -1,4 +1,4 @@
-"""A torso from a person's own bone meshes: read, named, turned upright, repaired, joined, meshed; nothing guessed silently."""
+"""A torso from a person's own bone meshes: read, named, oriented, repaired, joined and meshed"""
 
 from __future__ import annotations
 
@@ -110,7 +110,9 @@ def import_torso(
     scale = skeleton.column_mm / template_column_mm()
     if height is None:
         height = scale * TEMPLATE_HEIGHT_CM
-        notes.append(f"body height {height:.0f} cm estimated from the spine's {skeleton.column_mm:.0f} mm; --height overrides it")
+        notes.append(
+            f"body height {height:.0f} cm estimated from the spine's {skeleton.column_mm:.0f} mm; --height overrides it"
+        )
     if not HEIGHTS_CM[0] <= height <= HEIGHTS_CM[1]:
         raise TorsoError(f"body height {height:.0f} cm; wanted {HEIGHTS_CM[0]:g} to {HEIGHTS_CM[1]:g} cm")
     say("skin: generating one" if given is None else "skin: checking that all bones lie inside")
@@ -154,14 +156,15 @@ def _frames(
 def _assembled(
     skeleton: Skeleton, rest: TorsoState, points: Mapping[str, PointsOnBones], tissue: MeshedTissue, height: float
 ) -> TorsoModel:
-    mu, lambda_ = lame_parameters(DEFAULT_YOUNG_MPA, DEFAULT_POISSON)
-    count = len(tissue.elements)
+    mu, lambda_ = (np.full(len(tissue.elements), v) for v in lame_parameters(DEFAULT_YOUNG_MPA, DEFAULT_POISSON))
     parent = np.array([BONE_INDEX[joint.parent] for joint in JOINTS])
     child = np.array([BONE_INDEX[joint.child] for joint in JOINTS])
     frames = joint_frames(rest, parent, child, skeleton.centres, skeleton.axes)
     free: Floats = tissue.nodes[tissue.bone_of_node < 0]
     surfaces = tuple(
-        BoneSurface((skeleton.surfaces[name][0] - rest.bone_positions[i]) @ rest.bone_rotations[i], skeleton.surfaces[name][1])
+        BoneSurface(
+            (skeleton.surfaces[name][0] - rest.bone_positions[i]) @ rest.bone_rotations[i], skeleton.surfaces[name][1]
+        )
         for i, name in enumerate(BONES)
     )
     return TorsoModel(
@@ -171,7 +174,7 @@ def _assembled(
             names=tuple(str(joint) for joint in JOINTS), kinds=KINDS, parent=parent, child=child,
             stiffness=joint_stiffness(), **frames,
         ),
-        tissue=TissueMesh(tissue.nodes, tissue.elements, tissue.bone_of_node, np.full(count, mu), np.full(count, lambda_)),
+        tissue=TissueMesh(tissue.nodes, tissue.elements, tissue.bone_of_node, mu, lambda_),
         vertebra_boxes=np.array([vertebra.box for vertebra in skeleton.vertebrae.values()]),
         bone_surfaces=surfaces,
         landmarks=dict(points),

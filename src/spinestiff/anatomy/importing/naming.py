@@ -99,7 +99,7 @@ def bone_of_name(stem: str) -> str | None:
 def _is_part(stem: str) -> bool:
     # Whether a name means a part, of which a bone has several.
     word = re.sub(r"[\s.\-_]+", "_", stem.strip()).lower()
-    return word not in ("pelvis", "sternum") and bone_of_name(stem) in ("pelvis", "sternum") or word == "sternum"
+    return (word not in ("pelvis", "sternum") and bone_of_name(stem) in ("pelvis", "sternum")) or word == "sternum"
 
 
 def _by_name(folder: Path, known: Mapping[str, Path]) -> BoneFiles:
@@ -119,7 +119,9 @@ def _by_name(folder: Path, known: Mapping[str, Path]) -> BoneFiles:
     for bone, paths in found.items():
         names = [re.sub(r"[\s.\-_]+", "_", path.stem).lower() for path in paths]
         if len(paths) > 1 and (len(set(names)) < len(names) or not all(_is_part(path.stem) for path in paths)):
-            raise TorsoError(f"{_listed([p.name for p in paths])} would all be {bone}; keep one, or give a mapping file")
+            raise TorsoError(
+                f"{_listed([p.name for p in paths])} would all be {bone}; keep one, or give a mapping file"
+            )
     skin = found.pop(SKIN, [None])[0]
     _complete(folder, found)
     return BoneFiles({bone: tuple(found[bone]) for bone in BONES}, skin)
@@ -145,7 +147,9 @@ def _by_mapping(folder: Path, known: Mapping[str, Path], mapping: Path) -> BoneF
         raise TorsoError(f'{mapping.name}: "bones" is no object of bone: file')
     for bone, names in entries.items():
         if bone not in BONES:
-            raise TorsoError(f"{mapping.name}: bones: no bone {bone[:40]!r} in the torso; bones are T1 ... R12_R, see docs")
+            raise TorsoError(
+                f"{mapping.name}: bones: no bone {bone[:40]!r} in the torso; bones are T1 ... R12_R, see docs"
+            )
         listed = names if isinstance(names, list) else [names]
         if not listed:
             raise TorsoError(f"{mapping.name}: bones: {bone}: no file named")

@@ -67,7 +67,9 @@ def axes_matrix(axes: str) -> Floats:
     """
     word = axes.upper()
     if len(word) != 3 or any(letter not in LETTERS for letter in word):
-        raise TorsoError(f"axes '{axes[:12]}': wanted three letters of L/R, S/I, A/P: where the file's x, y and z point")
+        raise TorsoError(
+            f"axes '{axes[:12]}': wanted three letters of L/R, S/I, A/P: where the file's x, y and z point"
+        )
     matrix = np.array([LETTERS[letter] for letter in word], dtype=float).T
     sense = round(float(np.linalg.det(matrix)))
     if sense == 0:
@@ -91,8 +93,8 @@ def find_placement(bones: Mapping[str, Surface], unit: str | None = None, axes: 
     found = _unit(size)
     if unit is not None and unit != found:
         raise TorsoError(
-            f"in {unit} a vertebra would measure {np.median([size[v] for v in VERTEBRAE]) * UNITS[unit]:.3g} mm across; "
-            f"the files look like {found}"
+            f"in {unit} a vertebra would measure {np.median([size[v] for v in VERTEBRAE]) * UNITS[unit]:.3g} mm "
+            f"across; the files look like {found}"
         )
     _refuse_other_sizes(size)
     middle = {name: 0.5 * (vertices.min(0) + vertices.max(0)) for name, (vertices, _) in bones.items()}

@@ -1,8 +1,8 @@
 """Joints, boxes and landmarks on the surfaces of a user's own bones, by the rules of the template (its assemble.py).
 
-Discs lie midway between facing endplates; a rib's joint with its vertebra is the middle of the costovertebral and the
-costotransverse point; its joint with the sternum lies at its front end; the shoulder's joints lie at the clavicle's ends
-and in the middle of the humeral head.
+Discs lie midway between facing endplates; a rib's joint with its vertebra is the middle of the costovertebral and
+the costotransverse point; its joint with the sternum lies at its front end; the shoulder's joints lie at the
+clavicle's ends and in the middle of the humeral head.
 """
 
 from __future__ import annotations
@@ -87,16 +87,20 @@ def place_joints(surfaces: Mapping[str, Surface]) -> tuple[Skeleton, Floats]:
     surfaces, heads = dict(surfaces), {}
     for side in SIDES:
         name = f"humerus_{side}"
-        heads[side], radius = _humeral_head(name, dense[name], dense[f"scapula_{side}"], share)
+        heads[side] = _humeral_head(name, dense[name], dense[f"scapula_{side}"], share)
         cut = cut_below(surfaces[name], float(heads[side][1] - STUMP_MM * share))
         if cut is not None:
             surfaces[name] = cut
-            notes.append(f"{name}: shaft cut {STUMP_MM * share:.0f} mm below the head's middle; the arm is no part of the torso")
+            notes.append(
+                f"{name}: shaft cut {STUMP_MM * share:.0f} mm below the head's middle; the arm is no part of the torso"
+            )
     clavicles = {side: _clavicle(side, surfaces, dense) for side in SIDES}
     for j, joint in enumerate(JOINTS):
         side = joint.child[-1]
         if joint.kind == "rib_vertebra":
-            centre, x = _rib_vertebra(joint.child, curves[joint.child], vertebrae[joint.parent], dense[joint.parent], share)
+            centre, x = _rib_vertebra(
+                joint.child, curves[joint.child], vertebrae[joint.parent], dense[joint.parent], share
+            )
         elif joint.kind == "rib_sternum":
             curve = curves[joint.child]
             centre, note = _meeting(joint.child, curve[-1], "sternum", surfaces["sternum"], dense["sternum"], share)
@@ -140,9 +144,7 @@ def frame_along(x: Floats) -> Floats:
 
 
 def _shifted(v: MeasuredVertebra, by: Floats) -> MeasuredVertebra:
-    return MeasuredVertebra(
-        v.centre - by, v.axes, v.box, v.upper - by, v.lower - by, v.upper_axes, v.lower_axes
-    )
+    return MeasuredVertebra(v.centre - by, v.axes, v.box, v.upper - by, v.lower - by, v.upper_axes, v.lower_axes)
 
 
 def _measured(
@@ -230,9 +232,7 @@ def _rib_vertebra(
     return 0.5 * (curve[0] + tubercle), tubercle - curve[0]
 
 
-def _meeting(
-    name: str, end: Floats, other: str, surface: Surface, samples: Floats, share: float
-) -> tuple[Floats, str]:
+def _meeting(name: str, end: Floats, other: str, surface: Surface, samples: Floats, share: float) -> tuple[Floats, str]:
     # Where the end of a bone meets another: midway to it, or at the end itself where they touch or are far apart.
     gap, nearest = cKDTree(samples).query(end)
     if enclosed(surface, end[None])[0]:
@@ -251,7 +251,7 @@ def _clavicle(side: str, surfaces: Mapping[str, Surface], dense: Mapping[str, Fl
     return curve if gaps[0] <= gaps[1] else curve[::-1]
 
 
-def _humeral_head(name: str, samples: Floats, scapula: Floats, share: float) -> tuple[Floats, float]:
+def _humeral_head(name: str, samples: Floats, scapula: Floats, share: float) -> Floats:
     # The sphere under the end of the humerus that faces the scapula.
     top = samples[:, 1].max()
     upper = samples[samples[:, 1] > top - 60.0 * share]
@@ -260,7 +260,7 @@ def _humeral_head(name: str, samples: Floats, scapula: Floats, share: float) -> 
     centre, radius = fitted_sphere(near, tuple(share * r for r in HEAD_RADII_MM))  # type: ignore[arg-type]
     if not np.isfinite(radius) or gap.min() > FAR_MM * share:
         raise TorsoError(f"{name}: no round head found beside the scapula; is the humerus upright and its name right?")
-    return centre, radius
+    return centre
 
 
 def cut_below(surface: Surface, height: float) -> Surface | None:
@@ -347,4 +347,3 @@ def rearmost(vertices: Floats, count: int, apart: float) -> Floats:
         if len(chosen) < count and min(np.linalg.norm(vertex - c) for c in chosen) >= apart:
             chosen.append(vertex)
     return np.array(chosen)
-

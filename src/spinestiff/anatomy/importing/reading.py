@@ -61,9 +61,7 @@ def _parsed(path: Path, kind: str, content: bytes) -> Surface:
 
     try:
         # From bytes and without a resolver: no material or texture that the file names is looked for.
-        loaded = trimesh.load(
-            io.BytesIO(content), file_type=kind[1:], force="mesh", process=False, skip_materials=True
-        )
+        loaded = trimesh.load(io.BytesIO(content), file_type=kind[1:], force="mesh", process=False, skip_materials=True)
         vertices = np.asarray(loaded.vertices, dtype=float).reshape(-1, 3)
         faces = np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3)
     except Exception as error:  # a foreign parser on foreign bytes: whatever it raises, the file is at fault

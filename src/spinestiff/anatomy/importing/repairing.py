@@ -144,7 +144,12 @@ def _pieces(surface: Surface) -> Ints:
 def _without_specks(surface: Surface) -> tuple[Surface, int]:
     vertices, faces = surface
     piece = _pieces(surface)
-    size = np.array([float(np.linalg.norm(np.ptp(vertices[faces[piece == p]].reshape(-1, 3), axis=0))) for p in range(piece.max() + 1)])
+    size = np.array(
+        [
+            float(np.linalg.norm(np.ptp(vertices[faces[piece == p]].reshape(-1, 3), axis=0)))
+            for p in range(piece.max() + 1)
+        ]
+    )
     small = size < SPECK * size.max()
     if not small.any():
         return surface, 0
@@ -253,7 +258,7 @@ def _area(surface: Surface) -> float:
 
 
 def _outward(surface: Surface) -> tuple[Surface, int, int]:
-    # Pieces that face inwards are turned, and with each what lies inside it: a cavity faces against the piece around it.
+    # Pieces that face inwards are turned, and with each what lies inside it: a cavity faces against what is around it.
     vertices, faces = surface
     piece = _pieces(surface)
     count = int(piece.max()) + 1

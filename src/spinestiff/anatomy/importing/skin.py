@@ -46,14 +46,19 @@ def generated_skin(skeleton: Skeleton, rest: TorsoState, points: Mapping[str, Po
     carried = RBFInterpolator(np.vstack(there), np.vstack(here), kernel="linear", smoothing=20.0, degree=1)
     vertices = carried(_template_rows(template).reshape(-1, 3)).reshape(ROWS, SIDES, 3)
     cloud = np.vstack([dense_points(skeleton.surfaces[name], 4.0) for name in BONES])
-    low, high = cloud[:, 1].min() - FLOOR_MM * scale, max(cloud[:, 1].max() + FLOOR_MM * scale, vertices[-1, :, 1].mean())
+    low, high = (
+        cloud[:, 1].min() - FLOOR_MM * scale,
+        max(cloud[:, 1].max() + FLOOR_MM * scale, vertices[-1, :, 1].mean()),
+    )
     heights = np.linspace(low, high, ROWS)
     # Each column of the carried grid, read off at level heights.
     level = np.empty_like(vertices)
     for j in range(SIDES):
         order = np.argsort(vertices[:, j, 1], kind="stable")
         column = vertices[order, j]
-        level[:, j] = np.stack([np.interp(heights, column[:, 1], column[:, i]) for i in (0, 2)] + [heights], -1)[:, [0, 2, 1]]
+        level[:, j] = np.stack([np.interp(heights, column[:, 1], column[:, i]) for i in (0, 2)] + [heights], -1)[
+            :, [0, 2, 1]
+        ]
     middle = level.mean(1)
     return loft(_covered(level, middle, cloud, COVER_MM * scale))
 
@@ -81,7 +86,9 @@ def _template_rows(template: TorsoModel) -> Floats:
         reach = np.hypot(near[:, 0] - middle[0], near[:, 2] - middle[2])
         # Floor and lid are full of points: the outermost in each direction counts.
         radius = np.array([_outermost(reach, np.angle(np.exp(1j * (around - a)))) for a in angle])
-        rows[k] = np.stack([middle[0] + radius * np.sin(angle), np.full(SIDES, y), middle[2] + radius * np.cos(angle)], -1)
+        rows[k] = np.stack(
+            [middle[0] + radius * np.sin(angle), np.full(SIDES, y), middle[2] + radius * np.cos(angle)], -1
+        )
     return rows
 
 

@@ -31,9 +31,9 @@ def centreline(name: str, surface: Surface, step: float = 2.0) -> Floats:
         raise TorsoError(f"{name} is in pieces that don't touch; wanted one bone in one piece")
     points, graph = points[main], graph[main][:, main]
     # Twice across: the farthest point from anywhere is an end, and the farthest from there the other.
-    for start in (0, None, None):
-        begin = start if start is not None else int(np.argmax(distance))
-        distance = dijkstra(graph, directed=False, indices=begin)
+    distance = dijkstra(graph, directed=False, indices=0)
+    for _ in range(2):
+        distance = dijkstra(graph, directed=False, indices=int(np.argmax(distance)))
     thick = _thickness(points, distance)
     first = np.flatnonzero(distance <= thick)
     distance = dijkstra(graph, directed=False, indices=first, min_only=True)
@@ -43,7 +43,9 @@ def centreline(name: str, surface: Surface, step: float = 2.0) -> Floats:
     inner = distance > 0.0
     count = np.bincount(bin_[inner], minlength=len(edges) - 1)
     some = count > 0
-    means = np.stack([np.bincount(bin_[inner], points[inner, i], len(edges) - 1)[some] / count[some] for i in range(3)], -1)
+    means = np.stack(
+        [np.bincount(bin_[inner], points[inner, i], len(edges) - 1)[some] / count[some] for i in range(3)], -1
+    )
     means = _smoothed(means)
     # Out to the ends, along the direction there, as far as the bone goes.
     ends = []
@@ -69,7 +71,9 @@ def _smoothed(curve: Floats, rounds: int = 2) -> Floats:
     return curve
 
 
-def fitted_sphere(points: Floats, radii: tuple[float, float], tries: int = 400, within: float = 1.0) -> tuple[Floats, float]:
+def fitted_sphere(
+    points: Floats, radii: tuple[float, float], tries: int = 400, within: float = 1.0
+) -> tuple[Floats, float]:
     """Centre (3,) and radius, mm, of the sphere with a radius in ``radii`` that most points (n, 3) lie on.
 
     Four points at a time give a candidate (fixed seed); its points then give the sphere by least squares.

@@ -53,8 +53,8 @@ def median_plane(points: Floats, up: Floats, rounds: int = 12) -> tuple[Floats, 
     """A point of the plane about which ``points`` (n, 3) on a surface mirror themselves best, and its unit normal.
 
     Looked for from the world's left and from 30 degrees about ``up`` to both sides of it. Pairs of a point and the
-    nearest to its mirror image give a plane, some rounds long; the best one is polished: the mean distance of the mirror
-    image, cut off at ``FAR_MM``, is minimised.
+    nearest to its mirror image give a plane, some rounds long; the best one is polished: the mean distance of the
+    mirror image, cut off at ``FAR_MM``, is minimised.
     """
     tree = cKDTree(points)
     some = points[:: max(1, len(points) // 600)]
@@ -113,7 +113,9 @@ def measure_vertebra(name: str, surface: Surface, up: Floats, samples: Floats) -
     left /= np.linalg.norm(left)
     at, x = median_plane(samples, up)
     if x @ left < MOST_TURNED:
-        raise TorsoError(f"{name}: its two sides are too unlike to find its middle; is this mesh the right bone, and whole?")
+        raise TorsoError(
+            f"{name}: its two sides are too unlike to find its middle; is this mesh the right bone, and whole?"
+        )
     best: tuple[float, Floats, Floats, _Plates] | None = None
     failure: TorsoError | None = None
     for tilt in TILTS_DEG:
@@ -209,7 +211,9 @@ def _plates(name: str, surface: Surface, origin: Floats, axes: Floats, half: Flo
         points = starts + reach[:, None] * axes[:, 1]
         good = np.isfinite(reach) & (np.abs(reach) < 2.2 * half[1])
         if good.sum() < 10:
-            raise TorsoError(f"{name}: no {'upper' if sign > 0 else 'lower'} endplate found; is this mesh the right bone?")
+            raise TorsoError(
+                f"{name}: no {'upper' if sign > 0 else 'lower'} endplate found; is this mesh the right bone?"
+            )
         centre, normal = fitted_plane(points[good], axes[:, 1])
         # The plate's centre lies on the body's axis.
         found += [origin + axes[:, 1] * float((centre - origin) @ normal / (axes[:, 1] @ normal)), normal]
