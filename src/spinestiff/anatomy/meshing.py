@@ -36,6 +36,8 @@ BURIED = 0.16  # of the skin's spacing: how deep a bone's points shall lie, so t
 NEAR = 0.11  # of the spacing: nodes this close to a bone ride on it
 GAP = 1.0 / 3.0  # of the distance to the next bone: how far a bone's tied nodes reach into the gap between the two
 
+_FACES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]  # of a tetrahedron, outward
+
 # Takes corner points (n, 3) mm, tetrahedra (t, 4) that fill the torso and the numbers of points that must stay; gives
 # better points and tetrahedra with about the same boundary.
 Mesher = Callable[[Floats, Ints, Ints], tuple[Floats, Ints]]
@@ -294,14 +296,51 @@ def _carved(points: Floats, tetrahedra: Ints, on_skin: np.ndarray, skin: Surface
             break
         alive |= back
     alive &= ~flat
+    _peel(tetrahedra, alive, wanted, depth)
     # What hangs on by less than a face is no tissue.
     kept = tetrahedra[alive]
     return kept[_largest(kept)]
 
 
+def _peel(tetrahedra: Ints, alive: np.ndarray, wanted: np.ndarray, depth: Floats) -> None:
+    # What is still wanted off goes one by one, from outside inwards, where the boundary stays a closed surface.
+    while True:
+        kept = np.flatnonzero(alive)
+        faces = tetrahedra[kept][:, _FACES].reshape(-1, 3)
+        _, first, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
+        outer = first[count == 1]
+        corners = set(faces[outer].ravel().tolist())
+        edges = {frozenset(e) for f in faces[outer].tolist() for e in ((f[0], f[1]), (f[1], f[2]), (f[2], f[0]))}
+        exposed: dict[int, list[list[int]]] = {}
+        for face, owner in zip(faces[outer].tolist(), kept[outer // 4].tolist()):
+            if wanted[owner]:
+                exposed.setdefault(owner, []).append(face)
+        ready = sorted(
+            (k for k, bare in exposed.items() if _removable(tetrahedra[k].tolist(), bare, corners, edges)),
+            key=lambda k: depth[k],
+        )
+        touched: set[int] = set()
+        for k in ready:
+            mine = tetrahedra[k].tolist()
+            if touched.isdisjoint(mine):
+                alive[k] = False
+                touched.update(mine)
+        if not ready:
+            return
+
+
+def _removable(corner: list[int], bare: list[list[int]], corners: set[int], edges: set[frozenset[int]]) -> bool:
+    # Whether a tetrahedron with faces ``bare`` on the boundary can come off without pinching it.
+    if len(bare) == 1:
+        return (set(corner) - set(bare[0])).isdisjoint(corners)
+    if len(bare) == 2:
+        return frozenset(set(corner) - set(bare[0]) & set(bare[1])) not in edges
+    return len(bare) == 3  # a tip: its outermost corner goes with it
+
+
 def _largest(tetrahedra: Ints) -> np.ndarray:
     # (t,) bool, in the largest part that hangs together by faces.
-    faces = np.sort(tetrahedra[:, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]].reshape(-1, 3), axis=1)
+    faces = np.sort(tetrahedra[:, _FACES].reshape(-1, 3), axis=1)
     _, inverse = np.unique(faces, axis=0, return_inverse=True)
     order = np.argsort(inverse.ravel(), kind="stable")
     same = np.flatnonzero(np.diff(inverse.ravel()[order]) == 0)
@@ -313,7 +352,7 @@ def _largest(tetrahedra: Ints) -> np.ndarray:
 
 def boundary(tetrahedra: Ints) -> Ints:
     """(s, 3) outward faces that belong to one tetrahedron."""
-    faces = tetrahedra[:, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]].reshape(-1, 3)
+    faces = tetrahedra[:, _FACES].reshape(-1, 3)
     _, first, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
     return faces[np.sort(first[count == 1])]
 
@@ -367,8 +406,8 @@ def tied_quadratic(
     """Nodes, ten-node elements and the bone of each node.
 
     What lies in a bone, or within ``near`` mm of its surface, is tied to it; of several bones to the one it lies
-    deepest in. Nodes of the skin stay free, and so does the middle of a gap between two bones (``GAP``): tied across, it would
-    weld them.
+    deepest in. Nodes of the skin stay free, and so does the middle of a gap between two bones (``GAP``): tied
+    across, it would weld them.
     """
     edges = np.sort(tetrahedra[:, np.array(TET10_EDGES)].reshape(-1, 2), axis=1)
     unique, inverse = np.unique(edges, axis=0, return_inverse=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -37,10 +38,11 @@ def _colour(name: str) -> tuple[float, float, float]:
 def draw_view(ax: Axes, torso: TorsoModel, across: int, sign: float, viewer: tuple[float, float, float]) -> None:
     """One view: skin in grey, bones shaded and sorted by depth, joint centres as dots."""
     skin = torso.tissue.rest_positions[torso.tissue.boundary_faces()[:, :3]]
-    flat = np.stack([sign * skin[..., across], skin[..., 1]], -1)
+    flat: Any = np.stack([sign * skin[..., across], skin[..., 1]], -1)
     ax.add_collection(PolyCollection(flat, facecolors="#eeeef2", edgecolors="#eeeef2", linewidths=0.3))
     direction = np.array(viewer)
-    polygons, depth, colours = [], [], []
+    polygons: list[Any] = []
+    depth, colours = [], []
     for index, name in enumerate(torso.bone_names):
         p = torso.surface_positions(torso.rest_pose, index)[torso.bone_surfaces[index].faces]
         normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
@@ -51,9 +53,8 @@ def draw_view(ax: Axes, torso: TorsoModel, across: int, sign: float, viewer: tup
         colours.append(np.array(_colour(name)) * (0.30 + 0.70 * facing[:, None]))
     order = np.argsort(np.concatenate(depth))
     colour = np.concatenate(colours)[order]
-    ax.add_collection(
-        PolyCollection(np.concatenate(polygons)[order], facecolors=colour, edgecolors=colour, linewidths=0.2)
-    )
+    shapes: Any = np.concatenate(polygons)[order]
+    ax.add_collection(PolyCollection(shapes, facecolors=colour, edgecolors=colour, linewidths=0.2))
     joints = PointsOnBones(torso.joints.parent, torso.joints.parent_position).positions(torso.rest_pose)
     ax.plot(sign * joints[:, across], joints[:, 1], ".", color="#b03030", markersize=2.5)
     ax.set_aspect("equal")

@@ -154,7 +154,7 @@ def _directions(middle: Mapping[str, Floats]) -> Floats:
 
 
 def _nearest_axes(seen: Floats) -> str:
-    letters = [tuple(a if s > 0 else b for (a, b), s in zip(("LR", "SI", "AP"), signs)) for signs in _SIGNS]
+    letters = [tuple(pair[0] if s > 0 else pair[1] for pair, s in zip(("LR", "SI", "AP"), signs)) for signs in _SIGNS]
     best, code = -np.inf, ""
     for choice in letters:
         for order in permutations(choice):

@@ -226,7 +226,7 @@ def _rib_vertebra(
         lateral = (samples - vertebra.centre) @ vertebra.axes[:, 0] * side
         # The transverse process: what of the vertebra reaches farthest to that side.
         tip = samples[lateral > lateral.max() - 4.0].mean(0)
-        s = np.linspace(*(share * length for length in TRANSVERSE_ARC_MM), 200)
+        s = share * np.linspace(*TRANSVERSE_ARC_MM, 200)
         points = on_curve(np.minimum(s, 0.5 * arc[-1]))
         tubercle = points[np.argmin(np.linalg.norm(points - tip, axis=1))]
     return 0.5 * (curve[0] + tubercle), tubercle - curve[0]
@@ -275,7 +275,8 @@ def cut_below(surface: Surface, height: float) -> Surface | None:
     points, kept = [vertices], [faces[above[faces].all(1)]]
     crossing = faces[above[faces].any(1) & ~above[faces].all(1)]
     number: dict[tuple[int, int], int] = {}
-    new_points, new_faces = [], []
+    new_points: list[Floats] = []
+    new_faces: list[list[int]] = []
 
     def between(a: int, b: int) -> int:
         key = (min(a, b), max(a, b))

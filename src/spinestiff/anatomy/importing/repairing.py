@@ -212,7 +212,8 @@ def _loops(edges: Ints) -> list[list[int]]:
 
 def _simple(walk: list[int]) -> list[list[int]]:
     # A closed walk cut into loops that pass each vertex once.
-    loops, path = [], []
+    loops: list[list[int]] = []
+    path: list[int] = []
     for vertex in walk:
         if vertex in path:
             cut = path.index(vertex)

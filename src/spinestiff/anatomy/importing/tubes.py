@@ -74,26 +74,24 @@ def _smoothed(curve: Floats, rounds: int = 2) -> Floats:
 def fitted_sphere(
     points: Floats, radii: tuple[float, float], tries: int = 400, within: float = 1.0
 ) -> tuple[Floats, float]:
-    """Centre (3,) and radius, mm, of the sphere with a radius in ``radii`` that most points (n, 3) lie on.
+    """Centre (3,) and radius, mm, of the sphere with a radius in ``radii`` that most points (n, 3) lie on; NaN if
+    there is none.
 
     Four points at a time give a candidate (fixed seed); its points then give the sphere by least squares.
     """
     rng = np.random.default_rng(0)
-    best: tuple[int, Floats | None, float] = (0, None, 0.0)
+    best, count = (points.mean(0), float("nan")), 0
     for _ in range(tries):
         centre, radius = _through(points[rng.choice(len(points), 4, replace=False)])
         if not radii[0] <= radius <= radii[1]:
             continue
-        count = int((np.abs(np.linalg.norm(points - centre, axis=1) - radius) < within).sum())
-        if count > best[0]:
-            best = (count, centre, radius)
-    _, centre, radius = best
-    if centre is None:
-        return points.mean(0), float("nan")
-    for _ in range(5):
-        on = np.abs(np.linalg.norm(points - centre, axis=1) - radius) < 1.5 * within
-        centre, radius = _through(points[on])
-    return centre, radius
+        on = int((np.abs(np.linalg.norm(points - centre, axis=1) - radius) < within).sum())
+        if on > count:
+            best, count = (centre, radius), on
+    for _ in range(5 if count else 0):
+        off = np.abs(np.linalg.norm(points - best[0], axis=1) - best[1])
+        best = _through(points[off < 1.5 * within])
+    return best
 
 
 def _through(points: Floats) -> tuple[Floats, float]:
