@@ -33,7 +33,7 @@ def mmg_installed():
 @pytest.fixture
 def no_mesher(monkeypatch):
     """For what is refused before anything is meshed."""
-    monkeypatch.setattr(meshing, "mmg", None)
+    monkeypatch.setattr("spinestiff.anatomy.importing.find_mesher", lambda name: None)
 
 
 def refusal(folder, **options) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -23,6 +24,7 @@ from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import TorsoError
 
 GROUP = "spinestiff.meshers"
+NO_MMG = 'meshing needs MMG; install it with pip install "spinestiff[mesh]"'
 DEFAULT_MESHER = "mmg"
 SPACINGS_MM = (12.0, 60.0)
 LEAST_ANGLE_DEG = 5.0
@@ -78,6 +80,8 @@ def find_mesher(name: str) -> Mesher:
         return loaded
     if name != DEFAULT_MESHER:
         raise TorsoError(f"no mesher '{name}'; installed: {', '.join([DEFAULT_MESHER, *sorted(offered)])}")
+    if find_spec("mmgpy") is None:
+        raise TorsoError(NO_MMG)
     return mmg
 
 
@@ -91,7 +95,7 @@ def mmg(points: Floats, tetrahedra: Ints, required: Ints) -> tuple[Floats, Ints]
     try:
         import mmgpy
     except ImportError:
-        raise TorsoError('meshing needs MMG; install it with pip install "spinestiff[mesh]"') from None
+        raise TorsoError(NO_MMG) from None
     best: tuple[float, Floats, Ints] | None = None
     # First inside alone; where that leaves flat elements, the skin's triangles may change, too.
     for options in ({"nosurf": 1}, {"hausd": HAUSDORFF_MM}):
