@@ -42,17 +42,21 @@ HOMES: dict[str, tuple[str, ...]] = {
     "skimage": ("imaging/*",),
     "numba": ("mechanics/*", "imaging/rendering.py"),
     "rslab": ("mechanics/factor.py",),
-    "matplotlib": ("study/figures.py", "study/report.py"),
+    "matplotlib": ("study/figures.py", "study/torso_picture.py", "study/report.py"),
     "jinja2": ("study/viewer/page.py",),
     "pydantic": ("study/*",),
     "pydantic_core": ("study/*",),
     "typer": ("app/*",),
     "rich": ("app/*",),
+    "trimesh": ("anatomy/*",),
+    "meshio": ("anatomy/*",),
+    "mmgpy": ("anatomy/meshing.py",),
+    "pyfebio": ("anatomy/export/feb.py",),
     "torch": ("interop/torch.py",),
     "jax": ("interop/jax.py",),
 }
-# Packages of extras: the module that needs one says so in one line, and nothing imports that module.
-EXTRAS = {"torch", "jax"}
+# Packages of extras, and the extra: what needs one says so in one line, and interop is imported by nothing.
+EXTRAS = {"torch": "torch", "jax": "jax", "mmgpy": "mesh", "pyfebio": "febio"}
 # The distribution that holds a package, where it is named otherwise.
 DISTRIBUTIONS = {"cv2": "opencv-python-headless", "skimage": "scikit-image", "pydantic_core": "pydantic"}
 # Found by pydicom at run time, never imported.
@@ -185,10 +189,10 @@ def test_every_dependency_is_declared_and_used() -> None:
     declared = {re.split(r"[<>=~!; \[]", line)[0] for line in project["dependencies"]}
     packages = {found.target.split(".")[0] for path in MODULES for found in imports(path)}
     used = {DISTRIBUTIONS.get(package, package) for package in packages - sys.stdlib_module_names - {"spinestiff"}}
-    assert declared == (used - EXTRAS) | CODECS
-    for extra in EXTRAS:
-        assert extra in used
-        assert [re.split(r"[<>=~!; \[]", line)[0] for line in project["optional-dependencies"][extra]] == [extra]
+    assert declared == (used - EXTRAS.keys()) | CODECS
+    for package, extra in EXTRAS.items():
+        assert package in used
+        assert [re.split(r"[<>=~!; \[]", line)[0] for line in project["optional-dependencies"][extra]] == [package]
 
 
 def test_nothing_imports_what_needs_an_extra() -> None:

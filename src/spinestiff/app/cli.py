@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from spinestiff import __version__
+from spinestiff.app.torso import torso
 from spinestiff.errors import SpinestiffError, SubjectError
 
 INTERRUPTED = 130
@@ -44,6 +45,9 @@ TorsoFile = Annotated[Path | None, typer.Option("--torso", help="A torso file in
 Page = Annotated[Path | None, typer.Option("--out", help="Where the page goes; results/view.html if left out.")]
 NoOpen = Annotated[bool, typer.Option("--no-open", help="Write the page, don't open it.")]
 SpineId = Annotated[str | None, typer.Option(help="Which spine of the table.")]
+
+
+app.add_typer(torso, name="torso")
 
 
 def main() -> None:

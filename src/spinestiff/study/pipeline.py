@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from spinestiff.anatomy.files import read_torso, write_torso
+from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import FitError, SubjectError
@@ -49,6 +50,7 @@ from spinestiff.study.visit import (
 SCHEMA_VERSION = 1
 # Where a fit starts: the geometric means of Table 4. From the default ratios it gets to the same place in more steps.
 USUAL_RATIOS = {"lateral_bending": 0.07, "intervertebral_bending": 0.07, "tissue": 0.04}
+OWN_HEIGHT = 0.1  # share by which an own torso's height may differ from the subject's
 STEPS = ("track", "personalise", "estimate", "assess", "report")
 ALL_STEPS = (*STEPS, "view")
 
@@ -206,7 +208,7 @@ def subject_template(record: SubjectRecord, mesh: str) -> TorsoModel:
 def personalise_step(visit: Visit, say: Observer) -> None:
     """Shape the template to the rest radiographs; writes ``torso.npz`` and ``personalised.json``."""
     subject = visit.subject
-    template = subject_template(subject.record, visit.settings.mesh)
+    template = starting_torso(visit)
     pictures, provenance = {}, {}
     for name in ("frontal", "lateral"):
         picture = read_rest(subject, name)  # type: ignore[arg-type]
@@ -216,6 +218,27 @@ def personalise_step(visit: Visit, say: Observer) -> None:
     visit.subject.results.mkdir(exist_ok=True)
     write_torso(visit.file("torso.npz"), shaped.torso)
     write_json(visit.file("personalised.json"), _personalised_record(shaped, provenance))
+
+
+def starting_torso(visit: Visit) -> TorsoModel:
+    """The torso that is shaped to the radiographs: of the subject's own bones, or the template.
+
+    Raises
+    ------
+    SubjectError : the own torso isn't of the subject's height or bones.
+    """
+    record, own = visit.subject.record, visit.subject.torso_path
+    if own is None:
+        return subject_template(record, visit.settings.mesh)
+    torso = read_torso(own)
+    if torso.bone_names != BONES:
+        raise SubjectError(f"{own}: has {len(torso.bone_names)} bones; wanted the 49 of spinestiff torso import")
+    if not abs(torso.height_cm / record.height_cm - 1.0) < OWN_HEIGHT:
+        raise SubjectError(
+            f"{own}: is of a body of {torso.height_cm:.0f} cm, but subject.json says {record.height_cm:g} cm; "
+            "import it with --height, or use the right bones"
+        )
+    return torso
 
 
 def estimate_step(visit: Visit, say: Observer) -> None:

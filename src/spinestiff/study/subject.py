@@ -89,6 +89,13 @@ class _Record(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+def _inside(path: str) -> str:
+    absolute = PurePosixPath(path).is_absolute() or PureWindowsPath(path).drive or path.startswith("\\")
+    if absolute or "\\" in path or ".." in PurePosixPath(path).parts or not path.strip() or "\0" in path:
+        raise ValueError(f"found {_shown(path)}, wanted a path inside the subject folder, with / and without ..")
+    return path
+
+
 class XRayRecord(_Record):
     """X-ray geometry where the DICOM files lack it; a value that contradicts a file is refused.
 
@@ -132,10 +139,7 @@ class PushRecord(_Record):
     @field_validator("frames")
     @classmethod
     def _stays_inside(cls, path: str) -> str:
-        absolute = PurePosixPath(path).is_absolute() or PureWindowsPath(path).drive or path.startswith("\\")
-        if absolute or "\\" in path or ".." in PurePosixPath(path).parts or not path.strip() or "\0" in path:
-            raise ValueError(f"found {_shown(path)}, wanted a path inside the subject folder, with / and without ..")
-        return path
+        return _inside(path)
 
     @field_validator("forces_n")
     @classmethod
@@ -190,6 +194,8 @@ class SubjectRecord(_Record):
     height_cm : standing height.
     mass_kg : body mass; with it the template takes the sizes of this age, sex, height and mass.
     xray : geometry where DICOM lacks it.
+    torso : a torso file of the subject's own bones (``spinestiff torso import``) instead of the template, relative to
+        the subject folder.
     pushes : at least one, with at least one training frame under a force.
     """
 
@@ -200,7 +206,13 @@ class SubjectRecord(_Record):
     height_cm: Annotated[float, Field(ge=120.0, le=200.0)]
     mass_kg: Annotated[float, Field(gt=0.0, le=300.0)] | None = None
     xray: XRayRecord = XRayRecord()
+    torso: str | None = None
     pushes: Annotated[tuple[PushRecord, ...], Field(min_length=1, strict=False)]
+
+    @field_validator("torso")
+    @classmethod
+    def _torso_stays_inside(cls, path: str | None) -> str | None:
+        return None if path is None else _inside(path)
 
     @model_validator(mode="after")
     def _can_be_estimated(self) -> Self:
@@ -310,7 +322,13 @@ class Subject:
         """Every input file or folder of the subject."""
         images = (*REST_IMAGES, *(push.image for push in self.pushes))
         files = (self.folder / SUBJECT_FILE, self.folder / ANNOTATION_FILE)
-        return (*files, *(self.image_path(image) for image in images))
+        own = () if self.torso_path is None else (self.torso_path,)
+        return (*files, *(self.image_path(image) for image in images), *own)
+
+    @property
+    def torso_path(self) -> Path | None:
+        """The torso of the subject's own bones, if there is one."""
+        return None if self.record.torso is None else self.folder / self.record.torso
 
 
 def read_subject(folder: str | Path) -> Subject:
@@ -331,6 +349,12 @@ def read_subject(folder: str | Path) -> Subject:
             raise SubjectError(f"{path}: no such file; wanted the radiograph of {image}")
         if not path.resolve().is_relative_to(folder.resolve()):
             raise SubjectError(f"{path}: leads out of the subject folder; copy the radiograph into it")
+    own = subject.torso_path
+    if own is not None:
+        if not own.is_file():
+            raise SubjectError(f"{own}: no such file; wanted the torso.npz of spinestiff torso import")
+        if not own.resolve().is_relative_to(folder.resolve()):
+            raise SubjectError(f"{own}: leads out of the subject folder; copy the torso into it")
     _check_images(subject)
     return subject
 

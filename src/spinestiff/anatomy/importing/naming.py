@@ -1,0 +1,234 @@
+"""Which file is which bone: by its name, or by a mapping file (docs/your-own-anatomy.md)."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from spinestiff.anatomy.importing.reading import SUFFIXES
+from spinestiff.anatomy.names import BONES
+from spinestiff.errors import TorsoError
+
+SKIN = "skin"
+MOST_FILES = 500
+MOST_MAPPING_BYTES = 1_000_000
+KEYS = ("bones", "ignore", "skin", "unit", "axes", "height_cm")
+_SIDES = {"l": "L", "left": "L", "r": "R", "right": "R"}
+_SIDED = {
+    "clavicle": "clavicle", "clavicula": "clavicle", "scapula": "scapula", "humerus": "humerus", "hip": "pelvis",
+    "pelvis": "pelvis", "ilium": "pelvis", "innominate": "pelvis", "hip_bone": "pelvis", "os_coxae": "pelvis",
+}  # fmt: skip
+_MIDDLE = {
+    "pelvis": "pelvis", "sacrum": "pelvis", "coccyx": "pelvis", "sternum": "sternum", "manubrium": "sternum",
+    "costal_cartilages": "sternum", "skin": SKIN,
+}  # fmt: skip
+_VERTEBRA = re.compile(r"(?:vertebrae?_?)?(t|th|thoracic|l|lumbar)_?0?(\d{1,2})")
+_RIB = re.compile(r"(?:(l|left|r|right)_)?(?:rib|costa|r)_?(?:(l|left|r|right)_?)?0?(\d{1,2})(?:_?(l|left|r|right))?")
+
+
+@dataclass(frozen=True)
+class BoneFiles:
+    """The files of an anatomy.
+
+    Attributes
+    ----------
+    bones : for each of the 49 bones the files that make it up.
+    skin : the skin's file, if there is one.
+    ignored : names of files left out on request.
+    unit, axes, height_cm : what the mapping file says of them.
+    """
+
+    bones: Mapping[str, tuple[Path, ...]]
+    skin: Path | None = None
+    ignored: tuple[str, ...] = ()
+    unit: str | None = None
+    axes: str | None = None
+    height_cm: float | None = field(default=None)
+
+
+def find_files(folder: Path, mapping: Path | None = None) -> BoneFiles:
+    """The files of all 49 bones in a folder.
+
+    Raises
+    ------
+    TorsoError : no such folder; a file of unknown name; a bone with no file or, without a mapping, with two; a mapping
+        that names what isn't there.
+    """
+    try:
+        inside = sorted(path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in SUFFIXES)
+    except OSError as error:
+        raise TorsoError(f"{folder}: {(error.strerror or 'unreadable').lower()}; wanted a folder of meshes") from None
+    if not inside:
+        raise TorsoError(f"{folder} holds no mesh; wanted files that end in {', '.join(SUFFIXES)}")
+    if len(inside) > MOST_FILES:
+        raise TorsoError(f"{folder} holds {len(inside)} meshes; at most {MOST_FILES}")
+    known = {path.name: path for path in inside}
+    return _by_name(folder, known) if mapping is None else _by_mapping(folder, known, mapping)
+
+
+def bone_of_name(stem: str) -> str | None:
+    """The bone (or "skin") that a file name without its ending means; of a pelvis or sternum in parts, the whole.
+
+    Understood: the package's own names, TotalSegmentator's, and those of the thoracolumbar OpenSim models.
+    """
+    if stem in BONES:
+        return stem
+    word = re.sub(r"[\s.\-_]+", "_", stem.strip()).lower()
+    if word in _MIDDLE:
+        return _MIDDLE[word]
+    if found := _VERTEBRA.fullmatch(word):
+        name = f"{found[1][0].upper()}{int(found[2])}"
+        return name if name in BONES else None
+    if found := _RIB.fullmatch(word):
+        sides = {_SIDES[side] for side in (found[1], found[2], found[4]) if side}
+        name = f"R{int(found[3])}_{sides.pop()}" if len(sides) == 1 else ""
+        return name if name in BONES else None
+    for side, letter in _SIDES.items():
+        for bone in (word.removeprefix(f"{side}_"), word.removesuffix(f"_{side}")):
+            if bone != word and bone in _SIDED:
+                whole = _SIDED[bone]
+                return whole if whole == "pelvis" else f"{whole}_{letter}"
+    return None
+
+
+def _is_part(stem: str) -> bool:
+    # Whether a name means a part, of which a bone has several.
+    word = re.sub(r"[\s.\-_]+", "_", stem.strip()).lower()
+    return (word not in ("pelvis", "sternum") and bone_of_name(stem) in ("pelvis", "sternum")) or word == "sternum"
+
+
+def _by_name(folder: Path, known: Mapping[str, Path]) -> BoneFiles:
+    found: dict[str, list[Path]] = {}
+    strange = []
+    for path in known.values():
+        bone = bone_of_name(path.stem)
+        if bone is None:
+            strange.append(path.name)
+        else:
+            found.setdefault(bone, []).append(path)
+    if strange:
+        raise TorsoError(
+            f"{_listed(strange)}: no bone of the torso by {'this name' if len(strange) == 1 else 'these names'}; "
+            'give a mapping file, which may list it under "ignore"'
+        )
+    for bone, paths in found.items():
+        names = [re.sub(r"[\s.\-_]+", "_", path.stem).lower() for path in paths]
+        if len(paths) > 1 and (len(set(names)) < len(names) or not all(_is_part(path.stem) for path in paths)):
+            raise TorsoError(
+                f"{_listed([p.name for p in paths])} would all be {bone}; keep one, or give a mapping file"
+            )
+    skin = found.pop(SKIN, [None])[0]
+    _complete(folder, found)
+    return BoneFiles({bone: tuple(found[bone]) for bone in BONES}, skin)
+
+
+def _complete(folder: Path, found: Mapping[str, Any]) -> None:
+    missing = [bone for bone in BONES if not found.get(bone)]
+    if missing:
+        raise TorsoError(f"{folder}: no mesh for {_listed(missing)}; all 49 bones are needed")
+
+
+def _by_mapping(folder: Path, known: Mapping[str, Path], mapping: Path) -> BoneFiles:
+    record = _read_mapping(mapping)
+
+    def file(name: object, what: str) -> Path:
+        if not isinstance(name, str) or name not in known:
+            raise TorsoError(f"{mapping.name}: {what}: no mesh {str(name)[:80]!r} in {folder}")
+        return known[name]
+
+    bones: dict[str, tuple[Path, ...]] = {}
+    entries = record.get("bones", {})
+    if not isinstance(entries, dict):
+        raise TorsoError(f'{mapping.name}: "bones" is no object of bone: file')
+    for bone, names in entries.items():
+        if bone not in BONES:
+            raise TorsoError(
+                f"{mapping.name}: bones: no bone {bone[:40]!r} in the torso; bones are T1 ... R12_R, see docs"
+            )
+        listed = names if isinstance(names, list) else [names]
+        if not listed:
+            raise TorsoError(f"{mapping.name}: bones: {bone}: no file named")
+        bones[bone] = tuple(file(name, bone) for name in listed)
+    ignored = record.get("ignore", [])
+    if not isinstance(ignored, list):
+        raise TorsoError(f'{mapping.name}: "ignore" is no list of files')
+    left_out = [file(name, "ignore") for name in ignored]
+    skin = file(record["skin"], "skin") if record.get("skin") is not None else None
+    used: dict[Path, str] = {}
+    for what, paths in [*bones.items(), ("ignore", left_out), (SKIN, [skin] if skin else [])]:
+        for path in paths:
+            if path in used:
+                raise TorsoError(f"{mapping.name}: {path.name} stands for both {used[path]} and {what}")
+            used[path] = what
+    strange = []
+    for name, path in known.items():
+        if path in used:
+            continue
+        # What the mapping leaves out goes by its name, as without a mapping.
+        bone = bone_of_name(path.stem)
+        if bone is None:
+            strange.append(name)
+        elif bone == SKIN and skin is None:
+            skin = path
+        elif bone in bones and not (bone not in entries and _is_part(path.stem)):
+            raise TorsoError(f"{name} and {bones[bone][0].name} would both be {bone}; ignore one in {mapping.name}")
+        else:
+            bones[bone] = (*bones.get(bone, ()), path)
+    if strange:
+        raise TorsoError(f'{_listed(strange)}: not in {mapping.name}; name its bone there, or list it under "ignore"')
+    _complete(folder, bones)
+    return BoneFiles(
+        {bone: bones[bone] for bone in BONES},
+        skin,
+        tuple(path.name for path in left_out),
+        _word(mapping, record, "unit"),
+        _word(mapping, record, "axes"),
+        _height(mapping, record),
+    )
+
+
+def _word(mapping: Path, record: Mapping[str, Any], key: str) -> str | None:
+    value = record.get(key)
+    if value is not None and not isinstance(value, str):
+        raise TorsoError(f'{mapping.name}: "{key}" is no text')
+    return value
+
+
+def _height(mapping: Path, record: Mapping[str, Any]) -> float | None:
+    value = record.get("height_cm")
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise TorsoError(f'{mapping.name}: "height_cm" is no number')
+    return float(value)
+
+
+def _read_mapping(path: Path) -> dict[str, Any]:
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        for key in (names := [key for key, _ in pairs]):
+            if names.count(key) > 1:
+                raise TorsoError(f"{path.name}: {key[:40]!r} stands there twice")
+        return dict(pairs)
+
+    try:
+        if path.stat().st_size > MOST_MAPPING_BYTES:
+            raise TorsoError(f"{path.name} is no mapping file: larger than {MOST_MAPPING_BYTES / 1e6:g} MB")
+        record = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=once)
+    except OSError as error:
+        raise TorsoError(f"{path}: {(error.strerror or 'unreadable').lower()}") from None
+    except (ValueError, RecursionError) as error:
+        raise TorsoError(f"{path.name} is no JSON ({' '.join(str(error).split())[:100]})") from None
+    if not isinstance(record, dict) or (unknown := [key for key in record if key not in KEYS]):
+        found = f"unknown key {unknown[0][:40]!r}" if isinstance(record, dict) else "no object"
+        raise TorsoError(f"{path.name}: {found}; wanted an object with the keys {', '.join(KEYS)}")
+    return record
+
+
+def _listed(names: list[str], most: int = 6) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

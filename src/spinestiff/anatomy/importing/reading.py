@@ -1,0 +1,70 @@
+"""Surfaces from files people have: STL, OBJ, PLY and VTP, with caps, and one line about what can't be read."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from spinestiff.anatomy.importing.vtp import VtpError, read_vtp
+from spinestiff.anatomy.template.surfaces import Surface
+from spinestiff.errors import TorsoError
+
+SUFFIXES = (".stl", ".obj", ".ply", ".vtp")
+MOST_BYTES = 200_000_000
+MOST_FACES = 2_000_000
+FARTHEST = 1e7  # of a coordinate, in any unit: beyond it, distances are lost in rounding
+
+
+def read_surface(path: Path) -> Surface:
+    """Vertices (n, 3) in the file's unit and axes, and triangles (m, 3), as they stand in the file.
+
+    Raises
+    ------
+    TorsoError : unreadable, empty, too large, not finite, or a triangle names a vertex that isn't there.
+    """
+    kind = path.suffix.lower()
+    if kind not in SUFFIXES:
+        raise TorsoError(f"{path.name}: unknown kind of file; wanted one of {', '.join(SUFFIXES)}")
+    try:
+        size = path.stat().st_size
+        if size > MOST_BYTES:
+            raise TorsoError(f"{path.name} has {size / 1e6:.0f} MB; at most {MOST_BYTES / 1e6:.0f} MB, so thin it out")
+        content = path.read_bytes()
+    except OSError as error:
+        raise TorsoError(f"{path.name}: {(error.strerror or 'unreadable').lower()}") from None
+    if not content.strip():
+        raise TorsoError(f"{path.name} is empty")
+    vertices, faces = _parsed(path, kind, content)
+    if not len(vertices) or not len(faces):
+        raise TorsoError(f"{path.name} holds no triangles")
+    if len(faces) > MOST_FACES:
+        raise TorsoError(f"{path.name} has {len(faces):,} triangles; at most {MOST_FACES:,}, so thin it out")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise TorsoError(f"{path.name}: a triangle names vertex {int(faces.max())}, but there are {len(vertices)}")
+    used = vertices[np.unique(faces)]
+    if not np.isfinite(used).all():
+        raise TorsoError(f"{path.name} has a vertex that is no finite number")
+    if np.abs(used).max() > FARTHEST:
+        raise TorsoError(f"{path.name} has a coordinate of {np.abs(used).max():.3g}; wanted below {FARTHEST:g}")
+    return vertices, faces
+
+
+def _parsed(path: Path, kind: str, content: bytes) -> Surface:
+    if kind == ".vtp":
+        try:
+            return read_vtp(content, MOST_BYTES)
+        except VtpError as error:
+            raise TorsoError(f"{path.name} can't be read as VTP: {error}") from None
+    import trimesh
+
+    try:
+        # From bytes and without a resolver: no material or texture that the file names is looked for.
+        loaded = trimesh.load(io.BytesIO(content), file_type=kind[1:], force="mesh", process=False, skip_materials=True)
+        vertices = np.asarray(loaded.vertices, dtype=float).reshape(-1, 3)
+        faces = np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3)
+    except Exception as error:  # a foreign parser on foreign bytes: whatever it raises, the file is at fault
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise TorsoError(f"{path.name} can't be read as {kind[1:].upper()} ({reason})") from None
+    return vertices, faces

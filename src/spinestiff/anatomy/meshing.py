@@ -1,0 +1,443 @@
+"""Ten-node tetrahedra between a skin and the bones of one's own anatomy: points, Delaunay, carving, MMG, quality gate.
+
+The mesher is a plug-in (entry points of the group ``spinestiff.meshers``); the one that comes along, "mmg", needs the
+extra [mesh]. Shipped torsos need no mesher.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from importlib.util import find_spec
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import Delaunay, QhullError, cKDTree
+
+from spinestiff.anatomy.names import BONES
+from spinestiff.anatomy.solids import dense_points, enclosed
+from spinestiff.anatomy.template.surfaces import Surface, signed_volume
+from spinestiff.anatomy.torso import TET10_EDGES
+from spinestiff.arrays import Floats, Ints
+from spinestiff.errors import TorsoError
+
+GROUP = "spinestiff.meshers"
+NO_MMG = 'meshing needs MMG; install it with pip install "spinestiff[mesh]"'
+DEFAULT_MESHER = "mmg"
+SPACINGS_MM = (12.0, 60.0)
+LEAST_ANGLE_DEG = 5.0
+WANTED_ANGLE_DEG = 10.0
+HAUSDORFF_MM = 3.0  # of the skin from its triangles, where these may change
+TRIES = 6
+VOLUME_TOLERANCE = 0.02
+# Distances as shares of the spacing inside: along a bone and on the skin, as in the template's fine mesh.
+BONE_SHARE, SKIN_SHARE = 1.27, 1.1
+BURIED = 0.16  # of the skin's spacing: how deep a bone's points shall lie, so that no facet bares them
+NEAR = 0.11  # of the spacing: nodes this close to a bone ride on it
+GAP = 1.0 / 3.0  # of the distance to the next bone: how far a bone's tied nodes reach into the gap between the two
+
+_FACES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]  # of a tetrahedron, outward
+
+# Takes corner points (n, 3) mm, tetrahedra (t, 4) that fill the torso and the numbers of points that must stay; gives
+# better points and tetrahedra with about the same boundary.
+Mesher = Callable[[Floats, Ints, Ints], tuple[Floats, Ints]]
+Observer = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class MeshedTissue:
+    """Tissue between skin and bones.
+
+    Attributes
+    ----------
+    nodes : (N, 3) mm. elements : (T, 10). bone_of_node : (N,), -1 = free.
+    mesher : its name. least_angle_deg : the smallest dihedral angle. volume_share : of the skin's volume.
+    """
+
+    nodes: Floats
+    elements: Ints
+    bone_of_node: Ints
+    mesher: str
+    least_angle_deg: float
+    volume_share: float
+
+
+def find_mesher(name: str) -> Mesher:
+    """A mesher by name: "mmg", or one that an installed package offers in the group ``spinestiff.meshers``.
+
+    Raises
+    ------
+    TorsoError : unknown, or what it needs is not installed.
+    """
+    offered = {entry.name: entry for entry in entry_points(group=GROUP)}
+    if name in offered:
+        try:
+            loaded: Mesher = offered[name].load()
+        except Exception as error:  # somebody else's package
+            raise TorsoError(f"mesher '{name}' can't be loaded ({' '.join(str(error).split())[:120]})") from None
+        return loaded
+    if name != DEFAULT_MESHER:
+        raise TorsoError(f"no mesher '{name}'; installed: {', '.join([DEFAULT_MESHER, *sorted(offered)])}")
+    if find_spec("mmgpy") is None:
+        raise TorsoError(NO_MMG)
+    return mmg
+
+
+def mmg(points: Floats, tetrahedra: Ints, required: Ints) -> tuple[Floats, Ints]:
+    """Better tetrahedra by MMG (through mmgpy): required points stay, sizes and the boundary about as they are.
+
+    Raises
+    ------
+    TorsoError : the extra [mesh] is not installed, or MMG fails.
+    """
+    try:
+        import mmgpy
+    except ImportError:
+        raise TorsoError(NO_MMG) from None
+    best: tuple[float, Floats, Ints] | None = None
+    # First inside alone; where that leaves flat elements, the skin's triangles may change, too.
+    for options in ({"nosurf": 1}, {"hausd": HAUSDORFF_MM}):
+        mesh = mmgpy.MmgMesh3D()
+        mesh.set_mesh_size(vertices=len(points), tetrahedra=len(tetrahedra))
+        mesh.set_vertices(np.ascontiguousarray(points, dtype=np.float64))
+        mesh.set_tetrahedra(np.ascontiguousarray(tetrahedra, dtype=np.int32))
+        mesh.set_required_vertices(np.ascontiguousarray(required, dtype=np.int32))
+        try:
+            mesh.remesh(optim=1, verbose=-1, **options)
+        except Exception as error:  # whatever MMG says, another set of points may do
+            raise TorsoError(f"MMG failed ({' '.join(str(error).split())[:120]})") from None
+        found = np.asarray(mesh.get_vertices(), dtype=float), np.asarray(mesh.get_tetrahedra(), dtype=np.int64)
+        angle = float(least_angles(found[0][found[1]]).min())
+        if best is None or angle > best[0]:
+            best = (angle, *found)
+        if angle >= WANTED_ANGLE_DEG:
+            break
+    assert best is not None
+    return best[1:]
+
+
+def mesh_tissue(
+    surfaces: Mapping[str, Surface],
+    skin: Surface,
+    spacing: float,
+    mesher: str = DEFAULT_MESHER,
+    observer: Observer | None = None,
+) -> MeshedTissue:
+    """The tissue inside a skin with nodes in all bones.
+
+    Parameters
+    ----------
+    surfaces : of the 49 bones, closed, world mm, inside the skin. skin : closed, world mm.
+    spacing : wanted distance of corners inside, mm.
+    mesher : name of the mesher. observer : is told each try, in words.
+
+    Raises
+    ------
+    TorsoError : no mesher; no try passes the quality gate; a bone has too few nodes.
+    """
+    low, high = SPACINGS_MM
+    if not low <= spacing <= high:
+        raise TorsoError(f"spacing {spacing:g} mm; wanted {low:g} to {high:g} mm")
+    improve, say = find_mesher(mesher), observer or (lambda line: None)
+    best: tuple[float, Floats, Ints, float] | None = None
+    failures: list[str] = []
+    for attempt in range(TRIES):
+        # Other sizes: quality depends on them by chance.
+        now = spacing * (1.0, 0.95, 1.04, 0.9, 1.08, 0.86)[attempt]
+        say(f"mesh: try {attempt + 1}, {now:.1f} mm between corners")
+        try:
+            points, tetrahedra, required = starting_mesh(surfaces, skin, now, seed=attempt)
+            kept = points[required]
+            points, tetrahedra = improve(points, tetrahedra, required)
+        except (TorsoError, QhullError) as error:
+            if isinstance(error, TorsoError) and "[mesh]" in str(error):
+                raise
+            failures.append(" ".join(str(error).split())[:200])
+            continue
+        if cKDTree(points).query(kept)[0].max() > 1e-6:
+            failures.append("the mesher moved points of the bones")
+            continue
+        volumes = _volumes(points[tetrahedra])
+        tetrahedra = np.where((volumes < 0.0)[:, None], tetrahedra[:, [1, 0, 2, 3]], tetrahedra)
+        share = float(np.abs(volumes).sum() / signed_volume(skin))
+        angle = float(least_angles(points[tetrahedra]).min())
+        if abs(share - 1.0) > VOLUME_TOLERANCE:
+            failures.append(f"the mesh has {share:.1%} of the skin's volume")
+            continue
+        if best is None or angle > best[0]:
+            best = (angle, points, tetrahedra, share)
+        if angle >= LEAST_ANGLE_DEG:
+            break
+        failures.append(f"smallest dihedral angle {angle:.1f} degrees")
+    if best is None or best[0] < LEAST_ANGLE_DEG:
+        why = failures[-1] if failures else "nothing tried"
+        raise TorsoError(
+            f"no mesh with dihedral angles above {LEAST_ANGLE_DEG:g} degrees in {TRIES} tries (last: {why}); "
+            "try another --spacing, or a smoother skin"
+        )
+    angle, points, tetrahedra, share = best
+    nodes, elements, bones = tied_quadratic(points, tetrahedra, surfaces, NEAR * spacing)
+    counts = np.bincount(bones[bones >= 0], minlength=len(BONES))
+    if counts.min() < 3:
+        few = BONES[int(np.argmin(counts))]
+        raise TorsoError(
+            f"{few} has {int(counts.min())} nodes of the mesh in it, wanted 3 or more; use a smaller --spacing"
+        )
+    return MeshedTissue(nodes, elements, bones, mesher, angle, share)
+
+
+def starting_mesh(
+    surfaces: Mapping[str, Surface], skin: Surface, spacing: float, seed: int = 0
+) -> tuple[Floats, Ints, Ints]:
+    """Corner points (n, 3), tetrahedra (t, 4) down to the skin, and the numbers of the points in bones."""
+    rng = np.random.default_rng(seed)
+    skin_spacing = SKIN_SHARE * spacing
+    shell = dense_points(skin, 0.2 * skin_spacing)
+    depth_tree = cKDTree(shell)
+    bony: list[Floats] = []
+    for name in BONES:
+        others = np.vstack([np.zeros((0, 3)), *bony])
+        found = _bone_points(surfaces[name], BONE_SHARE * spacing, others, depth_tree, BURIED * skin_spacing)
+        if not len(found):
+            raise TorsoError(f"{name} is too thin to hold a point of the mesh; is its surface closed?")
+        bony.append(found)
+    bones = np.vstack(bony)
+    # The corners of the skin stand a little outside it: that makes up for the facets' cutting of its curves.
+    outer = _farthest(shell, np.zeros((0, 3)), skin_spacing)
+    normals = _normals(skin, outer)
+    outer = outer + 0.0014 * skin_spacing**2 * normals
+    grid = _lattice(skin[0].min(0), skin[0].max(0), 0.28 * spacing)
+    grid = grid[enclosed(skin, grid)]
+    grid = grid[depth_tree.query(grid)[0] > 0.55 * skin_spacing]
+    fill = _farthest(grid, bones, spacing)
+    fill = fill + rng.uniform(-0.06, 0.06, fill.shape) * spacing  # regular points give flat tetrahedra
+    points = np.vstack([bones, outer, fill])
+    on_skin = np.zeros(len(points), dtype=bool)
+    on_skin[len(bones) : len(bones) + len(outer)] = True
+    tetrahedra = Delaunay(points, qhull_options="Qbb Qc Qz Q12").simplices.astype(np.int64)
+    tetrahedra = _carved(points, tetrahedra, on_skin, skin, depth_tree)
+    used = np.unique(tetrahedra)
+    number = np.full(len(points), -1)
+    number[used] = np.arange(len(used))
+    required = number[: len(bones)]
+    if (required < 0).any():
+        raise TorsoError("a point of a bone was carved away; is that bone inside the skin?")
+    return points[used], number[tetrahedra], required
+
+
+def _bone_points(surface: Surface, spacing: float, others: Floats, skin: cKDTree, buried: float) -> Floats:
+    # Points a little under the surface, spread out, clear of those in other bones, deep under the skin where possible.
+    vertices, faces = surface
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-12
+    candidates = np.vstack([corners.mean(1) - d * normal for d in (1.3, 2.5, 4.0)])
+    _, first = np.unique(np.floor(candidates / 2.0), axis=0, return_index=True)
+    candidates = candidates[np.sort(first)]
+    found = candidates[enclosed(surface, candidates)]
+    if not len(found):
+        candidates = np.vstack([corners.mean(1) - d * normal for d in (0.2, 0.5)])
+        found = candidates[enclosed(surface, candidates)]
+        if not len(found):
+            return found
+    deep = skin.query(found)[0] > buried
+    if deep.mean() > 0.6:
+        found = found[deep]
+    if len(others):
+        distance = cKDTree(others).query(found)[0]
+        for clearance in (0.34, 0.28, 0.22, 0.16, 0.1, 0.0):
+            clear = found[distance >= clearance * spacing]
+            if len(clear) > 0.3 * len(found) and np.ptp(clear, axis=0).max() > 0.6 * np.ptp(found, axis=0).max():
+                break
+        found = clear
+    start = found[[np.argmax(np.linalg.norm(found - found.mean(0), axis=1))]]
+    return np.vstack([start, _farthest(found, start, spacing, least=2)])
+
+
+def _farthest(candidates: Floats, chosen: Floats, spacing: float, least: int = 0) -> Floats:
+    # Candidates one by one, each the farthest from all before, until none is ``spacing`` away.
+    added: list[Floats] = []
+    if not len(candidates):
+        return np.zeros((0, 3))
+    distance = cKDTree(chosen).query(candidates)[0] if len(chosen) else np.full(len(candidates), np.inf)
+    while True:
+        worst = int(np.argmax(distance))
+        if (distance[worst] < spacing and len(added) >= least) or distance[worst] < 1e-9:
+            return np.array(added).reshape(-1, 3)
+        added.append(candidates[worst])
+        distance = np.minimum(distance, np.linalg.norm(candidates - candidates[worst], axis=1))
+
+
+def _normals(skin: Surface, points: Floats) -> Floats:
+    # Unit, outward, of the triangle whose middle is nearest.
+    corners = skin[0][skin[1]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-12
+    return normal[cKDTree(corners.mean(1)).query(points)[1]]
+
+
+def _lattice(low: Floats, high: Floats, step: float) -> Floats:
+    axes = [np.arange(a, b, step) for a, b in zip(low, high)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+
+
+def _carved(points: Floats, tetrahedra: Ints, on_skin: np.ndarray, skin: Surface, shell: cKDTree) -> Ints:
+    # Tetrahedra between four corners of the skin come off where they lie outside it or flat on it; no bone is bared.
+    # Where the boundary would pinch, they stay.
+    corners = points[tetrahedra]
+    middle = corners.mean(1)
+    depth = shell.query(middle)[0] * np.where(enclosed(skin, middle), 1.0, -1.0)
+    angle = least_angles(corners)
+    wanted = on_skin[tetrahedra].all(1) & ((depth < -0.5) | (angle < 9.0) & (depth < 6.0) | (angle < 2.0))
+    flat = np.abs(_volumes(corners)) < 1e-3
+    alive = ~wanted
+    while True:
+        pinched = _pinched(tetrahedra[alive], len(points))
+        back = ~alive & pinched[tetrahedra].any(1) & ~flat
+        if not back.any():
+            break
+        alive |= back
+    alive &= ~flat
+    _peel(tetrahedra, alive, wanted, depth)
+    # What hangs on by less than a face is no tissue.
+    kept = tetrahedra[alive]
+    return kept[_largest(kept)]
+
+
+def _peel(tetrahedra: Ints, alive: np.ndarray, wanted: np.ndarray, depth: Floats) -> None:
+    # What is still wanted off goes one by one, from outside inwards, where the boundary stays a closed surface.
+    while True:
+        kept = np.flatnonzero(alive)
+        faces = tetrahedra[kept][:, _FACES].reshape(-1, 3)
+        _, first, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
+        outer = first[count == 1]
+        corners = set(faces[outer].ravel().tolist())
+        edges = {frozenset(e) for f in faces[outer].tolist() for e in ((f[0], f[1]), (f[1], f[2]), (f[2], f[0]))}
+        exposed: dict[int, list[list[int]]] = {}
+        for face, owner in zip(faces[outer].tolist(), kept[outer // 4].tolist()):
+            if wanted[owner]:
+                exposed.setdefault(owner, []).append(face)
+        ready = sorted(
+            (k for k, bare in exposed.items() if _removable(tetrahedra[k].tolist(), bare, corners, edges)),
+            key=lambda k: depth[k],
+        )
+        touched: set[int] = set()
+        for k in ready:
+            mine = tetrahedra[k].tolist()
+            if touched.isdisjoint(mine):
+                alive[k] = False
+                touched.update(mine)
+        if not ready:
+            return
+
+
+def _removable(corner: list[int], bare: list[list[int]], corners: set[int], edges: set[frozenset[int]]) -> bool:
+    # Whether a tetrahedron with faces ``bare`` on the boundary can come off without pinching it.
+    if len(bare) == 1:
+        return (set(corner) - set(bare[0])).isdisjoint(corners)
+    if len(bare) == 2:
+        return frozenset(set(corner) - set(bare[0]) & set(bare[1])) not in edges
+    return len(bare) == 3  # a tip: its outermost corner goes with it
+
+
+def _largest(tetrahedra: Ints) -> np.ndarray:
+    # (t,) bool, in the largest part that hangs together by faces.
+    faces = np.sort(tetrahedra[:, _FACES].reshape(-1, 3), axis=1)
+    _, inverse = np.unique(faces, axis=0, return_inverse=True)
+    order = np.argsort(inverse.ravel(), kind="stable")
+    same = np.flatnonzero(np.diff(inverse.ravel()[order]) == 0)
+    a, b = order[same] // 4, order[same + 1] // 4
+    graph = coo_array((np.ones(len(a)), (a, b)), shape=(len(tetrahedra), len(tetrahedra)))
+    part = connected_components(graph, directed=False)[1]
+    return np.asarray(part == np.argmax(np.bincount(part)))
+
+
+def boundary(tetrahedra: Ints) -> Ints:
+    """(s, 3) outward faces that belong to one tetrahedron."""
+    faces = tetrahedra[:, _FACES].reshape(-1, 3)
+    _, first, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
+    return faces[np.sort(first[count == 1])]
+
+
+def _pinched(tetrahedra: Ints, count: int) -> np.ndarray:
+    # (count,) bool, corners around which the boundary is more than one fan, or an edge of which has four faces.
+    faces = boundary(tetrahedra)
+    f = len(faces)
+    edges = np.stack([faces, np.roll(faces, -1, axis=1)], -1).reshape(
+        -1, 2
+    )  # edge 3 i + k runs from corner k of face i
+    low, high = edges.min(1), edges.max(1)
+    order = np.lexsort((high, low))
+    key = (low * count + high)[order]
+    pairs, times = np.unique(key, return_counts=True)
+    same = np.flatnonzero(key[1:] == key[:-1])
+    rows, columns = [], []
+    for end in (0, 1):
+        # The slot (face, corner) at the lower or the higher end of each edge, joined across the edge.
+        at_low = edges[:, 0] == low
+        here = at_low if end == 0 else ~at_low
+        slot = np.where(here, np.arange(3 * f), 3 * (np.arange(3 * f) // 3) + (np.arange(3 * f) % 3 + 1) % 3)[order]
+        rows.append(slot[same])
+        columns.append(slot[same + 1])
+    graph = coo_array((np.ones(2 * len(same)), (np.concatenate(rows), np.concatenate(columns))), shape=(3 * f, 3 * f))
+    fan = connected_components(graph, directed=False)[1]
+    fans = np.unique(np.stack([faces.ravel(), fan], -1), axis=0)[:, 0]
+    pinched = np.bincount(fans, minlength=count) > 1
+    heavy = pairs[times > 2]
+    pinched[heavy // count] = pinched[heavy % count] = True
+    return pinched
+
+
+def _volumes(p: Floats) -> Floats:
+    return np.einsum("ti,ti->t", p[:, 1] - p[:, 0], np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 0])) / 6.0
+
+
+def least_angles(p: Floats) -> Floats:
+    """(t,) degrees, the smallest dihedral angle of tetrahedra (t, 4, 3), or the smallest supplement of one."""
+    normals = np.stack(
+        [np.cross(p[:, b] - p[:, a], p[:, c] - p[:, a]) for a, b, c in ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))], 1
+    )
+    normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
+    cosines = np.abs([np.einsum("ti,ti->t", normals[:, i], normals[:, j]) for i in range(4) for j in range(i)])
+    return np.degrees(np.arccos(np.clip(cosines.max(0), 0.0, 1.0)))
+
+
+def tied_quadratic(
+    points: Floats, tetrahedra: Ints, surfaces: Mapping[str, Surface], near: float
+) -> tuple[Floats, Ints, Ints]:
+    """Nodes, ten-node elements and the bone of each node.
+
+    What lies in a bone, or within ``near`` mm of its surface, is tied to it; of several bones to the one it lies
+    deepest in. Nodes of the skin stay free, and so does the middle of a gap between two bones (``GAP``): tied
+    across, it would weld them.
+    """
+    edges = np.sort(tetrahedra[:, np.array(TET10_EDGES)].reshape(-1, 2), axis=1)
+    unique, inverse = np.unique(edges, axis=0, return_inverse=True)
+    nodes = np.vstack([points, points[unique].mean(1)])
+    elements = np.hstack([tetrahedra, len(points) + inverse.reshape(-1, 6)])
+    owner = np.full(len(nodes), -1)
+    outside, other = np.full(len(nodes), np.inf), np.full(len(nodes), np.inf)
+    reach = near / GAP
+    for index, name in enumerate(BONES):
+        surface = surfaces[name]
+        low, high = surface[0].min(0) - reach, surface[0].max(0) + reach
+        close = np.flatnonzero(((nodes >= low) & (nodes <= high)).all(1))
+        if not len(close):
+            continue
+        distance = cKDTree(dense_points(surface, 1.5)).query(nodes[close], distance_upper_bound=2.0 * reach + 20.0)[0]
+        distance = np.where(enclosed(surface, nodes[close]), -distance, distance)
+        mine = distance < outside[close]
+        nearer = close[mine]
+        other[nearer] = outside[nearer]
+        owner[nearer], outside[nearer] = index, distance[mine]
+        other[close[~mine]] = np.minimum(other[close[~mine]], distance[~mine])
+    bones = np.where((outside <= near) & (outside <= np.maximum(GAP * other, 0.0)), owner, -1)
+    faces = boundary(tetrahedra)
+    rim = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    skin = np.zeros(len(nodes), dtype=bool)
+    skin[faces] = True
+    skin[len(points) :] = np.isin(unique @ [len(points), 1], rim @ [len(points), 1])
+    bones[skin] = -1
+    return nodes, elements, bones

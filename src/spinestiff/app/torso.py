@@ -1,0 +1,98 @@
+"""``spinestiff torso``: import one's own bones, export a torso for other programs, show what is in one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from spinestiff.errors import TorsoError
+
+torso = typer.Typer(
+    name="torso", help="Torsos of one's own bones, and torsos for other programs.", no_args_is_help=True,
+    rich_markup_mode=None,
+)  # fmt: skip
+
+TorsoFile = Annotated[Path | None, typer.Argument(help="Torso file (torso.npz); the template if left out.")]
+TemplateHeight = Annotated[float, typer.Option("--height", help="Body height of the template, cm.")]
+TemplateMesh = Annotated[str, typer.Option("--mesh", help="Mesh of the template: coarse or fine.")]
+
+
+@torso.command("import")
+def import_(
+    folder: Annotated[Path, typer.Argument(help="Bone meshes: STL, OBJ, PLY, VTP.")],
+    out: Annotated[Path, typer.Option(help="New folder for torso.npz, torso.json and torso.png.")],
+    mapping: Annotated[Path | None, typer.Option(help="Which file is which bone (docs/your-own-anatomy.md).")] = None,
+    unit: Annotated[str | None, typer.Option(help="mm, cm or m; found if left out.")] = None,
+    axes: Annotated[
+        str | None, typer.Option(help="Where the files' x, y, z point, e.g. LPS; found if left out.")
+    ] = None,
+    skin: Annotated[Path | None, typer.Option(help="Closed skin mesh; generated if left out.")] = None,
+    spacing: Annotated[float, typer.Option(help="Distance of the tissue mesh's corners, mm.")] = 28.0,
+    height: Annotated[float | None, typer.Option(help="Body height, cm; from the spine's length if left out.")] = None,
+    mesher: Annotated[str, typer.Option(help="mmg (extra [mesh]), or an installed plug-in's name.")] = "mmg",
+) -> None:
+    """Make a torso of one's own bone meshes; says unit, axes and repairs, and refuses what it can't trust."""
+    from spinestiff.anatomy.importing import import_torso
+    from spinestiff.app.progress import progress
+    from spinestiff.study.imported import write_imported
+
+    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
+        raise TorsoError(f"{out} exists and is not empty; name a new folder")
+    with progress() as say:
+        found = import_torso(
+            folder, mapping=mapping, unit=unit, axes=axes, skin=skin, spacing_mm=spacing, height_cm=height,
+            mesher=mesher, observer=say,
+        )  # fmt: skip
+        say("write: torso, summary and picture")
+        write_imported(found, out)
+    typer.echo(f"{found.placement}")
+    for line in found.repairs:
+        typer.echo(f"repaired: {line}")
+    for line in found.notes:
+        typer.echo(f"note: {line}")
+    tissue = found.tissue
+    typer.echo(f"mesh: {tissue.mesher}, smallest dihedral angle {tissue.least_angle_deg:.1f} degrees")
+    _show(found.torso)
+    typer.echo(f"torso: {out / 'torso.npz'}\nlook:  {out / 'torso.png'}")
+
+
+@torso.command()
+def export(
+    file: TorsoFile = None,
+    kind: Annotated[str, typer.Option("--format", help="vtu, glb, osim, mjcf, feb or mrk.")] = "vtu",
+    out: Annotated[
+        Path | None, typer.Option(help="The file to write; torso with the format's ending if left out.")
+    ] = None,
+    height: TemplateHeight = 157.0,
+    mesh: TemplateMesh = "coarse",
+) -> None:
+    """Write a torso at rest for another program; says what that format leaves out."""
+    from spinestiff.anatomy.export import FORMATS, export_torso
+
+    if kind not in FORMATS:
+        raise TorsoError(f"unknown format '{kind}'; known are {', '.join(FORMATS)}")
+    chosen = FORMATS[kind]
+    path = export_torso(_torso(file, height, mesh), out or Path(f"torso{chosen.suffix}"), kind)
+    typer.echo(f"{path}: for {chosen.purpose}; leaves out or changes: {chosen.leaves_out}")
+
+
+@torso.command()
+def show(file: TorsoFile = None, height: TemplateHeight = 157.0, mesh: TemplateMesh = "coarse") -> None:
+    """How many bones, joints and nodes a torso has, and how large it is."""
+    _show(_torso(file, height, mesh))
+
+
+def _torso(file: Path | None, height: float, mesh: str) -> Any:
+    from spinestiff.anatomy.files import read_torso
+    from spinestiff.anatomy.template import template_torso
+
+    return template_torso(height, mesh) if file is None else read_torso(file)
+
+
+def _show(model: Any) -> None:
+    from spinestiff.study.imported import torso_facts
+
+    for name, value in torso_facts(model).items():
+        typer.echo(f"{name}: {value}")

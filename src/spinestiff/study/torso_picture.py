@@ -1,0 +1,101 @@
+"""A picture of a torso for people: skin, bones and joints from the front, the side and behind, at true proportions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats
+
+# title, world axis and sign that runs to the right of the page, direction towards the viewer
+View = tuple[str, int, float, tuple[float, float, float]]
+FRONT: View = ("front", 0, 1.0, (0.0, 0.0, 1.0))
+SIDE: View = ("patient's right side", 2, 1.0, (-1.0, 0.0, 0.0))
+REAR: View = ("rear", 0, -1.0, (0.0, 0.0, -1.0))
+COLOURS = {
+    "R": "#e3d5b0",
+    "T": "#f0e2b6",
+    "L": "#f0dca0",
+    "p": "#dcc39a",
+    "s": "#b9c8d6",
+    "c": "#b4cdb0",
+    "h": "#d3b1ab",
+}
+LANDSCAPE, DPI = (17.0, 9.0), 80
+
+
+def _colour(name: str) -> tuple[float, float, float]:
+    return to_rgb("#cdb4c6" if name == "sternum" else COLOURS[name[0]])
+
+
+def draw_skin(ax: Axes, torso: TorsoModel, across: int, sign: float) -> None:
+    """The outline of the skin as a grey area."""
+    skin = torso.tissue.rest_positions[torso.tissue.boundary_faces()[:, :3]]
+    flat: Any = np.stack([sign * skin[..., across], skin[..., 1]], -1)
+    ax.add_collection(PolyCollection(flat, facecolors="#eeeef2", edgecolors="#eeeef2", linewidths=0.3))
+    ax.set_aspect("equal")
+    ax.set_xlim(flat[..., 0].min() - 15, flat[..., 0].max() + 15)
+    ax.set_ylim(flat[..., 1].min() - 15, flat[..., 1].max() + 15)
+    ax.tick_params(labelsize=7)
+
+
+def draw_bones(ax: Axes, torso: TorsoModel, view: View, alpha: float = 1.0) -> None:
+    """The bones, shaded and sorted by depth."""
+    _, across, sign, viewer = view
+    direction = np.array(viewer)
+    polygons: list[Any] = []
+    depth, colours = [], []
+    for index, name in enumerate(torso.bone_names):
+        p = torso.surface_positions(torso.rest_pose, index)[torso.bone_surfaces[index].faces]
+        normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+        facing = normal @ direction / (np.linalg.norm(normal, axis=1) + 1e-12)
+        p, facing = p[facing > 0.0], facing[facing > 0.0]
+        polygons.append(np.stack([sign * p[..., across], p[..., 1]], -1))
+        depth.append(p.mean(1) @ direction)
+        colours.append(np.array(_colour(name)) * (0.30 + 0.70 * facing[:, None]))
+    order = np.argsort(np.concatenate(depth))
+    colour = np.concatenate(colours)[order]
+    colour = alpha * colour + (1.0 - alpha)
+    shapes: Any = np.concatenate(polygons)[order]
+    ax.add_collection(PolyCollection(shapes, facecolors=colour, edgecolors=colour, linewidths=0.2))
+
+
+def joint_places(torso: TorsoModel) -> tuple[Floats, Floats]:
+    """World centres (J, 3) mm and world_from_joint axes (J, 3, 3)."""
+    joints = torso.joints
+    centres = PointsOnBones(joints.parent, joints.parent_position).positions(torso.rest_pose)
+    return centres, torso.rest_pose.bone_rotations[joints.parent] @ joints.parent_axes
+
+
+def draw_view(ax: Axes, torso: TorsoModel, view: View) -> None:
+    """One view: skin in grey, bones, joint centres as dots."""
+    _, across, sign, _ = view
+    draw_skin(ax, torso, across, sign)
+    draw_bones(ax, torso, view)
+    centres, _ = joint_places(torso)
+    ax.plot(sign * centres[:, across], centres[:, 1], ".", color="#b03030", markersize=2.5)
+
+
+def torso_figure(torso: TorsoModel) -> Figure:
+    """The torso at rest from three sides."""
+    figure = Figure(figsize=LANDSCAPE, layout="constrained")
+    axes = figure.subplots(1, 3, width_ratios=(1.5, 1.0, 1.5))
+    for ax, view in zip(axes, (FRONT, SIDE, REAR)):
+        draw_view(ax, torso, view)
+        ax.set_title(view[0], fontsize=10)
+    axes[0].set_ylabel("mm above the sacral endplate", fontsize=8)
+    return figure
+
+
+def draw_torso(torso: TorsoModel, path: Path) -> None:
+    """Write ``torso_figure`` (PNG)."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    torso_figure(torso).savefig(path, dpi=DPI, pil_kwargs={"optimize": True})

@@ -1,0 +1,134 @@
+import json
+
+import pytest
+
+from spinestiff.anatomy.importing.naming import bone_of_name, find_files
+from spinestiff.anatomy.names import BONES
+from spinestiff.errors import TorsoError
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Empty files, a bone each: naming looks at names alone."""
+    (tmp_path / "bones").mkdir()
+    for name in BONES:
+        (tmp_path / "bones" / f"{name}.stl").touch()
+    return tmp_path / "bones"
+
+
+def mapping(folder, **record):
+    path = folder.parent / "map.json"
+    path.write_text(json.dumps(record))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "bone"),
+    [
+        ("T1", "T1"), ("thoracic12", "T12"), ("vertebrae_L5", "L5"), ("Th3", "T3"), ("lumbar1", "L1"),
+        ("R10_L", "R10_L"), ("rib_left_7", "R7_L"), ("rib3_R", "R3_R"), ("Right Rib 12", "R12_R"),
+        ("clavicula_left", "clavicle_L"), ("scapula_R", "scapula_R"), ("humerus_l", "humerus_L"),
+        ("hip_right", "pelvis"), ("l_pelvis", "pelvis"), ("sacrum", "pelvis"), ("sternum", "sternum"),
+        ("skin", "skin"), ("T13", None), ("L6", None), ("rib13_L", None), ("rib3", None), ("rib_left_3_R", None),
+        ("skull", None), ("femur_left", None), ("C7", None), ("", None), ("l", None),
+    ],
+)  # fmt: skip
+def test_names_people_use(name, bone):
+    assert bone_of_name(name) == bone
+
+
+def test_own_names_need_no_mapping(folder):
+    found = find_files(folder)
+    assert tuple(found.bones) == BONES
+    assert all(paths[0].stem == bone for bone, paths in found.bones.items())
+    assert found.skin is None
+
+
+def test_a_pelvis_in_parts_is_one_bone(folder):
+    (folder / "pelvis.stl").unlink()
+    for name in ("sacrum.stl", "hip_left.ply", "r_pelvis.obj"):
+        (folder / name).touch()
+    assert {path.name for path in find_files(folder).bones["pelvis"]} == {"sacrum.stl", "hip_left.ply", "r_pelvis.obj"}
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        ("skull.stl", "skull.stl: no bone of the torso by this name"),
+        ("vertebra_t5.ply", "T5.stl, vertebra_t5.ply would all be T5"),
+        ("T5.obj", "would all be T5"),
+        ("sacrum.stl", "would all be pelvis"),
+        ("T13.stl", "T13.stl: no bone"),
+    ],
+)
+def test_unknown_and_duplicate_names_are_refused(folder, extra, message):
+    (folder / extra).touch()
+    with pytest.raises(TorsoError, match=message):
+        find_files(folder)
+
+
+def test_a_missing_bone_is_named(folder):
+    (folder / "R7_L.stl").unlink()
+    (folder / "T4.stl").unlink()
+    with pytest.raises(TorsoError, match="no mesh for T4, R7_L; all 49"):
+        find_files(folder)
+
+
+def test_no_folder_and_no_mesh(tmp_path):
+    with pytest.raises(TorsoError, match="no such file"):
+        find_files(tmp_path / "none")
+    with pytest.raises(TorsoError, match="holds no mesh"):
+        find_files(tmp_path)
+
+
+def test_a_mapping_names_ignores_and_leaves_the_rest_to_names(folder):
+    (folder / "T5.stl").rename(folder / "object_17.stl")
+    (folder / "skull.stl").touch()
+    (folder / "body.ply").touch()
+    path = mapping(
+        folder,
+        bones={"T5": "object_17.stl"},
+        ignore=["skull.stl"],
+        skin="body.ply",
+        unit="m",
+        axes="LPS",
+        height_cm=161,
+    )
+    found = find_files(folder, path)
+    assert found.bones["T5"][0].name == "object_17.stl"
+    assert found.skin.name == "body.ply" and found.ignored == ("skull.stl",)
+    assert (found.unit, found.axes, found.height_cm) == ("m", "LPS", 161.0)
+
+
+@pytest.mark.parametrize(
+    ("record", "message"),
+    [
+        ({"bones": {"T5": "none.stl"}}, "no mesh 'none.stl'"),
+        ({"bones": {"T5": "../../secret.stl"}}, "no mesh"),
+        ({"bones": {"T99": "T5.stl"}}, "no bone 'T99'"),
+        ({"bones": {"T5": "T4.stl"}}, "no mesh for T4|would both be T5"),
+        ({"bones": {"T5": "T4.stl", "T4": "T4.stl"}}, "T4.stl stands for both"),
+        ({"bones": {"T5": []}}, "T5: no file named"),
+        ({"bones": ["T5"]}, "no object"),
+        ({"ignore": "T5.stl"}, "no list"),
+        ({"ignore": ["T5.stl"]}, "no mesh for T5"),
+        ({"unit": 3}, '"unit" is no text'),
+        ({"height_cm": "tall"}, "no number"),
+        ({"colour": "red"}, "unknown key 'colour'"),
+        ([1], "no object"),
+    ],
+)
+def test_mappings_that_say_what_is_not_so(folder, record, message):
+    path = folder.parent / "map.json"
+    path.write_text(json.dumps(record))
+    with pytest.raises(TorsoError, match=message):
+        find_files(folder, path)
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"unit": "m", "unit": "mm"}', "[" * 100_000, '{"a": 1e999}', "\xff"])
+def test_mappings_that_are_no_json(folder, text):
+    path = folder.parent / "map.json"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(TorsoError) as caught:
+        find_files(folder, path)
+    assert "\n" not in str(caught.value) and "map.json" in str(caught.value)

@@ -1,0 +1,161 @@
+"""The rules that place joints, asked for the template's own bones: there the right answer is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from spinestiff.anatomy.importing.placing import cut_below, place_joints, rearmost
+from spinestiff.anatomy.importing.repairing import edges_of, repaired
+from spinestiff.anatomy.importing.tubes import centreline, fitted_sphere
+from spinestiff.anatomy.importing.vertebra import measure_vertebra, median_plane
+from spinestiff.anatomy.names import JOINTS, SIDES, VERTEBRAE
+from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.rotation import exp_so3
+from spinestiff.anatomy.solids import dense_points
+from spinestiff.anatomy.template.surfaces import ball, joined, signed_volume, tube
+from spinestiff.errors import TorsoError
+
+SHIFT = np.array([12.0, -300.0, 44.0])
+
+
+@pytest.fixture(scope="module")
+def placed(template_bones):
+    """The template's bones moved, as a user's would be, and what was found on them."""
+    moved = {name: (vertices + SHIFT, faces) for name, (vertices, faces) in template_bones.items()}
+    return place_joints(moved)
+
+
+def turned_deg(a, b):
+    return np.degrees(np.arccos(np.clip((np.einsum("jik,jik->j", a, b) - 1.0) / 2.0, -1.0, 1.0)))
+
+
+def test_joints_lie_where_the_template_has_them(placed, template):
+    skeleton, origin = placed
+    own = PointsOnBones(template.joints.parent, template.joints.parent_position).positions(template.rest_pose)
+    axes = template.rest_pose.bone_rotations[template.joints.parent] @ template.joints.parent_axes
+    assert origin == pytest.approx(SHIFT, abs=2.0)
+    off, turn = np.linalg.norm(skeleton.centres - own, axis=1), turned_deg(axes, skeleton.axes)
+    limits = {"thoracic": (1.0, 2.0), "lumbar": (1.0, 2.0), "rib_vertebra": (5.0, 30.0), "rib_sternum": (5.0, 35.0)}
+    for j, joint in enumerate(JOINTS):
+        far, wide = limits.get(joint.kind, (6.0, 10.0))
+        assert off[j] < far and turn[j] < wide, f"{joint}: {off[j]:.1f} mm, {turn[j]:.0f} degrees"
+    assert np.median(off) < 2.5 and np.median(turn) < 5.0
+
+
+def test_vertebral_bodies_are_measured(placed, template):
+    skeleton, _ = placed
+    for i, name in enumerate(VERTEBRAE):
+        found = skeleton.vertebrae[name]
+        assert found.centre == pytest.approx(template.rest_pose.bone_positions[i], abs=1.0)
+        assert turned_deg(found.axes[None], template.rest_pose.bone_rotations[[i]])[0] < 1.5
+        assert np.abs(found.box - template.vertebra_boxes[i]).max() < 3.0
+        assert np.median(np.abs(found.box - template.vertebra_boxes[i])) < 2.0
+
+
+def test_humeral_heads_and_length(placed, template):
+    skeleton, _ = placed
+    heads = template.landmarks["humerus_head"].positions(template.rest_pose)
+    assert np.abs(skeleton.humerus_heads - heads).max() < 3.0
+    from spinestiff.anatomy.importing.placing import template_column_mm
+
+    assert skeleton.column_mm == pytest.approx(template_column_mm(), rel=0.01)
+
+
+def test_a_turned_and_tilted_vertebra_is_found_as_it_stands(template, template_bones):
+    i = VERTEBRAE.index("T8")
+    vertices, faces = template_bones["T8"]
+    centre = template.rest_pose.bone_positions[i]
+    turn = exp_so3(np.array([0.1, 0.35, -0.3]))  # 6 degrees forward, 20 axially, 17 to the side
+    moved = ((vertices - centre) @ turn.T + centre, faces)
+    found = measure_vertebra("T8", moved, np.array([0.0, 1.0, 0.0]), dense_points(moved, 2.5))
+    assert found.centre == pytest.approx(centre, abs=2.0)
+    assert turned_deg(found.axes[None], (turn @ template.rest_pose.bone_rotations[i])[None])[0] < 2.0
+
+
+def test_the_median_plane_of_a_vertebra_turned_about_its_axis(template, template_bones):
+    i = VERTEBRAE.index("T6")
+    points = dense_points(template_bones["T6"], 2.0) - template.rest_pose.bone_positions[i]
+    turn = exp_so3(np.array([0.0, 0.6, 0.2]))  # 34 degrees about its own axis
+    at, normal = median_plane(points @ turn.T + [5.0, 0.0, 0.0], np.array([0.0, 1.0, 0.0]))
+    assert np.degrees(np.arccos(normal @ turn[:, 0])) < 0.5
+    assert (at - [5.0, 0.0, 0.0]) @ normal == pytest.approx(0.0, abs=0.2)
+
+
+def test_what_is_no_vertebra_is_refused_by_name():
+    rod = tube(np.array([[0.0, 0, -40], [0, 0, 0], [0, 0, 40]]), np.array([4.0, 4.0]), np.array([0.0, 1.0, 0.0]))
+    with pytest.raises(TorsoError, match=r"^T9: "):
+        measure_vertebra("T9", rod, np.array([0.0, 1.0, 0.0]), dense_points(rod, 2.0))
+
+
+def test_a_rib_named_after_another_vertebra_is_refused(template_bones):
+    bones = dict(template_bones)
+    for side in SIDES:
+        bones |= {f"R4_{side}": template_bones[f"R8_{side}"], f"R8_{side}": template_bones[f"R4_{side}"]}
+    with pytest.raises(TorsoError, match=r"^R4_L: its head lies .* mm from T4 .* from T[789]; is its name right"):
+        place_joints(bones)
+
+
+def test_the_centreline_of_a_bent_tube():
+    angle = np.linspace(0.0, 2.2, 40)
+    arc = 80.0 * np.stack([np.cos(angle), 0.1 * angle, np.sin(angle)], -1)
+    found = centreline("R5_L", tube(arc, np.array([4.0, 6.0]), np.array([0.0, 1.0, 0.0])))
+    found = found if np.linalg.norm(found[0] - arc[0]) < np.linalg.norm(found[-1] - arc[0]) else found[::-1]
+    assert np.linalg.norm(found[[0, -1]] - arc[[0, -1]], axis=1).max() < 2.5
+    apart = np.min(np.linalg.norm(found[:, None] - arc[None], axis=-1), axis=1)
+    assert apart.max() < 2.5
+
+
+def test_a_bone_in_two_pieces_has_no_centreline():
+    two = joined(ball(np.zeros(3), 8.0), ball(np.array([60.0, 0.0, 0.0]), 8.0))
+    with pytest.raises(TorsoError, match="R5_L is in pieces"):
+        centreline("R5_L", two)
+
+
+def test_a_sphere_among_other_points():
+    rng = np.random.default_rng(2)
+    on = rng.normal(size=(300, 3))
+    on = np.array([5.0, 6.0, 7.0]) + 21.0 * on / np.linalg.norm(on, axis=1, keepdims=True)
+    centre, radius = fitted_sphere(np.vstack([on, rng.uniform(-40, 60, (150, 3))]), (12.0, 30.0))
+    assert centre == pytest.approx([5.0, 6.0, 7.0], abs=0.05) and radius == pytest.approx(21.0, abs=0.05)
+
+
+def test_a_long_humerus_is_cut_and_closed(template_bones):
+    shaft = tube(
+        np.array([[0.0, 0, 0], [0, -100, 0], [2, -300, 1]]), np.array([10.0, 9.0]), np.array([0.0, 0.0, 1.0]), 12
+    )
+    cut = cut_below(shaft, -60.0)
+    assert cut[0][:, 1].min() == pytest.approx(-60.0)
+    assert repaired("humerus", cut)[1] == []
+    assert signed_volume(cut) == pytest.approx(signed_volume(shaft) * 0.2, rel=0.02)
+    assert len(np.unique(np.sort(edges_of(cut[1]), axis=1), axis=0)) == 1.5 * len(cut[1])
+    assert cut_below(shaft, -400.0) is None
+
+
+def test_rearmost_points_keep_their_distance():
+    points = np.array([[0.0, 0, -9], [1, 0, -8], [50, 0, -7], [0, 0, 5]])
+    assert rearmost(points, 2, 40.0).tolist() == [[0.0, 0, -9], [50, 0, -7]]
+    assert rearmost(points, 1, 0.0).tolist() == [[0.0, 0, -9]]
+
+
+def test_overlapping_vertebrae_are_noted_and_misplaced_ones_refused(template, template_bones, placed):
+    skeleton, _ = placed
+    assert not any("overlap" in note for note in skeleton.notes)
+    vertices, faces = template_bones["T9"]
+    down = -template.rest_pose.bone_rotations[VERTEBRAE.index("T9")][:, 1]
+    some = template_bones | {"T9": (vertices + 9.0 * down, faces)}
+    noted, _ = place_joints(some)
+    assert any("T9 and T10: their bodies overlap by" in note for note in noted.notes)
+    with pytest.raises(TorsoError, match="T9 and T10: their bodies overlap"):
+        place_joints(template_bones | {"T9": (vertices + 19.0 * down, faces)})
+
+
+def test_a_rib_without_cartilage_ends_in_its_joint(template_bones):
+    bones = dict(template_bones)
+    curve = centreline("R5_L", bones["R5_L"])
+    curve = curve if curve[0, 2] < curve[-1, 2] else curve[::-1]
+    bones["R5_L"] = tube(curve[:34], np.array([3.0, 5.0]), np.array([0.0, 1.0, 0.0]))
+    skeleton, origin = place_joints(bones)
+    j = [str(joint) for joint in JOINTS].index("sternum-R5_L")
+    assert np.linalg.norm(skeleton.centres[j] + origin - curve[33]) < 4.0
+    assert any(note.startswith("R5_L ends") and "from sternum" in note for note in skeleton.notes)
