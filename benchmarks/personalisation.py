@@ -49,8 +49,9 @@ from spinestiff.anatomy.template.sizes import VERTEBRA_SIZES
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError
-from spinestiff.imaging.features import VertebraCorners
+from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
+from spinestiff.personalise.image_terms import PediclePoints
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.spines import CURVES, curved_spine, real_spine, rest_vertebrae, torso_from_lps
 
@@ -244,24 +245,20 @@ def pictures_of(truth: Truth, scenario: str, number: int) -> Pictures:
 
 
 def tilt_angles(rotations: Floats) -> Floats:
-    """(17, 2) degrees: coronal tilt (of the left axis in the frontal plane) and sagittal tilt (of the anterior axis)."""
+    """(17, 2) degrees: coronal tilt (of the left axis, in the frontal plane), sagittal tilt (of the anterior axis)."""
     coronal = np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0])
     sagittal = np.arctan2(-rotations[:, 1, 2], rotations[:, 2, 2])
     return np.degrees(np.stack([coronal, sagittal], -1))
 
 
 def largest_cobb(coronal: Floats) -> float:
-    """Signed largest difference of two vertebrae's tilts, upper minus lower, degrees."""
-    upper, lower = np.triu_indices(len(coronal), k=1)
-    angles = coronal[upper] - coronal[lower]
-    return float(angles[np.argmax(np.abs(angles))])
+    """Largest difference of two vertebrae's tilts, degrees; without sign, which jumps where two curves are alike."""
+    return float(coronal.max() - coronal.min())
 
 
 def fixed_cobb(true: Floats, coronal: Floats) -> float:
-    """The same between the true end vertebrae."""
-    upper, lower = np.triu_indices(len(true), k=1)
-    at = int(np.argmax(np.abs(true[upper] - true[lower])))
-    return float(coronal[upper[at]] - coronal[lower[at]])
+    """The difference between the true end vertebrae."""
+    return float(coronal[np.argmax(true)] - coronal[np.argmin(true)])
 
 
 def aligned(positions: Floats, rotations: Floats, truth: Truth) -> tuple[Floats, Floats]:
@@ -294,13 +291,29 @@ def errors_of(truth: Truth, positions: Floats, rotations: Floats, rigid: bool) -
     return record
 
 
+def exact_rmse(torso: TorsoModel, given: Pictures) -> float:
+    """RMSE, at the patient plane, of the fitted against the noiseless corners."""
+    squares = []
+    for name, exact in given.exact.items():
+        view = given.corners[name][1]
+        choice = silhouette_choice(torso, view, torso.rest_pose)
+        seen = state_features(torso, view, torso.rest_pose, choice).corners
+        squares.append(np.sum((seen - exact) ** 2, -1) / view.magnification**2)
+    return float(np.sqrt(np.mean(squares)))
+
+
 def fit_subject(truth: Truth, scenario: str, number: int) -> dict[str, Any]:
     """Fit one subject; the record has "failed" where there is no fit."""
     given = pictures_of(truth, scenario, number)
     template = template_torso(truth.height_cm)
     began = time.perf_counter()
     try:
-        shaped = personalise(template, given.corners)
+        shaped = personalise(
+            template,
+            given.corners,
+            pedicles={name: PediclePoints(*points) for name, points in given.pedicles.items()},
+            geometry="known" if given.known else "estimated",
+        )
     except SpinestiffError as error:
         return {"subject": truth.name, "failed": str(error)}
     seconds = time.perf_counter() - began
@@ -308,6 +321,9 @@ def fit_subject(truth: Truth, scenario: str, number: int) -> dict[str, Any]:
     squares = [shaped.rmse_mm[name] ** 2 * len(corners) for name, (corners, _) in given.corners.items()]
     count = sum(len(corners) for corners, _ in given.corners.values())
     record["corner_rmse_mm"] = [float(np.sqrt(sum(squares) / count))]
+    record["corner_sd_mm"] = [shaped.corner_sd_mm]
+    if given.known:
+        record["exact_corner_rmse_mm"] = [exact_rmse(shaped.torso, given)]
     return {"subject": truth.name, "seconds": seconds, **record}
 
 

@@ -1,0 +1,92 @@
+"""The sizes of a person's own vertebrae: boxes, bone surfaces and the tissue tied to them, the rest left smooth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+
+from spinestiff.anatomy.names import THORACIC
+from spinestiff.anatomy.torso import BoneSurface, TorsoModel, TorsoState
+from spinestiff.arrays import Floats, read_only
+from spinestiff.errors import TorsoError
+from spinestiff.imaging.features import box_sizes
+
+# Factors beyond these belong to another species, or to corners in another unit.
+SIZE_LIMITS = (0.5, 2.0)
+
+
+def resized(torso: TorsoModel, factors: Floats) -> TorsoModel:
+    """The torso with each vertebra scaled along its own axes (left, up, front) about its origin, all bones in place.
+
+    Boxes, bone surfaces and the nodes tied to a vertebra are scaled; free nodes follow harmonically (the graph
+    Laplacian of the elements' edges), so that the mesh stays smooth. Joints and what other bones carry stay.
+
+    Parameters
+    ----------
+    factors : (V, 3), 0.5 to 2.
+
+    Raises
+    ------
+    TorsoError : a factor out of range, or an element turned over.
+    """
+    factors = read_only("size factors", factors, (len(torso.vertebrae), 3), TorsoError)
+    low, high = SIZE_LIMITS
+    if factors.min() < low or factors.max() > high:
+        worst = int(np.argmax(np.abs(np.log(factors)).max(1)))
+        raise TorsoError(
+            f"{torso.vertebrae[worst]} would be {factors[worst].round(2).tolist()} times its size (width, height, "
+            f"depth); wanted {low} to {high}: check corners, pixel spacing and body height"
+        )
+    bones, rest, mesh = torso.vertebra_bones, torso.rest_pose, torso.tissue
+    of_bone = np.ones((len(torso.bone_names), 3))
+    of_bone[bones] = factors
+    surfaces = tuple(
+        BoneSurface(surface.vertices * of_bone[i], surface.faces) if i in bones else surface
+        for i, surface in enumerate(torso.bone_surfaces)
+    )
+    tied, points = np.flatnonzero(mesh.bone_of_node >= 0), torso.tied_nodes
+    moved = np.zeros_like(mesh.rest_positions)
+    turn = rest.bone_rotations[points.bone]
+    moved[tied] = np.einsum("nij,nj->ni", turn, (of_bone[points.bone] - 1.0) * points.offset)
+    moved[mesh.free_nodes] = _harmonic(torso, moved)
+    nodes = mesh.rest_positions + moved
+    return replace(
+        torso,
+        vertebra_boxes=torso.vertebra_boxes * factors[:, None, :],
+        bone_surfaces=surfaces,
+        tissue=replace(mesh, rest_positions=nodes),
+        rest_pose=TorsoState(rest.bone_positions, rest.bone_rotations, nodes[mesh.free_nodes]),
+    )
+
+
+def _harmonic(torso: TorsoModel, values: Floats) -> Floats:
+    """(F, 3) values of the free nodes, each the mean of its neighbours', for those of the tied ones (N, 3)."""
+    mesh = torso.tissue
+    count, elements = len(mesh.rest_positions), mesh.elements
+    a, b = np.triu_indices(elements.shape[1], k=1)
+    rows, columns = elements[:, a].ravel(), elements[:, b].ravel()
+    graph = sp.coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
+    graph = graph + graph.T
+    graph.data[:] = 1.0
+    laplacian = (sp.diags_array(graph.sum(axis=1)) - graph).tocsr()
+    free, tied = mesh.free_nodes, np.flatnonzero(mesh.bone_of_node >= 0)
+    if not len(free):
+        return np.zeros((0, 3))
+    # Tissue that hangs on no bone stays where it is.
+    own = laplacian[free][:, free] + 1e-9 * sp.eye_array(len(free))
+    return np.asarray(spla.splu(sp.csc_matrix(own)).solve(-(laplacian[free][:, tied] @ values[tied])))
+
+
+def pedicle_centres(torso: TorsoModel) -> Floats:
+    """(V, 2, 3) mm in the vertebra's frame: the middles of the left and the right pedicle of this torso's vertebrae.
+
+    As the template's bone surfaces have them (``anatomy.template.vertebrae``): at 0.36 (lumbar: 0.30) of the body's
+    width plus 2 mm aside, 0.18 of its height above the middle, and 5 mm behind the body's rear wall.
+    """
+    width, height, depth = box_sizes(torso).T
+    share = np.where([name in THORACIC for name in torso.vertebrae], 0.36, 0.30)
+    left = np.stack([share * width + 2.0, 0.18 * height, -0.5 * depth - 5.0], -1)
+    return np.stack([left, left * [-1.0, 1.0, 1.0]], 1)
