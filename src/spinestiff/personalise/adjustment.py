@@ -1,9 +1,9 @@
 """The most probable vertebrae: a robust bundle adjustment of poses, sizes and stances under the elastic prior.
 
-Minimised over the vertebrae's poses x, log sizes s and pedicles p, and each view's stance n (Gauss and Newton, with
-weights renewed at every step):
+Minimised over the vertebrae's poses x, what they are in themselves s (log sizes, pedicles' places, tapers) and each
+view's stance n (Gauss and Newton, with weights renewed at every step):
 
-    sum_k rho(|r_k(x, s, p, n)|) + E(x) / ENERGY_SCALE + s . C_s^-1 s / 2 + p . C_p^-1 p / 2 + sum (n / sd_n)^2 / 2
+    sum_k rho(|r_k(x, s, n)|) + E(x) / ENERGY_SCALE + s . C^-1 s / 2 + sum (n / sd_n)^2 / 2
     rho(e) = e^2 / (2 sigma^2) / (1 + (e / c)^2),    c = 4 sigma     (Geman and McClure 1987)
 
 The corners' standard deviation sigma falls from 16 mm by halves to what the residuals themselves show: the image's
@@ -47,7 +47,7 @@ class Adjusted:
     poses : (N, 4) of the views: two shifts (mm), roll and yaw (rad).
     weights : of each view's points (P,), 0 = wrong to 1.
     corner_sd : mm, the corners' standard deviation along one axis.
-    covariance : (12V, 12V), unknowns as ``image_terms.UNKNOWNS``, vertebra by vertebra.
+    covariance : (15V, 15V), unknowns as ``image_terms.UNKNOWNS``, vertebra by vertebra.
     pose_covariance : (4N, 4N) of the views' unknowns; zero where one is held.
     prior_share : (V, 6) of what holds a vertebra's dt and dw, all else fixed, the prior's share.
     """
@@ -147,7 +147,7 @@ class _System:
         size = UNKNOWNS * self.count + len(self.free)
         first = UNKNOWNS * np.arange(self.count)
         self.pose_rows = (first[:, None] + np.arange(6)).ravel()
-        self.own_rows = [first + 6 + k for k in range(6)]
+        self.own_rows = [first + 6 + k for k in range(UNKNOWNS - 6)]
         fixed = np.zeros((size, size))
         fixed[np.ix_(self.pose_rows, self.pose_rows)] = prior.hessian
         for rows, precision in zip(self.own_rows, self.own):
@@ -191,8 +191,7 @@ class _System:
         weight, error2 = np.concatenate(weights), np.concatenate(squares)
         hessian = image + self.fixed
         slope[self.pose_rows] += self.prior.slope(shape)
-        own = np.concatenate([shape.log_sizes, shape.pedicles], axis=1)
-        for rows, precision, values in zip(self.own_rows, self.own, own.T):
+        for rows, precision, values in zip(self.own_rows, self.own, shape.own.T):
             slope[rows] += precision @ values
         slope[UNKNOWNS * self.count :] += (poses / np.where(self.pose_sd > 0.0, self.pose_sd, np.inf) ** 2).ravel()[
             self.free
@@ -212,7 +211,8 @@ class _System:
             positions=shape.positions + own[:, :3],
             rotations=exp_so3(turn) @ shape.rotations,
             log_sizes=shape.log_sizes + own[:, 6:9],
-            pedicles=shape.pedicles + own[:, 9:],
+            pedicles=shape.pedicles + own[:, 9:12],
+            tapers=shape.tapers + own[:, 12:],
         )
         largest = max(float(np.abs(own[:, :3]).max()), 30.0 * float(np.abs(turn).max()))
         return moved, there.reshape(poses.shape), largest

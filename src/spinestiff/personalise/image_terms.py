@@ -1,8 +1,12 @@
 """Image residuals: where a radiograph shows the vertebrae's corners and pedicles, against where a torso has them.
 
-A vertebra of place t, rotation R and log sizes s has the box corner r at ``t + R (exp(s) o r)``. Seen in a view it is
-compared with the annotated corner at the patient plane, in mm. Unlike the features of Eq. 9, which place a box of given
-size, corners are compared one by one: only so do they say how large a vertebra is.
+A vertebra of place t, rotation R, log sizes s and tapers a has the box corner r = (x, y, z) at ``t + R r'`` with
+
+    r' = exp(s) o (x (1 + a_1 sign y), y (1 + a_3 sign z), z (1 + a_2 sign y)):
+
+its upper endplate is a_1 wider and a_2 deeper, its front a_3 higher than its mean. Seen in a view the corner is
+compared with the annotated one at the patient plane, in mm. Unlike the features of Eq. 9, which place a box of given size,
+corners are compared one by one: only so do they say how large a vertebra is.
 """
 
 from __future__ import annotations
@@ -20,9 +24,9 @@ from spinestiff.imaging.projection import XRayView
 from spinestiff.personalise.pose import Stance
 from spinestiff.personalise.sizes import pedicle_centres
 
-# What is known of a vertebra (12): dt (mm), dw (rad), log width, height and depth, and how far its pedicles lie from
-# the template's (mm: outwards, up, front).
-UNKNOWNS = 12
+# What is unknown of a vertebra (15): dt (mm), dw (rad), log width, height and depth, how far its pedicles lie from the
+# template's (mm: outwards, up, front), and three tapers.
+UNKNOWNS = 15
 # Of a view (4): two shifts (mm at the patient plane), roll, yaw (rad).
 VIEW_UNKNOWNS = 4
 
@@ -60,13 +64,19 @@ class PediclePoints:
 class Shape:
     """The vertebrae as a fit moves them.
 
-    positions (V, 3) mm, rotations (V, 3, 3), log sizes (V, 3), pedicles (V, 3) mm: see ``UNKNOWNS``.
+    positions (V, 3) mm, rotations (V, 3, 3), log_sizes (V, 3), pedicles (V, 3) mm, tapers (V, 3): see ``UNKNOWNS``.
     """
 
     positions: Floats
     rotations: Floats
     log_sizes: Floats
     pedicles: Floats
+    tapers: Floats
+
+    @property
+    def own(self) -> Floats:
+        """(V, 9) what a vertebra is in itself: log sizes, pedicles, tapers."""
+        return np.concatenate([self.log_sizes, self.pedicles, self.tapers], axis=1)
 
 
 @dataclass(frozen=True)
@@ -93,13 +103,13 @@ class ImagePoints:
 
     def residuals(self, shape: Shape, pose: Floats) -> Floats:
         """(P, 2) mm at the patient plane, simulated less measured, for a pose (4,) of the view."""
-        points, _ = self._world(shape)
+        points, _, _ = self._world(shape)
         standing = Stance(self.view, pose)
         return np.asarray((self.view.project(standing.moved(points)) - self.measured) / self.view.magnification)
 
     def linearised(self, shape: Shape, pose: Floats) -> tuple[Floats, Floats, Floats]:
-        """Residuals (P, 2), and their derivatives in the vertebra's (P, 2, 12) and in the view's unknowns (P, 2, 4)."""
-        points, local = self._world(shape)
+        """Residuals (P, 2), and their derivatives in the vertebra's (P, 2, 15) and in the view's unknowns (P, 2, 4)."""
+        points, scaled, local = self._world(shape)
         standing = Stance(self.view, pose)
         moved = standing.moved(points)
         seen, slope = self.view.project_with_jacobian(moved)
@@ -108,19 +118,22 @@ class ImagePoints:
         own = np.zeros((len(self), 3, UNKNOWNS))
         own[:, :, :3] = np.eye(3)
         own[:, :, 3:6] = -cross_matrix(points - shape.positions[self.vertebra])
-        scaled = np.exp(shape.log_sizes[self.vertebra]) * self.offset
         own[:, :, 6:9] = rotation * scaled[:, None, :]
-        own[:, :, 9:] = rotation * local[:, None, :]
+        own[:, :, 9:12] = rotation * local[:, None, :]
+        plain = np.exp(shape.log_sizes[self.vertebra]) * self.offset * _taper_signs(self.offset, self.outward)
+        own[:, :, 12:] = (rotation * plain[:, None, :])[:, :, [0, 2, 1]]
         residual = (seen - self.measured) / self.view.magnification
         return residual, slope @ (standing.turn @ own), slope @ standing.jacobian(moved)
 
-    def _world(self, shape: Shape) -> tuple[Floats, Floats]:
-        """(P, 3) mm in the world, and the directions (P, 3) in which a pedicle's own place moves it."""
+    def _world(self, shape: Shape) -> tuple[Floats, Floats, Floats]:
+        """(P, 3) mm in the world, sized offsets (P, 3), and the directions (P, 3) of a pedicle's own place."""
         which = self.vertebra
         pedicle = np.abs(self.outward)
         local = np.stack([self.outward, pedicle, pedicle], -1)
-        offset = np.exp(shape.log_sizes[which]) * self.offset + local * shape.pedicles[which]
-        return shape.positions[which] + np.einsum("pij,pj->pi", shape.rotations[which], offset), local
+        tapered = 1.0 + _taper_signs(self.offset, self.outward) * shape.tapers[which][:, [0, 2, 1]]
+        scaled = np.exp(shape.log_sizes[which]) * self.offset * tapered
+        offset = scaled + local * shape.pedicles[which]
+        return shape.positions[which] + np.einsum("pij,pj->pi", shape.rotations[which], offset), scaled, local
 
 
 def image_points(
@@ -160,4 +173,17 @@ def image_points(
 def shape_of(torso: TorsoModel, state: TorsoState) -> Shape:
     """The torso's vertebrae in a state, at its own sizes."""
     bones, zero = torso.vertebra_bones, np.zeros((len(torso.vertebrae), 3))
-    return Shape(state.bone_positions[bones], state.bone_rotations[bones], zero, zero)
+    return Shape(state.bone_positions[bones], state.bone_rotations[bones], zero, zero, zero)
+
+
+def own_boxes(torso: TorsoModel, shape: Shape) -> Floats:
+    """(V, 8, 3) mm, the torso's boxes at a shape's sizes and tapers."""
+    boxes = torso.vertebra_boxes
+    tapers = shape.tapers[:, None, [0, 2, 1]] * _taper_signs(boxes, np.zeros(boxes.shape[:2]))
+    return np.asarray(np.exp(shape.log_sizes)[:, None] * boxes * (1.0 + tapers))
+
+
+def _taper_signs(offset: Floats, outward: Floats) -> Floats:
+    """(..., 3) by which side of the box the tapers of width, height and depth go; 0 for pedicles."""
+    up, front = np.sign(offset[..., 1]), np.sign(offset[..., 2])
+    return np.stack([up, front, up], -1) * (outward == 0.0)[..., None]

@@ -34,9 +34,10 @@ ENERGY_SCALE = 75.0
 # Springs that hold the pelvis: mm from its origin, N/mm.
 PELVIS_ARM, PELVIS_STIFFNESS = 100.0, 0.1
 # Design values. Log sizes (width, height, depth; height once the spine's length is the person's) vary from person to
-# person and within one; so does, in mm, where pedicles lie (outwards, up, front).
+# person and within one; so does, in mm, where pedicles lie (outwards, up, front), and so do tapers.
 PERSON_SIZE_SD, OWN_SIZE_SD = np.array([0.08, 0.04, 0.08]), 0.04
 PERSON_PEDICLE_SD, OWN_PEDICLE_SD = 2.0, 1.0
+PERSON_TAPER_SD, OWN_TAPER_SD = 0.03, 0.03
 
 
 @dataclass(frozen=True)
@@ -105,8 +106,8 @@ def pelvis_on_springs(torso: TorsoModel) -> Supports:
 
 
 def own_precision(count: int) -> Floats:
-    """(6, V, V) inverse covariances of log width, height and depth and of the pedicles' places over the vertebrae."""
-    person = np.concatenate([PERSON_SIZE_SD, np.full(3, PERSON_PEDICLE_SD)])
-    own = np.concatenate([np.full(3, OWN_SIZE_SD), np.full(3, OWN_PEDICLE_SD)])
+    """(9, V, V) inverse covariances over the vertebrae of what one is in itself (``image_terms.Shape.own``)."""
+    person = np.concatenate([PERSON_SIZE_SD, np.full(3, PERSON_PEDICLE_SD), np.full(3, PERSON_TAPER_SD)])
+    own = np.concatenate([np.full(3, OWN_SIZE_SD), np.full(3, OWN_PEDICLE_SD), np.full(3, OWN_TAPER_SD)])
     covariance = person[:, None, None] ** 2 + own[:, None, None] ** 2 * np.eye(count)
     return np.asarray(np.linalg.inv(covariance), dtype=float)

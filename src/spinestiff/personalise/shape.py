@@ -26,7 +26,15 @@ from spinestiff.mechanics.loads import no_load
 from spinestiff.mechanics.terms import BoneTerm, PointSprings
 from spinestiff.personalise.adjustment import Adjusted, adjust
 from spinestiff.personalise.fitness import VertebraFit, check_pictures, vertebra_fits
-from spinestiff.personalise.image_terms import ImagePoints, PediclePoints, Shape, image_points, shape_of
+from spinestiff.personalise.image_terms import (
+    UNKNOWNS,
+    ImagePoints,
+    PediclePoints,
+    Shape,
+    image_points,
+    own_boxes,
+    shape_of,
+)
 from spinestiff.personalise.pose import ViewPose, posed
 from spinestiff.personalise.prior import elastic_prior, pelvis_on_springs, regulariser
 from spinestiff.personalise.quality import MeshQuality, require_quality
@@ -40,7 +48,7 @@ GEOMETRIES: tuple[Geometry, ...] = ("estimated", "known")
 SHIFT_SD, ROLL_SD, YAW_SD = 200.0, np.deg2rad(0.7), np.deg2rad(3.0)
 # How far a body may be from the template's place in a room of known views, mm and rad, and how far its spine's length
 # from the template's at that height (log).
-PLACE_SD, TURN_SD, LENGTH_SD = 300.0, 0.1, 0.06
+PLACE_SD, TURN_SD, LENGTH_SD = 50.0, 0.1, 0.06
 COARSE_SDS = (50.0, 16.0)
 # Springs at the box corners that bring the vertebrae to their places, N/mm, from loose to tight.
 PULLS = (3.0, 100.0, 1000.0)
@@ -184,7 +192,7 @@ class _Fit:
         points = self.points(base, base, rest, poses)
         first = adjust(points, elastic_prior(problem, rest), shape_of(base, rest), poses, self.pose_sd)
         # Silhouettes were chosen for the template's tilts.
-        sized = resized(base, np.exp(first.shape.log_sizes))
+        sized = replace(resized(base, np.exp(first.shape.log_sizes)), vertebra_boxes=own_boxes(base, first.shape))
         problem = EquilibriumProblem(sized, pelvis_on_springs(sized))
         state = _pulled(problem, sized.rest_pose, first.shape.positions, first.shape.rotations, PULLS)
         self.say(f"moved to the radiographs, corners exact to {first.corner_sd:.2f} mm")
@@ -197,7 +205,7 @@ class _Fit:
         final = adjust(points, elastic_prior(problem, state), start, first.poses, self.pose_sd, AGAIN_SD, self.say)
         state = _pulled(problem, state, final.shape.positions, final.shape.rotations, PULLS[-1:])
         torso = resized(sized.rebased(state), np.exp(final.shape.log_sizes - first.shape.log_sizes))
-        torso = replace(torso, height_cm=template.height_cm)
+        torso = replace(torso, vertebra_boxes=own_boxes(base, final.shape), height_cm=template.height_cm)
         quality = require_quality(torso)
         self.say(str(quality))
         return self.result(torso, final, points, length, quality)
@@ -275,7 +283,7 @@ class _Fit:
             for name, share in zip(torso.vertebrae, final.prior_share)
             if (share > CARRIED).any()
         }
-        rows = (12 * np.arange(len(torso.vertebrae))[:, None] + np.arange(6)).ravel()
+        rows = (UNKNOWNS * np.arange(len(torso.vertebrae))[:, None] + np.arange(6)).ravel()
         return Personalised(
             torso=torso,
             views=views,
@@ -326,8 +334,8 @@ def _carried(shape: Shape, middle: Floats, value: Floats, turn: Floats) -> Shape
 
 
 def _rigid(shape: Shape, middle: Floats, value: Floats) -> Floats:
-    """(V, 12, 7) derivative of a vertebra's unknowns in log length, the body's shift and its turn."""
-    slope = np.zeros((len(shape.positions), 12, 7))
+    """(V, 15, 7) derivative of a vertebra's unknowns in log length, the body's shift and its turn."""
+    slope = np.zeros((len(shape.positions), UNKNOWNS, 7))
     slope[:, :3, 0] = shape.positions - value[1:4]
     slope[:, 6:9, 0] = 1.0
     slope[:, :3, 1:4] = np.eye(3)

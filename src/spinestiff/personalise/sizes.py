@@ -9,7 +9,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from spinestiff.anatomy.names import THORACIC
-from spinestiff.anatomy.torso import BoneSurface, TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TET10_EDGES, BoneSurface, TissueMesh, TorsoModel, TorsoState
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import TorsoError
 from spinestiff.imaging.features import box_sizes
@@ -22,7 +22,8 @@ def resized(torso: TorsoModel, factors: Floats) -> TorsoModel:
     """The torso with each vertebra scaled along its own axes (left, up, front) about its origin, all bones in place.
 
     Boxes, bone surfaces and the nodes tied to a vertebra are scaled; free nodes follow harmonically (the graph
-    Laplacian of the elements' edges), so that the mesh stays smooth. Joints and what other bones carry stay.
+    Laplacian of the elements' edges), so that the mesh stays smooth. A node in the middle of an edge between two bones
+    stays in the middle. Joints and what other bones carry stay.
 
     Parameters
     ----------
@@ -51,8 +52,7 @@ def resized(torso: TorsoModel, factors: Floats) -> TorsoModel:
     moved = np.zeros_like(mesh.rest_positions)
     turn = rest.bone_rotations[points.bone]
     moved[tied] = np.einsum("nij,nj->ni", turn, (of_bone[points.bone] - 1.0) * points.offset)
-    moved[mesh.free_nodes] = _harmonic(torso, moved)
-    nodes = mesh.rest_positions + moved
+    nodes = mesh.rest_positions + _spread(mesh, moved)
     return replace(
         torso,
         vertebra_boxes=torso.vertebra_boxes * factors[:, None, :],
@@ -62,22 +62,32 @@ def resized(torso: TorsoModel, factors: Floats) -> TorsoModel:
     )
 
 
-def _harmonic(torso: TorsoModel, values: Floats) -> Floats:
-    """(F, 3) values of the free nodes, each the mean of its neighbours', for those of the tied ones (N, 3)."""
-    mesh = torso.tissue
-    count, elements = len(mesh.rest_positions), mesh.elements
-    a, b = np.triu_indices(elements.shape[1], k=1)
-    rows, columns = elements[:, a].ravel(), elements[:, b].ravel()
-    graph = sp.coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
+def _spread(mesh: TissueMesh, values: Floats) -> Floats:
+    """(N, 3) values of all nodes for those of the tied ones.
+
+    A free corner has the mean of its neighbours' along edges, a node in an edge's middle that of the edge's ends: so
+    straight elements stay straight, also where an edge runs from one bone to another.
+    """
+    values = np.array(values)
+    corner = np.zeros(len(values), dtype=bool)
+    corner[mesh.elements[:, :4]] = True
+    a, b = np.triu_indices(4, k=1)
+    rows, columns = mesh.elements[:, a].ravel(), mesh.elements[:, b].ravel()
+    graph = sp.coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(values), len(values))).tocsr()
     graph = graph + graph.T
     graph.data[:] = 1.0
     laplacian = (sp.diags_array(graph.sum(axis=1)) - graph).tocsr()
-    free, tied = mesh.free_nodes, np.flatnonzero(mesh.bone_of_node >= 0)
-    if not len(free):
-        return np.zeros((0, 3))
-    # Tissue that hangs on no bone stays where it is.
-    own = laplacian[free][:, free] + 1e-9 * sp.eye_array(len(free))
-    return np.asarray(spla.splu(sp.csc_matrix(own)).solve(-(laplacian[free][:, tied] @ values[tied])))
+    free = np.flatnonzero(corner & (mesh.bone_of_node < 0))
+    tied = np.flatnonzero(corner & (mesh.bone_of_node >= 0))
+    if len(free):
+        # Tissue that hangs on no bone stays where it is.
+        own = laplacian[free][:, free] + 1e-9 * sp.eye_array(len(free))
+        values[free] = spla.splu(sp.csc_matrix(own)).solve(-(laplacian[free][:, tied] @ values[tied]))
+    if mesh.elements.shape[1] == 10:
+        for middle, (first, second) in enumerate(TET10_EDGES, start=4):
+            ends = mesh.elements[:, [first, second]]
+            values[mesh.elements[:, middle]] = values[ends].mean(1)
+    return values
 
 
 def pedicle_centres(torso: TorsoModel) -> Floats:
