@@ -145,7 +145,7 @@ def test_the_reactions_balance_the_push(finished):
 
 def test_every_step_says_what_it_does(finished):
     assert "track: push 'main', frame 4 of 4" in finished.lines
-    assert any(line.startswith("personalise: image weight 300") for line in finished.lines)
+    assert any(line.startswith("personalise: corner sd 16.00 mm") for line in finished.lines)
     first = "estimate: evaluation 0: lateral_bending 0.07, tissue 0.04: RMSE"
     assert any(line.startswith(first) for line in finished.lines)
     assert {line.partition(":")[0] for line in finished.lines} == set(STEPS)

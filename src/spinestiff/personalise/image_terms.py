@@ -5,8 +5,8 @@ A vertebra of place t, rotation R, log sizes s and tapers a has the box corner r
     r' = exp(s) o (x (1 + a_1 sign y), y (1 + a_3 sign z), z (1 + a_2 sign y)):
 
 its upper endplate is a_1 wider and a_2 deeper, its front a_3 higher than its mean. Seen in a view the corner is
-compared with the annotated one at the patient plane, in mm. Unlike the features of Eq. 9, which place a box of given size,
-corners are compared one by one: only so do they say how large a vertebra is.
+compared with the annotated one at the patient plane, in mm. Unlike the features of Eq. 9, which place a box of given
+size, corners are compared one by one: only so do they say how large a vertebra is.
 """
 
 from __future__ import annotations

@@ -190,12 +190,13 @@ class _Fit:
         problem = EquilibriumProblem(base, pelvis_on_springs(base))
         rest = base.rest_pose
         points = self.points(base, base, rest, poses)
-        first = adjust(points, elastic_prior(problem, rest), shape_of(base, rest), poses, self.pose_sd)
+        prior = elastic_prior(problem, rest)
+        first = adjust(points, prior, shape_of(base, rest), poses, self.pose_sd, observer=self.say)
         # Silhouettes were chosen for the template's tilts.
         sized = replace(resized(base, np.exp(first.shape.log_sizes)), vertebra_boxes=own_boxes(base, first.shape))
         problem = EquilibriumProblem(sized, pelvis_on_springs(sized))
         state = _pulled(problem, sized.rest_pose, first.shape.positions, first.shape.rotations, PULLS)
-        self.say(f"moved to the radiographs, corners exact to {first.corner_sd:.2f} mm")
+        self.say("torso moved to the radiographs")
         points = self.points(base, sized, state, first.poses)
         start = replace(
             first.shape,
