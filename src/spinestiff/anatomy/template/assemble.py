@@ -19,7 +19,7 @@ from spinestiff.anatomy.template.girdle import (
     sternum_surface,
 )
 from spinestiff.anatomy.template.pelvis import pelvis_bounds, pelvis_surface
-from spinestiff.anatomy.template.ribs import LeftRib, left_rib, rib_surface
+from spinestiff.anatomy.template.ribs import LeftRib, left_ribs, rib_surface
 from spinestiff.anatomy.template.skin import Skin, build_skin
 from spinestiff.anatomy.template.surfaces import Surface, mirrored, signed_volume, tangents
 from spinestiff.anatomy.template.vertebrae import Spine, build_spine, vertebra_boxes, vertebra_surface
@@ -54,7 +54,7 @@ def build_skeleton() -> Skeleton:
     spine = build_spine()
     girdle = left_girdle(spine)
     skin = build_skin(spine, girdle)
-    ribs = tuple(left_rib(i, spine) for i in range(12))
+    ribs = left_ribs(spine)
     surfaces: dict[str, Surface] = {}
     for i, name in enumerate(VERTEBRAE):
         vertices, faces = vertebra_surface(i)

@@ -121,7 +121,7 @@ def scapula_surface(girdle: LeftGirdle, spine: Spine) -> Surface:
     high = np.interp(along, [0.0, 0.4, 0.7, 1.0], [4.0, 5.0, 4.0, 3.5])
     up = np.array([0.0, 1.0, 0.0])
     ridge = tube(smooth_curve(np.array(ridge_points), 9), np.stack([thick, high], -1), up, 8)
-    beak = np.array([neck + [-6, 12, 2], neck + [-8, 20, 12], neck + [-2, 17, 26], neck + [4, 12, 30]])
+    beak = np.array([neck + [-6, 9, 2], neck + [-8, 14, 12], neck + [-2, 12, 25], neck + [4, 7, 30]])
     coracoid = tube(smooth_curve(beak, 6), np.array([5.0, 5.0]), np.array([0.3, 1.0, 0.0]), 8)
     cup = ball(s.glenoid + np.array([-2.0, 0.0, 0.0]), np.array([5.0, 16.0, 11.0]), 5, 10)
     return joined(blade, ridge, coracoid, cup)

@@ -54,8 +54,8 @@ def left_crest() -> Floats:
 def _left_wing() -> Surface:
     crest = smooth_curve(left_crest(), 13)
     # From the posterior inferior spine over the greater notch and the acetabulum's roof to the anterior inferior spine.
-    foot_points = [(42, -34, -72), (49, -44, -60), (58, -48, -42), (70, -56, -24), (80, -62, -8), (87, -62, 10),
-                   (93, -52, 26), (99, -38, 38)]  # fmt: skip
+    foot_points = [(42, -34, -72), (49, -44, -60), (58, -48, -42), (70, -56, -24), (80, -62, -4), (87, -61, 13),
+                   (93, -52, 28), (99, -38, 39)]  # fmt: skip
     foot = smooth_curve(np.array(foot_points, dtype=float), 13)
     share = np.linspace(0.0, 1.0, 6)[None, :, None]
     sheet = foot[:, None] + share * (crest - foot)[:, None]
@@ -64,40 +64,57 @@ def _left_wing() -> Surface:
 
 
 def _left_lower() -> Surface:
-    acetabulum = np.array([84.0, -74.0, 2.0])
+    # The hip's centre lies before the sacral endplate's: a pelvic tilt of 7 degrees (Mac-Thiong 2004: 7.2).
+    acetabulum = np.array([84.0, -75.0, 9.0])
     cup = ball(acetabulum, np.array([15.0, 24.0, 24.0]), 6, 10)
     up = np.array([0.0, 1.0, 0.0])
+    iliac = tube(
+        smooth_curve(np.array([acetabulum + [-3, 6, -6], (77, -52, -12), (67, -36, -28), (58, -26, -46)]), 6),
+        np.array([[13, 17], [12, 16], [10, 15], [9, 14], [8, 13], [6, 10]], dtype=float),
+        np.array([0.0, 0.4, 1.0]),
+        8,
+    )
     ischium = tube(
-        smooth_curve(np.array([acetabulum + [-2, -8, -12], (74, -106, -24), (62, -132, -22), (54, -142, -8)]), 8),
-        np.array([[13, 13], [12, 12], [10, 11], [10, 11], [11, 12], [12, 13], [10, 12], [7, 8]], dtype=float),
+        smooth_curve(np.array([acetabulum + [-2, -8, -12], (74, -106, -20), (63, -131, -19), (53, -141, -5)]), 8),
+        np.array([[14, 15], [13, 14], [11, 12], [10, 11], [11, 12], [12, 13], [11, 12], [7, 8]], dtype=float),
         np.array([1.0, 0.0, 0.2]),
         8,
     )
     upper = tube(
-        smooth_curve(np.array([acetabulum + [-6, -2, 14], (56, -76, 36), (32, -84, 50), (10, -92, 54)]), 7),
-        np.array([7.0, 7.5]),
+        smooth_curve(np.array([acetabulum + [-6, 0, 14], (60, -72, 40), (34, -74, 53), (12, -80, 57)]), 8),
+        np.array([[12, 12], [10, 10], [8.5, 8.5], [7.5, 7.5], [7, 7.5], [7, 8], [7, 9], [6, 8]]),
         up,
         8,
     )
     body = tube(
-        np.array([(8, -84, 54), (8.5, -98, 50), (10, -112, 42)], dtype=float),
-        np.array([5.0, 8.0]),
+        np.array([(9.5, -72, 57), (10, -82, 56), (10, -94, 52), (10.5, -106, 46)], dtype=float),
+        np.array([[6.5, 5.5], [7.5, 6.5], [7.5, 6.5], [6.5, 5.5]]),
         np.array([0.0, 0.0, 1.0]),
         8,
     )
     lower = tube(
-        smooth_curve(np.array([(10, -108, 44), (28, -126, 28), (46, -140, 6), (54, -142, -8)], dtype=float), 6),
-        np.array([4.5, 7.0]),
+        smooth_curve(np.array([(12, -99, 49), (25, -117, 33), (40, -133, 11), (53, -141, -5)], dtype=float), 7),
+        np.array([[5, 8], [5, 8], [4.5, 7.5], [4.5, 7.5], [5, 8], [5.5, 8], [5, 7]]),
         up,
         8,
     )
-    return joined(cup, ischium, upper, body, lower)
+    return joined(cup, iliac, ischium, upper, body, lower)
+
+
+def _sacral_crest() -> Surface:
+    # The median crest: what is left of the sacral spinous processes.
+    slope = np.deg2rad(sizes.SACRAL_SLOPE_DEG)
+    along, behind = np.array([14.0, 24.0, 38.0, 52.0, 64.0]), np.array([18.0, 20.0, 19.0, 15.0, 10.0])
+    tilt = slope + np.deg2rad(np.array([4.0, 5.0, 7.0, 8.0, 7.0]))
+    points = np.stack([0.0 * along, -along * np.cos(tilt) + behind * np.sin(tilt), 0.0 * along], -1)
+    points[:, 2] = -along * np.sin(tilt) - behind * np.cos(tilt)
+    return tube(points, np.array([[3, 4], [3.5, 6], [3.5, 6], [3, 5], [2, 3]]), np.array([0.0, 0.4, -1.0]), 8)
 
 
 def pelvis_surface() -> Surface:
     """The whole pelvis, world mm (origin: middle of the sacral endplate)."""
     left = joined(_left_wing(), _left_lower())
-    return joined(_sacrum(), left, mirrored(left))
+    return joined(_sacrum(), _sacral_crest(), left, mirrored(left))
 
 
 def pelvis_bounds() -> tuple[float, float]:

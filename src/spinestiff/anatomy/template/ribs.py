@@ -11,7 +11,13 @@ from spinestiff.anatomy.template.surfaces import Surface, arc_length, resampled,
 from spinestiff.anatomy.template.vertebrae import Spine, costotransverse, costovertebral
 from spinestiff.arrays import Floats
 
-SAMPLES = 29  # points of a centreline
+SAMPLES = 37  # points of a centreline
+FLOATING = 10  # from the eleventh rib on
+ARCH = 4  # from the fifth rib on the cartilages bend upwards, side by side
+ARCH_SPACING = {4: 9.5, 5: 9.0, 6: 8.0, 7: 6.5, 8: 6.0, 9: 6.0}  # mm, centreline to that of the cartilage above
+CARTILAGE_HALF_HEIGHT = (3.7, 5.3, 5.3, 4.8, 4.4, 3.8, 2.8, 2.4, 2.4, 2.4)  # mm
+SHORT = 1.5  # mm between a cartilage's end and the middle of its joint
+_OUTWARDS = np.array([0.3, 0.0, 0.95])  # normal of the chest wall beside the sternum
 # Arc lengths scale like the chest: a mean of the three directions' scales, weighted by a rib's run in them.
 ARC_SCALE = 0.79
 BULGES = (0.7, 2.2)
@@ -101,16 +107,43 @@ def _cartilage(level: int, bony: Floats, notch: Floats) -> Floats:
     return (1 - t) ** 3 * start + 3 * t * (1 - t) ** 2 * a + 3 * t**2 * (1 - t) * b + t**3 * notch
 
 
-def left_rib(level: int, spine: Spine) -> LeftRib:
-    """The left rib of pair ``level`` (0 = first)."""
-    rotation, centre = spine.rotations[level], spine.centres[level]
-    head, tubercle = (centre + rotation @ point(level) for point in (costovertebral, costotransverse))
-    bony = _bony_curve(level, head, tubercle)
-    if level >= 10:
-        return LeftRib(head, tubercle, resampled(bony, SAMPLES), 1.0, bony[-1])
-    notch = costal_notches(spine)[level]
-    whole = np.vstack([bony, _cartilage(level, bony, notch)[1:]])
-    return LeftRib(head, tubercle, resampled(whole, SAMPLES), arc_length(bony) / arc_length(whole), notch)
+def _clear_of(above: Floats, curve: Floats, apart: float) -> Floats:
+    # The cartilage moved so that it stays ``apart`` mm below and inwards of the rib above it; its ends stay.
+    from scipy.spatial import cKDTree
+
+    below = np.cross(_OUTWARDS, tangents(above))
+    below /= np.linalg.norm(below, axis=1, keepdims=True)
+    fade = np.minimum(1.0, np.linspace(0.0, 12.0, len(curve)))
+    for _ in range(8):
+        nearest = cKDTree(above).query(curve)[1]
+        across = np.einsum("ni,ni->n", curve - above[nearest], below[nearest])
+        lack = fade * np.maximum(apart - across, 0.0)
+        lack[-1] = 0.0
+        curve = curve + lack[:, None] * below[nearest]
+        middle = 0.25 * curve[:-2] + 0.5 * curve[1:-1] + 0.25 * curve[2:]
+        curve = np.vstack([curve[:1], middle, curve[-1:]])
+    return curve
+
+
+def left_ribs(spine: Spine) -> tuple[LeftRib, ...]:
+    """The left ribs, 1 to 12; a cartilage keeps clear of the one above it."""
+    ribs: list[LeftRib] = []
+    for level in range(12):
+        rotation, centre = spine.rotations[level], spine.centres[level]
+        head, tubercle = (centre + rotation @ point(level) for point in (costovertebral, costotransverse))
+        bony = _bony_curve(level, head, tubercle)
+        if level >= FLOATING:
+            ribs.append(LeftRib(head, tubercle, resampled(bony, SAMPLES), 1.0, bony[-1]))
+            continue
+        notch = costal_notches(spine)[level]
+        cartilage = _cartilage(level, bony, notch)
+        if level >= ARCH:
+            cartilage = _clear_of(resampled(ribs[-1].curve, 400), cartilage, ARCH_SPACING[level])
+        cartilage = cartilage[: -max(1, round(SHORT * len(cartilage) / arc_length(cartilage)))]
+        whole = np.vstack([bony, cartilage[1:]])
+        share = arc_length(bony) / arc_length(whole)
+        ribs.append(LeftRib(head, tubercle, resampled(whole, SAMPLES), share, notch))
+    return tuple(ribs)
 
 
 def rib_surface(rib: LeftRib, level: int) -> Surface:
@@ -130,9 +163,11 @@ def rib_surface(rib: LeftRib, level: int) -> Surface:
         thick, high = thick + 1.6 * neck, high - 1.6 * neck
     if level in (10, 11):
         high = high * np.interp(share, [0.0, 0.6, 1.0], [1.0, 0.9, 0.45])
-    if rib.bony < 1.0 and level >= 6:  # slender cartilages share the costal arch
-        high = high * np.interp(share, [0.0, rib.bony, 1.0], [1.0, 1.0, 0.62])
+    if level < FLOATING:  # cartilages are as thick as their bone but share the height of the sternum's side
+        end = CARTILAGE_HALF_HEIGHT[level]
+        bony = rib.bony
+        high = np.interp(share, [0.0, bony, bony + 0.4 * (1.0 - bony), 1.0], [1.0, 1.0, 0.0, 0.0]) * (high - end) + end
     radii = np.stack([thick, high], -1)
     radii[0] *= 0.8
-    radii[-1] *= 0.8
+    radii[-1] *= 0.7
     return tube(rib.curve, radii, tall, 8)

@@ -96,15 +96,16 @@ ADULT_RIBS = np.array(
 )
 # Chest of the girl over the adult of that table: breadth 24.3 to 29.9 cm, depth 16.2 to 20.8 cm (Heinz 2003's adults
 # and power laws at AnthroKids means); the depth's factor, 0.78, lowered because that adult's chest is deep for her
-# breadth; height as the thoracic spine.
-RIB_SCALE_LATERAL, RIB_SCALE_FORWARD, RIB_SCALE_DOWN = 0.83, 0.68, 0.91
+# breadth; height as the thoracic spine, 0.91, lowered with it: pump-handle angles within 6 degrees of the table.
+RIB_SCALE_LATERAL, RIB_SCALE_FORWARD, RIB_SCALE_DOWN = 0.83, 0.70, 0.87
 RIB_HALF_THICKNESS, RIB_HALF_HEIGHT = 2.7, 5.3  # adult section about 6 x 12 mm
 
 # Sternum: jugular notch below and before the T1-T2 disc; the ten costal notches below it; design after adult
 # proportions (manubrium 45-50, body 95-105 mm; 80 to 90 % of it at 12 years).
 JUGULAR_NOTCH = (-18.0, 49.0)  # (y, z) from the T1-T2 disc
-COSTAL_NOTCHES_DOWN = np.array([9.0, 38.0, 60.0, 82.0, 102.0, 119.0, 131.0, 137.0, 142.0, 146.0])
-COSTAL_NOTCHES_HALF = np.array([17.0, 14.0, 14.0, 15.0, 16.0, 16.0, 14.0, 10.0, 8.0, 6.0])
+# The joint lies between the sternum's border and the end of the cartilage.
+COSTAL_NOTCHES_DOWN = np.array([13.0, 38.0, 60.0, 82.0, 101.0, 116.0, 128.0, 136.0, 143.5, 151.0])
+COSTAL_NOTCHES_HALF = np.array([22.0, 14.0, 14.5, 15.5, 17.0, 16.5, 14.5, 11.0, 9.0, 7.5])
 STERNUM_SLOPE = 0.22  # forward per mm down: 12 degrees (design; adults 15 to 25)
 
 # Shoulder: clavicle 136 mm at 13 years, girls (McGraw 2009); biacromial 34.4 cm (Berkeley, girls of 13);

@@ -78,18 +78,23 @@ def build_skin(spine: Spine, girdle: LeftGirdle) -> Skin:
         (-20.0, 145.0, 98.0, -106.0, -4.0, 2.6),
         (30.0, 138.0, 99.0, -92.0, 2.0, 2.6),  # iliac crests, bi-iliac 26.6 cm
         (y[14], waist, 100.0, z[14] - 74.0, 6.0, 2.5),  # waist, L3
-        (y[11], 130.0, 112.0, z[11] - 78.0, 8.0, 2.6),
-        (y[8], 135.0, 115.0, z[8] - 80.0, 8.0, 2.6),
-        (y[6], 136.0, 113.0, z[6] - 81.0, 6.0, 2.6),  # chest row
-        (shoulder[1] - 76.0, 137.0, 111.0, z[5] - 82.0, 4.0, 2.6),  # axilla
-        (shoulder[1] - 50.0, 152.0, 108.0, z[4] - 84.0, 0.0, 2.6),
-        (shoulder[1] - 28.0, half_shoulder - 8.0, 103.0, z[3] - 84.0, -2.0, 2.6),
-        (shoulder[1] - 6.0, half_shoulder, 97.0, z[2] - 82.0, 0.0, 2.7),
-        (shoulder[1] + 22.0, half_shoulder, 91.0, z[1] - 76.0, 4.0, 2.7),
-        (shoulder[1] + 39.0, half_shoulder - 16.0, 87.0, z[0] - 70.0, 8.0, 2.5),
-        (shoulder[1] + 52.0, 112.0, 82.0, z[0] - 66.0, 10.0, 2.3),
-        (shoulder[1] + 62.0, 72.0, 79.0, z[0] - 64.0, 14.0, 2.2),
-        (shoulder[1] + 76.0, 58.0, 77.0, z[0] - 60.0, 18.0, 2.2),  # base of the neck
+        (y[11], 130.0, 114.0, z[11] - 78.0, 8.0, 2.6),
+        (y[8], 134.5, 117.0, z[8] - 80.0, 8.0, 2.6),
+        (shoulder[1] - 92.0, 136.0, 115.0, -90.0, 6.0, 2.6),  # chest
+        (shoulder[1] - 76.0, 138.5, 113.0, -89.0, 4.0, 2.6),  # axilla
+        (shoulder[1] - 62.0, 146.0, 110.0, -87.0, 2.0, 2.6),
+        (shoulder[1] - 46.0, 160.0, 107.0, -85.0, 0.0, 2.6),
+        (shoulder[1] - 26.0, half_shoulder - 8.0, 103.0, -81.0, -2.0, 2.6),  # the cut through the arm's root
+        (shoulder[1] - 6.0, half_shoulder, 97.0, -74.5, 0.0, 2.7),
+        (shoulder[1] + 8.0, half_shoulder, 94.0, -68.5, 2.0, 2.7),
+        (shoulder[1] + 22.0, half_shoulder - 4.0, 91.0, -61.5, 4.0, 2.7),
+        (shoulder[1] + 32.0, half_shoulder - 12.0, 88.0, -56.0, 6.0, 2.6),  # over the acromion
+        (shoulder[1] + 38.0, 155.0, 86.5, -52.5, 8.0, 2.5),  # from here the slope of trapezius, 20 degrees
+        (shoulder[1] + 46.0, 128.0, 84.5, -48.0, 10.0, 2.4),
+        (shoulder[1] + 55.0, 100.0, 82.0, -43.5, 12.0, 2.3),
+        (shoulder[1] + 64.0, 76.0, 80.0, -40.0, 15.0, 2.2),
+        (shoulder[1] + 72.0, 62.0, 78.0, -37.0, 17.0, 2.2),
+        (shoulder[1] + 78.0, 56.0, 77.0, -35.0, 18.0, 2.2),  # base of the neck
     ]
     columns = np.array(sorted(rows), dtype=float).T
     return Skin(*columns)

@@ -81,7 +81,7 @@ def costotransverse(level: int) -> Floats:
     if level >= 10:  # floating ribs have no such joint; a point on the neck stands for it
         return head + np.array([9.0, -3.5, -9.0])
     tip = transverse_tip(level)
-    return tip + np.array([-1.0, -1.0, 6.5])
+    return tip + np.array([3.0 if level == 1 else 0.5, -1.0, 9.0])
 
 
 def transverse_tip(level: int) -> Floats:
@@ -128,17 +128,17 @@ def _left_arch(level: int) -> Surface:
         np.array([0.0, 1.0, 0.2]),
         6,
     )
-    reach = 0.68 if thoracic else 0.74
+    reach = 0.62 if thoracic else 0.66
     facets = tube(
-        pillar + np.array([[0.0, reach * height, 1.5], [0.0, 0.0, -0.5], [-1.5, -reach * height, -2.5]]),
-        np.array([[2.4, 3.0], [3.4, 4.0], [2.4, 3.0]]),
+        pillar + np.array([[0.0, reach * height, 2.5], [0.0, 0.0, 0.0], [-1.5, -reach * height, -3.5]]),
+        np.array([[2.1, 3.0], [3.2, 4.0], [2.1, 3.0]]),
         np.array([1.0, 0.0, 0.0]),
         6,
     )
     tip = transverse_tip(level)
     process = tube(
-        np.array([pillar + [-1.0, 0.0, 0.5], 0.5 * (pillar + tip), tip - [1.0, 0.0, 0.0], tip + [1.5, 0.0, -0.5]]),
-        np.array([[3.2, 4.5], [2.6, 3.8], [3.2, 4.4], [1.6, 2.4]]) * (1.0 if thoracic else 0.9),
+        np.array([pillar + [-1.0, 0.0, 0.5], 0.5 * (pillar + tip), tip - [1.0, 0.0, 0.0], tip + [0.5, 0.0, -1.0]]),
+        np.array([[3.0, 4.5], [2.4, 3.8], [2.8, 4.4], [1.4, 2.4]]) * (1.0 if thoracic else 0.9),
         np.array([0.0, 1.0, 0.0]),
         6,
     )
