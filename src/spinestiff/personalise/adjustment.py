@@ -4,7 +4,7 @@ Minimised over the vertebrae's poses x, what they are in themselves s (log sizes
 view's stance n (Gauss and Newton, with weights renewed at every step):
 
     sum_k rho(|r_k(x, s, n)|) + E(x) / ENERGY_SCALE + s . C^-1 s / 2 + sum (n / sd_n)^2 / 2
-    rho(e) = e^2 / (2 sigma^2) / (1 + (e / c)^2),    c = 4 sigma     (Geman and McClure 1987)
+    rho(e) = e^2 / (2 sigma^2) / (1 + (e / c)^2),    c = max(4 sigma, 1.5 mm)     (Geman and McClure 1987)
 
 The corners' standard deviation sigma falls from 16 mm by halves to what the residuals themselves show: the image's
 weight 1/sigma^2 is annealed, and a wrong corner is told from the shape that the others agree on (graduated
@@ -26,8 +26,8 @@ from spinestiff.personalise.prior import ElasticPrior, own_precision
 
 # mm at the patient plane.
 FIRST_SD, SD_LIMITS = 16.0, (0.25, 4.0)
-# A residual of this many standard deviations has lost three quarters of its weight.
-CUTOFF = 4.0
+# A residual of this many standard deviations, and of this many mm, has lost three quarters of its weight.
+CUTOFF, LEAST_CUTOFF_MM = 4.0, 1.5
 # Weight below which a point counts as wrong.
 WRONG_WEIGHT = 0.1
 STEPS = 15
@@ -49,7 +49,8 @@ class Adjusted:
     corner_sd : mm, the corners' standard deviation along one axis.
     covariance : (15V, 15V), unknowns as ``image_terms.UNKNOWNS``, vertebra by vertebra.
     pose_covariance : (4N, 4N) of the views' unknowns; zero where one is held.
-    prior_share : (V, 6) of what holds a vertebra's dt and dw, all else fixed, the prior's share.
+    prior_share : (V, 6) the prior's share in what is uncertain of a vertebra's dt and dw, its neighbours fixed: with
+        C = (I + P)^-1 of the image's and the prior's parts, (C P C)_kk / C_kk.
     """
 
     shape: Shape
@@ -176,7 +177,7 @@ class _System:
         for number, (view, pose) in enumerate(zip(self.views, poses)):
             residual, own, nuisance = view.linearised(shape, pose)
             error2 = np.sum(residual**2, axis=1)
-            weight = (1.0 + error2 / (CUTOFF * sd) ** 2) ** -2
+            weight = (1.0 + error2 / max(CUTOFF * sd, LEAST_CUTOFF_MM) ** 2) ** -2
             jacobian = np.zeros((len(view), 2, size))
             columns = UNKNOWNS * view.vertebra[:, None] + np.arange(UNKNOWNS)
             np.put_along_axis(jacobian, np.repeat(columns[:, None], 2, axis=1), own, axis=2)
@@ -222,7 +223,12 @@ class _System:
         size = UNKNOWNS * self.count
         views = np.zeros((self.pose_sd.size, self.pose_sd.size))
         views[np.ix_(self.free, self.free)] = covariance[size:, size:]
-        seen, held = np.diag(normal.image)[self.pose_rows], np.diag(self.prior.hessian)
+        shares = []
+        for first in range(0, size, UNKNOWNS):
+            block = slice(first, first + UNKNOWNS)
+            own = np.linalg.inv(normal.hessian[block, block])
+            # The variance of what both hold together is the sum of what each lets through.
+            shares.append(np.diag(own @ self.fixed[block, block] @ own)[:6] / np.diag(own)[:6])
         ends = np.cumsum([len(view) for view in self.views])[:-1]
         return Adjusted(
             shape,
@@ -231,5 +237,5 @@ class _System:
             sd,
             covariance[:size, :size],
             views,
-            np.asarray(held / (held + seen), dtype=float).reshape(-1, 6),
+            np.array(shares),
         )

@@ -51,11 +51,11 @@ SHIFT_SD, ROLL_SD, YAW_SD = 200.0, np.deg2rad(0.7), np.deg2rad(3.0)
 PLACE_SD, TURN_SD, LENGTH_SD = 50.0, 0.1, 0.06
 COARSE_SDS = (50.0, 16.0)
 # Springs at the box corners that bring the vertebrae to their places, N/mm, from loose to tight.
-PULLS = (3.0, 100.0, 1000.0)
+PULLS, PLACING_PULLS = (30.0, 1000.0), (3.0, 100.0, 1000.0)
 # N; a geometry needs no equilibrium to the last digit.
 SHAPE_TOLERANCE = 1e-3
 AGAIN_SD = 2.0
-# Beyond this the prior holds a vertebra's motion more than its own image does.
+# Beyond this share a vertebra's motion is the prior's more than its own images'.
 CARRIED = 0.5
 
 Observer = Callable[[str], None]
@@ -76,7 +76,7 @@ class Personalised:
     prior_only : vertebrae that no radiograph shows.
     carried : vertebra -> its motions (``MOTIONS``) that the prior determines more than its own images do.
     covariance : (6V, 6V) of the vertebrae's (dt mm, dw rad), vertebra by vertebra.
-    prior_share : (V, 6) of what holds each of them, the prior's share.
+    prior_share : (V, 6) the prior's share in what is uncertain of each (``adjustment.Adjusted``).
     length_scale : the spine's length over the template's at the given height.
     size_scale : (V, 3) width, height and depth of the vertebrae over the template's at the given height.
     corner_sd_mm : standard deviation of the annotated corners along one axis, from their residuals.
@@ -152,7 +152,7 @@ def personalise(
 
 
 def place_vertebrae(
-    torso: TorsoModel, positions: Floats, rotations: Floats, stiffness: Sequence[float] = PULLS
+    torso: TorsoModel, positions: Floats, rotations: Floats, stiffness: Sequence[float] = PLACING_PULLS
 ) -> TorsoModel:
     """The torso with its vertebrae at given 3D poses, ribs, shoulder girdle and tissue carried along, at rest.
 

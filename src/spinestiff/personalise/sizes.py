@@ -10,7 +10,7 @@ import scipy.sparse.linalg as spla
 
 from spinestiff.anatomy.names import THORACIC
 from spinestiff.anatomy.torso import TET10_EDGES, BoneSurface, TissueMesh, TorsoModel, TorsoState
-from spinestiff.arrays import Floats, read_only
+from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import TorsoError
 from spinestiff.imaging.features import box_sizes
 
@@ -19,11 +19,12 @@ SIZE_LIMITS = (0.5, 2.0)
 
 
 def resized(torso: TorsoModel, factors: Floats) -> TorsoModel:
-    """The torso with each vertebra scaled along its own axes (left, up, front) about its origin, all bones in place.
+    """The torso with each vertebra's body scaled along its own axes (left, up, front), all bones in place.
 
-    Boxes, bone surfaces and the nodes tied to a vertebra are scaled; free nodes follow harmonically (the graph
-    Laplacian of the elements' edges), so that the mesh stays smooth. A node in the middle of an edge between two bones
-    stays in the middle. Joints and what other bones carry stay.
+    Boxes, bone surfaces and the nodes tied to a vertebra are scaled; arch and processes keep their size and go along
+    with the body's walls (scaled about its centre, long processes would run into their neighbours). Free nodes follow
+    harmonically (the graph Laplacian of the elements' edges), so that the mesh stays smooth. A node in the middle of an
+    edge between two bones stays in the middle. Joints and what other bones carry stay.
 
     Parameters
     ----------
@@ -42,16 +43,25 @@ def resized(torso: TorsoModel, factors: Floats) -> TorsoModel:
             f"depth); wanted {low} to {high}: check corners, pixel spacing and body height"
         )
     bones, rest, mesh = torso.vertebra_bones, torso.rest_pose, torso.tissue
-    of_bone = np.ones((len(torso.bone_names), 3))
-    of_bone[bones] = factors
+    row_of = np.full(len(torso.bone_names), -1)
+    row_of[bones] = np.arange(len(bones))
+    half = np.abs(torso.vertebra_boxes).mean(1)
+
+    def grown(offset: Floats, row: Ints) -> Floats:
+        # What lies outside the body (arch, processes) goes along with its wall, at its own size.
+        within = np.clip(offset, -half[row], half[row])
+        return np.asarray((factors[row] - 1.0) * within * (row >= 0)[:, None])
+
     surfaces = tuple(
-        BoneSurface(surface.vertices * of_bone[i], surface.faces) if i in bones else surface
-        for i, surface in enumerate(torso.bone_surfaces)
+        surface
+        if row < 0
+        else BoneSurface(surface.vertices + grown(surface.vertices, np.full(len(surface.vertices), row)), surface.faces)
+        for row, surface in zip(row_of.tolist(), torso.bone_surfaces)
     )
     tied, points = np.flatnonzero(mesh.bone_of_node >= 0), torso.tied_nodes
     moved = np.zeros_like(mesh.rest_positions)
     turn = rest.bone_rotations[points.bone]
-    moved[tied] = np.einsum("nij,nj->ni", turn, (of_bone[points.bone] - 1.0) * points.offset)
+    moved[tied] = np.einsum("nij,nj->ni", turn, grown(points.offset, row_of[points.bone]))
     nodes = mesh.rest_positions + _spread(mesh, moved)
     return replace(
         torso,
