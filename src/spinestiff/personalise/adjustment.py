@@ -220,6 +220,7 @@ class _System:
 
     def result(self, shape: Shape, poses: Floats, normal: _Normal, sd: float) -> Adjusted:
         covariance = np.asarray(np.linalg.inv(normal.hessian), dtype=float)
+        covariance = 0.5 * (covariance + covariance.T)
         size = UNKNOWNS * self.count
         views = np.zeros((self.pose_sd.size, self.pose_sd.size))
         views[np.ix_(self.free, self.free)] = covariance[size:, size:]
