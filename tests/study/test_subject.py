@@ -288,6 +288,18 @@ def test_corners_become_millimetres_on_the_detector(folder):
     assert image_corners(read_subject(folder), "rest/lateral", LATERAL).vertebrae[-1] == "T12"
 
 
+def test_the_trunk_by_tape(folder):
+    assert read_subject(folder).record.trunk == {}
+    size = {"breadth_mm": 245, "depth_mm": 172.5}
+    lay_out(folder, subject=changed(SUBJECT, ["trunk"], {"T9": size}))
+    record = read_subject(folder).record
+    assert record.trunk["T9"].depth_mm == 172.5
+    write_subject(folder, record)
+    assert read_subject(folder).record == record
+    lay_out(folder, subject=changed(SUBJECT, ["trunk"], {"T9": {**size, "breadth_mm": 24.5}}))
+    assert "trunk.T9.breadth_mm: found 24.5, wanted greater than or equal to 100" in refusal(folder)
+
+
 PEDICLES = {"T6": [[523, 312], [502, 312.5]], "T5": [[522, 280], [503, 280]]}
 
 

@@ -11,6 +11,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import (
+    FEWEST_CORNERS,
     VertebraCorners,
     check_corners,
     place_boxes,
@@ -101,6 +102,12 @@ def check_pictures(
         seen = view.to_patient_plane(corners.corners.reshape(-1, 2)).reshape(-1, 4, 2)
         bad: list[TrackingError] = []
         for i, vertebra in enumerate(corners.vertebrae):
+            usable = int(corners.usable[i].sum())
+            if usable < FEWEST_CORNERS:
+                raise TrackingError(
+                    f"{vertebra} has {usable} usable corners in the {name} radiograph, wanted at least "
+                    f"{FEWEST_CORNERS}; leave it out"
+                )
             try:
                 check_corners(seen[i : i + 1], boxes[i : i + 1], corners.selected((vertebra,)))
             except TrackingError as error:

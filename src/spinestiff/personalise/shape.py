@@ -39,6 +39,7 @@ from spinestiff.personalise.pose import ViewPose, posed
 from spinestiff.personalise.prior import elastic_prior, pelvis_on_springs, regulariser
 from spinestiff.personalise.quality import MeshQuality, require_quality
 from spinestiff.personalise.sizes import resized
+from spinestiff.personalise.skin import TrunkSize, with_trunk_sizes
 
 Geometry = Literal["estimated", "known"]
 GEOMETRIES: tuple[Geometry, ...] = ("estimated", "known")
@@ -113,6 +114,7 @@ def personalise(
     pedicles: Mapping[str, PediclePoints] | None = None,
     geometry: Geometry = "estimated",
     finer: Callable[[], TorsoModel] | None = None,
+    trunk: Mapping[str, TrunkSize] | None = None,
 ) -> Personalised:
     """Shape ``template`` to annotated rest radiographs (paper 3.1; Koutras 2022's approach).
 
@@ -128,6 +130,7 @@ def personalise(
     geometry : "estimated", the patient may stand otherwise in each view than its geometry says (shift, roll and, in the
         lateral one, yaw); "known", views are exact, as from a calibrated biplanar system.
     finer : makes a template on a finer mesh, tried where this one can't be moved that far.
+    trunk : optional breadths and depths of the trunk by the bone at whose height they were taken; they move the skin.
 
     Raises
     ------
@@ -138,7 +141,7 @@ def personalise(
     if geometry not in GEOMETRIES:
         raise FitError(f"unknown geometry '{geometry}'; wanted one of {', '.join(GEOMETRIES)}")
     check_pictures(template, pictures, pedicles or {})
-    fit = _Fit(pictures, pedicles or {}, geometry == "known", observer or (lambda line: None))
+    fit = _Fit(pictures, pedicles or {}, geometry == "known", trunk or {}, observer or (lambda line: None))
     try:
         return fit.run(template)
     except (EquilibriumError, TorsoError) as error:
@@ -174,9 +177,10 @@ class _Fit:
         pictures: Mapping[str, tuple[VertebraCorners, XRayView]],
         pedicles: Mapping[str, PediclePoints],
         known: bool,
+        trunk: Mapping[str, TrunkSize],
         say: Observer,
     ) -> None:
-        self.pictures, self.pedicles, self.known, self.say = pictures, pedicles, known, say
+        self.pictures, self.pedicles, self.known, self.trunk, self.say = pictures, pedicles, known, trunk, say
         self.names = tuple(pictures)
         sd = np.zeros((len(pictures), 4))
         if not known:
@@ -207,6 +211,7 @@ class _Fit:
         state = _pulled(problem, state, final.shape.positions, final.shape.rotations, PULLS[-1:])
         torso = resized(sized.rebased(state), np.exp(final.shape.log_sizes - first.shape.log_sizes))
         torso = replace(torso, vertebra_boxes=own_boxes(base, final.shape), height_cm=template.height_cm)
+        torso = with_trunk_sizes(torso, self.trunk)
         quality = require_quality(torso)
         self.say(str(quality))
         return self.result(torso, final, points, length, quality)

@@ -62,7 +62,7 @@ def resized(torso: TorsoModel, factors: Floats) -> TorsoModel:
     moved = np.zeros_like(mesh.rest_positions)
     turn = rest.bone_rotations[points.bone]
     moved[tied] = np.einsum("nij,nj->ni", turn, grown(points.offset, row_of[points.bone]))
-    nodes = mesh.rest_positions + _spread(mesh, moved)
+    nodes = mesh.rest_positions + spread(mesh, moved, mesh.bone_of_node >= 0)
     return replace(
         torso,
         vertebra_boxes=torso.vertebra_boxes * factors[:, None, :],
@@ -72,10 +72,10 @@ def resized(torso: TorsoModel, factors: Floats) -> TorsoModel:
     )
 
 
-def _spread(mesh: TissueMesh, values: Floats) -> Floats:
-    """(N, 3) values of all nodes for those of the tied ones.
+def spread(mesh: TissueMesh, values: Floats, told: np.ndarray) -> Floats:
+    """(N, 3) values of all nodes for those (N, 3) of the nodes that are ``told`` (N,).
 
-    A free corner has the mean of its neighbours' along edges, a node in an edge's middle that of the edge's ends: so
+    Any other corner has the mean of its neighbours' along edges, a node in an edge's middle that of the edge's ends: so
     straight elements stay straight, also where an edge runs from one bone to another.
     """
     values = np.array(values)
@@ -87,8 +87,7 @@ def _spread(mesh: TissueMesh, values: Floats) -> Floats:
     graph = graph + graph.T
     graph.data[:] = 1.0
     laplacian = (sp.diags_array(graph.sum(axis=1)) - graph).tocsr()
-    free = np.flatnonzero(corner & (mesh.bone_of_node < 0))
-    tied = np.flatnonzero(corner & (mesh.bone_of_node >= 0))
+    free, tied = np.flatnonzero(corner & ~told), np.flatnonzero(corner & told)
     if len(free):
         # Tissue that hangs on no bone stays where it is.
         own = laplacian[free][:, free] + 1e-9 * sp.eye_array(len(free))

@@ -24,6 +24,7 @@ from spinestiff.imaging.tracking import support_motion, track
 from spinestiff.mechanics.loads import three_point_reactions
 from spinestiff.personalise.image_terms import PediclePoints
 from spinestiff.personalise.shape import Personalised, personalise
+from spinestiff.personalise.skin import TrunkSize
 from spinestiff.study.results import (
     StepRecord,
     changed_inputs,
@@ -189,7 +190,10 @@ def personalise_step(visit: Visit, say: Observer) -> None:
             pedicles[name] = marked
         provenance[name] = dict(picture.provenance)
     finer = partial(template_torso, subject.record.height_cm, "fine") if visit.settings.mesh == "coarse" else None
-    shaped = personalise(template, pictures, say, pedicles=pedicles, finer=finer)
+    trunk: dict[str, TrunkSize] = {
+        level: TrunkSize(size.breadth_mm, size.depth_mm) for level, size in subject.record.trunk.items()
+    }
+    shaped = personalise(template, pictures, say, pedicles=pedicles, finer=finer, trunk=trunk)
     for warning in shaped.warnings:
         say(warning)
     visit.subject.results.mkdir(exist_ok=True)

@@ -181,6 +181,13 @@ class PushRecord(_Record):
         return tuple(i for i, given in enumerate(self.roles) if given == role)
 
 
+class TrunkRecord(_Record):
+    """Horizontal extents of the trunk at a level, by tape or caliper, mm: side to side and front to back."""
+
+    breadth_mm: Annotated[float, Field(ge=100.0, le=600.0)]
+    depth_mm: Annotated[float, Field(ge=80.0, le=500.0)]
+
+
 class SubjectRecord(_Record):
     """``subject.json``: the person, the X-ray geometry and the pushes.
 
@@ -193,6 +200,7 @@ class SubjectRecord(_Record):
     height_cm : standing height.
     xray : geometry where DICOM lacks it.
     pushes : at least one, with at least one training frame under a force.
+    trunk : optional extents of the trunk, by the vertebra at whose height they were taken.
     """
 
     schema_version: Literal[1]
@@ -202,6 +210,7 @@ class SubjectRecord(_Record):
     height_cm: Annotated[float, Field(ge=120.0, le=200.0)]
     xray: XRayRecord = XRayRecord()
     pushes: Annotated[tuple[PushRecord, ...], Field(min_length=1, strict=False)]
+    trunk: dict[VertebraName, TrunkRecord] = {}
 
     @model_validator(mode="after")
     def _can_be_estimated(self) -> Self:
@@ -347,7 +356,10 @@ def read_subject(folder: str | Path) -> Subject:
 
 def write_subject(folder: str | Path, record: SubjectRecord) -> None:
     """Write ``subject.json``."""
-    write_json(Path(folder) / SUBJECT_FILE, record.model_dump(mode="json", exclude_none=True))
+    write_json(
+        Path(folder) / SUBJECT_FILE,
+        record.model_dump(mode="json", exclude_none=True, exclude={"trunk"} if not record.trunk else None),
+    )
 
 
 def read_annotation(path: str | Path) -> Annotation:
