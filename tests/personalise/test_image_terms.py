@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.rotation import exp_so3
+from spinestiff.anatomy.torso import TorsoState
 from spinestiff.errors import TrackingError
-from spinestiff.imaging.features import VertebraCorners, silhouette_choice
+from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
 from spinestiff.imaging.projection import frontal_view, lateral_view
-from spinestiff.personalise.image_terms import UNKNOWNS, PediclePoints, Shape, image_points, shape_of
+from spinestiff.personalise.image_terms import UNKNOWNS, PediclePoints, Shape, image_points, own_boxes, shape_of
 from spinestiff.personalise.pose import posed
 from spinestiff.personalise.sizes import pedicle_centres
 
@@ -98,6 +99,38 @@ def test_derivatives_agree_with_differences(template, see, moved, name):
         step = 1e-6 * np.eye(4)[unknown]
         wanted = (points.residuals(moved, POSE + step) - points.residuals(moved, POSE - step)) / 2e-6
         assert nuisance[:, :, unknown] == pytest.approx(wanted, abs=1e-4)
+
+
+def test_tapers_widen_and_deepen_the_upper_endplate_and_raise_the_front(template):
+    zero = np.zeros((17, 3))
+    sides = template.vertebra_boxes.reshape(17, 2, 2, 2, 3)
+
+    def tapered(which):
+        shape = shape_of(template, template.rest_pose)
+        tapers = zero.copy()
+        tapers[:, which] = 0.1
+        return own_boxes(template, replace(shape, tapers=tapers)).reshape(17, 2, 2, 2, 3) / sides
+
+    above = np.array([1.1, 0.9])[:, None, None] * np.ones((2, 2, 2))
+    front = np.array([1.1, 0.9]) * np.ones((2, 2, 2))
+    for which, axis, wanted in ((0, 0, above), (1, 2, above), (2, 1, front)):
+        found = tapered(which)
+        assert found[..., axis] == pytest.approx(np.broadcast_to(wanted, (17, 2, 2, 2)))
+        assert np.delete(found, axis, -1) == pytest.approx(np.ones((17, 2, 2, 2, 2)))
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_corners_are_those_of_the_shapes_own_boxes(template, see, moved, name):
+    """A torso that has the boxes, seen as any torso is, leaves no residual."""
+    view = VIEWS[name]
+    torso = replace(template, vertebra_boxes=own_boxes(template, moved))
+    poses = [template.rest_pose.bone_positions.copy(), template.rest_pose.bone_rotations.copy()]
+    poses[0][template.vertebra_bones], poses[1][template.vertebra_bones] = moved.positions, moved.rotations
+    state = TorsoState(*poses, template.rest_pose.tissue_positions)
+    choice = silhouette_choice(torso, view, state)
+    corners = VertebraCorners(torso.vertebrae, state_features(torso, view, state, choice).corners)
+    points = image_points(template, view, corners, choice)
+    assert np.abs(points.residuals(moved, np.zeros(4))).max() < 1e-9
 
 
 def test_what_was_not_seen_is_left_out(template, see):
