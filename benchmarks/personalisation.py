@@ -388,6 +388,14 @@ def cohort(table: Path, limit: int | None) -> tuple[list[Truth], dict[str, str]]
     return subjects, skipped
 
 
+def read_log(path: Path | None) -> dict[tuple[str, str], dict[str, Any]]:
+    """Records of an earlier run by scenario and subject."""
+    if path is None or not path.exists():
+        return {}
+    rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return {(row.pop("scenario"), row["subject"]): row for row in rows}
+
+
 def _task(task: tuple[str, Truth, int]) -> dict[str, Any]:
     what, truth, number = task
     return baseline(truth, what, number) if what in BASELINES else fit_subject(truth, what, number)
@@ -402,21 +410,23 @@ def main() -> None:
     parser.add_argument("--subjects", type=int, help="only the first so many spines of the table")
     parser.add_argument("--scenario", nargs="+", choices=(*SCENARIOS, *BASELINES), default=(*SCENARIOS, *BASELINES))
     parser.add_argument("--every", type=int, default=1, help="of scenarios other than known and nuisance")
-    parser.add_argument("--log", type=Path, help="every subject's record, a line each")
+    parser.add_argument("--log", type=Path, help="a line a fit; a run that was stopped goes on where it was")
     arguments = parser.parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     subjects, skipped = cohort(arguments.spines, arguments.subjects)
     results: dict[str, Any] = {}
-    log = arguments.log.open("w", encoding="utf-8") if arguments.log else None
+    known = read_log(arguments.log)
     with ProcessPoolExecutor(arguments.jobs) as pool:
         for scenario in arguments.scenario:
-            rows = []
             step = 1 if scenario in (*BASELINES, "known", "nuisance") else arguments.every
             tasks = [(scenario, truth, number) for number, truth in enumerate(subjects)][::step]
-            for row in pool.map(_task, tasks) if arguments.jobs > 1 else map(_task, tasks):
-                rows.append(row)
-                if log:
-                    print(json.dumps({"scenario": scenario, **row}), file=log, flush=True)
+            todo = [task for task in tasks if (scenario, task[1].name) not in known]
+            for row in pool.map(_task, todo) if arguments.jobs > 1 else map(_task, todo):
+                known[scenario, row["subject"]] = row
+                if arguments.log:
+                    with arguments.log.open("a", encoding="utf-8") as log:
+                        print(json.dumps({"scenario": scenario, **row}), file=log)
+            rows = [known[scenario, truth.name] for _, truth, _ in tasks]
             results[scenario] = summary(rows)
             if not arguments.json:
                 print(scenario, json.dumps(results[scenario]), flush=True)
