@@ -58,6 +58,13 @@ def test_nothing_measured_changes_nothing(template):
     assert with_trunk_sizes(template, {}) is template
 
 
+def test_a_skin_inside_the_ribs_is_refused(template):
+    own, _ = trunk_sizes(template, ("T9",))
+    narrow = TrunkSize(0.85 * own["T9"].breadth_mm, own["T9"].depth_mm)
+    with pytest.raises(TorsoError, match=r"the ribs, which they don't move, leave no room .* leave them out"):
+        with_trunk_sizes(template, {"T9": narrow})
+
+
 def test_measures_of_someone_else_are_refused(template):
     with pytest.raises(TorsoError, match=r"breadth at T9 is 500 mm, .* times the skin's"):
         with_trunk_sizes(template, {"T9": TrunkSize(500.0, 190.0)})

@@ -83,7 +83,13 @@ def with_trunk_sizes(torso: TorsoModel, wanted: Mapping[str, TrunkSize]) -> Tors
     for _ in range(ROUNDS):
         own, middles = trunk_sizes(torso, levels)
         factors = [(wanted[v].breadth_mm / own[v].breadth_mm, wanted[v].depth_mm / own[v].depth_mm) for v in levels]
-        torso = _stretched(torso, levels, np.array(factors), middles)
+        try:
+            torso = _stretched(torso, levels, np.array(factors), middles)
+        except TorsoError as error:
+            raise TorsoError(
+                f"the skin can't come to the trunk's extents at {', '.join(levels)}: the ribs, which they don't move, "
+                f"leave no room for the tissue between ({error}); check the measures or leave them out"
+            ) from None
     return torso
 
 
