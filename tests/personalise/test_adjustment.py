@@ -120,6 +120,16 @@ def test_swapped_names_are_told_by_the_other_view(template, prior, girl):
     assert np.delete(centre_errors(found, girl), [7, 8]).max() < 1.2
 
 
+def test_an_unusual_vertebra_is_no_wrong_one(template, prior, girl):
+    """T12 is 15 mm nearer to T11 than in anybody: both views agree on it, so it is where they say."""
+    places = girl.positions.copy()
+    places[11] += 15.0 * girl.rotations[11, :, 1]
+    odd = replace(girl, positions=places)
+    found = adjust(pictures(template, odd, 0.5), prior, start(template), KNOWN, KNOWN)
+    assert min(weights.min() for weights in found.weights) > 0.1
+    assert centre_errors(found, odd).max() < 1.2
+
+
 def test_a_stance_is_found_with_its_prior(template, prior, girl):
     sd = np.array([[200.0, 200.0, 0.012, 0.0], [200.0, 200.0, 0.012, 0.05]])
     found = adjust(pictures(template, girl, 0.3, stance=STANCE), prior, start(template), KNOWN, sd)

@@ -87,6 +87,18 @@ def test_away_from_rest_it_pulls_back(problem, prior):
     assert np.linalg.norm(there.gradient - wanted) < 0.05 * np.linalg.norm(wanted)
 
 
+def test_one_vertebra_let_go(prior):
+    """Its neighbours are still held together, as softly as with it at its best."""
+    free = prior.without(8)
+    own = np.arange(48, 54)
+    rest = np.setdiff1d(np.arange(102), own)
+    assert np.linalg.inv(free.hessian[np.ix_(rest, rest)]) == pytest.approx(
+        np.linalg.inv(prior.hessian)[np.ix_(rest, rest)], rel=1e-6
+    )
+    assert not free.hessian[np.ix_(own, rest)].any()
+    assert np.diag(free.hessian)[own].tolist() == [1e-4] * 3 + [1.0] * 3
+
+
 def test_sizes_vary_by_person_and_by_vertebra():
     covariance = np.linalg.inv(own_precision(17))
     assert covariance.shape == (9, 17, 17)

@@ -4,11 +4,13 @@ Minimised over the vertebrae's poses x, what they are in themselves s (log sizes
 view's stance n (Gauss and Newton, with weights renewed at every step):
 
     sum_k rho(|r_k(x, s, n)|) + E(x) / ENERGY_SCALE + s . C^-1 s / 2 + sum (n / sd_n)^2 / 2
-    rho(e) = e^2 / (2 sigma^2) / (1 + (e / c)^2),    c = max(4 sigma, 1.5 mm)     (Geman and McClure 1987)
+    rho(e) = e^2 / (2 sigma^2) / (1 + (e / c)^2),    c = max(4 sigma, 3 mm)     (Geman and McClure 1987)
 
 The corners' standard deviation sigma falls from 16 mm by halves to what the residuals themselves show: the image's
 weight 1/sigma^2 is annealed, and a wrong corner is told from the shape that the others agree on (graduated
-non-convexity; Blake and Zisserman 1987). The covariance is the inverse of the Gauss-Newton Hessian at the end.
+non-convexity; Blake and Zisserman 1987). A vertebra that was set aside in two views at once is looked at again: where
+one place of its own meets all its corners, it is the vertebra that is unusual, not its annotation. The covariance is
+the inverse of the Gauss-Newton Hessian at the end.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from spinestiff.personalise.prior import ElasticPrior, own_precision
 # mm at the patient plane.
 FIRST_SD, SD_LIMITS = 16.0, (0.25, 4.0)
 # A residual of this many standard deviations, and of this many mm, has lost three quarters of its weight.
-CUTOFF, LEAST_CUTOFF_MM = 4.0, 1.5
+CUTOFF, LEAST_CUTOFF_MM = 4.0, 3.0
 # Weight below which a point counts as wrong.
 WRONG_WEIGHT = 0.1
 STEPS = 15
@@ -95,13 +97,16 @@ def adjust(
             break
         sd = max(0.5 * sd, SD_LIMITS[1])
     # From here on the residuals say how exact the corners are.
-    for _ in range(8):
+    for _ in range(10):
         found = float(np.clip(normal.estimated_sd, 0.5 * sd, SD_LIMITS[1]))
         found = max(found, SD_LIMITS[0])
         close = abs(found - sd) <= 0.03 * sd
         sd = found
         shape, poses, normal = system.settled(shape, poses, sd, SMALLEST_STEP if close else SMALL_STEP)
-        if close:
+        again = system.second_look(shape, poses, normal, sd) if close else None
+        if again is not None:
+            shape = again
+        elif close:
             break
     if observer:
         observer(f"corner sd {sd:.2f} mm: rms {normal.rms:.2f} mm, {normal.wrong} points set aside")
@@ -149,13 +154,19 @@ class _System:
         first = UNKNOWNS * np.arange(self.count)
         self.pose_rows = (first[:, None] + np.arange(6)).ravel()
         self.own_rows = [first + 6 + k for k in range(UNKNOWNS - 6)]
+        self.size = size
+        self.fixed = self.fixed_part()
+
+    def fixed_part(self) -> Floats:
+        """The Hessian of all that is no image."""
+        size = self.size
         fixed = np.zeros((size, size))
-        fixed[np.ix_(self.pose_rows, self.pose_rows)] = prior.hessian
+        fixed[np.ix_(self.pose_rows, self.pose_rows)] = self.prior.hessian
         for rows, precision in zip(self.own_rows, self.own):
             fixed[np.ix_(rows, rows)] = precision
         tail = np.arange(UNKNOWNS * self.count, size)
         fixed[tail, tail] = 1.0 / self.pose_sd.ravel()[self.free] ** 2
-        self.fixed = fixed
+        return fixed
 
     def settled(self, shape: Shape, poses: Floats, sd: float, small: float) -> tuple[Shape, Floats, _Normal]:
         for _ in range(STEPS):
@@ -198,6 +209,44 @@ class _System:
             self.free
         ]
         return _Normal(image, hessian, slope, weight, float(np.sum(weight * error2)))
+
+    def second_look(self, shape: Shape, poses: Floats, normal: _Normal, sd: float) -> Shape | None:
+        """The shape with vertebrae that all views set aside put where their own corners agree, if there are any.
+
+        The prior then lets go of them: what is so unusual says nothing about its neighbours.
+        """
+        weights = np.split(normal.weights, np.cumsum([len(view) for view in self.views])[:-1])
+        found = None
+        for vertebra in range(self.count):
+            each = [w[view.vertebra == vertebra] for view, w in zip(self.views, weights)]
+            seen = [w for w in each if len(w)]
+            if len(seen) < 2 or any(np.mean(w < WRONG_WEIGHT) <= 0.5 for w in seen):
+                continue
+            alone = self._alone(found or shape, poses, vertebra, sd)
+            if alone is not None:
+                found, self.prior = alone, self.prior.without(vertebra)
+        self.fixed = self.fixed_part()
+        return found
+
+    def _alone(self, shape: Shape, poses: Floats, vertebra: int, sd: float) -> Shape | None:
+        """One vertebra by its own corners, its place and tilt free; None where they don't agree on any."""
+        block = slice(UNKNOWNS * vertebra, UNKNOWNS * (vertebra + 1))
+        precision = np.diag(np.concatenate([np.full(3, 1e-4), np.full(3, 1.0), np.diag(self.fixed)[block][6:]]))
+        for _ in range(STEPS):
+            hessian, slope = precision.copy(), np.zeros(UNKNOWNS)
+            slope[6:] = precision[6:, 6:] @ shape.own[vertebra]
+            largest = 0.0
+            for view, pose in zip(self.views, poses):
+                residual, own, _ = view.linearised(shape, pose)
+                which = view.vertebra == vertebra
+                jacobian = own[which].reshape(-1, UNKNOWNS) / sd
+                hessian += jacobian.T @ jacobian
+                slope += jacobian.T @ residual[which].ravel() / sd
+                largest = max(largest, float(np.linalg.norm(residual[which], axis=1).max(initial=0.0)))
+            step = np.zeros(len(self.fixed))
+            step[block] = -np.linalg.solve(hessian, slope)
+            shape, _, _ = self.moved(shape, poses, step)
+        return shape if largest < max(CUTOFF * sd, LEAST_CUTOFF_MM) else None
 
     def moved(self, shape: Shape, poses: Floats, step: Floats) -> tuple[Shape, Floats, float]:
         own = step[: UNKNOWNS * self.count].reshape(-1, UNKNOWNS)

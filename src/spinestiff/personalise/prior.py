@@ -62,6 +62,20 @@ class ElasticPrior:
         moved = np.concatenate([shape.positions - self.positions, turned], axis=1).reshape(-1)
         return np.asarray(self.gradient + self.hessian @ moved)
 
+    def without(self, vertebra: int) -> ElasticPrior:
+        """The same energy with one vertebra free to be anywhere, the others held together through where it may be.
+
+        Its own pose keeps next to nothing, 100 mm and 1 rad, so that it stays determined.
+        """
+        own = np.arange(6 * vertebra, 6 * vertebra + 6)
+        rest = np.setdiff1d(np.arange(len(self.gradient)), own)
+        across = np.linalg.solve(self.hessian[np.ix_(own, own)], self.hessian[np.ix_(own, rest)])
+        hessian, gradient = np.zeros_like(self.hessian), np.zeros_like(self.gradient)
+        hessian[np.ix_(rest, rest)] = self.hessian[np.ix_(rest, rest)] - self.hessian[np.ix_(rest, own)] @ across
+        hessian[own, own] = np.repeat([1e-4, 1.0], 3)
+        gradient[rest] = self.gradient[rest] - across.T @ self.gradient[own]
+        return ElasticPrior(self.positions, self.rotations, gradient, hessian)
+
 
 def elastic_prior(problem: EquilibriumProblem, state: TorsoState) -> ElasticPrior:
     """The prior around a state.

@@ -55,7 +55,6 @@ COARSE_SDS = (50.0, 16.0)
 PULLS, PLACING_PULLS = (30.0, 1000.0), (3.0, 100.0, 1000.0)
 # N; a geometry needs no equilibrium to the last digit.
 SHAPE_TOLERANCE = 1e-3
-AGAIN_SD = 2.0
 # Beyond this share a vertebra's motion is the prior's more than its own images'.
 CARRIED = 0.5
 
@@ -207,7 +206,9 @@ class _Fit:
             positions=state.bone_positions[sized.vertebra_bones],
             rotations=state.bone_rotations[sized.vertebra_bones],
         )
-        final = adjust(points, elastic_prior(problem, state), start, first.poses, self.pose_sd, AGAIN_SD, self.say)
+        final = adjust(
+            points, elastic_prior(problem, state), start, first.poses, self.pose_sd, first.corner_sd, self.say
+        )
         state = _pulled(problem, state, final.shape.positions, final.shape.rotations, PULLS[-1:])
         torso = resized(sized.rebased(state), np.exp(final.shape.log_sizes - first.shape.log_sizes))
         torso = replace(torso, vertebra_boxes=own_boxes(base, final.shape), height_cm=template.height_cm)
