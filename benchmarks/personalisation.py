@@ -1,7 +1,7 @@
 """Personalisation judged on shapes it was not made from: real spines from CT and synthetic scoliosis.
 
-``python benchmarks/personalisation.py --spines CSV [--json] [--write] [--jobs 2] [--all] [--subjects N] [--scenario NAME ...]
-[--log FILE]``; a line a fit goes to the log, and a run that was stopped goes on from it.
+``python benchmarks/personalisation.py --spines CSV [--json] [--write] [--jobs 2] [--all] [--subjects N] [--log FILE]
+[--scenario NAME ...]``; a line a fit goes to the log, and a run that was stopped goes on from it.
 
 The truth is made without the fit. Poses: every complete spine of the table (``study.spines.real_spine``: places and
 tangents by local parabolas and lines through the body points, since single points lie on a grid of 1 to 3 mm; axial
@@ -11,8 +11,8 @@ curves of 10 to 45 degrees (``study.spines.curved_spine``) on a body with anothe
 own width, height and depth each, endplates that differ in size as published, and bodies wedged front to back.
 Pedicles: where the table has them in the vertebra's own frame. Both views are of a full-length detector; the silhouette
 is the outermost projected corner of each pair. The fit sees noisy corners, views and body height, nothing else. A spine
-with a point missing or far off the others' line, with bodies that overlap or with a gap as tall as a body is skipped and
-named. ``known`` takes every subject; of the other scenarios, every third or ninth (``EVERY``; ``--all``: every one).
+with a point missing or far off the others' line, with bodies that overlap or with a gap as tall as a body is skipped
+and named. ``known`` takes every subject, the other scenarios every third or ninth (``EVERY``; ``--all``: every one).
 
 Scenarios:
 
