@@ -33,6 +33,8 @@ CUTOFF, LEAST_CUTOFF_MM = 4.0, 3.0
 # Weight below which a point counts as wrong.
 WRONG_WEIGHT = 0.1
 STEPS = 15
+# mm, of each pedicle about the place that left and right share mirrored.
+PEDICLE_SD = 1.0
 # mm, or rad times 30 mm: while annealing, and at the end.
 SMALL_STEP, SMALLEST_STEP = 0.1, 1e-3
 
@@ -187,7 +189,9 @@ class _System:
         weights, squares = [], []
         for number, (view, pose) in enumerate(zip(self.views, poses)):
             residual, own, nuisance = view.linearised(shape, pose)
-            error2 = np.sum(residual**2, axis=1)
+            # Left and right pedicles are not quite alike: a point is as exact as both scatters allow.
+            share = np.where(view.outward == 0.0, 1.0, sd**2 / (sd**2 + PEDICLE_SD**2))
+            error2 = share * np.sum(residual**2, axis=1)
             weight = (1.0 + error2 / max(CUTOFF * sd, LEAST_CUTOFF_MM) ** 2) ** -2
             jacobian = np.zeros((len(view), 2, size))
             columns = UNKNOWNS * view.vertebra[:, None] + np.arange(UNKNOWNS)
@@ -195,9 +199,10 @@ class _System:
             for column, which in enumerate(self.free):
                 if which // VIEW_UNKNOWNS == number:
                     jacobian[:, :, UNKNOWNS * self.count + column] = nuisance[:, :, which % VIEW_UNKNOWNS]
-            scaled = (np.sqrt(weight)[:, None, None] * jacobian).reshape(-1, size) / sd
+            root = np.sqrt(weight * share)
+            scaled = (root[:, None, None] * jacobian).reshape(-1, size) / sd
             image += scaled.T @ scaled
-            slope += scaled.T @ ((np.sqrt(weight)[:, None] * residual).ravel() / sd)
+            slope += scaled.T @ ((root[:, None] * residual).ravel() / sd)
             weights.append(weight)
             squares.append(error2)
         weight, error2 = np.concatenate(weights), np.concatenate(squares)

@@ -24,7 +24,7 @@ from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load
 from spinestiff.mechanics.terms import BoneTerm, PointSprings
-from spinestiff.personalise.adjustment import Adjusted, adjust
+from spinestiff.personalise.adjustment import WRONG_WEIGHT, Adjusted, adjust
 from spinestiff.personalise.fitness import VertebraFit, check_pictures, vertebra_fits
 from spinestiff.personalise.image_terms import (
     UNKNOWNS,
@@ -209,6 +209,10 @@ class _Fit:
         final = adjust(
             points, elastic_prior(problem, state), start, first.poses, self.pose_sd, first.corner_sd, self.say
         )
+        before, after = (np.concatenate(found.weights) < WRONG_WEIGHT for found in (first, final))
+        if (after & ~before).any():
+            # What the first adjustment could explain is not wrong: the energy's new tangent led away from it.
+            final = first
         state = _pulled(problem, state, final.shape.positions, final.shape.rotations, PULLS[-1:])
         torso = resized(sized.rebased(state), np.exp(final.shape.log_sizes - first.shape.log_sizes))
         torso = replace(torso, vertebra_boxes=own_boxes(base, final.shape), height_cm=template.height_cm)
