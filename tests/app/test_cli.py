@@ -151,7 +151,7 @@ def test_every_step_runs_by_its_own_name(spinestiff, subject, finished, no_repor
     assert spinestiff("track", subject, "--redo").status == 0
     result = spinestiff("personalise", subject, "--redo")
     assert result.status == 0
-    assert "image weight 300 N/mm" in result.err
+    assert "corner sd 16.00 mm" in result.err
     assessed = spinestiff("assess", subject, "--truth", finished.truth)
     assert assessed.status == 0
     assert "Held-out frames" in assessed.out

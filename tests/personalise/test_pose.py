@@ -9,7 +9,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
 from spinestiff.imaging.projection import frontal_view, lateral_view
-from spinestiff.personalise.pose import align_view
+from spinestiff.personalise.pose import Stance, align_view, posed
 
 
 @pytest.fixture(scope="module")
@@ -20,6 +20,27 @@ def torso():
 def seen(torso, view, choice, rows=slice(None)):
     corners = state_features(torso, view, torso.rest_pose, choice).corners
     return VertebraCorners(torso.vertebrae[rows], corners[rows])
+
+
+@pytest.mark.parametrize("make", [frontal_view, lateral_view])
+def test_a_patient_moved_looks_as_from_a_moved_view(make):
+    """Both ways to say how the patient stood give one picture, and the way's slope is its own."""
+    nominal, pose = make(), np.array([7.0, -4.0, 0.05, 0.1])
+    points = np.random.default_rng(0).normal(0.0, 80.0, (9, 3)) + [0.0, 200.0, 0.0]
+    stance, view = Stance(nominal, pose), posed(nominal, pose[:2], pose[2], pose[3])
+    assert np.abs(nominal.project(points) - view.project(points)).max() > 3.0
+    assert nominal.project(stance.moved(points)) == pytest.approx(view.project(points), abs=1e-10)
+    slope = stance.jacobian(stance.moved(points))
+    for i, step in enumerate(1e-5 * np.eye(4)):
+        wanted = (Stance(nominal, pose + step).moved(points) - Stance(nominal, pose - step).moved(points)) / 2e-5
+        assert slope[:, :, i] == pytest.approx(wanted, abs=1e-6)
+
+
+def test_a_yaw_turns_the_patient_to_the_left():
+    """Facing the source of a frontal view and turned left, the nose is seen at larger columns."""
+    view = frontal_view()
+    nose = np.array([0.0, 200.0, 100.0])
+    assert posed(view, np.zeros(2), 0.0, 0.1).project(nose)[0] > view.project(nose)[0] + 5.0
 
 
 @pytest.mark.parametrize("make", [frontal_view, lateral_view])

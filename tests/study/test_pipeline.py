@@ -107,6 +107,15 @@ def test_the_personalised_torso(finished):
     assert set(record["poses"]) == set(record["views"]) == set(record["millimetres"]) == {"frontal", "lateral"}
     shown = {v for seen in record["vertebra_rmse_mm"].values() for v in seen}
     assert record["prior_only"] == [v for v in VERTEBRAE if v not in shown]
+    for name, fits in record["vertebra_fit"].items():
+        assert {v: fit["rmse_mm"] for v, fit in fits.items()} == record["vertebra_rmse_mm"][name]
+        assert all(fit["angle_deg"] < 5.0 and fit["wrong_corners"] == 0 for fit in fits.values())
+    # The annotation's 0.3 mm, and what a sized box does not show of a box of another shape.
+    assert 0.2 < record["corner_sd_mm"] < 0.45
+    assert record["length_scale"] == pytest.approx(1.0, abs=0.02)
+    assert np.array(record["covariance"]["blocks"]).shape == (17, 6, 6)
+    assert record["mesh"]["smallest_j"] > 0.2
+    assert (record["warnings"] == []) == (record["prior_only"] == [])
     assert read_torso(finished.folder / "results" / "torso.npz").height_cm == pytest.approx(157.0)
 
 
@@ -147,7 +156,7 @@ def test_the_reactions_balance_the_push(finished):
 
 def test_every_step_says_what_it_does(finished):
     assert "track: push 'main', frame 4 of 4" in finished.lines
-    assert any(line.startswith("personalise: image weight 300") for line in finished.lines)
+    assert any(line.startswith("personalise: corner sd 16.00 mm") for line in finished.lines)
     first = "estimate: evaluation 0: lateral_bending 0.07, tissue 0.04: RMSE"
     assert any(line.startswith(first) for line in finished.lines)
     assert {line.partition(":")[0] for line in finished.lines} == set(STEPS)

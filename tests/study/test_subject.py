@@ -21,6 +21,7 @@ from spinestiff.study.subject import (
     SubjectRecord,
     check_frames,
     image_corners,
+    image_pedicles,
     image_supports,
     read_annotation,
     read_push,
@@ -287,6 +288,53 @@ def test_corners_become_millimetres_on_the_detector(folder):
     assert corners.vertebrae[0] == "T5"
     np.testing.assert_allclose(corners.corners[0], np.array(FIRST) * 0.417)
     assert image_corners(read_subject(folder), "rest/lateral", LATERAL).vertebrae[-1] == "T12"
+
+
+def test_the_trunk_by_tape(folder):
+    assert read_subject(folder).record.trunk == {}
+    size = {"breadth_mm": 245, "depth_mm": 172.5}
+    lay_out(folder, subject=changed(SUBJECT, ["trunk"], {"T9": size}))
+    record = read_subject(folder).record
+    assert record.trunk["T9"].depth_mm == 172.5
+    write_subject(folder, record)
+    assert read_subject(folder).record == record
+    lay_out(folder, subject=changed(SUBJECT, ["trunk"], {"T9": {**size, "breadth_mm": 24.5}}))
+    assert "trunk.T9.breadth_mm: found 24.5, wanted greater than or equal to 100" in refusal(folder)
+
+
+PEDICLES = {"T6": [[523, 312], [502, 312.5]], "T5": [[522, 280], [503, 280]]}
+
+
+def test_pedicles_become_millimetres_on_the_detector(folder):
+    assert image_pedicles(read_subject(folder), "rest/frontal", FRONTAL)[0] == ()
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", "rest/frontal", "pedicles"], PEDICLES))
+    names, points = image_pedicles(read_subject(folder), "rest/frontal", FRONTAL)
+    assert names == ("T5", "T6")
+    np.testing.assert_allclose(points[0], np.array(PEDICLES["T5"]) * 0.417)
+
+
+def test_pedicles_out_of_place_are_refused(folder):
+    swapped = {"T5": PEDICLES["T5"][::-1]}
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", "rest/frontal", "pedicles"], swapped))
+    with pytest.raises(SubjectError, match=r"rest/frontal.pedicles.T5: the left one lies right of the right one"):
+        image_pedicles(read_subject(folder), "rest/frontal", FRONTAL)
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", "push/right-8", "pedicles"], PEDICLES))
+    assert "push/right-8 has pedicles; wanted them in rest images only" in refusal(folder)
+    one = {"T5": PEDICLES["T5"][:1]}
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", "rest/frontal", "pedicles"], one))
+    assert "rest/frontal.pedicles.T5" in refusal(folder)
+
+
+def test_the_lateral_radiograph_may_be_missing(folder):
+    """Neither radiograph nor annotation: the frontal one is used alone. One of the two without the other is refused."""
+    assert read_subject(folder).rest_views == ("frontal", "lateral")
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", "rest/lateral"], ...))
+    assert "images.rest/lateral: missing" in refusal(folder)
+    (folder / "rest/lateral.dcm").unlink()
+    subject = read_subject(folder)
+    assert subject.rest_views == ("frontal",)
+    assert folder / "rest/lateral.dcm" not in subject.inputs
+    assert folder / "rest/frontal.dcm" in subject.inputs
 
 
 def test_corners_are_checked_against_the_view(folder):

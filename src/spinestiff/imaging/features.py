@@ -369,13 +369,17 @@ def _principal(c: Floats, boxes: Floats, guess: Floats) -> tuple[Floats, Floats]
     return turn + quarters * 0.5 * np.pi, gradient
 
 
-def _box_points(torso: TorsoModel, view: XRayView) -> PointsOnBones:
-    """Box corners as points, (V * 4 * 2): vertebra, corner in picture order, member of the pair."""
+def corner_offsets(torso: TorsoModel, view: XRayView) -> Floats:
+    """(V, 4, 2, 3) mm in the vertebra's frame: box corners by vertebra, corner in picture order, member of the pair."""
     box = torso.vertebra_boxes.reshape(-1, 2, 2, 2, 3)
     if view_kind(view) == "lateral":
         box = box.swapaxes(2, 3)
-    offsets = box[:, _LEVEL, _SIDE]
-    return PointsOnBones(np.repeat(torso.vertebra_bones, 8), offsets.reshape(-1, 3))
+    return np.asarray(box[:, _LEVEL, _SIDE])
+
+
+def _box_points(torso: TorsoModel, view: XRayView) -> PointsOnBones:
+    """Box corners as points, (V * 4 * 2): vertebra, corner in picture order, member of the pair."""
+    return PointsOnBones(np.repeat(torso.vertebra_bones, 8), corner_offsets(torso, view).reshape(-1, 3))
 
 
 def _cross(a: Floats, b: Floats) -> Floats:

@@ -1,11 +1,12 @@
-"""The small pose of the patient in a view: two shifts and a roll in the picture plane."""
+"""The small pose of the patient in a view: two shifts and a roll in the picture plane, and a yaw about the vertical."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from spinestiff.anatomy.rotation import cross_matrix, exp_so3
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import TrackingError
@@ -21,7 +22,7 @@ from spinestiff.imaging.projection import XRayView
 
 @dataclass(frozen=True)
 class ViewPose:
-    """How a view was moved to meet the torso: shift (2,) mm at the patient plane and roll in rad.
+    """How a view was moved to meet the torso: shift (2,) mm at the patient plane, roll and yaw in rad.
 
     ``rms_mm`` is what remains between simulated and measured features.
     """
@@ -29,6 +30,58 @@ class ViewPose:
     shift: Floats
     roll: float
     rms_mm: float
+    yaw: float = 0.0
+
+
+def posed(nominal: XRayView, shift: Floats, roll: float, yaw: float) -> XRayView:
+    """The view in which the patient stands elsewhere: turned by ``yaw``, then rolled and shifted (``XRayView.moved``).
+
+    A yaw above 0 turns the patient to the left about the vertical through the middle of the patient plane. The anatomy
+    keeps its world coordinates: source and detector take the opposite motion together.
+    """
+    if yaw:
+        back = exp_so3(np.array([0.0, -yaw, 0.0]))
+        pivot = nominal.source + nominal.source_to_patient * nominal.normal
+        nominal = replace(
+            nominal,
+            source=pivot + back @ (nominal.source - pivot),
+            detector_origin=pivot + back @ (nominal.detector_origin - pivot),
+            detector_axes=nominal.detector_axes @ back.T,
+        )
+    return nominal.moved(shift, roll)
+
+
+class Stance:
+    """Where the patient's points are in the room of a nominal view, for a pose (4,): two shifts, roll, yaw.
+
+    Seen in the nominal view they look as the unmoved points do in the ``posed`` one.
+
+    Attributes
+    ----------
+    turn : (3, 3) rotation of the patient: the yaw, then the roll.
+    """
+
+    def __init__(self, nominal: XRayView, pose: Floats) -> None:
+        axes = nominal.detector_axes
+        self._pivot = nominal.source + nominal.source_to_patient * nominal.normal
+        self._shift = pose[:2] @ axes
+        self._axes = axes
+        self._ray = np.cross(axes[0], axes[1])
+        roll = exp_so3(pose[2] * self._ray)
+        self.turn = roll @ exp_so3(np.array([0.0, pose[3], 0.0]))
+        self._vertical = roll @ np.array([0.0, 1.0, 0.0])
+
+    def moved(self, points: Floats) -> Floats:
+        """(P, 3) mm in the room."""
+        return np.asarray((points - self._pivot) @ self.turn.T + self._pivot + self._shift)
+
+    def jacobian(self, moved: Floats) -> Floats:
+        """(P, 3, 4), derivative of ``moved`` points in the pose."""
+        turned = moved - self._pivot - self._shift
+        slope = np.empty((len(moved), 3, 4))
+        slope[:, :, :2] = self._axes.T
+        slope[:, :, 2:] = -cross_matrix(turned) @ np.stack([self._ray, self._vertical], 1)
+        return slope
 
 
 def align_view(

@@ -1,40 +1,65 @@
-"""Moving the template: vertebrae are pulled, the rest of the torso follows mechanically, and the result is at rest."""
+"""The subject's own geometry from annotated rest radiographs (paper 3.1): found, moved to, made the rest state.
+
+The vertebrae's most probable poses and sizes come first (``personalise.adjustment``), under the elastic energy of the
+whole torso condensed to them (``personalise.prior``). Then the same engine brings the torso there: springs at box
+corners, rising in steps, pull the vertebrae, and ribs, girdle, tissue and skin follow mechanically. The energy is
+condensed anew around that state and the vertebrae are adjusted again; what they then need moves them a last time.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.stiffness import stiffness_ratios
+from spinestiff.anatomy.rotation import cross_matrix, exp_so3
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
-from spinestiff.errors import EquilibriumError
-from spinestiff.imaging.features import VertebraCorners, silhouette_choice
+from spinestiff.errors import EquilibriumError, FitError, TorsoError
+from spinestiff.imaging.features import VertebraCorners, silhouette_choice, view_kind
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load
-from spinestiff.mechanics.supports import Supports
 from spinestiff.mechanics.terms import BoneTerm, PointSprings
-from spinestiff.personalise.image_terms import corner_term
-from spinestiff.personalise.pose import ViewPose, align_view
+from spinestiff.personalise.adjustment import WRONG_WEIGHT, Adjusted, adjust
+from spinestiff.personalise.fitness import VertebraFit, check_pictures, vertebra_fits
+from spinestiff.personalise.image_terms import (
+    UNKNOWNS,
+    ImagePoints,
+    PediclePoints,
+    Shape,
+    image_points,
+    own_boxes,
+    shape_of,
+)
+from spinestiff.personalise.pose import ViewPose, posed
+from spinestiff.personalise.prior import elastic_prior, pelvis_on_springs, regulariser
+from spinestiff.personalise.quality import MeshQuality, require_quality
+from spinestiff.personalise.sizes import resized
+from spinestiff.personalise.skin import TrunkSize, with_trunk_sizes
 
-# Image weights, N/mm a feature corner, from loose to tight; the last leaves the regulariser a few hundredths of a mm.
-ANNEALING = (0.3, 3.0, 30.0, 300.0)
-# The regulariser's softness: bones and tissue only have to carry along what no image shows.
-REGULARISER = {"everything": 0.05}
-# Springs that hold the pelvis: mm from its origin, N/mm.
-PELVIS_ARM, PELVIS_STIFFNESS = 100.0, 0.1
+Geometry = Literal["estimated", "known"]
+GEOMETRIES: tuple[Geometry, ...] = ("estimated", "known")
+# How a patient may stand in a view whose geometry is nominal: standard deviations of shift (mm), roll and yaw (rad). A
+# lean seen at rest is the person's own (about 3 degrees from one to the next) rather than the stance of the moment
+# (about 0.7 degrees). The frontal view says what is frontal, so only the lateral one has a yaw.
+SHIFT_SD, ROLL_SD, YAW_SD = 200.0, np.deg2rad(0.7), np.deg2rad(3.0)
+# How far a body may be from the template's place in a room of known views, mm and rad, and how far its spine's length
+# from the template's at that height (log).
+PLACE_SD, TURN_SD, LENGTH_SD = 50.0, 0.1, 0.06
+COARSE_SDS = (50.0, 16.0)
+# Springs at the box corners that bring the vertebrae to their places, N/mm, from loose to tight.
+PULLS, PLACING_PULLS = (30.0, 1000.0), (3.0, 100.0, 1000.0)
 # N; a geometry needs no equilibrium to the last digit.
 SHAPE_TOLERANCE = 1e-3
-
-# A lean seen at rest is the person's own (about 3 degrees from one to the next) rather than the stance of the moment
-# (about 0.7 degrees): the view takes the roll's share of the variance, 0.7^2 / (0.7^2 + 3^2).
-ROLL_SHARE = 0.05
+# Beyond this share a vertebra's motion is the prior's more than its own images'.
+CARRIED = 0.5
 
 Observer = Callable[[str], None]
+MOTIONS = ("sideways", "height", "front to back", "sagittal tilt", "axial rotation", "coronal tilt")
 
 
 @dataclass(frozen=True)
@@ -46,73 +71,90 @@ class Personalised:
     torso : at rest in the subject's shape.
     views : the moved view of each radiograph.
     poses : the estimated pose in each view.
-    rmse_mm : corner RMSE at the patient plane in each view.
-    vertebra_rmse_mm : per view, per vertebra seen.
+    rmse_mm : corner RMSE at the patient plane in each view, of corners that were not set aside as wrong.
+    fits : per view, per vertebra seen: how well it fits.
     prior_only : vertebrae that no radiograph shows.
+    carried : vertebra -> its motions (``MOTIONS``) that the prior determines more than its own images do.
+    covariance : (6V, 6V) of the vertebrae's (dt mm, dw rad), vertebra by vertebra.
+    prior_share : (V, 6) the prior's share in what is uncertain of each (``adjustment.Adjusted``).
+    length_scale : the spine's length over the template's at the given height.
+    size_scale : (V, 3) width, height and depth of the vertebrae over the template's at the given height.
+    corner_sd_mm : standard deviation of the annotated corners along one axis, from their residuals.
+    quality : of the tissue mesh.
+    warnings : what a user should know, a line each.
     """
 
     torso: TorsoModel
     views: Mapping[str, XRayView]
     poses: Mapping[str, ViewPose]
     rmse_mm: Mapping[str, float]
-    vertebra_rmse_mm: Mapping[str, Mapping[str, float]]
+    fits: Mapping[str, Mapping[str, VertebraFit]]
     prior_only: tuple[str, ...]
+    carried: Mapping[str, tuple[str, ...]]
+    covariance: Floats
+    prior_share: Floats
+    length_scale: float
+    size_scale: Floats
+    corner_sd_mm: float
+    quality: MeshQuality
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def vertebra_rmse_mm(self) -> dict[str, dict[str, float]]:
+        """Corner RMSE per view, per vertebra seen."""
+        return {view: {name: fit.rmse_mm for name, fit in found.items()} for view, found in self.fits.items()}
 
 
 def personalise(
     template: TorsoModel,
     pictures: Mapping[str, tuple[VertebraCorners, XRayView]],
     observer: Observer | None = None,
+    *,
+    pedicles: Mapping[str, PediclePoints] | None = None,
+    geometry: Geometry = "estimated",
+    finer: Callable[[], TorsoModel] | None = None,
+    trunk: Mapping[str, TrunkSize] | None = None,
 ) -> Personalised:
     """Shape ``template`` to annotated rest radiographs (paper 3.1; Koutras 2022's approach).
 
-    Minimises image terms plus the elastic energy of joints and tissue, the image weight rising in steps; between
-    them each view's pose (two shifts, one roll) is fitted; a lean at rest is mostly left to the torso. The result
-    becomes the stress-free rest state.
+    The result becomes the stress-free rest state.
 
     Parameters
     ----------
     template : scaled to the subject's height.
-    pictures : view name -> annotated corners and nominal view, e.g. "frontal" and "lateral".
+    pictures : view name -> annotated corners and nominal view, e.g. "frontal" and "lateral". A frontal one is needed;
+        with it alone the sagittal shape stays the template's, and a warning says so.
     observer : called with a line for each step.
+    pedicles : by view name, optional; in the frontal view they determine axial rotation.
+    geometry : "estimated", the patient may stand otherwise in each view than its geometry says (shift, roll and, in the
+        lateral one, yaw); "known", views are exact, as from a calibrated biplanar system.
+    finer : makes a template on a finer mesh, tried where this one can't be moved that far.
+    trunk : optional breadths and depths of the trunk by the bone at whose height they were taken; they move the skin.
 
     Raises
     ------
-    EquilibriumError : the template can't be moved that far without an element turning over.
-    TrackingError : corners that are no picture of this torso.
+    EquilibriumError, TorsoError : no mesh can be moved that far without elements turning over or degenerating.
+    FitError : corners that contradict each other.
+    TrackingError : corners that are no picture of this torso, or no frontal view.
     """
-    problem = EquilibriumProblem(template, _pelvis_on_springs(template))
-    state = template.rest_pose
-    views = {name: view for name, (_, view) in pictures.items()}
-    poses: dict[str, ViewPose] = {}
-    for weight in (0.0, *ANNEALING):
-        if weight:
-            terms = [
-                corner_term(template, views[name], corners, silhouette_choice(template, views[name], state), weight)
-                for name, (corners, _) in pictures.items()
-            ]
-            state = _relaxed(problem, terms, state)
-        for name, (corners, nominal) in pictures.items():
-            views[name], poses[name] = align_view(template, state, nominal, corners, roll_share=ROLL_SHARE)
-        if observer:
-            fits = ", ".join(f"{name} {pose.rms_mm:.2f} mm" for name, pose in poses.items())
-            observer(f"image weight {weight:g} N/mm: {fits}")
-    per_vertebra = {
-        name: _vertebra_rmse(template, views[name], corners, state) for name, (corners, _) in pictures.items()
-    }
-    seen = {vertebra for corners, _ in pictures.values() for vertebra in corners.vertebrae}
-    return Personalised(
-        torso=template.rebased(state),
-        views=views,
-        poses=poses,
-        rmse_mm={name: pose.rms_mm for name, pose in poses.items()},
-        vertebra_rmse_mm=per_vertebra,
-        prior_only=tuple(v for v in template.vertebrae if v not in seen),
-    )
+    if geometry not in GEOMETRIES:
+        raise FitError(f"unknown geometry '{geometry}'; wanted one of {', '.join(GEOMETRIES)}")
+    check_pictures(template, pictures, pedicles or {})
+    fit = _Fit(pictures, pedicles or {}, geometry == "known", trunk or {}, observer or (lambda line: None))
+    try:
+        return fit.run(template)
+    except (EquilibriumError, TorsoError) as error:
+        if finer is None:
+            raise type(error)(f"{error}; a finer tissue mesh may do") from None
+        fit.say(f"{error}; trying a finer mesh")
+        try:
+            return fit.run(finer())
+        except (EquilibriumError, TorsoError) as again:
+            raise type(again)(f"{again}, on the fine mesh too; check corners, spacing and body height") from None
 
 
 def place_vertebrae(
-    torso: TorsoModel, positions: Floats, rotations: Floats, stiffness: Sequence[float] = (3.0, 100.0, 1000.0)
+    torso: TorsoModel, positions: Floats, rotations: Floats, stiffness: Sequence[float] = PLACING_PULLS
 ) -> TorsoModel:
     """The torso with its vertebrae at given 3D poses, ribs, shoulder girdle and tissue carried along, at rest.
 
@@ -122,42 +164,226 @@ def place_vertebrae(
     rotations : (V, 3, 3) world_from_bone.
     stiffness : N/mm of the springs at the box corners, in rising steps.
     """
+    problem = EquilibriumProblem(torso, pelvis_on_springs(torso))
+    return torso.rebased(_pulled(problem, torso.rest_pose, positions, rotations, stiffness))
+
+
+class _Fit:
+    """One fit: what was annotated, and the steps from a template to the subject."""
+
+    def __init__(
+        self,
+        pictures: Mapping[str, tuple[VertebraCorners, XRayView]],
+        pedicles: Mapping[str, PediclePoints],
+        known: bool,
+        trunk: Mapping[str, TrunkSize],
+        say: Observer,
+    ) -> None:
+        self.pictures, self.pedicles, self.known, self.trunk, self.say = pictures, pedicles, known, trunk, say
+        self.names = tuple(pictures)
+        sd = np.zeros((len(pictures), 4))
+        if not known:
+            sd[:, :3] = SHIFT_SD, SHIFT_SD, ROLL_SD
+            sd[:, 3] = [YAW_SD if view_kind(view) == "lateral" else 0.0 for _, view in pictures.values()]
+        self.pose_sd = sd
+
+    def run(self, template: TorsoModel) -> Personalised:
+        base, poses, length = self.aligned(template)
+        self.say(f"spine {length:.3f} times the template's length")
+        problem = EquilibriumProblem(base, pelvis_on_springs(base))
+        rest = base.rest_pose
+        points = self.points(base, base, rest, poses)
+        prior = elastic_prior(problem, rest)
+        first = adjust(points, prior, shape_of(base, rest), poses, self.pose_sd, observer=self.say)
+        # Silhouettes were chosen for the template's tilts.
+        sized = replace(resized(base, np.exp(first.shape.log_sizes)), vertebra_boxes=own_boxes(base, first.shape))
+        problem = EquilibriumProblem(sized, pelvis_on_springs(sized))
+        state = _pulled(problem, sized.rest_pose, first.shape.positions, first.shape.rotations, PULLS)
+        self.say("torso moved to the radiographs")
+        points = self.points(base, sized, state, first.poses)
+        start = replace(
+            first.shape,
+            positions=state.bone_positions[sized.vertebra_bones],
+            rotations=state.bone_rotations[sized.vertebra_bones],
+        )
+        final = adjust(
+            points, elastic_prior(problem, state), start, first.poses, self.pose_sd, first.corner_sd, self.say
+        )
+        before, after = (np.concatenate(found.weights) < WRONG_WEIGHT for found in (first, final))
+        if (after & ~before).any():
+            # What the first adjustment could explain is not wrong: the energy's new tangent led away from it.
+            final = first
+        state = _pulled(problem, state, final.shape.positions, final.shape.rotations, PULLS[-1:])
+        torso = resized(sized.rebased(state), np.exp(final.shape.log_sizes - first.shape.log_sizes))
+        torso = replace(torso, vertebra_boxes=own_boxes(base, final.shape), height_cm=template.height_cm)
+        torso = with_trunk_sizes(torso, self.trunk)
+        quality = require_quality(torso)
+        self.say(str(quality))
+        return self.result(torso, final, points, length, quality)
+
+    def points(self, base: TorsoModel, torso: TorsoModel, state: TorsoState, poses: Floats) -> tuple[ImagePoints, ...]:
+        found = []
+        for name, pose in zip(self.names, poses):
+            corners, nominal = self.pictures[name]
+            choice = silhouette_choice(torso, posed(nominal, pose[:2], pose[2], pose[3]), state)
+            found.append(image_points(base, nominal, corners, choice, self.pedicles.get(name)))
+        return tuple(found)
+
+    def aligned(self, template: TorsoModel) -> tuple[TorsoModel, Floats, float]:
+        """The template at the spine's length and the body's place, the views' poses, and the length's factor.
+
+        Gauss and Newton with the adjustment's robust loss, over log length, the body's shift and turn (known views)
+        and each view's stance (estimated ones).
+        """
+        rest = template.rest_pose
+        shape, poses = shape_of(template, rest), np.zeros((len(self.names), 4))
+        points = self.points(template, template, rest, poses)
+        middle = shape.positions.mean(0)
+        body_sd = np.full(7, 0.0)
+        body_sd[0] = LENGTH_SD
+        if self.known:
+            body_sd[1:4], body_sd[4:] = PLACE_SD, TURN_SD
+        sd = np.concatenate([body_sd, self.pose_sd.ravel()])
+        free = np.flatnonzero(sd > 0.0)
+        value, turn = np.zeros(len(sd)), np.eye(3)
+        for corner_sd in (*COARSE_SDS, COARSE_SDS[-1]):
+            for _ in range(8):
+                at = _carried(shape, middle, value, turn)
+                hessian, slope = np.diag(1.0 / sd[free] ** 2), (value[free] / sd[free] ** 2)
+                for number, view in enumerate(points):
+                    residual, own, nuisance = view.linearised(at, value[7:].reshape(-1, 4)[number])
+                    weight = np.sqrt((1.0 + np.sum(residual**2, 1) / (4.0 * corner_sd) ** 2) ** -2) / corner_sd
+                    jacobian = np.zeros((len(view), 2, len(sd)))
+                    jacobian[:, :, :7] = own @ _rigid(at, middle, value)[view.vertebra]
+                    jacobian[:, :, 7 + 4 * number : 11 + 4 * number] = nuisance
+                    scaled = (weight[:, None, None] * jacobian).reshape(-1, len(sd))[:, free]
+                    hessian += scaled.T @ scaled
+                    slope += scaled.T @ (weight[:, None] * residual).ravel()
+                step = np.zeros(len(sd))
+                step[free] = -np.linalg.solve(hessian, slope)
+                value = value + step
+                turn = exp_so3(step[4:7]) @ turn
+                if np.abs(step[free] / sd[free]).max() < 1e-6:
+                    break
+        length = float(np.exp(value[0]))
+        torso = template.scaled(length)
+        if self.known:
+            torso = _moved_whole(torso, turn, value[1:4], length * middle)
+        return torso, value[7:].reshape(-1, 4), length
+
+    def result(
+        self,
+        torso: TorsoModel,
+        final: Adjusted,
+        points: Sequence[ImagePoints],
+        length: float,
+        quality: MeshQuality,
+    ) -> Personalised:
+        views, poses, fits, rmse = {}, {}, {}, {}
+        for name, pose, weights, view in zip(self.names, final.poses, final.weights, points):
+            corners, nominal = self.pictures[name]
+            shift, roll, yaw = pose[:2], float(pose[2]), float(pose[3])
+            views[name] = posed(nominal, shift, roll, yaw)
+            marked = weights[view.outward == 0.0]
+            fits[name], rmse[name] = vertebra_fits(torso, views[name], corners, marked)
+            poses[name] = ViewPose(shift, roll, rmse[name], yaw)
+        seen = {vertebra for corners, _ in self.pictures.values() for vertebra in corners.vertebrae}
+        prior_only = tuple(v for v in torso.vertebrae if v not in seen)
+        carried = {
+            name: tuple(m for m, s in zip(MOTIONS, share) if s > CARRIED)
+            for name, share in zip(torso.vertebrae, final.prior_share)
+            if (share > CARRIED).any()
+        }
+        rows = (UNKNOWNS * np.arange(len(torso.vertebrae))[:, None] + np.arange(6)).ravel()
+        return Personalised(
+            torso=torso,
+            views=views,
+            poses=poses,
+            rmse_mm=rmse,
+            fits=fits,
+            prior_only=prior_only,
+            carried=carried,
+            covariance=final.covariance[np.ix_(rows, rows)],
+            prior_share=final.prior_share,
+            length_scale=length,
+            size_scale=length * np.exp(final.shape.log_sizes),
+            corner_sd_mm=final.corner_sd,
+            quality=quality,
+            warnings=self.warnings(fits, prior_only),
+        )
+
+    def warnings(self, fits: Mapping[str, Mapping[str, VertebraFit]], prior_only: tuple[str, ...]) -> tuple[str, ...]:
+        kinds = {view_kind(view) for _, view in self.pictures.values()}
+        lines = []
+        if "lateral" not in kinds:
+            lines.append(
+                "no lateral radiograph: the sagittal shape (kyphosis, lordosis, depth of the vertebrae) is the "
+                "template's, not the subject's"
+            )
+        if prior_only:
+            lines.append(f"{', '.join(prior_only)}: in no radiograph; carried by the neighbours and the template alone")
+        for name, found in fits.items():
+            for vertebra, fit in found.items():
+                if fit.wrong_corners:
+                    what = "its corners contradict" if fit.wrong_corners > 2 else "a corner contradicts"
+                    lines.append(
+                        f"{name}: {vertebra}: {what} the other view and its neighbours ({fit.rmse_mm:.1f} mm off) and "
+                        "was set aside; check its annotation"
+                    )
+        return tuple(lines)
+
+
+def _carried(shape: Shape, middle: Floats, value: Floats, turn: Floats) -> Shape:
+    scale = np.exp(value[0])
+    places = scale * (shape.positions - middle) @ turn.T + scale * middle + value[1:4]
+    return replace(
+        shape,
+        positions=places,
+        rotations=turn @ shape.rotations,
+        log_sizes=np.full_like(shape.log_sizes, value[0]),
+    )
+
+
+def _rigid(shape: Shape, middle: Floats, value: Floats) -> Floats:
+    """(V, 15, 7) derivative of a vertebra's unknowns in log length, the body's shift and its turn."""
+    slope = np.zeros((len(shape.positions), UNKNOWNS, 7))
+    slope[:, :3, 0] = shape.positions - value[1:4]
+    slope[:, 6:9, 0] = 1.0
+    slope[:, :3, 1:4] = np.eye(3)
+    slope[:, :3, 4:] = -cross_matrix(shape.positions - np.exp(value[0]) * middle - value[1:4])
+    slope[:, 3:6, 4:] = np.eye(3)
+    return slope
+
+
+def _moved_whole(torso: TorsoModel, turn: Floats, shift: Floats, about: Floats) -> TorsoModel:
+    rest = torso.rest_pose
+    moved = [(p - about) @ turn.T + about + shift for p in (rest.bone_positions, rest.tissue_positions)]
+    return torso.rebased(TorsoState(moved[0], turn @ rest.bone_rotations, moved[1]))
+
+
+def _pulled(
+    problem: EquilibriumProblem, start: TorsoState, positions: Floats, rotations: Floats, stiffness: Sequence[float]
+) -> TorsoState:
+    """The state with the vertebrae at given poses and all else in equilibrium with them."""
+    torso = problem.torso
     count = len(torso.vertebrae)
     bone = np.repeat(torso.vertebra_bones, 8)
     offset = torso.vertebra_boxes.reshape(-1, 3)
     goal = np.repeat(positions, 8, axis=0) + np.einsum("nij,nj->ni", np.repeat(rotations, 8, axis=0), offset)
     points = PointsOnBones(np.repeat(bone, 3), np.repeat(offset, 3, axis=0))
     directions = np.tile(np.eye(3), (8 * count, 1))
-    problem = EquilibriumProblem(torso, _pelvis_on_springs(torso))
-    state = torso.rest_pose
+    state = start
     for k in stiffness:
         springs = PointSprings(points, np.repeat(goal, 3, axis=0), directions, np.full(len(points), k))
         state = _relaxed(problem, [springs], state)
-    return torso.rebased(state)
+    return state
 
 
 def _relaxed(problem: EquilibriumProblem, terms: Sequence[BoneTerm], start: TorsoState) -> TorsoState:
-    ratios = stiffness_ratios(REGULARISER, problem.torso.joints.kinds)
+    ratios = regulariser(problem.torso)
     found = problem.with_terms(terms).solve(no_load(), ratios, start, tolerance=SHAPE_TOLERANCE)
     if not found.converged:
         raise EquilibriumError(
             f"the template can't be brought to the radiographs: {found.status.value}; check corners, spacing and height"
         )
     return found.state
-
-
-def _pelvis_on_springs(torso: TorsoModel) -> Supports:
-    """The pelvis held softly: it keeps the torso in place, yet follows the spine where L5 leans otherwise."""
-    arms = PELVIS_ARM * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
-    offsets = np.repeat(arms, 3, axis=0)
-    points = PointsOnBones(np.full(len(offsets), torso.bone("pelvis")), offsets)
-    directions = np.tile(np.eye(3), (len(arms), 1))
-    stiffness = np.full(len(offsets), PELVIS_STIFFNESS)
-    springs = PointSprings(points, points.positions(torso.rest_pose), directions, stiffness)
-    return Supports(np.zeros((len(torso.bone_names), 6), dtype=bool), springs, ("pelvis",) * len(offsets))
-
-
-def _vertebra_rmse(torso: TorsoModel, view: XRayView, corners: VertebraCorners, state: TorsoState) -> dict[str, float]:
-    term = corner_term(torso, view, corners, silhouette_choice(torso, view, state), 1.0)
-    rms = np.sqrt(np.mean(np.sum(term.residuals(state) ** 2, axis=-1), axis=-1))
-    return dict(zip(corners.vertebrae, rms.tolist()))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,21 +22,32 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.fit import FitStep, StiffnessFit, fit_stiffness
 from spinestiff.estimation.uncertainty import joint_region_outline
+from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking import support_motion, track
 from spinestiff.mechanics.loads import three_point_reactions
+from spinestiff.personalise.image_terms import PediclePoints
 from spinestiff.personalise.shape import Personalised, personalise
+from spinestiff.personalise.skin import TrunkSize
 from spinestiff.study.results import (
     StepRecord,
     changed_inputs,
     file_digest,
     inputs_digest,
     is_current,
+    read_json,
     record_step,
     step_digest,
     write_json,
 )
-from spinestiff.study.subject import SubjectRecord, image_corners, image_supports, read_push, read_rest
+from spinestiff.study.subject import (
+    SubjectRecord,
+    image_corners,
+    image_pedicles,
+    image_supports,
+    read_push,
+    read_rest,
+)
 from spinestiff.study.trials import PushSet
 from spinestiff.study.visit import (
     Observer,
@@ -209,12 +221,24 @@ def personalise_step(visit: Visit, say: Observer) -> None:
     """Shape the template to the rest radiographs; writes ``torso.npz`` and ``personalised.json``."""
     subject = visit.subject
     template = starting_torso(visit)
-    pictures, provenance = {}, {}
-    for name in ("frontal", "lateral"):
-        picture = read_rest(subject, name)  # type: ignore[arg-type]
+    pictures: dict[str, tuple[VertebraCorners, XRayView]] = {}
+    pedicles: dict[str, PediclePoints] = {}
+    provenance: dict[str, dict[str, str]] = {}
+    for name in subject.rest_views:
+        picture = read_rest(subject, name)
         pictures[name] = (image_corners(subject, f"rest/{name}", picture.view), picture.view)
+        marked = PediclePoints(*image_pedicles(subject, f"rest/{name}", picture.view))
+        if marked.vertebrae:
+            pedicles[name] = marked
         provenance[name] = dict(picture.provenance)
-    shaped = personalise(template, pictures, say)
+    from_template = subject.torso_path is None and visit.settings.mesh == "coarse"
+    finer = partial(subject_template, subject.record, "fine") if from_template else None
+    trunk: dict[str, TrunkSize] = {
+        level: TrunkSize(size.breadth_mm, size.depth_mm) for level, size in subject.record.trunk.items()
+    }
+    shaped = personalise(template, pictures, say, pedicles=pedicles, finer=finer, trunk=trunk)
+    for warning in shaped.warnings:
+        say(warning)
     visit.subject.results.mkdir(exist_ok=True)
     write_torso(visit.file("torso.npz"), shaped.torso)
     write_json(visit.file("personalised.json"), _personalised_record(shaped, provenance))
@@ -323,7 +347,8 @@ def _estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit) -> dict[s
     item, equilibrium = training[last], fit.equilibria[last]
     push = visit.subject.push(item.push)
     f1, f2 = three_point_reactions(item.force_n, push.d21_mm, push.d31_mm)
-    warnings = [*visit.subject.warnings, *pushes.warnings, *fit.warnings]
+    shape_warnings = read_json(visit.file("personalised.json")).get("warnings", [])
+    warnings = [*visit.subject.warnings, *shape_warnings, *pushes.warnings, *fit.warnings]
     for trial, solved in zip(training, fit.equilibria):
         side = visit.subject.push(trial.push).side
         warnings += [f"{trial.trial.label}: {w}" for w in support_warnings(solved, pushes.torso, side)]
@@ -386,10 +411,37 @@ def _personalised_record(shaped: Personalised, provenance: Mapping[str, Mapping[
         "schema_version": SCHEMA_VERSION,
         "rmse_mm": dict(shaped.rmse_mm),
         "vertebra_rmse_mm": {name: dict(values) for name, values in shaped.vertebra_rmse_mm.items()},
-        "prior_only": list(shaped.prior_only),
-        "poses": {
-            name: {"shift_mm": pose.shift, "roll_deg": np.degrees(pose.roll)} for name, pose in shaped.poses.items()
+        "vertebra_fit": {
+            name: {
+                vertebra: {
+                    "rmse_mm": fit.rmse_mm,
+                    "centre_mm": fit.centre_mm,
+                    "angle_deg": fit.angle_deg,
+                    "wrong_corners": fit.wrong_corners,
+                }
+                for vertebra, fit in fits.items()
+            }
+            for name, fits in shaped.fits.items()
         },
+        "prior_only": list(shaped.prior_only),
+        "carried": {name: list(motions) for name, motions in shaped.carried.items()},
+        "poses": {
+            name: {"shift_mm": pose.shift, "roll_deg": np.degrees(pose.roll), "yaw_deg": np.degrees(pose.yaw)}
+            for name, pose in shaped.poses.items()
+        },
+        "length_scale": shaped.length_scale,
+        "size_scale": dict(zip(shaped.torso.vertebrae, shaped.size_scale.tolist())),
+        "corner_sd_mm": shaped.corner_sd_mm,
+        "covariance": {
+            "order": ["x_mm", "y_mm", "z_mm", "x_rad", "y_rad", "z_rad"],
+            "vertebrae": list(shaped.torso.vertebrae),
+            "blocks": [shaped.covariance[i : i + 6, i : i + 6].tolist() for i in range(0, len(shaped.covariance), 6)],
+        },
+        "mesh": {
+            "smallest_j": shaped.quality.smallest_j,
+            "smallest_dihedral_deg": shaped.quality.smallest_dihedral_deg,
+        },
+        "warnings": list(shaped.warnings),
         "views": {name: _view_record(view) for name, view in shaped.views.items()},
         "millimetres": {name: dict(found) for name, found in provenance.items()},
     }

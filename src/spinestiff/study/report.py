@@ -136,7 +136,7 @@ def _compose(visit: Visit, say: Observer) -> tuple[dict[str, bytes], str, str]:
     album = _Album()
     page |= {
         "held_out": [album.add(*_frame_picture(visit, torso, p)) for p in _of_role(predictions, "validation")],
-        "rest": [album.add(*_rest_picture(visit, torso, view, personalised)) for view in ("frontal", "lateral")],
+        "rest": [album.add(*_rest_picture(visit, torso, view, personalised)) for view in personalised["views"]],
         "curves": album.add(*_curve_picture(pushes, predictions)),
         "region": None if region is None else album.add(*region),
         "levels": album.add(*_tilt_picture(visit, pushes, predictions)),

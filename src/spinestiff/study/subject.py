@@ -47,6 +47,7 @@ __all__ = [
     "XRayRecord",
     "check_frames",
     "image_corners",
+    "image_pedicles",
     "image_supports",
     "inputs_digest",
     "is_current",
@@ -66,6 +67,7 @@ SCHEMA_VERSION = 1
 SUBJECT_FILE = "subject.json"
 ANNOTATION_FILE = "annotation.json"
 REST_IMAGES = {"rest/frontal": "rest/frontal.dcm", "rest/lateral": "rest/lateral.dcm"}
+LATERAL = "rest/lateral"
 FEWEST_VERTEBRAE = 8
 GAUGE_LIMIT_N = 500.0
 """What the force gauge of the set-up measures accurately (paper 2.1)."""
@@ -81,6 +83,7 @@ VertebraName = Literal[
 # Lists pass for tuples here (JSON has nothing else); what is in them is checked strictly.
 Point = Annotated[tuple[float, float], Field(strict=False)]
 Quad = Annotated[tuple[Point, Point, Point, Point], Field(strict=False)]
+Pair = Annotated[tuple[Point, Point], Field(strict=False)]
 Identifier = Annotated[str, Field(pattern=_IDENTIFIER)]
 Distance = Annotated[float, Field(ge=DISTANCES_MM[0], le=DISTANCES_MM[1])]
 
@@ -182,6 +185,13 @@ class PushRecord(_Record):
         return tuple(i for i, given in enumerate(self.roles) if given == role)
 
 
+class TrunkRecord(_Record):
+    """Horizontal extents of the trunk at a level, by tape or caliper, mm: side to side and front to back."""
+
+    breadth_mm: Annotated[float, Field(ge=100.0, le=600.0)]
+    depth_mm: Annotated[float, Field(ge=80.0, le=500.0)]
+
+
 class SubjectRecord(_Record):
     """``subject.json``: the person, the X-ray geometry and the pushes.
 
@@ -197,6 +207,7 @@ class SubjectRecord(_Record):
     torso : a torso file of the subject's own bones (``spinestiff torso import``) instead of the template, relative to
         the subject folder.
     pushes : at least one, with at least one training frame under a force.
+    trunk : optional extents of the trunk, by the vertebra at whose height they were taken.
     """
 
     schema_version: Literal[1]
@@ -208,6 +219,7 @@ class SubjectRecord(_Record):
     xray: XRayRecord = XRayRecord()
     torso: str | None = None
     pushes: Annotated[tuple[PushRecord, ...], Field(min_length=1, strict=False)]
+    trunk: dict[VertebraName, TrunkRecord] = {}
 
     @field_validator("torso")
     @classmethod
@@ -237,10 +249,12 @@ class ImageAnnotation(_Record):
         the patient in a frontal image; superior-anterior, superior-posterior, inferior-posterior, inferior-anterior in
         a lateral one.
     supports : points on the pelvis and on the shoulder that rests on the wall; they show whether the supports moved.
+    pedicles : centres of the left and the right pedicle, in rest images; they determine axial rotation.
     """
 
     vertebrae: dict[VertebraName, Quad]
     supports: dict[Literal["pelvis", "shoulder"], Annotated[tuple[Point, ...], Field(min_length=1, strict=False)]] = {}
+    pedicles: dict[VertebraName, Pair] = {}
 
     @field_validator("vertebrae")
     @classmethod
@@ -270,10 +284,12 @@ class Annotation(_Record):
 
     @field_validator("images")
     @classmethod
-    def _supports_are_in_pushes(cls, images: dict[str, ImageAnnotation]) -> dict[str, ImageAnnotation]:
+    def _points_are_where_they_serve(cls, images: dict[str, ImageAnnotation]) -> dict[str, ImageAnnotation]:
         for name, image in images.items():
             if image.supports and not name.startswith("push/"):
                 raise ValueError(f"{name} has supports; wanted them in push images only, where they can move")
+            if image.pedicles and name.startswith("push/"):
+                raise ValueError(f"{name} has pedicles; wanted them in rest images only, where the shape is found")
         return images
 
 
@@ -318,9 +334,14 @@ class Subject:
         return self.folder / self.push(image.removeprefix("push/")).frames
 
     @property
+    def rest_views(self) -> tuple[Literal["frontal", "lateral"], ...]:
+        """The rest radiographs there are; a lateral one may be missing."""
+        return ("frontal", "lateral") if LATERAL in self.annotation.images else ("frontal",)
+
+    @property
     def inputs(self) -> tuple[Path, ...]:
         """Every input file or folder of the subject."""
-        images = (*REST_IMAGES, *(push.image for push in self.pushes))
+        images = (*(f"rest/{view}" for view in self.rest_views), *(push.image for push in self.pushes))
         files = (self.folder / SUBJECT_FILE, self.folder / ANNOTATION_FILE)
         own = () if self.torso_path is None else (self.torso_path,)
         return (*files, *(self.image_path(image) for image in images), *own)
@@ -343,7 +364,8 @@ def read_subject(folder: str | Path) -> Subject:
         raise SubjectError(f"{folder}: no such folder; wanted a subject folder with {SUBJECT_FILE}")
     record = _read_record(folder / SUBJECT_FILE, SubjectRecord)
     subject = Subject(folder, record, read_annotation(folder / ANNOTATION_FILE), _unusual(record))
-    for image in _annotatable(record):
+    _check_images(subject)
+    for image in subject.annotation.images:
         path = subject.image_path(image)
         if not path.exists():
             raise SubjectError(f"{path}: no such file; wanted the radiograph of {image}")
@@ -355,13 +377,15 @@ def read_subject(folder: str | Path) -> Subject:
             raise SubjectError(f"{own}: no such file; wanted the torso.npz of spinestiff torso import")
         if not own.resolve().is_relative_to(folder.resolve()):
             raise SubjectError(f"{own}: leads out of the subject folder; copy the torso into it")
-    _check_images(subject)
     return subject
 
 
 def write_subject(folder: str | Path, record: SubjectRecord) -> None:
     """Write ``subject.json``."""
-    write_json(Path(folder) / SUBJECT_FILE, record.model_dump(mode="json", exclude_none=True))
+    write_json(
+        Path(folder) / SUBJECT_FILE,
+        record.model_dump(mode="json", exclude_none=True, exclude={"trunk"} if not record.trunk else None),
+    )
 
 
 def read_annotation(path: str | Path) -> Annotation:
@@ -447,6 +471,24 @@ def image_corners(subject: Subject, image: str, view: XRayView) -> VertebraCorne
     return VertebraCorners(names, corners)
 
 
+def image_pedicles(subject: Subject, image: str, view: XRayView) -> tuple[tuple[str, ...], Floats]:
+    """Names and marked pedicles (Nv, 2, 2), left and right, in mm on the detector of ``view``; none if none are given.
+
+    Raises
+    ------
+    SubjectError : a left pedicle lies on the right of the patient in this view.
+    """
+    where, annotated = _annotated(subject, image)
+    names = tuple(sorted(annotated.pedicles, key=VERTEBRAE.index))
+    points = np.array([annotated.pedicles[name] for name in names], dtype=float).reshape(-1, 2, 2)
+    points = view.from_pixels(points)
+    first, _ = picture_axes(view)
+    for name, (left, right) in zip(names, points):
+        if view_kind(view) == "frontal" and (left - right) @ first <= 0.0:
+            raise SubjectError(f"{where}.pedicles.{name}: the left one lies right of the right one; check their order")
+    return names, points
+
+
 def image_supports(subject: Subject, image: str) -> Mapping[str, Floats]:
     """Annotated support points (n, 2) in pixels (column, row), by "pelvis" and "shoulder"; empty if none are given."""
     _, annotated = _annotated(subject, image)
@@ -490,6 +532,9 @@ def _check_images(subject: Subject) -> None:
         if name not in known:
             raise SubjectError(f"{path}: images.{name}: unknown image; wanted {', '.join(known)}")
     for name in known:
+        # Without a lateral radiograph the sagittal shape is the template's; one that is there has to be annotated.
+        if name == LATERAL and not subject.image_path(name).exists():
+            continue
         if name not in images:
             raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
 

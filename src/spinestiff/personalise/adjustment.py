@@ -1,0 +1,296 @@
+"""The most probable vertebrae: a robust bundle adjustment of poses, sizes and stances under the elastic prior.
+
+Minimised over the vertebrae's poses x, what they are in themselves s (log sizes, pedicles' places, tapers) and each
+view's stance n (Gauss and Newton, with weights renewed at every step):
+
+    sum_k rho(|r_k(x, s, n)|) + E(x) / ENERGY_SCALE + s . C^-1 s / 2 + sum (n / sd_n)^2 / 2
+    rho(e) = e^2 / (2 sigma^2) / (1 + (e / c)^2),    c = max(4 sigma, 3 mm)     (Geman and McClure 1987)
+
+The corners' standard deviation sigma falls from 16 mm by halves to what the residuals themselves show: the image's
+weight 1/sigma^2 is annealed, and a wrong corner is told from the shape that the others agree on (graduated
+non-convexity; Blake and Zisserman 1987). A vertebra that was set aside in two views at once is looked at again: where
+one place of its own meets all its corners, it is the vertebra that is unusual, not its annotation. The covariance is
+the inverse of the Gauss-Newton Hessian at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spinestiff.anatomy.rotation import exp_so3
+from spinestiff.arrays import Floats
+from spinestiff.errors import FitError
+from spinestiff.personalise.image_terms import UNKNOWNS, VIEW_UNKNOWNS, ImagePoints, Shape
+from spinestiff.personalise.prior import ElasticPrior, own_precision
+
+# mm at the patient plane.
+FIRST_SD, SD_LIMITS = 16.0, (0.25, 4.0)
+# A residual of this many standard deviations, and of this many mm, has lost three quarters of its weight.
+CUTOFF, LEAST_CUTOFF_MM = 4.0, 3.0
+# Weight below which a point counts as wrong.
+WRONG_WEIGHT = 0.1
+STEPS = 15
+# mm, of each pedicle about the place that left and right share mirrored.
+PEDICLE_SD = 1.0
+# mm, or rad times 30 mm: while annealing, and at the end.
+SMALL_STEP, SMALLEST_STEP = 0.1, 1e-3
+
+Observer = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """What ``adjust`` found.
+
+    Attributes
+    ----------
+    shape : the vertebrae.
+    poses : (N, 4) of the views: two shifts (mm), roll and yaw (rad).
+    weights : of each view's points (P,), 0 = wrong to 1.
+    corner_sd : mm, the corners' standard deviation along one axis.
+    covariance : (15V, 15V), unknowns as ``image_terms.UNKNOWNS``, vertebra by vertebra.
+    pose_covariance : (4N, 4N) of the views' unknowns; zero where one is held.
+    prior_share : (V, 6) the prior's share in what is uncertain of a vertebra's dt and dw, its neighbours fixed: with
+        C = (I + P)^-1 of the image's and the prior's parts, (C P C)_kk / C_kk.
+    """
+
+    shape: Shape
+    poses: Floats
+    weights: tuple[Floats, ...]
+    corner_sd: float
+    covariance: Floats
+    pose_covariance: Floats
+    prior_share: Floats
+
+
+def adjust(
+    views: Sequence[ImagePoints],
+    prior: ElasticPrior,
+    start: Shape,
+    poses: Floats,
+    pose_sd: Floats,
+    first_sd: float = FIRST_SD,
+    observer: Observer | None = None,
+) -> Adjusted:
+    """The most probable vertebrae for the annotated points.
+
+    Parameters
+    ----------
+    views : annotated points.
+    prior : of the poses.
+    start, poses : where to begin; poses (N, 4).
+    pose_sd : (N, 4) standard deviations of the views' unknowns about zero; 0 holds one where it is.
+    first_sd : mm, where the annealing begins.
+
+    Raises
+    ------
+    FitError : no finite solution, or hardly a point that agrees with the others.
+    """
+    system = _System(views, prior, pose_sd)
+    shape, sd = start, first_sd
+    while True:
+        shape, poses, normal = system.settled(shape, poses, sd, SMALL_STEP)
+        if observer:
+            observer(f"corner sd {sd:.2f} mm: rms {normal.rms:.2f} mm, {normal.wrong} points set aside")
+        if sd <= SD_LIMITS[1]:
+            break
+        sd = max(0.5 * sd, SD_LIMITS[1])
+    # From here on the residuals say how exact the corners are.
+    for _ in range(10):
+        found = float(np.clip(normal.estimated_sd, 0.5 * sd, SD_LIMITS[1]))
+        found = max(found, SD_LIMITS[0])
+        close = abs(found - sd) <= 0.03 * sd
+        sd = found
+        shape, poses, normal = system.settled(shape, poses, sd, SMALLEST_STEP if close else SMALL_STEP)
+        again = system.second_look(shape, poses, normal, sd) if close else None
+        if again is not None:
+            shape = again
+        elif close:
+            break
+    if observer:
+        observer(f"corner sd {sd:.2f} mm: rms {normal.rms:.2f} mm, {normal.wrong} points set aside")
+    if normal.weights.sum() < 0.5 * len(normal.weights):
+        raise FitError(
+            "most annotated corners contradict each other or the template; check vertebra names, the order of corners, "
+            "spacing and the directions of the views"
+        )
+    return system.result(shape, poses, normal, sd)
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """Normal equations at one point: image part and whole Hessian, slope, weights of all points, weighted squares."""
+
+    image: Floats
+    hessian: Floats
+    slope: Floats
+    weights: Floats
+    squares: float
+
+    @property
+    def rms(self) -> float:
+        """mm, of the weighted residuals."""
+        return float(np.sqrt(self.squares / self.weights.sum()))
+
+    @property
+    def estimated_sd(self) -> float:
+        """mm along one axis: what the residuals leave once the unknowns that the images fix are counted."""
+        spent = float(np.trace(np.linalg.solve(self.hessian, self.image)))
+        return float(np.sqrt(self.squares / max(2.0 * self.weights.sum() - spent, 1.0)))
+
+    @property
+    def wrong(self) -> int:
+        return int((self.weights < WRONG_WEIGHT).sum())
+
+
+class _System:
+    def __init__(self, views: Sequence[ImagePoints], prior: ElasticPrior, pose_sd: Floats) -> None:
+        self.views, self.prior, self.pose_sd = views, prior, np.asarray(pose_sd, dtype=float)
+        self.count = len(prior.positions)
+        self.free = np.flatnonzero(self.pose_sd.ravel() > 0.0)
+        self.own = own_precision(self.count)
+        size = UNKNOWNS * self.count + len(self.free)
+        first = UNKNOWNS * np.arange(self.count)
+        self.pose_rows = (first[:, None] + np.arange(6)).ravel()
+        self.own_rows = [first + 6 + k for k in range(UNKNOWNS - 6)]
+        self.size = size
+        self.fixed = self.fixed_part()
+
+    def fixed_part(self) -> Floats:
+        """The Hessian of all that is no image."""
+        size = self.size
+        fixed = np.zeros((size, size))
+        fixed[np.ix_(self.pose_rows, self.pose_rows)] = self.prior.hessian
+        for rows, precision in zip(self.own_rows, self.own):
+            fixed[np.ix_(rows, rows)] = precision
+        tail = np.arange(UNKNOWNS * self.count, size)
+        fixed[tail, tail] = 1.0 / self.pose_sd.ravel()[self.free] ** 2
+        return fixed
+
+    def settled(self, shape: Shape, poses: Floats, sd: float, small: float) -> tuple[Shape, Floats, _Normal]:
+        for _ in range(STEPS):
+            normal = self.normal(shape, poses, sd)
+            step = -np.asarray(np.linalg.solve(normal.hessian, normal.slope), dtype=float)
+            if not np.isfinite(step).all():
+                raise FitError(
+                    "the fit to the radiographs has no finite solution; check corners, spacing and distances"
+                )
+            shape, poses, moved = self.moved(shape, poses, step)
+            if moved < small:
+                break
+        return shape, poses, self.normal(shape, poses, sd)
+
+    def normal(self, shape: Shape, poses: Floats, sd: float) -> _Normal:
+        size = len(self.fixed)
+        image, slope = np.zeros((size, size)), np.zeros(size)
+        weights, squares = [], []
+        for number, (view, pose) in enumerate(zip(self.views, poses)):
+            residual, own, nuisance = view.linearised(shape, pose)
+            # Left and right pedicles are not quite alike: a point is as exact as both scatters allow.
+            share = np.where(view.outward == 0.0, 1.0, sd**2 / (sd**2 + PEDICLE_SD**2))
+            error2 = share * np.sum(residual**2, axis=1)
+            weight = (1.0 + error2 / max(CUTOFF * sd, LEAST_CUTOFF_MM) ** 2) ** -2
+            jacobian = np.zeros((len(view), 2, size))
+            columns = UNKNOWNS * view.vertebra[:, None] + np.arange(UNKNOWNS)
+            np.put_along_axis(jacobian, np.repeat(columns[:, None], 2, axis=1), own, axis=2)
+            for column, which in enumerate(self.free):
+                if which // VIEW_UNKNOWNS == number:
+                    jacobian[:, :, UNKNOWNS * self.count + column] = nuisance[:, :, which % VIEW_UNKNOWNS]
+            root = np.sqrt(weight * share)
+            scaled = (root[:, None, None] * jacobian).reshape(-1, size) / sd
+            image += scaled.T @ scaled
+            slope += scaled.T @ ((root[:, None] * residual).ravel() / sd)
+            weights.append(weight)
+            squares.append(error2)
+        weight, error2 = np.concatenate(weights), np.concatenate(squares)
+        hessian = image + self.fixed
+        slope[self.pose_rows] += self.prior.slope(shape)
+        for rows, precision, values in zip(self.own_rows, self.own, shape.own.T):
+            slope[rows] += precision @ values
+        slope[UNKNOWNS * self.count :] += (poses / np.where(self.pose_sd > 0.0, self.pose_sd, np.inf) ** 2).ravel()[
+            self.free
+        ]
+        return _Normal(image, hessian, slope, weight, float(np.sum(weight * error2)))
+
+    def second_look(self, shape: Shape, poses: Floats, normal: _Normal, sd: float) -> Shape | None:
+        """The shape with vertebrae that all views set aside put where their own corners agree, if there are any.
+
+        The prior then lets go of them: what is so unusual says nothing about its neighbours.
+        """
+        weights = np.split(normal.weights, np.cumsum([len(view) for view in self.views])[:-1])
+        found = None
+        for vertebra in range(self.count):
+            each = [w[view.vertebra == vertebra] for view, w in zip(self.views, weights)]
+            seen = [w for w in each if len(w)]
+            if len(seen) < 2 or any(np.mean(w < WRONG_WEIGHT) <= 0.5 for w in seen):
+                continue
+            alone = self._alone(found or shape, poses, vertebra, sd)
+            if alone is not None:
+                found, self.prior = alone, self.prior.without(vertebra)
+        self.fixed = self.fixed_part()
+        return found
+
+    def _alone(self, shape: Shape, poses: Floats, vertebra: int, sd: float) -> Shape | None:
+        """One vertebra by its own corners, its place and tilt free; None where they don't agree on any."""
+        block = slice(UNKNOWNS * vertebra, UNKNOWNS * (vertebra + 1))
+        precision = np.diag(np.concatenate([np.full(3, 1e-4), np.full(3, 1.0), np.diag(self.fixed)[block][6:]]))
+        for _ in range(STEPS):
+            hessian, slope = precision.copy(), np.zeros(UNKNOWNS)
+            slope[6:] = precision[6:, 6:] @ shape.own[vertebra]
+            largest = 0.0
+            for view, pose in zip(self.views, poses):
+                residual, own, _ = view.linearised(shape, pose)
+                which = view.vertebra == vertebra
+                jacobian = own[which].reshape(-1, UNKNOWNS) / sd
+                hessian += jacobian.T @ jacobian
+                slope += jacobian.T @ residual[which].ravel() / sd
+                largest = max(largest, float(np.linalg.norm(residual[which], axis=1).max(initial=0.0)))
+            step = np.zeros(len(self.fixed))
+            step[block] = -np.linalg.solve(hessian, slope)
+            shape, _, _ = self.moved(shape, poses, step)
+        return shape if largest < max(CUTOFF * sd, LEAST_CUTOFF_MM) else None
+
+    def moved(self, shape: Shape, poses: Floats, step: Floats) -> tuple[Shape, Floats, float]:
+        own = step[: UNKNOWNS * self.count].reshape(-1, UNKNOWNS)
+        turn = own[:, 3:6]
+        # A turn beyond half a radian leaves the linear range; the whole step is shortened with it.
+        share = min(1.0, 0.5 / max(float(np.abs(turn).max()), 1e-12))
+        own, turn = share * own, share * turn
+        there = poses.copy().ravel()
+        there[self.free] += share * step[UNKNOWNS * self.count :]
+        moved = replace(
+            shape,
+            positions=shape.positions + own[:, :3],
+            rotations=exp_so3(turn) @ shape.rotations,
+            log_sizes=shape.log_sizes + own[:, 6:9],
+            pedicles=shape.pedicles + own[:, 9:12],
+            tapers=shape.tapers + own[:, 12:],
+        )
+        largest = max(float(np.abs(own[:, :3]).max()), 30.0 * float(np.abs(turn).max()))
+        return moved, there.reshape(poses.shape), largest
+
+    def result(self, shape: Shape, poses: Floats, normal: _Normal, sd: float) -> Adjusted:
+        covariance = np.asarray(np.linalg.inv(normal.hessian), dtype=float)
+        covariance = 0.5 * (covariance + covariance.T)
+        size = UNKNOWNS * self.count
+        views = np.zeros((self.pose_sd.size, self.pose_sd.size))
+        views[np.ix_(self.free, self.free)] = covariance[size:, size:]
+        shares = []
+        for first in range(0, size, UNKNOWNS):
+            block = slice(first, first + UNKNOWNS)
+            own = np.linalg.inv(normal.hessian[block, block])
+            # The variance of what both hold together is the sum of what each lets through.
+            shares.append(np.diag(own @ self.fixed[block, block] @ own)[:6] / np.diag(own)[:6])
+        ends = np.cumsum([len(view) for view in self.views])[:-1]
+        return Adjusted(
+            shape,
+            poses,
+            tuple(np.split(normal.weights, ends)),
+            sd,
+            covariance[:size, :size],
+            views,
+            np.array(shares),
+        )

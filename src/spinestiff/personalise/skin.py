@@ -1,0 +1,123 @@
+"""Breadths and depths of the trunk by tape or caliper: the skin moved to them, the tissue under it carried along."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats
+from spinestiff.errors import TorsoError
+from spinestiff.personalise.sizes import spread
+
+# A trunk that differs more from the carried one is a mistake, or another person's.
+FACTOR_LIMITS = (0.75, 1.35)
+# mm beyond the measured levels over which the skin goes back to the carried one.
+FADE_MM = 150.0
+ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class TrunkSize:
+    """Horizontal extents of the skin at a level, mm: side to side and front to back.
+
+    Raises
+    ------
+    TorsoError : not above 0.
+    """
+
+    breadth_mm: float
+    depth_mm: float
+
+    def __post_init__(self) -> None:
+        if not (self.breadth_mm > 0.0 and self.depth_mm > 0.0):
+            raise TorsoError(f"trunk of {self.breadth_mm:g} by {self.depth_mm:g} mm; wanted both above 0")
+
+
+def trunk_sizes(torso: TorsoModel, levels: tuple[str, ...]) -> tuple[dict[str, TrunkSize], Floats]:
+    """The torso's own extents at the heights of bones at rest, and the middles (n, 2) mm of the sections in x and z.
+
+    Raises
+    ------
+    TorsoError : unknown bone, or no skin at its height.
+    """
+    faces = torso.tissue.boundary_faces()[:, :3]
+    points = torso.tissue.rest_positions
+    found, middles = {}, []
+    for level in levels:
+        height = torso.rest_pose.bone_positions[torso.bone(level), 1]
+        section = _section(points, faces, height)
+        if not len(section):
+            raise TorsoError(f"no skin at the height of {level}; measure between the neck and the hips")
+        low, high = section.min(0), section.max(0)
+        found[level] = TrunkSize(*(high - low).tolist())
+        middles.append(0.5 * (low + high))
+    return found, np.array(middles)
+
+
+def with_trunk_sizes(torso: TorsoModel, wanted: Mapping[str, TrunkSize]) -> TorsoModel:
+    """The torso with its skin at the ``wanted`` extents, at the heights of the bones they are named by.
+
+    Between levels factors go over linearly in height, beyond them they fade to 1. Bones stay where they are; free
+    tissue between them and the skin follows harmonically.
+
+    Raises
+    ------
+    TorsoError : an extent below 0.75 or above 1.35 of the carried skin's, or tissue that is squeezed inside out.
+    """
+    levels = tuple(sorted(wanted, key=lambda name: torso.rest_pose.bone_positions[torso.bone(name), 1]))
+    if not levels:
+        return torso
+    own, _ = trunk_sizes(torso, levels)
+    low, high = FACTOR_LIMITS
+    for level in levels:
+        for what in ("breadth_mm", "depth_mm"):
+            ratio = getattr(wanted[level], what) / getattr(own[level], what)
+            if not low <= ratio <= high:
+                raise TorsoError(
+                    f"{what.removesuffix('_mm')} at {level} is {getattr(wanted[level], what):g} mm, {ratio:.2f} times "
+                    f"the skin's ({getattr(own[level], what):.0f} mm); wanted {low} to {high} times: check the measure"
+                )
+    for _ in range(ROUNDS):
+        own, middles = trunk_sizes(torso, levels)
+        factors = [(wanted[v].breadth_mm / own[v].breadth_mm, wanted[v].depth_mm / own[v].depth_mm) for v in levels]
+        try:
+            torso = _stretched(torso, levels, np.array(factors), middles)
+        except TorsoError as error:
+            raise TorsoError(
+                f"the skin can't come to the trunk's extents at {', '.join(levels)}: the ribs, which they don't move, "
+                f"leave no room for the tissue between ({error}); check the measures or leave them out"
+            ) from None
+    return torso
+
+
+def _stretched(torso: TorsoModel, levels: tuple[str, ...], factors: Floats, middles: Floats) -> TorsoModel:
+    mesh = torso.tissue
+    heights = np.array([torso.rest_pose.bone_positions[torso.bone(level), 1] for level in levels])
+    knots = np.concatenate([[heights[0] - FADE_MM], heights, [heights[-1] + FADE_MM]])
+    grown = np.vstack([[0.0, 0.0], factors - 1.0, [0.0, 0.0]])
+    centre = np.vstack([middles[:1], middles, middles[-1:]])
+    skin = np.unique(mesh.boundary_faces())
+    skin = skin[mesh.bone_of_node[skin] < 0]
+    at = mesh.rest_positions[skin]
+    moved = np.zeros_like(mesh.rest_positions)
+    for axis, column in ((0, 0), (2, 1)):
+        share, middle = (np.interp(at[:, 1], knots, values[:, column]) for values in (grown, centre))
+        moved[skin, axis] = share * (at[:, axis] - middle)
+    told = mesh.bone_of_node >= 0
+    told[skin] = True
+    nodes = mesh.rest_positions + spread(mesh, moved, told)
+    pose = replace(torso.rest_pose, tissue_positions=nodes[mesh.free_nodes])
+    return replace(torso, tissue=replace(mesh, rest_positions=nodes), rest_pose=pose)
+
+
+def _section(points: Floats, faces: np.ndarray, height: float) -> Floats:
+    """(n, 2) mm, x and z where edges of the faces pass a height."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    a, b = points[edges[:, 0]], points[edges[:, 1]]
+    across = (a[:, 1] - height) * (b[:, 1] - height) < 0.0
+    a, b = a[across], b[across]
+    share = ((height - a[:, 1]) / (b[:, 1] - a[:, 1]))[:, None]
+    return np.asarray((a + share * (b - a))[:, [0, 2]])

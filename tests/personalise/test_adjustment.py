@@ -1,0 +1,162 @@
+"""The bundle adjustment: a known shape is found, wrong corners are set aside, and the covariance means what it says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from spinestiff.anatomy.rotation import exp_so3, log_so3
+from spinestiff.errors import FitError
+from spinestiff.imaging.features import VertebraCorners, silhouette_choice
+from spinestiff.imaging.projection import frontal_view, lateral_view
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.personalise.adjustment import adjust
+from spinestiff.personalise.image_terms import Shape, image_points, shape_of
+from spinestiff.personalise.prior import elastic_prior, pelvis_on_springs
+
+VIEWS = (frontal_view(shape=(1536, 1024)), lateral_view(shape=(1536, 1024)))
+KNOWN = np.zeros((2, 4))
+STANCE = np.array([[6.0, -4.0, 0.01, 0.0], [-5.0, 3.0, -0.008, 0.05]])
+
+
+@pytest.fixture(scope="module")
+def prior(template):
+    return elastic_prior(EquilibriumProblem(template, pelvis_on_springs(template)), template.rest_pose)
+
+
+@pytest.fixture(scope="module")
+def girl(template):
+    """A curve of about 20 degrees, half a standard deviation of size."""
+    rest = shape_of(template, template.rest_pose)
+    height = (rest.positions[:, 1] - rest.positions[-1, 1]) / np.ptp(rest.positions[:, 1])
+    aside = 8.0 * np.sin(np.pi * height)
+    tilt = -np.arctan(np.gradient(aside, rest.positions[:, 1]))
+    random = np.random.default_rng(5)
+    return Shape(
+        rest.positions + np.outer(aside, [1.0, 0.0, 0.3]),
+        exp_so3(np.outer(tilt, [0.0, 0.0, 1.0])) @ rest.rotations,
+        random.normal(0.03, 0.03, (17, 3)),
+        random.normal(0.0, 1.0, (17, 3)),
+        random.normal(0.0, 0.02, (17, 3)),
+    )
+
+
+def pictures(template, girl, noise, seed=0, stance=KNOWN):
+    """Annotated points with Gaussian noise (mm at the patient plane along each axis)."""
+    random = np.random.default_rng(seed)
+    found = []
+    for view, pose in zip(VIEWS, stance):
+        choice = silhouette_choice(template, view, template.rest_pose)
+        points = image_points(template, view, VertebraCorners(template.vertebrae, np.zeros((17, 4, 2))), choice)
+        seen = points.residuals(girl, pose) * view.magnification
+        found.append(replace(points, measured=seen + random.normal(0.0, noise * view.magnification, seen.shape)))
+    return found
+
+
+def start(template):
+    return shape_of(template, template.rest_pose)
+
+
+def centre_errors(found, girl):
+    return np.linalg.norm(found.shape.positions - girl.positions, axis=1)
+
+
+def turn_errors(found, girl):
+    return log_so3(found.shape.rotations @ np.swapaxes(girl.rotations, 1, 2))
+
+
+def test_exact_corners_give_the_shape(template, prior, girl):
+    found = adjust(pictures(template, girl, 0.0), prior, start(template), KNOWN, KNOWN)
+    assert centre_errors(found, girl).max() < 0.3
+    assert np.degrees(np.abs(turn_errors(found, girl)[:, [0, 2]])).max() < 0.7
+    assert np.exp(found.shape.log_sizes) == pytest.approx(np.exp(girl.log_sizes), abs=0.03)
+    assert min(weights.min() for weights in found.weights) > 0.5
+
+
+def test_the_noise_is_read_from_the_residuals(template, prior, girl):
+    for noise in (0.5, 1.5):
+        found = adjust(pictures(template, girl, noise), prior, start(template), KNOWN, KNOWN)
+        assert found.corner_sd == pytest.approx(noise, rel=0.15)
+
+
+def test_the_covariance_is_the_errors(template, prior, girl):
+    """Over draws of the noise: errors of place and tilt over their own standard deviations are about 1."""
+    scaled = []
+    for seed in range(4):
+        found = adjust(pictures(template, girl, 0.7, seed), prior, start(template), KNOWN, KNOWN)
+        sd = np.sqrt(np.diag(found.covariance)).reshape(17, 15)[:, :6]
+        error = np.hstack([found.shape.positions - girl.positions, turn_errors(found, girl)])
+        scaled.append((error / sd)[:, [0, 1, 2, 3, 5]])
+    rms = np.sqrt(np.mean(np.square(scaled), axis=(0, 1)))
+    assert (rms > 0.6).all()
+    assert (rms < 1.4).all()
+
+
+def test_a_wrong_corner_is_set_aside(template, prior, girl):
+    views = pictures(template, girl, 0.5)
+    clean = adjust(views, prior, start(template), KNOWN, KNOWN)
+    measured = views[0].measured.copy()
+    measured[4 * 8 + 1] += [12.0, -9.0]
+    found = adjust([replace(views[0], measured=measured), views[1]], prior, start(template), KNOWN, KNOWN)
+    wrong = np.flatnonzero(found.weights[0] < 0.1)
+    assert wrong.tolist() == [4 * 8 + 1]
+    assert found.weights[1].min() > 0.1
+    assert np.linalg.norm(found.shape.positions - clean.shape.positions, axis=1).max() < 0.4
+
+
+def test_swapped_names_are_told_by_the_other_view(template, prior, girl):
+    """T8 and T9 exchanged in the lateral picture: the frontal one and the neighbours outvote it."""
+    views = pictures(template, girl, 0.5)
+    measured = views[1].measured.reshape(17, 4, 2).copy()
+    measured[[7, 8]] = measured[[8, 7]]
+    found = adjust(
+        [views[0], replace(views[1], measured=measured.reshape(-1, 2))], prior, start(template), KNOWN, KNOWN
+    )
+    assert np.flatnonzero((found.weights[1].reshape(17, 4) < 0.1).all(1)).tolist() == [7, 8]
+    assert found.weights[0].min() > 0.1
+    assert centre_errors(found, girl).max() < 2.5
+    assert np.delete(centre_errors(found, girl), [7, 8]).max() < 1.2
+
+
+def test_an_unusual_vertebra_is_no_wrong_one(template, prior, girl):
+    """T12 is 15 mm nearer to T11 than in anybody: both views agree on it, so it is where they say."""
+    places = girl.positions.copy()
+    places[11] += 15.0 * girl.rotations[11, :, 1]
+    odd = replace(girl, positions=places)
+    found = adjust(pictures(template, odd, 0.5), prior, start(template), KNOWN, KNOWN)
+    assert min(weights.min() for weights in found.weights) > 0.1
+    assert centre_errors(found, odd).max() < 1.2
+
+
+def test_a_stance_is_found_with_its_prior(template, prior, girl):
+    sd = np.array([[200.0, 200.0, 0.012, 0.0], [200.0, 200.0, 0.012, 0.05]])
+    found = adjust(pictures(template, girl, 0.3, stance=STANCE), prior, start(template), KNOWN, sd)
+    assert found.poses[0, 3] == 0.0
+    assert found.poses[:, :2] == pytest.approx(STANCE[:, :2], abs=1.5)
+    assert found.pose_covariance[3].tolist() == [0.0] * 8
+    assert np.sqrt(found.pose_covariance[2, 2]) < 0.012
+
+
+def test_what_no_image_shows_is_the_priors(template, prior, girl):
+    """T1 to T3 in no picture: held by the prior alone, and far less certain than what is seen."""
+    views = []
+    for view in pictures(template, girl, 0.5):
+        keep = view.vertebra > 2
+        parts = {key: getattr(view, key)[keep] for key in ("vertebra", "offset", "outward", "measured")}
+        views.append(replace(view, **parts))
+    found = adjust(views, prior, start(template), KNOWN, KNOWN)
+    assert found.prior_share[:3] == pytest.approx(np.ones((3, 6)), abs=1e-9)
+    assert (found.prior_share[3:, :4] < 0.5).all()
+    sd = np.sqrt(np.diag(found.covariance)).reshape(17, 15)
+    assert sd[0, 0] > 10.0 * sd[8, 0]
+    assert centre_errors(found, girl)[0] < 4.0 * sd[0, :3].max()
+
+
+def test_corners_of_something_else_are_refused(template, prior, girl):
+    views = pictures(template, girl, 0.5)
+    random = np.random.default_rng(1)
+    nonsense = [replace(v, measured=v.measured + random.uniform(-200.0, 200.0, v.measured.shape)) for v in views]
+    with pytest.raises(FitError, match="contradict each other"):
+        adjust(nonsense, prior, start(template), KNOWN, KNOWN)
