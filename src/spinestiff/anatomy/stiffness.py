@@ -43,8 +43,8 @@ DIRECTIONS = {
     "lateral_bending": 5,
 }
 # The paper's ratio of lateral bending. At the default, Table 1's rib cage stiffens the thorax about as cadavers show
-# (+28 % of motion in lateral bending once it is open; Liebsch et al. 2017 find 16 to 42 %); left there while the ratio
-# falls to 0.02, it would carry the thorax alone (+272 %). So "lateral_bending" scales the sternal joints along (+68 %;
+# (+32 % of motion in lateral bending once it is open; Liebsch et al. 2017 find 16 to 42 %); left there while the ratio
+# falls to 0.02, it would carry the thorax alone (+285 %). So "lateral_bending" scales the sternal joints along (+71 %;
 # docs/validation.md).
 INTERVERTEBRAL_BENDING = "intervertebral_bending"
 TISSUE_PARAMETERS = {"tissue": (True, True), "tissue_mu": (True, False), "tissue_lambda": (False, True)}
