@@ -15,6 +15,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay, cKDTree
 
+from spinestiff.anatomy.meshing import BURIED, GAP, farthest_points
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.template.assemble import Skeleton
 from spinestiff.anatomy.template.skin import Skin
@@ -23,8 +24,6 @@ from spinestiff.anatomy.torso import TET10_EDGES
 
 WANTED_ANGLE = 16.0
 VOLUME_TOLERANCE = 0.002  # a share; bending stiffness goes with the square of the cross-section
-GAP = 1.0 / 3.0  # of the distance to the next bone: how far a bone's tied nodes reach into the gap between the two
-BURIED = 0.16  # of the skin's spacing: how deep a bone's points shall lie, so that no facet bares them
 INSIDE, PLANE, SKIN, PLANE_SKIN, RIM, PLANE_RIM = range(6)
 PLANAR = (PLANE, PLANE_SKIN, PLANE_RIM)
 
@@ -48,20 +47,6 @@ class HalfMesh:
     tetrahedra: np.ndarray
     place: np.ndarray
     bone: np.ndarray
-
-
-def farthest_points(candidates: np.ndarray, chosen: np.ndarray, spacing: float, least: int = 0) -> np.ndarray:
-    """Candidates added one by one, each the farthest from all before, until none is ``spacing`` away."""
-    added: list[np.ndarray] = []
-    if not len(candidates):
-        return np.zeros((0, 3))
-    distance = cKDTree(chosen).query(candidates)[0] if len(chosen) else np.full(len(candidates), np.inf)
-    while True:
-        worst = int(np.argmax(distance))
-        if (distance[worst] < spacing and len(added) >= least) or distance[worst] < 1e-9:
-            return np.array(added).reshape(-1, 3)
-        added.append(candidates[worst])
-        distance = np.minimum(distance, np.linalg.norm(candidates - candidates[worst], axis=1))
 
 
 def bone_samples(

@@ -205,13 +205,13 @@ def starting_mesh(
         bony.append(found)
     bones = np.vstack(bony)
     # The corners of the skin stand a little outside it: that makes up for the facets' cutting of its curves.
-    outer = _farthest(shell, np.zeros((0, 3)), skin_spacing)
+    outer = farthest_points(shell, np.zeros((0, 3)), skin_spacing)
     normals = _normals(skin, outer)
     outer = outer + 0.0014 * skin_spacing**2 * normals
     grid = _lattice(skin[0].min(0), skin[0].max(0), 0.28 * spacing)
     grid = grid[enclosed(skin, grid)]
     grid = grid[depth_tree.query(grid)[0] > 0.55 * skin_spacing]
-    fill = _farthest(grid, bones, spacing)
+    fill = farthest_points(grid, bones, spacing)
     fill = fill + rng.uniform(-0.06, 0.06, fill.shape) * spacing  # regular points give flat tetrahedra
     points = np.vstack([bones, outer, fill])
     on_skin = np.zeros(len(points), dtype=bool)
@@ -253,11 +253,11 @@ def _bone_points(surface: Surface, spacing: float, others: Floats, skin: cKDTree
                 break
         found = clear
     start = found[[np.argmax(np.linalg.norm(found - found.mean(0), axis=1))]]
-    return np.vstack([start, _farthest(found, start, spacing, least=2)])
+    return np.vstack([start, farthest_points(found, start, spacing, least=2)])
 
 
-def _farthest(candidates: Floats, chosen: Floats, spacing: float, least: int = 0) -> Floats:
-    # Candidates one by one, each the farthest from all before, until none is ``spacing`` away.
+def farthest_points(candidates: Floats, chosen: Floats, spacing: float, least: int = 0) -> Floats:
+    """Candidates added one by one, each the farthest from all before, until none is ``spacing`` away."""
     added: list[Floats] = []
     if not len(candidates):
         return np.zeros((0, 3))

@@ -60,8 +60,8 @@ class UncertaintySettings:
     picture_shift_sd_mm : of the patient's place in each radiograph against that at rest, along columns and rows, at
         the patient plane.
     motion_sd : relative error of the simulated motion that mesh and rest geometry leave, common to the frames of a
-        push: one that scales it and one that grows along the spine. Measured on the shipped meshes in soft states:
-        the coarse mesh lies 5 to 10 % below the limit, the fine one 2 to 5 % (docs/validation.md).
+        push: one that scales it and one that grows along the spine. Both shipped meshes lie 3 to 5 % below the limit
+        in their change of tilt (docs/validation.md).
     """
 
     corner_sd_mm: float = 0.3

@@ -22,7 +22,7 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import mean_rotation
 from spinestiff.anatomy.solids import dense_points, enclosed, exits
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.template.assemble import centroid
+from spinestiff.anatomy.template.assemble import centroid, frame_along, rearmost
 from spinestiff.anatomy.template.surfaces import Surface, tangents
 from spinestiff.anatomy.torso import TorsoState
 from spinestiff.arrays import Floats
@@ -132,15 +132,6 @@ def template_column_mm() -> float:
     boxes = np.einsum("vij,vkj->vki", rest.bone_rotations[:17], torso.vertebra_boxes) + rest.bone_positions[:17, None]
     line = np.vstack([boxes[0, :4].mean(0), boxes[:, 4:].mean(1), np.zeros(3)])  # the origin is the sacral endplate
     return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-
-
-def frame_along(x: Floats) -> Floats:
-    """(3, 3) axes: X as given, Y as near to up as it can be (forward where X itself is upright), Z to complete them."""
-    x = x / np.linalg.norm(x)
-    hint = np.array([0.0, 1.0, 0.0]) if abs(x[1]) < 0.9 else np.array([0.0, 0.0, 1.0])
-    y = hint - (hint @ x) * x
-    y /= np.linalg.norm(y)
-    return np.stack([x, y, np.cross(x, y)], -1)
 
 
 def _shifted(v: MeasuredVertebra, by: Floats) -> MeasuredVertebra:
@@ -338,13 +329,3 @@ def landmarks(skeleton: Skeleton, rest: TorsoState) -> dict[str, PointsOnBones]:
     pelvis = BONE_INDEX["pelvis"]
     belt = {"pelvis": rest.bone_positions[pelvis][None]}
     return {"rib_lateral": on(lateral), "wall": on(wall), "humerus_head": on(heads), "pelvis_belt": on(belt)}
-
-
-def rearmost(vertices: Floats, count: int, apart: float) -> Floats:
-    """Up to ``count`` of the vertices (n, 3) that lie farthest back, ``apart`` mm from each other."""
-    ordered = vertices[np.argsort(vertices[:, 2], kind="stable")]
-    chosen = [ordered[0]]
-    for vertex in ordered[1:]:
-        if len(chosen) < count and min(np.linalg.norm(vertex - c) for c in chosen) >= apart:
-            chosen.append(vertex)
-    return np.array(chosen)

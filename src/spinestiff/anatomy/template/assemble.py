@@ -113,8 +113,8 @@ def _pelvis_origin(skin: Skin, pelvis: Surface) -> Floats:
     return np.array([0.0, y, 0.5 * (float(front) + float(back))])
 
 
-def _frame(x: Floats) -> Floats:
-    # X as given, Y as close to up as it can be (forward for an X that is itself upright), Z to complete it.
+def frame_along(x: Floats) -> Floats:
+    """(3, 3) axes: X as given, Y as near to up as it can be (forward where X itself is upright), Z to complete them."""
     x = x / np.linalg.norm(x)
     hint = np.array([0.0, 1.0, 0.0]) if abs(x[1]) < 0.9 else np.array([0.0, 0.0, 1.0])
     y = hint - (hint @ x) * x
@@ -148,7 +148,7 @@ def joint_places(skeleton: Skeleton) -> tuple[Floats, Floats]:
             continue
         centre, x = _joint_place(skeleton, *joint)
         side = _MIRROR if joint.child.endswith("_R") else 1.0
-        centres[j], axes[j] = centre * side, _frame(x * side)
+        centres[j], axes[j] = centre * side, frame_along(x * side)
     return centres, axes
 
 
@@ -168,10 +168,11 @@ def build_joints(skeleton: Skeleton, rest: TorsoState) -> JointTable:
     )
 
 
-def _rearmost(surface: Surface, count: int, apart: float) -> Floats:
-    vertices = surface[0][np.argsort(surface[0][:, 2], kind="stable")]
-    chosen = [vertices[0]]
-    for vertex in vertices[1:]:
+def rearmost(vertices: Floats, count: int, apart: float) -> Floats:
+    """Up to ``count`` of the vertices (n, 3) that lie farthest back, ``apart`` mm from each other."""
+    ordered = vertices[np.argsort(vertices[:, 2], kind="stable")]
+    chosen = [ordered[0]]
+    for vertex in ordered[1:]:
         if len(chosen) < count and min(np.linalg.norm(vertex - c) for c in chosen) >= apart:
             chosen.append(vertex)
     return np.array(chosen)
@@ -194,8 +195,8 @@ def build_landmarks(skeleton: Skeleton, rest: TorsoState) -> dict[str, PointsOnB
 
     rib_names = [name[:-2] for name in RIBS[::2]]
     lateral = {name: surface(name)[0][[np.argmax(surface(name)[0][:, 0])]] for name in rib_names}
-    wall = {"scapula": _rearmost(surface("scapula"), 2, 40.0)}
-    wall |= {name: _rearmost(surface(name), 1, 0.0) for name in rib_names[3:10]}
+    wall = {"scapula": rearmost(surface("scapula")[0], 2, 40.0)}
+    wall |= {name: rearmost(surface(name)[0], 1, 0.0) for name in rib_names[3:10]}
     pelvis = BONE_INDEX["pelvis"]
     return {
         "rib_lateral": both(lateral),
