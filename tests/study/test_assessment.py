@@ -18,7 +18,7 @@ from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import SolveStatus
 from spinestiff.study import assessment
 from spinestiff.study.assessment import BASELINES, assess, extrapolated, single_ratio
-from spinestiff.study.subject import PushRecord
+from spinestiff.study.records import PushRecord
 from spinestiff.study.trials import TrackedFrame, TrackedPush, push_set
 
 FORCES = (0.0, 10.0, 20.0, 30.0)

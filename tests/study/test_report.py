@@ -26,17 +26,11 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study import report
+from spinestiff.study.records import Annotation, ImageAnnotation, PushRecord, SubjectRecord
 from spinestiff.study.report import write_report
 from spinestiff.study.report_content import MISSING, fixed, number
 from spinestiff.study.results import write_json
-from spinestiff.study.subject import (
-    Annotation,
-    ImageAnnotation,
-    PushRecord,
-    SubjectRecord,
-    write_annotation,
-    write_subject,
-)
+from spinestiff.study.subject import write_annotation, write_subject
 from spinestiff.study.viewer.page import script_hash
 from spinestiff.study.visit import Visit, open_visit
 

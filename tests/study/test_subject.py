@@ -15,10 +15,8 @@ from spinestiff.errors import SubjectError, TorsoError
 from spinestiff.imaging.projection import frontal_view, lateral_view, placed_view
 from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.study.pipeline import subject_template
+from spinestiff.study.records import Annotation, ImageAnnotation, SubjectRecord
 from spinestiff.study.subject import (
-    Annotation,
-    ImageAnnotation,
-    SubjectRecord,
     check_frames,
     image_corners,
     image_pedicles,
@@ -92,7 +90,7 @@ def test_the_documented_python_runs(folder, monkeypatch, capsys):
 
 
 def test_every_key_is_documented():
-    from spinestiff.study.subject import PushRecord, XRayRecord
+    from spinestiff.study.records import PushRecord, XRayRecord
 
     for record in (SubjectRecord, PushRecord, XRayRecord):
         for key in record.model_fields:

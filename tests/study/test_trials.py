@@ -11,7 +11,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SubjectError
 from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
 from spinestiff.imaging.projection import frontal_view
-from spinestiff.study.subject import PushRecord
+from spinestiff.study.records import PushRecord
 from spinestiff.study.trials import TrackedFrame, TrackedPush, push_set, usable_corners
 
 STOOD = ((6.0, -4.0), 0.02)

@@ -29,6 +29,7 @@ from spinestiff.mechanics.loads import three_point_reactions
 from spinestiff.personalise.image_terms import PediclePoints
 from spinestiff.personalise.shape import Personalised, personalise
 from spinestiff.personalise.skin import TrunkSize
+from spinestiff.study.records import SubjectRecord
 from spinestiff.study.results import (
     StepRecord,
     changed_inputs,
@@ -40,14 +41,7 @@ from spinestiff.study.results import (
     step_digest,
     write_json,
 )
-from spinestiff.study.subject import (
-    SubjectRecord,
-    image_corners,
-    image_pedicles,
-    image_supports,
-    read_push,
-    read_rest,
-)
+from spinestiff.study.subject import image_corners, image_pedicles, image_supports, read_push, read_rest
 from spinestiff.study.trials import PushSet
 from spinestiff.study.visit import (
     Observer,

@@ -41,6 +41,7 @@ from spinestiff.study.figures import (
 )
 from spinestiff.study.metrics import cobb_change, tilts
 from spinestiff.study.predictions import Prediction, predict
+from spinestiff.study.records import PushRecord
 from spinestiff.study.report_content import (
     MODELS,
     certainty_content,
@@ -58,7 +59,7 @@ from spinestiff.study.report_content import (
     support_rows,
 )
 from spinestiff.study.results import read_json, write_text
-from spinestiff.study.subject import PushRecord, image_corners, read_push, read_rest
+from spinestiff.study.subject import image_corners, read_push, read_rest
 from spinestiff.study.trials import PushSet, PushTrial
 from spinestiff.study.viewer.files import scene_of
 from spinestiff.study.viewer.page import component, page_environment, script_hash, view_page

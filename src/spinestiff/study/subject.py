@@ -6,291 +6,35 @@ rest (``check_frames``, ``image_corners``). Each refusal is one line: file, fiel
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
-from pydantic_core import ErrorDetails
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
-from spinestiff.study.results import (
-    RESULTS,
-    StepRecord,
-    inputs_digest,
-    is_current,
-    parse_json,
-    read_json,
-    read_text,
-    record_step,
-    step_digest,
-    write_json,
+from spinestiff.study.records import (
+    ANNOTATION_FILE,
+    LATERAL,
+    REST_IMAGES,
+    SCHEMA_VERSION,
+    SUBJECT_FILE,
+    USUAL_LIMIT_N,
+    Annotation,
+    ImageAnnotation,
+    PushRecord,
+    SubjectRecord,
+    read_record,
 )
+from spinestiff.study.results import RESULTS, write_json
 
 if TYPE_CHECKING:
     from spinestiff.imaging.projection import XRayView
     from spinestiff.imaging.radiograph import Radiograph
-
-__all__ = [
-    "Annotation",
-    "ImageAnnotation",
-    "PushRecord",
-    "StepRecord",
-    "Subject",
-    "SubjectRecord",
-    "XRayRecord",
-    "check_frames",
-    "image_corners",
-    "image_pedicles",
-    "image_supports",
-    "inputs_digest",
-    "is_current",
-    "read_annotation",
-    "read_json",
-    "read_push",
-    "read_rest",
-    "read_subject",
-    "record_step",
-    "step_digest",
-    "write_annotation",
-    "write_json",
-    "write_subject",
-]
-
-SCHEMA_VERSION = 1
-SUBJECT_FILE = "subject.json"
-ANNOTATION_FILE = "annotation.json"
-REST_IMAGES = {"rest/frontal": "rest/frontal.dcm", "rest/lateral": "rest/lateral.dcm"}
-LATERAL = "rest/lateral"
-FEWEST_VERTEBRAE = 8
-GAUGE_LIMIT_N = 500.0
-"""What the force gauge of the set-up measures accurately (paper 2.1)."""
-USUAL_LIMIT_N = 114.0
-"""The largest force of the paper's measurements (paper 2.1)."""
-DISTANCES_MM = (30.0, 1000.0)
-_IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
-
-Role = Literal["training", "validation", "unused"]
-VertebraName = Literal[
-    "T1", "T2", "T3", "T4", "T5", "T6", "T7", "T8", "T9", "T10", "T11", "T12", "L1", "L2", "L3", "L4", "L5"
-]  # fmt: skip
-# Lists pass for tuples here (JSON has nothing else); what is in them is checked strictly.
-Point = Annotated[tuple[float, float], Field(strict=False)]
-Quad = Annotated[tuple[Point, Point, Point, Point], Field(strict=False)]
-Pair = Annotated[tuple[Point, Point], Field(strict=False)]
-Identifier = Annotated[str, Field(pattern=_IDENTIFIER)]
-Distance = Annotated[float, Field(ge=DISTANCES_MM[0], le=DISTANCES_MM[1])]
-
-
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
-def _inside(path: str) -> str:
-    absolute = PurePosixPath(path).is_absolute() or PureWindowsPath(path).drive or path.startswith("\\")
-    if absolute or "\\" in path or ".." in PurePosixPath(path).parts or not path.strip() or "\0" in path:
-        raise ValueError(f"found {_shown(path)}, wanted a path inside the subject folder, with / and without ..")
-    return path
-
-
-class XRayRecord(_Record):
-    """X-ray geometry where the DICOM files lack it; a value that contradicts a file is refused.
-
-    Attributes
-    ----------
-    source_detector_mm, source_patient_mm : mm, along the detector's normal.
-    imager_pixel_mm : pixel pitch at the detector, mm.
-    orientation : "standard" = in files without an orientation of their own columns grow to the patient's left (in
-        lateral views to anterior) and rows to the feet.
-    """
-
-    source_detector_mm: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
-    source_patient_mm: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
-    imager_pixel_mm: Annotated[float, Field(gt=0.0, le=5.0)] | None = None
-    orientation: Literal["standard"] | None = None
-
-
-class PushRecord(_Record):
-    """One series of radiographs under a growing rib force.
-
-    Attributes
-    ----------
-    id : name, unique in the subject.
-    side : the side that is pushed, the patient's.
-    level : rib level of the push point, 1 to 12; 8.5 = between ribs 8 and 9.
-    d21_mm, d31_mm : vertical distances shoulder to pelvis and shoulder to push point (Eqs. 1-2), mm.
-    frames : file or folder of the radiographs, relative to the subject folder.
-    forces_n : magnitude for each frame, N.
-    roles : for each frame.
-    """
-
-    id: Identifier
-    side: Literal["left", "right"]
-    level: Annotated[float, Field(ge=1.0, le=12.0)]
-    d21_mm: Distance
-    d31_mm: Distance
-    frames: str
-    forces_n: Annotated[tuple[float, ...], Field(min_length=1, strict=False)]
-    roles: Annotated[tuple[Role, ...], Field(strict=False)]
-
-    @field_validator("frames")
-    @classmethod
-    def _stays_inside(cls, path: str) -> str:
-        return _inside(path)
-
-    @field_validator("forces_n")
-    @classmethod
-    def _are_magnitudes(cls, forces: tuple[float, ...]) -> tuple[float, ...]:
-        for i, force in enumerate(forces):
-            if force < 0.0:
-                raise ValueError(f"frame {i} has {force:g} N; forces are magnitudes, the sign comes from the side")
-            if force > GAUGE_LIMIT_N:
-                raise ValueError(f"frame {i} has {force:g} N, wanted at most {GAUGE_LIMIT_N:g} N (the gauge's limit)")
-        return forces
-
-    @model_validator(mode="after")
-    def _fits_together(self) -> Self:
-        if len(self.roles) != len(self.forces_n):
-            raise ValueError(
-                f"found {len(self.forces_n)} forces_n and {len(self.roles)} roles, wanted one of each a frame"
-            )
-        if self.d31_mm >= self.d21_mm:
-            raise ValueError(
-                f"d31_mm {self.d31_mm:g} is not below d21_mm {self.d21_mm:g}; "
-                "wanted the push between shoulder and pelvis (Eqs. 1-2)"
-            )
-        used = [force for force, role in zip(self.forces_n, self.roles) if role != "unused"]
-        if used and not any(used):
-            raise ValueError("all forces are zero, so there is nothing to identify; check the force log")
-        return self
-
-    @property
-    def image(self) -> str:
-        """Name of the push in the annotation."""
-        return f"push/{self.id}"
-
-    @property
-    def sign(self) -> int:
-        """+1 for a push from the patient's right, -1 from the left (towards a left or a right curve, Table 2)."""
-        return 1 if self.side == "right" else -1
-
-    def frames_of(self, role: Role) -> tuple[int, ...]:
-        """Indices of the frames with a role."""
-        return tuple(i for i, given in enumerate(self.roles) if given == role)
-
-
-class TrunkRecord(_Record):
-    """Horizontal extents of the trunk at a level, by tape or caliper, mm: side to side and front to back."""
-
-    breadth_mm: Annotated[float, Field(ge=100.0, le=600.0)]
-    depth_mm: Annotated[float, Field(ge=80.0, le=500.0)]
-
-
-class SubjectRecord(_Record):
-    """``subject.json``: the person, the X-ray geometry and the pushes.
-
-    Attributes
-    ----------
-    schema_version : 1.
-    id : name without spaces.
-    age : years.
-    sex : "female" or "male".
-    height_cm : standing height.
-    mass_kg : body mass; with it the template takes the sizes of this age, sex, height and mass.
-    xray : geometry where DICOM lacks it.
-    torso : a torso file of the subject's own bones (``spinestiff torso import``) instead of the template, relative to
-        the subject folder.
-    pushes : at least one, with at least one training frame under a force.
-    trunk : optional extents of the trunk, by the vertebra at whose height they were taken.
-    """
-
-    schema_version: Literal[1]
-    id: Identifier
-    age: Annotated[float, Field(gt=0.0, le=120.0)]
-    sex: Literal["female", "male"]
-    height_cm: Annotated[float, Field(ge=120.0, le=200.0)]
-    mass_kg: Annotated[float, Field(gt=0.0, le=300.0)] | None = None
-    xray: XRayRecord = XRayRecord()
-    torso: str | None = None
-    pushes: Annotated[tuple[PushRecord, ...], Field(min_length=1, strict=False)]
-    trunk: dict[VertebraName, TrunkRecord] = {}
-
-    @field_validator("torso")
-    @classmethod
-    def _torso_stays_inside(cls, path: str | None) -> str | None:
-        return None if path is None else _inside(path)
-
-    @model_validator(mode="after")
-    def _can_be_estimated(self) -> Self:
-        names = [push.id.casefold() for push in self.pushes]
-        for i, name in enumerate(names):
-            if name in names[:i]:
-                raise ValueError(f"pushes[{i}].id: '{self.pushes[i].id}' is used twice; give each push its own id")
-        training = [push.forces_n[i] for push in self.pushes for i in push.frames_of("training")]
-        if not training:
-            raise ValueError("pushes: no frame has the role training, wanted at least one")
-        if not any(training):
-            raise ValueError("pushes: all training forces are zero, so there is nothing to identify")
-        return self
-
-
-class ImageAnnotation(_Record):
-    """Corners in one image, in pixels: (column, row), the first pixel's centre at (0, 0).
-
-    Attributes
-    ----------
-    vertebrae : for each visible vertebra four corners: superior-left, superior-right, inferior-right, inferior-left of
-        the patient in a frontal image; superior-anterior, superior-posterior, inferior-posterior, inferior-anterior in
-        a lateral one.
-    supports : points on the pelvis and on the shoulder that rests on the wall; they show whether the supports moved.
-    pedicles : centres of the left and the right pedicle, in rest images; they determine axial rotation.
-    """
-
-    vertebrae: dict[VertebraName, Quad]
-    supports: dict[Literal["pelvis", "shoulder"], Annotated[tuple[Point, ...], Field(min_length=1, strict=False)]] = {}
-    pedicles: dict[VertebraName, Pair] = {}
-
-    @field_validator("vertebrae")
-    @classmethod
-    def _is_a_spine(cls, vertebrae: dict[VertebraName, Quad]) -> dict[VertebraName, Quad]:
-        if len(vertebrae) < FEWEST_VERTEBRAE:
-            raise ValueError(f"found {len(vertebrae)} vertebrae, wanted at least {FEWEST_VERTEBRAE}")
-        ordered = dict(sorted(vertebrae.items(), key=lambda item: VERTEBRAE.index(item[0])))
-        _check_quads(tuple(ordered), np.array(list(ordered.values())))
-        return ordered
-
-    def pixels(self) -> Floats:
-        """(Nv, 4, 2) column, row, head to foot."""
-        return np.array(list(self.vertebrae.values()))
-
-
-class Annotation(_Record):
-    """``annotation.json``: corners in the rest images and in the first frame of each push.
-
-    Attributes
-    ----------
-    schema_version : 1.
-    images : by name: "rest/frontal", "rest/lateral", "push/<id>".
-    """
-
-    schema_version: Literal[1]
-    images: dict[str, ImageAnnotation]
-
-    @field_validator("images")
-    @classmethod
-    def _points_are_where_they_serve(cls, images: dict[str, ImageAnnotation]) -> dict[str, ImageAnnotation]:
-        for name, image in images.items():
-            if image.supports and not name.startswith("push/"):
-                raise ValueError(f"{name} has supports; wanted them in push images only, where they can move")
-            if image.pedicles and name.startswith("push/"):
-                raise ValueError(f"{name} has pedicles; wanted them in rest images only, where the shape is found")
-        return images
 
 
 @dataclass(frozen=True)
@@ -362,7 +106,7 @@ def read_subject(folder: str | Path) -> Subject:
     folder = Path(folder)
     if not folder.is_dir():
         raise SubjectError(f"{folder}: no such folder; wanted a subject folder with {SUBJECT_FILE}")
-    record = _read_record(folder / SUBJECT_FILE, SubjectRecord)
+    record = read_record(folder / SUBJECT_FILE, SubjectRecord)
     subject = Subject(folder, record, read_annotation(folder / ANNOTATION_FILE), _unusual(record))
     _check_images(subject)
     for image in subject.annotation.images:
@@ -398,7 +142,7 @@ def read_annotation(path: str | Path) -> Annotation:
     path = Path(path)
     if not path.is_file():
         raise SubjectError(f"{path}: no annotation; wanted the vertebra corners of the rest images and first frames")
-    return _read_record(path, Annotation)
+    return read_record(path, Annotation)
 
 
 def write_annotation(folder: str | Path, annotation: Annotation) -> None:
@@ -545,85 +289,3 @@ def _unusual(record: SubjectRecord) -> tuple[str, ...]:
         for push in record.pushes
         if max(push.forces_n) > USUAL_LIMIT_N
     )
-
-
-def _check_quads(names: tuple[str, ...], quads: Floats) -> None:
-    """Raise ValueError, naming the vertebra, for corners that are out of order in any view.
-
-    What is left and what is up depends on the view, which is not known here; that vertebrae agree with each other and
-    run from head to foot can be told without it.
-    """
-    edges = np.roll(quads, -1, axis=1) - quads
-    after = np.roll(edges, -1, axis=1)
-    turns = edges[..., 0] * after[..., 1] - edges[..., 1] * after[..., 0]
-    sense = np.sign(turns)
-    for name, turn in zip(names, sense):
-        if not (turn == turn[0]).all() or turn[0] == 0.0:
-            raise ValueError(f"{name}: the corners in this order make no convex quadrilateral; {_ORDER}")
-    usual = 1.0 if sense[:, 0].sum() >= 0 else -1.0
-    for name, turn in zip(names, sense[:, 0]):
-        if turn != usual:
-            raise ValueError(f"{name}: the corners are mirrored against the other vertebrae; {_ORDER}")
-    centres = quads.mean(axis=1)
-    up = centres[0] - centres[-1]
-    heights = centres @ up
-    for i in range(1, len(names)):
-        if heights[i] >= heights[i - 1]:
-            raise ValueError(f"{names[i]}: does not lie below {names[i - 1]}; wanted the vertebrae from head to foot")
-    for name, quad in zip(names, quads):
-        if (quad[0] + quad[1] - quad[2] - quad[3]) @ up <= 0.0:
-            raise ValueError(f"{name}: the superior corners lie below the inferior ones; {_ORDER}")
-
-
-_ORDER = (
-    "wanted superior-left, superior-right, inferior-right, inferior-left of the patient "
-    "(lateral: superior-anterior, superior-posterior, inferior-posterior, inferior-anterior)"
-)
-
-R = TypeVar("R", bound=_Record)
-
-
-def _read_record(path: Path, kind: type[R]) -> R:
-    text = read_text(path)
-    parse_json(text, str(path))
-    try:
-        return kind.model_validate_json(text)
-    except ValidationError as error:
-        raise SubjectError(f"{path}: {_one_line(error)}") from None
-
-
-def _one_line(error: ValidationError) -> str:
-    """The most telling of pydantic's complaints as "field: found, wanted"."""
-    # A misspelled key shows up twice, as unknown and as missing: the first says more.
-    complaints = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
-    first = complaints[0]
-    field = _field_path(first)
-    more = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
-    return f"{field}: {_complaint(first)}{more}" if field else f"{_complaint(first)}{more}"
-
-
-def _field_path(complaint: ErrorDetails) -> str:
-    path = ""
-    for part in complaint["loc"]:
-        # pydantic adds this to the path when a key of a dictionary is wrong.
-        if part == "[key]":
-            continue
-        path += f"[{part}]" if isinstance(part, int) else f".{part}"
-    return path.removeprefix(".")
-
-
-def _complaint(complaint: ErrorDetails) -> str:
-    kind, message = complaint["type"], complaint["msg"]
-    if kind == "extra_forbidden":
-        return "unknown key; check its spelling against docs/subject-folder.md"
-    if kind == "missing":
-        return "missing"
-    if kind == "value_error":
-        return message.removeprefix("Value error, ")
-    wanted = re.sub(r"^(Input|String|Tuple|Dictionary) should (be |have |match )?", "", message)
-    return f"found {_shown(complaint['input'])}, wanted {wanted}"
-
-
-def _shown(value: Any, longest: int = 60) -> str:
-    text = repr(value)
-    return text if len(text) <= longest else text[: longest - 3] + "..."

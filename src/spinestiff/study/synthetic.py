@@ -28,17 +28,10 @@ from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.shape import place_vertebrae
 from spinestiff.study.metrics import cobb_angle, cobb_change, tilts
+from spinestiff.study.records import Annotation, ImageAnnotation, PushRecord, Role, SubjectRecord
 from spinestiff.study.results import read_json, write_json
 from spinestiff.study.spines import VertebraPoses, curved_spine, real_spine
-from spinestiff.study.subject import (
-    Annotation,
-    ImageAnnotation,
-    PushRecord,
-    Role,
-    SubjectRecord,
-    write_annotation,
-    write_subject,
-)
+from spinestiff.study.subject import write_annotation, write_subject
 
 Observer = Callable[[str], None]
 

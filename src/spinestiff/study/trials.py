@@ -16,7 +16,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.pose import ViewPose, align_view
-from spinestiff.study.subject import PushRecord
+from spinestiff.study.records import PushRecord
 
 # Corners tracked worse than this carry no information worth their risk.
 LOWEST_QUALITY = 0.3
