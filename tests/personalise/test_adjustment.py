@@ -9,7 +9,7 @@ import pytest
 
 from spinestiff.anatomy.rotation import exp_so3, log_so3
 from spinestiff.errors import FitError
-from spinestiff.imaging.features import VertebraCorners, silhouette_choice
+from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.personalise.adjustment import adjust
@@ -48,8 +48,7 @@ def pictures(template, girl, noise, seed=0, stance=KNOWN):
     random = np.random.default_rng(seed)
     found = []
     for view, pose in zip(VIEWS, stance):
-        choice = silhouette_choice(template, view, template.rest_pose)
-        points = image_points(template, view, VertebraCorners(template.vertebrae, np.zeros((17, 4, 2))), choice)
+        points = image_points(template, view, VertebraCorners(template.vertebrae, np.zeros((17, 4, 2))))
         seen = points.residuals(girl, pose) * view.magnification
         found.append(replace(points, measured=seen + random.normal(0.0, noise * view.magnification, seen.shape)))
     return found
@@ -144,7 +143,7 @@ def test_what_no_image_shows_is_the_priors(template, prior, girl):
     views = []
     for view in pictures(template, girl, 0.5):
         keep = view.vertebra > 2
-        parts = {key: getattr(view, key)[keep] for key in ("vertebra", "offset", "outward", "measured")}
+        parts = {key: getattr(view, key)[keep] for key in ("vertebra", "pair", "upward", "outward", "measured")}
         views.append(replace(view, **parts))
     found = adjust(views, prior, start(template), KNOWN, KNOWN)
     assert found.prior_share[:3] == pytest.approx(np.ones((3, 6)), abs=1e-9)

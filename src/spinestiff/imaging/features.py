@@ -36,6 +36,8 @@ SIZE_LIMITS = (0.4, 2.5)
 # Corner order: (superior 0 or inferior 1, first 0 or second 1).
 _LEVEL = np.array([0, 0, 1, 1])
 _SIDE = np.array([0, 1, 1, 0])
+CORNER_UPWARD = np.where(_LEVEL == 0, 1.0, -1.0)
+"""(4,) of a vertebra's corners in their order: +1 on the superior, -1 on the inferior endplate."""
 
 
 @dataclass(frozen=True)
@@ -167,10 +169,19 @@ def silhouette_choice(torso: TorsoModel, view: XRayView, state: TorsoState) -> I
     """
     pairs = _box_points(torso, view)
     seen = view.project(pairs.positions(state)).reshape(len(torso.vertebrae), 4, 2, 2)
-    upward = seen[:, _LEVEL == 0].mean((1, 2)) - seen[:, _LEVEL == 1].mean((1, 2))
-    height = np.einsum("vkpi,vi->vkp", seen, upward)
-    outward = np.where(_LEVEL == 0, 1.0, -1.0)[None, :, None] * height
+    bones = torso.vertebra_bones
+    upward = seen_axes(view, state.bone_positions[bones], state.bone_rotations[bones])
+    outward = CORNER_UPWARD[None, :, None] * np.einsum("vkpi,vi->vkp", seen, upward)
     return np.argmax(outward, axis=2).astype(np.int64)
+
+
+def seen_axes(view: XRayView, positions: Floats, rotations: Floats) -> Floats:
+    """(V, 2) mm on the detector: vertebrae's superior directions as they are seen, of 2 mm at their origins.
+
+    positions (V, 3) mm and rotations (V, 3, 3), world_from_bone.
+    """
+    superior = rotations[:, :, 1]
+    return np.asarray(view.project(positions + superior) - view.project(positions - superior))
 
 
 def state_features(

@@ -8,9 +8,12 @@ view's stance n (Gauss and Newton, with weights renewed at every step):
 
 The corners' standard deviation sigma falls from 16 mm by halves to what the residuals themselves show: the image's
 weight 1/sigma^2 is annealed, and a wrong corner is told from the shape that the others agree on (graduated
-non-convexity; Blake and Zisserman 1987). A vertebra that was set aside in two views at once is looked at again: where
-one place of its own meets all its corners, it is the vertebra that is unusual, not its annotation. The covariance is
-the inverse of the Gauss-Newton Hessian at the end.
+non-convexity; Blake and Zisserman 1987). A vertebra that is unusual, though, looks like a wrong one as long as the
+others hold it where they would have it. So the fit is repeated from where their own corners put the vertebrae with a
+corner set aside, then all of them, then with those that all views set aside let go by the prior (one in a hundred is
+expected to be like that). The most probable answer is kept: that of the smallest minus logarithm, with what the
+corners' standard deviation (2 log sigma a point) and the prior (half the logarithm of its determinant) are normalised
+by. The covariance is the inverse of the Gauss-Newton Hessian at the end.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spinestiff.anatomy.rotation import exp_so3
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import FitError
 from spinestiff.personalise.image_terms import UNKNOWNS, VIEW_UNKNOWNS, ImagePoints, Shape
 from spinestiff.personalise.prior import ElasticPrior, own_precision
@@ -32,6 +35,8 @@ FIRST_SD, SD_LIMITS = 16.0, (0.25, 4.0)
 CUTOFF, LEAST_CUTOFF_MM = 4.0, 3.0
 # Weight below which a point counts as wrong.
 WRONG_WEIGHT = 0.1
+# Part of all vertebrae that lie where none is expected.
+UNUSUAL = 0.01
 STEPS = 15
 # mm, of each pedicle about the place that left and right share mirrored.
 PEDICLE_SD = 1.0
@@ -98,37 +103,37 @@ def adjust(
         if sd <= SD_LIMITS[1]:
             break
         sd = max(0.5 * sd, SD_LIMITS[1])
-    # From here on the residuals say how exact the corners are.
-    for _ in range(10):
-        found = float(np.clip(normal.estimated_sd, 0.5 * sd, SD_LIMITS[1]))
-        found = max(found, SD_LIMITS[0])
-        close = abs(found - sd) <= 0.03 * sd
-        sd = found
-        shape, poses, normal = system.settled(shape, poses, sd, SMALLEST_STEP if close else SMALL_STEP)
-        again = system.second_look(shape, poses, normal, sd) if close else None
-        if again is not None:
-            shape = again
-        elif close:
-            break
+    best = system.refined(shape, poses, normal, sd)
+    for again in (_System.doubted, _System.everyone, _System.disowned):
+        which = again(system, best.normal)
+        if len(which):
+            tried = system.freeing(which) if again is _System.disowned else system
+            own = tried.by_own_corners(best.shape, best.poses, which)
+            other = tried.refined(own, best.poses, tried.normal(own, best.poses, best.sd), best.sd)
+            best = min(best, other, key=lambda answer: answer.cost)
     if observer:
-        observer(f"corner sd {sd:.2f} mm: rms {normal.rms:.2f} mm, {normal.wrong} points set aside")
-    if normal.weights.sum() < 0.5 * len(normal.weights):
+        observer(f"corner sd {best.sd:.2f} mm: rms {best.normal.rms:.2f} mm, {best.normal.wrong} points set aside")
+    if best.normal.weights.sum() < 0.5 * len(best.normal.weights):
         raise FitError(
             "most annotated corners contradict each other or the template; check vertebra names, the order of corners, "
             "spacing and the directions of the views"
         )
-    return system.result(shape, poses, normal, sd)
+    return best.system.result(best)
 
 
 @dataclass(frozen=True)
 class _Normal:
-    """Normal equations at one point: image part and whole Hessian, slope, weights of all points, weighted squares."""
+    """Normal equations at one point: image part and whole Hessian, slope, weights of all points, weighted squares.
+
+    ``cost`` is what is minimised there, with 2 log sigma for each point.
+    """
 
     image: Floats
     hessian: Floats
     slope: Floats
     weights: Floats
     squares: float
+    cost: float
 
     @property
     def rms(self) -> float:
@@ -146,9 +151,26 @@ class _Normal:
         return int((self.weights < WRONG_WEIGHT).sum())
 
 
+@dataclass(frozen=True)
+class _Answer:
+    """Where one descent ended, and under which prior."""
+
+    system: _System
+    shape: Shape
+    poses: Floats
+    normal: _Normal
+    sd: float
+
+    @property
+    def cost(self) -> float:
+        """Minus the logarithm of its probability, but for what all answers share."""
+        return self.normal.cost + self.system.norm
+
+
 class _System:
-    def __init__(self, views: Sequence[ImagePoints], prior: ElasticPrior, pose_sd: Floats) -> None:
+    def __init__(self, views: Sequence[ImagePoints], prior: ElasticPrior, pose_sd: Floats, freed: int = 0) -> None:
         self.views, self.prior, self.pose_sd = views, prior, np.asarray(pose_sd, dtype=float)
+        self.norm = -0.5 * float(np.linalg.slogdet(prior.hessian)[1]) - freed * np.log(UNUSUAL)
         self.count = len(prior.positions)
         self.free = np.flatnonzero(self.pose_sd.ravel() > 0.0)
         self.own = own_precision(self.count)
@@ -156,19 +178,25 @@ class _System:
         first = UNKNOWNS * np.arange(self.count)
         self.pose_rows = (first[:, None] + np.arange(6)).ravel()
         self.own_rows = [first + 6 + k for k in range(UNKNOWNS - 6)]
-        self.size = size
-        self.fixed = self.fixed_part()
-
-    def fixed_part(self) -> Floats:
-        """The Hessian of all that is no image."""
-        size = self.size
-        fixed = np.zeros((size, size))
+        # The Hessian of all that is no image.
+        self.fixed = fixed = np.zeros((size, size))
         fixed[np.ix_(self.pose_rows, self.pose_rows)] = self.prior.hessian
         for rows, precision in zip(self.own_rows, self.own):
             fixed[np.ix_(rows, rows)] = precision
         tail = np.arange(UNKNOWNS * self.count, size)
         fixed[tail, tail] = 1.0 / self.pose_sd.ravel()[self.free] ** 2
-        return fixed
+
+    def refined(self, shape: Shape, poses: Floats, normal: _Normal, sd: float) -> _Answer:
+        """From here on the residuals say how exact the corners are."""
+        for _ in range(10):
+            found = float(np.clip(normal.estimated_sd, 0.5 * sd, SD_LIMITS[1]))
+            found = max(found, SD_LIMITS[0])
+            close = abs(found - sd) <= 0.03 * sd
+            sd = found
+            shape, poses, normal = self.settled(shape, poses, sd, SMALLEST_STEP if close else SMALL_STEP)
+            if close:
+                break
+        return _Answer(self, shape, poses, normal, sd)
 
     def settled(self, shape: Shape, poses: Floats, sd: float, small: float) -> tuple[Shape, Floats, _Normal]:
         for _ in range(STEPS):
@@ -185,14 +213,16 @@ class _System:
 
     def normal(self, shape: Shape, poses: Floats, sd: float) -> _Normal:
         size = len(self.fixed)
-        image, slope = np.zeros((size, size)), np.zeros(size)
+        image, slope, cost = np.zeros((size, size)), np.zeros(size), self.prior.energy(shape)
         weights, squares = [], []
         for number, (view, pose) in enumerate(zip(self.views, poses)):
             residual, own, nuisance = view.linearised(shape, pose)
             # Left and right pedicles are not quite alike: a point is as exact as both scatters allow.
             share = np.where(view.outward == 0.0, 1.0, sd**2 / (sd**2 + PEDICLE_SD**2))
             error2 = share * np.sum(residual**2, axis=1)
-            weight = (1.0 + error2 / max(CUTOFF * sd, LEAST_CUTOFF_MM) ** 2) ** -2
+            root = 1.0 / (1.0 + error2 / max(CUTOFF * sd, LEAST_CUTOFF_MM) ** 2)
+            cost += float(np.sum(0.5 * error2 * root / sd**2 + 2.0 * np.log(sd)))
+            weight = root**2
             jacobian = np.zeros((len(view), 2, size))
             columns = UNKNOWNS * view.vertebra[:, None] + np.arange(UNKNOWNS)
             np.put_along_axis(jacobian, np.repeat(columns[:, None], 2, axis=1), own, axis=2)
@@ -210,48 +240,70 @@ class _System:
         slope[self.pose_rows] += self.prior.slope(shape)
         for rows, precision, values in zip(self.own_rows, self.own, shape.own.T):
             slope[rows] += precision @ values
-        slope[UNKNOWNS * self.count :] += (poses / np.where(self.pose_sd > 0.0, self.pose_sd, np.inf) ** 2).ravel()[
-            self.free
-        ]
-        return _Normal(image, hessian, slope, weight, float(np.sum(weight * error2)))
+            cost += 0.5 * float(values @ precision @ values)
+        stance = poses.ravel()[self.free] / self.pose_sd.ravel()[self.free] ** 2
+        slope[UNKNOWNS * self.count :] += stance
+        cost += 0.5 * float(stance @ poses.ravel()[self.free])
+        return _Normal(image, hessian, slope, weight, float(np.sum(weight * error2)), cost)
 
-    def second_look(self, shape: Shape, poses: Floats, normal: _Normal, sd: float) -> Shape | None:
-        """The shape with vertebrae that all views set aside put where their own corners agree, if there are any.
+    def doubted(self, normal: _Normal) -> Ints:
+        """Vertebrae with a point set aside in some view."""
+        return np.flatnonzero((np.nan_to_num(self._set_aside(normal)) > 0.0).any(0))
 
-        The prior then lets go of them: what is so unusual says nothing about its neighbours.
-        """
+    def everyone(self, normal: _Normal) -> Ints:
+        """All vertebrae."""
+        return np.arange(self.count)
+
+    def disowned(self, normal: _Normal) -> Ints:
+        """Vertebrae of which every view, and more than one, sets more than half aside."""
+        shares = self._set_aside(normal)
+        seen = np.isfinite(shares)
+        return np.flatnonzero((seen.sum(0) > 1) & ((shares > 0.5) | ~seen).all(0))
+
+    def _set_aside(self, normal: _Normal) -> Floats:
+        """(N, V) of each view the share of a vertebra's points that is set aside; NaN where it has none."""
         weights = np.split(normal.weights, np.cumsum([len(view) for view in self.views])[:-1])
-        found = None
-        for vertebra in range(self.count):
-            each = [w[view.vertebra == vertebra] for view, w in zip(self.views, weights)]
-            seen = [w for w in each if len(w)]
-            if len(seen) < 2 or any(np.mean(w < WRONG_WEIGHT) <= 0.5 for w in seen):
-                continue
-            alone = self._alone(found or shape, poses, vertebra, sd)
-            if alone is not None:
-                found, self.prior = alone, self.prior.without(vertebra)
-        self.fixed = self.fixed_part()
-        return found
+        shares = []
+        for view, weight in zip(self.views, weights):
+            points, aside = (
+                np.bincount(view.vertebra[which], minlength=self.count)
+                for which in (slice(None), weight < WRONG_WEIGHT)
+            )
+            shares.append(np.where(points > 0, aside / np.maximum(points, 1), np.nan))
+        return np.array(shares)
 
-    def _alone(self, shape: Shape, poses: Floats, vertebra: int, sd: float) -> Shape | None:
-        """One vertebra by its own corners, its place and tilt free; None where they don't agree on any."""
-        block = slice(UNKNOWNS * vertebra, UNKNOWNS * (vertebra + 1))
-        precision = np.diag(np.concatenate([np.full(3, 1e-4), np.full(3, 1.0), np.diag(self.fixed)[block][6:]]))
+    def freeing(self, which: Ints) -> _System:
+        """The same, the prior letting go of those vertebrae: what is so unusual says nothing about its neighbours."""
+        prior = self.prior
+        for vertebra in which:
+            prior = prior.without(int(vertebra))
+        return _System(self.views, prior, self.pose_sd, len(which))
+
+    def by_own_corners(self, shape: Shape, poses: Floats, which: Ints) -> Shape:
+        """The shape with each of those vertebrae where its own points put it, none of them wrong, its neighbours
+        without a say: place and tilt are next to free, 100 mm and 1 rad."""
+        size = len(self.fixed)
+        rows = (UNKNOWNS * which[:, None] + np.arange(UNKNOWNS)).ravel()
+        precision = np.zeros((size, size))
+        for first in UNKNOWNS * which:
+            precision[first + np.arange(6), first + np.arange(6)] = np.repeat([1e-4, 1.0], 3)
+            block = slice(first + 6, first + UNKNOWNS)
+            precision[block, block] = np.diag(np.diag(self.fixed)[block])
         for _ in range(STEPS):
-            hessian, slope = precision.copy(), np.zeros(UNKNOWNS)
-            slope[6:] = precision[6:, 6:] @ shape.own[vertebra]
-            largest = 0.0
+            hessian, slope = precision.copy(), np.zeros(size)
+            own = shape.own
+            for first, vertebra in zip(UNKNOWNS * which, which):
+                slope[first + 6 : first + UNKNOWNS] = np.diag(precision)[first + 6 : first + UNKNOWNS] * own[vertebra]
             for view, pose in zip(self.views, poses):
-                residual, own, _ = view.linearised(shape, pose)
-                which = view.vertebra == vertebra
-                jacobian = own[which].reshape(-1, UNKNOWNS) / sd
-                hessian += jacobian.T @ jacobian
-                slope += jacobian.T @ residual[which].ravel() / sd
-                largest = max(largest, float(np.linalg.norm(residual[which], axis=1).max(initial=0.0)))
-            step = np.zeros(len(self.fixed))
-            step[block] = -np.linalg.solve(hessian, slope)
+                residual, jacobian, _ = view.linearised(shape, pose)
+                for point in np.flatnonzero(np.isin(view.vertebra, which)):
+                    block = slice(UNKNOWNS * view.vertebra[point], UNKNOWNS * (view.vertebra[point] + 1))
+                    hessian[block, block] += jacobian[point].T @ jacobian[point]
+                    slope[block] += jacobian[point].T @ residual[point]
+            step = np.zeros(size)
+            step[rows] = -np.linalg.solve(hessian[np.ix_(rows, rows)], slope[rows])
             shape, _, _ = self.moved(shape, poses, step)
-        return shape if largest < max(CUTOFF * sd, LEAST_CUTOFF_MM) else None
+        return shape
 
     def moved(self, shape: Shape, poses: Floats, step: Floats) -> tuple[Shape, Floats, float]:
         own = step[: UNKNOWNS * self.count].reshape(-1, UNKNOWNS)
@@ -272,7 +324,8 @@ class _System:
         largest = max(float(np.abs(own[:, :3]).max()), 30.0 * float(np.abs(turn).max()))
         return moved, there.reshape(poses.shape), largest
 
-    def result(self, shape: Shape, poses: Floats, normal: _Normal, sd: float) -> Adjusted:
+    def result(self, answer: _Answer) -> Adjusted:
+        normal = answer.normal
         covariance = np.asarray(np.linalg.inv(normal.hessian), dtype=float)
         covariance = 0.5 * (covariance + covariance.T)
         size = UNKNOWNS * self.count
@@ -286,10 +339,10 @@ class _System:
             shares.append(np.diag(own @ self.fixed[block, block] @ own)[:6] / np.diag(own)[:6])
         ends = np.cumsum([len(view) for view in self.views])[:-1]
         return Adjusted(
-            shape,
-            poses,
+            answer.shape,
+            answer.poses,
             tuple(np.split(normal.weights, ends)),
-            sd,
+            answer.sd,
             covariance[:size, :size],
             views,
             np.array(shares),

@@ -5,7 +5,9 @@ A vertebra of place t, rotation R, log sizes s and tapers a has the box corner r
     r' = exp(s) o (x (1 + a_1 sign y), y (1 + a_3 sign z), z (1 + a_2 sign y)):
 
 its upper endplate is a_1 wider and a_2 deeper, its front a_3 higher than its mean. Seen in a view the corner is
-compared with the annotated one at the patient plane, in mm. Unlike the features of Eq. 9, which place a box of given
+compared with the annotated one at the patient plane, in mm. Of two box corners one behind the other in the beam the one
+farther out along the vertebra's axis is seen, for every shape anew: in a strong curve it is another one than in the
+template. Unlike the features of Eq. 9, which place a box of given
 size, corners are compared one by one: only so do they say how large a vertebra is.
 """
 
@@ -19,7 +21,7 @@ from spinestiff.anatomy.rotation import cross_matrix
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import TrackingError
-from spinestiff.imaging.features import VertebraCorners, corner_offsets, vertebra_rows
+from spinestiff.imaging.features import CORNER_UPWARD, VertebraCorners, corner_offsets, seen_axes, vertebra_rows
 from spinestiff.imaging.projection import XRayView
 from spinestiff.personalise.pose import Stance
 from spinestiff.personalise.sizes import pedicle_centres
@@ -87,14 +89,17 @@ class ImagePoints:
     ----------
     view : nominal.
     vertebra : (P,) row of the torso's vertebrae.
-    offset : (P, 3) mm in the vertebra's frame, at the template's size.
+    pair : (P, 2, 3) mm in the vertebra's frame, at the template's size: the two box corners that the point may be; a
+        pedicle twice.
+    upward : (P,) +1 for a corner of the superior, -1 of the inferior endplate; 0 for a pedicle.
     outward : (P,) 0 for a corner; +1 for a left, -1 for a right pedicle.
     measured : (P, 2) mm on the detector.
     """
 
     view: XRayView
     vertebra: Ints
-    offset: Floats
+    pair: Floats
+    upward: Floats
     outward: Floats
     measured: Floats
 
@@ -103,14 +108,15 @@ class ImagePoints:
 
     def residuals(self, shape: Shape, pose: Floats) -> Floats:
         """(P, 2) mm at the patient plane, simulated less measured, for a pose (4,) of the view."""
-        points, _, _ = self._world(shape)
         standing = Stance(self.view, pose)
+        points, _, _ = self._world(shape, self._seen(shape, standing))
         return np.asarray((self.view.project(standing.moved(points)) - self.measured) / self.view.magnification)
 
     def linearised(self, shape: Shape, pose: Floats) -> tuple[Floats, Floats, Floats]:
         """Residuals (P, 2), and their derivatives in the vertebra's (P, 2, 15) and in the view's unknowns (P, 2, 4)."""
-        points, scaled, local = self._world(shape)
         standing = Stance(self.view, pose)
+        offset = self._seen(shape, standing)
+        points, scaled, local = self._world(shape, offset)
         moved = standing.moved(points)
         seen, slope = self.view.project_with_jacobian(moved)
         slope = slope / self.view.magnification
@@ -120,24 +126,32 @@ class ImagePoints:
         own[:, :, 3:6] = -cross_matrix(points - shape.positions[self.vertebra])
         own[:, :, 6:9] = rotation * scaled[:, None, :]
         own[:, :, 9:12] = rotation * local[:, None, :]
-        plain = np.exp(shape.log_sizes[self.vertebra]) * self.offset * _taper_signs(self.offset, self.outward)
+        plain = np.exp(shape.log_sizes[self.vertebra]) * offset * _taper_signs(offset, self.outward)
         own[:, :, 12:] = (rotation * plain[:, None, :])[:, :, [0, 2, 1]]
         residual = (seen - self.measured) / self.view.magnification
         return residual, slope @ (standing.turn @ own), slope @ standing.jacobian(moved)
 
-    def _world(self, shape: Shape) -> tuple[Floats, Floats, Floats]:
+    def _seen(self, shape: Shape, standing: Stance) -> Floats:
+        """(P, 3) mm of each pair the one that makes the silhouette (``imaging.features.silhouette_choice``)."""
+        placed = standing.moved(shape.positions)
+        axis = seen_axes(self.view, placed, standing.turn @ shape.rotations)[self.vertebra] * self.upward[:, None]
+        both = [self._world(shape, self.pair[:, which])[0] for which in (0, 1)]
+        height = [np.sum(self.view.project(standing.moved(points)) * axis, axis=1) for points in both]
+        return np.where((height[1] > height[0])[:, None], self.pair[:, 1], self.pair[:, 0])
+
+    def _world(self, shape: Shape, offset: Floats) -> tuple[Floats, Floats, Floats]:
         """(P, 3) mm in the world, sized offsets (P, 3), and the directions (P, 3) of a pedicle's own place."""
         which = self.vertebra
         pedicle = np.abs(self.outward)
         local = np.stack([self.outward, pedicle, pedicle], -1)
-        tapered = 1.0 + _taper_signs(self.offset, self.outward) * shape.tapers[which][:, [0, 2, 1]]
-        scaled = np.exp(shape.log_sizes[which]) * self.offset * tapered
-        offset = scaled + local * shape.pedicles[which]
-        return shape.positions[which] + np.einsum("pij,pj->pi", shape.rotations[which], offset), scaled, local
+        tapered = 1.0 + _taper_signs(offset, self.outward) * shape.tapers[which][:, [0, 2, 1]]
+        scaled = np.exp(shape.log_sizes[which]) * offset * tapered
+        moved = scaled + local * shape.pedicles[which]
+        return shape.positions[which] + np.einsum("pij,pj->pi", shape.rotations[which], moved), scaled, local
 
 
 def image_points(
-    torso: TorsoModel, view: XRayView, corners: VertebraCorners, choice: Ints, pedicles: PediclePoints | None = None
+    torso: TorsoModel, view: XRayView, corners: VertebraCorners, pedicles: PediclePoints | None = None
 ) -> ImagePoints:
     """The usable corners and pedicles of one picture.
 
@@ -145,17 +159,16 @@ def image_points(
     ----------
     torso : whose boxes and pedicles they are.
     view : nominal.
-    choice : (V, 4) silhouette choice.
 
     Raises
     ------
     TrackingError : a vertebra that the torso lacks.
     """
     rows = vertebra_rows(torso, corners)
-    chosen = np.take_along_axis(corner_offsets(torso, view), choice[:, :, None, None], axis=2)[:, :, 0]
     used = corners.usable
     vertebra = np.repeat(rows, 4).reshape(-1, 4)[used]
-    offset, measured = chosen[rows][used], corners.corners[used]
+    pair, measured = corner_offsets(torso, view)[rows][used], corners.corners[used]
+    upward = np.broadcast_to(CORNER_UPWARD, used.shape)[used]
     outward = np.zeros(len(vertebra))
     if pedicles is not None:
         for name in pedicles.vertebrae:
@@ -164,10 +177,11 @@ def image_points(
         which = np.array([torso.vertebrae.index(name) for name in pedicles.vertebrae], dtype=np.int64)
         seen = np.isfinite(pedicles.points).all(2)
         vertebra = np.concatenate([vertebra, np.repeat(which, 2).reshape(-1, 2)[seen]])
-        offset = np.concatenate([offset, pedicle_centres(torso)[which][seen]])
+        pair = np.concatenate([pair, np.repeat(pedicle_centres(torso)[which][seen][:, None], 2, axis=1)])
+        upward = np.concatenate([upward, np.zeros(seen.sum())])
         measured = np.concatenate([measured, pedicles.points[seen]])
         outward = np.concatenate([outward, np.tile([1.0, -1.0], (len(which), 1))[seen]])
-    return ImagePoints(view, vertebra, offset, outward, read_only("corners", measured, (None, 2), TrackingError))
+    return ImagePoints(view, vertebra, pair, upward, outward, read_only("corners", measured, (None, 2), TrackingError))
 
 
 def shape_of(torso: TorsoModel, state: TorsoState) -> Shape:

@@ -56,11 +56,14 @@ class ElasticPrior:
     gradient: Floats
     hessian: Floats
 
+    def energy(self, shape: Shape) -> float:
+        """At other poses, less that where it was condensed."""
+        moved = self._moved(shape)
+        return float(self.gradient @ moved + 0.5 * moved @ self.hessian @ moved)
+
     def slope(self, shape: Shape) -> Floats:
         """(6V,) derivative at other poses."""
-        turned = log_so3(shape.rotations @ np.swapaxes(self.rotations, 1, 2))
-        moved = np.concatenate([shape.positions - self.positions, turned], axis=1).reshape(-1)
-        return np.asarray(self.gradient + self.hessian @ moved)
+        return np.asarray(self.gradient + self.hessian @ self._moved(shape))
 
     def without(self, vertebra: int) -> ElasticPrior:
         """The same energy with one vertebra free to be anywhere, the others held together through where it may be.
@@ -75,6 +78,10 @@ class ElasticPrior:
         hessian[own, own] = np.repeat([1e-4, 1.0], 3)
         gradient[rest] = self.gradient[rest] - across.T @ self.gradient[own]
         return ElasticPrior(self.positions, self.rotations, gradient, hessian)
+
+    def _moved(self, shape: Shape) -> Floats:
+        turned = log_so3(shape.rotations @ np.swapaxes(self.rotations, 1, 2))
+        return np.concatenate([shape.positions - self.positions, turned], axis=1).reshape(-1)
 
 
 def elastic_prior(problem: EquilibriumProblem, state: TorsoState) -> ElasticPrior:

@@ -19,7 +19,7 @@ from spinestiff.anatomy.rotation import cross_matrix, exp_so3
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError, FitError, TorsoError
-from spinestiff.imaging.features import VertebraCorners, silhouette_choice, view_kind
+from spinestiff.imaging.features import VertebraCorners, view_kind
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load
@@ -191,16 +191,13 @@ class _Fit:
         base, poses, length = self.aligned(template)
         self.say(f"spine {length:.3f} times the template's length")
         problem = EquilibriumProblem(base, pelvis_on_springs(base))
-        rest = base.rest_pose
-        points = self.points(base, base, rest, poses)
+        rest, points = base.rest_pose, self.points(base)
         prior = elastic_prior(problem, rest)
         first = adjust(points, prior, shape_of(base, rest), poses, self.pose_sd, observer=self.say)
-        # Silhouettes were chosen for the template's tilts.
         sized = replace(resized(base, np.exp(first.shape.log_sizes)), vertebra_boxes=own_boxes(base, first.shape))
         problem = EquilibriumProblem(sized, pelvis_on_springs(sized))
         state = _pulled(problem, sized.rest_pose, first.shape.positions, first.shape.rotations, PULLS)
         self.say("torso moved to the radiographs")
-        points = self.points(base, sized, state, first.poses)
         start = replace(
             first.shape,
             positions=state.bone_positions[sized.vertebra_bones],
@@ -221,13 +218,12 @@ class _Fit:
         self.say(str(quality))
         return self.result(torso, final, points, length, quality)
 
-    def points(self, base: TorsoModel, torso: TorsoModel, state: TorsoState, poses: Floats) -> tuple[ImagePoints, ...]:
-        found = []
-        for name, pose in zip(self.names, poses):
-            corners, nominal = self.pictures[name]
-            choice = silhouette_choice(torso, posed(nominal, pose[:2], pose[2], pose[3]), state)
-            found.append(image_points(base, nominal, corners, choice, self.pedicles.get(name)))
-        return tuple(found)
+    def points(self, base: TorsoModel) -> tuple[ImagePoints, ...]:
+        """What is annotated, on the vertebrae of ``base``."""
+        return tuple(
+            image_points(base, view, corners, self.pedicles.get(name))
+            for name, (corners, view) in self.pictures.items()
+        )
 
     def aligned(self, template: TorsoModel) -> tuple[TorsoModel, Floats, float]:
         """The template at the spine's length and the body's place, the views' poses, and the length's factor.
@@ -236,8 +232,8 @@ class _Fit:
         and each view's stance (estimated ones).
         """
         rest = template.rest_pose
-        shape, poses = shape_of(template, rest), np.zeros((len(self.names), 4))
-        points = self.points(template, template, rest, poses)
+        shape = shape_of(template, rest)
+        points = self.points(template)
         middle = shape.positions.mean(0)
         body_sd = np.full(7, 0.0)
         body_sd[0] = LENGTH_SD

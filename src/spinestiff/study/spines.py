@@ -85,7 +85,7 @@ def real_spine(torso: TorsoModel, table: str | Path, spine_id: str) -> VertebraP
     bodies = np.array([points[level]["body"] for level in VERTEBRAE])
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(bodies, axis=0), axis=1))])
     wanted = float(np.sum(np.linalg.norm(np.diff(rest, axis=0), axis=1)))
-    smooth, slope = _smoothed(bodies, arc)
+    smooth, slope = smoothed(bodies, arc)
     stray = np.linalg.norm(smooth - bodies, axis=1)
     if stray.max() > LARGEST_STRAY_MM:
         worst = int(np.argmax(stray))
@@ -99,8 +99,8 @@ def real_spine(torso: TorsoModel, table: str | Path, spine_id: str) -> VertebraP
     return rest[-1] + (centres - centres[-1]) @ frames.T, frames @ _vertebra_frames(up, axial)
 
 
-def _smoothed(bodies: Floats, arc: Floats) -> VertebraPoses:
-    """Points and tangents (V, 3) from about two vertebrae to each side: local parabolas, and local lines.
+def smoothed(bodies: Floats, arc: Floats) -> tuple[Floats, Floats]:
+    """Points and tangents (V, D) at ``arc`` (V,) from about two vertebrae to each side: local parabolas, and lines.
 
     Points on a grid of 1 to 3 mm carry angles of several degrees of noise from one to the next; a parabola's slope at
     the ends of the spine would be three times as noisy as the line's.
@@ -167,7 +167,7 @@ def _axial_rotation(points: dict[str, dict[str, Floats]]) -> Floats:
     # Pedicle points of single levels stray by tens of degrees: a median of five before the smoothing.
     padded = np.pad(filled, 2, mode="reflect")
     middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
-    return np.asarray(_smoothed(middle[:, None], number)[0][:, 0])
+    return np.asarray(smoothed(middle[:, None], number)[0][:, 0])
 
 
 def _vertebra_frames(up: Floats, axial: Floats) -> Floats:

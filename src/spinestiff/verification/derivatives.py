@@ -378,7 +378,7 @@ def image_loss() -> Iterator[Check]:
     choice = silhouette_choice(torso, view, torso.rest_pose)
     seen = _corners(torso, view, shaken(torso, STATES, turn=0.1, move=4.0), choice)
     target = make_target(torso, Trial(no_load(), seen, view, "picture"))
-    points = image_points(torso, view, seen, choice)
+    points = image_points(torso, view, seen)
     places = view.to_patient_plane(seen.corners)
     random = np.random.default_rng(16)
     errors = []
@@ -389,7 +389,9 @@ def image_loss() -> Iterator[Check]:
         z = _features_oracle(torso, view, state, choice, "procrustes", 1j * STEP * direction)
         weights = target.weights[:, None, None]
         wanted = float((0.5 * np.sum(weights * (z - target.z) ** 2)).imag / STEP)
-        shown = _corners_oracle(torso, view, state, choice, 1j * STEP * direction)
+        # A geometry sees the silhouette of each state.
+        there = silhouette_choice(torso, view, state)
+        shown = _corners_oracle(torso, view, state, there, 1j * STEP * direction)
         pulled = float((0.5 * np.sum((shown - places) ** 2)).imag / STEP)
         found = part.gradient(state.dofs)[:18].reshape(3, 6) * direction
         gap, slope, _ = points.linearised(shape_of(torso, state), np.zeros(4))
