@@ -28,24 +28,24 @@ TILT_SD_DEG, MOST_TILT_DEG = 4.0, 15.0
 # mm: a point this far off counts nothing. From the first closest points, which bridge the wrong place, to the last,
 # which bridge the difference between two bodies.
 REACHES_MM = (120.0, 90.0, 60.0, 60.0, 45.0, 45.0, 45.0)
-ROUNDS_A_REACH = 4
+ROUNDS_A_REACH = 3
 LAST_MM = 45.0
 # mm that a turn by 1 rad counts for in what is closest: a back is never taken for a belly.
 FACING_MM = 90.0
 LEAST_ALIKE = 0.6  # cosine between the scan's direction and the skin's
 ASIDE_MM = 15.0  # that a point may lie beside the skin's normal
-SEARCH_STEP_MM = 22.0  # between the skin's points
-FEW, SOME = 200, 2500  # points for telling starts apart, and for the best of them
+SEARCH_STEP_MM = 26.0  # between the skin's points
+FEW, SOME = 150, 1500  # points for telling starts apart, and for the best of them
 KEPT = 3
 # A wrong set of axes that fits so much better than the stated one proves those wrong.
 BETTER = 0.85
-# Of the scan's points that a trunk holds, at least so many square mm; and how firmly they hold the height: the mean square
-# of what their directions say of it alone.
+# The least share of a scan's points that face the skin, and how firmly these have to hold the height: the mean square of
+# what their directions say of it alone.
 LEAST_MATCHED = 0.10
 LEAST_HOLD = 0.02
 WRONG_AXES = {
-    "the front and the left turned round": np.diag([-1.0, 1.0, -1.0]),
-    "up and left turned round": np.diag([-1.0, -1.0, 1.0]),
+    "left and front turned round": np.diag([-1.0, 1.0, -1.0]),
+    "left and up turned round": np.diag([-1.0, -1.0, 1.0]),
     "up and front turned round": np.diag([1.0, -1.0, -1.0]),
 }
 
@@ -140,14 +140,14 @@ def register(scan: SkinScan, torso: TorsoModel) -> Placement:
     rng = np.random.default_rng(0)
     order = rng.permutation(len(scan.points))
     few, some = (SkinScan(scan.points[order[:n]], scan.normals[order[:n]]) for n in (FEW, SOME))
-    best = _best(matcher, few, some, np.eye(3), START_YAWS_DEG)
-    for said, turn in WRONG_AXES.items():
-        other = _best(matcher, few, some, turn, ())
-        if other.cost < BETTER * best.cost:
-            raise SubjectError(
-                f"skin scan: {scan.name} fits the body better with {said} ({np.sqrt(other.cost):.0f} mm off, as stated "
-                f"{np.sqrt(best.cost):.0f} mm); check the axes"
-            )
+    best = _best(matcher, few, some, np.eye(3), (False, True), START_YAWS_DEG)
+    others = {said: _best(matcher, few, some, turn, (best.inside_out,), ()) for said, turn in WRONG_AXES.items()}
+    said, other = min(others.items(), key=lambda item: item[1].cost)
+    if other.cost < BETTER * best.cost:
+        raise SubjectError(
+            f"skin scan: {scan.name} fits the body better with {said} ({np.sqrt(other.cost):.0f} mm off, as stated "
+            f"{np.sqrt(best.cost):.0f} mm); check the axes"
+        )
     if abs(best.yaw_deg) > MOST_YAW_DEG or best.tilt_deg > MOST_TILT_DEG:
         raise SubjectError(
             f"skin scan: {scan.name} stands turned by {best.yaw_deg:.0f} degrees about the vertical and leans by "
@@ -179,10 +179,12 @@ def height_hold(skin: SkinSurface, held: Matches) -> float:
     return float(hessian[1, 1] - taken[0, 0])
 
 
-def _best(matcher: _Matcher, few: SkinScan, some: SkinScan, turn: Floats, yaws: Sequence[float]) -> Placement:
+def _best(
+    matcher: _Matcher, few: SkinScan, some: SkinScan, turn: Floats, sides: Sequence[bool], yaws: Sequence[float]
+) -> Placement:
     starts = [
         _refined(matcher, few, start, REACHES_MM[:3])
-        for inside_out in (False, True)
+        for inside_out in sides
         for start in _starts(matcher.skin, few, turn, inside_out)
     ]
     outward = min(starts, key=lambda placement: placement.cost).inside_out
@@ -228,9 +230,10 @@ def _refined(matcher: _Matcher, scan: SkinScan, start: Placement, reaches: Seque
         slope = rows.T @ (weight * held.off) / len(rows)
         hessian[3:, 3:] += prior
         slope[3:] += prior @ np.cross(upright, turn[:, 1])
-        step = -np.linalg.solve(hessian, slope)
-        turn = exp_so3(step[3:]) @ turn
-        shift = exp_so3(step[3:]) @ (shift - about) + about + step[:3]
+        step: Floats = -np.linalg.solve(hessian, slope)
+        move = exp_so3(step[3:])
+        turn = move @ turn
+        shift = move @ (shift - about) + about + step[:3]
     points = (scan.points - start.middle) @ turn.T + shift
     held = matcher.matches(points, normal @ turn.T, LAST_MM)
     cost = (len(points) - len(held.scan)) * LAST_MM**2 + np.sum(held.off**2)

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from scipy.spatial import cKDTree
 
-from spinestiff.anatomy.solids import dense_points
+from spinestiff.anatomy.solids import dense_points, enclosed
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import SubjectError, TorsoError
@@ -27,14 +27,18 @@ INDEPENDENT_MM2 = 400.0
 # over which the displacement fades where there is no scan.
 BEND_MM, FADE_MM = 12.0, 90.0
 COVER_MM = 4.0  # that every bone keeps, or what it has if that is less
-BONE_STEP_MM = 8.0
-NEAR_BONE_MM = 70.0
+BONE_STEP_MM, FINE_BONE_STEP_MM = 10.0, 5.0
+HALVINGS = 12
+NEAR_BONE_MM = 50.0
+# Of how far a corner's way changes the cover: where it is less, as over an edge, moving it is no remedy.
+LEAST_HELP = 0.5
 HELD_WEIGHT = 100.0
 COVERED_MM = 15.0  # a piece of skin is covered where the scan has a point that far beside it
 LEAST_COVERED = 0.5  # of a part of the skin, or it counts as left to the template
 # mm between scan and skin that no trunk has: median of the scan's points on the placed, and on the fitted skin.
 MOST_BEFORE_MM, MOST_AFTER_MM = 25.0, 6.0
-SIDES = ("front", "back", "left", "right")
+MOST_MOVED_MM = 60.0  # of a corner of the skin
+SIDES = ("front", "back", "left side", "right side")
 LEVELS = (("shoulders", "T4"), ("chest", "T12"), ("waist", "L5"))
 LOWEST = "hips"
 
@@ -49,7 +53,7 @@ class ScanFit:
     before_mm, after_mm : median and 95th percentile of the distance from the scan's points to the skin, as it was and
         as it became.
     used : share of the scan's points that face the skin; the others (arms, head) are left out.
-    left : parts of the skin that stay with the template, as "front of the chest".
+    left : parts of the skin that stay with the template, as "front" or "left side of chest and waist".
     held_mm : how far under the skin's least cover of bones the scan reaches at most; 0 = nowhere.
     yaw_deg, tilt_deg : turn of the scan about the vertical, and its lean.
     turned_round : whether the scan's triangles faced inward.
@@ -67,14 +71,21 @@ class ScanFit:
     turned_round: bool
     points: Floats
 
+    def __str__(self) -> str:
+        """Place and distances in a line."""
+        (before, before95), (after, after95) = self.before_mm, self.after_mm
+        return (
+            f"skin scan turned by {self.yaw_deg:.0f} degrees, {100.0 * self.covered:.0f} % of the skin covered; scan to "
+            f"skin {before:.1f} mm (95 %: {before95:.1f}) before, {after:.1f} mm ({after95:.1f}) after"
+        )
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a user should know, a line each."""
         lines = []
         if self.left:
-            lines.append(
-                f"skin scan: covers {100.0 * self.covered:.0f} % of the skin; left to the template: {', '.join(self.left)}"
-            )
+            left = "; ".join(self.left)
+            lines.append(f"skin scan: covers {100.0 * self.covered:.0f} % of the skin; left to the template: {left}")
         if self.held_mm > 1.0:
             lines.append(
                 f"skin scan: reaches up to {self.held_mm:.0f} mm under the least cover of a bone; the skin was held "
@@ -104,8 +115,17 @@ def with_scan(torso: TorsoModel, scan: SkinScan) -> tuple[TorsoModel, ScanFit]:
         raise SubjectError(_refusal(scan.name, before[0], MOST_BEFORE_MM, "as it lies best"))
     nodes, directions = skin.corners
     along, held_mm = _displacement(torso, skin, placed, nodes, directions)
+    if np.abs(along).max() > MOST_MOVED_MM:
+        raise SubjectError(
+            f"skin scan: {scan.name} would move the skin by {np.abs(along).max():.0f} mm, wanted at most "
+            f"{MOST_MOVED_MM:g} mm; check whose scan it is, its unit and axes, or leave it out"
+        )
+    along = _outside_bones(torso, skin, nodes, along, directions)
     moved = np.zeros_like(torso.tissue.rest_positions)
     moved[nodes] = along[:, None] * directions
+    after = _spread_of(matches(skin.moved(moved[skin.faces]), placed, LAST_MM).off)
+    if after[0] > MOST_AFTER_MM:
+        raise SubjectError(_refusal(scan.name, after[0], MOST_AFTER_MM, "after the fit"))
     try:
         fitted = with_moved_skin(torso, nodes, moved)
     except TorsoError as error:
@@ -115,14 +135,11 @@ def with_scan(torso: TorsoModel, scan: SkinScan) -> tuple[TorsoModel, ScanFit]:
         ) from None
     after_skin = skin_surface(fitted)
     last = matches(after_skin, placed, LAST_MM)
-    after = _spread_of(last.off)
-    if after[0] > MOST_AFTER_MM:
-        raise SubjectError(_refusal(scan.name, after[0], MOST_AFTER_MM, "after the fit"))
     covered, left = _coverage(fitted, after_skin, placed, last)
     return fitted, ScanFit(
         covered=covered,
         before_mm=before,
-        after_mm=after,
+        after_mm=_spread_of(last.off),
         used=len(last.scan) / len(scan.points),
         left=left,
         held_mm=held_mm,
@@ -183,10 +200,37 @@ def _displacement(
             mine = np.flatnonzero(held)
             side = bent.normals[nearest[mine]]
             stops = _rows(skin, row, nearest[mine], side, directions)
+            useful = stops.sum(axis=1) > LEAST_HELP
+            mine, side, stops = mine[useful], side[useful], stops[useful]
             until = least[mine] + np.einsum("ni,ni->n", bones[mine] - skin.points[nearest[mine]], side)
             stiff = HELD_WEIGHT / SCATTER_MM**2
             along = spla.spsolve((hessian + stiff * stops.T @ stops).tocsc(), slope + stiff * (stops.T @ until))
     return along, reached
+
+
+def _outside_bones(
+    torso: TorsoModel, skin: SkinSurface, nodes: Ints, along: Floats, directions: Floats
+) -> Floats:
+    """The displacement (K,) mm, taken back by halves around every bone point that it would leave outside the skin.
+
+    The cover is held at points of the skin; over an edge between two faces a bone may still come through.
+    """
+    row = np.full(len(torso.tissue.rest_positions), -1)
+    row[nodes] = np.arange(len(nodes))
+    rest, faces = torso.tissue.rest_positions, torso.tissue.boundary_faces()[:, :3]
+    bones = _bone_points(torso, skin, FINE_BONE_STEP_MM)
+    bones = bones[enclosed((rest, faces), bones)]
+    along = np.array(along)
+    for _ in range(HALVINGS):
+        moved = np.array(rest)
+        moved[nodes] += along[:, None] * directions
+        bare = bones[~enclosed((moved, faces), bones)]
+        if not len(bare):
+            break
+        _, nearest = skin.tree.query(bare)
+        around = np.unique(row[skin.faces[skin.face[nearest]]])
+        along[around[around >= 0]] *= 0.5
+    return along
 
 
 def _rows(skin: SkinSurface, row: Ints, points: Ints, normals: Floats, directions: Floats) -> sp.csr_array:
@@ -220,11 +264,11 @@ def _smoothness(torso: TorsoModel, skin: SkinSurface, row: Ints) -> sp.csr_array
     return sp.csr_array((local[known] / BEND_MM**2, (rows[known], others[known])), shape=(size, size))
 
 
-def _bone_points(torso: TorsoModel, skin: SkinSurface) -> Floats:
+def _bone_points(torso: TorsoModel, skin: SkinSurface, step: float = BONE_STEP_MM) -> Floats:
     """(n, 3) mm, points of the bones that lie near the skin."""
     every = np.vstack(
         [
-            dense_points((torso.surface_positions(torso.rest_pose, bone), surface.faces), BONE_STEP_MM)
+            dense_points((torso.surface_positions(torso.rest_pose, bone), surface.faces), step)
             for bone, surface in enumerate(torso.bone_surfaces)
         ]
     )
@@ -254,9 +298,13 @@ def _coverage(
     level = (height[:, None] < np.array(stops)).sum(1)
     names = (*(name for name, _ in LEVELS), LOWEST)
     left = []
-    for number, name in enumerate(names):
-        for which, said in enumerate(SIDES):
-            part = (level == number) & (side == which)
-            if area[part].sum() > 0.0 and area[part & covered].sum() < LEAST_COVERED * area[part].sum():
-                left.append(f"{said} of the {name}")
+    for which, said in enumerate(SIDES):
+        parts = [(side == which) & (level == number) & (area > 0.0) for number in range(len(names))]
+        bare = [
+            name
+            for name, part in zip(names, parts)
+            if part.any() and area[part & covered].sum() < LEAST_COVERED * area[part].sum()
+        ]
+        if bare:
+            left.append(said if len(bare) == len(names) else f"{said} of {' and '.join(bare)}")
     return float(area[covered].sum() / area.sum()), tuple(left)

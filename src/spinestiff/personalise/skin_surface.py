@@ -58,8 +58,8 @@ class SkinSurface:
 
     @property
     def corners(self) -> tuple[Ints, Floats]:
-        """Nodes (K,) that are corners on skin, and the direction (K, 3) in which each may move: outward, and for those on
-        the rim of floor or lid along it."""
+        """Nodes (K,) that are corners on skin, and the direction (K, 3) in which each may move: outward, and level for
+        those on the rim of floor or lid."""
         skin = ~self.ends
         nodes = self.faces[self.face[skin]]
         every = np.unique(nodes)
