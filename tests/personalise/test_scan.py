@@ -215,7 +215,7 @@ def test_units_axes_and_things_that_are_no_trunk_are_refused(tmp_path):
     assert "along front" in refusal(trunk, axes=body_axes("+x", "+y", "+z"))
     hand = trimesh.creation.box((90.0, 30.0, 180.0))
     hand.export(tmp_path / "hand.stl")
-    assert "extends 90 mm along left" in refusal(tmp_path / "hand.stl")
+    assert "hand.stl extends 180 mm along up" in refusal(tmp_path / "hand.stl")
     stick = trimesh.creation.box((170.0, 40.0, 240.0))
     stick.faces = stick.faces[:2]
     stick.export(tmp_path / "few.stl")

@@ -208,9 +208,7 @@ def _displacement(
     return along, reached
 
 
-def _outside_bones(
-    torso: TorsoModel, skin: SkinSurface, nodes: Ints, along: Floats, directions: Floats
-) -> Floats:
+def _outside_bones(torso: TorsoModel, skin: SkinSurface, nodes: Ints, along: Floats, directions: Floats) -> Floats:
     """The displacement (K,) mm, taken back by halves around every bone point that it would leave outside the skin.
 
     The cover is held at points of the skin; over an edge between two faces a bone may still come through.
@@ -284,9 +282,7 @@ def _cover(points: Floats, normals: Floats, tree: cKDTree, bones: Floats) -> tup
     return np.einsum("ni,ni->n", points[nearest] - bones, normals[nearest]), nearest
 
 
-def _coverage(
-    torso: TorsoModel, skin: SkinSurface, scan: SkinScan, found: Matches
-) -> tuple[float, tuple[str, ...]]:
+def _coverage(torso: TorsoModel, skin: SkinSurface, scan: SkinScan, found: Matches) -> tuple[float, tuple[str, ...]]:
     """The share of the skin that the scan covers, and the parts of it that it doesn't."""
     on = ~skin.ends
     distance = cKDTree(scan.points[found.scan]).query(skin.points[on])[0]
