@@ -39,7 +39,7 @@ FEW, SOME = 150, 1500  # points for telling starts apart, and for the best of th
 KEPT = 3
 # A wrong set of axes that fits so much better than the stated one proves those wrong.
 BETTER = 0.85
-# The least share of a scan's points that face the skin, and how firmly these have to hold the height: the mean square of
+# The least share of a scan that faces the skin, and how firmly this has to hold the height: the mean square of
 # what their directions say of it alone.
 LEAST_MATCHED = 0.10
 LEAST_HOLD = 0.02
@@ -230,7 +230,7 @@ def _refined(matcher: _Matcher, scan: SkinScan, start: Placement, reaches: Seque
         slope = rows.T @ (weight * held.off) / len(rows)
         hessian[3:, 3:] += prior
         slope[3:] += prior @ np.cross(upright, turn[:, 1])
-        step: Floats = -np.linalg.solve(hessian, slope)
+        step = np.asarray(-np.linalg.solve(hessian, slope), dtype=np.float64)
         move = exp_so3(step[3:])
         turn = move @ turn
         shift = move @ (shift - about) + about + step[:3]

@@ -1,4 +1,4 @@
-"""The skin brought to a scan: a smooth displacement along its normals, bones unmoved and covered, the rest left alone."""
+"""The skin brought to a scan: a smooth displacement along its normals, bones unmoved, the rest left alone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from spinestiff.personalise.skin import with_moved_skin
 from spinestiff.personalise.skin_surface import SkinSurface, skin_surface
 
 ROUNDS = 6
-# mm: what a scanner, breath and a straight-edged mesh leave between scan and skin; a point three times as far counts less.
+# mm: what scanner, breath and a straight-edged mesh leave between scan and skin; points three times as far count half.
 SCATTER_MM = 3.0
 # How many points speak for themselves: neighbours on a scan err together. mm2 of skin for each.
 INDEPENDENT_MM2 = 400.0
@@ -75,8 +75,8 @@ class ScanFit:
         """Place and distances in a line."""
         (before, before95), (after, after95) = self.before_mm, self.after_mm
         return (
-            f"skin scan turned by {self.yaw_deg:.0f} degrees, {100.0 * self.covered:.0f} % of the skin covered; scan to "
-            f"skin {before:.1f} mm (95 %: {before95:.1f}) before, {after:.1f} mm ({after95:.1f}) after"
+            f"skin scan turned by {self.yaw_deg:.0f} degrees, {100.0 * self.covered:.0f} % of the skin covered; "
+            f"scan to skin {before:.1f} mm (95 %: {before95:.1f}) before, {after:.1f} mm ({after95:.1f}) after"
         )
 
     @property
