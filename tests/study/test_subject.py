@@ -300,6 +300,34 @@ def test_the_trunk_by_tape(folder):
     assert "trunk.T9.breadth_mm: found 24.5, wanted greater than or equal to 100" in refusal(folder)
 
 
+def test_the_skin_scan(folder):
+    assert read_subject(folder).scan_path is None
+    scan = {"file": "scan.stl", "unit": "cm", "axes": {"left": "+x", "up": "+z", "front": "-y"}}
+    lay_out(folder, subject=changed(SUBJECT, ["skin_scan"], scan))
+    assert "scan.stl: no such file; wanted the skin scan" in refusal(folder)
+    (folder / "scan.stl").write_bytes(b"solid")
+    subject = read_subject(folder)
+    assert subject.scan_path == folder / "scan.stl"
+    assert subject.scan_path in subject.inputs
+    write_subject(folder, subject.record)
+    assert read_subject(folder).record == subject.record
+    wrong = {
+        "skin_scan.unit: found 'inch', wanted 'mm', 'cm' or 'm'": {**scan, "unit": "inch"},
+        "skin_scan.unit: missing": {key: value for key, value in scan.items() if key != "unit"},
+        "skin_scan.file: found '../scan.stl', wanted a path inside the subject folder": {**scan, "file": "../scan.stl"},
+        "in a mirror": {**scan, "axes": {"left": "+x", "up": "+z", "front": "+y"}},
+        "skin_scan.axes.front: missing": {**scan, "axes": {"left": "+x", "up": "+z"}},
+    }
+    for line, record in wrong.items():
+        lay_out(folder, subject=changed(SUBJECT, ["skin_scan"], record))
+        assert line in refusal(folder)
+    outside = folder.parent / "elsewhere.stl"
+    outside.write_bytes(b"solid")
+    (folder / "link.stl").symlink_to(outside)
+    lay_out(folder, subject=changed(SUBJECT, ["skin_scan"], {**scan, "file": "link.stl"}))
+    assert "leads out of the subject folder; copy the scan into it" in refusal(folder)
+
+
 PEDICLES = {"T6": [[523, 312], [502, 312.5]], "T5": [[522, 280], [503, 280]]}
 
 

@@ -38,6 +38,8 @@ from spinestiff.personalise.image_terms import (
 from spinestiff.personalise.pose import ViewPose, posed
 from spinestiff.personalise.prior import elastic_prior, pelvis_on_springs, regulariser
 from spinestiff.personalise.quality import MeshQuality, require_quality
+from spinestiff.personalise.scan import SkinScan
+from spinestiff.personalise.scanned_skin import ScanFit, with_scan
 from spinestiff.personalise.sizes import resized
 from spinestiff.personalise.skin import TrunkSize, with_trunk_sizes
 
@@ -81,6 +83,7 @@ class Personalised:
     size_scale : (V, 3) width, height and depth of the vertebrae over the template's at the given height.
     corner_sd_mm : standard deviation of the annotated corners along one axis, from their residuals.
     quality : of the tissue mesh.
+    scan : how the skin fits its scan, if there is one.
     warnings : what a user should know, a line each.
     """
 
@@ -97,6 +100,7 @@ class Personalised:
     size_scale: Floats
     corner_sd_mm: float
     quality: MeshQuality
+    scan: ScanFit | None = None
     warnings: tuple[str, ...] = field(default=())
 
     @property
@@ -114,6 +118,7 @@ def personalise(
     geometry: Geometry = "estimated",
     finer: Callable[[], TorsoModel] | None = None,
     trunk: Mapping[str, TrunkSize] | None = None,
+    scan: SkinScan | None = None,
 ) -> Personalised:
     """Shape ``template`` to annotated rest radiographs (paper 3.1; Koutras 2022's approach).
 
@@ -130,9 +135,11 @@ def personalise(
         lateral one, yaw); "known", views are exact, as from a calibrated biplanar system.
     finer : makes a template on a finer mesh, tried where this one can't be moved that far.
     trunk : optional breadths and depths of the trunk by the bone at whose height they were taken; they move the skin.
+    scan : optional surface scan of the trunk; it moves the skin, after the trunk's extents.
 
     Raises
     ------
+    SubjectError : a scan that is none of this body.
     EquilibriumError, TorsoError : no mesh can be moved that far without elements turning over or degenerating.
     FitError : corners that contradict each other.
     TrackingError : corners that are no picture of this torso, or no frontal view.
@@ -140,7 +147,7 @@ def personalise(
     if geometry not in GEOMETRIES:
         raise FitError(f"unknown geometry '{geometry}'; wanted one of {', '.join(GEOMETRIES)}")
     check_pictures(template, pictures, pedicles or {})
-    fit = _Fit(pictures, pedicles or {}, geometry == "known", trunk or {}, observer or (lambda line: None))
+    fit = _Fit(pictures, pedicles or {}, geometry == "known", trunk or {}, scan, observer or (lambda line: None))
     try:
         return fit.run(template)
     except (EquilibriumError, TorsoError) as error:
@@ -177,9 +184,11 @@ class _Fit:
         pedicles: Mapping[str, PediclePoints],
         known: bool,
         trunk: Mapping[str, TrunkSize],
+        scan: SkinScan | None,
         say: Observer,
     ) -> None:
-        self.pictures, self.pedicles, self.known, self.trunk, self.say = pictures, pedicles, known, trunk, say
+        self.pictures, self.pedicles, self.known, self.say = pictures, pedicles, known, say
+        self.trunk, self.scan = trunk, scan
         self.names = tuple(pictures)
         sd = np.zeros((len(pictures), 4))
         if not known:
@@ -214,9 +223,13 @@ class _Fit:
         torso = resized(sized.rebased(state), np.exp(final.shape.log_sizes - first.shape.log_sizes))
         torso = replace(torso, vertebra_boxes=own_boxes(base, final.shape), height_cm=template.height_cm)
         torso = with_trunk_sizes(torso, self.trunk)
+        scanned = None
+        if self.scan is not None:
+            torso, scanned = with_scan(torso, self.scan)
+            self.say(str(scanned))
         quality = require_quality(torso)
         self.say(str(quality))
-        return self.result(torso, final, points, length, quality)
+        return self.result(torso, final, points, length, quality, scanned)
 
     def points(self, base: TorsoModel) -> tuple[ImagePoints, ...]:
         """What is annotated, on the vertebrae of ``base``."""
@@ -274,6 +287,7 @@ class _Fit:
         points: Sequence[ImagePoints],
         length: float,
         quality: MeshQuality,
+        scanned: ScanFit | None,
     ) -> Personalised:
         views, poses, fits, rmse = {}, {}, {}, {}
         for name, pose, weights, view in zip(self.names, final.poses, final.weights, points):
@@ -305,7 +319,8 @@ class _Fit:
             size_scale=length * np.exp(final.shape.log_sizes),
             corner_sd_mm=final.corner_sd,
             quality=quality,
-            warnings=self.warnings(fits, prior_only),
+            scan=scanned,
+            warnings=(*self.warnings(fits, prior_only), *(() if scanned is None else scanned.warnings)),
         )
 
     def warnings(self, fits: Mapping[str, Mapping[str, VertebraFit]], prior_only: tuple[str, ...]) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import TorsoError
 from spinestiff.personalise.sizes import spread
 
@@ -106,6 +106,19 @@ def _stretched(torso: TorsoModel, levels: tuple[str, ...], factors: Floats, midd
     for axis, column in ((0, 0), (2, 1)):
         share, middle = (np.interp(at[:, 1], knots, values[:, column]) for values in (grown, centre))
         moved[skin, axis] = share * (at[:, axis] - middle)
+    return with_moved_skin(torso, skin, moved)
+
+
+def with_moved_skin(torso: TorsoModel, skin: Ints, moved: Floats) -> TorsoModel:
+    """The torso with nodes ``skin`` (n,) of its tissue displaced by their rows of ``moved`` (N, 3) mm at rest.
+
+    Bones stay where they are; free tissue between them and the skin follows harmonically.
+
+    Raises
+    ------
+    TorsoError : an element is turned over.
+    """
+    mesh = torso.tissue
     told = mesh.bone_of_node >= 0
     told[skin] = True
     nodes = mesh.rest_positions + spread(mesh, moved, told)

@@ -27,6 +27,8 @@ from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking import support_motion, track
 from spinestiff.mechanics.loads import three_point_reactions
 from spinestiff.personalise.image_terms import PediclePoints
+from spinestiff.personalise.scan import SkinScan, body_axes, read_scan
+from spinestiff.personalise.scanned_skin import ScanFit
 from spinestiff.personalise.shape import Personalised, personalise
 from spinestiff.personalise.skin import TrunkSize
 from spinestiff.study.records import SubjectRecord
@@ -126,10 +128,11 @@ def _recipe(visit: Visit, step: str) -> tuple[list[Path], list[Path], dict[str, 
         "view": {},
     }
     shape = [file("torso.npz"), file("personalised.json")]
+    shaped = [*shape, *([file("skin_scan.png")] if subject.scan_path else [])]
     assessed = [file("assessment.json"), *([file("comparison.json")] if visit.truth else [])]
     needed = {
         "track": (images, [file("tracked.json")]),
-        "personalise": (images, shape),
+        "personalise": (images, shaped),
         "estimate": ([*images[:2], file("tracked.json"), *shape], [file("estimate.json")]),
         "assess": ([*images[:2], file("tracked.json"), *shape, file("estimate.json")], assessed),
         "report": (
@@ -212,8 +215,10 @@ def subject_template(record: SubjectRecord, mesh: str) -> TorsoModel:
 
 
 def personalise_step(visit: Visit, say: Observer) -> None:
-    """Shape the template to the rest radiographs; writes ``torso.npz`` and ``personalised.json``."""
+    """Shape the template to the rest radiographs; writes ``torso.npz``, ``personalised.json`` and, with a skin scan,
+    ``skin_scan.png``."""
     subject = visit.subject
+    scan = skin_scan(visit)
     template = starting_torso(visit)
     pictures: dict[str, tuple[VertebraCorners, XRayView]] = {}
     pedicles: dict[str, PediclePoints] = {}
@@ -230,12 +235,30 @@ def personalise_step(visit: Visit, say: Observer) -> None:
     trunk: dict[str, TrunkSize] = {
         level: TrunkSize(size.breadth_mm, size.depth_mm) for level, size in subject.record.trunk.items()
     }
-    shaped = personalise(template, pictures, say, pedicles=pedicles, finer=finer, trunk=trunk)
+    shaped = personalise(template, pictures, say, pedicles=pedicles, finer=finer, trunk=trunk, scan=scan)
     for warning in shaped.warnings:
         say(warning)
     visit.subject.results.mkdir(exist_ok=True)
     write_torso(visit.file("torso.npz"), shaped.torso)
+    if shaped.scan is not None:
+        from spinestiff.study.torso_picture import draw_scan
+
+        draw_scan(shaped.torso, shaped.scan.points, visit.file("skin_scan.png"))
     write_json(visit.file("personalised.json"), _personalised_record(shaped, provenance))
+
+
+def skin_scan(visit: Visit) -> SkinScan | None:
+    """The subject's skin scan in mm along the body's axes, if there is one.
+
+    Raises
+    ------
+    SubjectError : it can't be read, or its stated unit or axes contradict the body.
+    """
+    record, path = visit.subject.record.skin_scan, visit.subject.scan_path
+    if record is None or path is None:
+        return None
+    axes = body_axes(record.axes.left, record.axes.up, record.axes.front)
+    return read_scan(path, record.unit, axes, visit.subject.record.height_cm)
 
 
 def starting_torso(visit: Visit) -> TorsoModel:
@@ -435,9 +458,24 @@ def _personalised_record(shaped: Personalised, provenance: Mapping[str, Mapping[
             "smallest_j": shaped.quality.smallest_j,
             "smallest_dihedral_deg": shaped.quality.smallest_dihedral_deg,
         },
+        "skin_scan": None if shaped.scan is None else _scan_record(shaped.scan),
         "warnings": list(shaped.warnings),
         "views": {name: _view_record(view) for name, view in shaped.views.items()},
         "millimetres": {name: dict(found) for name, found in provenance.items()},
+    }
+
+
+def _scan_record(scan: ScanFit) -> dict[str, Any]:
+    return {
+        "covered": scan.covered,
+        "used": scan.used,
+        "before_mm": dict(zip(("median", "p95"), scan.before_mm)),
+        "after_mm": dict(zip(("median", "p95"), scan.after_mm)),
+        "left_to_template": list(scan.left),
+        "held_mm": scan.held_mm,
+        "yaw_deg": scan.yaw_deg,
+        "tilt_deg": scan.tilt_deg,
+        "turned_round": scan.turned_round,
     }
 
 

@@ -16,6 +16,7 @@ from pydantic_core import ErrorDetails
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
+from spinestiff.personalise.scan import Axis, Unit, body_axes
 from spinestiff.study.results import parse_json, read_text
 
 SCHEMA_VERSION = 1
@@ -147,6 +148,42 @@ class TrunkRecord(_Record):
     depth_mm: Annotated[float, Field(ge=80.0, le=500.0)]
 
 
+class ScanAxes(_Record):
+    """Which axes of a scan run to the body's left, up and to the front."""
+
+    left: Axis
+    up: Axis
+    front: Axis
+
+    @model_validator(mode="after")
+    def _are_a_frame(self) -> Self:
+        try:
+            body_axes(self.left, self.up, self.front)
+        except SubjectError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+
+class ScanRecord(_Record):
+    """A surface scan of the trunk.
+
+    Attributes
+    ----------
+    file : STL, OBJ, PLY or VTP, relative to the subject folder.
+    unit : of its coordinates.
+    axes : its axes.
+    """
+
+    file: str
+    unit: Unit
+    axes: ScanAxes
+
+    @field_validator("file")
+    @classmethod
+    def _stays_inside(cls, path: str) -> str:
+        return _inside(path)
+
+
 class SubjectRecord(_Record):
     """``subject.json``: the person, the X-ray geometry and the pushes.
 
@@ -163,6 +200,7 @@ class SubjectRecord(_Record):
         the subject folder.
     pushes : at least one, with at least one training frame under a force.
     trunk : optional extents of the trunk, by the vertebra at whose height they were taken.
+    skin_scan : optional surface scan of the trunk.
     """
 
     schema_version: Literal[1]
@@ -175,6 +213,7 @@ class SubjectRecord(_Record):
     torso: str | None = None
     pushes: Annotated[tuple[PushRecord, ...], Field(min_length=1, strict=False)]
     trunk: dict[VertebraName, TrunkRecord] = {}
+    skin_scan: ScanRecord | None = None
 
     @field_validator("torso")
     @classmethod

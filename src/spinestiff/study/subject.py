@@ -87,13 +87,18 @@ class Subject:
         """Every input file or folder of the subject."""
         images = (*(f"rest/{view}" for view in self.rest_views), *(push.image for push in self.pushes))
         files = (self.folder / SUBJECT_FILE, self.folder / ANNOTATION_FILE)
-        own = () if self.torso_path is None else (self.torso_path,)
+        own = (path for path in (self.torso_path, self.scan_path) if path is not None)
         return (*files, *(self.image_path(image) for image in images), *own)
 
     @property
     def torso_path(self) -> Path | None:
         """The torso of the subject's own bones, if there is one."""
         return None if self.record.torso is None else self.folder / self.record.torso
+
+    @property
+    def scan_path(self) -> Path | None:
+        """The surface scan of the trunk, if there is one."""
+        return None if self.record.skin_scan is None else self.folder / self.record.skin_scan.file
 
 
 def read_subject(folder: str | Path) -> Subject:
@@ -115,12 +120,17 @@ def read_subject(folder: str | Path) -> Subject:
             raise SubjectError(f"{path}: no such file; wanted the radiograph of {image}")
         if not path.resolve().is_relative_to(folder.resolve()):
             raise SubjectError(f"{path}: leads out of the subject folder; copy the radiograph into it")
-    own = subject.torso_path
-    if own is not None:
-        if not own.is_file():
-            raise SubjectError(f"{own}: no such file; wanted the torso.npz of spinestiff torso import")
-        if not own.resolve().is_relative_to(folder.resolve()):
-            raise SubjectError(f"{own}: leads out of the subject folder; copy the torso into it")
+    own = (
+        (subject.torso_path, "torso", "the torso.npz of spinestiff torso import"),
+        (subject.scan_path, "scan", "the skin scan that subject.json names"),
+    )
+    for file, kind, what in own:
+        if file is None:
+            continue
+        if not file.is_file():
+            raise SubjectError(f"{file}: no such file; wanted {what}")
+        if not file.resolve().is_relative_to(folder.resolve()):
+            raise SubjectError(f"{file}: leads out of the subject folder; copy the {kind} into it")
     return subject
 
 

@@ -95,6 +95,30 @@ def torso_figure(torso: TorsoModel) -> Figure:
     return figure
 
 
+def scan_figure(torso: TorsoModel, points: Floats) -> Figure:
+    """Points (n, 3) mm of a skin scan over the torso's skin and bones, from the front and the side, those nearer to the
+    viewer than the torso's middle in blue, those behind in pale blue."""
+    figure = Figure(figsize=(12.0, 9.0), layout="constrained")
+    axes = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
+    middle = torso.tissue.rest_positions.mean(0)
+    for ax, view in zip(axes, (FRONT, SIDE)):
+        title, across, sign, viewer = view
+        draw_skin(ax, torso, across, sign)
+        draw_bones(ax, torso, view, 0.5)
+        near = (points - middle) @ np.array(viewer) > 0.0
+        for part, colour in ((~near, "#9cd3f2"), (near, "#0072b2")):
+            ax.plot(sign * points[part, across], points[part, 1], ".", color=colour, markersize=2.0)
+        ax.set_title(title, fontsize=10)
+    axes[0].set_ylabel("mm above the sacral endplate", fontsize=8)
+    return figure
+
+
+def draw_scan(torso: TorsoModel, points: Floats, path: Path) -> None:
+    """Write ``scan_figure`` (PNG)."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scan_figure(torso, points).savefig(path, dpi=DPI, pil_kwargs={"optimize": True})
+
+
 def draw_torso(torso: TorsoModel, path: Path) -> None:
     """Write ``torso_figure`` (PNG)."""
     path.parent.mkdir(parents=True, exist_ok=True)

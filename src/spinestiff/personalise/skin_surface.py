@@ -1,0 +1,114 @@
+"""The skin of a torso as points on it: where they lie, which way they face, and how its corners move them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats, Ints
+
+STEP_MM = 14.0
+# Floor and lid close the tissue where the trunk was cut: they face along the body, near its ends.
+END_FACING, END_SHARE = 0.9, 0.06
+
+
+@dataclass(frozen=True)
+class SkinSurface:
+    """Points spread over the boundary of the tissue, P of them on the S faces.
+
+    Attributes
+    ----------
+    faces : (S, 3) node numbers of the corners.
+    face : (P,) the face of each point.
+    share : (P, 3) share of the face's corners in it: the point moves by theirs, weighted so.
+    points : (P, 3) mm.
+    tangents : (P, 2, 3) mm, derivatives of the place along the second and the third share.
+    area : (P,) mm2 that a point stands for.
+    ends : (P,) bool, on the floor or the lid, where the tissue ends but the body doesn't.
+    """
+
+    faces: Ints
+    face: Ints
+    share: Floats
+    points: Floats
+    tangents: Floats
+    area: Floats
+    ends: np.ndarray
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """The points, to be searched."""
+        return cKDTree(self.points)
+
+    @cached_property
+    def normals(self) -> Floats:
+        """(P, 3) unit, outward."""
+        normal = np.cross(self.tangents[:, 0], self.tangents[:, 1])
+        return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+    def moved(self, shift: Floats) -> SkinSurface:
+        """The points after the faces' corners moved by ``shift`` (S, 3, 3) mm."""
+        mine = shift[self.face]
+        points = self.points + np.einsum("pk,pki->pi", self.share, mine)
+        return replace(self, points=points, tangents=self.tangents + mine[:, 1:] - mine[:, :1])
+
+    @property
+    def corners(self) -> tuple[Ints, Floats]:
+        """Nodes (K,) that are corners on skin, and the direction (K, 3) in which each may move: outward, and level for
+        those on the rim of floor or lid."""
+        skin = ~self.ends
+        nodes = self.faces[self.face[skin]]
+        every = np.unique(nodes)
+        direction = np.zeros((len(every), 3))
+        weight = self.area[skin, None] * self.share[skin]
+        np.add.at(direction, np.searchsorted(every, nodes), weight[:, :, None] * self.normals[skin][:, None, :])
+        direction[np.isin(every, self.faces[self.face[self.ends]]), 1] = 0.0
+        return every, direction / np.linalg.norm(direction, axis=1, keepdims=True)
+
+
+def skin_surface(torso: TorsoModel, step: float = STEP_MM) -> SkinSurface:
+    """The skin of a torso at rest, as points about ``step`` mm apart."""
+    boundary = torso.tissue.boundary_faces()
+    nodes = torso.tissue.rest_positions[boundary]
+    longest = np.linalg.norm(nodes[:, :3] - np.roll(nodes[:, :3], 1, axis=1), axis=2).max(1)
+    parts = np.maximum(1, np.ceil(longest / step)).astype(int)
+    face, share = [], []
+    for k in np.unique(parts):
+        # Middles of the k * k small triangles a face is cut into: each stands for the same area.
+        i, j = np.nonzero(np.add.outer(np.arange(k), np.arange(k)) < k)
+        upright = np.stack([i + 1 / 3, j + 1 / 3], -1)
+        turned = np.stack([i + 2 / 3, j + 2 / 3], -1)[i + j < k - 1]
+        at = np.vstack([upright, turned]) / k
+        mine = np.flatnonzero(parts == k)
+        face.append(np.repeat(mine, len(at)))
+        share.append(np.tile(np.column_stack([1.0 - at.sum(1), at]), (len(mine), 1)))
+    number, weight = np.concatenate(face), np.vstack(share)
+    value, slope = _shape_functions(weight, nodes.shape[1])
+    points = np.einsum("pk,pki->pi", value, nodes[number])
+    tangents = np.einsum("pck,pki->pci", slope, nodes[number])
+    length = np.linalg.norm(np.cross(tangents[:, 0], tangents[:, 1]), axis=1)
+    low, high = points[:, 1].min(), points[:, 1].max()
+    band = END_SHARE * (high - low)
+    level = nodes[:, :3, 1]
+    flat = np.cross(nodes[:, 1] - nodes[:, 0], nodes[:, 2] - nodes[:, 0])
+    upward = flat[:, 1] / np.linalg.norm(flat, axis=1)
+    lid = (upward > END_FACING) & (level.min(1) > high - band)
+    floor = (upward < -END_FACING) & (level.max(1) < low + band)
+    area = 0.5 * length / np.bincount(number)[number]
+    return SkinSurface(boundary[:, :3], number, weight, points, tangents, area, (lid | floor)[number])
+
+
+def _shape_functions(share: Floats, columns: int) -> tuple[Floats, Floats]:
+    # Values (P, n) on a triangle of 3 or 6 nodes, and derivatives (P, 2, n) along its second and third share.
+    step = np.array([[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]])
+    if columns == 3:
+        return share, np.broadcast_to(step, (len(share), 2, 3))
+    edges = ([0, 1, 2], [1, 2, 0])
+    value = np.hstack([share * (2.0 * share - 1.0), 4.0 * share[:, edges[0]] * share[:, edges[1]]])
+    corner = (4.0 * share - 1.0)[:, None] * step
+    middle = 4.0 * (step[:, edges[0]] * share[:, None, edges[1]] + step[:, edges[1]] * share[:, None, edges[0]])
+    return value, np.concatenate([corner, middle], axis=2)
