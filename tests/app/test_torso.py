@@ -52,10 +52,10 @@ def test_the_template_takes_the_sizes_of_a_body():
 
 
 def test_an_export_has_the_sizes_too(tmp_path):
-    heavy, usual = tmp_path / "heavy.mrk.json", tmp_path / "usual.mrk.json"
-    said("export", "--format", "mrk", "--kyphosis", 50, "--out", heavy)
+    curved, usual = tmp_path / "curved.mrk.json", tmp_path / "usual.mrk.json"
+    said("export", "--format", "mrk", "--kyphosis", 50, "--out", curved)
     said("export", "--format", "mrk", "--out", usual)
-    assert json.loads(heavy.read_text()) != json.loads(usual.read_text())
+    assert json.loads(curved.read_text()) != json.loads(usual.read_text())
 
 
 @pytest.mark.parametrize(

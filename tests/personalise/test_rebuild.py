@@ -122,6 +122,7 @@ def test_the_new_torso_is_free_of_stress_and_as_stiff_as_the_fine_mesh(rebuilt, 
     assert np.abs(moved[0] - moved[1]).max() < 0.1 * moved[1].max()
 
 
+@pytest.mark.slow
 def test_without_a_mesher_it_ends_in_one_line(template, subject, waist, see, monkeypatch):
     monkeypatch.setitem(sys.modules, "mmgpy", None)
     view = VIEWS["frontal"]
