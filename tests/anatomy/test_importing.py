@@ -12,15 +12,16 @@ from spinestiff.anatomy import meshing
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.importing import import_torso
 from spinestiff.anatomy.importing.orienting import axes_matrix
-from spinestiff.anatomy.importing.skin import refuse_bones_outside
+from spinestiff.anatomy.importing.skin import ROWS, _template_rows, refuse_bones_outside
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.solids import enclosed
-from spinestiff.anatomy.template.surfaces import ball, signed_volume
+from spinestiff.anatomy.template.surfaces import ball, loft, signed_volume
 from spinestiff.app.cli import app
 from spinestiff.errors import TorsoError
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.personalise.quality import mesh_quality
 
 needs_mmg = pytest.mark.usefixtures("mmg_installed")
 
@@ -210,6 +211,22 @@ def test_a_given_skin_is_used_and_too_tight_a_one_refused(bone_folder, meshes, t
     (bone_folder / "skin.ply").unlink()
     (tmp_path / "tight.stl").write_bytes(meshes.stl(nodes * [0.7, 1.0, 0.8], faces))
     assert "sticks out of the skin by" in refusal(bone_folder, skin=tmp_path / "tight.stl")
+
+
+@needs_mmg
+@pytest.mark.slow
+def test_a_skin_of_few_large_triangles_is_rounded_and_meshed(bone_folder, meshes, template):
+    """Every fourth point of every third row: about 500 triangles with edges of 50 to 90 mm."""
+    rows = _template_rows(template)[np.linspace(0, ROWS - 1, 17).round().astype(int), ::4]
+    low = loft(rows * [1.08, 1.0, 1.1])
+    assert 450 < len(low[1]) < 600
+    (bone_folder / "skin.ply").write_bytes(meshes.ply(*low))
+    found = import_torso(bone_folder, spacing_mm=36.0)
+    assert any("large, flat triangles were rounded" in note for note in found.notes)
+    assert found.tissue.least_angle_deg >= meshing.LEAST_ANGLE_DEG
+    volume = found.torso.tissue.corner_volumes().sum()
+    assert volume == pytest.approx(signed_volume(low), rel=meshing.VOLUME_TOLERANCE)
+    assert mesh_quality(found.torso).good
 
 
 def test_the_gate_refuses_a_mesher_that_gives_flat_elements(monkeypatch, template_bones):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -198,7 +199,7 @@ def test_the_front_alone_is_enough_with_a_warning(template, girl, from_the_front
     assert from_the_front.poses["frontal"].shift.tolist() == [0.0, 0.0]
 
 
-def test_a_finer_mesh_is_tried_where_one_fails(template, see, monkeypatch):
+def test_a_finer_mesh_is_tried_where_one_fails(template, shaped, see, monkeypatch):
     """The finer template is asked once the first can't be moved; where it can't either, one line says so."""
     view, finer = NOMINAL["frontal"], template.scaled(1.0)
     pictures, asked, lines = {"frontal": (see(template, view), view)}, [], []
@@ -207,21 +208,26 @@ def test_a_finer_mesh_is_tried_where_one_fails(template, see, monkeypatch):
         asked.append(torso)
         if torso is template:
             raise TorsoError("the tissue mesh is too distorted after the fit")
-        return torso
+        return shaped
 
     monkeypatch.setattr(shape._Fit, "run", run)
-    assert personalise(template, pictures, lines.append, finer=lambda: finer) is finer
+    monkeypatch.setitem(sys.modules, "mmgpy", None)
+    found = personalise(template, pictures, lines.append, finer=lambda: finer)
+    assert found.torso is shaped.torso
+    assert (shaped.mesh, found.mesh) == ("kept", "finer")
+    assert found.warnings[-1].endswith("the fine one was used")
     assert asked == [template, finer]
-    assert lines == ["the tissue mesh is too distorted after the fit; trying a finer mesh"]
-    with pytest.raises(TorsoError, match="on the fine mesh too; check corners, spacing and body height"):
+    assert lines[0] == "the tissue mesh is too distorted after the fit; trying a finer mesh"
+    with pytest.raises(TorsoError, match=r"on the fine mesh too; check corners, .*; pip install"):
         personalise(template, pictures, finer=lambda: template)
-    with pytest.raises(TorsoError, match="a finer tissue mesh may do"):
+    with pytest.raises(TorsoError, match=r"a finer tissue mesh may do; pip install .* lets a new mesh"):
         personalise(template, pictures)
 
 
 def test_a_degenerate_mesh_stops_the_fit(template, see, monkeypatch):
     """The quality is really asked for: with a limit that no mesh meets, the fit ends in an error."""
     monkeypatch.setattr(quality, "SMALLEST_DIHEDRAL_DEG", 60.0)
+    monkeypatch.setitem(sys.modules, "mmgpy", None)
     view = NOMINAL["frontal"]
     with pytest.raises(TorsoError, match="too distorted after the fit"):
         personalise(template, {"frontal": (see(template, view), view)}, geometry="known")

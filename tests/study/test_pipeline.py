@@ -115,6 +115,7 @@ def test_the_personalised_torso(finished):
     assert record["length_scale"] == pytest.approx(1.0, abs=0.02)
     assert np.array(record["covariance"]["blocks"]).shape == (17, 6, 6)
     assert record["mesh"]["smallest_j"] > 0.2
+    assert record["mesh"]["path"] == "kept"
     assert (record["warnings"] == []) == (record["prior_only"] == [])
     assert read_torso(finished.folder / "results" / "torso.npz").height_cm == pytest.approx(157.0)
 

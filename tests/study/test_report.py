@@ -135,6 +135,7 @@ def personalised_record(views: dict[str, XRayView], names: tuple[str, ...]) -> d
         "rmse_mm": {"frontal": 1.31, "lateral": 1.64},
         "vertebra_rmse_mm": {view: dict.fromkeys(names[SEEN], 1.2) | {"T7": 2.5} for view in views},
         "prior_only": ["T1", "T2", "L5"],
+        "mesh": {"path": "rebuilt", "nodes": 6115, "smallest_j": 1.0, "smallest_dihedral_deg": 7.4},
         "poses": {view: {"shift_mm": [1.2, -3.4], "roll_deg": 0.51} for view in views},
         "views": {name: view_record(view) for name, view in views.items()},
         "millimetres": dict.fromkeys(views, source),

@@ -30,6 +30,7 @@ SPACINGS_MM = (12.0, 60.0)
 LEAST_ANGLE_DEG = 5.0
 WANTED_ANGLE_DEG = 10.0
 HAUSDORFF_MM = 3.0  # of the skin from its triangles, where these may change
+EDGE_DEG = 20.0  # between two triangles of the skin: a larger angle is an edge, and stays one
 TRIES = 6
 VOLUME_TOLERANCE = 0.02
 # Distances as shares of the spacing inside: along a bone and on the skin, as in the template's fine mesh.
@@ -97,8 +98,10 @@ def mmg(points: Floats, tetrahedra: Ints, required: Ints) -> tuple[Floats, Ints]
     except ImportError:
         raise TorsoError(NO_MMG) from None
     best: tuple[float, Floats, Ints] | None = None
-    # First inside alone; where that leaves flat elements, the skin's triangles may change, too.
-    for options in ({"nosurf": 1}, {"hausd": HAUSDORFF_MM}):
+    whole = np.abs(_volumes(points[tetrahedra])).sum()
+    # First inside alone; where that leaves flat elements, the skin's triangles may change, too: with edges between
+    # them kept, then as if they stood for a smooth surface, which bulges over them.
+    for options in ({"nosurf": 1}, {"hausd": HAUSDORFF_MM, "ar": EDGE_DEG}, {"hausd": HAUSDORFF_MM}):
         mesh = mmgpy.MmgMesh3D()
         mesh.set_mesh_size(vertices=len(points), tetrahedra=len(tetrahedra))
         mesh.set_vertices(np.ascontiguousarray(points, dtype=np.float64))
@@ -109,10 +112,12 @@ def mmg(points: Floats, tetrahedra: Ints, required: Ints) -> tuple[Floats, Ints]
         except Exception as error:  # whatever MMG says, another set of points may do
             raise TorsoError(f"MMG failed ({' '.join(str(error).split())[:120]})") from None
         found = np.asarray(mesh.get_vertices(), dtype=float), np.asarray(mesh.get_tetrahedra(), dtype=np.int64)
-        angle = float(least_angles(found[0][found[1]]).min())
-        if best is None or angle > best[0]:
+        corners = found[0][found[1]]
+        angle = float(least_angles(corners).min())
+        grown = abs(float(np.abs(_volumes(corners)).sum() / whole) - 1.0) > 0.5 * VOLUME_TOLERANCE
+        if best is None or (angle > best[0] and not grown):
             best = (angle, *found)
-        if angle >= WANTED_ANGLE_DEG:
+        if best[0] >= WANTED_ANGLE_DEG:
             break
     assert best is not None
     return best[1:]

@@ -14,9 +14,17 @@ torso = typer.Typer(
     rich_markup_mode=None,
 )  # fmt: skip
 
-TorsoFile = Annotated[Path | None, typer.Argument(help="Torso file (torso.npz); the template if left out.")]
-TemplateHeight = Annotated[float, typer.Option("--height", help="Body height of the template, cm.")]
-TemplateMesh = Annotated[str, typer.Option("--mesh", help="Mesh of the template: coarse or fine.")]
+TorsoFile = Annotated[
+    Path | None, typer.Argument(help="Torso file (torso.npz) or personalised subject folder; the template if left out.")
+]
+# Of the template alone; what is left out is the usual (docs/anatomy.md).
+Height = Annotated[float | None, typer.Option(help="Body height of the template, cm; 157 if left out.")]
+Age = Annotated[float | None, typer.Option(help="Age of the template, years, 8 to 100.")]
+Sex = Annotated[str | None, typer.Option(help="Sex of the template: female or male.")]
+Mass = Annotated[float | None, typer.Option(help="Body mass of the template, kg.")]
+Kyphosis = Annotated[float | None, typer.Option(help="Kyphosis T1 to T12 of the template, degrees, 20 to 50.")]
+Lordosis = Annotated[float | None, typer.Option(help="Lordosis L1 to S1 of the template, degrees, 35 to 60.")]
+TemplateMesh = Annotated[str | None, typer.Option("--mesh", help="Mesh of the template: coarse or fine.")]
 
 
 @torso.command("import")
@@ -65,8 +73,13 @@ def export(
     out: Annotated[
         Path | None, typer.Option(help="The file to write; torso with the format's ending if left out.")
     ] = None,
-    height: TemplateHeight = 157.0,
-    mesh: TemplateMesh = "coarse",
+    height: Height = None,
+    age: Age = None,
+    sex: Sex = None,
+    mass: Mass = None,
+    kyphosis: Kyphosis = None,
+    lordosis: Lordosis = None,
+    mesh: TemplateMesh = None,
 ) -> None:
     """Write a torso at rest for another program; says what that format leaves out."""
     from spinestiff.anatomy.export import FORMATS, export_torso
@@ -74,21 +87,58 @@ def export(
     if kind not in FORMATS:
         raise TorsoError(f"unknown format '{kind}'; known are {', '.join(FORMATS)}")
     chosen = FORMATS[kind]
-    path = export_torso(_torso(file, height, mesh), out or Path(f"torso{chosen.suffix}"), kind)
+    found = _torso(file, height=height, age=age, sex=sex, mass=mass, kyphosis=kyphosis, lordosis=lordosis, mesh=mesh)
+    path = export_torso(found, out or Path(f"torso{chosen.suffix}"), kind)
     typer.echo(f"{path}: for {chosen.purpose}; leaves out or changes: {chosen.leaves_out}")
 
 
 @torso.command()
-def show(file: TorsoFile = None, height: TemplateHeight = 157.0, mesh: TemplateMesh = "coarse") -> None:
+def show(
+    file: TorsoFile = None,
+    height: Height = None,
+    age: Age = None,
+    sex: Sex = None,
+    mass: Mass = None,
+    kyphosis: Kyphosis = None,
+    lordosis: Lordosis = None,
+    mesh: TemplateMesh = None,
+) -> None:
     """How many bones, joints and nodes a torso has, and how large it is."""
-    _show(_torso(file, height, mesh))
+    _show(_torso(file, height=height, age=age, sex=sex, mass=mass, kyphosis=kyphosis, lordosis=lordosis, mesh=mesh))
 
 
-def _torso(file: Path | None, height: float, mesh: str) -> Any:
+def _torso(file: Path | None, **template: Any) -> Any:
+    """The torso of a file or of a subject folder, or the template of the given sizes."""
     from spinestiff.anatomy.files import read_torso
     from spinestiff.anatomy.template import template_torso
 
-    return template_torso(height, mesh) if file is None else read_torso(file)
+    given = [name for name, value in template.items() if value is not None]
+    if file is None:
+        return template_torso(
+            157.0 if template["height"] is None else template["height"],
+            template["mesh"] or "coarse",
+            age_years=template["age"],
+            sex=template["sex"],
+            mass_kg=template["mass"],
+            kyphosis_deg=template["kyphosis"],
+            lordosis_deg=template["lordosis"],
+        )
+    if given:
+        raise TorsoError(f"{file} has a size and a mesh of its own; leave out --{given[0]}")
+    return read_torso(_personalised(file) if file.is_dir() else file)
+
+
+def _personalised(folder: Path) -> Path:
+    """The torso file of a subject folder; refused where what it was made from has changed since."""
+    from spinestiff.study.results import changed_inputs
+    from spinestiff.study.visit import open_visit
+
+    path = open_visit(folder).file("torso.npz")
+    if not path.exists():
+        raise TorsoError(f"{path}: no such file; run spinestiff personalise first")
+    if changed := changed_inputs(folder, "personalise"):
+        raise TorsoError(f"{path}: was made before {changed[0]} changed; run spinestiff personalise again")
+    return path
 
 
 def _show(model: Any) -> None:

@@ -38,13 +38,15 @@ from spinestiff.personalise.image_terms import (
 from spinestiff.personalise.pose import ViewPose, posed
 from spinestiff.personalise.prior import elastic_prior, pelvis_on_springs, regulariser
 from spinestiff.personalise.quality import MeshQuality, require_quality
+from spinestiff.personalise.rebuild import can_rebuild, skin_of, with_new_tissue, without_tissue
 from spinestiff.personalise.scan import SkinScan
 from spinestiff.personalise.scanned_skin import ScanFit, with_scan
 from spinestiff.personalise.sizes import resized
-from spinestiff.personalise.skin import TrunkSize, with_trunk_sizes
+from spinestiff.personalise.skin import TrunkSize, skin_at_sizes, trunk_sizes, with_trunk_sizes
 
 Geometry = Literal["estimated", "known"]
 GEOMETRIES: tuple[Geometry, ...] = ("estimated", "known")
+MeshPath = Literal["kept", "rebuilt", "finer"]
 # How a patient may stand in a view whose geometry is nominal: standard deviations of shift (mm), roll and yaw (rad). A
 # lean seen at rest is the person's own (about 3 degrees from one to the next) rather than the stance of the moment
 # (about 0.7 degrees). The frontal view says what is frontal, so only the lateral one has a yaw.
@@ -59,6 +61,13 @@ PULLS, PLACING_PULLS = (30.0, 1000.0), (3.0, 100.0, 1000.0)
 SHAPE_TOLERANCE = 1e-3
 # Beyond this share a vertebra's motion is the prior's more than its own images'.
 CARRIED = 0.5
+
+NEW_MESH: Mapping[MeshPath, str] = {
+    "rebuilt": "the tissue mesh could not be carried to the subject's shape; a new one was built in the subject's skin",
+    "finer": "the coarse tissue mesh could not be carried to the subject's shape; the fine one was used",
+}
+# mm by which a trunk may miss its tape before somebody is told.
+TAPE_MM = 5.0
 
 Observer = Callable[[str], None]
 MOTIONS = ("sideways", "height", "front to back", "sagittal tilt", "axial rotation", "coronal tilt")
@@ -84,6 +93,8 @@ class Personalised:
     corner_sd_mm : standard deviation of the annotated corners along one axis, from their residuals.
     quality : of the tissue mesh.
     scan : how the skin fits its scan, if there is one.
+    mesh : "kept", the template's mesh was carried along; "rebuilt", a new one was built in the carried skin (extra
+        [mesh]); "finer", the finer template's was carried along.
     warnings : what a user should know, a line each.
     """
 
@@ -100,6 +111,7 @@ class Personalised:
     size_scale: Floats
     corner_sd_mm: float
     quality: MeshQuality
+    mesh: MeshPath = "kept"
     scan: ScanFit | None = None
     warnings: tuple[str, ...] = field(default=())
 
@@ -122,7 +134,8 @@ def personalise(
 ) -> Personalised:
     """Shape ``template`` to annotated rest radiographs (paper 3.1; Koutras 2022's approach).
 
-    The result becomes the stress-free rest state.
+    The result becomes the stress-free rest state. Where the tissue mesh can't be moved that far, a new one is built
+    in the moved skin if the extra [mesh] is installed.
 
     Parameters
     ----------
@@ -133,7 +146,7 @@ def personalise(
     pedicles : by view name, optional; in the frontal view they determine axial rotation.
     geometry : "estimated", the patient may stand otherwise in each view than its geometry says (shift, roll and, in the
         lateral one, yaw); "known", views are exact, as from a calibrated biplanar system.
-    finer : makes a template on a finer mesh, tried where this one can't be moved that far.
+    finer : makes a template on a finer mesh, tried where this one can't be moved that far and none can be built.
     trunk : optional breadths and depths of the trunk by the bone at whose height they were taken; they move the skin.
     scan : optional surface scan of the trunk; it moves the skin, after the trunk's extents.
 
@@ -151,13 +164,20 @@ def personalise(
     try:
         return fit.run(template)
     except (EquilibriumError, TorsoError) as error:
+        hint = "" if can_rebuild(template) else '; pip install "spinestiff[mesh]" lets a new mesh be built'
         if finer is None:
-            raise type(error)(f"{error}; a finer tissue mesh may do") from None
+            raise type(error)(f"{error}; a finer tissue mesh may do{hint}") from None
         fit.say(f"{error}; trying a finer mesh")
         try:
-            return fit.run(finer())
+            found = fit.run(finer())
         except (EquilibriumError, TorsoError) as again:
-            raise type(again)(f"{again}, on the fine mesh too; check corners, spacing and body height") from None
+            raise type(again)(
+                f"{again}, on the fine mesh too; check corners, spacing, tape and body height{hint}"
+            ) from None
+        if found.mesh == "rebuilt":
+            return found
+        fit.say(NEW_MESH["finer"])
+        return replace(found, mesh="finer", warnings=(*found.warnings, NEW_MESH["finer"]))
 
 
 def place_vertebrae(
@@ -220,16 +240,56 @@ class _Fit:
             # What the first adjustment could explain is not wrong: the energy's new tangent led away from it.
             final = first
         state = _pulled(problem, state, final.shape.positions, final.shape.rotations, PULLS[-1:])
-        torso = resized(sized.rebased(state), np.exp(final.shape.log_sizes - first.shape.log_sizes))
-        torso = replace(torso, vertebra_boxes=own_boxes(base, final.shape), height_cm=template.height_cm)
-        torso = with_trunk_sizes(torso, self.trunk)
-        scanned = None
-        if self.scan is not None:
-            torso, scanned = with_scan(torso, self.scan)
-            self.say(str(scanned))
-        quality = require_quality(torso)
-        self.say(str(quality))
-        return self.result(torso, final, points, length, quality, scanned)
+        boxes = own_boxes(base, final.shape)
+
+        def finished(moved: TorsoModel, at: TorsoState) -> TorsoModel:
+            torso = resized(moved.rebased(at), np.exp(final.shape.log_sizes - first.shape.log_sizes))
+            return replace(torso, vertebra_boxes=boxes, height_cm=template.height_cm)
+
+        mesh: MeshPath = "kept"
+        new: tuple[str, ...] = ()
+        try:
+            torso, scanned = self.scanned(with_trunk_sizes(finished(sized, state), self.trunk))
+            quality = require_quality(torso)
+        except TorsoError as error:
+            if not can_rebuild(sized):
+                raise
+            self.say(f"{error}; building a new mesh")
+            bare = finished(*without_tissue(sized, state))
+            vertices, faces = skin_of(sized, state)
+            skin = (skin_at_sizes(bare, vertices, faces, self.trunk), faces)
+            torso, missed = self.to_tape(with_new_tissue(bare, skin, sized, state, self.say))
+            torso, scanned = self.scanned(torso)
+            mesh, new = "rebuilt", (NEW_MESH["rebuilt"], *missed)
+            quality = require_quality(torso)
+        self.say(f"{quality}; tissue mesh {mesh}, {len(torso.tissue.rest_positions)} nodes")
+        found = self.result(torso, final, points, length, quality, scanned)
+        return replace(found, mesh=mesh, warnings=(*found.warnings, *new))
+
+    def scanned(self, torso: TorsoModel) -> tuple[TorsoModel, ScanFit | None]:
+        """The torso with its skin at the scan, if there is one."""
+        if self.scan is None:
+            return torso, None
+        moved, fit = with_scan(torso, self.scan)
+        self.say(str(fit))
+        return moved, fit
+
+    def to_tape(self, torso: TorsoModel) -> tuple[TorsoModel, tuple[str, ...]]:
+        """A new mesh, whose skin is some mm off, with the skin at the trunk's extents; what is still off, in words."""
+        try:
+            moved = with_trunk_sizes(torso, self.trunk)
+            require_quality(moved)
+            return moved, ()
+        except TorsoError:
+            own, _ = trunk_sizes(torso, tuple(self.trunk))
+        missed = [
+            f"the skin at {level} is {size.breadth_mm:.0f} by {size.depth_mm:.0f} mm, not {wanted.breadth_mm:g} by "
+            f"{wanted.depth_mm:g} mm: the bones there leave no room"
+            for level, wanted in self.trunk.items()
+            if max(abs((size := own[level]).breadth_mm - wanted.breadth_mm), abs(size.depth_mm - wanted.depth_mm))
+            > TAPE_MM
+        ]
+        return torso, tuple(missed)
 
     def points(self, base: TorsoModel) -> tuple[ImagePoints, ...]:
         """What is annotated, on the vertebrae of ``base``."""

@@ -43,18 +43,7 @@ def trunk_sizes(torso: TorsoModel, levels: tuple[str, ...]) -> tuple[dict[str, T
     ------
     TorsoError : unknown bone, or no skin at its height.
     """
-    faces = torso.tissue.boundary_faces()[:, :3]
-    points = torso.tissue.rest_positions
-    found, middles = {}, []
-    for level in levels:
-        height = torso.rest_pose.bone_positions[torso.bone(level), 1]
-        section = _section(points, faces, height)
-        if not len(section):
-            raise TorsoError(f"no skin at the height of {level}; measure between the neck and the hips")
-        low, high = section.min(0), section.max(0)
-        found[level] = TrunkSize(*(high - low).tolist())
-        middles.append(0.5 * (low + high))
-    return found, np.array(middles)
+    return _extents(torso.tissue.rest_positions, torso.tissue.boundary_faces()[:, :3], _heights(torso, levels))
 
 
 def with_trunk_sizes(torso: TorsoModel, wanted: Mapping[str, TrunkSize]) -> TorsoModel:
@@ -67,46 +56,21 @@ def with_trunk_sizes(torso: TorsoModel, wanted: Mapping[str, TrunkSize]) -> Tors
     ------
     TorsoError : an extent below 0.75 or above 1.35 of the carried skin's, or tissue that is squeezed inside out.
     """
-    levels = tuple(sorted(wanted, key=lambda name: torso.rest_pose.bone_positions[torso.bone(name), 1]))
-    if not levels:
+    if not wanted:
         return torso
-    own, _ = trunk_sizes(torso, levels)
-    low, high = FACTOR_LIMITS
-    for level in levels:
-        for what in ("breadth_mm", "depth_mm"):
-            ratio = getattr(wanted[level], what) / getattr(own[level], what)
-            if not low <= ratio <= high:
-                raise TorsoError(
-                    f"{what.removesuffix('_mm')} at {level} is {getattr(wanted[level], what):g} mm, {ratio:.2f} times "
-                    f"the skin's ({getattr(own[level], what):.0f} mm); wanted {low} to {high} times: check the measure"
-                )
-    for _ in range(ROUNDS):
-        own, middles = trunk_sizes(torso, levels)
-        factors = [(wanted[v].breadth_mm / own[v].breadth_mm, wanted[v].depth_mm / own[v].depth_mm) for v in levels]
-        try:
-            torso = _stretched(torso, levels, np.array(factors), middles)
-        except TorsoError as error:
-            raise TorsoError(
-                f"the skin can't come to the trunk's extents at {', '.join(levels)}: the ribs, which they don't move, "
-                f"leave no room for the tissue between ({error}); check the measures or leave them out"
-            ) from None
-    return torso
-
-
-def _stretched(torso: TorsoModel, levels: tuple[str, ...], factors: Floats, middles: Floats) -> TorsoModel:
     mesh = torso.tissue
-    heights = np.array([torso.rest_pose.bone_positions[torso.bone(level), 1] for level in levels])
-    knots = np.concatenate([[heights[0] - FADE_MM], heights, [heights[-1] + FADE_MM]])
-    grown = np.vstack([[0.0, 0.0], factors - 1.0, [0.0, 0.0]])
-    centre = np.vstack([middles[:1], middles, middles[-1:]])
-    skin = np.unique(mesh.boundary_faces())
+    faces = mesh.boundary_faces()
+    skin = np.unique(faces)
     skin = skin[mesh.bone_of_node[skin] < 0]
-    at = mesh.rest_positions[skin]
     moved = np.zeros_like(mesh.rest_positions)
-    for axis, column in ((0, 0), (2, 1)):
-        share, middle = (np.interp(at[:, 1], knots, values[:, column]) for values in (grown, centre))
-        moved[skin, axis] = share * (at[:, axis] - middle)
-    return with_moved_skin(torso, skin, moved)
+    moved[skin] = (skin_at_sizes(torso, mesh.rest_positions, faces[:, :3], wanted) - mesh.rest_positions)[skin]
+    try:
+        return with_moved_skin(torso, skin, moved)
+    except TorsoError as error:
+        raise TorsoError(
+            f"the skin can't come to the trunk's extents at {', '.join(wanted)}: the ribs, which they don't move, "
+            f"leave no room for the tissue between ({error}); check the measures or leave them out"
+        ) from None
 
 
 def with_moved_skin(torso: TorsoModel, skin: Ints, moved: Floats) -> TorsoModel:
@@ -124,6 +88,61 @@ def with_moved_skin(torso: TorsoModel, skin: Ints, moved: Floats) -> TorsoModel:
     nodes = mesh.rest_positions + spread(mesh, moved, told)
     pose = replace(torso.rest_pose, tissue_positions=nodes[mesh.free_nodes])
     return replace(torso, tissue=replace(mesh, rest_positions=nodes), rest_pose=pose)
+
+
+def skin_at_sizes(torso: TorsoModel, points: Floats, faces: Ints, wanted: Mapping[str, TrunkSize]) -> Floats:
+    """(n, 3) mm, the vertices of a closed skin (points (n, 3), faces (m, 3)) around ``torso`` at the wanted extents.
+
+    Raises
+    ------
+    TorsoError : an extent below 0.75 or above 1.35 of the skin's.
+    """
+    levels = tuple(sorted(wanted, key=lambda name: torso.rest_pose.bone_positions[torso.bone(name), 1]))
+    if not levels:
+        return points
+    heights = _heights(torso, levels)
+    own, _ = _extents(points, faces, heights)
+    low, high = FACTOR_LIMITS
+    for level in levels:
+        for what in ("breadth_mm", "depth_mm"):
+            ratio = getattr(wanted[level], what) / getattr(own[level], what)
+            if not low <= ratio <= high:
+                raise TorsoError(
+                    f"{what.removesuffix('_mm')} at {level} is {getattr(wanted[level], what):g} mm, {ratio:.2f} times "
+                    f"the skin's ({getattr(own[level], what):.0f} mm); wanted {low} to {high} times: check the measure"
+                )
+    for _ in range(ROUNDS):
+        own, middles = _extents(points, faces, heights)
+        factors = [(wanted[v].breadth_mm / own[v].breadth_mm, wanted[v].depth_mm / own[v].depth_mm) for v in levels]
+        points = _stretched(points, np.array(list(heights.values())), np.array(factors), middles)
+    return points
+
+
+def _stretched(points: Floats, heights: Floats, factors: Floats, middles: Floats) -> Floats:
+    knots = np.concatenate([[heights[0] - FADE_MM], heights, [heights[-1] + FADE_MM]])
+    grown = np.vstack([[0.0, 0.0], factors - 1.0, [0.0, 0.0]])
+    centre = np.vstack([middles[:1], middles, middles[-1:]])
+    moved = np.array(points)
+    for axis, column in ((0, 0), (2, 1)):
+        share, middle = (np.interp(points[:, 1], knots, values[:, column]) for values in (grown, centre))
+        moved[:, axis] += share * (points[:, axis] - middle)
+    return moved
+
+
+def _heights(torso: TorsoModel, levels: tuple[str, ...]) -> dict[str, float]:
+    return {level: float(torso.rest_pose.bone_positions[torso.bone(level), 1]) for level in levels}
+
+
+def _extents(points: Floats, faces: Ints, heights: Mapping[str, float]) -> tuple[dict[str, TrunkSize], Floats]:
+    found, middles = {}, []
+    for level, height in heights.items():
+        section = _section(points, faces, height)
+        if not len(section):
+            raise TorsoError(f"no skin at the height of {level}; measure between the neck and the hips")
+        low, high = section.min(0), section.max(0)
+        found[level] = TrunkSize(*(high - low).tolist())
+        middles.append(0.5 * (low + high))
+    return found, np.array(middles)
 
 
 def _section(points: Floats, faces: np.ndarray, height: float) -> Floats:

@@ -455,6 +455,8 @@ def _personalised_record(shaped: Personalised, provenance: Mapping[str, Mapping[
             "blocks": [shaped.covariance[i : i + 6, i : i + 6].tolist() for i in range(0, len(shaped.covariance), 6)],
         },
         "mesh": {
+            "path": shaped.mesh,
+            "nodes": len(shaped.torso.tissue.rest_positions),
             "smallest_j": shaped.quality.smallest_j,
             "smallest_dihedral_deg": shaped.quality.smallest_dihedral_deg,
         },

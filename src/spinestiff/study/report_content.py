@@ -307,6 +307,13 @@ def support_rows(tracked: Mapping[str, Any]) -> list[dict[str, str]]:
     return rows
 
 
+MESH_PATHS = {
+    "kept": "carried to the subject’s shape",
+    "rebuilt": "built anew in the subject’s skin, since the carried one was too distorted",
+    "finer": "the fine one carried to the subject’s shape, since the coarse one was too distorted",
+}
+
+
 def geometry_content(personalised: Mapping[str, Any], estimate: Mapping[str, Any]) -> dict[str, Any]:
     """How well the rest shape meets each picture, where the patient stood, and what no picture shows."""
     rows = []
@@ -318,7 +325,12 @@ def geometry_content(personalised: Mapping[str, Any], estimate: Mapping[str, Any
     for push, pose in estimate["poses"].items():
         title = f"Push “{push}”, least force"
         rows.append({"title": title, "rmse": fixed(pose["rms_mm"], 2), "worst": "", **_pose(pose)})
-    return {"rows": rows, "prior_only": listed(personalised["prior_only"])}
+    mesh = personalised["mesh"]
+    return {
+        "rows": rows,
+        "prior_only": listed(personalised["prior_only"]),
+        "mesh": f"{MESH_PATHS[mesh['path']]}, {mesh['nodes']} nodes",
+    }
 
 
 def _pose(pose: Mapping[str, Any]) -> dict[str, str]:

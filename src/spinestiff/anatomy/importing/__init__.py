@@ -14,11 +14,12 @@ from spinestiff.anatomy.importing.placing import Skeleton, landmarks, place_join
 from spinestiff.anatomy.importing.reading import read_surface
 from spinestiff.anatomy.importing.repairing import repaired
 from spinestiff.anatomy.importing.skin import generated_skin, refuse_bones_outside, section_middle
-from spinestiff.anatomy.meshing import DEFAULT_MESHER, MeshedTissue, find_mesher, mesh_tissue
+from spinestiff.anatomy.meshing import DEFAULT_MESHER, SKIN_SHARE, MeshedTissue, find_mesher, mesh_tissue
 from spinestiff.anatomy.names import BONE_INDEX, BONES, JOINTS
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.rounding import rounded
 from spinestiff.anatomy.stiffness import DEFAULT_POISSON, DEFAULT_YOUNG_MPA, KINDS, joint_stiffness, lame_parameters
-from spinestiff.anatomy.template.surfaces import Surface, joined
+from spinestiff.anatomy.template.surfaces import Surface, joined, signed_volume
 from spinestiff.anatomy.torso import BoneSurface, JointTable, TissueMesh, TorsoModel, TorsoState, joint_frames
 from spinestiff.arrays import Floats
 from spinestiff.errors import TorsoError
@@ -117,6 +118,12 @@ def import_torso(
         raise TorsoError(f"body height {height:.0f} cm; wanted {HEIGHTS_CM[0]:g} to {HEIGHTS_CM[1]:g} cm")
     say("skin: generating one" if given is None else "skin: checking that all bones lie inside")
     closed = None if given is None else (given[0] - origin, given[1])
+    if closed is not None and (smooth := rounded(closed, SKIN_SHARE * spacing_mm)) is not closed:
+        notes.append(
+            f"the skin's {len(closed[1])} large, flat triangles were rounded to mesh under them; its volume changed by "
+            f"{100.0 * (signed_volume(smooth) / signed_volume(closed) - 1.0):+.1f} %"
+        )
+        closed = smooth
     rest, points, closed = _frames(skeleton, closed, scale)
     refuse_bones_outside(skeleton.surfaces, closed)
     tissue = mesh_tissue(skeleton.surfaces, closed, spacing_mm, mesher, observer)

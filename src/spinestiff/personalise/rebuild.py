@@ -1,0 +1,95 @@
+"""Tissue meshed anew in a subject's skin around the subject's bones, where the carried mesh is no longer fit for use.
+
+Needs a mesher (extra [mesh]). Bones, joints, boxes and landmarks stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from spinestiff.anatomy.importing.skin import refuse_bones_outside
+from spinestiff.anatomy.meshing import DEFAULT_MESHER, SKIN_SHARE, find_mesher, mesh_tissue
+from spinestiff.anatomy.names import BONES
+from spinestiff.anatomy.rounding import rounded
+from spinestiff.anatomy.template.surfaces import Surface
+from spinestiff.anatomy.torso import TissueMesh, TorsoModel, TorsoState
+from spinestiff.errors import TorsoError
+
+# mm between corners inside, of a 157 cm body: between the shipped meshes in nodes.
+SPACING_MM = 34.0
+REFERENCE_HEIGHT_CM = 157.0
+
+Observer = Callable[[str], None]
+
+
+def can_rebuild(torso: TorsoModel) -> bool:
+    """Whether the extra [mesh] is installed and the torso has the bones and the tissue that it meshes between."""
+    if torso.bone_names != BONES or not torso.bone_surfaces or not len(torso.tissue.elements):
+        return False
+    try:
+        find_mesher(DEFAULT_MESHER)
+    except TorsoError:
+        return False
+    return True
+
+
+def without_tissue(torso: TorsoModel, state: TorsoState) -> tuple[TorsoModel, TorsoState]:
+    """The torso and a state of it with bones and joints alone."""
+    none = np.zeros((0, 3))
+    mesh = torso.tissue
+    empty = replace(
+        mesh,
+        rest_positions=none,
+        elements=np.zeros((0, mesh.elements.shape[1]), dtype=np.int64),
+        bone_of_node=np.zeros(0, dtype=np.int64),
+        lame_mu=np.zeros(0),
+        lame_lambda=np.zeros(0),
+    )
+    bare = replace(torso, tissue=empty, rest_pose=replace(torso.rest_pose, tissue_positions=none))
+    return bare, replace(state, tissue_positions=none)
+
+
+def skin_of(torso: TorsoModel, state: TorsoState) -> Surface:
+    """The boundary of the tissue in a state: the faces' corners (n, 3) mm and triangles (m, 3)."""
+    faces = torso.tissue.boundary_faces()[:, :3]
+    used, number = np.unique(faces, return_inverse=True)
+    return torso.node_positions(state)[used], number.reshape(faces.shape)
+
+
+def with_new_tissue(
+    bare: TorsoModel, skin: Surface, old: TorsoModel, state: TorsoState, observer: Observer | None = None
+) -> TorsoModel:
+    """A torso without tissue filled anew, free of stress, up to a skin.
+
+    Parameters
+    ----------
+    bare : bones at rest in their new places. skin : closed, world mm, around them.
+    old, state : a torso in the state nearest to that; an element's moduli are those of the old element nearest to it.
+    observer : is told each try.
+
+    Raises
+    ------
+    TorsoError : a bone sticks out of the skin, or no mesh passes the mesher's gate.
+    """
+    rest = bare.rest_pose
+    surfaces = {
+        name: (bare.surface_positions(rest, i), bare.bone_surfaces[i].faces) for i, name in enumerate(bare.bone_names)
+    }
+    spacing = SPACING_MM * bare.height_cm / REFERENCE_HEIGHT_CM
+    skin = rounded(skin, SKIN_SHARE * spacing)
+    refuse_bones_outside(surfaces, skin)
+    made = mesh_tissue(surfaces, skin, spacing, observer=observer)
+    middles = old.node_positions(state)[old.tissue.elements[:, :4]].mean(1)
+    nearest = cKDTree(middles).query(made.nodes[made.elements[:, :4]].mean(1))[1]
+    tissue = TissueMesh(
+        made.nodes,
+        made.elements,
+        made.bone_of_node,
+        old.tissue.lame_mu[nearest],
+        old.tissue.lame_lambda[nearest],
+    )
+    return replace(bare, tissue=tissue, rest_pose=replace(rest, tissue_positions=made.nodes[tissue.free_nodes]))

@@ -1,0 +1,96 @@
+"""``spinestiff torso show`` and ``export``: whose torso it is, and what contradicts that."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import pytest
+from typer.testing import CliRunner
+
+from spinestiff.anatomy.files import write_torso
+from spinestiff.anatomy.template import template_torso
+from spinestiff.app.cli import app
+from spinestiff.errors import TorsoError
+from spinestiff.study.imported import torso_facts
+
+
+def said(*arguments) -> str:
+    done = CliRunner().invoke(app, ["torso", *map(str, arguments)], catch_exceptions=False)
+    assert done.exit_code == 0
+    return done.output
+
+
+def refusal(*arguments) -> str:
+    error = CliRunner().invoke(app, ["torso", *map(str, arguments)]).exception
+    assert isinstance(error, TorsoError) and "\n" not in str(error)
+    return str(error)
+
+
+def test_the_template_takes_the_sizes_of_a_body():
+    sizes = {"age_years": 11.0, "sex": "male", "mass_kg": 33.0, "kyphosis_deg": 30.0, "lordosis_deg": 40.0}
+    options = [
+        "--height",
+        "141",
+        "--age",
+        "11",
+        "--sex",
+        "male",
+        "--mass",
+        "33",
+        "--kyphosis",
+        "30",
+        "--lordosis",
+        "40",
+    ]
+    wanted = torso_facts(template_torso(141.0, "coarse", **sizes))
+    found = dict(line.split(": ", 1) for line in said("show", *options).splitlines())
+    assert found == wanted
+    assert found["tissue"] != torso_facts(template_torso(141.0))["tissue"]
+    usual = dict(line.split(": ", 1) for line in said("show").splitlines())
+    assert usual == torso_facts(template_torso(157.0))
+
+
+def test_an_export_has_the_sizes_too(tmp_path):
+    curved, usual = tmp_path / "curved.mrk.json", tmp_path / "usual.mrk.json"
+    said("export", "--format", "mrk", "--kyphosis", 50, "--out", curved)
+    said("export", "--format", "mrk", "--out", usual)
+    assert json.loads(curved.read_text()) != json.loads(usual.read_text())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--height", 90), "body height 90 cm; wanted 120 to 200 cm"),
+        (("--age", 5), "age 5 years; wanted 8 to 100 years"),
+        (("--sex", "m"), "sex 'm'; wanted female or male"),
+        (("--mass", 200), "body mass 200 kg at 157 cm"),
+        (("--kyphosis", 70), "wanted 20 to 50 degrees"),
+        (("--lordosis", 5), "wanted 35 to 60 degrees"),
+        (("--mesh", "finest"), "unknown tissue mesh 'finest'"),
+    ],
+)
+def test_sizes_of_no_body_are_refused_in_one_line(options, message):
+    assert message in refusal("show", *options)
+
+
+def test_a_torso_of_its_own_takes_no_sizes(tmp_path):
+    path = tmp_path / "own.npz"
+    write_torso(path, template_torso(150.0))
+    assert "height: 150 cm" in said("show", path)
+    assert refusal("show", path, "--height", 157).endswith("has a size and a mesh of its own; leave out --height")
+
+
+def test_a_subject_folder_stands_for_its_torso(tmp_path, monkeypatch):
+    changed = []
+    visit = SimpleNamespace(file=lambda name: tmp_path / "results" / name)
+    monkeypatch.setattr("spinestiff.study.visit.open_visit", lambda folder: visit)
+    monkeypatch.setattr("spinestiff.study.results.changed_inputs", lambda folder, step: changed)
+    assert refusal("show", tmp_path).endswith("torso.npz: no such file; run spinestiff personalise first")
+    (tmp_path / "results").mkdir()
+    write_torso(tmp_path / "results" / "torso.npz", template_torso(150.0))
+    assert "height: 150 cm" in said("show", tmp_path)
+    said("export", tmp_path, "--format", "vtu", "--out", tmp_path / "s.vtu")
+    assert (tmp_path / "s.vtu").stat().st_size > 10_000
+    changed.append("subject.json")
+    assert "was made before subject.json changed; run spinestiff personalise again" in refusal("show", tmp_path)
