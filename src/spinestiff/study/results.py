@@ -34,14 +34,14 @@ def read_json(path: Path) -> Any:
     return parse_json(read_text(path), path.name)
 
 
-def read_text(path: Path) -> str:
-    """A JSON file's text, not yet parsed. Raises SubjectError as ``read_json`` does."""
+def read_text(path: Path, largest: int = LARGEST_JSON) -> str:
+    """A text file of at most ``largest`` bytes, not yet parsed. Raises SubjectError as ``read_json`` does."""
     if not path.is_file():
         raise SubjectError(f"{path}: no such file")
     try:
         size = path.stat().st_size
-        if size > LARGEST_JSON:
-            raise SubjectError(f"{path}: {size} bytes, wanted at most {LARGEST_JSON}; is this the right file?")
+        if size > largest:
+            raise SubjectError(f"{path}: {size} bytes, wanted at most {largest}; is this the right file?")
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise SubjectError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
