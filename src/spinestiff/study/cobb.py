@@ -37,6 +37,8 @@ NOISE_OF_WIDTH = 0.02
 LEAST_NOISE_PX = 0.3
 """Of corners set on whole pixels, 1 / sqrt(12)."""
 DOUBTFUL_SD_DEG = 5.0
+STRAIGHT_SDS = 3.5
+"""Largest of all pairs of a straight spine's seventeen vertebrae, in sds of one pair: 95 % lie below."""
 
 
 @dataclass(frozen=True)
@@ -180,6 +182,10 @@ def read_cobb(
     except SpinestiffError as error:
         return CobbReading(image.image, "refused", (str(error),), definition)
     warnings = [*ordered.repairs, *ordered.warnings]
+    if abs(largest.angle.degrees) < STRAIGHT_SDS * largest.sd_deg:
+        warnings.append(
+            f"{abs(largest.angle.degrees):.1f} degrees may be corner noise alone: a straight spine reads so"
+        )
     if largest.sd_deg > DOUBTFUL_SD_DEG:
         warnings.append(f"the vertebrae are so small that corner noise makes {largest.sd_deg:.0f} degrees (sd)")
     return CobbReading(
