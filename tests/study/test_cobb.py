@@ -13,7 +13,7 @@ import pytest
 from spine_images import LABELLED, image, labelled_csv
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.errors import SubjectError
-from spinestiff.study.cobb import CobbReading, read_cobb, spine_curves
+from spinestiff.study.cobb import CobbReading, read_cobb, read_cobb_of_view, spine_curves
 from spinestiff.study.cobb_picture import MOST_PANELS, draw_readings, write_picture
 from spinestiff.study.corner_files import UnreadableImage, read_corner_file
 
@@ -95,6 +95,14 @@ def test_sides_are_the_images_until_the_patients_are_known(sign):
     assert read_cobb(replace(spine, first_on="left"), patient_left="left").status == "ok"
     contradiction = read_cobb(replace(spine, first_on="left"), patient_left="right")
     assert contradiction.status == "refused" and "left on the left, not on the right" in contradiction.warnings[0]
+
+
+def test_corners_that_a_view_oriented_read_like_those_of_the_usual_display():
+    spine = image(TRIPLE, first_on="right", unit="mm", wedge=1.0)
+    points = (spine.corners * [1.0, -1.0])[:, [1, 0, 3, 2]]
+    seen, viewed = read_cobb(spine), read_cobb_of_view(spine.image, spine.levels, points)
+    assert viewed.as_dict() == seen.as_dict()
+    assert np.array_equal(viewed.corners, seen.corners)
 
 
 def test_a_straight_spine_has_no_convexity():
