@@ -91,6 +91,7 @@ def test_sides_are_the_images_until_the_patients_are_known(sign):
         for found in (read_cobb(spine, patient_left=known), read_cobb(replace(spine, first_on=known))):
             assert found.convexity(found.largest) == text
             assert found.patient_left == known
+            assert found.bulges_right(found.largest) == (side == "right")
             assert (found.largest.angle.degrees > 0) == text.endswith(("patient's left", "image's right"))
     assert read_cobb(replace(spine, first_on="left"), patient_left="left").status == "ok"
     contradiction = read_cobb(replace(spine, first_on="left"), patient_left="right")
