@@ -104,6 +104,7 @@ def test_corners_that_a_view_oriented_read_like_those_of_the_usual_display():
     seen, viewed = read_cobb(spine), read_cobb_of_view(spine.image, spine.levels, points)
     assert viewed.as_dict() == seen.as_dict()
     assert np.array_equal(viewed.corners, seen.corners)
+    assert "corner noise alone" in read_cobb_of_view("a", spine.levels, points, noise=20.0).warnings[0]
 
 
 def test_a_straight_spine_has_no_convexity():
