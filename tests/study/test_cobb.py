@@ -186,24 +186,32 @@ def test_corners_that_coincide_have_no_tilt():
         spine_curves(("T1", "T2"), points, "endplate", 1.0)
 
 
-def readings(count=1):
-    return [read_cobb(image(TRIPLE, name=f"image {i}", first_on="right")) for i in range(count)]
+def readings(count=1, sign=1):
+    return [read_cobb(image(np.multiply(sign, TRIPLE), name=f"image {i}", first_on="right")) for i in range(count)]
 
 
-def test_a_picture_has_every_image_and_its_angles(tmp_path):
-    figure = draw_readings([*readings(2), CobbReading("bad", "refused", ("a reason",), "endplate")])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_picture_has_every_image_and_its_angles(tmp_path, sign):
+    figure = draw_readings([*readings(2, sign), CobbReading("bad", "refused", ("a reason",), "endplate")])
     panels = [axis for axis in figure.axes if axis.get_title()]
     assert [axis.get_title().split("\n")[0] for axis in panels] == ["image 0", "image 1", "bad"]
     words = [text.get_text() for text in panels[0].texts]
     assert {"T1", "L5", "R", "L"} <= set(words)
-    assert sum("°" in word for word in words) == len(readings()[0].curves)
+    assert sum("°" in word for word in words) == len(readings(1, sign)[0].curves)
     assert "a reason" in panels[2].texts[0].get_text()
-    # The lines of the largest curve's end vertebrae run where the vertebrae's endplates do.
-    found = readings()[0]
-    upper = found.corners[VERTEBRAE.index(found.largest.angle.upper)]
-    slope = (upper[1] - upper[0])[1] / (upper[1] - upper[0])[0]
-    ends = [line.get_xydata() for line in panels[0].lines if len(line.get_xydata()) == 2]
-    assert any(abs(np.diff(e, axis=0)[0] @ [-slope, 1.0]) < 1e-6 for e in ends)
+    # The solid lines lie along the endplates of the largest curve's end vertebrae and reach to its hollow side.
+    found = readings(1, sign)[0]
+    rows = [VERTEBRAE.index(level) for level in (found.largest.angle.upper, found.largest.angle.lower)]
+    plates = [found.corners[rows[0]][[0, 1]], found.corners[rows[1]][[3, 2]]]
+    lines = [
+        line.get_xydata() for line in panels[0].lines if line.get_linestyle() == "-" and line.get_linewidth() == 2.0
+    ]
+    assert len(lines) == 2
+    for (left, right), (start, end) in zip(plates, lines):
+        across = np.array([-(right - left)[1], (right - left)[0]])
+        assert (np.array([start, end]) - left) @ across == pytest.approx(0.0, abs=1e-6)
+        bulge = found.corners[rows[0] : rows[1] + 1].mean(1)[:, 0]
+        assert (end[0] > start[0]) == (bulge[len(bulge) // 2] < bulge[[0, -1]].mean())
     write_picture(readings(), tmp_path / "a.png")
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
