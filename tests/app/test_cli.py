@@ -29,7 +29,7 @@ COMMANDS = {
     "view": ("--torso", "--out", "--no-open"),
     "run": ("--mesh", "--method", "--orientation", "--truth", "--redo"),
     "demo": ("--out", "--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
-    "cobb": (),
+    "cobb": ("--definition", "--json", "--noise-px", "--patient-left", "--picture"),
     "check": ("--json",),
     "doctor": (),
 }
@@ -290,6 +290,15 @@ def test_cobb_prints_three_forms(spinestiff, subject):
         assert words in result.out
     forms = re.search(r"main frame 3, 30 N.*│ +(-\d+\.\d) │ +(-\d+\.\d) │ +(-\d+\.\d) │", result.out)
     assert forms is not None
+
+
+def test_cobb_of_a_folder_as_json(spinestiff, subject):
+    result = spinestiff("cobb", subject, "--json", "--definition", "midline")
+    rest, *frames = json.loads(result.out)
+    assert (rest["image"], rest["status"], rest["change_deg"]) == ("rest/frontal", "ok", None)
+    assert rest["convexity"] == "convex to the patient's left" and rest["definition"] == "midline"
+    pushed = next(frame for frame in frames if frame["image"] == "main frame 3, 30 N")
+    assert pushed["change_deg"]["tilt"] < -1.0
 
 
 def test_doctor_prints_solver_and_versions(spinestiff):
