@@ -306,11 +306,30 @@ def test_a_missing_file_is_told(tmp_path: Path) -> None:
         read_radiographs(tmp_path / "none.dcm")
 
 
-def test_a_deflated_file_is_refused_before_it_grows(series: Path) -> None:
-    dataset = pydicom.dcmread(series)
+def deflate(path: Path) -> None:
+    dataset = pydicom.dcmread(path)
     dataset.file_meta.TransferSyntaxUID = pydicom.uid.DeflatedExplicitVRLittleEndian
-    dataset.save_as(series)
-    with pytest.raises(RadiographError, match="deflated"):
+    dataset.save_as(path)
+
+
+def test_a_deflated_file_is_inflated(series: Path) -> None:
+    deflate(series)
+    np.testing.assert_array_equal(read_radiographs(series)[2].pixels, frames()[2])
+
+
+def test_a_deflated_file_stops_growing_at_the_cap(series: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("spinestiff.imaging.dicom.files.MOST_BYTES", 1000)
+    monkeypatch.setattr("spinestiff.imaging.dicom.files.MOST_HEADER_BYTES", 9000)
+    changed(series, having(PixelData=b"\0" * 20000))
+    deflate(series)
+    with pytest.raises(RadiographError, match="deflated DICOM of more than"):
+        read_radiographs(series)
+
+
+def test_a_deflated_file_that_is_cut_is_refused(series: Path) -> None:
+    deflate(series)
+    series.write_bytes(series.read_bytes()[:-300])
+    with pytest.raises(RadiographError, match="cut short"):
         read_radiographs(series)
 
 
