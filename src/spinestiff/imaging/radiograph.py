@@ -31,9 +31,11 @@ __all__ = [
     "Radiograph",
     "Scale",
     "files_of",
+    "in_order",
     "lps_from_world",
     "read_radiographs",
     "read_scans",
+    "times_of",
     "world_from_lps",
     "write_radiographs",
 ]
@@ -96,13 +98,19 @@ def read_radiographs(
     scans = read_scans(Path(path), geometry or Geometry())
     if len(scans) == 1:
         return _radiographs(scans[0], centre)
-    clocks = [scan.tags.clock for scan in scans]
-    start = clocks[0]
-    timed = start is not None and all(clock is not None for clock in clocks)
     return tuple(
-        _radiograph(scan, centre, 0, i, (clock or 0.0) - (start or 0.0) if timed else None)
-        for i, (scan, clock) in enumerate(zip(scans, clocks))
+        _radiograph(scan, centre, 0, i, time_s) for i, (scan, time_s) in enumerate(zip(scans, times_of(scans)))
     )
+
+
+def times_of(scans: tuple[Scan, ...]) -> tuple[float | None, ...]:
+    """Seconds since the first frame, of the frames of one file or of single-frame files in order."""
+    if len(scans) == 1:
+        return scans[0].tags.times
+    clocks = [scan.tags.clock for scan in scans]
+    if any(clock is None for clock in clocks):
+        return (None,) * len(scans)
+    return tuple((clock or 0.0) - (clocks[0] or 0.0) for clock in clocks)
 
 
 def read_scans(path: Path, given: Geometry) -> tuple[Scan, ...]:
@@ -129,10 +137,20 @@ def read_scans(path: Path, given: Geometry) -> tuple[Scan, ...]:
         scans.append(scan)
         if sum(scan.pixels.nbytes for scan in scans) > 2 * MOST_BYTES:
             raise RadiographError(f"{path.name}: more than {MOST_BYTES // 2**20} MB of pixels")
+    return in_order(path.name, scans)
+
+
+def in_order(folder: str, scans: list[Scan]) -> tuple[Scan, ...]:
+    """Single-frame files as one sequence.
+
+    Raises
+    ------
+    RadiographError : they are none, or their order is unknown.
+    """
     if len(scans) == 1:
         return tuple(scans)
     _check_series(scans)
-    order = ordered(path.name, [scan.name for scan in scans], [scan.tags.clock for scan in scans],
+    order = ordered(folder, [scan.name for scan in scans], [scan.tags.clock for scan in scans],
                     [scan.tags.instance for scan in scans])  # fmt: skip
     return tuple(scans[i] for i in order)
 

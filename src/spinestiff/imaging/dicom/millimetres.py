@@ -107,12 +107,14 @@ def distances(tags: Tags, given: Geometry) -> Distances:
     elif detector is None and patient is not None and factors:
         factor, words = factors[0]
         detector = patient[0] * factor, f"source to patient times {words} {factor:.4g}"
-    if detector is None:
-        raise MissingValue("no DistanceSourceToDetector; add source_detector_mm to subject.json, as read at the "
-                           "X-ray system")  # fmt: skip
-    if patient is None:
-        raise MissingValue("no DistanceSourceToPatient; add source_patient_mm to subject.json, as read at the "
-                           "X-ray system")  # fmt: skip
+    if detector is None or patient is None:
+        lacking = [(keyword, key) for keyword, key, known in (
+            ("DistanceSourceToDetector", "source_detector_mm", detector),
+            ("DistanceSourceToPatient", "source_patient_mm", patient),
+        ) if known is None]  # fmt: skip
+        keywords = " and no ".join(keyword for keyword, _ in lacking)
+        keys = " and ".join(key for _, key in lacking)
+        raise MissingValue(f"no {keywords}; add {keys} to subject.json, as read at the X-ray system")
     if patient[0] >= detector[0]:
         raise RadiographError(f"source to patient {patient[0]:g} mm is not below source to detector {detector[0]:g} mm")
     found = Distances(detector[0], patient[0], (detector[1], patient[1]))
