@@ -50,7 +50,7 @@ def bone_bright(
 
     Raises
     ------
-    RadiographError : a slope of 0, or two modality transformations at once.
+    RadiographError : a slope of 0, two modality transformations at once, a sign that is none.
     """
     low, high = (-(2 ** (layout.stored - 1)), 2 ** (layout.stored - 1) - 1) if layout.signed else (
         0, 2**layout.stored - 1
@@ -61,6 +61,8 @@ def bone_bright(
         inverted = tags.photometric == "MONOCHROME1"
         how = tags.photometric + how
     else:
+        if tags.beam_sign not in (1.0, -1.0):
+            raise RadiographError(f"PixelIntensityRelationshipSign {tags.beam_sign:g}; wanted 1 or -1")
         # Sign -1: larger stored values mean less beam, which is bone bright whatever the display makes of it.
         inverted = (tags.beam_sign > 0.0) == rising
         how = f"PixelIntensityRelationshipSign {tags.beam_sign:+.0f}" + how
