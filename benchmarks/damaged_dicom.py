@@ -211,7 +211,24 @@ def damaged(seed: Seed, way: str, random: np.random.Generator) -> bytes:
 
 
 def _elements(content: bytearray, end: int) -> list[int]:
-    known = {vr.encode() for vr in ("AE AS AT CS DA DS DT FD FL IS LO LT OB OW PN SH SL SQ SS ST TM UI UL US").split()}
+    known = (
+        b"AE",
+        b"AS",
+        b"CS",
+        b"DA",
+        b"DS",
+        b"IS",
+        b"LO",
+        b"OB",
+        b"OW",
+        b"PN",
+        b"SH",
+        b"SQ",
+        b"TM",
+        b"UI",
+        b"UL",
+        b"US",
+    )
     return [at for at in range(132, end - 8) if bytes(content[at + 4 : at + 6]) in known]
 
 
@@ -224,10 +241,10 @@ def _lying(seed: Seed, random: np.random.Generator) -> bytes:
             if random.random() < 0.6:
                 keyword = str(random.choice(NUMBERS))
                 was = int(dataset.get(keyword) or 1)
-                values = [0, 1, 2, 7, 8, 12, 16, was - 1, was + 1, 2 * was, was // 2, 65535, int(random.integers(65536))]
+                values = [0, 1, 2, 7, 8, 12, 16, was - 1, was + 1, 2 * was, was // 2, 65535, random.integers(65536)]
                 dataset.pop(keyword, None)
                 vr = "IS" if keyword == "NumberOfFrames" else "US"
-                dataset.add_new(keyword, vr, max(values[int(random.integers(len(values)))], 0))
+                dataset.add_new(keyword, vr, max(int(values[int(random.integers(len(values)))]), 0))
             else:
                 keyword = str(random.choice(TEXTS))
                 dataset.pop(keyword, None)

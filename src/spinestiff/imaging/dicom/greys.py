@@ -111,7 +111,7 @@ def _curve(tags: Tags) -> DisplayCurve | None:
     centre, width = tags.window
     if tags.window_function == "SIGMOID" and width > 0.0:
         return DisplayCurve(centre + width * _SIGMOID_KNOTS, 1.0 / (1.0 + np.exp(-4.0 * _SIGMOID_KNOTS)))
-    if tags.window_function == "LINEAR":
+    if tags.window_function != "LINEAR_EXACT":
         centre, width = centre - 0.5, width - 1.0
     if width <= 0.0:
         return None  # a matter of display only: nothing is measured by it

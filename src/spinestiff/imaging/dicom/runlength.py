@@ -34,6 +34,9 @@ def decode_rle(frame: bytes, rows: int, columns: int, width: int) -> NDArray[np.
 def _segment(coded: bytes, count: int) -> NDArray[np.uint8]:
     found = bytearray()
     at, end = 0, len(coded)
+    # A run or a literal of one byte takes two; what takes more is no picture.
+    if end > 2 * count + 2:
+        raise RadiographError(f"a coded frame holds {end} bytes for {count} pixels; export it again")
     while len(found) < count and at < end:
         head = coded[at]
         if head < 128:

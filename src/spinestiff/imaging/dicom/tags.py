@@ -29,6 +29,17 @@ _VIEW_CODES = {
 }  # fmt: skip
 
 
+# Coded words that may be shown. Any other may be what somebody typed into the wrong field.
+_WORDS = frozenset(
+    {
+        "CR", "DX", "RF", "XA", "SC", "OT", "CT", "MR", "US", "MG", "NM", "PT", "IO", "PX", "RG", "ES", "XC",
+        "SR", "PR", "SEG", "RTIMAGE", "RTDOSE", "RTPLAN", "MONOCHROME1", "MONOCHROME2", "RGB", "YBR_FULL",
+        "YBR_FULL_422", "YBR_ICT", "YBR_RCT", "LINEAR", "LINEAR_EXACT", "SIGMOID", "GEOMETRY", "FIDUCIAL", "AP",
+        "PA", "LL", "RL", "L", "R", "U", "B", "PALETTE COLOR",
+    }
+)  # fmt: skip
+
+
 class MissingValue(RadiographError):
     """A radiograph lacks something that the user can give in subject.json."""
 
@@ -150,12 +161,9 @@ def read_tags(dataset: Dataset) -> Tags:
 
 
 def code(dataset: Dataset, keyword: str) -> str:
-    """A coded word of the file, fit to be shown."""
-    return _plain(_value(dataset, keyword) or "")
-
-
-def _plain(value: Any) -> str:
-    return re.sub(r"[^A-Z0-9_ ]", "?", str(value).strip())[:16]
+    """A coded word of the file, fit to be shown: "?" for one that is not known, "" for none."""
+    word = str(_value(dataset, keyword) or "").strip()
+    return word if word in _WORDS or not word else "?"
 
 
 def _value(dataset: Dataset, keyword: str) -> Any:
@@ -270,8 +278,12 @@ def _orientation(dataset: Dataset) -> tuple[str, str] | None:
     values = _value(dataset, "PatientOrientation")
     if _absent(values) or isinstance(values, str) or len(values) != 2:
         return None
-    column, row = (_plain(part)[:1] for part in values)
-    return (column, row) if column and row else None
+    column, row = (str(part).strip()[:1] for part in values)
+    return (_direction(column), _direction(row)) if column and row else None
+
+
+def _direction(letter: str) -> str:
+    return letter if letter in "LRAPHF" else "?"
 
 
 def _view_position(dataset: Dataset) -> str:
