@@ -329,7 +329,7 @@ def test_a_deflated_file_stops_growing_at_the_cap(series: Path, monkeypatch: pyt
 def test_a_deflated_file_that_is_cut_is_refused(series: Path) -> None:
     deflate(series)
     series.write_bytes(series.read_bytes()[:-300])
-    with pytest.raises(RadiographError, match="cut short"):
+    with pytest.raises(RadiographError, match="deflated DICOM cut short"):
         read_radiographs(series)
 
 

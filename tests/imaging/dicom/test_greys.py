@@ -96,6 +96,12 @@ def test_bone_is_shown_bright_where_the_file_shows_it_dark(file):
     np.testing.assert_allclose(radiograph.shown(), 1.0 - np.clip((STORED - 50.0) / 100.0, 0.0, 1.0), atol=1e-6)
 
 
+def test_a_display_table_turns_with_the_pixels(file):
+    entries = np.arange(256) ** 2
+    radiograph = read(file, PixelIntensityRelationshipSign=1, change=table("VOILUTSequence", entries))
+    np.testing.assert_allclose(radiograph.shown(), 1.0 - entries[STORED] / 255.0**2, atol=1e-6)
+
+
 def test_a_file_without_a_window_is_shown_by_its_spread(file):
     radiograph = read(file, WindowCenter=None)
     assert radiograph.display is None

@@ -57,7 +57,12 @@ def decoded(dataset: Dataset, tags: Tags, layout: Layout) -> NDArray[Any]:
 def _coded_frames(dataset: Dataset, layout: Layout) -> list[bytes]:
     from pydicom.encaps import generate_frames
 
-    return list(generate_frames(dataset.PixelData, number_of_frames=layout.frames))
+    try:
+        return list(generate_frames(dataset.PixelData, number_of_frames=layout.frames))
+    except ValueError:
+        raise RadiographError(
+            f"coded frames that can't be told apart, where {layout.frames} are declared; export it again"
+        ) from None
 
 
 def _uncoded(syntax: str, layout: Layout, frames: list[bytes]) -> NDArray[Any]:
