@@ -237,10 +237,11 @@ def _lying(seed: Seed, random: np.random.Generator) -> bytes:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         dataset = pydicom.dcmread(BytesIO(seed.content))
+        sound = {keyword: int(dataset.get(keyword) or 1) for keyword in NUMBERS}
         for _ in range(random.integers(1, 3)):
             if random.random() < 0.6:
                 keyword = str(random.choice(NUMBERS))
-                was = int(dataset.get(keyword) or 1)
+                was = sound[keyword]
                 values = [0, 1, 2, 7, 8, 12, 16, was - 1, was + 1, 2 * was, was // 2, 65535, random.integers(65536)]
                 dataset.pop(keyword, None)
                 vr = "IS" if keyword == "NumberOfFrames" else "US"

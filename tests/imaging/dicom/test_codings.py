@@ -163,6 +163,17 @@ def test_twelve_bit_jpeg_says_so(coded):
         read_radiographs(path)
 
 
+def test_a_stream_that_its_codec_refuses_is_one_line(coded):
+    path, _ = coded("JPEGLSLossless", 12)
+    dataset = pydicom.dcmread(path)
+    parts = [bytearray(part) for part in generate_frames(dataset.PixelData, number_of_frames=3)]
+    parts[1][200:230] = b"\x55" * 30
+    dataset.PixelData = encapsulate([bytes(part) for part in parts])
+    dataset.save_as(path)
+    with pytest.raises(RadiographError, match=r"^a.dcm: its pixels \(JPEG-LS .*can't be decoded; copy it again"):
+        read_radiographs(path)
+
+
 def test_an_unread_syntax_is_named(coded):
     path, _ = coded("JPEG2000Lossless", 12)
     dataset = pydicom.dcmread(path)

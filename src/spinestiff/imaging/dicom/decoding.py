@@ -45,7 +45,14 @@ def decoded(dataset: Dataset, tags: Tags, layout: Layout) -> NDArray[Any]:
     else:
         frames = _coded_frames(dataset, layout)
         check_coded(layout, tags, frames)
-        pixels = _uncoded(tags.syntax, layout, frames)
+        try:
+            pixels = _uncoded(tags.syntax, layout, frames)
+        except (RadiographError, MemoryError):
+            raise
+        except Exception:  # codecs have no error of their own
+            raise RadiographError(
+                f"its pixels ({tags.syntax_name}) can't be decoded; copy it again, or export it uncompressed"
+            ) from None
     if pixels.size != np.prod(shape):
         raise RadiographError(f"decoded to {pixels.size} pixels instead of {np.prod(shape)}; export it uncompressed")
     # What lies above the stored bits (old overlays) goes; the sign comes back by the same shift.
