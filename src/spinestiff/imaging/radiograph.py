@@ -124,10 +124,6 @@ def read_scans(path: Path, given: Geometry) -> tuple[Scan, ...]:
     if not path.is_dir():
         return (read_scan(path, given),)
     files = files_of(path)
-    if len(files) > MOST_FRAMES:
-        raise RadiographError(f"{path.name}: {len(files)} files; at most {MOST_FRAMES} are read")
-    if sum(file.stat().st_size for file in files) > MOST_BYTES:
-        raise RadiographError(f"{path.name}: more than {MOST_BYTES // 2**20} MB of radiographs")
     scans: list[Scan] = []
     for file in files:
         scan = read_scan(file, given)
@@ -160,12 +156,16 @@ def files_of(folder: Path) -> list[Path]:
 
     Raises
     ------
-    RadiographError : there are none.
+    RadiographError : there are none, or more than are read.
     """
     files = sorted(file for file in folder.iterdir() if file.is_file() and not file.name.startswith("."))
     files = [file for file in files if file.suffix.lower() == ".dcm"] or files
     if not files:
         raise RadiographError(f"{folder.name}: no radiographs in this folder")
+    if len(files) > MOST_FRAMES:
+        raise RadiographError(f"{folder.name}: {len(files)} files; at most {MOST_FRAMES} are read")
+    if sum(file.stat().st_size for file in files) > MOST_BYTES:
+        raise RadiographError(f"{folder.name}: more than {MOST_BYTES // 2**20} MB of radiographs")
     return files
 
 

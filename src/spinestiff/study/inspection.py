@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +89,7 @@ def _folder(folder: Path) -> tuple[Inspection, ...]:
         except RadiographError as problem:
             found.append(Inspection(file.name, str(problem)))
         else:
-            scans.append(scan)
+            scans.append(replace(scan, pixels=scan.pixels[:0]))  # 128 files of pixels would fill the memory
             found.append(Inspection(file.name, "", _seen((scan,)), scan.missing))
     if len(found) == 1 or len(scans) < len(found) or any(scan.layout.frames > 1 for scan in scans):
         return tuple(found)

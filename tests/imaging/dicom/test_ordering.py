@@ -55,6 +55,13 @@ def test_an_unknown_order_is_refused(clocks, numbers, message):
         ordered("push", NAMES, clocks, numbers)
 
 
+def test_a_folder_of_too_many_files_is_refused_before_reading(tmp_path):
+    for i in range(129):
+        (tmp_path / f"{i}.dcm").touch()
+    with pytest.raises(RadiographError, match=f"^{tmp_path.name}: 129 files; at most 128 are read"):
+        read_radiographs(tmp_path)
+
+
 def test_the_same_image_twice_is_refused(file, tmp_path):
     path = file(AcquisitionTime="120000")
     shutil.copy(path, tmp_path / "b.dcm")

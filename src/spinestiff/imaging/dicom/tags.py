@@ -116,7 +116,9 @@ def read_tags(dataset: Dataset) -> Tags:
     signed = _integer(dataset, "PixelRepresentation", 0)
     if signed not in (0, 1):
         raise RadiographError(f"PixelRepresentation {signed}; wanted 0 or 1")
-    syntax = UID(str(dataset.file_meta.TransferSyntaxUID))
+    syntax = UID(str(dataset.file_meta.get("TransferSyntaxUID") or ""))
+    if not syntax:
+        raise RadiographError("its header doesn't say how it is coded (no TransferSyntaxUID); export it again")
     kind = UID(str(dataset.get("SOPClassUID") or ""))
     instance = _number(dataset, "InstanceNumber")
     return Tags(
