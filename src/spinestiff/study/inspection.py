@@ -31,8 +31,7 @@ class Inspection:
     Attributes
     ----------
     image : its name in a subject folder, else the name of its file or folder.
-    status : "ok", "incomplete" (something for a fit is missing) or "refused".
-    reason : why it is refused, one line.
+    reason : why it is refused, one line; empty if it is not.
     seen : what the reader sees; lengths in mm, times in s since the first frame.
     missing : what a fit needs besides.
     warnings : what is odd.
@@ -46,7 +45,7 @@ class Inspection:
 
     @property
     def status(self) -> str:
-        """In one word."""
+        """One of ok, incomplete (a fit lacks something) and refused."""
         return "refused" if self.reason else "incomplete" if self.missing else "ok"
 
     def record(self) -> dict[str, Any]:

@@ -60,6 +60,8 @@ def test_a_falling_slope_turns_what_the_sign_of_the_beam_means(file):
         (lambda d: setattr(d, "ModalityLUTSequence", Sequence([Dataset()])), "no table that can be read"),
         (lambda d: (table("ModalityLUTSequence", np.arange(256))(d), setattr(d, "RescaleSlope", "2")), "both a modal"),
         (lambda d: setattr(d, "PixelIntensityRelationshipSign", 3), "Sign 3; wanted 1 or -1"),
+        (lambda d: setattr(d, "RescaleSlope", "65535"), "RescaleSlope 65535 and RescaleIntercept 0 make no grey"),
+        (lambda d: setattr(d, "RescaleIntercept", "1e300"), "make no grey values"),
     ],
 )
 def test_tables_that_do_not_hold_what_they_say_are_refused(file, change, message):

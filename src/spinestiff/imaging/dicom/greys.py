@@ -13,6 +13,8 @@ from spinestiff.errors import RadiographError
 from spinestiff.imaging.dicom.layout import Layout
 from spinestiff.imaging.dicom.tags import Table, Tags
 
+LARGEST_GREY = 1e6
+"""Of a pixel after rescaling: modality values of 16 bits, with room."""
 _SIGMOID_KNOTS = np.linspace(-2.0, 2.0, 65)
 
 
@@ -50,7 +52,7 @@ def bone_bright(
 
     Raises
     ------
-    RadiographError : a slope of 0, two modality transformations at once, a sign that is none.
+    RadiographError : a slope of 0 or an implausible one, two modality transformations at once, a sign that is none.
     """
     low, high = (-(2 ** (layout.stored - 1)), 2 ** (layout.stored - 1) - 1) if layout.signed else (
         0, 2**layout.stored - 1
@@ -89,8 +91,10 @@ def _modality(
         raise RadiographError("RescaleSlope is 0")
     if (slope, intercept) == (1.0, 0.0):
         return stored.astype(np.float32), (float(ends[0]), float(ends[1])), ""
-    pixels = np.float32(slope) * stored.astype(np.float32) + np.float32(intercept)
     first, last = (slope * end + intercept for end in ends)
+    if not max(abs(first), abs(last)) <= LARGEST_GREY:
+        raise RadiographError(f"RescaleSlope {slope:g} and RescaleIntercept {intercept:g} make no grey values")
+    pixels = np.float32(slope) * stored.astype(np.float32) + np.float32(intercept)
     return pixels, (first, last), f", rescaled by {slope:g} and {intercept:g}"
 
 
