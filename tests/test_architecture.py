@@ -38,6 +38,9 @@ HOMES: dict[str, tuple[str, ...]] = {
     "numpy": ("*",),
     "scipy": ("*",),
     "pydicom": ("imaging/*",),
+    "PIL": ("imaging/dicom/decoding.py",),
+    "jpeg_ls": ("imaging/dicom/decoding.py",),
+    "openjpeg": ("imaging/dicom/decoding.py",),
     "cv2": ("imaging/*",),
     "skimage": ("imaging/*",),
     "numba": ("mechanics/*", "imaging/rendering.py"),
@@ -58,9 +61,14 @@ HOMES: dict[str, tuple[str, ...]] = {
 # Packages of extras, and the extra: what needs one says so in one line, and interop is imported by nothing.
 EXTRAS = {"torch": "torch", "jax": "jax", "mmgpy": "mesh", "pyfebio": "febio"}
 # The distribution that holds a package, where it is named otherwise.
-DISTRIBUTIONS = {"cv2": "opencv-python-headless", "skimage": "scikit-image", "pydantic_core": "pydantic"}
-# Found by pydicom at run time, never imported.
-CODECS = {"pylibjpeg-openjpeg", "pyjpegls"}
+DISTRIBUTIONS = {
+    "cv2": "opencv-python-headless",
+    "skimage": "scikit-image",
+    "pydantic_core": "pydantic",
+    "PIL": "pillow",
+    "jpeg_ls": "pyjpegls",
+    "openjpeg": "pylibjpeg-openjpeg",
+}
 EMPTY_NAMES = re.compile(r"manager|handler|helper|utils?\b|utilities|misc", re.IGNORECASE)
 # Written so that this file does not hold what it looks for.
 FOREIGN = re.compile(r"(?<![\w.])/(?:wor[k]|tm[p]|hom[e]|roo[t]|User[s])/\w|\b(?:this|developer'?s?) sessio[n]\b")
@@ -189,7 +197,7 @@ def test_every_dependency_is_declared_and_used() -> None:
     declared = {re.split(r"[<>=~!; \[]", line)[0] for line in project["dependencies"]}
     packages = {found.target.split(".")[0] for path in MODULES for found in imports(path)}
     used = {DISTRIBUTIONS.get(package, package) for package in packages - sys.stdlib_module_names - {"spinestiff"}}
-    assert declared == (used - EXTRAS.keys()) | CODECS
+    assert declared == used - EXTRAS.keys()
     for package, extra in EXTRAS.items():
         assert package in used
         assert [re.split(r"[<>=~!; \[]", line)[0] for line in project["optional-dependencies"][extra]] == [package]

@@ -21,6 +21,7 @@ from spinestiff.verification.outcome import Check
 
 COMMANDS = {
     "synth": ("--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
+    "inspect": ("--json",),
     "track": ("--redo",),
     "personalise": ("--mesh", "--redo"),
     "estimate": ("--method", "--orientation", "--redo"),

@@ -110,6 +110,17 @@ def synth(
 
 
 @app.command()
+def inspect(
+    path: Annotated[Path, typer.Argument(help="DICOM file, folder of files, or subject folder.")],
+    json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of text.")] = False,
+) -> None:
+    """What the reader sees in radiographs: frames, millimetres and where they come from, what a fit lacks."""
+    from spinestiff.app.inspect import show_inspection
+
+    show_inspection(path, json)
+
+
+@app.command()
 def track(folder: Folder, redo: Force = False) -> None:
     """Follow the annotated vertebra corners through every push."""
     _steps(folder, ("track",), redo)

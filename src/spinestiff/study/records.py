@@ -55,6 +55,37 @@ def _inside(path: str) -> str:
     return path
 
 
+class ScaleRecord(_Record):
+    """A known length in one image, which sets its millimetres where the file has no pixel spacing.
+
+    Either an object or a vertebra that is annotated in that image.
+
+    Attributes
+    ----------
+    object_mm, object_px : length of an object, mm, and its two ends, (column, row).
+    plane : where the object lay: at the patient plane (the default) or on the detector.
+    vertebra, width_mm : size of a vertebral body across the image, mm: its breadth in frontal views, its depth in
+        lateral ones, halfway between its endplates.
+    """
+
+    object_mm: Annotated[float, Field(ge=5.0, le=1000.0)] | None = None
+    object_px: Pair | None = None
+    plane: Literal["patient", "detector"] | None = None
+    vertebra: VertebraName | None = None
+    width_mm: Annotated[float, Field(ge=10.0, le=80.0)] | None = None
+
+    @model_validator(mode="after")
+    def _is_one_of_two(self) -> Self:
+        object_given = [self.object_mm is not None, self.object_px is not None]
+        vertebra_given = [self.vertebra is not None, self.width_mm is not None]
+        whole = (all(object_given) and not any(vertebra_given)) or (
+            all(vertebra_given) and not any(object_given) and self.plane is None
+        )
+        if not whole:
+            raise ValueError("wanted object_mm, object_px and perhaps plane; or vertebra and width_mm")
+        return self
+
+
 class XRayRecord(_Record):
     """X-ray geometry where the DICOM files lack it; a value that contradicts a file is refused.
 
@@ -64,12 +95,14 @@ class XRayRecord(_Record):
     imager_pixel_mm : pixel pitch at the detector, mm.
     orientation : "standard" = in files without an orientation of their own columns grow to the patient's left (in
         lateral views to anterior) and rows to the feet.
+    scale : known lengths, by the image in which they were marked.
     """
 
     source_detector_mm: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
     source_patient_mm: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
     imager_pixel_mm: Annotated[float, Field(gt=0.0, le=5.0)] | None = None
     orientation: Literal["standard"] | None = None
+    scale: dict[str, ScaleRecord] | None = None
 
 
 class PushRecord(_Record):
@@ -226,6 +259,10 @@ class SubjectRecord(_Record):
         for i, name in enumerate(names):
             if name in names[:i]:
                 raise ValueError(f"pushes[{i}].id: '{self.pushes[i].id}' is used twice; give each push its own id")
+        known = (*REST_IMAGES, *(push.image for push in self.pushes))
+        for image in self.xray.scale or {}:
+            if image not in known:
+                raise ValueError(f"xray.scale.{_shown(image)}: unknown image; wanted one of {', '.join(known)}")
         training = [push.forces_n[i] for push in self.pushes for i in push.frames_of("training")]
         if not training:
             raise ValueError("pushes: no frame has the role training, wanted at least one")

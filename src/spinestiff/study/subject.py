@@ -170,7 +170,7 @@ def read_rest(subject: Subject, which: Literal["frontal", "lateral"]) -> Radiogr
     RadiographError : see ``read_radiographs``.
     """
     path = subject.image_path(f"rest/{which}")
-    frames = _read_images(subject, path, which)
+    frames = _read_images(subject, f"rest/{which}", which)
     if len(frames) != 1:
         raise SubjectError(f"{path}: found {len(frames)} frames, wanted one rest radiograph")
     return frames[0]
@@ -184,7 +184,7 @@ def read_push(subject: Subject, push: PushRecord) -> tuple[Radiograph, ...]:
     SubjectError : the number of frames is not that of the forces.
     RadiographError : see ``read_radiographs``.
     """
-    frames = _read_images(subject, subject.image_path(push.image), "frontal")
+    frames = _read_images(subject, push.image, "frontal")
     check_frames(subject, push, len(frames))
     return frames
 
@@ -256,19 +256,16 @@ def _annotated(subject: Subject, image: str) -> tuple[str, ImageAnnotation]:
     return where, subject.annotation.images[image]
 
 
-def _read_images(subject: Subject, path: Path, which: Literal["frontal", "lateral"]) -> tuple[Radiograph, ...]:
-    from spinestiff.imaging.radiograph import Geometry, read_radiographs
+def _read_images(subject: Subject, image: str, which: Literal["frontal", "lateral"]) -> tuple[Radiograph, ...]:
+    from spinestiff.imaging.radiograph import read_radiographs
+    from spinestiff.study.geometry import image_geometry
 
-    xray = subject.record.xray
-    frames = read_radiographs(
-        path,
-        geometry=Geometry(
-            xray.source_detector_mm,
-            xray.source_patient_mm,
-            xray.imager_pixel_mm,
-            which if xray.orientation == "standard" else None,
-        ),
-    )
+    path = subject.image_path(image)
+    try:
+        geometry = image_geometry(subject.record, subject.annotation, image)
+    except SubjectError as problem:
+        raise SubjectError(f"{subject.folder / SUBJECT_FILE}: {problem}") from None
+    frames = read_radiographs(path, geometry=geometry)
     for frame in frames:
         if view_kind(frame.view) != which:
             raise SubjectError(f"{path}: a {view_kind(frame.view)} radiograph, wanted a {which} one")

@@ -1,0 +1,113 @@
+"""Stored pixel values of every transfer syntax that is read, each by one known decoder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spinestiff.errors import RadiographError
+from spinestiff.imaging.dicom.layout import (
+    JPEG_2000,
+    JPEG_BASELINE,
+    JPEG_EXTENDED,
+    JPEG_LOSSLESS,
+    JPEG_LS,
+    NATIVE,
+    RLE,
+    Layout,
+    check_coded,
+    check_native,
+)
+from spinestiff.imaging.dicom.lossless import decode_lossless
+from spinestiff.imaging.dicom.runlength import decode_rle
+from spinestiff.imaging.dicom.tags import Tags
+
+if TYPE_CHECKING:
+    from pydicom.dataset import Dataset
+
+
+def decoded(dataset: Dataset, tags: Tags, layout: Layout) -> NDArray[Any]:
+    """(F, H, W) stored values, unsigned or signed as declared, without what lies above the stored bits.
+
+    Raises
+    ------
+    RadiographError : pixels that are not of the declared size, or no decoder for them. Whatever a decoder raises
+        passes: callers read inside ``files.one_clear_line``.
+    """
+    shape = (layout.frames, layout.rows, layout.columns)
+    if tags.syntax in NATIVE:
+        check_native(layout, len(dataset.PixelData))
+        pixels = np.asarray(dataset.pixel_array)
+    else:
+        frames = _coded_frames(dataset, layout)
+        check_coded(layout, tags, frames)
+        try:
+            pixels = _uncoded(tags.syntax, layout, frames)
+        except (RadiographError, MemoryError):
+            raise
+        except Exception:  # codecs have no error of their own
+            raise RadiographError(
+                f"its pixels ({tags.syntax_name}) can't be decoded; copy it again, or export it uncompressed"
+            ) from None
+    if pixels.size != np.prod(shape):
+        raise RadiographError(f"decoded to {pixels.size} pixels instead of {np.prod(shape)}; export it uncompressed")
+    # What lies above the stored bits (old overlays) goes; the sign comes back by the same shift.
+    unused = pixels.dtype.itemsize * 8 - layout.stored
+    pixels = pixels.reshape(shape)
+    return (pixels << unused) >> unused if unused else pixels
+
+
+def _coded_frames(dataset: Dataset, layout: Layout) -> list[bytes]:
+    from pydicom.encaps import generate_frames
+
+    try:
+        return list(generate_frames(dataset.PixelData, number_of_frames=layout.frames))
+    except ValueError:
+        raise RadiographError(
+            f"coded frames that can't be told apart, where {layout.frames} are declared; export it again"
+        ) from None
+
+
+def _uncoded(syntax: str, layout: Layout, frames: list[bytes]) -> NDArray[Any]:
+    kind = f"{'i' if layout.signed else 'u'}{layout.allocated // 8}"
+    if syntax in JPEG_LOSSLESS:
+        return np.frombuffer(decode_lossless(syntax, layout, frames), dtype=f"<{kind}")
+    if syntax == RLE:
+        found = [decode_rle(frame, layout.rows, layout.columns, layout.allocated // 8) for frame in frames]
+    else:
+        found = [_DECODERS[syntax](frame) for frame in frames]
+    # Codecs differ in width and sign of what they return; the bits are those that are stored.
+    bits = [pixels.astype(np.int32) & (2**layout.allocated - 1) for pixels in found]
+    return np.stack(bits).astype(f"u{layout.allocated // 8}").view(kind)
+
+
+def _jpeg(frame: bytes) -> NDArray[Any]:
+    from PIL import Image
+
+    # Nothing but JPEG: Pillow would try every format it knows.
+    with Image.open(BytesIO(frame), formats=("JPEG",)) as picture:
+        return np.asarray(picture)
+
+
+def _jpeg_ls(frame: bytes) -> NDArray[Any]:
+    from jpeg_ls import decode_buffer
+
+    pixels, header = decode_buffer(frame)
+    return np.frombuffer(pixels, dtype="u1" if header["bits_per_sample"] <= 8 else "<u2")
+
+
+def _jpeg_2000(frame: bytes) -> NDArray[Any]:
+    from openjpeg.utils import decode
+
+    pixels: NDArray[Any] = decode(frame)
+    return pixels
+
+
+_DECODERS: dict[str, Callable[[bytes], NDArray[Any]]] = {
+    JPEG_BASELINE: _jpeg, JPEG_EXTENDED: _jpeg, **dict.fromkeys(JPEG_LS, _jpeg_ls),
+    **dict.fromkeys(JPEG_2000, _jpeg_2000),
+}  # fmt: skip

@@ -1,0 +1,62 @@
+"""The order of single-frame files: by acquisition time and instance number; never by file name."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+from spinestiff.errors import RadiographError
+
+
+def ordered(
+    folder: str, names: Sequence[str], clocks: Sequence[float | None], numbers: Sequence[int | None]
+) -> list[int]:
+    """Indices of files in order: by time, equal times by instance number; without times by number.
+
+    Parameters
+    ----------
+    folder, names : for messages.
+    clocks : s, of the acquisition.
+    numbers : InstanceNumber.
+
+    Warns
+    -----
+    UserWarning : times and numbers disagree, numbers occur twice, or only some files have a time.
+
+    Raises
+    ------
+    RadiographError : two files can't be told apart in order.
+    """
+    indices = range(len(names))
+    timed = all(clock is not None for clock in clocks)
+    counted = all(number is not None for number in numbers)
+    if not timed and not counted:
+        raise RadiographError(
+            f"{folder}: neither all acquisition times nor all instance numbers, so the order is unknown; "
+            "export the series again, or as one multi-frame file"
+        )
+    keys = [(clocks[i] if timed else None, numbers[i] if counted else None) for i in indices]
+    first: dict[tuple[float | None, int | None], int] = {}
+    for i in indices:
+        if keys[i] in first:
+            same = "acquisition time" if timed else "instance number"
+            same += " and instance number" if timed and counted else ""
+            one, other = names[first[keys[i]]], names[i]
+            raise RadiographError(f"{folder}: {one} and {other} have the same {same}, so their order is unknown")
+        first[keys[i]] = i
+    order = sorted(indices, key=lambda i: (clocks[i] or 0.0 if timed else 0.0, numbers[i] or 0 if counted else 0))
+    if not timed:
+        if any(clock is not None for clock in clocks):
+            _warn(f"{folder}: only some files have an acquisition time; ordered by instance number")
+        return order
+    if counted:
+        in_order = [numbers[i] or 0 for i in order]
+        if len(set(in_order)) < len(in_order):
+            _warn(f"{folder}: instance numbers occur twice; ordered by time")
+        elif in_order != sorted(in_order):
+            _warn(f"{folder}: acquisition times and instance numbers disagree; ordered by time")
+    return order
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, stacklevel=5)

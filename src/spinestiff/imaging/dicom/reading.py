@@ -1,0 +1,104 @@
+"""One DICOM file from its bytes to pixels, millimetres and directions: the reader inside which every tag is touched."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spinestiff.imaging.dicom.decoding import decoded
+from spinestiff.imaging.dicom.files import one_clear_line, read_dataset
+from spinestiff.imaging.dicom.greys import DisplayCurve, bone_bright
+from spinestiff.imaging.dicom.layout import Layout, checked_layout
+from spinestiff.imaging.dicom.millimetres import Distances, Geometry, Spacing, distances, spacing
+from spinestiff.imaging.dicom.orientation import Directions, directions
+from spinestiff.imaging.dicom.tags import MissingValue, Tags, read_tags
+from spinestiff.imaging.projection import XRayView, placed_view
+
+
+@dataclass(frozen=True)
+class Scan:
+    """What a file holds.
+
+    Attributes
+    ----------
+    name, sha256 : of the file.
+    tags, layout : what it declares, checked.
+    pixels : (F, H, W) float32, bone bright.
+    display : how the file wants them shown; None if it does not say.
+    greys : how the pixels came about, in words.
+    distances, spacing, directions : None where something that the user can give is missing.
+    missing : what that is, a line each.
+    """
+
+    name: str
+    sha256: str
+    tags: Tags
+    layout: Layout
+    pixels: NDArray[np.float32]
+    display: DisplayCurve | None
+    greys: str
+    distances: Distances | None
+    spacing: Spacing | None
+    directions: Directions | None
+    missing: tuple[str, ...]
+
+    @property
+    def provenance(self) -> dict[str, str]:
+        """Where millimetres, directions and grey values came from, as far as they are known."""
+        found = {}
+        if self.distances is not None:
+            found["source to detector"], found["source to patient"] = self.distances.sources
+        if self.spacing is not None:
+            found["pixel spacing"] = self.spacing.source
+        if self.directions is not None:
+            found["orientation"], found["beam"] = self.directions.source, self.directions.beam_source
+        return {**found, "grey values": self.greys}
+
+    def view(self, centre: ArrayLike) -> XRayView:
+        """The X-ray view whose principal ray passes ``centre`` (3,) mm in the patient plane.
+
+        Raises
+        ------
+        MissingValue : the first thing that is missing.
+        """
+        if self.distances is None or self.spacing is None or self.directions is None:
+            raise MissingValue(f"{self.name}: {self.missing[0]}")
+        columns, rows, beam = self.directions.axes
+        return placed_view(
+            columns, rows, beam,
+            sid=self.distances.detector, source_to_patient=self.distances.patient,
+            shape=(self.layout.rows, self.layout.columns), pixel=(self.spacing.column, self.spacing.row),
+            centre=centre,
+        )  # fmt: skip
+
+
+def read_scan(path: Path, given: Geometry) -> Scan:
+    """A file, wholly read.
+
+    Raises
+    ------
+    RadiographError : whatever is wrong with it, in one line with its name.
+    """
+    with one_clear_line(path.name):
+        dataset, sha256 = read_dataset(path)
+        tags = read_tags(dataset)
+        layout = checked_layout(tags)
+        missing: list[str] = []
+        far = pitch = axes = None
+        try:
+            far = distances(tags, given)
+        except MissingValue as lack:
+            missing.append(str(lack))
+        try:
+            pitch = spacing(tags, given, None if far is None else far.magnification)
+        except MissingValue as lack:
+            missing.append(str(lack))
+        try:
+            axes = directions(tags, given)
+        except MissingValue as lack:
+            missing.append(str(lack))
+        pixels, display, greys = bone_bright(decoded(dataset, tags, layout), tags, layout)
+        return Scan(path.name, sha256, tags, layout, pixels, display, greys, far, pitch, axes, tuple(missing))

@@ -1,0 +1,55 @@
+"""RLE Lossless (PS3.5 Annex G): runs of bytes, one segment a byte of the pixel, no more than what is declared."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spinestiff.errors import RadiographError
+
+
+def decode_rle(frame: bytes, rows: int, columns: int, width: int) -> NDArray[np.uint8 | np.uint16]:
+    """(rows, columns) unsigned pixels of ``width`` bytes.
+
+    Raises
+    ------
+    RadiographError : another number of segments, or segments that hold more or less than the declared size.
+    """
+    if len(frame) < 64:
+        raise RadiographError("a coded frame is cut short; copy the file again")
+    segments, *offsets = struct.unpack("<16I", frame[:64])
+    if segments != width:
+        raise RadiographError(f"a coded frame has {segments} bytes a pixel, but {width} are declared")
+    bounds = [*offsets[:segments], len(frame)]
+    if bounds[0] < 64 or any(low >= high for low, high in zip(bounds, bounds[1:])):
+        raise RadiographError("a coded frame has segments out of order; copy the file again")
+    # The first segment holds the most significant bytes.
+    planes = [_segment(frame[low:high], rows * columns) for low, high in zip(bounds, bounds[1:])]
+    pixels = np.stack(planes[::-1], axis=-1).view(f"<u{width}")
+    return pixels.reshape(rows, columns)
+
+
+def _segment(coded: bytes, count: int) -> NDArray[np.uint8]:
+    found = bytearray()
+    at, end = 0, len(coded)
+    # A run or a literal of one byte takes two; what takes more is no picture.
+    if end > 2 * count + 2:
+        raise RadiographError(f"a coded frame holds {end} bytes for {count} pixels; export it again")
+    while len(found) < count and at < end:
+        head = coded[at]
+        if head < 128:
+            found += coded[at + 1 : at + 2 + head]
+            at += 2 + head
+        elif head > 128:
+            found += coded[at + 1 : at + 2] * (257 - head)
+            at += 2
+        else:
+            at += 1
+    if len(found) != count:
+        raise RadiographError(f"a coded frame holds {len(found)} pixels where {count} are declared; export it again")
+    # Padding to an even length; more is another picture's.
+    if end - at > 1:
+        raise RadiographError(f"a coded frame holds more than the {count} pixels declared; export it again")
+    return np.frombuffer(bytes(found), dtype=np.uint8)

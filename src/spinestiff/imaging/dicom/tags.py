@@ -1,0 +1,340 @@
+"""The one place where tags are touched: everything that reading a radiograph needs, as plain Python values.
+
+What a radiofluoroscopic or angiographic file of the enhanced kind keeps in functional groups is found there, if all
+frames share it. Texts and numbers of the patient never leave this module: identities are kept as hashes.
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import math
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spinestiff.errors import RadiographError
+
+if TYPE_CHECKING:
+    from pydicom.dataset import Dataset
+
+MOST_TABLE_ENTRIES = 65536
+# SNOMED CT and SRT codes of the view (CID 4010).
+_VIEW_CODES = {
+    "399348003": "AP", "R-10206": "AP", "272479007": "PA", "R-40888": "PA",
+    "399173006": "LL", "R-10236": "LL", "399198007": "RL", "R-10232": "RL",
+}  # fmt: skip
+
+
+# Coded words that may be shown. Any other may be what somebody typed into the wrong field.
+_WORDS = frozenset(
+    {
+        "CR", "DX", "RF", "XA", "SC", "OT", "CT", "MR", "US", "MG", "NM", "PT", "IO", "PX", "RG", "ES", "XC",
+        "SR", "PR", "SEG", "RTIMAGE", "RTDOSE", "RTPLAN", "MONOCHROME1", "MONOCHROME2", "RGB", "YBR_FULL",
+        "YBR_FULL_422", "YBR_ICT", "YBR_RCT", "LINEAR", "LINEAR_EXACT", "SIGMOID", "GEOMETRY", "FIDUCIAL", "AP",
+        "PA", "LL", "RL", "L", "R", "U", "B", "PALETTE COLOR",
+    }
+)  # fmt: skip
+
+
+class MissingValue(RadiographError):
+    """A radiograph lacks something that the user can give in subject.json."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A look-up table: ``values[i]`` is the output for input ``first + i``; what lies outside takes the end's."""
+
+    first: int
+    values: NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class Tags:
+    """What a file says, before anything is concluded from it. None: the file does not say.
+
+    Spacings are (between rows, between columns) in mm, distances mm, times seconds. ``identity`` and ``patient`` are
+    hashes.
+    """
+
+    modality: str
+    image_type: str
+    syntax: str
+    syntax_name: str
+    frames: int
+    rows: int
+    columns: int
+    samples: int
+    photometric: str
+    allocated: int
+    stored: int
+    high_bit: int
+    signed: bool
+    slope: float
+    intercept: float
+    modality_table: Table | None
+    beam_sign: float | None
+    window: tuple[float, float] | None
+    window_function: str
+    window_table: Table | None
+    imager_spacing: tuple[float, float] | None
+    pixel_spacing: tuple[float, float] | None
+    calibration: str
+    scanned_spacing: tuple[float, float] | None
+    aspect: float | None
+    source_detector: float | None
+    source_patient: float | None
+    magnification: float | None
+    orientation: tuple[str, str] | None
+    view_position: str
+    image_laterality: str
+    laterality: str
+    times: tuple[float | None, ...]
+    clock: float | None
+    instance: int | None
+    identity: str
+    patient: str
+
+
+def read_tags(dataset: Dataset) -> Tags:
+    """The tags of a dataset.
+
+    Raises
+    ------
+    RadiographError : a value that is no number, a wrong count of values, a table that does not fit its descriptor.
+    """
+    from pydicom.uid import UID
+
+    modality = code(dataset, "Modality")
+    if "PixelData" not in dataset:
+        raise RadiographError("no picture in it (PixelData is missing); is the file complete?")
+    frames = _integer(dataset, "NumberOfFrames", 1)
+    stored = _integer(dataset, "BitsStored")
+    signed = _integer(dataset, "PixelRepresentation", 0)
+    if signed not in (0, 1):
+        raise RadiographError(f"PixelRepresentation {signed}; wanted 0 or 1")
+    syntax = UID(str(dataset.file_meta.get("TransferSyntaxUID") or ""))
+    if not syntax:
+        raise RadiographError("its header doesn't say how it is coded (no TransferSyntaxUID); export it again")
+    kind = UID(str(dataset.get("SOPClassUID") or ""))
+    instance = _number(dataset, "InstanceNumber")
+    return Tags(
+        modality=modality,
+        image_type=kind.name if not kind.is_private and kind.name != kind else "unknown",
+        syntax=str(syntax),
+        syntax_name=syntax.name if syntax.is_transfer_syntax else "unknown transfer syntax",
+        frames=frames,
+        rows=_integer(dataset, "Rows"),
+        columns=_integer(dataset, "Columns"),
+        samples=_integer(dataset, "SamplesPerPixel", 1),
+        photometric=code(dataset, "PhotometricInterpretation"),
+        allocated=_integer(dataset, "BitsAllocated"),
+        stored=stored,
+        high_bit=_integer(dataset, "HighBit", stored - 1),
+        signed=bool(signed),
+        slope=_number(dataset, "RescaleSlope", 1.0) or 0.0,
+        intercept=_number(dataset, "RescaleIntercept", 0.0) or 0.0,
+        modality_table=_table(dataset, "ModalityLUTSequence"),
+        beam_sign=_number(dataset, "PixelIntensityRelationshipSign"),
+        window=_window(dataset),
+        window_function=code(dataset, "VOILUTFunction") or "LINEAR",
+        window_table=_table(dataset, "VOILUTSequence"),
+        imager_spacing=_two(dataset, "ImagerPixelSpacing"),
+        pixel_spacing=_two(dataset, "PixelSpacing"),
+        calibration=code(dataset, "PixelSpacingCalibrationType"),
+        scanned_spacing=_two(dataset, "NominalScannedPixelSpacing"),
+        aspect=_aspect(dataset),
+        source_detector=_number(dataset, "DistanceSourceToDetector"),
+        source_patient=_number(dataset, "DistanceSourceToPatient"),
+        magnification=_number(dataset, "EstimatedRadiographicMagnificationFactor"),
+        orientation=_orientation(dataset),
+        view_position=_view_position(dataset),
+        image_laterality=code(dataset, "ImageLaterality"),
+        laterality=code(dataset, "Laterality"),
+        times=_frame_times(dataset, frames),
+        clock=_clock(dataset),
+        instance=None if instance is None else int(instance),
+        identity=_hashed(dataset, "SOPInstanceUID"),
+        patient=_hashed(dataset, "PatientID"),
+    )
+
+
+def code(dataset: Dataset, keyword: str) -> str:
+    """A coded word of the file, fit to be shown: "?" for one that is not known, "" for none."""
+    word = str(_value(dataset, keyword) or "").strip()
+    return word if word in _WORDS or not word else "?"
+
+
+def _value(dataset: Dataset, keyword: str) -> Any:
+    """Of the dataset itself, or of the functional groups, where every frame has to have the same."""
+    if keyword in dataset:
+        return dataset.get(keyword)
+    found = [_grouped(group, keyword) for group in (dataset.get("SharedFunctionalGroupsSequence") or [])[:1]]
+    found += [_grouped(group, keyword) for group in dataset.get("PerFrameFunctionalGroupsSequence") or []]
+    there = [value for value in found if value is not None]
+    if any(str(value) != str(there[0]) for value in there[1:]):
+        raise RadiographError(f"{keyword} differs from frame to frame; export the frames as single files")
+    return there[0] if there else None
+
+
+def _grouped(group: Dataset, keyword: str) -> Any:
+    for element in group:
+        if element.VR == "SQ":
+            for item in element.value[:1]:
+                if keyword in item:
+                    return item.get(keyword)
+    return None
+
+
+def _as_number(keyword: str, value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise RadiographError(f"{keyword} is no number")
+    return number
+
+
+def _absent(value: Any) -> bool:
+    return value is None or (hasattr(value, "__len__") and not len(value)) or not str(value).strip()
+
+
+def _number(dataset: Dataset, keyword: str, default: float | None = None) -> float | None:
+    value = _value(dataset, keyword)
+    return default if _absent(value) else _as_number(keyword, value)
+
+
+def _integer(dataset: Dataset, keyword: str, default: int | None = None) -> int:
+    value = _number(dataset, keyword)
+    if value is None:
+        if default is None:
+            raise RadiographError(f"{keyword} is missing")
+        return default
+    if value != int(value):
+        raise RadiographError(f"{keyword} {value:g} is no whole number")
+    return int(value)
+
+
+def _two(dataset: Dataset, keyword: str) -> tuple[float, float] | None:
+    values = _value(dataset, keyword)
+    if _absent(values):
+        return None
+    if isinstance(values, (str, bytes, float, int)) or len(values) != 2:
+        raise RadiographError(f"{keyword} isn't two numbers")
+    first, second = (_as_number(keyword, value) for value in values)
+    return first, second
+
+
+def _aspect(dataset: Dataset) -> float | None:
+    """Of a pixel, its height over its width."""
+    values = _two(dataset, "PixelAspectRatio")
+    if values is None:
+        return None
+    if min(values) <= 0.0:
+        raise RadiographError("PixelAspectRatio isn't two numbers above 0")
+    return values[0] / values[1]
+
+
+def _window(dataset: Dataset) -> tuple[float, float] | None:
+    """Centre and width of the first window."""
+    both: list[float] = []
+    for keyword in ("WindowCenter", "WindowWidth"):
+        value = _value(dataset, keyword)
+        if _absent(value):
+            return None
+        single = isinstance(value, (str, bytes, float, int))
+        both.append(_as_number(keyword, value if single else value[0]))
+    return both[0], both[1]
+
+
+def _table(dataset: Dataset, keyword: str) -> Table | None:
+    items = _value(dataset, keyword)
+    if _absent(items):
+        return None
+    item = items[0]
+    descriptor, data = item.get("LUTDescriptor"), item.get("LUTData")
+    if _absent(descriptor) or _absent(data) or len(descriptor) != 3:
+        raise RadiographError(f"{keyword} has no table that can be read")
+    count, first, bits = (int(_as_number(keyword, value)) for value in descriptor)
+    count = count % MOST_TABLE_ENTRIES or MOST_TABLE_ENTRIES
+    if not 8 <= bits <= 16:
+        raise RadiographError(f"{keyword} has entries of {bits} bits; wanted 8 to 16")
+    if isinstance(data, bytes):
+        narrow = bits == 8 and len(data) - count in (0, 1)
+        values = np.frombuffer(data[: len(data) // 2 * 2], dtype=np.uint8 if narrow else "<u2")
+        values = values[:count] if narrow else values
+    else:
+        values = np.asarray(data, dtype=np.int64) % 65536
+    if len(values) != count:
+        raise RadiographError(f"{keyword} holds {len(values)} entries, but {count} are declared")
+    if first >= 32768 and _integer(dataset, "PixelRepresentation", 0):
+        first -= 65536
+    return Table(first, values.astype(np.uint16))
+
+
+def _orientation(dataset: Dataset) -> tuple[str, str] | None:
+    values = _value(dataset, "PatientOrientation")
+    if _absent(values) or isinstance(values, str) or len(values) != 2:
+        return None
+    column, row = (str(part).strip()[:1] for part in values)
+    return (_direction(column), _direction(row)) if column and row else None
+
+
+def _direction(letter: str) -> str:
+    return letter if letter in "LRAPHF" else "?"
+
+
+def _view_position(dataset: Dataset) -> str:
+    named = code(dataset, "ViewPosition")
+    items = _value(dataset, "ViewCodeSequence")
+    coded = "" if _absent(items) else _VIEW_CODES.get(str(items[0].get("CodeValue", "")), "")
+    if named in _VIEW_CODES.values() and coded and named != coded:
+        raise RadiographError(f"ViewPosition is {named}, but ViewCodeSequence means {coded}; correct it at the source")
+    return named or coded
+
+
+def _frame_times(dataset: Dataset, frames: int) -> tuple[float | None, ...]:
+    """Seconds since the first frame."""
+    if not 1 < frames <= 100_000:
+        return (0.0,)
+    increments = _value(dataset, "FrameTimeVector")
+    if not _absent(increments) and not isinstance(increments, (str, bytes, float, int)):
+        if len(increments) != frames:
+            raise RadiographError(f"FrameTimeVector has {len(increments)} entries for {frames} frames")
+        steps = [_as_number("FrameTimeVector", step) for step in increments]
+        steps[0] = 0.0
+    else:
+        step = _number(dataset, "FrameTime")
+        if step is None:
+            return (None,) * frames
+        steps = [0.0] + [step] * (frames - 1)
+    if min(steps) < 0.0:
+        raise RadiographError("frame times go backwards")
+    return tuple(float(t) for t in np.cumsum(steps) / 1000.0)
+
+
+def _clock(dataset: Dataset) -> float | None:
+    """Seconds of the acquisition since the year 1, or since midnight without a date; None if the file doesn't tell."""
+    # Read by hand: values like 17:58:00 of old systems are worth having, and a bad time is no reason to refuse.
+    moment = str(dataset.get("AcquisitionDateTime") or "")
+    date, time = (moment[:8], moment[8:]) if len(moment) > 8 else (
+        str(dataset.get("AcquisitionDate") or ""), str(dataset.get("AcquisitionTime") or "")
+    )  # fmt: skip
+    found = re.match(r"(\d\d):?(\d\d)?:?(\d\d(?:\.\d+)?)?", time)
+    if found is None:
+        return None
+    hours, minutes, seconds = (float(part or 0.0) for part in found.groups())
+    try:
+        day = datetime.date.fromisoformat(date.replace(".", "").strip()).toordinal()
+    except ValueError:
+        day = 0
+    return 86400.0 * day + 3600.0 * hours + 60.0 * minutes + seconds
+
+
+def _hashed(dataset: Dataset, keyword: str) -> str:
+    value = str(dataset.get(keyword) or "").strip()
+    return hashlib.sha256(value.encode("utf-8", "replace")).hexdigest() if value else ""

@@ -1,0 +1,86 @@
+"""Files of a sequence are ordered by time and number; where the order is unknown they are refused."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from spinestiff.errors import RadiographError
+from spinestiff.imaging.dicom.ordering import ordered
+from spinestiff.imaging.radiograph import read_radiographs
+
+NAMES = ("a", "b", "c")
+
+
+@pytest.mark.parametrize(
+    ("clocks", "numbers", "order"),
+    [
+        ((3.0, 1.0, 2.0), (3, 1, 2), [1, 2, 0]),
+        ((1.0, 1.0, 1.0), (3, 1, 2), [1, 2, 0]),
+        ((1.0, 2.0, 1.0), (2, 3, 1), [2, 0, 1]),
+        ((None, None, None), (3, 1, 2), [1, 2, 0]),
+        ((3.0, 1.0, 2.0), (None, 1, 1), [1, 2, 0]),
+    ],
+)
+def test_by_time_then_number(clocks, numbers, order):
+    assert ordered("push", NAMES, clocks, numbers) == order
+
+
+@pytest.mark.parametrize(
+    ("clocks", "numbers", "order", "message"),
+    [
+        ((1.0, 2.0, 3.0), (1, 3, 2), [0, 1, 2], "disagree; ordered by time"),
+        ((1.0, 2.0, 3.0), (1, 1, 2), [0, 1, 2], "instance numbers occur twice; ordered by time"),
+        ((1.0, None, 3.0), (1, 3, 2), [0, 2, 1], "only some files have an acquisition time"),
+    ],
+)
+def test_what_is_odd_is_warned_of(clocks, numbers, order, message):
+    with pytest.warns(UserWarning, match=f"push: .*{message}"):
+        assert ordered("push", NAMES, clocks, numbers) == order
+
+
+@pytest.mark.parametrize(
+    ("clocks", "numbers", "message"),
+    [
+        ((1.0, 2.0, 1.0), (None, 1, 1), "a and c have the same acquisition time, so"),
+        ((1.0, 2.0, 1.0), (1, 2, 1), "a and c have the same acquisition time and instance number"),
+        ((None, 2.0, 1.0), (1, 2, 1), "a and c have the same instance number"),
+        ((None, 2.0, 1.0), (1, None, 2), "the order is unknown"),
+    ],
+)
+def test_an_unknown_order_is_refused(clocks, numbers, message):
+    with pytest.raises(RadiographError, match=f"push: .*{message}"):
+        ordered("push", NAMES, clocks, numbers)
+
+
+def test_a_folder_of_too_many_files_is_refused_before_reading(tmp_path):
+    for i in range(129):
+        (tmp_path / f"{i}.dcm").touch()
+    with pytest.raises(RadiographError, match=f"^{tmp_path.name}: 129 files; at most 128 are read"):
+        read_radiographs(tmp_path)
+
+
+def test_the_same_image_twice_is_refused(file, tmp_path):
+    path = file(AcquisitionTime="120000")
+    shutil.copy(path, tmp_path / "b.dcm")
+    with pytest.raises(RadiographError, match=r"b.dcm: the same image as a.dcm; remove one"):
+        read_radiographs(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"PatientID": "SECRET"}, "another patient than a.dcm"),
+        ({"PatientOrientation": ["R", "F"]}, "another orientation than a.dcm"),
+        ({"DistanceSourceToDetector": "1600"}, "another X-ray geometry than a.dcm"),
+        ({"ImagerPixelSpacing": ["0.5", "0.5"]}, "another X-ray geometry than a.dcm"),
+    ],
+)
+def test_files_of_another_kind_are_no_frame_of_the_sequence(file, tmp_path, values, message):
+    file(AcquisitionTime="120000")
+    file(np.ones((1, 40, 36), np.uint16), "b.dcm", AcquisitionTime="120001", **values)
+    with pytest.raises(RadiographError, match=f"b.dcm: {message}") as refusal:
+        read_radiographs(tmp_path)
+    assert "SECRET" not in str(refusal.value)
