@@ -191,24 +191,36 @@ def _vessels(rings: Floats, random: np.random.Generator) -> Surface:
     """Branching tubes from the hilum outward, placed in terms of the lung so that they deform with it."""
     count = len(rings)
     hilum = 0.5 * (rings[count * 2 // 5].mean(axis=0) + rings[count * 2 // 5, _AROUND // 2])
-    tubes = []
-    for _ in range(_VESSELS):
-        ring, around, reach = random.integers(4, count - 8), random.integers(_AROUND), random.uniform(0.55, 0.93)
-        bend, radius = random.normal(0.0, 7.0, 3), random.uniform(1.2, 3.2)
-        centre = rings[ring].mean(axis=0)
-        end = centre + reach * (rings[ring, around] - centre)
-        share = np.linspace(0.0, 1.0, 7)[:, None]
-        start = hilum + random.normal(0.0, 5.0, 3)
-        curve = start + share * (end - start) + np.sin(np.pi * share) * bend
-        tubes.append(_thin_tube(curve, radius * (1.0 - 0.75 * share)))
-        for _ in range(3):
-            start = curve[random.integers(2, 5)]
-            aside = random.normal(0.0, 16.0, 3)
-            twig = start + share * (0.6 * (end - start) + aside)
-            tubes.append(_thin_tube(twig, 0.55 * radius * (1.0 - 0.7 * share)))
-    return joined(*tubes)
+    share = np.linspace(0.0, 1.0, 7)[:, None]
+    ring, around = random.integers(4, count - 8, _VESSELS), random.integers(0, _AROUND, _VESSELS)
+    centre = rings[ring].mean(axis=1)
+    end = centre + random.uniform(0.55, 0.93, (_VESSELS, 1)) * (rings[ring, around] - centre)
+    start = hilum + random.normal(0.0, 5.0, (_VESSELS, 3))
+    bend = random.normal(0.0, 7.0, (_VESSELS, 1, 3))
+    trunks = start[:, None] + share * (end - start)[:, None] + np.sin(np.pi * share) * bend
+    radius = random.uniform(1.2, 3.2, (_VESSELS, 1, 1))
+    # Three twigs a trunk, from somewhere in its middle.
+    origin = np.repeat(np.arange(_VESSELS), 3)
+    fork = trunks[origin, random.integers(2, 5, len(origin))]
+    twig_end = 0.6 * (end[origin] - fork) + random.normal(0.0, 16.0, (len(origin), 3))
+    twigs = fork[:, None] + share * twig_end[:, None]
+    widths = np.concatenate([radius * (1.0 - 0.75 * share), 0.55 * radius[origin] * (1.0 - 0.7 * share)])
+    return _thin_tubes(np.concatenate([trunks, twigs]), widths)
 
 
-def _thin_tube(curve: Floats, radius: Floats) -> Surface:
-    away = np.argmin(np.abs(curve[-1] - curve[0]))
-    return tube(curve, np.repeat(radius, 2, axis=1), np.eye(3)[away], 6)
+def _thin_tubes(curves: Floats, radii: Floats) -> Surface:
+    """Tubes of six sides along curves (n, k, 3) with radii (n, k, 1) mm, as one surface."""
+    along = np.gradient(curves, axis=1)
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    away = np.eye(3)[np.argmin(np.abs(curves[:, -1] - curves[:, 0]), axis=-1)][:, None]
+    first = np.cross(away, along)
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    second = np.cross(along, first)
+    angle = 2.0 * np.pi * np.arange(6)[:, None] / 6.0
+    round_it = np.cos(angle) * first[:, :, None] + np.sin(angle) * second[:, :, None]
+    rings = curves[:, :, None] + radii[:, :, None] * round_it
+    n, k = rings.shape[:2]
+    _, faces = loft(rings[0])
+    vertices = np.concatenate([rings.reshape(n, -1, 3), rings[:, 0].mean(axis=1)[:, None],
+                               rings[:, -1].mean(axis=1)[:, None]], axis=1)  # fmt: skip
+    return vertices.reshape(-1, 3), (faces + (6 * k + 2) * np.arange(n)[:, None, None]).reshape(-1, 3)
