@@ -161,7 +161,9 @@ def test_blades_out_of_the_picture_change_nothing_and_closed_ones_are_refused() 
         Collimation(top=-1.0)
 
 
-@pytest.mark.parametrize("change", [{"gas": -1.0}, {"exposure_drift": np.nan}, {"frame_time": -0.1}, {"gas_motion": -1}])
+@pytest.mark.parametrize(
+    "change", [{"gas": -1.0}, {"exposure_drift": np.nan}, {"frame_time": -0.1}, {"gas_motion": -1}]
+)
 def test_impossible_acquisitions_are_refused(change: dict[str, float]) -> None:
     with pytest.raises(RadiographError, match="wanted 0 or more"):
         Acquisition(**change)  # type: ignore[arg-type]

@@ -272,8 +272,8 @@ def test_vertebrae_of_a_rendered_torso():
     from spinestiff.anatomy.rotation import exp_so3
     from spinestiff.anatomy.template import template_torso
     from spinestiff.anatomy.torso import TorsoState
-    from spinestiff.imaging.features import silhouette_choice, state_features
     from spinestiff.imaging.detector import Exposure
+    from spinestiff.imaging.features import silhouette_choice, state_features
     from spinestiff.imaging.materials import Material
     from spinestiff.imaging.rendering import Absorber, render_radiograph
 

@@ -42,19 +42,22 @@ class Acquisition:
     RadiographError : a value is outside its range.
     """
 
-    exposure: Exposure = Exposure()
+    exposure: Exposure = field(default_factory=Exposure)
     exposure_drift: float = 0.06
     frame_time: float = 0.25
     breathing: Breathing | None = field(default_factory=Breathing)
     gas: float = 1.0
     gas_motion: float = 2.0
-    collimation: Collimation = Collimation()
+    collimation: Collimation = field(default_factory=Collimation)
     samples: int = 2
 
     def __post_init__(self) -> None:
         for name in ("exposure_drift", "frame_time", "gas", "gas_motion"):
             if not getattr(self, name) >= 0.0:
                 raise RadiographError(f"{name.replace('_', ' ')} {getattr(self, name):g}; wanted 0 or more")
+
+
+DEFAULT_ACQUISITION = Acquisition()
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ def acquire(
     torso: TorsoModel,
     states: Sequence[TorsoState],
     view: XRayView,
-    acquisition: Acquisition = Acquisition(),
+    acquisition: Acquisition = DEFAULT_ACQUISITION,
     *,
     person: int = 0,
     seed: int = 0,

@@ -30,7 +30,7 @@ class Exposure:
     Attributes
     ----------
     kvp : tube voltage.
-    photons : mean count a mm2 of detector in the unattenuated beam. The default leaves about 5,000 behind 200 mm of
+    photons : mean count a mm2 of detector in the unattenuated beam. The default leaves about 3,000 behind 200 mm of
         tissue, scatter included: about an eighth of a standard exposure.
     factor : exposure of this frame relative to the series (tube output wanders from frame to frame).
     scatter_fraction : scattered photons among all that arrive behind thick tissue and a grid, 0 to below 1.
@@ -48,13 +48,13 @@ class Exposure:
     """
 
     kvp: float = 75.0
-    photons: float = 3.5e5
+    photons: float = 1.8e5
     factor: float = 1.0
-    scatter_fraction: float = 0.3
+    scatter_fraction: float = 0.4
     scatter_width: float = 25.0
     haze: float = 0.02
     focal_spot: float = 1.2
-    detector_blur: float = 0.2
+    detector_blur: float = 0.15
     electronic_noise: float = 4.0
     beam: Beam | None = None
 
@@ -75,8 +75,15 @@ class Exposure:
         return self.beam or tube_beam(self.kvp)
 
 
+DEFAULT_EXPOSURE = Exposure()
+
+
 def expose(
-    thickness: Floats, view: XRayView, exposure: Exposure = Exposure(), seed: int = 0, open_beam: Floats | None = None
+    thickness: Floats,
+    view: XRayView,
+    exposure: Exposure = DEFAULT_EXPOSURE,
+    seed: int = 0,
+    open_beam: Floats | None = None,
 ) -> NDArray[np.uint16]:
     """Grey values (H, W) behind thicknesses (materials, H, W) mm, bone bright.
 

@@ -6,7 +6,7 @@ The truth is written beside the folder (``DIR.truth.json``), never into it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Literal
 
@@ -74,7 +74,7 @@ class Recipe:
     second_level: float = 6.0
     shape: tuple[int, int] = (1024, 1024)
     mesh: str = "fine"
-    acquisition: Acquisition = Acquisition()
+    acquisition: Acquisition = field(default_factory=Acquisition)
 
     def __post_init__(self) -> None:
         if self.seed < 0:
