@@ -32,7 +32,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from spinestiff.anatomy.template import template_torso
-from spinestiff.imaging.acquisition import Acquisition, acquire
+from spinestiff.imaging.acquisition import DEFAULT_ACQUISITION, Acquisition, acquire
 from spinestiff.imaging.features import silhouette_choice, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.personalise.shape import place_vertebrae
@@ -60,7 +60,7 @@ def real_pictures(folder: Path) -> Iterator[Picture]:
     """The images of a folder with their corners."""
     table = np.loadtxt(folder / "landmarks.csv", delimiter=",")
     for line in (folder / "images.csv").read_text(encoding="utf-8").splitlines()[1:]:
-        row, name, width, height = line.split(",")
+        row, name, *_ = line.split(",")
         if not name:
             continue
         grey = cv2.imread(str(folder / "images" / name), cv2.IMREAD_GRAYSCALE).astype(float)
@@ -68,7 +68,7 @@ def real_pictures(folder: Path) -> Iterator[Picture]:
         yield Picture(name, grey, np.stack([x * grey.shape[1], y * grey.shape[0]], -1))
 
 
-def synthetic_pictures(acquisition: Acquisition = Acquisition()) -> Iterator[Picture]:
+def synthetic_pictures(acquisition: Acquisition = DEFAULT_ACQUISITION) -> Iterator[Picture]:
     """Frontal rest radiographs of four bodies, as they would look when published."""
     for cobb, curve, person in SYNTHETIC:
         torso = template_torso(157.0)

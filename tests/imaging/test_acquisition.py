@@ -13,10 +13,10 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel, retract
 from spinestiff.errors import RadiographError
 from spinestiff.imaging.acquisition import Acquisition, Gauge, acquire
+from spinestiff.imaging.bowel import bowel
 from spinestiff.imaging.breathing import Breathing, breathed
 from spinestiff.imaging.collimation import Collimation
 from spinestiff.imaging.detector import AIR_GREY, Exposure
-from spinestiff.imaging.gas import bowel_gas
 from spinestiff.imaging.gauge import PAD_RADIUS, gauge_pad
 from spinestiff.imaging.materials import Material
 from spinestiff.imaging.path_length import path_length
@@ -100,10 +100,8 @@ def test_exposure_wanders_from_frame_to_frame(torso: TorsoModel) -> None:
 
 
 def test_bubbles_are_air_inside_the_belly_and_move(torso: TorsoModel) -> None:
-    still, moved = (
-        bowel_gas(torso, torso.rest_pose, 3, 1.0, motion, np.random.default_rng(1))[0] for motion in (0.0, 4.0)
-    )
-    again = bowel_gas(torso, torso.rest_pose, 3, 1.0, 0.0, np.random.default_rng(2))[0]
+    still, moved = (bowel(torso, torso.rest_pose, 3, 1.0, motion, np.random.default_rng(1))[1] for motion in (0.0, 4.0))
+    again = bowel(torso, torso.rest_pose, 3, 1.0, 0.0, np.random.default_rng(2))[1]
     np.testing.assert_array_equal(still.vertices, again.vertices)
     way = np.linalg.norm(moved.vertices - still.vertices, axis=1)
     assert 2.0 < np.median(way) < 12.0
@@ -112,7 +110,9 @@ def test_bubbles_are_air_inside_the_belly_and_move(torso: TorsoModel) -> None:
     skin = torso.node_positions(torso.rest_pose)
     assert (still.vertices > skin.min(axis=0)).all()
     assert (still.vertices < skin.max(axis=0)).all()
-    assert bowel_gas(torso, torso.rest_pose, 3, 0.0, 1.0, np.random.default_rng(1)) == []
+    (contents,) = bowel(torso, torso.rest_pose, 3, 0.0, 1.0, np.random.default_rng(1))
+    assert contents.texture is not None
+    assert abs(contents.density) < 0.1
 
 
 def test_the_pad_lies_outside_the_skin_and_moves_with_the_rib(torso: TorsoModel) -> None:
@@ -162,7 +162,7 @@ def test_blades_out_of_the_picture_change_nothing_and_closed_ones_are_refused() 
 
 
 @pytest.mark.parametrize(
-    "change", [{"gas": -1.0}, {"exposure_drift": np.nan}, {"frame_time": -0.1}, {"gas_motion": -1}]
+    "change", [{"gas": -1.0}, {"exposure_drift": np.nan}, {"frame_time": -0.1}, {"bowel_motion": -1}]
 )
 def test_impossible_acquisitions_are_refused(change: dict[str, float]) -> None:
     with pytest.raises(RadiographError, match="wanted 0 or more"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.template.surfaces import loft, outward, tube
+from spinestiff.anatomy.template.surfaces import Surface, loft, outward, tube
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.imaging.materials import Material
@@ -42,9 +42,9 @@ def gauge_pad(torso: TorsoModel, state: TorsoState, points: PointsOnBones, push:
     rod = tube(rod_start - np.outer([0.0, 40.0, 150.0], inward), np.array([7.0, 7.0]), upright, 16)
     aluminium = Material.ALUMINIUM
     return [
-        Absorber(*cushion, Material.SOFT_TISSUE, _RUBBER),
-        Absorber(*plate, aluminium),
-        Absorber(*rod, aluminium),
+        Absorber(cushion[0], cushion[1], density=_RUBBER),
+        Absorber(plate[0], plate[1], aluminium),
+        Absorber(rod[0], rod[1], aluminium),
     ]
 
 
