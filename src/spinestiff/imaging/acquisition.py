@@ -58,6 +58,8 @@ class Acquisition:
 
 
 DEFAULT_ACQUISITION = Acquisition()
+LATERAL = Exposure(kvp=88.0, photons=4.2e5)
+"""The exposure of a lateral radiograph, whose way through the body is longer: more voltage and three times as much."""
 
 
 @dataclass(frozen=True)
