@@ -23,7 +23,7 @@ from spinestiff.imaging.path_length import path_length
 from spinestiff.imaging.projection import frontal_view
 
 VIEW = frontal_view(shape=(200, 200), pixel=2.1)
-STILL = Acquisition(breathing=None, gas=0.0, exposure_drift=0.0, samples=1)
+STILL = Acquisition(breathing=None, gas=0.0, bowel_motion=0.0, exposure_drift=0.0, samples=1)
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +145,7 @@ def test_nothing_but_scatter_comes_behind_the_blades(torso: TorsoModel) -> None:
     row, column = int(first[1]), int(first[0])
     np.testing.assert_allclose(shut[row + 4 :, column + 4 :], full[row + 4 :, column + 4 :], atol=60.0)
     open_air = np.zeros_like(full, dtype=bool)
-    open_air[: row - 4] = full[: row - 4] < AIR_GREY + 100.0
+    open_air[:, : column - 4] = full[:, : column - 4] < AIR_GREY + 100.0
     assert open_air.sum() > 500
     np.testing.assert_allclose(shut[open_air], AIR_GREY + 8000.0 * np.log(1e3), atol=200.0)  # unexposed is white
     np.testing.assert_allclose(last, 199.5)
