@@ -86,11 +86,19 @@ def test_a_sequence_breathes(torso: TorsoModel) -> None:
 
 
 def test_the_seeds_decide_everything(torso: TorsoModel) -> None:
-    how = {"breathing": Breathing(), "gas": 1.0, "exposure_drift": 0.06}
+    how = {"breathing": Breathing(), "gas": 1.0, "bowel_motion": 2.0, "exposure_drift": 0.06}
     first = frames(torso, 2, seed=5, **how)
     np.testing.assert_array_equal(first, frames(torso, 2, seed=5, **how))
     assert np.abs(first - frames(torso, 2, seed=6, **how)).max() > 100.0
-    assert np.abs(first - frames(torso, 2, seed=5, person=9, **how)).max() > 100.0
+    # Noise and the body's textures alone: nothing moves, nothing drifts, no gas.
+    still = frames(torso, 2, seed=5, exposure=Exposure(photons=1e4))
+    assert (still[0] != still[1]).mean() > 0.9
+    assert (still != frames(torso, 2, seed=6, exposure=Exposure(photons=1e4))).mean() > 0.9
+    quiet = Exposure(photons=1e9, electronic_noise=0.0)
+    change = np.abs(frames(torso, person=5, exposure=quiet) - frames(torso, person=9, exposure=quiet))[0]
+    spine = np.rint(VIEW.pixels(VIEW.project(torso.rest_pose.bone_positions[torso.bone("T8")]))).astype(int)
+    assert change[spine[1] - 5 : spine[1] + 5, spine[0] - 4 : spine[0] + 4].max() > 100.0
+    assert change[60:100, 60:80].max() > 200.0  # a lung
 
 
 def test_exposure_wanders_from_frame_to_frame(torso: TorsoModel) -> None:
