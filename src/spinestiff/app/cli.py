@@ -227,6 +227,24 @@ def check(
 
 
 @app.command()
+def deidentify(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="DICOM file or folder.")],
+    out: Annotated[Path, typer.Argument(help="New folder; nothing is overwritten.")],
+    key: Annotated[Path | None, typer.Option(help="Key file, for the same pseudonyms again; made if missing.")] = None,
+    burned_in_ok: Annotated[bool, typer.Option("--burned-in-ok", help="Burned-in text was looked at.")] = False,
+) -> None:
+    """Copy radiographs without their patients; says what to look at. Exit status 2 if one is refused."""
+    from spinestiff.app.deidentify import deidentify_files
+    from spinestiff.app.progress import progress
+
+    with progress() as say:
+        lines, refused = deidentify_files(source, out, key, burned_in_ok, say)
+    typer.echo("\n".join(lines))
+    if refused:
+        raise typer.Exit(2)
+
+
+@app.command()
 def doctor() -> None:
     """Versions, the solver in use, and what is missing."""
     from spinestiff.app import tables
