@@ -31,6 +31,7 @@ COMMANDS = {
     "demo": ("--out", "--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
     "cobb": (),
     "check": ("--json",),
+    "deidentify": ("--key", "--burned-in-ok"),
     "doctor": (),
 }
 # Not pydantic: typer itself may import it.

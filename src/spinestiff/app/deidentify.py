@@ -14,14 +14,13 @@ from typing import Any, NoReturn
 
 from spinestiff.errors import RadiographError
 from spinestiff.imaging.burned_in import inspection_row, sheet
-from spinestiff.imaging.deidentify import deidentify
+from spinestiff.imaging.deidentify import NO_DICOM, deidentify
 from spinestiff.imaging.pseudonyms import key_of, random_key
 from spinestiff.imaging.radiograph import MOST_BYTES
 
 MOST_FILES = 10_000
-ROWS_A_SHEET = 5
+ROWS_A_SHEET = 4
 SHEETS = "-look-for-burned-in-text"
-NO_DICOM = "no DICOM file"
 
 
 def deidentify_files(
@@ -40,14 +39,15 @@ def deidentify_files(
     files = _files(source)
     key, is_new = (random_key(), False) if key_file is None else key_of(key_file)
     folders = {folder: number for number, folder in enumerate(sorted({file.parent for file in files}), 1)}
-    refused, left_out, patients, burned_in = [], Counter[str](), set(), Counter[str]()
+    refused: dict[str, list[int]] = {}
+    left_out, patients, burned_in = Counter[str](), set(), Counter[str]()
     with _Sheets(beside) as sheets:
         for number, file in enumerate(files, 1):
             say(f"deidentify: file {number} of {len(files)}")
             try:
                 found = deidentify(_content(file), key, burned_in_ok=burned_in_ok)
             except RadiographError as problem:
-                refused.append((number, str(problem)))
+                refused.setdefault(str(problem), []).append(number)
                 continue
             name = Path(found.patient, f"folder-{folders[file.parent]:03d}", f"image-{number:05d}.dcm")
             _write(out / name, found.content)
@@ -55,17 +55,16 @@ def deidentify_files(
             left_out.update(found.left_out)
             patients.add(found.patient)
             burned_in[found.burned_in] += 1
-    radiographs = [(number, why) for number, why in refused if not why.startswith(NO_DICOM)]
-    lines = [f"{burned_in.total()} of {len(files)} files written to {out.name}, {len(patients)} patients"]
-    lines += [f"refused: file {number} in the order of names: {why}" for number, why in radiographs]
-    if others := len(refused) - len(radiographs):
-        lines.append(f"left out: {others} files that are no DICOM files")
-    lines += [f"left out of {count} files: {what}, whose value can't be kept" for what, count in left_out.items()]
+    lines = [f"{burned_in.total()} of {len(files)} files written to {out.name}; patients: {len(patients)}"]
+    for why, numbers in refused.items():
+        what = "left out" if why == NO_DICOM else "refused"
+        lines.append(f"{what}: {why}: number {', '.join(map(str, numbers))} in the order of names")
+    lines += [f"not kept, since its value isn't a usual one: {name}, files: {n}" for name, n in left_out.items()]
     if is_new:
         lines.append("key: a new one was written; keep it secret, and give it again to get the same pseudonyms")
     if burned_in:
         lines.append(_burned_in(burned_in, beside.name))
-    return lines, len(radiographs)
+    return lines, sum(len(numbers) for why, numbers in refused.items() if why != NO_DICOM)
 
 
 class _Sheets:

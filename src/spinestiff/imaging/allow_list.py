@@ -16,16 +16,20 @@ from spinestiff.imaging.radiograph import MODALITIES, MOST_FRAMES, MOST_PIXELS_A
 Rule = Callable[[Any], Any]
 """A value fit to be kept, made anew from what the file holds; None or an error for any other."""
 
-CLASSES = MappingProxyType({
-    "1.2.840.10008.5.1.4.1.1.1": "Computed Radiography",
-    "1.2.840.10008.5.1.4.1.1.1.1": "Digital X-Ray, for presentation",
-    "1.2.840.10008.5.1.4.1.1.1.1.1": "Digital X-Ray, for processing",
-    "1.2.840.10008.5.1.4.1.1.7": "Secondary Capture",
-    "1.2.840.10008.5.1.4.1.1.7.2": "Multi-frame Grayscale Byte Secondary Capture",
-    "1.2.840.10008.5.1.4.1.1.7.3": "Multi-frame Grayscale Word Secondary Capture",
-    "1.2.840.10008.5.1.4.1.1.12.1": "X-Ray Angiographic",
-    "1.2.840.10008.5.1.4.1.1.12.2": "X-Ray Radiofluoroscopic",
-})  # fmt: skip
+CLASSES = frozenset(
+    f"1.2.840.10008.5.1.4.1.1.{number}"
+    for number in (
+        "1",  # Computed Radiography
+        "1.1",  # Digital X-Ray, for presentation
+        "1.1.1",  # Digital X-Ray, for processing
+        "7",  # Secondary Capture
+        "7.2",  # Multi-frame Grayscale Byte Secondary Capture
+        "7.3",  # Multi-frame Grayscale Word Secondary Capture
+        "12.1",  # X-Ray Angiographic
+        "12.2",  # X-Ray Radiofluoroscopic
+    )
+)
+"""Kinds of files that are pictures of one X-ray system (SOP classes, PS3.4 B.5)."""
 
 
 def one_of(*words: str) -> Rule:
@@ -130,5 +134,5 @@ def ruled(rule: Rule, value: Any) -> Any:
     """What a rule makes of a value; None for a value that it doesn't allow."""
     try:
         return rule(value)
-    except (TypeError, ValueError, OverflowError):
+    except Exception:  # values are converted when they are touched, and what DICOM files hold raises all sorts
         return None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 BAND = 0.14
 """Height of the top and the bottom band, as a share of the image's; systems write into the corners."""
-_WIDTH, _THUMB, _GAP, _TITLE = 1500, 420, 8, 30
+_WIDTH, _THUMB, _GAP, _TITLE = 1500, 640, 8, 30
 
 Grey = NDArray[np.uint8]
 

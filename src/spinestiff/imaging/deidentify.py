@@ -30,6 +30,7 @@ from spinestiff.imaging.radiograph import MODALITIES, MOST_BYTES
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset
 
+NO_DICOM = "no DICOM file (its header is missing)"
 _PLAIN = ("1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.2")
 _BIG_ENDIAN = "1.2.840.10008.1.2.2"
 _RLE = "1.2.840.10008.1.2.5"
@@ -77,7 +78,7 @@ def deidentify(content: bytes, key: Key, *, burned_in_ok: bool = False) -> Deide
     from pydicom import dcmread
 
     if content[128:132] != b"DICM":
-        raise RadiographError("no DICOM file (its header is missing)")
+        raise RadiographError(NO_DICOM)
     # pydicom raises all sorts, at any access, and its messages may quote the file.
     try:
         with quiet_pydicom():
@@ -146,7 +147,7 @@ def _deidentified(old: Dataset, key: Key, burned_in_ok: bool) -> Deidentified:
 def _check_kind(old: Dataset) -> None:
     """Only kinds of files that are pictures, so that reports, documents and mixtures never pass."""
     if str(old.get("SOPClassUID", "")) not in CLASSES:
-        raise RadiographError(f"no radiograph that this program reads; wanted one of {', '.join(CLASSES.values())}")
+        raise RadiographError("no radiograph; wanted CR, DX, RF, XA or grey secondary capture")
     if str(old.file_meta.TransferSyntaxUID) not in (*_PLAIN, *_CODED, _RLE):
         raise RadiographError("its transfer syntax isn't supported; export it uncompressed")
     if "EncapsulatedDocument" in old or "ContentSequence" in old:
