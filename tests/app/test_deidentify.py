@@ -55,33 +55,33 @@ def canary(vr: str, number: int) -> object:
             "DS": f"{NUMBER}.{number}"}.get(vr)  # fmt: skip
 
 
-def fill(dataset: Dataset, rng: np.random.Generator, spared: set[int]) -> int:
-    """Put a canary into 15 attributes of every VR, and into those of the allow-list that hold words."""
+def fill(dataset: Dataset, rng: np.random.Generator, spared: set[int], most: int = 10) -> int:
+    """Put canaries into attributes of every VR."""
     by_vr: dict[str, list[int]] = {}
     for tag, entry in DicomDictionary.items():
         if tag not in spared and tag >> 16 not in (0x0000, 0x0002, 0xFFFE) and not tag & 0xFFFF == 0:
             by_vr.setdefault(entry[0][:2], []).append(tag)
     count = 0
     for vr, tags in by_vr.items():
-        for tag in rng.choice(tags, min(15, len(tags)), replace=False):
+        for tag in rng.choice(tags, min(most, len(tags)), replace=False):
             if (value := canary(vr, count)) is not None:
                 dataset.add_new(int(tag), vr, value)
                 count += 1
     return count
 
 
-def infested(path: Path, rng: np.random.Generator) -> int:
+def infested(path: Path, rng: np.random.Generator, most: int) -> int:
     """Fill a radiograph with canaries wherever text may stand, and more where it may not."""
     dataset = pydicom.dcmread(path)
     sizes = {Tag(word) for word in KEPT} | {Tag("PixelData"), Tag("SOPClassUID"), Tag("NumberOfFrames")}
     # Whether a picture holds a document or another table isn't this test's question.
     others = {Tag(word) for word in ("ContentSequence", "EncapsulatedDocument", "FloatPixelData",
                                      "DoubleFloatPixelData", "PixelDataProviderURL")}  # fmt: skip
-    count = fill(dataset, rng, sizes | others)
+    count = fill(dataset, rng, sizes | others, most)
     for keyword in ("PatientName", "PatientID", "SOPInstanceUID", "StudyInstanceUID", "SeriesInstanceUID", "StudyDate",
                     "StudyTime", "AcquisitionDateTime", "ContentDate", "ContentTime"):  # fmt: skip
         vr = DicomDictionary[Tag(keyword)][0]
-        setattr(dataset, keyword, canary(vr, 99990 + count % 9))
+        setattr(dataset, keyword, canary(vr, 99990))
     # Words and numbers in attributes of the allow-list itself: their rules must tell.
     dataset.ImageType = ["ORIGINAL", "PRIMARY", CANARY]
     dataset.ViewPosition, dataset.Laterality, dataset.BurnedInAnnotation = CANARY, CANARY, CANARY
@@ -137,7 +137,7 @@ def patient(tmp_path):
         pixels = rng.integers(0, 60000, VIEW.shape, dtype=np.uint16)
         write_radiographs(path, pixels, VIEW, instance_number=i + 1)
         with pytest.warns(UserWarning):
-            count += infested(path, rng)
+            count += infested(path, rng, most=10_000 if i == 0 else 5)  # all there are, once
     (folder / f"{CANARY}.txt").write_text(f"{CANARY} was here")
     return SimpleNamespace(folder=tmp_path / "in", count=count, out=tmp_path / "out")
 
@@ -148,7 +148,7 @@ def sheets_of(out: Path) -> Path:
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_no_canary_comes_out(spinestiff, patient):
-    assert patient.count > 500
+    assert patient.count > 2500
     ran = spinestiff("deidentify", patient.folder, patient.out)
     assert ran.status == 0, ran.out
     assert "3 of 4 files written to out; patients: 1" in ran.out

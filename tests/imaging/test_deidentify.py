@@ -136,6 +136,14 @@ def test_old_overlays_above_the_stored_bits_go(tmp_path):
     np.testing.assert_array_equal(new.pixel_array, signed)
 
 
+def test_compressed_overlays_above_the_stored_bits_are_refused(tmp_path):
+    dataset, _ = coded(tmp_path, "jpeg-2000")
+    pixels = smooth(12) | np.uint16(0x8000)
+    dataset.PixelData = encapsulate([jpeg_2000(pixels)])
+    with pytest.raises(RadiographError, match="bits above those stored"):
+        deidentify(saved(dataset), KEY)
+
+
 def test_rle_becomes_uncompressed(tmp_path):
     dataset = plain(tmp_path)
     dataset.compress(RLELossless, generate_instance_uid=False)
@@ -202,6 +210,18 @@ def test_damaged_files_end_in_one_kind_of_error(tmp_path):
             refused += 1
             assert "ZQXJ" not in str(problem)
     assert 100 < refused < 300
+
+
+def test_messages_of_the_dicom_library_are_not_passed_on(tmp_path, monkeypatch):
+    def complain(*_: object) -> None:
+        raise ValueError(f"Invalid value {CANARY.decode()}")
+
+    content = saved(plain(tmp_path))
+    monkeypatch.setattr(pydicom, "dcmread", complain)
+    with pytest.raises(RadiographError, match=r"damaged or unsupported DICOM \(ValueError\)") as caught:
+        deidentify(content, KEY)
+    assert caught.value.__cause__ is None
+    assert "ZQXJ" not in str(caught.value)
 
 
 def test_moments_of_dicom():

@@ -234,6 +234,8 @@ def _add_pixels(new: Dataset, old: Dataset) -> NDArray[Any]:
 
 
 def _decoded(old: Dataset) -> NDArray[Any]:
+    """All bits that are there, those above the stored ones too."""
+    old.pixel_array_options(correct_unused_bits=False)
     try:
         return np.asarray(old.pixel_array)
     except (NotImplementedError, RuntimeError, AttributeError, ImportError):
