@@ -124,16 +124,15 @@ def test_streams_with_room_for_text_are_refused():
         without_comments(stream[:-40])
 
 
-def test_old_overlays_above_the_stored_bits_go(tmp_path):
+@pytest.mark.parametrize("signed", [False, True])
+def test_old_overlays_above_the_stored_bits_go(tmp_path, signed):
     pixels = smooth(12)
     dataset = plain(tmp_path, pixels | np.uint16(0x8000) * (np.arange(40) % 3 == 0).astype(np.uint16))
-    dataset.BitsStored, dataset.HighBit = 12, 11
+    dataset.BitsStored, dataset.HighBit, dataset.PixelRepresentation = 12, 11, int(signed)
     new = pydicom.dcmread(BytesIO(deidentify(saved(dataset), KEY).content))
-    np.testing.assert_array_equal(new.pixel_array, pixels)
-    dataset.PixelRepresentation = 1
-    signed = (pixels.astype(np.int16) << 4) >> 4
-    new = pydicom.dcmread(BytesIO(deidentify(saved(dataset), KEY).content))
-    np.testing.assert_array_equal(new.pixel_array, signed)
+    expected = (pixels.astype(np.int16) << 4) >> 4 if signed else pixels
+    # The bytes themselves: the library would hide what stands above.
+    np.testing.assert_array_equal(np.frombuffer(new.PixelData, expected.dtype).reshape(VIEW.shape), expected)
 
 
 def test_compressed_overlays_above_the_stored_bits_are_refused(tmp_path):
@@ -205,10 +204,11 @@ def test_damaged_files_end_in_one_kind_of_error(tmp_path):
             if at < len(damaged):
                 damaged[at] = int(rng.integers(256))
         try:
-            assert CANARY not in deidentify(bytes(damaged), KEY).content
+            said = deidentify(bytes(damaged), KEY).content
         except RadiographError as problem:
             refused += 1
-            assert "ZQXJ" not in str(problem)
+            said = str(problem).encode()
+        assert CANARY[:4] not in said
     assert 100 < refused < 300
 
 
