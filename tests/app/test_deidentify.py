@@ -155,7 +155,7 @@ def sheets_of(out: Path) -> Path:
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_no_canary_comes_out(spinestiff, patient):
     patient = patient(most=10_000)  # every attribute that DICOM knows
-    assert patient.count > 2500
+    assert patient.count > 2000
     ran = spinestiff("deidentify", patient.folder, patient.out)
     assert ran.status == 0, ran.out
     assert "3 of 4 files written to out; patients: 1" in ran.out
