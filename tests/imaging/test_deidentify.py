@@ -12,7 +12,7 @@ import pydicom
 import pytest
 from openjpeg.utils import encode_array
 from pydicom.encaps import encapsulate
-from pydicom.uid import UID, JPEG2000Lossless, JPEGBaseline8Bit, JPEGLSLossless, RLELossless
+from pydicom.uid import UID, ExplicitVRBigEndian, JPEG2000Lossless, JPEGBaseline8Bit, JPEGLSLossless, RLELossless
 
 from spinestiff.errors import RadiographError
 from spinestiff.imaging.allow_list import KEPT
@@ -149,6 +149,16 @@ def test_rle_becomes_uncompressed(tmp_path):
     new = pydicom.dcmread(BytesIO(deidentify(saved(dataset), KEY).content))
     assert not new.file_meta.TransferSyntaxUID.is_compressed
     np.testing.assert_array_equal(new.pixel_array, smooth(12))
+
+
+def test_big_endian_becomes_little(tmp_path):
+    dataset, file = plain(tmp_path), BytesIO()
+    dataset.file_meta.TransferSyntaxUID = ExplicitVRBigEndian
+    dataset.PixelData = smooth(12).astype(">u2").tobytes()
+    pydicom.dcmwrite(file, dataset, implicit_vr=False, little_endian=False, force_encoding=True)
+    np.testing.assert_array_equal(pydicom.dcmread(BytesIO(file.getvalue())).pixel_array, smooth(12))
+    new = pydicom.dcmread(BytesIO(deidentify(file.getvalue(), KEY).content))
+    np.testing.assert_array_equal(np.frombuffer(new.PixelData, "<u2").reshape(VIEW.shape), smooth(12))
 
 
 def test_look_up_tables_are_as_long_as_they_say(tmp_path):

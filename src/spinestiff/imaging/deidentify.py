@@ -204,24 +204,23 @@ def _add_pixels(new: Dataset, old: Dataset) -> NDArray[Any]:
     if "PixelData" not in old:
         raise RadiographError("no picture in it (PixelData is missing); is the file complete?")
     new.file_meta = FileMetaDataset()
-    coded = []
+    new.file_meta.TransferSyntaxUID = syntax
+    new.add_new("PixelData", old["PixelData"].VR, old.PixelData)
     if syntax in _CODED:
-        for frame in generate_frames(old.PixelData, number_of_frames=count):
-            stream = without_comments(frame)
-            if (stream.rows, stream.columns, stream.components) != (*shape[1:], 1):
-                raise RadiographError("a coded frame has another size than the file declares; export it uncompressed")
-            coded.append(stream.content)
+        coded = [without_comments(frame) for frame in generate_frames(old.PixelData, number_of_frames=count)]
         if len(coded) != count:
             raise RadiographError(f"{len(coded)} coded frames, but {count} are declared; copy the file again")
+        if any((stream.rows, stream.columns, stream.components) != (*shape[1:], 1) for stream in coded):
+            raise RadiographError("a coded frame has another size than the file declares; export it uncompressed")
+        new.PixelData = encapsulate([stream.content for stream in coded])
     elif syntax in _PLAIN and len(old.PixelData) < _pixel_bytes(new):
         raise RadiographError("pixel data cut short; copy the file again")
-    frames = _decoded(old).reshape(shape)
+    # Decoded from the new file: nothing else in the old one can disturb it, and what is passed on is seen to work.
+    frames = _decoded(new).reshape(shape)
     clean = _stored_bits(frames, int(new.BitsStored), bool(new.get("PixelRepresentation", 0)))
-    if coded:
+    if syntax in _CODED:
         if (clean != frames).any():
             raise RadiographError("bits above those stored are in use, as old overlays did; export it uncompressed")
-        new.file_meta.TransferSyntaxUID = syntax
-        new.PixelData = encapsulate(coded)
         new["PixelData"].VR = "OB"
         new["PixelData"].is_undefined_length = True
     else:
@@ -233,15 +232,16 @@ def _add_pixels(new: Dataset, old: Dataset) -> NDArray[Any]:
     return clean
 
 
-def _decoded(old: Dataset) -> NDArray[Any]:
+def _decoded(new: Dataset) -> NDArray[Any]:
     """All bits that are there, those above the stored ones too."""
-    old.pixel_array_options(correct_unused_bits=False)
+    new.pixel_array_options(correct_unused_bits=False)
     try:
-        return np.asarray(old.pixel_array)
+        pixels = np.asarray(new.pixel_array)
     except (NotImplementedError, RuntimeError, AttributeError, ImportError):
         raise RadiographError(
             "its pixels can't be decoded, so nobody could look for burned-in text; export it uncompressed"
         ) from None
+    return pixels.astype(pixels.dtype.newbyteorder("="))
 
 
 def _stored_bits(frames: NDArray[Any], stored: int, signed: bool) -> NDArray[Any]:
