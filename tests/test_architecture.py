@@ -42,7 +42,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "skimage": ("imaging/*",),
     "numba": ("mechanics/*", "imaging/rendering.py"),
     "rslab": ("mechanics/factor.py",),
-    "matplotlib": ("study/figures.py", "study/torso_picture.py", "study/report.py"),
+    "matplotlib": ("study/figures.py", "study/frame_strip.py", "study/torso_picture.py", "study/report.py"),
     "jinja2": ("study/viewer/page.py",),
     "pydantic": ("study/*",),
     "pydantic_core": ("study/*",),

@@ -116,6 +116,24 @@ def track(folder: Folder, redo: Force = False) -> None:
 
 
 @app.command()
+def frames(
+    folder: Folder,
+    write: Annotated[bool, typer.Option("--write", help="Put the proposed roles into subject.json.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of a table.")] = False,
+) -> None:
+    """Quality and support motion of every frame, and which to train on; writes a picture strip."""
+    from spinestiff.app.frames import select_frames, show_frames
+    from spinestiff.app.progress import progress
+    from spinestiff.app.tables import show_json
+    from spinestiff.study.visit import open_visit
+
+    visit = open_visit(folder)
+    with progress(quiet=json) as say:
+        records = select_frames(visit, say, write)
+    show_json(records) if json else show_frames(records, visit.file("frames.png"), write)
+
+
+@app.command()
 def personalise(folder: Folder, mesh: Mesh = "coarse", redo: Force = False) -> None:
     """Shape the torso to the rest radiographs."""
     _steps(folder, ("personalise",), redo, mesh=mesh)
