@@ -16,11 +16,11 @@ from spinestiff.imaging.allow_list import KEPT
 
 CANARY = "ZQXJ"
 """Begins all canaries; numbers cannot hold it, so they have one of their own."""
-NUMBER, UID, DATE = "73519", "1.2.73519", "19735191"
+NUMBER, UID, DATE = "735194682", "1.2.735194682", "73519468"
 TEXT = {"AE", "AS", "CS", "LO", "LT", "PN", "SH", "ST", "UC", "UR", "UT"}
 BYTES = {"OB", "OW", "UN", "OF", "OD", "OL", "OV"}
 # What is looked for in everything that is written or printed: in ASCII, in UTF-16 and as a number.
-TRACES = (CANARY.encode(), CANARY.encode("utf-16-le"), NUMBER.encode())
+TRACES = (CANARY.encode(), CANARY.encode("utf-16-le"), DATE.encode())
 
 
 def canary(vr: str, number: int) -> object:
@@ -29,7 +29,7 @@ def canary(vr: str, number: int) -> object:
         return f"{CANARY}{number:05d}"
     if vr in BYTES:
         return f"{CANARY}{number:07d}".encode()
-    return {"UI": f"{UID}.{number}", "DA": DATE, "TM": f"{NUMBER}1", "DT": f"{DATE}{NUMBER}1", "IS": NUMBER,
+    return {"UI": f"{UID}.{number}", "DA": DATE, "TM": NUMBER, "DT": f"{DATE}{NUMBER}", "IS": NUMBER,
             "DS": f"{NUMBER}.{number}"}.get(vr)  # fmt: skip
 
 
@@ -83,7 +83,7 @@ def _infest(path: Path, rng: np.random.Generator, most: int, in_kept: bool) -> i
         dataset.ImageType = ["ORIGINAL", "PRIMARY", CANARY]
         dataset.ViewPosition, dataset.Laterality, dataset.BurnedInAnnotation = CANARY, CANARY, CANARY
         dataset.PatientOrientation = ["L", CANARY]
-        dataset.SeriesNumber, dataset.AcquisitionNumber = "7351900", "7351901"
+        dataset.SeriesNumber, dataset.AcquisitionNumber = NUMBER, NUMBER
         dataset.ModalityLUTSequence = Sequence([nested])
     for group in (0x6000, 0x6002, 0x5000):
         dataset.add_new((group, 0x0022), "LO", f"{CANARY} overlay")

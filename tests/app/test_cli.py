@@ -22,6 +22,7 @@ from spinestiff.verification.outcome import Check
 COMMANDS = {
     "synth": ("--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
     "track": ("--redo",),
+    "frames": ("--write", "--json"),
     "personalise": ("--mesh", "--redo"),
     "estimate": ("--method", "--orientation", "--redo"),
     "assess": ("--truth", "--redo"),

@@ -15,9 +15,9 @@ from spinestiff.arrays import Floats
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.radiograph import Radiograph
 
-# Standard deviations (mm, patient plane) of the compared bands: edges against the shading of the vertebrae. Motion by
-# a millimetre takes the fine band away and leaves the coarse one.
-FINE_MM, MIDDLE_MM, COARSE_MM = 0.35, 0.9, 3.0
+# Standard deviations (mm, patient plane) at which slopes are compared. Motion by a millimetre or two takes those at the
+# edges away and leaves those of the vertebrae as a whole.
+FINE_MM, COARSE_MM = 0.35, 2.0
 AROUND = 1.35
 """A vertebra's outline is looked at to this multiple of its size."""
 FEWEST_PIXELS = 60
@@ -30,8 +30,8 @@ class ImageQuality:
 
     Attributes
     ----------
-    sharpness : fine structures of the vertebrae over the same vertebrae's in the sharpest frame, 0 to 1; NaN if no
-        vertebra is seen in both.
+    sharpness : slopes at the vertebrae's edges over the same vertebrae's in the sharpest frame, 0 to 1, in the
+        direction in which it is least (motion blurs in one); NaN if no vertebra is seen.
     contrast_to_noise : standard deviation of the vertebrae's structures over that of the noise.
     saturated : share of the vertebrae's pixels at the end of the range of grey values.
     """
@@ -50,20 +50,22 @@ def image_quality(frames: Sequence[Radiograph], corners: Sequence[VertebraCorner
     corners : F corners as tracked, mm on the detector; vertebrae without a usable corner are left out.
     """
     found = [_measured(frame, seen) for frame, seen in zip(frames, corners, strict=True)]
-    vertebrae = list(dict.fromkeys(name for measured in found for name in measured.sharpness))
-    table = np.array([[measured.sharpness.get(name, np.nan) for name in vertebrae] for measured in found])
-    # The sharpest frame differs a little from vertebra to vertebra, so frames are ranked by the typical ratio.
-    sharpness = _typical_ratio(table)
-    best = np.nanmax(sharpness, initial=0.0) or 1.0
+    vertebrae = list(dict.fromkeys(name for measured in found for name in measured.slopes))
+    table = np.full((len(found), len(vertebrae), 2), np.nan)
+    for row, measured in zip(table, found):
+        for name, slopes in measured.slopes.items():
+            row[vertebrae.index(name)] = slopes
+    sharpness = np.column_stack([_typical_ratio(table[..., direction]) for direction in (0, 1)])
+    best = [np.nanmax(column, initial=0.0) or 1.0 for column in sharpness.T]
     return tuple(
-        ImageQuality(float(value / best), measured.contrast_to_noise, measured.saturated)
+        ImageQuality(float((value / best).min()), measured.contrast_to_noise, measured.saturated)
         for value, measured in zip(sharpness, found)
     )
 
 
 @dataclass(frozen=True)
 class _Measured:
-    sharpness: dict[str, float]
+    slopes: dict[str, tuple[float, float]]  # along columns and rows, fine over coarse
     contrast_to_noise: float
     saturated: float
 
@@ -84,21 +86,27 @@ def _measured(frame: Radiograph, corners: VertebraCorners) -> _Measured:
 
     mm = float((frame.view.pixel_spacing / frame.view.magnification).mean())
     image = np.asarray(frame.pixels, dtype=np.float32)
-    fine, middle, coarse = (cv2.GaussianBlur(image, (0, 0), max(s / mm, 0.3)) for s in (FINE_MM, MIDDLE_MM, COARSE_MM))
+    scales = [max(sigma / mm, 0.6) for sigma in (FINE_MM, COARSE_MM)]
+    fine, coarse = (cv2.GaussianBlur(image, (0, 0), scale) for scale in scales)
     ends = image.min(), image.max()
     quads = frame.view.pixels(corners.corners)
-    sharpness, structure, noises, saturated, count = {}, [], [], 0, 0
+    slopes, structure, noises, saturated, count = {}, [], [], 0, 0
     for name, quad, quality in zip(corners.vertebrae, quads, corners.quality):
         where = _within(quad, image.shape) if (quality > 0.0).any() else None
         if where is None or where[1].sum() < FEWEST_PIXELS:
             continue
         window, mask = where
         noise = _noise(image[window], mask)
-        edges = (fine[window] - middle[window])[mask].var() - noise**2 * _passed(max(FINE_MM / mm, 0.3), MIDDLE_MM / mm)
-        shading = (middle[window] - coarse[window])[mask].var()
-        if shading > 0.0:
-            sharpness[name] = float(np.sqrt(max(edges, 0.0) / shading))
-        structure.append((middle[window] - coarse[window])[mask].std())
+        found = [
+            [np.mean(np.gradient(blurred[window], axis=axis)[mask] ** 2) for axis in (1, 0)]
+            for blurred in (fine, coarse)
+        ]
+        # White noise's share in the slope of a Gaussian's smoothing.
+        edges = np.maximum(np.array(found[0]) - noise**2 / (8.0 * np.pi * scales[0] ** 4), 0.0)
+        if min(found[1]) > 0.0:
+            along, down = np.sqrt(edges / np.array(found[1]))
+            slopes[name] = (float(along), float(down))
+        structure.append(fine[window][mask].std())
         noises.append(noise)
         values = image[window][mask]
         saturated += int(np.isin(values, ends).sum())
@@ -106,7 +114,7 @@ def _measured(frame: Radiograph, corners: VertebraCorners) -> _Measured:
     if not count:
         return _Measured({}, 0.0, 0.0)
     contrast = float(np.median(structure) / max(float(np.median(noises)), 1e-9))
-    return _Measured(sharpness, min(contrast, 1e6), saturated / count)
+    return _Measured(slopes, min(contrast, 1e6), saturated / count)
 
 
 def _within(quad: Floats, shape: tuple[int, ...]) -> tuple[tuple[slice, slice], NDArray[np.bool_]] | None:
@@ -131,8 +139,3 @@ def _noise(window: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     found = cv2.filter2D(window, cv2.CV_32F, kernel)[mask]
     return float(_TO_SD * np.median(np.abs(found)) / 6.0)
-
-
-def _passed(fine: float, middle: float) -> float:
-    """Share of white noise's variance that the difference of two Gaussians (standard deviations in pixels) passes."""
-    return (1.0 / fine**2 + 1.0 / middle**2 - 4.0 / (fine**2 + middle**2)) / (4.0 * np.pi)

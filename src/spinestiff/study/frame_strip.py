@@ -17,8 +17,9 @@ from spinestiff.study.records import PushRecord
 from spinestiff.study.trials import TrackedFrame, usable_corners
 
 COLOURS = {"training": "#0072B2", "validation": "#D55E00", "unused": "#8A8A8A"}
-MARGIN_MM = 25.0
-HEIGHT, WIDEST = 5.2, 24.0  # inches
+MARGIN_MM = (75.0, 20.0)
+"""Beside and above the spine: ribs and where the force acts are seen."""
+HEIGHT, NARROWEST, WIDEST = 5.4, 2.5, 24.0  # inches
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ def draw_strip(rows: Sequence[Row]) -> Figure:
     most = max(len(row.frames) for row in rows)
     crops = [_crop(row) for row in rows]
     shape = max(_aspect(row, crop) for row, crop in zip(rows, crops))
-    width = min(max(HEIGHT * 0.72 * shape, 1.9), WIDEST / most)
+    width = min(max(HEIGHT * 0.75 * shape, NARROWEST), WIDEST / most)
     with rc_context(STYLE | {"axes.grid": False}):
         figure = Figure(figsize=(width * most + 0.3, HEIGHT * len(rows) + 0.1))
         grid = figure.subplots(len(rows), most, squeeze=False)
@@ -55,7 +56,7 @@ def _crop(row: Row) -> tuple[int, int, int, int]:
     view = row.frames[0].view
     corners = [usable_corners(entry.corners).corners for entry in row.tracked]
     points = view.pixels(np.concatenate([found.reshape(-1, 2) for found in corners]))
-    margin = MARGIN_MM * view.magnification / view.pixel_spacing
+    margin = np.array(MARGIN_MM) * view.magnification / view.pixel_spacing
     last = np.array(view.shape[::-1]) - 1
     if not len(points):
         return 0, int(last[0]), 0, int(last[1])
