@@ -8,8 +8,11 @@ from types import SimpleNamespace
 
 import cv2
 import pytest
+from matplotlib.figure import Figure
 
-from spinestiff.app import cli
+from spinestiff.app import cli, frames
+from spinestiff.imaging.image_quality import ImageQuality
+from spinestiff.study.frame_selection import FrameQuality
 from spinestiff.study.results import read_json, write_json
 
 
@@ -29,17 +32,19 @@ def spinestiff(monkeypatch, capsys):
     return call
 
 
-def test_a_proposal_for_a_subject_without_roles(spinestiff, subject):
-    content = read_json(subject / "subject.json")
+def test_a_proposal_for_a_subject_without_roles(spinestiff, subject, monkeypatch, capsys):
+    monkeypatch.setattr(frames, "run_steps", lambda *_: None)  # tracking doesn't ask for roles
+    path = subject / "subject.json"
+    chosen = path.read_text()
+    content = read_json(path)
     for push in content["pushes"]:
         del push["roles"]
-    write_json(subject / "subject.json", content)
-    before = (subject / "subject.json").read_text()
+    write_json(path, content)
     # Nothing can be estimated before somebody has chosen.
     ran = spinestiff("run", subject)
     assert ran.status == 2
     assert "subject.json: no frame has the role training; spinestiff frames proposes roles" in ran.err
-    ran = spinestiff("frames", subject, "--json")
+    ran = spinestiff("frames", subject, "--json", "--write")
     assert (ran.status, ran.err) == (0, "")
     found = json.loads(ran.out)
     assert found == read_json(subject / "results/frames.json")["frames"]
@@ -53,14 +58,27 @@ def test_a_proposal_for_a_subject_without_roles(spinestiff, subject):
     ]
     assert all(0.9 < frame["sharpness"] <= 1.0 and frame["vertebrae"] > 10 for frame in found)
     assert all(frame["supports"]["shoulder"]["mm"] < 0.5 for frame in found)
-    assert (subject / "subject.json").read_text() == before
-    strip = cv2.imread(str(subject / "results/frames.png"))
-    assert strip.shape[0] > 1000
-    # With --write the choice is in subject.json, and a second look finds nothing to change.
-    ran = spinestiff("frames", subject, "--write")
+    assert cv2.imread(str(subject / "results/frames.png")).shape[0] > 1000
+    assert json.loads(path.read_text()) == json.loads(chosen)
+    # What people see of the same.
+    frames.show_frames(found, subject / "results/frames.png", written=False)
+    shown = capsys.readouterr().out
+    assert "push 'main' frame 3: 30 N, sharp, shoulder moved 0.0 mm: validation, the largest force" in shown
+    assert "subject.json is as it was; --write puts the proposed roles in" in shown
+
+
+def test_roles_stay_without_being_asked(spinestiff, subject, monkeypatch):
+    monkeypatch.setattr(frames, "run_steps", lambda *_: None)
+    monkeypatch.setattr(frames, "draw_strip", lambda rows: Figure())
+    monkeypatch.setattr(frames, "frame_qualities", lambda push, *_: [
+        FrameQuality(push.id, i, force, ImageQuality(1.0, 5.0, 0.0), 14, 0.9, {})
+        for i, force in enumerate(push.forces_n)
+    ])  # fmt: skip
+    content = read_json(subject / "subject.json")
+    content["pushes"][0]["roles"] = ["unused", "validation", "training", "unused"]
+    write_json(subject / "subject.json", content)
+    before = (subject / "subject.json").read_text()
+    ran = spinestiff("frames", subject)
     assert ran.status == 0
-    assert "the proposed roles are in subject.json now" in ran.out
-    assert "push 'main' frame 3: 30 N, sharp, shoulder moved" in ran.out
-    roles = [push["roles"] for push in read_json(subject / "subject.json")["pushes"]]
-    assert roles == [["unused", "training", "training", "validation"], ["unused", "validation"]]
-    assert "--write" not in spinestiff("frames", subject).out
+    assert "supports not seen: validation" in ran.out
+    assert (subject / "subject.json").read_text() == before
