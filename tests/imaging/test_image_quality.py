@@ -58,6 +58,9 @@ def test_motion_takes_sharpness_and_nothing_else_does():
     assert values[1:] == pytest.approx([0.91, 0.72, 0.52], abs=0.02)
     same = quality(noisy(bones(), 20.0), 3.0 * noisy(bones(), 20.0, 3) + 500.0, noisy(bones(), 60.0, 5))
     assert [frame.sharpness for frame in same] == pytest.approx([1.0, 1.0, 1.0], abs=0.06)
+    # Noise has slopes, too; they must not pass for sharpness.
+    clean, grainy = quality(noisy(bones(), 5.0), noisy(bones(), 200.0, 6))
+    assert (clean.sharpness, grainy.sharpness) == pytest.approx((1.0, 0.9), abs=0.05)
 
 
 def test_noise_is_measured():
