@@ -201,6 +201,19 @@ def test_what_is_no_radiograph_is_refused(tmp_path, change, why):
         deidentify(saved(dataset), KEY)
 
 
+def test_a_coded_view_keeps_its_code_and_not_its_words(tmp_path):
+    dataset, code = plain(tmp_path), pydicom.Dataset()
+    code.CodeValue, code.CodingSchemeDesignator, code.CodeMeaning = "272479007", CANARY.decode(), CANARY.decode()
+    dataset.ViewCodeSequence = [code]
+    found = deidentify(saved(dataset), KEY)
+    (view,) = pydicom.dcmread(BytesIO(found.content)).ViewCodeSequence
+    assert (view.CodeValue, view.CodingSchemeDesignator, view.CodeMeaning) == ("272479007", "SCT", "postero-anterior")
+    code.CodeValue = CANARY.decode()
+    found = deidentify(saved(dataset), KEY)
+    assert found.left_out == ("ViewCodeSequence",)
+    assert CANARY not in found.content
+
+
 def test_damaged_files_end_in_one_kind_of_error(tmp_path):
     dataset = plain(tmp_path)
     dataset.PatientName = CANARY.decode()
@@ -266,4 +279,4 @@ def test_text_shows_in_the_picture_whatever_its_grey():
 def test_the_document_lists_what_is_kept():
     table = re.findall(r"^\| (.+?) \| .+? \|$", DOCUMENT.read_text(encoding="utf-8"), re.MULTILINE)
     listed = {word for row in table for word in re.findall(r"`(\w+)`", row)}
-    assert listed == {*KEPT, "ModalityLUTSequence", "VOILUTSequence", "PixelData", "SOPClassUID"}
+    assert listed == {*KEPT, "ViewCodeSequence", "ModalityLUTSequence", "VOILUTSequence", "PixelData", "SOPClassUID"}

@@ -69,6 +69,11 @@ def _decimals(low: float, high: float, fewest: int, most: int) -> Rule:
     return rule
 
 
+def _aspect(values: Any) -> list[str] | None:
+    numbers = [int(value) for value in listed(values)]
+    return [str(n) for n in numbers] if len(numbers) == 2 and all(0 < n <= 10_000 for n in numbers) else None
+
+
 def _pointer(value: Any) -> int | None:
     return int(value) if int(value) in (0x00181063, 0x00181065) else None  # FrameTime, FrameTimeVector
 
@@ -115,6 +120,7 @@ KEPT: Mapping[str, Rule] = MappingProxyType({
     "ImagerPixelSpacing": _MM,
     "PixelSpacing": _MM,
     "NominalScannedPixelSpacing": _MM,
+    "PixelAspectRatio": _aspect,
     "PixelSpacingCalibrationType": one_of("GEOMETRY", "FIDUCIAL"),
     "EstimatedRadiographicMagnificationFactor": _decimal(1.0, 10.0),
     "DistanceSourceToDetector": _DISTANCE,
@@ -128,6 +134,19 @@ KEPT: Mapping[str, Rule] = MappingProxyType({
     "FrameIncrementPointer": _pointer,
 })  # fmt: skip
 """Attributes whose values are kept, and what each may be. Beside them: look-up tables and pixel data."""
+
+
+VIEW_CODES: Mapping[str, tuple[str, str]] = MappingProxyType({
+    "399348003": ("SCT", "antero-posterior"),
+    "R-10206": ("SRT", "antero-posterior"),
+    "272479007": ("SCT", "postero-anterior"),
+    "R-10214": ("SRT", "postero-anterior"),
+    "399173006": ("SCT", "left lateral"),
+    "R-10236": ("SRT", "left lateral"),
+    "399198007": ("SCT", "right lateral"),
+    "R-10232": ("SRT", "right lateral"),
+})  # fmt: skip
+"""Scheme and meaning of the codes that ViewCodeSequence may hold (PS3.16, context group 4010)."""
 
 
 def ruled(rule: Rule, value: Any) -> Any:

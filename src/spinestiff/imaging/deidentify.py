@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from spinestiff import __version__
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.allow_list import CLASSES, KEPT, listed, one_of, ruled
+from spinestiff.imaging.allow_list import CLASSES, KEPT, VIEW_CODES, listed, one_of, ruled
 from spinestiff.imaging.codestreams import without_comments
 from spinestiff.imaging.pseudonyms import Key, moment
 from spinestiff.imaging.radiograph import MODALITIES, MOST_BYTES
@@ -128,6 +128,7 @@ def _deidentified(old: Dataset, key: Key, burned_in_ok: bool) -> Deidentified:
     for keyword, more in (("ModalityLUTSequence", "ModalityLUTType"), ("VOILUTSequence", None)):
         if old.get(keyword):
             _add_tables(new, keyword, old, more, left_out)
+    _add_view(new, old, left_out)
     identity = _identity(old)
     frames = _add_pixels(new, old)
     new.SOPClassUID = UID(str(old.SOPClassUID))
@@ -270,6 +271,27 @@ def _add_tables(new: Dataset, keyword: str, old: Dataset, more: str | None, left
     setattr(new, keyword, Sequence(tables))
 
 
+def _add_view(new: Dataset, old: Dataset, left_out: list[str]) -> None:
+    """The coded view, with the meaning that its code has and not what the file says."""
+    from pydicom.sequence import Sequence
+
+    if not old.get("ViewCodeSequence"):
+        return
+    value = ruled(lambda sequence: str(sequence[0].CodeValue).strip(), old.ViewCodeSequence)
+    if value in VIEW_CODES:
+        new.ViewCodeSequence = Sequence([_code(value, *VIEW_CODES[value])])
+    else:
+        left_out.append("ViewCodeSequence")
+
+
+def _code(value: str, scheme: str, meaning: str) -> Dataset:
+    from pydicom.dataset import Dataset
+
+    code = Dataset()
+    code.CodeValue, code.CodingSchemeDesignator, code.CodeMeaning = value, scheme, meaning
+    return code
+
+
 def _table(item: Dataset, big_endian: bool) -> tuple[tuple[int, int, int], bytes] | None:
     """Descriptor and data of a look-up table: as many entries as it declares, in words."""
     entries, first, bits = (int(value) for value in item.LUTDescriptor)
@@ -310,7 +332,6 @@ def _add_times(new: Dataset, old: Dataset, key: Key, identity: str, left_out: li
 
 
 def _add_method(new: Dataset, patient: str) -> None:
-    from pydicom.dataset import Dataset
     from pydicom.sequence import Sequence
 
     new.PatientName, new.PatientID = patient, patient
@@ -322,13 +343,8 @@ def _add_method(new: Dataset, patient: str) -> None:
         "patient and UIDs by keyed hash, dates and times shifted",
         "pixels unchanged; burned-in text is for a person to look for",
     ]
-    codes = []
     # PS3.16, context group 7050.
-    for value, meaning in (
-        ("113100", "Basic Application Confidentiality Profile"),
-        ("113107", "Retain Longitudinal Temporal Information Modified Dates Option"),
-    ):
-        code = Dataset()
-        code.CodeValue, code.CodingSchemeDesignator, code.CodeMeaning = value, "DCM", meaning
-        codes.append(code)
-    new.DeidentificationMethodCodeSequence = Sequence(codes)
+    new.DeidentificationMethodCodeSequence = Sequence([
+        _code("113100", "DCM", "Basic Application Confidentiality Profile"),
+        _code("113107", "DCM", "Retain Longitudinal Temporal Information Modified Dates Option"),
+    ])  # fmt: skip
