@@ -69,7 +69,6 @@ def _infest(path: Path, rng: np.random.Generator, most: int, in_kept: bool) -> i
                     "StudyTime", "AcquisitionDateTime", "ContentDate", "ContentTime"):  # fmt: skip
         vr = DicomDictionary[Tag(keyword)][0]
         setattr(dataset, keyword, canary(vr, 99990))
-    dataset.PixelData += f"{CANARY}{CANARY}".encode()
     nested = Dataset()
     for depth in range(3):
         inner = Dataset()
@@ -85,6 +84,7 @@ def _infest(path: Path, rng: np.random.Generator, most: int, in_kept: bool) -> i
         dataset.PatientOrientation = ["L", CANARY]
         dataset.SeriesNumber, dataset.AcquisitionNumber = NUMBER, NUMBER
         dataset.ModalityLUTSequence = Sequence([nested])
+        dataset.PixelData += f"{CANARY}{CANARY}".encode()
     for group in (0x6000, 0x6002, 0x5000):
         dataset.add_new((group, 0x0022), "LO", f"{CANARY} overlay")
         dataset.add_new((group, 0x3000), "OW", f"{CANARY}{CANARY}".encode())

@@ -140,7 +140,7 @@ VIEW_CODES: Mapping[str, tuple[str, str]] = MappingProxyType({
     "399348003": ("SCT", "antero-posterior"),
     "R-10206": ("SRT", "antero-posterior"),
     "272479007": ("SCT", "postero-anterior"),
-    "R-10214": ("SRT", "postero-anterior"),
+    "R-40888": ("SRT", "postero-anterior"),
     "399173006": ("SCT", "left lateral"),
     "R-10236": ("SRT", "left lateral"),
     "399198007": ("SCT", "right lateral"),
