@@ -183,6 +183,25 @@ def test_burned_in_text_needs_a_look(spinestiff, series, tmp_path):
     assert len(list(sheets_of(tmp_path / "b").glob("*.png"))) == 1
 
 
+def test_numbers_follow_the_order_of_names(spinestiff, series, tmp_path):
+    """As ``LC_ALL=C sort`` has it: a space before a slash; hidden files and links have no number."""
+    (series / "b").mkdir()
+    (series / "b c").mkdir()
+    (series / ".hidden").mkdir()
+    (series / "0.dcm").rename(series / "b" / "x.dcm")
+    (series / "1.dcm").rename(series / "b c" / "x.dcm")
+    (series / ".hidden" / "x.dcm").write_bytes((series / "2.dcm").read_bytes())
+    (series / "a.dcm").symlink_to(series / "2.dcm")
+    uids = [pydicom.dcmread(series / name).InstanceNumber for name in ("2.dcm", "b c/x.dcm", "b/x.dcm")]
+    ran = spinestiff("deidentify", series, tmp_path / "out")
+    assert ran.status == 0
+    found = sorted((tmp_path / "out").rglob("*.dcm"))
+    assert [path.parts[-2:] for path in found] == [
+        (f"folder-00{i}", f"image-0000{i}.dcm") for i in (1, 2, 3)
+    ]  # fmt: skip
+    assert [pydicom.dcmread(path).InstanceNumber for path in found] == uids
+
+
 def test_nothing_is_overwritten(spinestiff, series, tmp_path):
     out = tmp_path / "out"
     out.mkdir()

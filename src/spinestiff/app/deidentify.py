@@ -38,7 +38,7 @@ def deidentify_files(
     _check_places(source, out, beside, key_file)
     files = _files(source)
     key, is_new = (random_key(), False) if key_file is None else key_of(key_file)
-    folders = {folder: number for number, folder in enumerate(sorted({file.parent for file in files}), 1)}
+    folders = {folder: number for number, folder in enumerate(dict.fromkeys(file.parent for file in files), 1)}
     refused: dict[str, list[int]] = {}
     left_out, patients, burned_in = Counter[str](), set(), Counter[str]()
     with _Sheets(beside) as sheets:
@@ -123,7 +123,7 @@ def _files(source: Path) -> list[Path]:
             raise RadiographError(f"IN holds more than {MOST_FILES} files; take a part of it at a time")
     if not files:
         raise RadiographError("IN holds no files")
-    return sorted(files)
+    return sorted(files, key=Path.as_posix)
 
 
 def _refuse(problem: OSError) -> NoReturn:
