@@ -23,6 +23,7 @@ COMMANDS = {
     "synth": ("--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
     "inspect": ("--json",),
     "track": ("--redo",),
+    "frames": ("--write", "--json"),
     "personalise": ("--mesh", "--redo"),
     "estimate": ("--method", "--orientation", "--redo"),
     "assess": ("--truth", "--redo"),
@@ -32,6 +33,7 @@ COMMANDS = {
     "demo": ("--out", "--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
     "cobb": ("--definition", "--json", "--noise-px", "--patient-left", "--picture"),
     "check": ("--json",),
+    "deidentify": ("--key", "--burned-in-ok"),
     "doctor": (),
 }
 # Not pydantic: typer itself may import it.

@@ -108,6 +108,40 @@ def test_extrapolation_takes_each_vertebra_from_the_frames_that_show_it(torso, r
     assert (features[names.index("T8")] - base["T8"])[:, 0] == pytest.approx(np.full(4, EXTRAPOLATED), abs=1e-9)
 
 
+def test_extrapolation_knows_the_side_that_is_pushed(torso, rest):
+    """Moves of 0.1 and -0.2 mm/N under pushes from the right and the left must not cancel."""
+
+    def record(name, side, *roles):
+        forces = tuple(10.0 * i for i in range(len(roles)))
+        return PushRecord(id=name, side=side, level=8.0, d21_mm=400.0, d31_mm=200.0, frames=f"{name}.dcm",
+                          forces_n=forces, roles=roles)  # fmt: skip
+
+    records = [
+        record("right", "right", "unused", "training", "validation"),
+        record("left", "left", "unused", "training", "validation"),
+        record("low", "left", "unused", "validation"),
+    ]
+    moves = {"right": (0.0, 1.0, 2.0), "left": (0.0, -2.0, -4.0), "low": (0.0, -1.0)}
+    tracked = {
+        name: TrackedPush(frontal_view(), tuple(TrackedFrame(shifted(rest, mm)) for mm in moved))
+        for name, moved in moves.items()
+    }
+
+    def predicted(found):
+        result = {}
+        for item in found.of_role("validation"):
+            start = np.stack(list(assessment._measured(found, found.reference(item.push)).values()))
+            result[item.push] = float((extrapolated(found, item)[1] - start)[..., 0].mean())
+        return result
+
+    both = predicted(push_set(torso, records, tracked))
+    # Each push from its own training frame, the low one from the other push of its side.
+    assert both == pytest.approx({"right": 2.0, "left": -4.0, "low": -2.0}, abs=1e-9)
+    # From the other side alone: reversed.
+    other = predicted(push_set(torso, [records[0], records[2]], tracked))
+    assert other == pytest.approx({"right": 2.0, "low": -1.0}, abs=1e-9)
+
+
 def test_without_a_common_vertebra_nothing_is_extrapolated(torso, rest):
     upper, lower = rest.selected(rest.vertebrae[:7]), rest.selected(rest.vertebrae[7:])
     found = make_set(torso, [rest, shifted(upper, 1.0), shifted(upper, 3.0), shifted(lower, 4.0)])

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canaries import infest, traces
 from chromium import Tab, browser
 from spinestiff.anatomy.files import write_torso
 from spinestiff.anatomy.stiffness import stiffness_ratios
@@ -253,7 +254,10 @@ def changed(visit: Visit, folder: Path, name: str, change) -> Visit:
 
 @pytest.fixture(scope="module")
 def visit(tmp_path_factory: pytest.TempPathFactory) -> Visit:
-    return make_visit(tmp_path_factory.mktemp("visit"))
+    made = make_visit(tmp_path_factory.mktemp("visit"))
+    for seed, path in enumerate(sorted(made.subject.folder.rglob("*.dcm"))):
+        infest(path, np.random.default_rng(seed), 60)
+    return made
 
 
 @pytest.fixture(scope="module")
@@ -279,6 +283,13 @@ def html(visit: Visit, drawn: dict[str, list]) -> str:
 @pytest.fixture(scope="module")
 def page(html: str) -> Page:
     return Page(html)
+
+
+def test_nothing_of_a_patient_is_in_it(visit: Visit, html: str) -> None:
+    """The radiographs are full of canaries; the report, its pictures and the view show the radiographs."""
+    assert (visit.subject.results / "view.html").is_file()
+    assert not traces(visit.subject.results, html)
+    assert traces(visit.subject.folder / "rest")
 
 
 def test_every_section_is_there_and_linked(page: Page) -> None:

@@ -56,16 +56,27 @@ def test_a_folder_in_the_way_is_one_line(tmp_path):
         write_json(tmp_path / "results/run.json", {})
 
 
-def test_digests_name_files_relative_to_the_folder(tmp_path):
+def test_digests_are_named_relative_to_the_folder(tmp_path):
     (tmp_path / "pushes/a").mkdir(parents=True)
-    (tmp_path / "pushes/a/2.dcm").write_bytes(b"two")
-    (tmp_path / "pushes/a/1.dcm").write_bytes(b"one")
+    (tmp_path / "pushes/a/Doe^Jane2.dcm").write_bytes(b"two")
+    (tmp_path / "pushes/a/Doe^Jane1.dcm").write_bytes(b"one")
     (tmp_path / "subject.json").write_bytes(b"")
-    found = inputs_digest(tmp_path, [tmp_path / "subject.json", tmp_path / "pushes/a"])
-    assert list(found) == ["pushes/a/1.dcm", "pushes/a/2.dcm", "subject.json"]
-    assert found["subject.json"] == "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
+
+    def found():
+        return inputs_digest(tmp_path, [tmp_path / "subject.json", tmp_path / "pushes/a"])
+
+    first = found()
+    assert list(first) == ["pushes/a", "subject.json"]
+    assert first["subject.json"] == "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
     with pytest.raises(SubjectError, match="can't be read"):
         inputs_digest(tmp_path, [tmp_path / "missing.json"])
+    # A file more, another content and another order are all changes of the folder.
+    (tmp_path / "pushes/a/3.dcm").write_bytes(b"three")
+    second = found()
+    (tmp_path / "pushes/a/3.dcm").write_bytes(b"other")
+    third = found()
+    (tmp_path / "pushes/a/3.dcm").rename(tmp_path / "pushes/a/Z.dcm")
+    assert len({content["pushes/a"] for content in (first, second, third, found())}) == 4
 
 
 def test_a_step_is_current_until_something_changes(tmp_path):

@@ -7,10 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SubjectError
+from spinestiff.estimation.fit import fit_stiffness
 from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
 from spinestiff.imaging.projection import frontal_view
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import rib_push
+from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study.records import PushRecord
 from spinestiff.study.trials import TrackedFrame, TrackedPush, push_set, usable_corners
 
@@ -42,6 +47,10 @@ def record(forces=(0.0, 20.0, 40.0), roles=("unused", "training", "validation"),
         forces_n=forces,
         roles=roles,
     )
+
+
+def replace_record(push, **changed):
+    return PushRecord.model_validate({**push.model_dump(), **changed})
 
 
 def tracked(*frames):
@@ -84,6 +93,38 @@ def test_the_push_points_from_its_side_and_sides_share_a_problem(torso, corners)
     forces = {t.push: t.trial.load.forces[:, 0].sum() for t in found.of_role("training")}
     assert forces == pytest.approx({"main": 20.0, "again": 20.0, "other": -20.0})
     assert found.problems["main"] is found.problems["again"] is not found.problems["other"]
+
+
+@pytest.mark.slow
+def test_pushes_from_both_sides_and_at_several_sites_are_fitted_together(torso):
+    """Two sides train, a third site is predicted from them: sides, supports and signs all have to fit."""
+    truth = {"lateral_bending": 0.2, "tissue": 0.05}
+    sites = {"right-8": ("right", 8.0), "left-9": ("left", 9.0), "left-6": ("left", 6.0)}
+    view, ratios = frontal_view(), stiffness_ratios(truth)
+    choice = silhouette_choice(torso, view, torso.rest_pose)
+
+    def seen(state):
+        return VertebraCorners(torso.vertebrae, state_features(torso, view, state, choice).corners)
+
+    records, pictures = [], {}
+    for name, (side, level) in sites.items():
+        role = "validation" if name == "left-6" else "training"
+        records.append(replace_record(record((0.0, 25.0), ("unused", role), name, side), level=level))
+        problem = EquilibriumProblem(torso, three_point_supports(torso, side))
+        state = problem.solve(rib_push(torso, side, level, 25.0), ratios).require().state
+        pictures[name] = tracked(seen(torso.rest_pose), seen(state))
+    found = push_set(torso, records, pictures)
+    training = found.training
+    assert [t.push for t in training] == ["right-8", "left-9"]
+    fit = fit_stiffness(
+        [found.problems[t.push] for t in training], [t.trial for t in training],
+        start={"lateral_bending": 0.17, "tissue": 0.06}, intervals="linear",
+    )  # fmt: skip
+    assert fit.ratios.as_dict() == pytest.approx(truth, rel=0.02)
+    (item,) = found.of_role("validation")
+    predicted = found.problems[item.push].solve(item.trial.load, fit.ratios, fit.equilibria[1].state).require().state
+    assert np.abs(seen(predicted).corners - pictures["left-6"].frames[1].corners.corners).max() < 0.05
+    assert np.abs(seen(torso.rest_pose).corners - pictures["left-6"].frames[1].corners.corners).max() > 2.0
 
 
 def test_a_frame_whose_support_moved_is_left_out_and_named(torso, corners):

@@ -127,6 +127,24 @@ def track(folder: Folder, redo: Force = False) -> None:
 
 
 @app.command()
+def frames(
+    folder: Folder,
+    write: Annotated[bool, typer.Option("--write", help="Put the proposed roles into subject.json.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of a table.")] = False,
+) -> None:
+    """Quality and support motion of every frame, and which to train on; writes a picture strip."""
+    from spinestiff.app.frames import select_frames, show_frames
+    from spinestiff.app.progress import progress
+    from spinestiff.app.tables import show_json
+    from spinestiff.study.visit import open_visit
+
+    visit = open_visit(folder)
+    with progress(quiet=json) as say:
+        records = select_frames(visit, say, write)
+    show_json(records) if json else show_frames(records, visit.file("frames.png"), write)
+
+
+@app.command()
 def personalise(folder: Folder, mesh: Mesh = "coarse", redo: Force = False) -> None:
     """Shape the torso to the rest radiographs."""
     _steps(folder, ("personalise",), redo, mesh=mesh)
@@ -248,6 +266,24 @@ def check(
         tables.show(tables.check_table(results))
     if not all(result.passed for result in results):
         raise typer.Exit(1)
+
+
+@app.command()
+def deidentify(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="DICOM file or folder.")],
+    out: Annotated[Path, typer.Argument(help="New folder; nothing is overwritten.")],
+    key: Annotated[Path | None, typer.Option(help="Key file, for the same pseudonyms again; made if missing.")] = None,
+    burned_in_ok: Annotated[bool, typer.Option("--burned-in-ok", help="Burned-in text was looked at.")] = False,
+) -> None:
+    """Copy radiographs without their patients; says what to look at. Exit status 2 if one is refused."""
+    from spinestiff.app.deidentify import deidentify_files
+    from spinestiff.app.progress import progress
+
+    with progress() as say:
+        lines, refused = deidentify_files(source, out, key, burned_in_ok, say)
+    typer.echo("\n".join(lines))
+    if refused:
+        raise typer.Exit(2)
 
 
 @app.command()

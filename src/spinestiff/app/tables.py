@@ -99,6 +99,36 @@ def assessment_table(records: Sequence[dict[str, Any]]) -> Table:
     return table
 
 
+def frames_table(records: Sequence[dict[str, Any]]) -> Table:
+    """Every frame's quality and support motion, its role in ``subject.json`` and the proposed one."""
+    table = _table(
+        "Frames: quality, motion of supports since the first frame, roles",
+        "push", "frame", "force N", "sharpness", "contrast/noise", "vertebrae", "tracking",
+        "pelvis", "shoulder", "role", "proposed",
+    )  # fmt: skip
+    for record in records:
+        table.add_row(
+            escape(f"{record['push']} ({record['side']}, rib {record['level']:g})"),
+            str(record["frame"]),
+            f"{record['force_n']:.0f}",
+            _number(record["sharpness"]),
+            _number(record["contrast_to_noise"], 1),
+            str(record["vertebrae"]),
+            _number(record["tracking_quality"]),
+            *[_motion(record["supports"].get(name)) for name in ("pelvis", "shoulder")],
+            record["role"],
+            record["proposed"],
+        )
+    return table
+
+
+def _motion(support: dict[str, float | None] | None) -> str:
+    if support is None:
+        return "not seen"
+    turn = support["degrees"]
+    return _number(support["mm"], 1) + " mm" + ("" if turn is None else f", {turn:+.1f}°")
+
+
 def cobb_table(rows: Sequence[tuple[str, str, str, str, str]]) -> Table:
     """Rows of image, Cobb angle with levels, and the three forms of its change."""
     table = _table(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,26 +126,45 @@ def single_ratio(pushes: PushSet, start: float = 1.0) -> StiffnessRatios | None:
 def extrapolated(pushes: PushSet, item: PushTrial) -> tuple[tuple[str, ...], Floats] | None:
     """Features of ``item`` from the training frames alone: each feature moves in proportion to the force.
 
+    The training frames of the same push are taken; without any those of pushes from the same side; without these, those
+    from the other side with their motion reversed.
+
     Returns
     -------
     Vertebra names and (n, 4, 2) mm at the patient plane; None without a training frame under force.
     """
     numerator: dict[str, Floats] = {}
     squares: dict[str, float] = {}
-    for other in pushes.of_role("training"):
-        if other.force_n <= 0.0:
-            continue
+    for other in _alike(pushes, item):
         start, now = _measured(pushes, pushes.reference(other.push)), _measured(pushes, other)
-        force = other.force_n - pushes.reference(other.push).force_n
+        force = _signed(other, pushes.reference(other.push))
         for name in now.keys() & start.keys():
             numerator[name] = numerator.get(name, np.zeros((4, 2))) + force * (now[name] - start[name])
             squares[name] = squares.get(name, 0.0) + force**2
     reference = pushes.reference(item.push)
-    base, force = _measured(pushes, reference), item.force_n - reference.force_n
+    base, force = _measured(pushes, reference), _signed(item, reference)
     names = tuple(n for n in item.trial.corners.vertebrae if n in base and squares.get(n, 0.0) > 0.0)
     if not names:
         return None
     return names, np.stack([base[n] + force * numerator[n] / squares[n] for n in names])
+
+
+def _alike(pushes: PushSet, item: PushTrial) -> Sequence[PushTrial]:
+    """The training frames under force that are most like a frame: of its push, of its side, or all."""
+    training = pushes.training
+    same_push = [other for other in training if other.push == item.push]
+    same_side = [other for other in training if _side(other) == _side(item)]
+    return same_push or same_side or training
+
+
+def _side(item: PushTrial) -> float:
+    """Above 0 for a push from the right; 0 without a force."""
+    return float(np.sign(item.trial.load.forces[:, 0].sum()))
+
+
+def _signed(item: PushTrial, reference: PushTrial) -> float:
+    """Force over the reference's, N, above 0 for a push from the right."""
+    return _side(item) * (item.force_n - reference.force_n)
 
 
 def _measured(pushes: PushSet, item: PushTrial) -> dict[str, Floats]:

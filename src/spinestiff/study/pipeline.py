@@ -31,7 +31,7 @@ from spinestiff.personalise.scan import SkinScan, body_axes, read_scan
 from spinestiff.personalise.scanned_skin import ScanFit
 from spinestiff.personalise.shape import Personalised, personalise
 from spinestiff.personalise.skin import TrunkSize
-from spinestiff.study.records import SubjectRecord
+from spinestiff.study.records import SUBJECT_FILE, SubjectRecord
 from spinestiff.study.results import (
     StepRecord,
     changed_inputs,
@@ -73,6 +73,9 @@ def run_steps(
     SpinestiffError : the first step that fails; what was written before stays.
     """
     say = observer or (lambda line: None)
+    if "estimate" in steps and not any(push.frames_of("training") for push in visit.subject.pushes):
+        path = visit.subject.folder / SUBJECT_FILE
+        raise SubjectError(f"{path}: no frame has the role training; spinestiff frames proposes roles")
     ran = []
     for step in ALL_STEPS:
         if step not in steps:

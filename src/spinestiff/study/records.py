@@ -116,7 +116,7 @@ class PushRecord(_Record):
     d21_mm, d31_mm : vertical distances shoulder to pelvis and shoulder to push point (Eqs. 1-2), mm.
     frames : file or folder of the radiographs, relative to the subject folder.
     forces_n : magnitude for each frame, N.
-    roles : for each frame.
+    roles : for each frame; left out = not chosen yet, all "unused".
     """
 
     id: Identifier
@@ -127,6 +127,13 @@ class PushRecord(_Record):
     frames: str
     forces_n: Annotated[tuple[float, ...], Field(min_length=1, strict=False)]
     roles: Annotated[tuple[Role, ...], Field(strict=False)]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _may_be_chosen_later(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "roles" not in data and isinstance(data.get("forces_n"), (list, tuple)):
+            return {**data, "roles": ["unused"] * len(data["forces_n"])}
+        return data
 
     @field_validator("frames")
     @classmethod
@@ -231,7 +238,7 @@ class SubjectRecord(_Record):
     xray : geometry where DICOM lacks it.
     torso : a torso file of the subject's own bones (``spinestiff torso import``) instead of the template, relative to
         the subject folder.
-    pushes : at least one, with at least one training frame under a force.
+    pushes : at least one; where roles are chosen, with at least one training frame under a force.
     trunk : optional extents of the trunk, by the vertebra at whose height they were taken.
     skin_scan : optional surface scan of the trunk.
     """
@@ -264,9 +271,9 @@ class SubjectRecord(_Record):
             if image not in known:
                 raise ValueError(f"xray.scale.{_shown(image)}: unknown image; wanted one of {', '.join(known)}")
         training = [push.forces_n[i] for push in self.pushes for i in push.frames_of("training")]
-        if not training:
+        if not training and any(push.frames_of("validation") for push in self.pushes):
             raise ValueError("pushes: no frame has the role training, wanted at least one")
-        if not any(training):
+        if training and not any(training):
             raise ValueError("pushes: all training forces are zero, so there is nothing to identify")
         return self
 
@@ -368,12 +375,16 @@ def read_record(path: Path, kind: type[R]) -> R:
     ------
     SubjectError : no such file, no JSON, or anything the record does not allow (field, found, wanted).
     """
-    text = read_text(path)
-    parse_json(text, str(path))
+    return parse_record(read_text(path), str(path), kind)
+
+
+def parse_record(text: str, name: str, kind: type[R]) -> R:
+    """A record from the text of a JSON file of that name. Raises SubjectError as ``read_record`` does."""
+    parse_json(text, name)
     try:
         return kind.model_validate_json(text)
     except ValidationError as error:
-        raise SubjectError(f"{path}: {complaint_of(error)}") from None
+        raise SubjectError(f"{name}: {complaint_of(error)}") from None
 
 
 def complaint_of(error: ValidationError) -> str:

@@ -8,11 +8,8 @@ from __future__ import annotations
 
 import base64
 import math
-import os
-import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -58,7 +55,7 @@ from spinestiff.study.report_content import (
     subject_content,
     support_rows,
 )
-from spinestiff.study.results import read_json, write_text
+from spinestiff.study.results import read_json, write_bytes, write_text
 from spinestiff.study.subject import image_corners, read_push, read_rest
 from spinestiff.study.trials import PushSet, PushTrial
 from spinestiff.study.viewer.files import scene_of
@@ -102,7 +99,7 @@ def write_report(visit: Visit, say: Observer) -> None:
         if old.name not in pictures:
             old.unlink()
     for name, content in pictures.items():
-        _write_whole(folder / name, content)
+        write_bytes(folder / name, content)
     write_text(visit.file("view.html"), view)
     write_text(visit.file("report.html"), page)
     say(f"{visit.file('report.html')} and {len(pictures)} figures")
@@ -352,15 +349,3 @@ def _region_picture(visit: Visit, estimate: Mapping[str, Any]) -> tuple[str, Fig
     )
     caption = "Both ratios on logarithmic axes: the fit’s accepted steps (left) and the joint 95 % region (right)."
     return "joint-region", figure, alt, caption
-
-
-def _write_whole(path: Path, content: bytes) -> None:
-    """Whole or not at all, so that an interrupted run leaves the old file."""
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    try:
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise SubjectError(f"{path}: can't be written ({error.strerror})") from None
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -102,7 +102,12 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file, whole or not at all. Raises SubjectError if it can't be written."""
+    """Write a file whole or not at all, so that an interrupted run leaves the old one.
+
+    Raises
+    ------
+    SubjectError : the file can't be written.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _replace(path, content)
@@ -134,13 +139,22 @@ def package_version() -> str:
 
 
 def inputs_digest(folder: Path, paths: Iterable[Path]) -> dict[str, str]:
-    """SHA-256 of every file in ``paths`` (folders are searched), by path relative to ``folder``, sorted."""
-    files = (file for path in paths for file in (sorted(path.rglob("*")) if path.is_dir() else [path]))
-    return dict(sorted((_relative(folder, file), file_digest(file)) for file in files if not file.is_dir()))
+    """``file_digest`` of every path, by path relative to ``folder``, sorted."""
+    return dict(sorted((_relative(folder, path), file_digest(path)) for path in paths))
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file's bytes. Raises SubjectError if it can't be read."""
+    """SHA-256 of a file's bytes; of a folder, of its files' digests in the order of their names.
+
+    A folder's files aren't named anywhere: exported radiographs are named after patients.
+
+    Raises
+    ------
+    SubjectError : something can't be read.
+    """
+    if path.is_dir():
+        inside = "".join(file_digest(file) for file in sorted(path.rglob("*")) if not file.is_dir())
+        return hashlib.sha256(inside.encode()).hexdigest()
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -195,11 +209,11 @@ def is_current(folder: Path, step: str, digest: str) -> bool:
 
 
 def changed_inputs(folder: Path, step: str) -> tuple[str, ...]:
-    """Input files of a recorded step that have changed or gone since it ran, by path relative to ``folder``."""
+    """Inputs of a recorded step that have changed or gone since it ran, by path relative to ``folder``."""
     recorded = _recorded_steps(folder).get(step)
     inputs = recorded.get("inputs", {}) if isinstance(recorded, dict) else {}
     return tuple(
-        name for name, sha in inputs.items() if not (folder / name).is_file() or file_digest(folder / name) != sha
+        name for name, sha in inputs.items() if not (folder / name).exists() or file_digest(folder / name) != sha
     )
 
 

@@ -1,0 +1,84 @@
+"""``spinestiff frames``: what it prints and writes, and that roles change only when asked."""
+
+from __future__ import annotations
+
+import json
+import sys
+from types import SimpleNamespace
+
+import cv2
+import pytest
+from matplotlib.figure import Figure
+
+from spinestiff.app import cli, frames
+from spinestiff.imaging.image_quality import ImageQuality
+from spinestiff.study.frame_selection import FrameQuality
+from spinestiff.study.results import read_json, write_json
+
+
+@pytest.fixture
+def spinestiff(monkeypatch, capsys):
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["spinestiff", *map(str, arguments)])
+        try:
+            cli.main()
+            status = 0
+        except SystemExit as end:
+            status = end.code or 0
+        out, err = capsys.readouterr()
+        assert "Traceback" not in out + err
+        return SimpleNamespace(status=status, out=out, err=err)
+
+    return call
+
+
+def test_a_proposal_for_a_subject_without_roles(spinestiff, subject, monkeypatch, capsys):
+    monkeypatch.setattr(frames, "run_steps", lambda *_: None)  # tracking doesn't ask for roles
+    path = subject / "subject.json"
+    chosen = path.read_text()
+    content = read_json(path)
+    for push in content["pushes"]:
+        del push["roles"]
+    write_json(path, content)
+    # Nothing can be estimated before somebody has chosen.
+    ran = spinestiff("run", subject)
+    assert ran.status == 2
+    assert "subject.json: no frame has the role training; spinestiff frames proposes roles" in ran.err
+    ran = spinestiff("frames", subject, "--json", "--write")
+    assert (ran.status, ran.err) == (0, "")
+    found = json.loads(ran.out)
+    assert found == read_json(subject / "results/frames.json")["frames"]
+    assert [(frame["push"], frame["frame"], frame["role"], frame["proposed"]) for frame in found] == [
+        ("main", 0, "unused", "unused"),
+        ("main", 1, "unused", "training"),
+        ("main", 2, "unused", "training"),
+        ("main", 3, "unused", "validation"),
+        ("second", 0, "unused", "unused"),
+        ("second", 1, "unused", "validation"),
+    ]
+    assert all(0.9 < frame["sharpness"] <= 1.0 and frame["vertebrae"] > 10 for frame in found)
+    assert all(frame["supports"]["shoulder"]["mm"] < 0.5 for frame in found)
+    assert cv2.imread(str(subject / "results/frames.png")).shape[0] > 1000
+    assert json.loads(path.read_text()) == json.loads(chosen)
+    # What people see of the same.
+    frames.show_frames(found, subject / "results/frames.png", written=False)
+    shown = capsys.readouterr().out
+    assert "push 'main' frame 3: 30 N, sharp, shoulder moved 0.0 mm: validation, the largest force" in shown
+    assert "subject.json is as it was; --write puts the proposed roles in" in shown
+
+
+def test_roles_stay_without_being_asked(spinestiff, subject, monkeypatch):
+    monkeypatch.setattr(frames, "run_steps", lambda *_: None)
+    monkeypatch.setattr(frames, "draw_strip", lambda rows: Figure())
+    monkeypatch.setattr(frames, "frame_qualities", lambda push, *_: [
+        FrameQuality(push.id, i, force, ImageQuality(1.0, 5.0, 0.0), 14, 0.9, {})
+        for i, force in enumerate(push.forces_n)
+    ])  # fmt: skip
+    content = read_json(subject / "subject.json")
+    content["pushes"][0]["roles"] = ["unused", "validation", "training", "unused"]
+    write_json(subject / "subject.json", content)
+    before = (subject / "subject.json").read_text()
+    ran = spinestiff("frames", subject)
+    assert ran.status == 0
+    assert "supports not seen: validation" in ran.out
+    assert (subject / "subject.json").read_text() == before

@@ -1,0 +1,282 @@
+"""De-identified files: the same picture, and nothing hidden beside it, in every way that pixels are stored."""
+
+from __future__ import annotations
+
+import re
+from io import BytesIO
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pydicom
+import pytest
+from openjpeg.utils import encode_array
+from pydicom.encaps import encapsulate
+from pydicom.uid import UID, ExplicitVRBigEndian, JPEG2000Lossless, JPEGBaseline8Bit, JPEGLSLossless, RLELossless
+
+from spinestiff.errors import RadiographError
+from spinestiff.imaging.allow_list import KEPT
+from spinestiff.imaging.burned_in import inspection_row, sheet
+from spinestiff.imaging.codestreams import without_comments
+from spinestiff.imaging.deidentify import deidentify
+from spinestiff.imaging.projection import frontal_view
+from spinestiff.imaging.pseudonyms import Key, moment
+from spinestiff.imaging.radiograph import write_radiographs
+
+KEY = Key(b"0123456789abcdef")
+VIEW = frontal_view(sid=1500.0, source_to_patient=1340.0, shape=(48, 40), pixel=(0.3, 0.4))
+CANARY = b"ZQXJ was here"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "deidentify.md"
+
+
+def smooth(depth: int) -> np.ndarray:
+    rows, columns = np.mgrid[: VIEW.shape[0], : VIEW.shape[1]]
+    values = 2.0 ** (depth - 1) * (1.0 + 0.9 * np.sin(rows / 7.0) * np.cos(columns / 5.0))
+    return values.astype(np.uint16 if depth > 8 else np.uint8)
+
+
+def plain(tmp_path: Path, pixels: np.ndarray | None = None) -> pydicom.Dataset:
+    path = tmp_path / "plain.dcm"
+    write_radiographs(path, smooth(12) if pixels is None else pixels, VIEW)
+    return pydicom.dcmread(path)
+
+
+def saved(dataset: pydicom.Dataset) -> bytes:
+    file = BytesIO()
+    dataset.save_as(file)
+    return file.getvalue()
+
+
+def jpeg(pixels: np.ndarray) -> bytes:
+    return cv2.imencode(".jpg", pixels)[1].tobytes()
+
+
+def with_segment(stream: bytes, marker: int, at: int = 2) -> bytes:
+    return stream[:at] + bytes((0xFF, marker)) + (len(CANARY) + 2).to_bytes(2, "big") + CANARY + stream[at:]
+
+
+def jpeg_2000(pixels: np.ndarray) -> bytes:
+    return encode_array(pixels, photometric_interpretation=2)
+
+
+def jpeg_ls(tmp_path: Path, pixels: np.ndarray) -> bytes:
+    dataset = plain(tmp_path, pixels)
+    dataset.compress(JPEGLSLossless, encoding_plugin="pyjpegls", generate_instance_uid=False)
+    return next(pydicom.encaps.generate_frames(dataset.PixelData, number_of_frames=1))
+
+
+def coded(tmp_path: Path, kind: str) -> tuple[pydicom.Dataset, np.ndarray]:
+    """A file with coded pixels that carries a canary beside them, and the pixels it decodes to."""
+    depth = 8 if kind == "jpeg" else 12
+    pixels = smooth(depth)
+    dataset = plain(tmp_path)
+    dataset.BitsStored, dataset.HighBit = depth, depth - 1
+    if kind == "jpeg":
+        dataset.BitsAllocated = 8
+        stream, syntax = with_segment(with_segment(jpeg(pixels), 0xFE), 0xE1) + CANARY, JPEGBaseline8Bit
+    elif kind == "jpeg-ls":
+        stream, syntax = with_segment(with_segment(jpeg_ls(tmp_path, pixels), 0xFE), 0xE8), JPEGLSLossless
+    else:
+        stream = jpeg_2000(pixels)
+        at = 4 + int.from_bytes(stream[4:6], "big")
+        comment = b"\xff\x64" + (len(CANARY) + 4).to_bytes(2, "big") + b"\0\1" + CANARY
+        stream, syntax = stream[:at] + comment + stream[at:] + CANARY, JPEG2000Lossless
+    stream += b"\0" * (len(stream) % 2)
+    dataset.PixelData = encapsulate([stream])
+    dataset["PixelData"].VR = "OB"
+    dataset["PixelData"].is_undefined_length = True
+    dataset.file_meta.TransferSyntaxUID = UID(syntax)
+    return dataset, pydicom.dcmread(BytesIO(saved(dataset))).pixel_array
+
+
+@pytest.mark.parametrize("kind", ["jpeg", "jpeg-ls", "jpeg-2000"])
+def test_coded_pixels_pass_and_their_comments_do_not(tmp_path, kind):
+    dataset, pixels = coded(tmp_path, kind)
+    content = saved(dataset)
+    assert CANARY in content
+    found = deidentify(content, KEY)
+    new = pydicom.dcmread(BytesIO(found.content))
+    assert CANARY not in found.content
+    assert new.file_meta.TransferSyntaxUID == dataset.file_meta.TransferSyntaxUID
+    np.testing.assert_array_equal(new.pixel_array, pixels)
+    np.testing.assert_array_equal(found.frames[0], pixels)
+
+
+def test_streams_with_room_for_text_are_refused():
+    stream = jpeg(smooth(8))
+    assert without_comments(stream).content.rstrip(b"\0").startswith(stream[:2])
+    clean = without_comments(stream).content
+    for wrong, why in (
+        (with_segment(stream, 0xF3), "unknown segment"),
+        (stream[:-30], "cut short"),
+        (stream[:40], "cut short"),
+        (clean[:2] + CANARY + clean[2:], "bytes between"),
+        (b"\0\0\0\x0cjP  \r\n\x87\n" + jpeg_2000(smooth(12)), "no known header"),
+        (b"", "no known header"),
+    ):
+        with pytest.raises(RadiographError, match=why):
+            without_comments(wrong)
+    stream = jpeg_2000(smooth(12))
+    tile = stream.index(b"\xff\x90") + 12
+    with pytest.raises(RadiographError, match="comments inside its tiles"):
+        without_comments(stream[:tile] + b"\xff\x64\0\x06\0\1ZQ" + stream[tile:])
+    with pytest.raises(RadiographError, match=r"cut short|where it ends"):
+        without_comments(stream[:-40])
+
+
+@pytest.mark.parametrize("signed", [False, True])
+def test_old_overlays_above_the_stored_bits_go(tmp_path, signed):
+    pixels = smooth(12)
+    dataset = plain(tmp_path, pixels | np.uint16(0x8000) * (np.arange(40) % 3 == 0).astype(np.uint16))
+    dataset.BitsStored, dataset.HighBit, dataset.PixelRepresentation = 12, 11, int(signed)
+    new = pydicom.dcmread(BytesIO(deidentify(saved(dataset), KEY).content))
+    expected = (pixels.astype(np.int16) << 4) >> 4 if signed else pixels
+    # The bytes themselves: the library would hide what stands above.
+    np.testing.assert_array_equal(np.frombuffer(new.PixelData, expected.dtype).reshape(VIEW.shape), expected)
+
+
+def test_compressed_overlays_above_the_stored_bits_are_refused(tmp_path):
+    dataset, _ = coded(tmp_path, "jpeg-2000")
+    pixels = smooth(12) | np.uint16(0x8000)
+    dataset.PixelData = encapsulate([jpeg_2000(pixels)])
+    with pytest.raises(RadiographError, match="bits above those stored"):
+        deidentify(saved(dataset), KEY)
+
+
+def test_rle_becomes_uncompressed(tmp_path):
+    dataset = plain(tmp_path)
+    dataset.compress(RLELossless, generate_instance_uid=False)
+    new = pydicom.dcmread(BytesIO(deidentify(saved(dataset), KEY).content))
+    assert not new.file_meta.TransferSyntaxUID.is_compressed
+    np.testing.assert_array_equal(new.pixel_array, smooth(12))
+
+
+def test_big_endian_becomes_little(tmp_path):
+    dataset, file = plain(tmp_path), BytesIO()
+    dataset.file_meta.TransferSyntaxUID = ExplicitVRBigEndian
+    dataset.PixelData = smooth(12).astype(">u2").tobytes()
+    pydicom.dcmwrite(file, dataset, implicit_vr=False, little_endian=False, force_encoding=True)
+    np.testing.assert_array_equal(pydicom.dcmread(BytesIO(file.getvalue())).pixel_array, smooth(12))
+    new = pydicom.dcmread(BytesIO(deidentify(file.getvalue(), KEY).content))
+    np.testing.assert_array_equal(np.frombuffer(new.PixelData, "<u2").reshape(VIEW.shape), smooth(12))
+
+
+def test_look_up_tables_are_as_long_as_they_say(tmp_path):
+    dataset, table = plain(tmp_path), pydicom.Dataset()
+    table.add_new("LUTDescriptor", "US", [4, 0, 12])
+    table.LUTExplanation = CANARY.decode()
+    table.add_new("LUTData", "OW", np.array([0, 5, 9, 4000], "<u2").tobytes() + CANARY + b"\0")
+    dataset.VOILUTSequence = [table]
+    found = deidentify(saved(dataset), KEY)
+    new = pydicom.dcmread(BytesIO(found.content)).VOILUTSequence[0]
+    assert np.frombuffer(new.LUTData, "<u2").tolist() == [0, 5, 9, 4000]
+    assert list(new.LUTDescriptor) == [4, 0, 12]
+    assert CANARY not in found.content
+    table.LUTDescriptor = [400, 0, 12]
+    found = deidentify(saved(dataset), KEY)
+    assert found.left_out == ("VOILUTSequence",)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"SOPClassUID": "1.2.840.10008.5.1.4.1.1.88.11"}, "no radiograph"),
+        ({"SOPClassUID": "1.2.840.10008.5.1.4.1.1.104.1"}, "no radiograph"),
+        ({"EncapsulatedDocument": b"%PDF"}, "holds a document"),
+        ({"ContentSequence": [pydicom.Dataset()]}, "holds a document"),
+        ({"Modality": "MR"}, "no modality"),
+        ({"PhotometricInterpretation": "RGB", "SamplesPerPixel": 3}, "SamplesPerPixel isn't"),
+        ({"Rows": 60000}, "Rows isn't"),
+        ({"Rows": 47, "BitsStored": 17}, "BitsStored isn't"),
+        ({"Rows": 49}, "cut short"),
+        ({"BitsStored": 12}, "contradict"),
+        ({"StudyInstanceUID": ""}, "StudyInstanceUID is missing"),
+    ],
+)
+def test_what_is_no_radiograph_is_refused(tmp_path, change, why):
+    dataset = plain(tmp_path)
+    for keyword, value in change.items():
+        setattr(dataset, keyword, value)
+    with pytest.raises(RadiographError, match=why):
+        deidentify(saved(dataset), KEY)
+
+
+def test_a_coded_view_keeps_its_code_and_not_its_words(tmp_path):
+    dataset, code = plain(tmp_path), pydicom.Dataset()
+    code.CodeValue, code.CodingSchemeDesignator, code.CodeMeaning = "272479007", CANARY.decode(), CANARY.decode()
+    dataset.ViewCodeSequence = [code]
+    found = deidentify(saved(dataset), KEY)
+    (view,) = pydicom.dcmread(BytesIO(found.content)).ViewCodeSequence
+    assert (view.CodeValue, view.CodingSchemeDesignator, view.CodeMeaning) == ("272479007", "SCT", "postero-anterior")
+    code.CodeValue = CANARY.decode()
+    found = deidentify(saved(dataset), KEY)
+    assert found.left_out == ("ViewCodeSequence",)
+    assert CANARY not in found.content
+
+
+def test_damaged_files_end_in_one_kind_of_error(tmp_path):
+    dataset = plain(tmp_path)
+    dataset.PatientName = CANARY.decode()
+    content, rng = saved(dataset), np.random.default_rng(7)
+    refused = 0
+    for number in range(300):
+        damaged = bytearray(content)
+        if number % 3 == 0:
+            del damaged[int(rng.integers(len(damaged))) :]
+        for at in rng.integers(132, 1400, 6):
+            if at < len(damaged):
+                damaged[at] = int(rng.integers(256))
+        try:
+            said = deidentify(bytes(damaged), KEY).content
+        except RadiographError as problem:
+            refused += 1
+            said = str(problem).encode()
+        assert CANARY[:4] not in said
+    assert 100 < refused < 300
+
+
+def test_messages_of_the_dicom_library_are_not_passed_on(tmp_path, monkeypatch):
+    def complain(*_: object) -> None:
+        raise ValueError(f"Invalid value {CANARY.decode()}")
+
+    content = saved(plain(tmp_path))
+    monkeypatch.setattr(pydicom, "dcmread", complain)
+    with pytest.raises(RadiographError, match=r"damaged or unsupported DICOM \(ValueError\)") as caught:
+        deidentify(content, KEY)
+    assert caught.value.__cause__ is None
+    assert "ZQXJ" not in str(caught.value)
+
+
+def test_moments_of_dicom():
+    assert f"{moment('20240229', '235959.5')}" == "2024-02-29 23:59:59.500000"
+    assert f"{moment('2024.02.29', '17:58:01')}" == "2024-02-29 17:58:01"
+    assert f"{moment('', '0102')}" == "1900-01-01 01:02:00"
+    assert f"{moment('20240229', '')}" == "2024-02-29 12:00:00"
+    for date, time in (("20240230", ""), ("today", "1200"), ("20240229", "noon"), ("", ""), ("20240229", "2500")):
+        assert moment(date, time) is None
+
+
+def test_keys_are_secret():
+    assert "0123456789" not in repr(KEY)
+    with pytest.raises(RadiographError, match="a key of 3 bytes"):
+        Key(b"abc")
+
+
+def test_text_shows_in_the_picture_whatever_its_grey():
+    """Faint text in a corner of one of several frames is seen in the sheet's bands."""
+    frames = np.full((3, 400, 400), 2000, np.uint16)
+    quiet = cv2.imdecode(np.frombuffer(sheet([inspection_row(frames, "x")]), np.uint8), 0)
+    text = np.zeros((400, 400), np.uint8)
+    cv2.putText(text, "DOE", (5, 40), cv2.FONT_HERSHEY_SIMPLEX, 1.0, 40, 2)
+    frames[1] += text
+    frames[0, 200, 200] = 4095  # what the window would otherwise be set to
+    shown = cv2.imdecode(np.frombuffer(sheet([inspection_row(frames, "x")]), np.uint8), 0)
+    top_band = (slice(32, 140), slice(660, 1300))
+    assert np.ptp(quiet[top_band]) < 3
+    assert np.ptp(shown[top_band]) > 20
+
+
+def test_the_document_lists_what_is_kept():
+    table = re.findall(r"^\| (.+?) \| .+? \|$", DOCUMENT.read_text(encoding="utf-8"), re.MULTILINE)
+    listed = {word for row in table for word in re.findall(r"`(\w+)`", row)}
+    assert listed == {*KEPT, "ViewCodeSequence", "ModalityLUTSequence", "VOILUTSequence", "PixelData", "SOPClassUID"}
