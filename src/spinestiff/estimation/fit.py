@@ -165,7 +165,7 @@ def fit_stiffness(
     bounds: tuple[float, float] = RATIO_BOUNDS,
     orientation: Orientation = "procrustes",
     observer: Observer | None = None,
-    max_iterations: int = 40,
+    max_iterations: int = 80,
     uncertainty: UncertaintySettings | None = None,
     intervals: IntervalKind = "inverted",
 ) -> StiffnessFit:
@@ -242,11 +242,15 @@ def _levenberg_marquardt(
 ) -> tuple[Evaluation, Slope, FitStatus]:
     slope, damping, growth = trial_set.slope(point), FIRST_DAMPING, 4.0
     curvature, bent = np.zeros((len(point.log_ratios),) * 2), False
+    refused: tuple[Floats, Evaluation] | None = None
     for _ in range(max_iterations):
         model = curvature if bent else None
         if _finished(point, slope, limits, model):
             return point, slope, FitStatus.CONVERGED
-        change, predicted = _damped_step(point, slope, limits, damping, model)
+        if refused is None:
+            change, predicted = _damped_step(point, slope, limits, damping, model)
+        else:
+            change, predicted = _arc(point, slope, limits, damping, *refused)
         target = np.clip(point.log_ratios + change, *limits)
         try:
             trial = trial_set.solve(target, point, slope)
@@ -256,7 +260,7 @@ def _levenberg_marquardt(
             after = trial_set.slope(trial) if gain > 1e-4 else None
         except EquilibriumError:
             trial_set.note(target, None, False, damping)
-            damping = max(10.0 * damping, 0.1)
+            damping, refused = max(10.0 * damping, 0.1), None
         else:
             trial_set.note(target, trial, after is not None, damping)
             if after is not None:
@@ -267,14 +271,51 @@ def _levenberg_marquardt(
                 bent = bent or (first and not 0.75 < decrease / max(predicted, 1e-300) < 1.5)
                 point, slope = trial, after
                 damping, growth = damping * max(1.0 / 5.0, 1.0 - (2.0 * gain - 1.0) ** 3), 4.0
+                refused = None
+            elif refused is None:
+                # A step that was refused has told how the residuals curve along it.
+                refused, bent = (change, trial), False
             else:
-                damping, growth, bent = max(damping, 3e-3) * growth, 2.0 * growth, False
+                damping, growth, refused = max(damping, 3e-3) * growth, 2.0 * growth, None
         if damping > LARGEST_DAMPING:
             # At the rounding of the equilibria no step gains any more: that is a minimum, as well as it can be had.
             done = _finished(point, slope, limits, None, STALLED_DECREASE)
             return point, slope, FitStatus.CONVERGED if done else FitStatus.STALLED
     done = _finished(point, slope, limits, curvature if bent else None)
     return point, slope, FitStatus.CONVERGED if done else FitStatus.ITERATION_LIMIT
+
+
+def _arc(
+    point: Evaluation,
+    slope: Slope,
+    limits: tuple[float, float],
+    damping: float,
+    refused: Floats,
+    trial: Evaluation,
+) -> tuple[Floats, float]:
+    """Change of log ratios along the arc that a refused step tells of, and the decrease that it promises.
+
+    Ratios that trade against each other make a narrow, curved valley, in which every straight step leaves the floor.
+    With the residuals r + t J p + t^2 h along the refused step p, h known from its end, the floor is followed by
+    t p + t^2 a, J a = -h in the damped least squares (geodesic acceleration; Transtrum and Sethna 2012), as far as
+    that model falls.
+    """
+    jacobian, values = slope.jacobian, point.values
+    p = compliance_step(refused)
+    curved = trial.values - values - jacobian @ p
+    columns = np.maximum(np.sum(jacobian**2, axis=0), 1e-300)
+    rows = np.vstack([jacobian, np.diag(np.sqrt(damping * columns))])
+    aside = np.linalg.lstsq(rows, np.concatenate([-curved, np.zeros(len(p))]), rcond=None)[0]
+    share = np.linspace(0.0, 1.0, 201)[1:, None]
+    model = values + share * (jacobian @ p) + share**2 * (curved + jacobian @ aside)
+    losses = 0.5 * np.sum(model**2, axis=1)
+    best = float(share[np.argmin(losses), 0])
+    low = np.maximum(limits[0] - point.log_ratios, -np.log(LARGEST_SOFTENING))
+    high = np.minimum(limits[1] - point.log_ratios, np.log(LARGEST_STIFFENING))
+    arc = best * p + best**2 * aside
+    # A compliance step of 1 would be a stiffness without end.
+    inside = np.clip(arc, compliance_step(low), compliance_step(high))
+    return np.clip(log_step(inside), low, high), max(float(point.loss - losses.min()), 0.0)
 
 
 def _secant(
