@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
@@ -18,7 +18,7 @@ from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
 from spinestiff.study.results import parse_json, read_text
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION: Final = 1
 SUBJECT_FILE = "subject.json"
 ANNOTATION_FILE = "annotation.json"
 REST_IMAGES = {"rest/frontal": "rest/frontal.dcm", "rest/lateral": "rest/lateral.dcm"}
@@ -297,10 +297,10 @@ def read_record(path: Path, kind: type[R]) -> R:
     try:
         return kind.model_validate_json(text)
     except ValidationError as error:
-        raise SubjectError(f"{path}: {_one_line(error)}") from None
+        raise SubjectError(f"{path}: {one_line(error)}") from None
 
 
-def _one_line(error: ValidationError) -> str:
+def one_line(error: ValidationError) -> str:
     """The most telling of pydantic's complaints as "field: found, wanted"."""
     # A misspelled key shows up twice, as unknown and as missing: the first says more.
     complaints = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")

@@ -7,7 +7,7 @@ rest (``check_frames``, ``image_corners``). Each refusal is one line: file, fiel
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -103,18 +103,12 @@ def read_subject(folder: str | Path) -> Subject:
     ------
     SubjectError : anything missing, unknown, out of range or contradictory.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise SubjectError(f"{folder}: no such folder; wanted a subject folder with {SUBJECT_FILE}")
-    record = read_record(folder / SUBJECT_FILE, SubjectRecord)
-    subject = Subject(folder, record, read_annotation(folder / ANNOTATION_FILE), _unusual(record))
+    bare = read_unannotated(folder)
+    subject = replace(bare, annotation=read_annotation(bare.folder / ANNOTATION_FILE))
+    folder = subject.folder
     _check_images(subject)
     for image in subject.annotation.images:
-        path = subject.image_path(image)
-        if not path.exists():
-            raise SubjectError(f"{path}: no such file; wanted the radiograph of {image}")
-        if not path.resolve().is_relative_to(folder.resolve()):
-            raise SubjectError(f"{path}: leads out of the subject folder; copy the radiograph into it")
+        check_radiograph_path(subject, image)
     own = subject.torso_path
     if own is not None:
         if not own.is_file():
@@ -122,6 +116,29 @@ def read_subject(folder: str | Path) -> Subject:
         if not own.resolve().is_relative_to(folder.resolve()):
             raise SubjectError(f"{own}: leads out of the subject folder; copy the torso into it")
     return subject
+
+
+def read_unannotated(folder: str | Path) -> Subject:
+    """A subject as far as ``subject.json`` tells, its annotation still empty: what annotation starts from.
+
+    Raises
+    ------
+    SubjectError : no such folder, or ``subject.json`` is missing or wrong.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise SubjectError(f"{folder}: no such folder; wanted a subject folder with {SUBJECT_FILE}")
+    record = read_record(folder / SUBJECT_FILE, SubjectRecord)
+    return Subject(folder, record, Annotation(schema_version=SCHEMA_VERSION, images={}), _unusual(record))
+
+
+def check_radiograph_path(subject: Subject, image: str) -> None:
+    """Raise SubjectError unless the radiograph of an image is there, inside the subject folder."""
+    path = subject.image_path(image)
+    if not path.exists():
+        raise SubjectError(f"{path}: no such file; wanted the radiograph of {image}")
+    if not path.resolve().is_relative_to(subject.folder.resolve()):
+        raise SubjectError(f"{path}: leads out of the subject folder; copy the radiograph into it")
 
 
 def write_subject(folder: str | Path, record: SubjectRecord) -> None:
@@ -265,13 +282,14 @@ def _read_images(subject: Subject, path: Path, which: Literal["frontal", "latera
     return frames
 
 
-def _annotatable(record: SubjectRecord) -> tuple[str, ...]:
+def annotatable(record: SubjectRecord) -> tuple[str, ...]:
+    """Names of the images that an annotation may have: the rest radiographs and the pushes."""
     return (*REST_IMAGES, *(push.image for push in record.pushes))
 
 
 def _check_images(subject: Subject) -> None:
     path, images = subject.folder / ANNOTATION_FILE, subject.annotation.images
-    known = _annotatable(subject.record)
+    known = annotatable(subject.record)
     for name in images:
         if name not in known:
             raise SubjectError(f"{path}: images.{name}: unknown image; wanted {', '.join(known)}")

@@ -1,0 +1,253 @@
+"""One subject folder being annotated: its radiographs, its marks, and every change saved at once."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import RLock
+from typing import Any
+
+import numpy as np
+
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.annotate.draft import DRAFT_FILE, Draft, DraftImage, read_draft
+from spinestiff.errors import SpinestiffError, SubjectError
+from spinestiff.imaging.features import VertebraCorners, view_kind
+from spinestiff.imaging.radiograph import Radiograph
+from spinestiff.study.metrics import CobbAngle, cobb_angle, tilts
+from spinestiff.study.records import (
+    ANNOTATION_FILE,
+    FEWEST_VERTEBRAE,
+    LATERAL,
+    REST_IMAGES,
+    SCHEMA_VERSION,
+    Annotation,
+    ImageAnnotation,
+)
+from spinestiff.study.results import write_json
+from spinestiff.study.subject import (
+    Subject,
+    annotatable,
+    check_radiograph_path,
+    image_corners,
+    read_annotation,
+    read_push,
+    read_rest,
+    read_unannotated,
+    write_annotation,
+)
+
+# Images whose frames stay in memory; a push of 1024 x 1024 has a few megabytes a frame.
+KEPT = 3
+
+
+class ChangedElsewhere(SubjectError):
+    """The annotation on disk, or the page's copy of it, is no longer the one that was read."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What can be told of the marks in one image.
+
+    Attributes
+    ----------
+    vertebrae : how many have corners.
+    problem : why the image is not complete, in words; empty where it is.
+    cobb : the largest angle, in frontal images with two vertebrae or more.
+    """
+
+    vertebrae: int
+    problem: str
+    cobb: CobbAngle | None
+
+
+class AnnotationSession:
+    """The annotation of a subject folder, in work.
+
+    Parameters
+    ----------
+    folder : with ``subject.json`` and radiographs; ``annotation.json`` may be missing, a draft is taken up.
+
+    Raises
+    ------
+    SubjectError : the folder can't be annotated, in one line.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self.subject = read_unannotated(folder)
+        self.images = tuple(name for name in annotatable(self.subject.record) if self._offered(name))
+        if not self.images:
+            raise SubjectError(f"{folder}: no radiograph to annotate; wanted {', '.join(REST_IMAGES.values())}")
+        self.lock = RLock()
+        self.revision = 0
+        self._frames: OrderedDict[str, tuple[Radiograph, ...]] = OrderedDict()
+        self._drafted: dict[str, DraftImage] = {}
+        self.reload()
+
+    def _offered(self, name: str) -> bool:
+        if name == LATERAL and not self.subject.image_path(name).exists():
+            return False
+        check_radiograph_path(self.subject, name)
+        return True
+
+    @property
+    def annotation_path(self) -> Path:
+        return self.subject.folder / ANNOTATION_FILE
+
+    @property
+    def draft_path(self) -> Path:
+        return self.subject.folder / DRAFT_FILE
+
+    def reload(self) -> None:
+        """Take what is on disk: the draft if there is one, else ``annotation.json``, else nothing."""
+        with self.lock:
+            images: dict[str, DraftImage] = {}
+            if self.annotation_path.is_file():
+                images |= _drafted(read_annotation(self.annotation_path))
+            if self.draft_path.is_file():
+                self._drafted = read_draft(self.draft_path).images
+                images |= self._drafted
+            self._refuse_unknown(images)
+            self.marks = images
+            self._seen = self._on_disk()
+
+    def save(self, draft: Draft, revision: int) -> int:
+        """Write what the page holds, each file whole or not at all; returns the new revision.
+
+        Raises
+        ------
+        ChangedElsewhere : another window or program has written since ``revision``.
+        SubjectError : an unknown image, or a file can't be written.
+        """
+        with self.lock:
+            if revision != self.revision:
+                raise ChangedElsewhere("another window has changed the annotation; reload this page to go on")
+            if self._seen != self._on_disk():
+                raise ChangedElsewhere(
+                    f"{ANNOTATION_FILE} was changed by another program; reload this page to go on from there"
+                )
+            self._refuse_unknown(draft.images)
+            marked = {name: image for name, image in draft.images.items() if not image.empty}
+            whole = {name: image for name, marks in marked.items() if (image := self._complete(name, marks))}
+            partial = {name: image for name, image in marked.items() if name not in whole}
+            # What moves from one file to the other is in both for a moment, never in none.
+            self._write_draft(partial | {name: marked[name] for name in self._drafted if name in marked})
+            if whole or self.annotation_path.is_file():
+                annotation = Annotation(schema_version=SCHEMA_VERSION, images=whole)
+                write_annotation(self.subject.folder, annotation)
+            self._write_draft(partial)
+            self.marks = marked
+            self._seen = self._on_disk()
+            self.revision += 1
+            return self.revision
+
+    def frames(self, name: str) -> tuple[Radiograph, ...]:
+        """The radiographs of an image by its name in the annotation.
+
+        Raises
+        ------
+        SubjectError : no image of that name. RadiographError : see ``read_radiographs``.
+        """
+        self._refuse_unknown((name,))
+        with self.lock:
+            if name not in self._frames:
+                self._frames[name] = self._read(name)
+                while len(self._frames) > KEPT:
+                    self._frames.popitem(last=False)
+            self._frames.move_to_end(name)
+            return self._frames[name]
+
+    def judged(self, name: str, marks: DraftImage) -> Judged:
+        """What can be told of marks in an image: complete or why not, and its Cobb angle."""
+        try:
+            problem = ""
+            self._checked(name, marks.whole())
+        except SubjectError as error:
+            problem = str(error).removeprefix(f"{self.annotation_path}: images.{name}.")
+        return Judged(len(marks.vertebrae), problem, self._cobb(name, marks))
+
+    def missing(self, marks: Mapping[str, DraftImage]) -> list[str]:
+        """What a fit still needs, a line each, in words; empty when there is all."""
+        lines = []
+        for name in self.images:
+            image = marks.get(name, DraftImage())
+            problem = self.judged(name, image).problem
+            if not image.vertebrae:
+                lines.append(f"{name}: no vertebra marked yet")
+            elif len(image.vertebrae) < FEWEST_VERTEBRAE:
+                lines.append(f"{name}: {len(image.vertebrae)} vertebrae, wanted at least {FEWEST_VERTEBRAE}")
+            elif problem:
+                lines.append(f"{name}: {problem}")
+        return lines
+
+    def with_marks(self, name: str, marks: ImageAnnotation) -> Subject:
+        """The subject with the annotation of one image, for whoever reads corners through it."""
+        return replace(self.subject, annotation=Annotation(schema_version=SCHEMA_VERSION, images={name: marks}))
+
+    def _read(self, name: str) -> tuple[Radiograph, ...]:
+        if name in REST_IMAGES:
+            return (read_rest(self.subject, "lateral" if name == LATERAL else "frontal"),)
+        return read_push(self.subject, self.subject.push(name.removeprefix("push/")))
+
+    def _complete(self, name: str, marks: DraftImage) -> ImageAnnotation | None:
+        try:
+            return self._checked(name, marks.whole())
+        except SubjectError:
+            return None
+
+    def _checked(self, name: str, image: ImageAnnotation) -> ImageAnnotation:
+        """The image itself, checked as a fit will. Raises SubjectError."""
+        # Checks what lies where it must not: supports in rest images, pedicles in pushes.
+        if image.supports and name in REST_IMAGES:
+            raise SubjectError("supports belong to push images only")
+        if image.pedicles and name not in REST_IMAGES:
+            raise SubjectError("pedicles belong to rest images only")
+        image_corners(self.with_marks(name, image), name, self.frames(name)[0].view)
+        return image
+
+    def _cobb(self, name: str, marks: DraftImage) -> CobbAngle | None:
+        view = self.frames(name)[0].view
+        if view_kind(view) != "frontal" or len(marks.vertebrae) < 2:
+            return None
+        corners = ordered_corners(marks)
+        try:
+            return cobb_angle(tilts(corners.vertebrae, view.from_pixels(corners.corners), view))
+        except SpinestiffError:
+            return None
+
+    def _refuse_unknown(self, names: Any) -> None:
+        known = annotatable(self.subject.record)
+        for name in names:
+            if name not in known:
+                raise SubjectError(f"images.{name}: unknown image; wanted {', '.join(known)}")
+
+    def _write_draft(self, images: dict[str, DraftImage]) -> None:
+        if images and images != self._drafted:
+            write_json(self.draft_path, Draft(schema_version=SCHEMA_VERSION, images=images).record())
+        elif not images:
+            self.draft_path.unlink(missing_ok=True)
+        self._drafted = images
+
+    def _on_disk(self) -> tuple[str, str]:
+        return _digest(self.annotation_path), _digest(self.draft_path)
+
+
+def ordered_corners(marks: DraftImage) -> VertebraCorners:
+    """Marked vertebrae head to foot, corners in pixels."""
+    names = tuple(name for name in VERTEBRAE if name in marks.vertebrae)
+    quads = np.array([marks.vertebrae[name] for name in names], dtype=float).reshape(-1, 4, 2)
+    return VertebraCorners(names, quads)
+
+
+def _drafted(annotation: Annotation) -> dict[str, DraftImage]:
+    return {
+        name: DraftImage(vertebrae=image.vertebrae, supports=image.supports, pedicles=image.pedicles)
+        for name, image in annotation.images.items()
+    }
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
