@@ -277,10 +277,15 @@ export class App {
 
   /** Draw, judge and show what is now. */
   after(): void {
-    this.stage.draw({ marks: this.marks, selection: this.selection, names: this.names, cobb: this.cobb, tracked: this.tracked, cursor: this.cursor, show: this.show });
+    this.paint();
     this.says.refresh();
     if (this.judging) return;
     this.judging = window.setTimeout(() => void this.judge(), JUDGE_MS);
+  }
+
+  private paint(): void {
+    const { marks, selection, names, cobb, tracked, cursor, show, tool } = this;
+    this.stage.draw({ marks, selection, names, cobb, tracked, cursor, show, spine: tool === "spine" });
   }
 
   private async judge(): Promise<void> {
@@ -296,7 +301,7 @@ export class App {
     this.judging = 0;
     if (marks !== this.marks || key !== this.key) this.after();
     else {
-      this.stage.draw({ marks, selection: this.selection, names: this.names, cobb: this.cobb, tracked: this.tracked, cursor: this.cursor, show: this.show });
+      this.paint();
       this.says.refresh();
     }
   }

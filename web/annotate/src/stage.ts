@@ -8,7 +8,7 @@ const HANDLE = 4.5, REACH = 11, LOUPE = 150, LOUPE_ZOOM = 4;
 
 export interface Shown {
   marks: ImageMarks; selection: Selection | null; names: readonly string[]; cobb: Cobb | null; tracked: TrackedFrame | null;
-  cursor: Point | null; show: boolean;
+  cursor: Point | null; show: boolean; spine: boolean;
 }
 
 export class Stage {
@@ -119,7 +119,7 @@ export class Stage {
         if (distance < REACH) found.push([distance, make(i)]);
       });
     const marks = shown.marks;
-    offer(marks.spine, (part) => ({ kind: "spine", name: "", part }));
+    if (shown.spine) offer(marks.spine, (part) => ({ kind: "spine", name: "", part }));
     for (const kind of ["pelvis", "shoulder"] as const) offer(marks.supports[kind], (part) => ({ kind, name: "", part }));
     for (const [name, pair] of Object.entries(marks.pedicles)) offer(pair, (part) => ({ kind: "pedicle", name, part }));
     for (const [name, quad] of Object.entries(this.quads())) offer(quad, (part) => ({ kind: "vertebra", name, part }));
@@ -212,7 +212,7 @@ export class Stage {
       if (chosen) quad.forEach((p, i) => this.handle(p, i === selection.part));
     }
     if (shown.cobb && measured) this.paintAngle(marks, shown.cobb);
-    marks.spine.forEach((p, i) => this.point(p, String(i + 1), "circle", this.isChosen("spine", "", i)));
+    if (shown.spine) marks.spine.forEach((p, i) => this.point(p, String(i + 1), "circle", this.isChosen("spine", "", i)));
     for (const kind of ["pelvis", "shoulder"] as const)
       marks.supports[kind]?.forEach((p, i) => this.point(p, kind, kind === "pelvis" ? "triangle" : "diamond", this.isChosen(kind, "", i)));
     for (const [name, pair] of Object.entries(marks.pedicles))
