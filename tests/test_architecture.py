@@ -43,7 +43,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "skimage": ("imaging/*",),
     "numba": ("mechanics/*", "imaging/rendering.py"),
     "rslab": ("mechanics/factor.py",),
-    "matplotlib": ("study/figures.py", "study/torso_picture.py", "study/report.py"),
+    "matplotlib": ("study/figures.py", "study/cobb_picture.py", "study/torso_picture.py", "study/report.py"),
     "jinja2": ("study/viewer/page.py",),
     "pydantic": ("study/*", "annotate/*"),
     "pydantic_core": ("study/*",),

@@ -29,7 +29,7 @@ COMMANDS = {
     "view": ("--torso", "--out", "--no-open"),
     "run": ("--mesh", "--method", "--orientation", "--truth", "--redo"),
     "demo": ("--out", "--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
-    "cobb": (),
+    "cobb": ("--definition", "--json", "--noise-px", "--patient-left", "--picture"),
     "check": ("--json",),
     "doctor": (),
 }

@@ -19,6 +19,7 @@ from spinestiff.study.pipeline import run_steps
 from spinestiff.study.results import read_json, write_json
 from spinestiff.study.visit import (
     Settings,
+    cobb_frames,
     cobb_rows,
     compare_with_truth,
     estimated_ratios,
@@ -169,7 +170,7 @@ def test_a_wall_that_pulls_and_a_tilted_pelvis_are_told(torso):
 
 
 def test_cobb_rows(finished, subject):
-    rows = cobb_rows(open_visit(finished.folder))
+    rows = cobb_rows(cobb_frames(open_visit(finished.folder)))
     assert [row[0] for row in rows] == [
         "rest/frontal",
         "main frame 0, 0 N",
@@ -190,4 +191,4 @@ def test_cobb_rows(finished, subject):
     assert fixed < 0.0
     assert signed < 0.0
     (subject / "results" / "tracked.json").unlink()
-    assert cobb_rows(open_visit(subject)) == rows[:1]
+    assert cobb_rows(cobb_frames(open_visit(subject))) == rows[:1]

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from spinestiff.errors import SubjectError
-from spinestiff.study.records import ImageAnnotation, Point, VertebraName, one_line
+from spinestiff.study.records import ImageAnnotation, Point, VertebraName, complaint_of
 from spinestiff.study.results import parse_json, read_text
 
 DRAFT_FILE = "annotation.draft.json"
@@ -63,7 +63,7 @@ class DraftImage(_Strict):
         try:
             return ImageAnnotation.model_validate(marks)
         except ValidationError as error:
-            raise SubjectError(one_line(error)) from None
+            raise SubjectError(complaint_of(error)) from None
 
 
 class Draft(_Strict):
@@ -100,7 +100,7 @@ def parse_draft(text: str, where: str) -> Draft:
     try:
         draft = Draft.model_validate_json(text)
     except ValidationError as error:
-        raise SubjectError(f"{where}: {one_line(error)}") from None
+        raise SubjectError(f"{where}: {complaint_of(error)}") from None
     return draft
 
 

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from spinestiff.annotate.draft import Corners, Draft, DraftImage, Points
 from spinestiff.annotate.session import Judged
 from spinestiff.errors import SubjectError
-from spinestiff.study.records import VertebraName, one_line
+from spinestiff.study.records import VertebraName, complaint_of
 from spinestiff.study.results import parse_json
 
 
@@ -64,7 +64,7 @@ def sent(body: bytes, kind: type[S]) -> S:
     try:
         return kind.model_validate_json(text)
     except ValidationError as error:
-        raise SubjectError(f"the request: {one_line(error)}") from None
+        raise SubjectError(f"the request: {complaint_of(error)}") from None
 
 
 def judged_record(judged: Judged) -> dict[str, Any]:

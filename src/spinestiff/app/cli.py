@@ -210,12 +210,25 @@ def demo(
 
 
 @app.command()
-def cobb(folder: Folder) -> None:
-    """Cobb angles of the annotated rest image and of every tracked frame."""
-    from spinestiff.app import tables
-    from spinestiff.study.visit import cobb_rows, open_visit
+def cobb(
+    path: Annotated[Path, typer.Argument(help="Subject folder, or a file of corners (docs/cobb.md).")],
+    definition: Annotated[str, typer.Option(help="endplate or midline.")] = "endplate",
+    json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of a table.")] = False,
+    noise_px: Annotated[
+        float | None, typer.Option(help="Corner noise (sd), pixels; 2 % of the vertebrae's width if left out.")
+    ] = None,
+    patient_left: Annotated[
+        str | None,
+        typer.Option(help="left or right: where in the image the patient's left is, if the file can't tell."),
+    ] = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw the spines, end vertebrae and angles (PNG).")] = None,
+) -> None:
+    """Cobb angles of a subject's rest image and tracked frames, or of a file of vertebra corners."""
+    from spinestiff.app.cobb import cobb as run_cobb
 
-    tables.show(tables.cobb_table(cobb_rows(open_visit(folder))))
+    status = run_cobb(path, definition, json, noise_px, patient_left, picture)
+    if status:
+        raise typer.Exit(status)
 
 
 @app.command()

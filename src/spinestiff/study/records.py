@@ -297,10 +297,10 @@ def read_record(path: Path, kind: type[R]) -> R:
     try:
         return kind.model_validate_json(text)
     except ValidationError as error:
-        raise SubjectError(f"{path}: {one_line(error)}") from None
+        raise SubjectError(f"{path}: {complaint_of(error)}") from None
 
 
-def one_line(error: ValidationError) -> str:
+def complaint_of(error: ValidationError) -> str:
     """The most telling of pydantic's complaints as "field: found, wanted"."""
     # A misspelled key shows up twice, as unknown and as missing: the first says more.
     complaints = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")

@@ -34,14 +34,14 @@ def read_json(path: Path) -> Any:
     return parse_json(read_text(path), path.name)
 
 
-def read_text(path: Path) -> str:
-    """A JSON file's text, not yet parsed. Raises SubjectError as ``read_json`` does."""
+def read_text(path: Path, largest: int = LARGEST_JSON) -> str:
+    """A text file of at most ``largest`` bytes, not yet parsed. Raises SubjectError as ``read_json`` does."""
     if not path.is_file():
         raise SubjectError(f"{path}: no such file")
     try:
         size = path.stat().st_size
-        if size > LARGEST_JSON:
-            raise SubjectError(f"{path}: {size} bytes, wanted at most {LARGEST_JSON}; is this the right file?")
+        if size > largest:
+            raise SubjectError(f"{path}: {size} bytes, wanted at most {largest}; is this the right file?")
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise SubjectError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
@@ -98,18 +98,23 @@ def write_json(path: Path, data: Any) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file as UTF-8, whole or not at all. Raises SubjectError if it can't be written."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file, whole or not at all. Raises SubjectError if it can't be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _replace(path, text)
+        _replace(path, content)
     except OSError as error:
         raise SubjectError(f"{path}: can't be written ({error.strerror})") from None
 
 
-def _replace(path: Path, text: str) -> None:
+def _replace(path: Path, content: bytes) -> None:
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
-        with temporary.open("x", encoding="utf-8", newline="\n") as file:
-            file.write(text)
+        with temporary.open("xb") as file:
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)

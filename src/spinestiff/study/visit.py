@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,11 +15,12 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.estimation.fit import METHODS
 from spinestiff.estimation.intervals import offset_from
-from spinestiff.imaging.features import ORIENTATIONS, VertebraCorners
+from spinestiff.imaging.features import ORIENTATIONS, VertebraCorners, picture_axes
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.equilibrium import Equilibrium
 from spinestiff.study.assessment import FrameAssessment, assess
-from spinestiff.study.metrics import SpineTilts, cobb_angle, cobb_change, tilts
+from spinestiff.study.cobb import DEFINITIONS, CobbReading, Definition, read_cobb_of_view
+from spinestiff.study.metrics import CobbChange, cobb_change, tilts
 from spinestiff.study.results import read_json
 from spinestiff.study.subject import Subject, image_corners, read_rest, read_subject
 from spinestiff.study.trials import PushSet, TrackedFrame, TrackedPush, push_set, usable_corners
@@ -164,31 +165,64 @@ def support_warnings(equilibrium: Equilibrium, torso: TorsoModel, side: str) -> 
     return found
 
 
-def cobb_rows(visit: Visit) -> list[tuple[str, str, str, str, str]]:
-    """Image, Cobb angle with its levels, and the three forms of its change from the push's least force.
+@dataclass(frozen=True)
+class CobbFrame:
+    """One frontal image of a visit with its Cobb angles; of a push's frames the change from its least force."""
 
-    Frames of pushes appear once they are tracked.
+    reading: CobbReading
+    change: CobbChange | None = None
+
+    def as_dict(self) -> dict[str, object]:
+        """JSON of the frame: that of the reading and "change_deg" with the three forms of the change."""
+        c = self.change
+        forms = None if c is None else {"signed": c.signed, "fixed_levels": c.fixed_levels, "tilt": c.tilt}
+        return {**self.reading.as_dict(), "change_deg": forms}
+
+
+def cobb_frames(visit: Visit, definition: Definition = "endplate", noise_px: float | None = None) -> list[CobbFrame]:
+    """The annotated rest image and, once they are tracked, all frames of the pushes.
+
+    Parameters
+    ----------
+    visit : a subject folder.
+    definition : "endplate" or "midline".
+    noise_px : standard deviation of each corner's coordinates; None = 2 % of the vertebrae's width.
     """
     subject = visit.subject
     rest = read_rest(subject, "frontal")
     corners = image_corners(subject, "rest/frontal", rest.view)
-    rows = [("rest/frontal", str(cobb_angle(tilts(corners.vertebrae, corners.corners, rest.view))), "", "", "")]
+    frames = [CobbFrame(_reading("rest/frontal", corners, rest.view, definition, noise_px))]
     if not visit.file("tracked.json").exists():
-        return rows
+        return frames
     for push, found in load_tracked(visit).items():
         forces = subject.push(push).forces_n
-        before = _usable_tilts(found, int(np.argmin(forces)))
+        usable = [usable_corners(frame.corners) for frame in found.frames]
+        spines = [tilts(c.vertebrae, c.corners, found.view, DEFINITIONS[definition]) for c in usable]
         for index, force in enumerate(forces):
-            after = _usable_tilts(found, index)
-            change = cobb_change(before, after)
-            forms = [f"{value:+.1f}" for value in (change.signed, change.fixed_levels, change.tilt)]
-            rows.append((f"{push} frame {index}, {force:.0f} N", str(cobb_angle(after)), forms[0], forms[1], forms[2]))
+            change = cobb_change(spines[int(np.argmin(forces))], spines[index])
+            name = f"{push} frame {index}, {force:.0f} N"
+            frames.append(CobbFrame(_reading(name, usable[index], found.view, definition, noise_px), change))
+    return frames
+
+
+def cobb_rows(frames: Sequence[CobbFrame]) -> list[tuple[str, str, str, str, str]]:
+    """Image, Cobb angle with its levels, and the three forms of its change from the push's least force."""
+    rows = []
+    for frame in frames:
+        largest, c = frame.reading.largest, frame.change
+        forms = ["", "", ""] if c is None else [f"{value:+.1f}" for value in (c.signed, c.fixed_levels, c.tilt)]
+        rows.append((frame.reading.image, str(largest.angle if largest else "-"), forms[0], forms[1], forms[2]))
     return rows
 
 
-def _usable_tilts(push: TrackedPush, index: int) -> SpineTilts:
-    corners = usable_corners(push.frames[index].corners)
-    return tilts(corners.vertebrae, corners.corners, push.view)
+def _reading(
+    image: str, corners: VertebraCorners, view: XRayView, definition: Definition, noise_px: float | None
+) -> CobbReading:
+    left, up = picture_axes(view)
+    noise = None if noise_px is None else noise_px * float(view.pixel_spacing.mean())
+    return read_cobb_of_view(
+        image, corners.vertebrae, corners.corners @ np.stack([left, up], axis=1), definition, noise
+    )
 
 
 def compare_with_truth(visit: Visit, pushes: PushSet) -> dict[str, object] | None:

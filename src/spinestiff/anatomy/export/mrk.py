@@ -27,7 +27,7 @@ def lps_from_world(points: Floats) -> Floats:
 def content(torso: TorsoModel, state: TorsoState) -> bytes:
     """The file: one list of points each for joints, landmarks and vertebral bodies."""
     joints = PointsOnBones(torso.joints.parent, torso.joints.parent_position).positions(state)
-    lists = [_fiducials("joints", list(torso.joints.names), joints)]
+    lists = [point_list("joints", list(torso.joints.names), lps_from_world(joints))]
     names, places = [], []
     for key, points in sorted(torso.landmarks.items()):
         at = points.positions(state)
@@ -35,7 +35,7 @@ def content(torso: TorsoModel, state: TorsoState) -> bytes:
         names += [f"{key} {label}" for label in labels]
         places.append(at)
     if places:
-        lists.append(_fiducials("landmarks", names, np.vstack(places)))
+        lists.append(point_list("landmarks", names, lps_from_world(np.vstack(places))))
     bones = torso.vertebra_bones
     corners = np.einsum("vij,vkj->vki", state.bone_rotations[bones], torso.vertebra_boxes)
     corners = corners + state.bone_positions[bones][:, None]
@@ -45,11 +45,17 @@ def content(torso: TorsoModel, state: TorsoState) -> bytes:
     ]
     names = [f"{vertebra} {end}" for vertebra in torso.vertebrae for end in ends]
     if names:
-        lists.append(_fiducials("vertebral bodies", names, corners.reshape(-1, 3)))
+        lists.append(point_list("vertebral bodies", names, lps_from_world(corners.reshape(-1, 3))))
+    return document(lists)
+
+
+def document(lists: list[dict[str, Any]]) -> bytes:
+    """A markups file of these lists of points."""
     return json.dumps({"@schema": _SCHEMA, "markups": lists}, indent=1).encode()
 
 
-def _fiducials(title: str, labels: list[str], world: Floats) -> dict[str, Any]:
+def point_list(title: str, labels: list[str], lps: Floats) -> dict[str, Any]:
+    """One list of named points (n, 3) in LPS, mm, that the mouse does not move."""
     points = [
         {
             "id": str(i + 1),
@@ -60,7 +66,7 @@ def _fiducials(title: str, labels: list[str], world: Floats) -> dict[str, Any]:
             "visibility": True,
             "positionStatus": "defined",
         }
-        for i, (label, place) in enumerate(zip(labels, lps_from_world(world)))
+        for i, (label, place) in enumerate(zip(labels, lps))
     ]
     return {
         "type": "Fiducial",
