@@ -6,6 +6,7 @@ rest (``check_frames``, ``image_corners``). Each refusal is one line: file, fiel
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from spinestiff.errors import SubjectError
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.study.records import (
     ANNOTATION_FILE,
+    FURTHER_FRAME,
     LATERAL,
     REST_IMAGES,
     SCHEMA_VERSION,
@@ -75,7 +77,7 @@ class Subject:
         """File (or folder of frames) of an image by its name in the annotation."""
         if image in REST_IMAGES:
             return self.folder / REST_IMAGES[image]
-        return self.folder / self.push(image.removeprefix("push/")).frames
+        return self.folder / self.push(image.split("/")[1]).frames
 
     @property
     def rest_views(self) -> tuple[Literal["frontal", "lateral"], ...]:
@@ -215,6 +217,21 @@ def image_corners(subject: Subject, image: str, view: XRayView) -> VertebraCorne
     return VertebraCorners(names, corners)
 
 
+def push_corners(subject: Subject, push: PushRecord, view: XRayView) -> Mapping[int, VertebraCorners]:
+    """Annotated corners of a push by frame (0-based), the first among them, in mm on the detector.
+
+    Raises
+    ------
+    SubjectError : as ``image_corners``.
+    """
+    names = {frame: push.frame_image(frame) for frame in range(len(push.forces_n))}
+    return {
+        frame: image_corners(subject, name, view)
+        for frame, name in names.items()
+        if frame == 0 or name in subject.annotation.images
+    }
+
+
 def image_pedicles(subject: Subject, image: str, view: XRayView) -> tuple[tuple[str, ...], Floats]:
     """Names and marked pedicles (Nv, 2, 2), left and right, in mm on the detector of ``view``; none if none are given.
 
@@ -265,17 +282,21 @@ def _read_images(subject: Subject, path: Path, which: Literal["frontal", "latera
     return frames
 
 
-def _annotatable(record: SubjectRecord) -> tuple[str, ...]:
-    return (*REST_IMAGES, *(push.image for push in record.pushes))
-
-
 def _check_images(subject: Subject) -> None:
     path, images = subject.folder / ANNOTATION_FILE, subject.annotation.images
-    known = _annotatable(subject.record)
+    needed = (*REST_IMAGES, *(push.image for push in subject.pushes))
+    further = {push.frame_image(k): push for push in subject.pushes for k in range(1, len(push.forces_n))}
     for name in images:
-        if name not in known:
-            raise SubjectError(f"{path}: images.{name}: unknown image; wanted {', '.join(known)}")
-    for name in known:
+        found = re.fullmatch(FURTHER_FRAME, name)
+        if found is not None and found["push"] in needed and name not in further:
+            count = len(subject.push(found["push"].removeprefix("push/")).forces_n)
+            raise SubjectError(f"{path}: images.{name}: the push has {count} frames, counted from 0")
+        if name not in needed and name not in further:
+            raise SubjectError(
+                f"{path}: images.{name}: unknown image; wanted {', '.join(needed)} (push/<id>/<frame> for frames after "
+                "the first)"
+            )
+    for name in needed:
         # Without a lateral radiograph the sagittal shape is the template's; one that is there has to be annotated.
         if name == LATERAL and not subject.image_path(name).exists():
             continue
