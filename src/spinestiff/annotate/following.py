@@ -12,7 +12,7 @@ from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.tracking import Observer, track
-from spinestiff.study.subject import image_corners
+from spinestiff.study.subject import push_corners
 
 
 @dataclass(frozen=True)
@@ -101,16 +101,13 @@ def follow(
     frames: Sequence[Radiograph], annotated: Mapping[int, VertebraCorners], observer: Observer
 ) -> tuple[VertebraCorners, ...]:
     """Corners in every frame from the annotated ones."""
-    return track(frames, annotated[0], observer)
+    return track(frames, annotated, observer)
 
 
-def annotated_frames(session: AnnotationSession, image: str) -> dict[int, VertebraCorners]:
+def annotated_frames(session: AnnotationSession, image: str) -> Mapping[int, VertebraCorners]:
     """Complete annotations of a push by frame, mm on the detector. Raises SubjectError if the first has none."""
-    marks = session.marks.get(image)
-    if marks is None:
-        raise SubjectError(f"{image}: nothing is marked in the first frame yet")
-    view = session.frames(image)[0].view
-    return {0: image_corners(session.with_marks(image, marks.whole()), image, view)}
+    push = session.subject.push(image.removeprefix("push/"))
+    return push_corners(session.annotated(), push, session.frames(image)[0].view)
 
 
 def following_record(session: AnnotationSession, image: str, found: Following) -> dict[str, Any]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import RLock
-from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.annotate.draft import DRAFT_FILE, Draft, DraftImage, read_draft
@@ -26,11 +26,13 @@ from spinestiff.study.records import (
     SCHEMA_VERSION,
     Annotation,
     ImageAnnotation,
+    complaint_of,
 )
 from spinestiff.study.results import write_json
 from spinestiff.study.subject import (
     Subject,
     annotatable,
+    check_image_name,
     check_radiograph_path,
     image_corners,
     read_annotation,
@@ -145,20 +147,27 @@ class AnnotationSession:
             return self.revision
 
     def frames(self, name: str) -> tuple[Radiograph, ...]:
-        """The radiographs of an image by its name in the annotation.
+        """The radiographs of an image by its name in the annotation; of a push all, whichever frame is named.
 
         Raises
         ------
         SubjectError : no image of that name. RadiographError : see ``read_radiographs``.
         """
-        self._refuse_unknown((name,))
+        check_image_name(self.subject, name)
+        image = image_of(name)
         with self.lock:
-            if name not in self._frames:
-                self._frames[name] = self._read(name)
+            if image not in self._frames:
+                self._frames[image] = self._read(image)
                 while len(self._frames) > KEPT:
                     self._frames.popitem(last=False)
-            self._frames.move_to_end(name)
-            return self._frames[name]
+            self._frames.move_to_end(image)
+            return self._frames[image]
+
+    def annotated(self) -> Subject:
+        """The subject with what is complete of its annotation."""
+        with self.lock:
+            whole = {name: image for name, marks in self.marks.items() if (image := self._complete(name, marks))}
+        return self._with(whole)
 
     def judged(self, name: str, marks: DraftImage) -> Judged:
         """What can be told of marks in an image: complete or why not, and its Cobb angle."""
@@ -166,7 +175,9 @@ class AnnotationSession:
             problem = ""
             self._checked(name, marks.whole())
         except SubjectError as error:
-            problem = str(error).removeprefix(f"{self.annotation_path}: images.{name}.")
+            problem = (
+                str(error).removeprefix(f"{self.annotation_path}: images.{name}.").removeprefix(f"{name}.vertebrae: ")
+            )
         return Judged(len(marks.vertebrae), problem, self._cobb(name, marks))
 
     def missing(self, marks: Mapping[str, DraftImage]) -> list[str]:
@@ -181,11 +192,14 @@ class AnnotationSession:
                 lines.append(f"{name}: {len(image.vertebrae)} vertebrae, wanted at least {FEWEST_VERTEBRAE}")
             elif problem:
                 lines.append(f"{name}: {problem}")
+        for name in sorted(set(marks) - set(self.images)):
+            problem = "" if marks[name].empty else self.judged(name, marks[name]).problem
+            if problem:
+                lines.append(f"{name}: {problem}")
         return lines
 
-    def with_marks(self, name: str, marks: ImageAnnotation) -> Subject:
-        """The subject with the annotation of one image, for whoever reads corners through it."""
-        return replace(self.subject, annotation=Annotation(schema_version=SCHEMA_VERSION, images={name: marks}))
+    def _with(self, images: dict[str, ImageAnnotation]) -> Subject:
+        return replace(self.subject, annotation=Annotation(schema_version=SCHEMA_VERSION, images=images))
 
     def _read(self, name: str) -> tuple[Radiograph, ...]:
         if name in REST_IMAGES:
@@ -200,12 +214,11 @@ class AnnotationSession:
 
     def _checked(self, name: str, image: ImageAnnotation) -> ImageAnnotation:
         """The image itself, checked as a fit will. Raises SubjectError."""
-        # Checks what lies where it must not: supports in rest images, pedicles in pushes.
-        if image.supports and name in REST_IMAGES:
-            raise SubjectError("supports belong to push images only")
-        if image.pedicles and name not in REST_IMAGES:
-            raise SubjectError("pedicles belong to rest images only")
-        image_corners(self.with_marks(name, image), name, self.frames(name)[0].view)
+        try:
+            Annotation(schema_version=SCHEMA_VERSION, images={name: image})
+        except ValidationError as error:
+            raise SubjectError(complaint_of(error).removeprefix("images: ")) from None
+        image_corners(self._with({name: image}), name, self.frames(name)[0].view)
         return image
 
     def _cobb(self, name: str, marks: DraftImage) -> CobbAngle | None:
@@ -218,11 +231,9 @@ class AnnotationSession:
         except SpinestiffError:
             return None
 
-    def _refuse_unknown(self, names: Any) -> None:
-        known = annotatable(self.subject.record)
+    def _refuse_unknown(self, names: Iterable[str]) -> None:
         for name in names:
-            if name not in known:
-                raise SubjectError(f"images.{name}: unknown image; wanted {', '.join(known)}")
+            check_image_name(self.subject, name)
 
     def _write_draft(self, images: dict[str, DraftImage]) -> None:
         if images and images != self._drafted:
@@ -233,6 +244,11 @@ class AnnotationSession:
 
     def _on_disk(self) -> tuple[str, str]:
         return _digest(self.annotation_path), _digest(self.draft_path)
+
+
+def image_of(name: str) -> str:
+    """The image that a name of the annotation belongs to: of a push's later frame the push."""
+    return name if name in REST_IMAGES else "/".join(name.split("/")[:2])
 
 
 def ordered_corners(marks: DraftImage) -> VertebraCorners:

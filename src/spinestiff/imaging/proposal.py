@@ -226,13 +226,13 @@ def _middle(strip: _Strip, expected: _Expected) -> Floats:
     """(R,) mm by which the spine's middle lies beside the curve: where both side walls fit best, row after row."""
     halves = np.interp(strip.rows, expected.places, expected.halves)
     shifts = np.arange(-ASIDE, ASIDE + 0.5 * STEP, STEP)
-    wall = sum(
-        -side * strip.sampled(strip.aside, strip.rows[:, None], shifts[None] + side * halves[:, None]) for side in (1, -1)
-    )
+    wall = np.zeros((len(strip.rows), len(shifts)))
+    for side in (1, -1):
+        wall -= side * strip.sampled(strip.aside, strip.rows[:, None], shifts[None] + side * halves[:, None])
     inside = (strip.rows > -10.0) & (strip.rows < expected.length + 10.0)
     cost = -wall / (np.std(wall) + 1e-9) * inside[:, None] * 0.1 + 0.5 * (shifts / ASIDE) ** 2 * 0.1
     drift = 0.5 * ((shifts[:, None] - shifts[None]) / (ASIDE_DRIFT * 4)) ** 2
-    return gaussian_filter1d(shifts[_cheapest(list(cost), [drift] * (len(cost) - 1))], 6.0 / STEP)
+    return np.asarray(gaussian_filter1d(shifts[_cheapest(list(cost), [drift] * (len(cost) - 1))], 6.0 / STEP))
 
 
 def _endplates(strip: _Strip, expected: _Expected, held: Mapping[int, Floats]) -> tuple[Floats, Floats]:
@@ -274,9 +274,7 @@ def _endplate_cost(strip: _Strip, expected: _Expected, k: int, s: Floats, a: Flo
     return np.asarray(prior - EDGE * rise / EDGE_UNIT)
 
 
-def _sequence(
-    expected: _Expected, unary: list[Floats], s: list[Floats], a: list[Floats]
-) -> tuple[Floats, Floats]:
+def _sequence(expected: _Expected, unary: list[Floats], s: list[Floats], a: list[Floats]) -> tuple[Floats, Floats]:
     """The cheapest (2n,) places and tilts. Steps cost by place and by tilt separately, so each is minimised in turn."""
     total, back = unary[0], []
     for k in range(1, len(unary)):
@@ -291,8 +289,8 @@ def _sequence(
         from_place = moved.argmin(axis=1)
         total = unary[k] + np.take_along_axis(moved, from_place[:, None], axis=1)[:, 0]
         back.append((from_place, from_tilt))
-    i, j = np.unravel_index(int(total.argmin()), total.shape)
-    chosen = [(int(i), int(j))]
+    last = int(total.argmin())
+    chosen = [(last // total.shape[1], last % total.shape[1])]
     for from_place, from_tilt in reversed(back):
         i, j = chosen[-1]
         before = int(from_place[i, j])
@@ -321,9 +319,7 @@ def _walls(strip: _Strip, expected: _Expected, places: Floats, tilts: Floats, he
                 else:
                     costs.append(_wall_cost(strip, places, tilts, k, here, side, halves[k]))
                 tried.append(here - side * halves[k])
-            steps = [
-                0.5 * ((tried[k][:, None] - tried[k - 1][None]) / WALL_DRIFT) ** 2 for k in range(1, len(places))
-            ]
+            steps = [0.5 * ((tried[k][:, None] - tried[k - 1][None]) / WALL_DRIFT) ** 2 for k in range(1, len(places))]
             way = _cheapest(costs, steps)
             found[:, column] = [tried[k][i] + side * halves[k] for k, i in enumerate(way)]
         # The person's own width, over the template's, is one number; with it the walls are looked for again.
@@ -331,15 +327,15 @@ def _walls(strip: _Strip, expected: _Expected, places: Floats, tilts: Floats, he
     return found
 
 
-def _wall_cost(
-    strip: _Strip, places: Floats, tilts: Floats, k: int, here: Floats, side: float, half: float
-) -> Floats:
+def _wall_cost(strip: _Strip, places: Floats, tilts: Floats, k: int, here: Floats, side: float, half: float) -> Floats:
     """Cost of the end of an endplate: little where grey falls to the outside all along the body's nearer half."""
     other = k + 1 if k % 2 == 0 else k - 1
     share = np.linspace(0.05, 0.5, 10)
     along = (1.0 - share) * places[k] + share * places[other]
     slope = (1.0 - share) * np.tan(tilts[k]) + share * np.tan(tilts[other])
-    fall = -side * strip.sampled(strip.aside, along + here[:, None] * slope, np.broadcast_to(here[:, None], (len(here), 10)))
+    fall = -side * strip.sampled(
+        strip.aside, along + here[:, None] * slope, np.broadcast_to(here[:, None], (len(here), 10))
+    )
     prior = 0.5 * ((np.abs(here) - half) / WALL_SD) ** 2
     return np.asarray(prior - WALL * fall.mean(axis=1) / EDGE_UNIT)
 

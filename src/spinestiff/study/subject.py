@@ -6,6 +6,7 @@ rest (``check_frames``, ``image_corners``). Each refusal is one line: file, fiel
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from spinestiff.errors import SubjectError
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.study.records import (
     ANNOTATION_FILE,
+    FURTHER_FRAME,
     LATERAL,
     REST_IMAGES,
     SCHEMA_VERSION,
@@ -75,7 +77,7 @@ class Subject:
         """File (or folder of frames) of an image by its name in the annotation."""
         if image in REST_IMAGES:
             return self.folder / REST_IMAGES[image]
-        return self.folder / self.push(image.removeprefix("push/")).frames
+        return self.folder / self.push(image.split("/")[1]).frames
 
     @property
     def rest_views(self) -> tuple[Literal["frontal", "lateral"], ...]:
@@ -232,6 +234,21 @@ def image_corners(subject: Subject, image: str, view: XRayView) -> VertebraCorne
     return VertebraCorners(names, corners)
 
 
+def push_corners(subject: Subject, push: PushRecord, view: XRayView) -> Mapping[int, VertebraCorners]:
+    """Annotated corners of a push by frame (0-based), the first among them, in mm on the detector.
+
+    Raises
+    ------
+    SubjectError : as ``image_corners``.
+    """
+    names = {frame: push.frame_image(frame) for frame in range(len(push.forces_n))}
+    return {
+        frame: image_corners(subject, name, view)
+        for frame, name in names.items()
+        if frame == 0 or name in subject.annotation.images
+    }
+
+
 def image_pedicles(subject: Subject, image: str, view: XRayView) -> tuple[tuple[str, ...], Floats]:
     """Names and marked pedicles (Nv, 2, 2), left and right, in mm on the detector of ``view``; none if none are given.
 
@@ -283,17 +300,30 @@ def _read_images(subject: Subject, path: Path, which: Literal["frontal", "latera
 
 
 def annotatable(record: SubjectRecord) -> tuple[str, ...]:
-    """Names of the images that an annotation may have: the rest radiographs and the pushes."""
+    """Names of the images that an annotation needs: the rest radiographs and the first frame of each push."""
     return (*REST_IMAGES, *(push.image for push in record.pushes))
+
+
+def check_image_name(subject: Subject, name: str) -> None:
+    """Raise SubjectError unless an annotation of this subject may have an image, or a push's frame, of that name."""
+    path, needed = subject.folder / ANNOTATION_FILE, annotatable(subject.record)
+    found = re.fullmatch(FURTHER_FRAME, name)
+    if found is not None and found["push"] in needed:
+        count = len(subject.push(found["push"].removeprefix("push/")).forces_n)
+        if int(found["frame"]) >= count:
+            raise SubjectError(f"{path}: images.{name}: the push has {count} frames, counted from 0")
+    elif name not in needed:
+        raise SubjectError(
+            f"{path}: images.{name}: unknown image; wanted {', '.join(needed)} (push/<id>/<frame> for frames after "
+            "the first)"
+        )
 
 
 def _check_images(subject: Subject) -> None:
     path, images = subject.folder / ANNOTATION_FILE, subject.annotation.images
-    known = annotatable(subject.record)
     for name in images:
-        if name not in known:
-            raise SubjectError(f"{path}: images.{name}: unknown image; wanted {', '.join(known)}")
-    for name in known:
+        check_image_name(subject, name)
+    for name in annotatable(subject.record):
         # Without a lateral radiograph the sagittal shape is the template's; one that is there has to be annotated.
         if name == LATERAL and not subject.image_path(name).exists():
             continue

@@ -75,7 +75,7 @@ export class App {
 
   // Changes. A drag previews and then commits once.
   preview(change: (marks: ImageMarks) => ImageMarks): void {
-    this.draft = change(this.draft ?? this.adopted());
+    this.draft = change(this.draft ?? this.adopted(this.selection));
     this.after();
   }
 
@@ -86,7 +86,7 @@ export class App {
   }
 
   change(change: (marks: ImageMarks) => ImageMarks | null, what: string): void {
-    const next = change(this.adopted());
+    const next = change(this.adopted(this.selection));
     if (next && next !== this.marks) this.commit(next, what);
   }
 
@@ -101,12 +101,16 @@ export class App {
     this.after();
   }
 
-  /** A later frame starts from what was tracked there, without what was lost. */
-  private adopted(): ImageMarks {
-    const tracked = this.tracked;
-    if (!tracked || Object.keys(this.marks.vertebrae).length) return this.marks;
-    const seen = Object.entries(tracked.vertebrae).filter(([name]) => tracked.quality[name]?.every((q) => q > 0));
-    return { ...NOTHING, vertebrae: Object.fromEntries(seen) };
+  /** What is shown: marks, and in later frames what was tracked where nothing is marked. */
+  get seen(): ImageMarks {
+    return this.tracked ? { ...this.marks, vertebrae: { ...this.tracked.vertebrae, ...this.marks.vertebrae } } : this.marks;
+  }
+
+  /** Marks to be changed: of a later frame, what was tracked of the one vertebra that is corrected becomes a mark. */
+  private adopted(at: Selection | null): ImageMarks {
+    const quad = at?.kind === "vertebra" ? this.tracked?.vertebrae[at.name] : undefined;
+    if (!at || !quad || this.marks.vertebrae[at.name]) return this.marks;
+    return { ...this.marks, vertebrae: { ...this.marks.vertebrae, [at.name]: quad } };
   }
 
   undo(): void { this.turn(this.history.undo(), "undone"); }
@@ -130,7 +134,7 @@ export class App {
 
   turnBy(degrees: number): void {
     const at = this.selection;
-    const quad = at?.kind === "vertebra" ? this.marks.vertebrae[at.name] : undefined;
+    const quad = at?.kind === "vertebra" ? this.seen.vertebrae[at.name] : undefined;
     if (!at || !quad) return;
     const middle = centre(quad), [cos, sin] = [Math.cos((degrees * Math.PI) / 180), Math.sin((degrees * Math.PI) / 180)];
     const turned = (p: Point): Point => {
@@ -143,15 +147,15 @@ export class App {
 
   select(at: Selection | null): void {
     this.selection = at;
-    const [p] = at ? selected(this.adopted(), at) : [];
-    if (p) this.stage.reveal(at && at.kind === "vertebra" && at.part < 0 ? centre(selected(this.adopted(), at)) : p);
+    const points = at ? selected(this.seen, at) : [];
+    if (points.length) this.stage.reveal(centre(points));
     this.tell();
     this.after();
   }
 
   /** The next or previous vertebra there is, with the same part of it. */
   step(by: number): void {
-    const quads = this.adopted().vertebrae, have = this.names.filter((name) => quads[name]);
+    const quads = this.seen.vertebrae, have = this.names.filter((name) => quads[name]);
     if (!have.length) return this.says.aloud("no vertebra is marked here");
     const at = this.selection?.kind === "vertebra" ? have.indexOf(this.selection.name) : -1;
     const next = at < 0 ? (by > 0 ? 0 : have.length - 1) : Math.min(have.length - 1, Math.max(0, at + by));
@@ -164,7 +168,7 @@ export class App {
 
   remove(): void {
     const at = this.selection;
-    if (!at || !selected(this.adopted(), at).length) return;
+    if (!at || !selected(this.marks, at).length) return;
     if (at.kind === "vertebra") return this.visible(at.name, false);
     this.change((marks) => removed(marks, at), `${this.spoken(at)} removed`);
     this.selection = null;
@@ -174,13 +178,13 @@ export class App {
   /** A vertebra that can't be seen has no corners; it comes back where it was, or between its neighbours. */
   visible(name: string, on: boolean): void {
     if (!on) {
-      const quad = this.adopted().vertebrae[name];
+      const quad = this.marks.vertebrae[name];
       if (quad) this.hidden = { ...this.hidden, [this.key]: { ...(this.hidden[this.key] ?? NOTHING), vertebrae: { ...this.hidden[this.key]?.vertebrae, [name]: quad } } };
       this.change((marks) => removed(marks, { kind: "vertebra", name, part: -1 }), `${name} marked as not visible`);
       if (this.selection?.name === name) this.selection = null;
       this.says.aloud(`${name} is marked as not visible`);
     } else {
-      const quad = this.hidden[this.key]?.vertebrae[name] ?? guessed(this.adopted(), this.names, name);
+      const quad = this.hidden[this.key]?.vertebrae[name] ?? guessed(this.marks, this.names, name);
       if (!quad) this.says.aloud("propose vertebrae first; two are needed to place another");
       else {
         this.change((marks) => ({ ...marks, vertebrae: { ...marks.vertebrae, [name]: quad } }), `${name} added`);
@@ -191,7 +195,7 @@ export class App {
   }
 
   rename(step: number): void {
-    const next = renamed(this.adopted(), this.names, step);
+    const next = renamed(this.marks, this.names, step);
     if (!next) return this.says.problem(`The names end at ${step < 0 ? "T1" : "L5"}; mark what lies beyond as not visible first.`);
     this.change(() => next, step < 0 ? "names moved up" : "names moved down");
     this.selection = null;
@@ -290,9 +294,8 @@ export class App {
 
   private async judge(): Promise<void> {
     const { marks, key } = this;
-    const shown = Object.keys(marks.vertebrae).length || !this.tracked ? marks : { ...NOTHING, vertebrae: this.tracked.vertebrae };
     try {
-      const found = await api.judge(this.image.name, { ...shown, spine: [] });
+      const found = await api.judge(this.image.name, { ...NOTHING, vertebrae: this.seen.vertebrae });
       if (key === this.key) { this.cobb = found.cobb; this.judged = found.problem; }
     } catch {
       this.cobb = null;
@@ -317,7 +320,7 @@ export class App {
   private tell(): void {
     const at = this.selection;
     if (!at) return;
-    const points = selected(this.adopted(), at);
+    const points = selected(this.seen, at);
     if (points.length) {
       const p = centre(points);
       this.says.aloud(`${this.spoken(at)}: column ${p[0].toFixed(1)}, row ${p[1].toFixed(1)}`);

@@ -149,6 +149,7 @@ export class Panel {
   refresh(): void {
     const { app } = this, { marks } = app;
     this.makeTools();
+    for (const id of ["upper", "lower"] as const) need<HTMLSelectElement>(id).value = app[id];
     for (const [name, [made, mark, state]] of this.images) {
       const n = Object.keys(app.allMarks[name]?.vertebrae ?? {}).length;
       const open = app.missing.some((line) => line.startsWith(`${name}:`));
@@ -156,15 +157,17 @@ export class Panel {
       state.textContent = n === 0 ? "nothing marked" : `${n} vertebrae${open ? ", not complete" : ""}`;
       if (name === app.image.name) made.setAttribute("aria-current", "true"); else made.removeAttribute("aria-current");
     }
-    const shown = Object.keys(marks.vertebrae).length ? marks.vertebrae : (app.tracked?.vertebrae ?? {});
+    const shown = app.seen.vertebrae;
     for (const [name, [made, box]] of this.vertebrae) {
       const there = name in shown;
       made.disabled = !there;
       made.setAttribute("aria-pressed", String(app.selection?.kind === "vertebra" && app.selection.name === name));
       box.checked = there;
+      box.disabled = app.frame > 0;
     }
     need<HTMLButtonElement>("undo").disabled = !app.canUndo;
     need<HTMLButtonElement>("redo").disabled = !app.canRedo;
+    for (const id of ["names-up", "names-down"]) need<HTMLButtonElement>(id).disabled = app.frame > 0;
     need<HTMLButtonElement>("propose").disabled = !!app.busy || app.frame > 0;
     put("propose", app.busy || "Propose vertebrae");
     put("spine-text", app.frame ? "Later frames are tracked." : `${marks.spine.length} points along the spine${marks.spine.length < 3 ? "; three or more are needed" : ""}.`);
@@ -203,7 +206,7 @@ export class Panel {
     const words_ = `${frame + 1} of ${count}, ${image.forces[frame] ?? 0} N, ${image.roles[frame] ?? ""}`;
     slider.setAttribute("aria-valuetext", words_);
     const state = app.tracking[image.name], here = Object.keys(app.marks.vertebrae).length;
-    const source = frame === 0 ? "marked" : here ? "corrected" : app.tracked ? "tracked" : "not tracked yet";
+    const source = frame === 0 ? "marked" : here ? `${here} corrected, the others tracked` : app.tracked ? "tracked" : "not tracked yet";
     put("frame-text", `${words_}: ${source}`);
     need<HTMLButtonElement>("frame-back").disabled = frame === 0;
     need<HTMLButtonElement>("frame-on").disabled = frame === count - 1;

@@ -129,10 +129,9 @@ export class Stage {
     return name === undefined ? null : { kind: "vertebra", name, part: -1 };
   }
 
-  /** Marked vertebrae, and where none are marked those that were tracked there. */
+  /** Marked vertebrae, and those that were tracked where they are not marked. */
   private quads(): Record<string, Quad> {
-    const { marks, tracked } = this.shown ?? {};
-    return marks && Object.keys(marks.vertebrae).length ? marks.vertebrae : (tracked?.vertebrae ?? {});
+    return { ...this.shown?.tracked?.vertebrae, ...this.shown?.marks.vertebrae };
   }
 
   draw(shown: Shown): void {
@@ -200,18 +199,17 @@ export class Stage {
 
   private paintMarks(shown: Shown): void {
     const c = this.context, { marks, selection } = shown;
-    const measured = Object.keys(marks.vertebrae).length > 0;
     c.font = "600 13px system-ui, sans-serif";
     c.textBaseline = "middle";
     for (const [name, quad] of Object.entries(this.quads())) {
-      const chosen = selection?.kind === "vertebra" && selection.name === name;
+      const chosen = selection?.kind === "vertebra" && selection.name === name, measured = name in marks.vertebrae;
       this.outline(quad, chosen ? CHOSEN : measured ? MARK : TRACKED, chosen ? 2.4 : 1.4, measured ? [] : [6, 4], true);
       const side = Math.max(...quad.map((p) => this.toPlace(p)[0]));
       this.text(name, side + 9, this.toPlace(centre(quad))[1], chosen ? CHOSEN : "#fff", "left");
       if (!measured) this.paintLost(quad, shown.tracked?.quality[name]);
       if (chosen) quad.forEach((p, i) => this.handle(p, i === selection.part));
     }
-    if (shown.cobb && measured) this.paintAngle(marks, shown.cobb);
+    if (shown.cobb) this.paintAngle(this.quads(), shown.cobb);
     if (shown.spine) marks.spine.forEach((p, i) => this.point(p, String(i + 1), "circle", this.isChosen("spine", "", i)));
     for (const kind of ["pelvis", "shoulder"] as const)
       marks.supports[kind]?.forEach((p, i) => this.point(p, kind, kind === "pelvis" ? "triangle" : "diamond", this.isChosen(kind, "", i)));
@@ -264,8 +262,8 @@ export class Stage {
   }
 
   /** The two endplates between which the angle is read, drawn on to where a reader looks for them. */
-  private paintAngle(marks: ImageMarks, cobb: Cobb): void {
-    const upper = marks.vertebrae[cobb.upper], lower = marks.vertebrae[cobb.lower];
+  private paintAngle(quads: Record<string, Quad>, cobb: Cobb): void {
+    const upper = quads[cobb.upper], lower = quads[cobb.lower];
     if (!upper || !lower) return;
     const beyond = ([a, b]: [Point, Point]): [Point, Point] => {
       const by: Point = [0.9 * (b[0] - a[0]), 0.9 * (b[1] - a[1])];
@@ -286,7 +284,7 @@ export class Stage {
   private paintLoupe(shown: Shown): void {
     const at = shown.selection;
     if (!at || (at.kind === "vertebra" && at.part < 0) || this.scale > LOUPE_ZOOM) return;
-    const [p] = selected(shown.marks, at);
+    const quads = this.quads(), [p] = selected({ ...shown.marks, vertebrae: quads }, at);
     if (!p) return;
     const c = this.context, [px, py] = this.toPlace(p);
     const left = px < LOUPE + 60 && py > this.canvas.clientHeight - LOUPE - 60 ? this.canvas.clientWidth - LOUPE - 10 : 10;
@@ -298,7 +296,7 @@ export class Stage {
     this.origin = [left + LOUPE / 2 - p[0] * LOUPE_ZOOM, top + LOUPE / 2 - p[1] * LOUPE_ZOOM];
     const [x, y] = this.toPlace([-0.5, -0.5]);
     c.drawImage(this.picture, x, y, this.size[0] * LOUPE_ZOOM, this.size[1] * LOUPE_ZOOM);
-    for (const quad of Object.values(shown.marks.vertebrae)) this.outline(quad, MARK, 1, [], true);
+    for (const quad of Object.values(quads)) this.outline(quad, MARK, 1, [], true);
     this.crosshair(p);
     this.scale = scale;
     this.origin = origin;
