@@ -51,6 +51,14 @@ class Track(_Sent):
     image: str
 
 
+class Import(_Sent):
+    """A file's name, of which its end alone counts, its text, and the image in sight."""
+
+    name: Annotated[str, Field(max_length=1000)]
+    text: str
+    image: str
+
+
 S = TypeVar("S", bound=_Sent)
 
 

@@ -17,9 +17,10 @@ from fastapi.responses import JSONResponse
 
 from spinestiff import __version__
 from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.annotate.exchange import Form, exported, imported
 from spinestiff.annotate.following import Follower, following_record
 from spinestiff.annotate.guard import Guard
-from spinestiff.annotate.requests import Judge, Propose, Save, Track, judged_record, sent
+from spinestiff.annotate.requests import Import, Judge, Propose, Save, Track, judged_record, sent
 from spinestiff.annotate.session import AnnotationSession, ChangedElsewhere
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError, SubjectError
@@ -80,6 +81,16 @@ def application(session: AnnotationSession) -> FastAPI:
         kept: dict[str, Floats] = {name: np.array(quad) for name, quad in asked.kept.items()}
         boxes = propose_boxes(shown, np.array(asked.points, dtype=float).reshape(-1, 2), names, kept)
         return {"vertebrae": {name: quad.round(2).tolist() for name, quad in zip(names, boxes)}}
+
+    @app.post("/api/import")
+    def read_file(body: Body) -> dict[str, Any]:
+        asked = sent(body, Import)
+        marks, said = imported(session, asked.name, asked.text, asked.image)
+        return {"marks": {name: image.model_dump(mode="json") for name, image in marks.items()}, "warnings": said}
+
+    @app.get("/api/export")
+    def write_file(form: Form) -> Response:
+        return Response(exported(session, form), media_type="application/octet-stream")
 
     @app.get("/api/track")
     def tracking(image: str) -> dict[str, Any]:

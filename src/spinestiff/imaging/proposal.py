@@ -219,7 +219,7 @@ class _Strip:
                       borderMode=cv2.BORDER_REPLICATE)
             for i in range(0, len(x), 20000)
         ]  # fmt: skip
-        return np.concatenate(found).reshape(shape)
+        return np.asarray(np.concatenate(found).reshape(shape), dtype=np.float64)
 
 
 def _middle(strip: _Strip, expected: _Expected) -> Floats:

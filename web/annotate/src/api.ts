@@ -52,10 +52,9 @@ export const propose = (
 export const track = (image: string): Promise<Tracking> => send("POST", "/api/track", { image });
 export const tracking = async (image: string): Promise<Tracking> =>
   (await (await ask("GET", `/api/track?${query({ image })}`)).json()) as Tracking;
-export const importFile = (name: string, text: string): Promise<{ marks: Marks; warnings: string[] }> =>
-  send("POST", "/api/import", { name, text });
-export const exportFile = async (form: string, image: string): Promise<Blob> =>
-  (await ask("GET", `/api/export?${query({ form, image })}`)).blob();
+export const importFile = (name: string, text: string, image: string): Promise<{ marks: Marks; warnings: string[] }> =>
+  send("POST", "/api/import", { name, text, image });
+export const exportFile = async (form: string): Promise<Blob> => (await ask("GET", `/api/export?${query({ form })}`)).blob();
 
 export async function radiograph(image: string, frame: number): Promise<Grey> {
   const answer = await ask("GET", `/api/radiograph?${query({ image, frame })}`);

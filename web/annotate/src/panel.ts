@@ -252,7 +252,7 @@ export class Panel {
     if (!file) return;
     const { app } = this;
     await app.whileBusy("Reading …", async () => {
-      const found = await api.importFile(file.name, await file.text());
+      const found = await api.importFile(file.name, await file.text(), app.key);
       app.replace({ ...app.allMarks, ...found.marks }, `import of ${Object.keys(found.marks).length} radiographs`);
       if (found.warnings.length) says.problem(found.warnings.join(" "));
     });
@@ -260,11 +260,10 @@ export class Panel {
   }
 
   private async export(form: "csv" | "slicer"): Promise<void> {
-    const { app } = this;
     try {
       const link = document.createElement("a");
-      link.href = URL.createObjectURL(await api.exportFile(form, app.image.name));
-      link.download = form === "csv" ? "corners.csv" : `${app.image.name.replaceAll("/", "-")}.mrk.json`;
+      link.href = URL.createObjectURL(await api.exportFile(form));
+      link.download = form === "csv" ? "corners.csv" : "corners.mrk.json";
       link.click();
       URL.revokeObjectURL(link.href);
     } catch (error) {
