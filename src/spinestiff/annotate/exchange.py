@@ -53,13 +53,11 @@ def imported(
     SubjectError : no such format, a fault of the file, images that this subject has not, corners in mm.
     """
     end = file_name.lower()
-    kind = (
-        "corners.csv" if end.endswith(".csv") else "corners.mrk.json" if end.endswith(".mrk.json") else "corners.json"
-    )
-    if not end.endswith((".csv", ".json")):
+    kind = next((kind for kind in (".csv", ".mrk.json", ".json") if end.endswith(kind)), None)
+    if kind is None:
         raise SubjectError("a file of corners ends in .csv, .mrk.json or .json")
     with TemporaryDirectory() as folder:
-        path = Path(folder) / kind
+        path = Path(folder) / f"corners{kind}"
         path.write_text(text, encoding="utf-8")
         try:
             found = read_corner_file(path)
@@ -95,7 +93,7 @@ def _known(session: AnnotationSession, name: str) -> bool:
 
 def _first_on(session: AnnotationSession, name: str) -> Side:
     """The side of the image where the patient's left, in a lateral image the front, is seen."""
-    first, up = picture_axes(session.frames(name)[0].view)
+    first, up = picture_axes(session.view(name))
     if up[1] > 0.0:
         raise SubjectError(f"{name}: the radiograph stands on its head; such corners can't be exchanged")
     return "right" if first[0] > 0.0 else "left"

@@ -107,15 +107,14 @@ def follow(
 def annotated_frames(session: AnnotationSession, image: str) -> Mapping[int, VertebraCorners]:
     """Complete annotations of a push by frame, mm on the detector. Raises SubjectError if the first has none."""
     push = session.subject.push(image.removeprefix("push/"))
-    return push_corners(session.annotated(), push, session.frames(image)[0].view)
+    return push_corners(session.annotated(), push, session.view(image))
 
 
 def following_record(session: AnnotationSession, image: str, found: Following) -> dict[str, Any]:
     """As JSON, corners in pixels."""
-    view = session.frames(image)[0].view if found.frames else None
+    view = session.view(image)
     frames = []
     for corners in found.frames:
-        assert view is not None
         quads = view.pixels(corners.corners).round(2)
         frames.append(
             {

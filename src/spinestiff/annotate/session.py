@@ -14,8 +14,9 @@ from pydantic import ValidationError
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.annotate.draft import DRAFT_FILE, Draft, DraftImage, read_draft
-from spinestiff.errors import SpinestiffError, SubjectError
+from spinestiff.errors import RadiographError, SpinestiffError, SubjectError
 from spinestiff.imaging.features import VertebraCorners, view_kind
+from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.study.metrics import CobbAngle, cobb_angle, tilts
 from spinestiff.study.records import (
@@ -86,6 +87,7 @@ class AnnotationSession:
         self.lock = RLock()
         self.revision = 0
         self._frames: OrderedDict[str, tuple[Radiograph, ...]] = OrderedDict()
+        self._views: dict[str, XRayView] = {}
         self._drafted: dict[str, DraftImage] = {}
         self.reload()
 
@@ -109,9 +111,8 @@ class AnnotationSession:
             images: dict[str, DraftImage] = {}
             if self.annotation_path.is_file():
                 images |= _drafted(read_annotation(self.annotation_path))
-            if self.draft_path.is_file():
-                self._drafted = read_draft(self.draft_path).images
-                images |= self._drafted
+            self._drafted = read_draft(self.draft_path).images if self.draft_path.is_file() else {}
+            images |= self._drafted
             self._refuse_unknown(images)
             self.marks = images
             self._seen = self._on_disk()
@@ -163,6 +164,14 @@ class AnnotationSession:
             self._frames.move_to_end(image)
             return self._frames[image]
 
+    def view(self, name: str) -> XRayView:
+        """The view of an image, kept for good: every change of a mark asks for it. Raises as ``frames``."""
+        image = image_of(name)
+        with self.lock:
+            if image not in self._views:
+                self._views[image] = self.frames(name)[0].view
+            return self._views[image]
+
     def annotated(self) -> Subject:
         """The subject with what is complete of its annotation."""
         with self.lock:
@@ -171,14 +180,16 @@ class AnnotationSession:
 
     def judged(self, name: str, marks: DraftImage) -> Judged:
         """What can be told of marks in an image: complete or why not, and its Cobb angle."""
+        problem, cobb = "", None
         try:
-            problem = ""
+            cobb = self._cobb(name, marks)
             self._checked(name, marks.whole())
-        except SubjectError as error:
-            problem = (
-                str(error).removeprefix(f"{self.annotation_path}: images.{name}.").removeprefix(f"{name}.vertebrae: ")
-            )
-        return Judged(len(marks.vertebrae), problem, self._cobb(name, marks))
+            self.view(name)
+        except SpinestiffError as error:
+            problem = str(error)
+        for where in (f"{self.annotation_path}: images.{name}.", f"{name}.vertebrae: "):
+            problem = problem.removeprefix(where)
+        return Judged(len(marks.vertebrae), problem, cobb)
 
     def missing(self, marks: Mapping[str, DraftImage]) -> list[str]:
         """What a fit still needs, a line each, in words; empty when there is all."""
@@ -218,11 +229,16 @@ class AnnotationSession:
             Annotation(schema_version=SCHEMA_VERSION, images={name: image})
         except ValidationError as error:
             raise SubjectError(complaint_of(error).removeprefix("images: ")) from None
-        image_corners(self._with({name: image}), name, self.frames(name)[0].view)
+        try:
+            view = self.view(name)
+        except RadiographError:
+            # A radiograph that can't be read today doesn't make its annotation a draft.
+            return image
+        image_corners(self._with({name: image}), name, view)
         return image
 
     def _cobb(self, name: str, marks: DraftImage) -> CobbAngle | None:
-        view = self.frames(name)[0].view
+        view = self.view(name)
         if view_kind(view) != "frontal" or len(marks.vertebrae) < 2:
             return None
         corners = ordered_corners(marks)

@@ -256,7 +256,11 @@ export class App {
 
   async track(): Promise<void> {
     const { name } = this.image;
-    await this.whileBusy("", async () => this.watch(name, await api.track(name)));
+    await this.whileBusy("", async () => {
+      // The server tracks from what is saved.
+      await this.saver.settled();
+      this.watch(name, await api.track(name));
+    });
   }
 
   private watch(name: string, state: Tracking): void {

@@ -27,6 +27,11 @@ export class Saver {
     this.later(PAUSE_MS);
   }
 
+  /** Once everything is saved; never, if that is refused. */
+  async settled(): Promise<void> {
+    while (this.unsaved) await new Promise((done) => setTimeout(done, 40));
+  }
+
   private later(ms: number): void {
     clearTimeout(this.timer);
     this.timer = window.setTimeout(() => void this.go(), ms);
