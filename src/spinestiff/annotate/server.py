@@ -199,7 +199,7 @@ def _picture(radiograph: Radiograph) -> Response:
     about = {
         "rows": pixels.shape[0],
         "columns": pixels.shape[1],
-        "window": np.percentile(grey[::4, ::4], [1.0, 99.0]).tolist(),
+        "window": np.percentile(grey[::4, ::4], [1.0, 99.8]).tolist(),
         "kind": view_kind(radiograph.view),
         "first": first.tolist(),
         "up": up.tolist(),

@@ -1,7 +1,7 @@
 // The state of the page and everything that can be done to it; the mouse, the keyboard and the panels only ask for it here.
 import * as api from "./api";
 import type { Cobb, ImageInfo, Session, TrackedFrame, Tracking } from "./api";
-import { centre, changed, guessed, History, type ImageMarks, type Marks, moved, NOTHING, type Point, removed, renamed, type Selection, selected, type Support, without } from "./marks";
+import { centre, changed, guessed, History, type ImageMarks, type Marks, moved, NOTHING, type Point, type Quad, removed, renamed, type Selection, selected, type Support, without } from "./marks";
 import { Saver } from "./saver";
 import { Stage } from "./stage";
 
@@ -29,6 +29,7 @@ export class App {
   private readonly saver: Saver;
   private draft: ImageMarks | null = null;
   private hidden: Marks = {};
+  private proposed: Record<string, Record<string, Quad>> = {};
   private judging = 0;
 
   constructor(readonly session: Session, readonly stage: Stage, readonly says: Says) {
@@ -239,6 +240,13 @@ export class App {
     this.after();
   }
 
+  /** Vertebrae that were corrected since they were proposed; a new proposal keeps them and takes them for guides. */
+  get kept(): Record<string, Quad> {
+    const before = this.proposed[this.key];
+    if (!before) return {};
+    return Object.fromEntries(Object.entries(this.marks.vertebrae).filter(([name, quad]) => String(quad) !== String(before[name])));
+  }
+
   async propose(): Promise<void> {
     const { marks, key } = this;
     if (marks.spine.length < 3) {
@@ -246,9 +254,12 @@ export class App {
       return this.says.problem("Click at least three points along the spine first: from the uppermost vertebra to the lowest.");
     }
     await this.whileBusy("Proposing …", async () => {
-      const found = await api.propose(this.image.name, this.frame, marks.spine, this.upper, this.lower, {});
+      const found = await api.propose(this.image.name, this.frame, marks.spine, this.upper, this.lower, this.kept);
       if (key !== this.key) return;
-      this.change((now) => ({ ...now, vertebrae: found.vertebrae }), "proposal");
+      const kept = this.kept;
+      const fresh = Object.entries(found.vertebrae).filter(([name]) => !(name in kept));
+      this.proposed = { ...this.proposed, [key]: Object.fromEntries(fresh) };
+      this.change((now) => ({ ...now, vertebrae: { ...found.vertebrae, ...kept } }), "proposal");
       this.choose("move");
       this.says.aloud(`${Object.keys(found.vertebrae).length} vertebrae proposed; look at each of them`);
     });

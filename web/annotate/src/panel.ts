@@ -168,8 +168,9 @@ export class Panel {
     need<HTMLButtonElement>("undo").disabled = !app.canUndo;
     need<HTMLButtonElement>("redo").disabled = !app.canRedo;
     for (const id of ["names-up", "names-down"]) need<HTMLButtonElement>(id).disabled = app.frame > 0;
+    need<HTMLButtonElement>("clear-spine").disabled = !marks.spine.length;
     need<HTMLButtonElement>("propose").disabled = !!app.busy || app.frame > 0;
-    put("propose", app.busy || "Propose vertebrae");
+    put("propose", app.busy || (Object.keys(app.kept).length ? "Propose the others again" : "Propose vertebrae"));
     put("spine-text", app.frame ? "Later frames are tracked." : `${marks.spine.length} points along the spine${marks.spine.length < 3 ? "; three or more are needed" : ""}.`);
     this.cobb();
     this.frames();
