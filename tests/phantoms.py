@@ -44,8 +44,8 @@ def phantom(
 ) -> Phantom:
     """A spine from the template's sizes along an S of amplitude ``bend`` mm, with soft tissue, ribs and noise.
 
-    The "first" side (the patient's left, in front in a lateral view) is on the right of the picture. ``size`` widens the
-    bodies against the template.
+    The "first" side (the patient's left, in front in a lateral view) is on the right of the picture. ``size`` widens
+    the bodies against the template.
     """
     rng = np.random.default_rng(seed)
     edges = np.concatenate([[0.0], np.cumsum(VERTEBRA_SIZES[:, 4:6].ravel())[:-1]])

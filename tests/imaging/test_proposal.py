@@ -119,7 +119,7 @@ def test_what_can_not_be_proposed_is_refused(points, names, message):
         propose_boxes(radiograph(phantom()), np.array(points, dtype=float), names)
 
 
-@pytest.mark.skipif(not REAL.is_dir(), reason="the labelled radiographs (shared/data/scoliosis_radiographs) are not here")
+@pytest.mark.skipif(not REAL.is_dir(), reason="labelled radiographs (shared/data/scoliosis_radiographs) are not here")
 def test_real_radiographs_are_met_as_well_as_their_labels_tell():
     """The labels themselves lie millimetres off the visible corners; still, most proposals are near them."""
     away = []

@@ -136,14 +136,16 @@ class AnnotationSession:
             marked = {name: image for name, image in draft.images.items() if not image.empty}
             whole = {name: image for name, marks in marked.items() if (image := self._complete(name, marks))}
             partial = {name: image for name, image in marked.items() if name not in whole}
-            # What moves from one file to the other is in both for a moment, never in none.
-            self._write_draft(partial | {name: marked[name] for name in self._drafted if name in marked})
-            if whole or self.annotation_path.is_file():
-                annotation = Annotation(schema_version=SCHEMA_VERSION, images=whole)
-                write_annotation(self.subject.folder, annotation)
-            self._write_draft(partial)
+            try:
+                # What moves from one file to the other is in both for a moment, never in none.
+                self._write_draft(partial | {name: marked[name] for name in self._drafted if name in marked})
+                if whole or self.annotation_path.is_file():
+                    annotation = Annotation(schema_version=SCHEMA_VERSION, images=whole)
+                    write_annotation(self.subject.folder, annotation)
+                self._write_draft(partial)
+            finally:
+                self._seen = self._on_disk()
             self.marks = marked
-            self._seen = self._on_disk()
             self.revision += 1
             return self.revision
 

@@ -130,6 +130,11 @@ def read_unannotated(folder: str | Path) -> Subject:
     folder = Path(folder)
     if not folder.is_dir():
         raise SubjectError(f"{folder}: no such folder; wanted a subject folder with {SUBJECT_FILE}")
+    if not (folder / SUBJECT_FILE).is_file():
+        raise SubjectError(
+            f"{folder / SUBJECT_FILE}: no such file; write one with the person, the pushes and their forces, as "
+            "docs/subject-folder.md shows"
+        )
     record = read_record(folder / SUBJECT_FILE, SubjectRecord)
     return Subject(folder, record, Annotation(schema_version=SCHEMA_VERSION, images={}), _unusual(record))
 
@@ -160,7 +165,7 @@ def read_annotation(path: str | Path) -> Annotation:
     """
     path = Path(path)
     if not path.is_file():
-        raise SubjectError(f"{path}: no annotation; wanted the vertebra corners of the rest images and first frames")
+        raise SubjectError(f"{path}: no annotation; mark the vertebra corners with spinestiff annotate")
     return read_record(path, Annotation)
 
 
