@@ -12,7 +12,9 @@ from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.tracking import Observer, track
+from spinestiff.study.results import RESULTS, changed_inputs
 from spinestiff.study.subject import push_corners
+from spinestiff.study.visit import load_tracked, open_visit
 
 
 @dataclass(frozen=True)
@@ -42,9 +44,22 @@ class Follower:
         self._runs: dict[str, tuple[int, Following]] = {}
 
     def state(self, image: str) -> Following:
-        """How far the tracking of a push has come."""
+        """How far the tracking of a push has come; before the first run, what ``spinestiff track`` last found."""
         with self._lock:
-            return self._runs.get(image, (0, Following()))[1]
+            if image not in self._runs:
+                self._runs[image] = 0, self._stored(image)
+            return self._runs[image][1]
+
+    def _stored(self, image: str) -> Following:
+        folder = self.session.subject.folder
+        if not (folder / RESULTS / "tracked.json").is_file() or changed_inputs(folder, "track"):
+            return Following()
+        try:
+            tracked = load_tracked(open_visit(folder))[image.removeprefix("push/")]
+        except (SpinestiffError, KeyError):
+            return Following()
+        frames = tuple(frame.corners for frame in tracked.frames)
+        return Following("done", len(frames), len(frames), frames=frames)
 
     def start(self, image: str) -> Following:
         """Start from the marks as they are now.

@@ -16,8 +16,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from spinestiff.anatomy.names import VERTEBRAE
@@ -26,15 +24,12 @@ from spinestiff.arrays import Floats
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import picture_axes, view_kind
 from spinestiff.imaging.radiograph import Radiograph
+from spinestiff.imaging.straightening import STEP, SpineCurve, Strip
 
 FEWEST_POINTS = 3
 # Points nearer than this, pixels, are one.
 NEAREST = 2.0
 # All lengths below are mm of the template's spine: the person's size has been taken out by then.
-STEP = 0.5
-MARGIN_ALONG, MARGIN_ASIDE = 30.0, 34.0
-# Standard deviations: smoothing of what is looked at, and the shading taken off it.
-SMOOTH, SHADING = 0.9, 9.0
 # How far the middle of the spine may lie beside the curve, and how quickly that changes from row to row.
 ASIDE, ASIDE_DRIFT = 8.0, 0.12
 # Endplates: reach and step of places (mm) and tilts (rad) that are tried, roughly, then finely.
@@ -49,6 +44,8 @@ TILT_SD, WEDGE_SD = np.radians(9.0), np.radians((6.0, 6.0))
 EDGE, WALL = 1.2, 1.0
 EDGE_UNIT = 0.1
 INNER = 0.42
+# Corners that somebody put right lie at most this far beside the edge that they mean.
+HABIT_REACH = 3.0
 WALL_REACH, WALL_SD, WALL_DRIFT = 7.0, 2.5, 0.8
 
 
@@ -66,7 +63,8 @@ def propose_boxes(
     points : (k, 2) pixels (column, row) along the spine, k at least 3, in any order; the uppermost lies in the first
         of ``vertebrae``, the lowest in the last, each near the vertebra's middle.
     vertebrae : names, neighbours of each other.
-    kept : boxes (4, 2) that stay as they are and guide the others.
+    kept : boxes (4, 2) that stay as they are and guide the others: where levels lie, and how far beside the picture's
+        edges this person sets corners.
 
     Raises
     ------
@@ -74,12 +72,12 @@ def propose_boxes(
     """
     first, up = picture_axes(radiograph.view)
     expected = _Expected.of(vertebrae, view_kind(radiograph.view))
-    curve = _Curve.through(_checked(radiograph, points, up), first)
+    curve = SpineCurve.through(_checked(radiograph, points, up), first)
     scale = curve.length / expected.length
-    strip = _Strip.along(radiograph.pixels, curve, scale, expected.length)
+    strip = Strip.along(radiograph.pixels, curve, scale, expected.length)
     curve = curve.beside(strip.rows * scale, _middle(strip, expected) * scale)
     scale = curve.length / expected.length
-    strip = _Strip.along(radiograph.pixels, curve, scale, expected.length)
+    strip = Strip.along(radiograph.pixels, curve, scale, expected.length)
     held = {
         list(vertebrae).index(name): curve.coordinates(np.asarray(quad, dtype=float)) / scale
         for name, quad in (kept or {}).items()
@@ -87,6 +85,11 @@ def propose_boxes(
     }
     places, tilts = _endplates(strip, expected, held)
     walls = _walls(strip, expected, places, tilts, held)
+    if held:
+        ends, sides = _habit(strip, expected, places, tilts, walls, held)
+        free = np.array([k // 2 not in held for k in range(len(places))])
+        places = places + free * np.tile(ends, len(places) // 2)
+        walls = walls + free[:, None] * sides
     corners = np.stack([places[:, None] + walls * np.tan(tilts)[:, None], walls], axis=2).reshape(-1, 4, 2)
     boxes = curve.at(corners[..., 0] * scale, corners[..., 1] * scale)[:, [0, 1, 3, 2]]
     for name, quad in (kept or {}).items():
@@ -124,105 +127,7 @@ class _Expected:
         return _Expected(edges - 0.5 * sizes[0, 4], halves)
 
 
-@dataclass(frozen=True)
-class _Curve:
-    """A smooth curve down the spine by its length, in pixels, and beyond its ends in a straight line.
-
-    Attributes
-    ----------
-    spline : (length) to (column, row).
-    length : from the first to the last point.
-    first : (2,) the direction that is "first" in the picture.
-    """
-
-    spline: CubicSpline
-    length: float
-    first: Floats
-
-    @staticmethod
-    def through(points: Floats, first: Floats) -> _Curve:
-        chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        rough = CubicSpline(chords, points, bc_type="natural")
-        fine = rough(np.linspace(0.0, chords[-1], 200))
-        lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1))])
-        return _Curve(CubicSpline(lengths, fine, bc_type="natural"), float(lengths[-1]), first)
-
-    def at(self, along: Floats, aside: Floats) -> Floats:
-        """Pixels at a length along the curve and a distance to the "first" side of it; broadcast, (..., 2)."""
-        along, aside = np.broadcast_arrays(np.asarray(along, dtype=float), np.asarray(aside, dtype=float))
-        inside = np.clip(along, 0.0, self.length)
-        tangent, normal = self._frame(inside)
-        return np.asarray(self.spline(inside) + (along - inside)[..., None] * tangent + aside[..., None] * normal)
-
-    def _frame(self, along: Floats) -> tuple[Floats, Floats]:
-        tangent = self.spline(along, 1)
-        tangent = tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
-        normal = np.stack([tangent[..., 1], -tangent[..., 0]], axis=-1)
-        return tangent, np.where((normal @ self.first > 0.0)[..., None], normal, -normal)
-
-    def beside(self, along: Floats, aside: Floats) -> _Curve:
-        """The curve that runs at these distances beside this one, between the same ends."""
-        chosen = np.linspace(0.0, self.length, 60)
-        return _Curve.through(self.at(chosen, np.interp(chosen, along, aside)), self.first)
-
-    def coordinates(self, pixels: Floats) -> Floats:
-        """(n, 2) length along and distance beside of pixels (n, 2): the inverse of ``at`` near the curve."""
-        along = np.linspace(-0.15 * self.length, 1.15 * self.length, 4000)
-        line = self.at(along, np.zeros(1))
-        nearest = along[np.argmin(np.linalg.norm(pixels[:, None] - line, axis=2), axis=1)]
-        tangent, normal = self._frame(np.clip(nearest, 0.0, self.length))
-        away = pixels - self.at(nearest, np.zeros(1))
-        return np.stack([nearest + np.sum(away * tangent, axis=1), np.sum(away * normal, axis=1)], axis=1)
-
-
-@dataclass(frozen=True)
-class _Strip:
-    """The picture straightened along a curve: contrast alone, in units of its own local standard deviation.
-
-    Attributes
-    ----------
-    rows : (R,) mm along the spine. columns : (C,) mm beside it, growing to "first".
-    down, aside : (R, C) change of grey a mm along the spine, and towards "first".
-    """
-
-    rows: Floats
-    columns: Floats
-    down: Floats
-    aside: Floats
-
-    @staticmethod
-    def along(pixels: NDArray[np.float32], curve: _Curve, scale: float, length: float) -> _Strip:
-        import cv2
-
-        rows = np.arange(-MARGIN_ALONG, length + MARGIN_ALONG, STEP)
-        columns = np.arange(-MARGIN_ASIDE, MARGIN_ASIDE + 0.5 * STEP, STEP)
-        where = curve.at(rows[:, None] * scale, columns[None] * scale).astype(np.float32)
-        # Where the strip's step is coarser than a pixel, pixels in between have to count, too.
-        blurred = cv2.GaussianBlur(pixels, (0, 0), max(0.3, 0.5 * STEP * scale))
-        grey = cv2.remap(blurred, where[..., 0], where[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        flat = grey - cv2.GaussianBlur(grey, (0, 0), SHADING / STEP)
-        spread = np.sqrt(cv2.GaussianBlur(flat**2, (0, 0), SHADING / STEP)) + 1e-3 * float(np.std(grey)) + 1e-9
-        smooth = cv2.GaussianBlur(flat / spread, (0, 0), SMOOTH / STEP)
-        down, aside = np.gradient(smooth, STEP)
-        return _Strip(rows, columns, down, aside)
-
-    def sampled(self, values: Floats, along: Floats, aside: Floats) -> Floats:
-        """``values`` at places; broadcast, the border's beyond it."""
-        import cv2
-
-        along, aside = np.broadcast_arrays(along, aside)
-        shape = along.shape
-        y = ((along - self.rows[0]) / STEP).astype(np.float32).reshape(-1, shape[-1])
-        x = ((aside - self.columns[0]) / STEP).astype(np.float32).reshape(-1, shape[-1])
-        found = [
-            cv2.remap(values.astype(np.float32), x[i : i + 20000], y[i : i + 20000], cv2.INTER_LINEAR,
-                      borderMode=cv2.BORDER_REPLICATE)
-            for i in range(0, len(x), 20000)
-        ]  # fmt: skip
-        return np.asarray(np.concatenate(found).reshape(shape), dtype=np.float64)
-
-
-def _middle(strip: _Strip, expected: _Expected) -> Floats:
+def _middle(strip: Strip, expected: _Expected) -> Floats:
     """(R,) mm by which the spine's middle lies beside the curve: where both side walls fit best, row after row."""
     halves = np.interp(strip.rows, expected.places, expected.halves)
     shifts = np.arange(-ASIDE, ASIDE + 0.5 * STEP, STEP)
@@ -235,7 +140,7 @@ def _middle(strip: _Strip, expected: _Expected) -> Floats:
     return np.asarray(gaussian_filter1d(shifts[_cheapest(list(cost), [drift] * (len(cost) - 1))], 6.0 / STEP))
 
 
-def _endplates(strip: _Strip, expected: _Expected, held: Mapping[int, Floats]) -> tuple[Floats, Floats]:
+def _endplates(strip: Strip, expected: _Expected, held: Mapping[int, Floats]) -> tuple[Floats, Floats]:
     """Place (2n,) mm and tilt (2n,) rad of every endplate: the cheapest sequence of all."""
     places, tilts = expected.places.copy(), np.zeros(len(expected.places))
     for i, quad in held.items():
@@ -261,7 +166,7 @@ def _endplates(strip: _Strip, expected: _Expected, held: Mapping[int, Floats]) -
     return places, tilts
 
 
-def _endplate_cost(strip: _Strip, expected: _Expected, k: int, s: Floats, a: Floats, target: float) -> Floats:
+def _endplate_cost(strip: Strip, expected: _Expected, k: int, s: Floats, a: Floats, target: float) -> Floats:
     """(places, tilts) cost of an endplate: little where grey rises into the bone all along its line."""
     half = INNER * 2.0 * expected.halves[k]
     across = np.linspace(-half, half, 25)
@@ -302,7 +207,7 @@ def _sequence(expected: _Expected, unary: list[Floats], s: list[Floats], a: list
     )
 
 
-def _walls(strip: _Strip, expected: _Expected, places: Floats, tilts: Floats, held: Mapping[int, Floats]) -> Floats:
+def _walls(strip: Strip, expected: _Expected, places: Floats, tilts: Floats, held: Mapping[int, Floats]) -> Floats:
     """(2n, 2) mm beside the curve where the endplates end, "first" side and other side."""
     reach = np.arange(-WALL_REACH, WALL_REACH + 0.1, 0.25)
     found = np.zeros((len(places), 2))
@@ -327,7 +232,28 @@ def _walls(strip: _Strip, expected: _Expected, places: Floats, tilts: Floats, he
     return found
 
 
-def _wall_cost(strip: _Strip, places: Floats, tilts: Floats, k: int, here: Floats, side: float, half: float) -> Floats:
+def _habit(
+    strip: Strip, expected: _Expected, places: Floats, tilts: Floats, walls: Floats, held: Mapping[int, Floats]
+) -> tuple[Floats, Floats]:
+    """How far beside the edges of the picture somebody sets corners: (2,) mm above and below, (2,) mm on either side.
+
+    The median over the vertebrae that were put right, and less than that where they are few.
+    """
+    near = np.arange(-HABIT_REACH, HABIT_REACH + 0.1, 0.25)
+    ends: list[list[float]] = [[], []]
+    sides: list[list[float]] = [[], []]
+    for k in (2 * i + j for i in held for j in (0, 1)):
+        cost = _endplate_cost(strip, expected, k, places[k] + near, tilts[k : k + 1], places[k])[:, 0]
+        ends[k % 2].append(-float(near[cost.argmin()]))
+        for column, side in enumerate((1.0, -1.0)):
+            here = walls[k, column] + side * near
+            cost = _wall_cost(strip, places, tilts, k, here, side, abs(walls[k, column]))
+            sides[column].append(-side * float(near[cost.argmin()]))
+    trust = len(held) / (len(held) + 1.0)
+    return trust * np.median(ends, axis=1), trust * np.median(sides, axis=1)
+
+
+def _wall_cost(strip: Strip, places: Floats, tilts: Floats, k: int, here: Floats, side: float, half: float) -> Floats:
     """Cost of the end of an endplate: little where grey falls to the outside all along the body's nearer half."""
     other = k + 1 if k % 2 == 0 else k - 1
     share = np.linspace(0.05, 0.5, 10)
