@@ -84,6 +84,20 @@ def test_what_was_corrected_stays_and_guides_the_others():
     assert errors(guided, drawn.quads)[others].mean() < 1.5
 
 
+def test_how_somebody_sets_corners_is_taken_over():
+    """Corners set 2 mm outside the edges on three vertebrae: the others go there, too."""
+    drawn = phantom()
+    outward = 2.0 / 0.72 * np.array([[1, -1], [-1, -1], [-1, 1], [1, 1]])
+    wanted = drawn.quads + outward
+    clicks = drawn.clicks(*CLICKED)
+    alone = propose_boxes(radiograph(drawn), clicks, VERTEBRAE)
+    kept = {name: wanted[VERTEBRAE.index(name)] for name in ("T4", "T9", "L2")}
+    guided = propose_boxes(radiograph(drawn), clicks, VERTEBRAE, kept)
+    others = [i for i, name in enumerate(VERTEBRAE) if name not in kept]
+    assert np.median(errors(alone, wanted)[others]) > 2.0
+    assert np.median(errors(guided, wanted)[others]) < 1.2
+
+
 def test_pixels_that_count_down_sideways_make_no_difference():
     """The patient's left on the left of the picture: the same boxes, mirrored, corners in the order of the patient."""
     drawn = phantom()

@@ -6,6 +6,7 @@ import json
 import secrets
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.resources import files
 from typing import Annotated, Any
 
@@ -148,7 +149,9 @@ def serve(session: AnnotationSession, port: int, ready: Callable[[str], None]) -
         config = uvicorn.Config(guarded, log_level="error", access_log=False, lifespan="off", server_header=False)
         server = uvicorn.Server(config)
         ready(address)
-        server.run(sockets=[sock])
+        # uvicorn stops in order at Ctrl-C and raises it once more afterwards.
+        with suppress(KeyboardInterrupt):
+            server.run(sockets=[sock])
 
 
 def guarded_application(session: AnnotationSession, port: int) -> tuple[Guard, str]:
