@@ -12,6 +12,8 @@ from spinestiff.annotate.draft import Draft, DraftImage, parse_draft
 from spinestiff.annotate.exchange import exported, imported
 from spinestiff.annotate.session import AnnotationSession, ChangedElsewhere
 from spinestiff.errors import SubjectError
+from spinestiff.study.cobb import read_cobb
+from spinestiff.study.corner_files import read_corners
 from spinestiff.study.metrics import cobb_angle, tilts
 from spinestiff.study.subject import read_annotation, read_subject
 from unannotated import CANARY, drawn
@@ -126,12 +128,19 @@ def test_wrong_corners_are_named_and_wait_in_the_draft(session):
 def test_the_angle_is_the_one_that_spinestiff_cobb_reads(session):
     marks = marked("rest/frontal")
     judged = session.judged("rest/frontal", marks)
+    session.save(draft(rest__frontal=marks), 0)
+    (image,) = read_corners(session.annotation_path)
+    read = read_cobb(image)
+    assert judged.cobb.curves == read.curves and judged.cobb.patient_left == read.patient_left == "right"
+    # And the one that the report reads in the patient plane.
     view = session.view("rest/frontal")
     quads = np.array(list(drawn("rest/frontal").named().values()))
-    assert judged.cobb == cobb_angle(tilts(VERTEBRAE, view.from_pixels(quads), view))
-    assert abs(judged.cobb.degrees) > 20.0 and judged.problem == "" and judged.vertebrae == 17
+    wanted = cobb_angle(tilts(VERTEBRAE, view.from_pixels(quads), view))
+    assert judged.cobb.largest.angle.degrees == pytest.approx(wanted.degrees, abs=1e-9)
+    assert (judged.cobb.largest.angle.upper, judged.cobb.largest.angle.lower) == (wanted.upper, wanted.lower)
+    assert abs(wanted.degrees) > 20.0 and judged.problem == "" and judged.vertebrae == 17
     # Also while there are too few for a fit, and never in a lateral radiograph.
-    assert session.judged("rest/frontal", marked("rest/frontal", "T3", "T9")).cobb.lower == "T9"
+    assert session.judged("rest/frontal", marked("rest/frontal", "T3", "T9")).cobb.largest.angle.lower == "T9"
     assert session.judged("rest/lateral", marked("rest/lateral")).cobb is None
 
 

@@ -292,6 +292,15 @@ def test_cobb_prints_three_forms(spinestiff, subject):
     assert forms is not None
 
 
+def test_cobb_of_a_folder_as_json(spinestiff, subject):
+    result = spinestiff("cobb", subject, "--json", "--definition", "midline")
+    rest, *frames = json.loads(result.out)
+    assert (rest["image"], rest["status"], rest["change_deg"]) == ("rest/frontal", "ok", None)
+    assert rest["convexity"] == "convex to the patient's left" and rest["definition"] == "midline"
+    pushed = next(frame for frame in frames if frame["image"] == "main frame 3, 30 N")
+    assert pushed["change_deg"]["tilt"] < -1.0
+
+
 def test_doctor_prints_solver_and_versions(spinestiff):
     result = spinestiff("doctor")
     assert (result.status, result.err) == (0, "")

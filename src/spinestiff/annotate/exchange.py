@@ -9,10 +9,9 @@ from tempfile import TemporaryDirectory
 from typing import Literal
 
 from spinestiff.annotate.draft import DraftImage
-from spinestiff.annotate.session import AnnotationSession, ordered_corners
+from spinestiff.annotate.session import AnnotationSession, first_on
 from spinestiff.errors import SubjectError
-from spinestiff.imaging.features import picture_axes
-from spinestiff.study.corner_files import ImageCorners, Side, UnreadableImage, read_corner_file, write_corners
+from spinestiff.study.corner_files import UnreadableImage, read_corner_file, write_corners
 from spinestiff.study.subject import check_image_name
 
 Form = Literal["csv", "slicer"]
@@ -22,14 +21,7 @@ FILES: Mapping[Form, str] = {"csv": "corners.csv", "slicer": "corners.mrk.json"}
 
 def exported(session: AnnotationSession, form: Form) -> bytes:
     """All marked vertebrae as a file. Raises SubjectError where nothing is marked."""
-    images = []
-    for name, marks in session.marks.items():
-        if marks.vertebrae:
-            found = ordered_corners(marks)
-            side = _first_on(session, name)
-            # The other order is its own inverse: left and right change places.
-            seen = found.corners[:, [0, 1, 2, 3] if side == "left" else [1, 0, 3, 2]]
-            images.append(ImageCorners(name, found.vertebrae, seen, "", "px", side))
+    images = [session.seen(name, marks) for name, marks in session.marks.items() if marks.vertebrae]
     if not images:
         raise SubjectError("no vertebra is marked yet; there is nothing to export")
     with TemporaryDirectory() as folder:
@@ -74,9 +66,9 @@ def imported(
             raise SubjectError(f"{image.image}: the corners are in mm of a scene, wanted pixels (column, row)")
         if image.unit == "unstated":
             said.append(f"{image.image} names no unit; its corners were taken for pixels.")
-        quads = replace(image, first_on=_first_on(session, name), unit="px").annotation_quads()
-        vertebrae = {level: tuple(map(tuple, quad)) for level, quad in zip(image.levels, quads.tolist())}
+        quads = replace(image, first_on=first_on(session.view(name)), unit="px").annotation_quads()
         before = session.marks.get(name, DraftImage())
+        vertebrae = {level: tuple(map(tuple, quad)) for level, quad in zip(image.levels, quads.tolist())}
         marks[name] = DraftImage.model_validate({**before.model_dump(), "vertebrae": vertebrae})
     if not marks:
         raise SubjectError(" ".join(said) or "the file holds no image")
@@ -89,11 +81,3 @@ def _known(session: AnnotationSession, name: str) -> bool:
     except SubjectError:
         return False
     return True
-
-
-def _first_on(session: AnnotationSession, name: str) -> Side:
-    """The side of the image where the patient's left, in a lateral image the front, is seen."""
-    first, up = picture_axes(session.view(name))
-    if up[1] > 0.0:
-        raise SubjectError(f"{name}: the radiograph stands on its head; such corners can't be exchanged")
-    return "right" if first[0] > 0.0 else "left"

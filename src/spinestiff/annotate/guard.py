@@ -16,7 +16,7 @@ LARGEST_BODY = 4_000_000
 """Bytes of a request. An annotation of many frames has some hundred kilobytes."""
 DATA = "/api/"
 POLICY = (
-    "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'self'; img-src data:; connect-src 'self'; "
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 HEADERS = {

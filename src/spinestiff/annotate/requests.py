@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from spinestiff.annotate.draft import Corners, Draft, DraftImage, Points
 from spinestiff.annotate.session import Judged
 from spinestiff.errors import SubjectError
+from spinestiff.study.cobb import REGIONS, CobbReading, Curve
 from spinestiff.study.records import VertebraName, complaint_of
 from spinestiff.study.results import parse_json
 
@@ -77,11 +78,18 @@ def sent(body: bytes, kind: type[S]) -> S:
 
 def judged_record(judged: Judged) -> dict[str, Any]:
     """As JSON."""
-    cobb = judged.cobb
+    reading = judged.cobb
+    curves = [] if reading is None else [_curve_record(reading, curve) for curve in reading.curves]
+    largest = None if reading is None or reading.largest is None else _curve_record(reading, reading.largest)
+    return {"vertebrae": judged.vertebrae, "problem": judged.problem, "cobb": largest, "curves": curves}
+
+
+def _curve_record(reading: CobbReading, curve: Curve) -> dict[str, Any]:
     return {
-        "vertebrae": judged.vertebrae,
-        "problem": judged.problem,
-        "cobb": None
-        if cobb is None
-        else {"degrees": cobb.degrees, "upper": cobb.upper, "lower": cobb.lower, "convexity": cobb.convexity},
+        "degrees": curve.angle.degrees,
+        "upper": curve.angle.upper,
+        "lower": curve.angle.lower,
+        "convexity": reading.convexity(curve),
+        "region": REGIONS[curve.region][1],
+        "half_width": curve.half_width_deg,
     }

@@ -15,10 +15,11 @@ from pydantic import ValidationError
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.annotate.draft import DRAFT_FILE, Draft, DraftImage, read_draft
 from spinestiff.errors import RadiographError, SpinestiffError, SubjectError
-from spinestiff.imaging.features import VertebraCorners, view_kind
+from spinestiff.imaging.features import picture_axes, view_kind
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
-from spinestiff.study.metrics import CobbAngle, cobb_angle, tilts
+from spinestiff.study.cobb import CobbReading, read_cobb
+from spinestiff.study.corner_files import ImageCorners, Side
 from spinestiff.study.records import (
     ANNOTATION_FILE,
     FEWEST_VERTEBRAE,
@@ -59,12 +60,12 @@ class Judged:
     ----------
     vertebrae : how many have corners.
     problem : why the image is not complete, in words; empty where it is.
-    cobb : the largest angle, in frontal images with two vertebrae or more.
+    cobb : what ``spinestiff cobb`` reads, in frontal images with two vertebrae or more that can be read.
     """
 
     vertebrae: int
     problem: str
-    cobb: CobbAngle | None
+    cobb: CobbReading | None
 
 
 class AnnotationSession:
@@ -144,7 +145,7 @@ class AnnotationSession:
                     write_annotation(self.subject.folder, annotation)
                 self._write_draft(partial)
             finally:
-                self._seen = self._on_disk()
+                pass
             self.marks = marked
             self.revision += 1
             return self.revision
@@ -239,15 +240,25 @@ class AnnotationSession:
         image_corners(self._with({name: image}), name, view)
         return image
 
-    def _cobb(self, name: str, marks: DraftImage) -> CobbAngle | None:
-        view = self.view(name)
-        if view_kind(view) != "frontal" or len(marks.vertebrae) < 2:
+    def seen(self, name: str, marks: DraftImage) -> ImageCorners:
+        """Marked vertebrae as other programs take them: corners as seen in the image, head to foot.
+
+        Raises
+        ------
+        SubjectError : no vertebra is marked, or as ``first_on``. RadiographError : as ``frames``.
+        """
+        side = first_on(self.view(name))
+        levels = tuple(level for level in VERTEBRAE if level in marks.vertebrae)
+        quads = np.array([marks.vertebrae[level] for level in levels], dtype=float).reshape(-1, 4, 2)
+        # The other order is its own inverse: left and right change places.
+        seen = quads[:, [0, 1, 2, 3] if side == "left" else [1, 0, 3, 2]]
+        return ImageCorners(name, levels, seen, "", "px", side)
+
+    def _cobb(self, name: str, marks: DraftImage) -> CobbReading | None:
+        if view_kind(self.view(name)) != "frontal" or len(marks.vertebrae) < 2:
             return None
-        corners = ordered_corners(marks)
-        try:
-            return cobb_angle(tilts(corners.vertebrae, view.from_pixels(corners.corners), view))
-        except SpinestiffError:
-            return None
+        reading = read_cobb(self.seen(name, marks))
+        return None if reading.largest is None else reading
 
     def _refuse_unknown(self, names: Iterable[str]) -> None:
         for name in names:
@@ -269,11 +280,17 @@ def image_of(name: str) -> str:
     return name if name in REST_IMAGES else "/".join(name.split("/")[:2])
 
 
-def ordered_corners(marks: DraftImage) -> VertebraCorners:
-    """Marked vertebrae head to foot, corners in pixels."""
-    names = tuple(name for name in VERTEBRAE if name in marks.vertebrae)
-    quads = np.array([marks.vertebrae[name] for name in names], dtype=float).reshape(-1, 4, 2)
-    return VertebraCorners(names, quads)
+def first_on(view: XRayView) -> Side:
+    """The side of the image where the patient's left, in a lateral image the front, is seen.
+
+    Raises
+    ------
+    SubjectError : the radiograph stands on its head, for which files of other programs have no words.
+    """
+    first, up = picture_axes(view)
+    if up[1] > 0.0:
+        raise SubjectError("the radiograph stands on its head; such corners can't be exchanged")
+    return "right" if first[0] > 0.0 else "left"
 
 
 def _drafted(annotation: Annotation) -> dict[str, DraftImage]:

@@ -37,6 +37,8 @@ NOISE_OF_WIDTH = 0.02
 LEAST_NOISE_PX = 0.3
 """Of corners set on whole pixels, 1 / sqrt(12)."""
 DOUBTFUL_SD_DEG = 5.0
+STRAIGHT_SDS = 3.5
+"""Largest of all pairs of a straight spine's seventeen vertebrae, in sds of one pair: 95 % lie below."""
 
 
 @dataclass(frozen=True)
@@ -179,13 +181,10 @@ def read_cobb(
         curves, largest, noise = spine_curves(ordered.levels, points, definition, noise)
     except SpinestiffError as error:
         return CobbReading(image.image, "refused", (str(error),), definition)
-    warnings = [*ordered.repairs, *ordered.warnings]
-    if largest.sd_deg > DOUBTFUL_SD_DEG:
-        warnings.append(f"the vertebrae are so small that corner noise makes {largest.sd_deg:.0f} degrees (sd)")
     return CobbReading(
         image.image,
         "repaired" if ordered.repairs else "ok",
-        tuple(warnings),
+        (*ordered.repairs, *ordered.warnings, *_noise_warnings(largest)),
         definition,
         curves,
         largest,
@@ -207,7 +206,7 @@ def read_cobb_of_view(
     """
     curves, largest, noise = spine_curves(levels, points, definition, noise)
     seen = points[:, [1, 0, 3, 2]] * [1.0, -1.0]
-    return CobbReading(image, "ok", (), definition, curves, largest, "right", noise, levels, seen)
+    return CobbReading(image, "ok", _noise_warnings(largest), definition, curves, largest, "right", noise, levels, seen)
 
 
 def spine_curves(
@@ -259,6 +258,13 @@ def _chain(spine: SpineTilts, curve: _Ends, upwards: bool) -> list[_Ends]:
     if best is None or against * best[0] < SMALLEST_CURVE_DEG:
         return []
     return [best, *_chain(spine, best, upwards)]
+
+
+def _noise_warnings(largest: Curve) -> tuple[str, ...]:
+    degrees, sd = abs(largest.angle.degrees), largest.sd_deg
+    noise = f"{degrees:.1f} degrees may be corner noise alone: a straight spine reads so"
+    small = f"the vertebrae are so small that corner noise makes {sd:.0f} degrees (sd)"
+    return (*([noise] if degrees < STRAIGHT_SDS * sd else []), *([small] if sd > DOUBTFUL_SD_DEG else []))
 
 
 def _widths(points: Floats) -> Floats:

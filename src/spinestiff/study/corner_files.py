@@ -7,10 +7,8 @@ that image unreadable, with the reason; what concerns the whole file is refused.
 
 from __future__ import annotations
 
-import csv
-import io
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -22,12 +20,11 @@ from pydantic import ValidationError
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import SubjectError
-from spinestiff.study import corner_markups
+from spinestiff.study import corner_csv, corner_markups
 from spinestiff.study.records import ANNOTATION_FILE, LATERAL, SCHEMA_VERSION, Annotation, complaint_of
 from spinestiff.study.results import parse_json, read_text, write_json, write_text
 
 CORNERS = ("top_left", "top_right", "bottom_right", "bottom_left")
-COLUMNS = ("image", "level", "corner", "x", "y")
 MARKUPS_SUFFIX = ".mrk.json"
 LARGEST_CSV = 50_000_000
 """Bytes: ten thousand images of seventeen vertebrae take about 20 MB."""
@@ -35,8 +32,6 @@ MOST_IMAGES = 20_000
 FARTHEST = 100_000.0
 """Pixels (or mm) from the first pixel. No detector is that large; a larger number is another quantity."""
 LONGEST_NAME = 200
-# What a spreadsheet takes for the start of a formula (OWASP, "CSV Injection").
-_FORMULA = ("=", "+", "-", "@")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 # Our annotation's corners -> as seen, by (superior is up in the image, the first corner is on its left).
 _AS_SEEN = {
@@ -191,7 +186,7 @@ def write_corners(path: str | Path, images: Sequence[ImageCorners]) -> None:
     if len(set(names)) < len(names):
         raise SubjectError(f"{path}: two images have the same name; give each its own")
     if path.name.lower().endswith(MARKUPS_SUFFIX):
-        write_text(path, corner_markups.content([_as_point_list(image) for image in images]).decode())
+        write_text(path, markups_text(images))
     elif path.suffix.lower() == ".csv":
         write_text(path, csv_text(images))
     elif path.suffix.lower() == ".json":
@@ -201,46 +196,23 @@ def write_corners(path: str | Path, images: Sequence[ImageCorners]) -> None:
 
 
 def csv_text(images: Sequence[ImageCorners]) -> str:
-    """The CSV of these images. A name that a spreadsheet would run as a formula gets an apostrophe in front."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for image in images:
-        name = "'" + image.image if image.image.startswith((*_FORMULA, "'")) else image.image
-        for level, quad in zip(image.levels, image.corners):
-            for corner, (x, y) in zip(CORNERS, quad.tolist()):
-                writer.writerow((name, level, corner, repr(x), repr(y)))
-    return stream.getvalue()
+    """The CSV of these images."""
+    return corner_csv.text(
+        (image.image, level, corner, x, y)
+        for image in images
+        for level, quad in zip(image.levels, image.corners.tolist())
+        for corner, (x, y) in zip(CORNERS, quad)
+    )
+
+
+def markups_text(images: Sequence[ImageCorners]) -> str:
+    """The Slicer markups of these images."""
+    return corner_markups.content([_as_point_list(image) for image in images]).decode()
 
 
 def _read_csv(path: Path) -> tuple[ImageCorners | UnreadableImage, ...]:
-    text = read_text(path, LARGEST_CSV)
-    return _gathered(_csv_rows(path, text), path, "CSV")
-
-
-def _csv_rows(path: Path, text: str) -> Iterator[_Row]:
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    try:
-        header = [name.strip() for name in next(reader, [])]
-        if sorted(header) != sorted(COLUMNS):
-            hint = "; separate by commas" if len(header) == 1 and ";" in header[0] else ""
-            raise SubjectError(f"{path}: row 1: columns {_short(','.join(header))}, wanted {','.join(COLUMNS)}{hint}")
-        at = [header.index(name) for name in COLUMNS]
-        for row in reader:
-            where = f"row {reader.line_num}"
-            if not row:
-                continue
-            if len(row) != len(COLUMNS):
-                raise SubjectError(f"{path}: {where}: {len(row)} fields, wanted {len(COLUMNS)} ({','.join(COLUMNS)})")
-            image, level, corner, x, y = (row[i].strip() for i in at)
-            if image.startswith("'") and image[1:].startswith((*_FORMULA, "'")):
-                image = image[1:]
-            problem = _name_problem(image)
-            if problem:
-                raise SubjectError(f"{path}: {where}: image name {problem}")
-            yield _Row(where, image, level, corner, (x, y))
-    except csv.Error as error:
-        raise SubjectError(f"{path}: row {reader.line_num}: not CSV ({error})") from None
+    rows = corner_csv.parse(read_text(path, LARGEST_CSV), str(path))
+    return _gathered((_Row(f"row {r.line}", r.image, r.level, r.corner, (r.x, r.y)) for r in rows), path, "CSV")
 
 
 def _read_markups(path: Path, content: object) -> tuple[ImageCorners | UnreadableImage, ...]:
@@ -272,6 +244,9 @@ def _gathered(
     images: dict[str, dict[str, dict[str, tuple[float, float]]]] = {}
     reasons: dict[str, str] = {}
     for row in rows:
+        problem = _name_problem(row.image)
+        if problem:
+            raise SubjectError(f"{path}: {row.where}: image name {problem}")
         levels = images.setdefault(row.image, {})
         if len(images) > MOST_IMAGES:
             raise SubjectError(f"{path}: {row.where}: more than {MOST_IMAGES} images; split the file")

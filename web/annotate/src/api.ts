@@ -8,8 +8,8 @@ export interface Session {
 export interface Grey {
   rows: number; columns: number; window: [number, number]; kind: string; first: Point; up: Point; pixel_mm: Point; levels: Uint16Array;
 }
-export interface Cobb { degrees: number; upper: string; lower: string; convexity: string }
-export interface Judged { vertebrae: number; problem: string; cobb: Cobb | null }
+export interface Cobb { degrees: number; upper: string; lower: string; convexity: string; region: string; half_width: number }
+export interface Judged { vertebrae: number; problem: string; cobb: Cobb | null; curves: Cobb[] }
 export interface TrackedFrame { vertebrae: Record<string, Quad>; quality: Record<string, [number, number, number, number]> }
 export interface Tracking { state: "none" | "running" | "done" | "failed"; done: number; total: number; error: string; frames: TrackedFrame[] }
 

@@ -17,6 +17,7 @@ export class App {
   tool: Tool = "move";
   selection: Selection | null = null;
   cobb: Cobb | null = null;
+  curves: Cobb[] = [];
   judged = "";
   missing: string[];
   upper = "T1";
@@ -311,9 +312,10 @@ export class App {
     const { marks, key } = this;
     try {
       const found = await api.judge(this.image.name, { ...NOTHING, vertebrae: this.seen.vertebrae });
-      if (key === this.key) { this.cobb = found.cobb; this.judged = found.problem; }
+      if (key === this.key) { this.cobb = found.cobb; this.curves = found.curves; this.judged = found.problem; }
     } catch {
       this.cobb = null;
+      this.curves = [];
       this.judged = "";
     }
     this.judging = 0;

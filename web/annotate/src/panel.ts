@@ -180,21 +180,25 @@ export class Panel {
   }
 
   private cobb(): void {
-    const { cobb, image, judged } = this.app, target = need("cobb");
-    const text = !cobb ? (image.kind === "lateral" ? "Read in frontal radiographs." : "Needs two vertebrae.") : `${Math.abs(cobb.degrees).toFixed(1)}°`;
-    const rest = cobb ? ` ${cobb.upper} to ${cobb.lower}, convex to the patient’s ${cobb.convexity}` : "";
-    const key = text + rest + judged;
+    const { cobb, curves, image, judged } = this.app, target = need("cobb");
+    const angle = (one: api.Cobb): string => `${Math.abs(one.degrees).toFixed(1)}°`;
+    const text = cobb ? angle(cobb) : image.kind === "lateral" ? "Read in frontal radiographs." : "Needs two vertebrae.";
+    const rest = cobb ? ` ± ${cobb.half_width.toFixed(0)}° ${cobb.upper} to ${cobb.lower}, ${cobb.convexity}` : "";
+    const others = curves.filter((one) => one.upper !== cobb?.upper).map((one) => `${angle(one)} ${one.upper} to ${one.lower}, ${one.region}`);
+    const key = [text, rest, judged, ...others].join("\n");
     if (target.dataset["key"] === key) return;
     target.dataset["key"] = key;
     const figure = document.createElement(cobb ? "b" : "span");
     figure.textContent = text;
     target.replaceChildren(figure, rest);
-    if (judged && Object.keys(this.app.marks.vertebrae).length) {
+    const add = (words_: string): void => {
       const note = document.createElement("span");
       note.className = "note";
-      note.textContent = judged;
+      note.textContent = words_;
       target.append(document.createElement("br"), note);
-    }
+    };
+    others.forEach(add);
+    if (judged && Object.keys(this.app.marks.vertebrae).length) add(judged);
   }
 
   private frames(): void {

@@ -1,0 +1,74 @@
+"""Rows of a CSV of vertebra corners: columns checked strictly, names that a spreadsheet would run made harmless."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+from spinestiff.errors import SubjectError
+
+COLUMNS = ("image", "level", "corner", "x", "y")
+# What a spreadsheet takes for the start of a formula (OWASP, "CSV Injection").
+_FORMULA = ("=", "+", "-", "@")
+_LONGEST_SHOWN = 60
+
+
+class CsvRow(NamedTuple):
+    """One row, nothing of its texts checked yet; ``line`` is its last line in the file."""
+
+    line: int
+    image: str
+    level: str
+    corner: str
+    x: str
+    y: str
+
+
+def parse(text: str, name: str) -> Iterator[CsvRow]:
+    """The rows of a CSV with the columns ``COLUMNS`` in any order; empty lines are skipped.
+
+    Parameters
+    ----------
+    text : of the file.
+    name : of the file, for messages.
+
+    Raises
+    ------
+    SubjectError : other columns, a row with another number of fields, no CSV at all.
+    """
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    try:
+        header = [column.strip() for column in next(reader, [])]
+        if sorted(header) != sorted(COLUMNS):
+            hint = "; separate by commas" if len(header) == 1 and ";" in header[0] else ""
+            shown = "".join(c if c.isprintable() else "?" for c in ",".join(header)[:_LONGEST_SHOWN])
+            raise SubjectError(f"{name}: row 1: columns {shown}, wanted {','.join(COLUMNS)}{hint}")
+        at = [header.index(column) for column in COLUMNS]
+        for row in reader:
+            if not row:
+                continue
+            if len(row) != len(COLUMNS):
+                fields = f"{len(row)} fields, wanted {len(COLUMNS)} ({','.join(COLUMNS)})"
+                raise SubjectError(f"{name}: row {reader.line_num}: {fields}")
+            image, *rest = (row[i].strip() for i in at)
+            yield CsvRow(reader.line_num, image[1:] if _is_guarded(image) else image, *rest)
+    except csv.Error as error:
+        raise SubjectError(f"{name}: row {reader.line_num}: not CSV ({error})") from None
+
+
+def text(rows: Iterable[tuple[str, str, str, float, float]]) -> str:
+    """A CSV of (image, level, corner, x, y). A name that begins like a formula gets an apostrophe in front."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for image, level, corner, x, y in rows:
+        guarded = f"'{image}"
+        writer.writerow((guarded if _is_guarded(guarded) else image, level, corner, repr(x), repr(y)))
+    return stream.getvalue()
+
+
+def _is_guarded(name: str) -> bool:
+    """Whether a name has an apostrophe in front that is not its own."""
+    return name.startswith("'") and name[1:].startswith((*_FORMULA, "'"))

@@ -1,0 +1,136 @@
+"""``spinestiff cobb FILE``: table, JSON, picture, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import pytest
+
+from spine_images import image
+from spinestiff.app import cli
+from spinestiff.study.corner_files import write_corners
+
+TILTS = [12, 6, 0, -8, -16, -12, -4, 6, 12]
+
+
+@pytest.fixture
+def cobb(monkeypatch, capsys):
+    """Run ``spinestiff cobb`` as the installed program does; gives its exit status, output and complaints."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["spinestiff", "cobb", *map(str, arguments)])
+        try:
+            cli.main()
+            status = 0
+        except SystemExit as end:
+            status = end.code or 0
+        out, err = capsys.readouterr()
+        assert "Traceback" not in out + err
+        return status, out, err
+
+    return call
+
+
+@pytest.fixture
+def corners(tmp_path):
+    path = tmp_path / "corners.csv"
+    write_corners(path, [image(TILTS, start=4, name="good"), image(TILTS[::-1], start=4, name="other [bold]")])
+    return path
+
+
+def spoil(path, name, count):
+    """The first ``count`` rows of an image without their numbers."""
+    lines = path.read_text().splitlines()
+    rows = [i for i, line in enumerate(lines) if line.startswith(name)][:count]
+    for i in rows:
+        lines[i] = ",".join([*lines[i].split(",")[:3], "nan", "nan"])
+    path.write_text("\n".join(lines))
+
+
+def test_the_table_says_angle_ends_and_side(cobb, corners):
+    status, out, err = cobb(corners)
+    assert (status, err) == (0, "")
+    for words in (
+        "good",
+        "other [bold]",
+        "28.0 ± ",
+        "T5-T9",
+        "convex to the image's right",
+        "main thoracic",
+        "endplate",
+    ):
+        assert words in out, words
+    assert "convex to the patient's left" in cobb(corners, "--patient-left", "right")[1]
+
+
+def test_json_has_a_record_an_image(cobb, corners):
+    spoil(corners, "other", 1)
+    status, out, _ = cobb(corners, "--json", "--definition", "midline", "--noise-px", 3)
+    good, bad = json.loads(out)
+    assert status == 0
+    assert (good["image"], good["status"], good["definition"], good["noise"]) == ("good", "ok", "midline", 3.0)
+    assert good["largest_deg"] == pytest.approx(28.0)
+    assert (good["upper_level"], good["lower_level"], good["warnings"]) == ("T5", "T9", [])
+    assert (bad["status"], bad["largest_deg"]) == ("refused", None)
+    assert "x is 'nan'" in bad["warnings"][0]
+
+
+def test_the_status_is_2_if_nothing_could_be_measured(cobb, corners):
+    spoil(corners, "good", 1)
+    status, out, _ = cobb(corners)
+    assert status == 0 and "good: refused: row 2: x is 'nan'" in out
+    spoil(corners, "other", 1)
+    status, out, _ = cobb(corners, "--json")
+    assert status == 2 and [record["status"] for record in json.loads(out)] == ["refused", "refused"]
+
+
+def test_a_picture_is_written(cobb, corners, tmp_path):
+    assert cobb(corners, "--picture", tmp_path / "new" / "out.png")[0] == 0
+    assert (tmp_path / "new" / "out.png").stat().st_size > 10_000
+
+
+def test_markups_and_annotations_are_read(cobb, tmp_path):
+    spine = image(TILTS, start=4, name="rest/frontal", first_on="right")
+    for name in ("a.mrk.json", "annotation.json"):
+        write_corners(tmp_path / name, [spine])
+        (record,) = json.loads(cobb(tmp_path / name, "--json")[1])
+        assert record["largest_deg"] == pytest.approx(28.0, abs=1e-3)
+        known = name == "annotation.json"
+        assert (
+            record["convexity"] == f"convex to the {'patient' if known else 'image'}'s {'left' if known else 'right'}"
+        )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--definition", "cobb"), "--definition cobb: wanted endplate or midline"),
+        (("--noise-px", "0"), "--noise-px 0: wanted pixels above 0"),
+        (("--noise-px", "nan"), "--noise-px nan: wanted"),
+        (("--patient-left", "up"), "--patient-left up: wanted left or right"),
+        (("--picture", "out.svg"), "wanted a name that ends in .png"),
+    ],
+)
+def test_bad_options_are_one_line(cobb, corners, monkeypatch, arguments, words):
+    monkeypatch.chdir(corners.parent)
+    status, out, err = cobb(corners, *arguments)
+    assert (status, out) == (2, "")
+    assert err.startswith("spinestiff: ") and words in err and err.count("\n") == 1
+    assert [path.name for path in corners.parent.iterdir()] == ["corners.csv"]
+
+
+def test_what_is_no_file_of_corners_is_one_line(cobb, tmp_path):
+    (tmp_path / "a.csv").write_text("a,b\n")
+    (tmp_path / "a.txt").write_text("a")
+    cases = {
+        "a.csv": "wanted image,level",
+        "none.csv": "no such file",
+        "none": "no such folder",
+        "a.txt": "wanted a .csv",
+    }
+    for name, words in cases.items():
+        status, out, err = cobb(tmp_path / name)
+        assert (status, out) == (2, "") and words in err and err.count("\n") == 1, err
+    status, _, err = cobb(tmp_path, "--patient-left", "left")
+    assert status == 2 and "--patient-left is for files of corners" in err
