@@ -145,7 +145,7 @@ class AnnotationSession:
                     write_annotation(self.subject.folder, annotation)
                 self._write_draft(partial)
             finally:
-                pass
+                self._seen = self._on_disk()
             self.marks = marked
             self.revision += 1
             return self.revision
