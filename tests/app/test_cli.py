@@ -21,6 +21,7 @@ from spinestiff.verification.outcome import Check
 
 COMMANDS = {
     "synth": ("--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
+    "annotate": ("--port", "--no-browser"),
     "track": ("--redo",),
     "personalise": ("--mesh", "--redo"),
     "estimate": ("--method", "--orientation", "--redo"),
@@ -34,7 +35,7 @@ COMMANDS = {
     "doctor": (),
 }
 # Not pydantic: typer itself may import it.
-HEAVY = ("numba", "scipy", "cv2", "matplotlib", "skimage", "pydicom", "rslab", "numpy")
+HEAVY = ("numba", "scipy", "cv2", "matplotlib", "skimage", "pydicom", "rslab", "numpy", "fastapi", "uvicorn")
 
 
 @pytest.fixture

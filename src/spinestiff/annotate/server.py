@@ -28,7 +28,8 @@ from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.imaging.features import picture_axes, view_kind
 from spinestiff.imaging.proposal import propose_boxes
 from spinestiff.imaging.radiograph import Radiograph
-from spinestiff.study.records import FEWEST_VERTEBRAE, LATERAL, REST_IMAGES
+from spinestiff.study.records import LATERAL, REST_IMAGES
+from spinestiff.study.trials import LOWEST_QUALITY
 
 LOOPBACK = "127.0.0.1"
 PAGE = {
@@ -124,7 +125,7 @@ def session_record(session: AnnotationSession) -> dict[str, Any]:
         "version": __version__,
         "subject": record.id,
         "vertebrae": VERTEBRAE,
-        "fewest": FEWEST_VERTEBRAE,
+        "lowest_quality": LOWEST_QUALITY,
         "images": images,
         "marks": marks,
         "revision": session.revision,

@@ -3,7 +3,7 @@ import type { ImageMarks, Marks, Point, Quad } from "./marks";
 
 export interface ImageInfo { name: string; title: string; kind: "frontal" | "lateral"; forces: (number | null)[]; roles: (string | null)[] }
 export interface Session {
-  version: string; subject: string; vertebrae: string[]; fewest: number; images: ImageInfo[]; marks: Marks; revision: number; missing: string[];
+  version: string; subject: string; vertebrae: string[]; lowest_quality: number; images: ImageInfo[]; marks: Marks; revision: number; missing: string[];
 }
 export interface Grey {
   rows: number; columns: number; window: [number, number]; kind: string; first: Point; up: Point; pixel_mm: Point; levels: Uint16Array;

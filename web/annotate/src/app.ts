@@ -305,7 +305,7 @@ export class App {
 
   private paint(): void {
     const { marks, selection, names, cobb, tracked, cursor, show, tool } = this;
-    this.stage.draw({ marks, selection, names, cobb, tracked, cursor, show, spine: tool === "spine" });
+    this.stage.draw({ marks, selection, names, cobb, tracked, cursor, show, spine: tool === "spine", lowest: this.session.lowest_quality });
   }
 
   private async judge(): Promise<void> {

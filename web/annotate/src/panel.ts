@@ -212,7 +212,9 @@ export class Panel {
     slider.setAttribute("aria-valuetext", words_);
     const state = app.tracking[image.name], here = Object.keys(app.marks.vertebrae).length;
     const source = frame === 0 ? "marked" : here ? `${here} corrected, the others tracked` : app.tracked ? "tracked" : "not tracked yet";
-    put("frame-text", `${words_}: ${source}`);
+    const own = app.marks.vertebrae, tracked = Object.entries(app.tracked?.quality ?? {}).filter(([name]) => !(name in own));
+    const doubtful = tracked.flatMap(([, quality]) => quality).filter((q) => q < app.session.lowest_quality).length;
+    put("frame-text", `${words_}: ${source}${doubtful ? `, ${doubtful} corners doubtful or lost` : ""}`);
     need<HTMLButtonElement>("frame-back").disabled = frame === 0;
     need<HTMLButtonElement>("frame-on").disabled = frame === count - 1;
     const running = state?.state === "running", bar = need<HTMLProgressElement>("track-progress");

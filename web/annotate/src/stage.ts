@@ -8,7 +8,7 @@ const HANDLE = 4.5, REACH = 11, LOUPE = 150, LOUPE_ZOOM = 4;
 
 export interface Shown {
   marks: ImageMarks; selection: Selection | null; names: readonly string[]; cobb: Cobb | null; tracked: TrackedFrame | null;
-  cursor: Point | null; show: boolean; spine: boolean;
+  cursor: Point | null; show: boolean; spine: boolean; lowest: number;
 }
 
 export class Stage {
@@ -232,10 +232,12 @@ export class Stage {
     c.strokeRect(x - size, y - size, 2 * size, 2 * size);
   }
 
-  /** Corners that were lost get a cross. */
+  /** Corners that were lost get a cross, doubtful ones a question mark. */
   private paintLost(quad: Quad, quality: readonly number[] | undefined): void {
     quad.forEach((p, i) => {
-      if ((quality?.[i] ?? 1) > 0) return;
+      const q = quality?.[i] ?? 1;
+      if (q >= (this.shown?.lowest ?? 0)) return;
+      if (q > 0) return this.text("?", ...this.toPlace(p), CHOSEN, "center");
       const [x, y] = this.toPlace(p), d = 6;
       const c = this.context;
       for (const [colour, width] of [[HALO, 4], [CHOSEN, 2]] as const) {
