@@ -389,6 +389,22 @@ def test_another_window_is_told_and_destroys_nothing(page):
     assert list(page.disk()) == ["rest/frontal"]
 
 
+def test_a_server_that_does_not_answer_is_told_and_tried_again(page):
+    offline = {"latency": 0, "downloadThroughput": -1, "uploadThroughput": -1}
+    page.tab.call("Network.emulateNetworkConditions", offline=True, **offline)
+    try:
+        page.tab.run(
+            f"annotation.change(m => ({{...m, vertebrae: {json.dumps(drawn('rest/frontal').named())}}}), 'filled')"
+        )
+        page.tab.until("document.getElementById('saved').dataset.state == 'failed'")
+        assert "Not saved: the server does not answer" in page.text("saved")
+        assert not page.served.session.annotation_path.exists()
+    finally:
+        page.tab.call("Network.emulateNetworkConditions", offline=False, **offline)
+    page.saved()
+    assert list(page.disk()) == ["rest/frontal"]
+
+
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("zoom", [1, 2])
 def test_light_and_dark_and_twice_the_size(page, theme, zoom):

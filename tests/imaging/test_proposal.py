@@ -98,6 +98,24 @@ def test_how_somebody_sets_corners_is_taken_over():
     assert np.median(errors(guided, wanted)[others]) < 1.2
 
 
+@pytest.mark.parametrize(
+    "box",
+    [
+        np.full((4, 2), 200.0),
+        [[9, 9], [9, 300], [400, 300], [400, 9]],
+        [[180, 300], [260, 300], [260, 270], [180, 270]],
+    ],
+    ids=["a point", "half the radiograph", "upside down and mirrored"],
+)
+def test_a_box_that_is_no_vertebra_stays_and_misleads_nobody(box):
+    drawn = phantom()
+    clicks = drawn.clicks(*CLICKED)
+    found = propose_boxes(radiograph(drawn), clicks, VERTEBRAE, {"T8": np.array(box, dtype=float)})
+    np.testing.assert_array_equal(found[7], box)
+    others = np.arange(17) != 7
+    np.testing.assert_array_equal(found[others], propose_boxes(radiograph(drawn), clicks, VERTEBRAE)[others])
+
+
 def test_pixels_that_count_down_sideways_make_no_difference():
     """The patient's left on the left of the picture: the same boxes, mirrored, corners in the order of the patient."""
     drawn = phantom()

@@ -78,11 +78,12 @@ def propose_boxes(
     curve = curve.beside(strip.rows * scale, _middle(strip, expected) * scale)
     scale = curve.length / expected.length
     strip = Strip.along(radiograph.pixels, curve, scale, expected.length)
-    held = {
+    given = {
         list(vertebrae).index(name): curve.coordinates(np.asarray(quad, dtype=float)) / scale
         for name, quad in (kept or {}).items()
         if name in vertebrae
     }
+    held = {i: quad for i, quad in given.items() if _guides(quad)}
     places, tilts = _endplates(strip, expected, held)
     walls = _walls(strip, expected, places, tilts, held)
     if held:
@@ -138,6 +139,13 @@ def _middle(strip: Strip, expected: _Expected) -> Floats:
     cost = -wall / (np.std(wall) + 1e-9) * inside[:, None] * 0.1 + 0.5 * (shifts / ASIDE) ** 2 * 0.1
     drift = 0.5 * ((shifts[:, None] - shifts[None]) / (ASIDE_DRIFT * 4)) ** 2
     return np.asarray(gaussian_filter1d(shifts[_cheapest(list(cost), [drift] * (len(cost) - 1))], 6.0 / STEP))
+
+
+def _guides(quad: Floats) -> bool:
+    """Whether a box (4, 2), along and beside the curve, lies across the spine; what doesn't stays but guides nobody."""
+    upper, lower = quad[0] - quad[1], quad[3] - quad[2]
+    across = all(plate[1] > abs(plate[0]) for plate in (upper, lower))
+    return across and bool(quad[:2, 0].mean() < quad[2:, 0].mean())
 
 
 def _endplates(strip: Strip, expected: _Expected, held: Mapping[int, Floats]) -> tuple[Floats, Floats]:
