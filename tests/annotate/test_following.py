@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 
+from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.annotate import following
 from spinestiff.annotate.draft import Draft, DraftImage
 from spinestiff.annotate.following import Follower, following_record
@@ -51,7 +52,7 @@ def test_an_earlier_run_is_shown_until_its_input_changes(annotated):
     stored = json.loads((annotated.subject.results / "tracked.json").read_text(encoding="utf-8"))
     for frame, kept in zip(record["frames"], stored["pushes"]["a"]["frames"], strict=True):
         np.testing.assert_allclose(list(frame["vertebrae"].values()), kept["corners_px"], atol=0.006)
-    annotated.save(Draft(schema_version=1, images={**annotated.marks, "rest/frontal": marked("rest/frontal", "T1")}), 1)
+    annotated.save(Draft(schema_version=1, images={**annotated.marks, PUSH: marked(PUSH, *VERTEBRAE[1:])}), 1)
     assert Follower(annotated).state(PUSH).state == "none"
 
 
