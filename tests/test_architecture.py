@@ -31,6 +31,7 @@ LAYERS = {
     "interop": 4,
     "study": 5,
     "verification": 6,
+    "annotate": 6,
     "app": 7,
 }
 # Where a third-party package may be imported; what is missing here may be imported nowhere.
@@ -53,8 +54,10 @@ HOMES: dict[str, tuple[str, ...]] = {
         "study/report.py",
     ),
     "jinja2": ("study/viewer/page.py",),
-    "pydantic": ("study/*",),
+    "pydantic": ("study/*", "annotate/*"),
     "pydantic_core": ("study/*",),
+    "fastapi": ("annotate/server.py",),
+    "uvicorn": ("annotate/server.py",),
     "typer": ("app/*",),
     "rich": ("app/*",),
     "trimesh": ("anatomy/*",),

@@ -22,6 +22,7 @@ from spinestiff.verification.outcome import Check
 COMMANDS = {
     "synth": ("--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
     "inspect": ("--json",),
+    "annotate": ("--port", "--no-browser"),
     "track": ("--redo",),
     "frames": ("--write", "--json"),
     "personalise": ("--mesh", "--redo"),
@@ -37,7 +38,7 @@ COMMANDS = {
     "doctor": (),
 }
 # Not pydantic: typer itself may import it.
-HEAVY = ("numba", "scipy", "cv2", "matplotlib", "skimage", "pydicom", "rslab", "numpy")
+HEAVY = ("numba", "scipy", "cv2", "matplotlib", "skimage", "pydicom", "rslab", "numpy", "fastapi", "uvicorn")
 
 
 @pytest.fixture

@@ -97,7 +97,7 @@ def errors_mm(tracked, truth):
 def test_corners_follow_a_bending_spine(largest):
     frames, truth = sequence(largest)
     first = corners(truth[0])
-    tracked = track(frames, first)
+    tracked = track(frames, {0: first})
     error = errors_mm(tracked, truth)
     assert tracked[0] is first
     assert np.median(error[1:]) <= 0.15
@@ -108,7 +108,7 @@ def test_corners_follow_a_bending_spine(largest):
 def test_a_vertebra_that_flow_lost_is_found_beside_its_neighbour():
     """Two pitches in one step: flow alone takes some vertebrae for others, by 8 mm and more."""
     frames, truth = sequence(70.0, count=2)
-    assert errors_mm(track(frames, corners(truth[0])), truth).max() < 0.5
+    assert errors_mm(track(frames, {0: corners(truth[0])}), truth).max() < 0.5
 
 
 def test_errors_do_not_add_up():
@@ -116,7 +116,7 @@ def test_errors_do_not_add_up():
     poses = [pushed_poses(rest_poses(10), 12.0 * min(k, 10 - k)) for k in range(11)]
     frames = [Frame(picture(pose, seed=k, ribs_move=5.0 * min(k, 10 - k))) for k, pose in enumerate(poses)]
     truth = np.stack([quads(pose) for pose in poses])
-    error = errors_mm(track(frames, corners(truth[0])), truth)
+    error = errors_mm(track(frames, {0: corners(truth[0])}), truth)
     assert np.percentile(error[-1], 95) <= 0.1
     assert np.percentile(error, 95) <= 0.3
 
@@ -124,7 +124,7 @@ def test_errors_do_not_add_up():
 def test_a_spoilt_frame_is_lost_and_spoils_no_other():
     frames, truth = sequence(75.0, count=5)
     frames[2] = Frame(np.full(SHAPE, 80.0, dtype=np.float32))
-    tracked = track(frames, corners(truth[0]))
+    tracked = track(frames, {0: corners(truth[0])})
     assert not tracked[2].usable.any()
     error = errors_mm(tracked, truth)
     assert np.percentile(error[[1, 3, 4]], 95) <= 0.5
@@ -140,7 +140,7 @@ def test_quality_tells_a_vertebra_that_vanished():
     patch = gone[row - 20 : row + 20, column - 32 : column + 32]
     patch[:] = gaussian_filter(patch, 12.0) + np.random.default_rng(3).normal(0.0, 2.0, patch.shape)
     frames[2] = Frame(gone)
-    quality = track(frames, corners(truth[0]))[2].quality
+    quality = track(frames, {0: corners(truth[0])})[2].quality
     assert quality[7].max() < 0.3
     assert np.median(np.delete(quality, 7, axis=0)) > 0.6
 
@@ -148,7 +148,7 @@ def test_quality_tells_a_vertebra_that_vanished():
 def test_what_leaves_the_image_is_lost():
     poses = [rest_poses() + [0.0, 0.0, 27.0 + 10.0 * k] for k in range(6)]
     truth = np.stack([quads(pose) for pose in poses])
-    tracked = track([Frame(picture(pose, seed=k)) for k, pose in enumerate(poses)], corners(truth[0]))
+    tracked = track([Frame(picture(pose, seed=k)) for k, pose in enumerate(poses)], {0: corners(truth[0])})
     outside = truth[..., 1] > SHAPE[0]
     assert outside[2, -1].any()
     assert not outside[2, -1].all()
@@ -164,14 +164,14 @@ def test_a_quality_given_at_the_start_is_kept():
     quality = np.ones((16, 4))
     quality[3, 1] = 0.0
     given = VertebraCorners(VERTEBRAE[:16], VIEW.from_pixels(truth[0]), quality)
-    assert track(frames, given)[1].quality[3, 1] == 0.0
+    assert track(frames, {0: given})[1].quality[3, 1] == 0.0
 
 
 def test_fine_pixels_are_binned_and_corners_stay_in_their_own():
     frames, truth = sequence(18.0, count=2)
     fine_view = frontal_view(shape=(3 * SHAPE[0], 3 * SHAPE[1]), pixel=0.7 / 6.0)
     fine = [Frame(np.kron(frame.pixels, np.ones((3, 3), np.float32)), fine_view) for frame in frames]
-    tracked = track(fine, corners(3.0 * truth[0] + 1.0, fine_view))
+    tracked = track(fine, {0: corners(3.0 * truth[0] + 1.0, fine_view)})
     error = np.linalg.norm(fine_view.pixels(tracked[1].corners) - (3.0 * truth[1] + 1.0), axis=-1)
     assert np.median(error) < 0.6
 
@@ -179,9 +179,56 @@ def test_fine_pixels_are_binned_and_corners_stay_in_their_own():
 def test_the_observer_hears_of_every_frame():
     frames, truth = sequence(4.0, count=3)
     heard = []
-    track(frames, corners(truth[0]), lambda done, total: heard.append((done, total)))
+    track(frames, {0: corners(truth[0])}, lambda done, total: heard.append((done, total)))
     assert heard == [(2, 3), (3, 3)]
-    assert len(track(frames[:1], corners(truth[0]))) == 1
+    assert len(track(frames[:1], {0: corners(truth[0])})) == 1
+
+
+# Annotated frames anywhere
+
+
+@pytest.mark.parametrize("start", [2, 4])
+def test_tracking_runs_in_both_directions(start):
+    """From the middle, and from the last frame back to the first."""
+    frames, truth = sequence(30.0, count=5)
+    tracked = track(frames, {start: corners(truth[start])})
+    error = errors_mm(tracked, truth)
+    assert error[start].max() < 1e-9
+    assert np.median(error[[k for k in range(5) if k != start]]) <= 0.15
+    assert np.percentile(error, 95) <= 0.5
+
+
+def test_a_corrected_frame_bends_the_tracks_on_both_sides():
+    """Corners annotated 3 pixels to one side in the first frame, right in the fourth: between them the error fades."""
+    frames, truth = sequence(20.0, count=6)
+    wrong = corners(truth[0] + [3.0, 0.0])
+    alone = errors_mm(track(frames, {0: wrong}), truth).mean(axis=(1, 2)) / PLANE_MM
+    both = errors_mm(track(frames, {0: wrong, 3: corners(truth[3])}), truth).mean(axis=(1, 2)) / PLANE_MM
+    assert alone == pytest.approx(np.full(6, 3.0), abs=0.2)
+    assert both == pytest.approx([3.0, 2.0, 1.0, 0.0, 0.0, 0.0], abs=0.25)
+
+
+def test_one_vertebra_corrected_leaves_the_others_to_the_first_frame():
+    frames, truth = sequence(20.0, count=4)
+    first = track(frames, {0: corners(truth[0])})
+    one = VertebraCorners(("T6",), VIEW.from_pixels(truth[2, 5:6] + [2.0, 0.0]))
+    tracked = track(frames, {0: corners(truth[0]), 2: one})
+    others = [i for i in range(16) if i != 5]
+    for k in range(4):
+        assert tracked[k].vertebrae == VERTEBRAE[:16]
+        np.testing.assert_array_equal(tracked[k].corners[others], first[k].corners[others])
+    np.testing.assert_array_equal(tracked[2].corners[5], one.corners[0])
+    off = (VIEW.pixels(tracked[3].corners[5]) - truth[3, 5]).mean(axis=0)
+    assert off == pytest.approx([2.0, 0.0], abs=0.3)
+
+
+def test_a_vertebra_that_the_first_frame_lacks_is_followed_back():
+    frames, truth = sequence(20.0, count=4)
+    some = VertebraCorners(VERTEBRAE[:15], VIEW.from_pixels(truth[0, :15]))
+    rest = VertebraCorners(VERTEBRAE[15:16], VIEW.from_pixels(truth[3, 15:]))
+    tracked = track(frames, {0: some, 3: rest})
+    assert all(frame.vertebrae == VERTEBRAE[:16] for frame in tracked)
+    assert errors_mm(tracked, truth).max() < 0.6
 
 
 # Supports
@@ -239,26 +286,30 @@ def test_frames_that_belong_to_no_sequence():
     frames, truth = sequence(4.0, count=2)
     first = corners(truth[0])
     with pytest.raises(TrackingError, match="no frames"):
-        track([], first)
+        track([], {0: first})
     smaller = Frame(frames[1].pixels[:-1], frontal_view(shape=(SHAPE[0] - 1, SHAPE[1]), pixel=0.7))
     with pytest.raises(TrackingError, match=r"frame 1 has shape \(619, 360\), frame 0 \(620, 360\)"):
-        track([frames[0], smaller], first)
+        track([frames[0], smaller], {0: first})
     with pytest.raises(TrackingError, match="frame 1 has another pixel spacing"):
-        track([frames[0], replace(frames[1], view=frontal_view(shape=SHAPE, pixel=0.5))], first)
+        track([frames[0], replace(frames[1], view=frontal_view(shape=SHAPE, pixel=0.5))], {0: first})
     broken = frames[1].pixels.copy()
     broken[3, 4] = np.nan
     with pytest.raises(TrackingError, match="frame 1 holds pixels that are not finite"):
-        track([frames[0], Frame(broken)], first)
+        track([frames[0], Frame(broken)], {0: first})
     with pytest.raises(TrackingError, match="one grey value"):
-        track([Frame(np.ones(SHAPE, dtype=np.float32)), frames[1]], first)
-    with pytest.raises(TrackingError, match="no vertebra of the first frame was found"):
-        track([frames[0], Frame(np.ones(SHAPE, dtype=np.float32))], first)
+        track([Frame(np.ones(SHAPE, dtype=np.float32)), frames[1]], {0: first})
+    with pytest.raises(TrackingError, match="no annotated frame to track from"):
+        track(frames, {})
+    with pytest.raises(TrackingError, match="frame 2 is annotated, but there are 2 frames"):
+        track(frames, {0: first, 2: first})
+    with pytest.raises(TrackingError, match="no annotated vertebra was found"):
+        track([frames[0], Frame(np.ones(SHAPE, dtype=np.float32))], {0: first})
 
 
 def test_corners_and_points_outside_the_first_frame():
     frames, truth = sequence(4.0, count=2)
-    with pytest.raises(TrackingError, match="T1 lies outside the first frame of 360 columns and 620 rows"):
-        track(frames, corners(truth[0] - [0.0, 60.0]))
+    with pytest.raises(TrackingError, match="T1 lies outside frame 0 of 360 columns and 620 rows"):
+        track(frames, {0: corners(truth[0] - [0.0, 60.0])})
     with pytest.raises(TrackingError, match="a pelvis point lies outside"):
         support_motion(frames, {"pelvis": PELVIS + [0.0, 200.0]})
 
@@ -312,7 +363,7 @@ def test_vertebrae_of_a_rendered_torso():
     images = [radiograph(s, p, i, f) for i, (s, p, f) in enumerate(zip(states, (0.0, 6.0, 12.0), (1.0, 1.25, 0.8)))]
     choice = silhouette_choice(torso, view, rest)
     truth = [state_features(torso, view, state, choice).corners for state in states]
-    tracked = track([Frame(image, view) for image in images], VertebraCorners(VERTEBRAE, truth[0]))
+    tracked = track([Frame(image, view) for image in images], {0: VertebraCorners(VERTEBRAE, truth[0])})
     error = np.linalg.norm(np.stack([f.corners for f in tracked[1:]]) - truth[1:], axis=-1) / view.magnification
     assert np.median(error) <= 0.15
     assert np.percentile(error, 95) <= 0.5

@@ -21,6 +21,7 @@ from spinestiff.study.subject import (
     image_corners,
     image_pedicles,
     image_supports,
+    push_corners,
     read_annotation,
     read_push,
     read_rest,
@@ -273,6 +274,45 @@ def test_annotation_refusals(folder, annotation, words):
     message = refusal(folder)
     for word in ("annotation.json", *words):
         assert word in message
+
+
+FURTHER = {"vertebrae": {"T8": ANNOTATION["images"]["push/right-8"]["vertebrae"]["T8"]}}
+
+
+def test_further_frames_of_a_push(folder):
+    """One vertebra corrected in the third frame; the first stays what a push needs."""
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", "push/right-8/2"], FURTHER))
+    subject = read_subject(folder)
+    (push,) = subject.pushes
+    assert subject.image_path("push/right-8/2") == subject.image_path("push/right-8")
+    corners = push_corners(subject, push, FRONTAL)
+    assert list(corners) == [0, 2]
+    assert (len(corners[0].vertebrae), corners[2].vertebrae) == (8, ("T8",))
+    write_annotation(folder, subject.annotation)
+    assert read_subject(folder).annotation == subject.annotation
+
+
+@pytest.mark.parametrize(
+    ("name", "image", "words"),
+    [
+        ("push/right-8/4", FURTHER, "push/right-8/4: the push has 4 frames, counted from 0"),
+        ("push/right-8/0", FURTHER, "push/right-8/0"),
+        ("push/right-8/02", FURTHER, "push/right-8/02"),
+        ("push/left-8/2", FURTHER, "images.push/left-8/2: unknown image"),
+        ("push/right-8/2", {"vertebrae": {}}, "found no vertebra, wanted at least one"),
+        ("push/right-8/2", {**FURTHER, "supports": {"pelvis": [[1, 2]]}}, "wanted them in the push's first frame"),
+        (
+            "push/right-8/2",
+            {"vertebrae": {"T8": FURTHER["vertebrae"]["T8"][::-1]}},
+            "T8: the superior corners",
+        ),
+    ],
+)
+def test_further_frames_that_are_refused(folder, name, image, words):
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", name], image))
+    with pytest.raises(SubjectError, match=re.escape(words)):
+        subject = read_subject(folder)
+        push_corners(subject, subject.pushes[0], FRONTAL)
 
 
 def test_vertebrae_may_be_written_in_any_order(folder):

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from spinestiff import __version__
+from spinestiff.app.annotate import annotate_folder, opened
 from spinestiff.app.torso import torso
 from spinestiff.errors import SpinestiffError, SubjectError
 
@@ -121,6 +122,16 @@ def inspect(
 
 
 @app.command()
+def annotate(
+    folder: Folder,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="On 127.0.0.1; 0 is any that is free.")] = 0,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address, open nothing.")] = False,
+) -> None:
+    """Mark the vertebrae's corners in the browser; every change is saved at once."""
+    annotate_folder(folder, port, not no_browser)
+
+
+@app.command()
 def track(folder: Folder, redo: Force = False) -> None:
     """Follow the annotated vertebra corners through every push."""
     _steps(folder, ("track",), redo)
@@ -183,7 +194,7 @@ def view(
         raise SubjectError("view shows a subject folder or a --torso file; give one of them")
     page = _torso_page(torso, out) if torso is not None else _visit_page(folder, out)
     typer.echo(f"view: {page}")
-    if not no_open and not _opened(page):
+    if not no_open and not opened(page.resolve().as_uri()):
         typer.echo("no browser was found to open it with; open this file in one")
 
 
@@ -343,16 +354,6 @@ def _torso_page(torso: Path, out: Path | None) -> Path:
     page = out or torso.with_suffix(".html")
     write_torso_view(torso, page)
     return page
-
-
-def _opened(page: Path) -> bool:
-    """Whether a browser took the page; never one that runs in this terminal."""
-    import os
-    import webbrowser
-
-    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
-        return False
-    return webbrowser.open(page.resolve().as_uri())
 
 
 def _steps(folder: Path, steps: tuple[str, ...], redo: bool, truth: Path | None = None, **settings: Any) -> Any:

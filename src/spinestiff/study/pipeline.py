@@ -43,7 +43,7 @@ from spinestiff.study.results import (
     step_digest,
     write_json,
 )
-from spinestiff.study.subject import image_corners, image_pedicles, image_supports, read_push, read_rest
+from spinestiff.study.subject import image_corners, image_pedicles, image_supports, push_corners, read_push, read_rest
 from spinestiff.study.trials import PushSet
 from spinestiff.study.visit import (
     Observer,
@@ -174,12 +174,12 @@ def track_step(visit: Visit, say: Observer) -> None:
     for push in subject.pushes:
         frames = read_push(subject, push)
         view = frames[0].view
-        first = image_corners(subject, push.image, view)
+        annotated = push_corners(subject, push, view)
 
         def progress(done: int, total: int, name: str = push.id) -> None:
             say(f"push '{name}', frame {done} of {total}")
 
-        tracked = track(frames, first, progress)
+        tracked = track(frames, annotated, progress)
         motions = support_motion(frames, image_supports(subject, push.image))
         dropped = [next((m.messages()[i] for m in motions if i in m.messages()), "") for i in range(len(frames))]
         for message in filter(None, dropped):
@@ -187,7 +187,8 @@ def track_step(visit: Visit, say: Observer) -> None:
         pushes[push.id] = {
             "view": _view_record(view),
             "millimetres": dict(frames[0].provenance),
-            "vertebrae": list(first.vertebrae),
+            "vertebrae": list(tracked[0].vertebrae),
+            "annotated_frames": list(annotated),
             "frames": [
                 {
                     "force_n": force,

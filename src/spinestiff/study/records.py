@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Final, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
@@ -19,7 +19,7 @@ from spinestiff.errors import SubjectError
 from spinestiff.personalise.scan import Axis, Unit, body_axes
 from spinestiff.study.results import parse_json, read_text
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION: Final = 1
 SUBJECT_FILE = "subject.json"
 ANNOTATION_FILE = "annotation.json"
 REST_IMAGES = {"rest/frontal": "rest/frontal.dcm", "rest/lateral": "rest/lateral.dcm"}
@@ -30,6 +30,8 @@ GAUGE_LIMIT_N = 500.0
 USUAL_LIMIT_N = 114.0
 """The largest force of the paper's measurements (paper 2.1)."""
 DISTANCES_MM = (30.0, 1000.0)
+FURTHER_FRAME = r"(?P<push>push/[^/]+)/(?P<frame>[1-9][0-9]{0,3})"
+"""Name of an annotated frame of a push after its first, which is push/<id>."""
 _IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
 Role = Literal["training", "validation", "unused"]
@@ -168,8 +170,12 @@ class PushRecord(_Record):
 
     @property
     def image(self) -> str:
-        """Name of the push in the annotation."""
+        """Name of the push's first frame in the annotation."""
         return f"push/{self.id}"
+
+    def frame_image(self, frame: int) -> str:
+        """Name of a frame (0-based) in the annotation: push/<id> for the first, push/<id>/<frame> for others."""
+        return self.image if frame == 0 else f"{self.image}/{frame}"
 
     @property
     def sign(self) -> int:
@@ -297,8 +303,8 @@ class ImageAnnotation(_Record):
     @field_validator("vertebrae")
     @classmethod
     def _is_a_spine(cls, vertebrae: dict[VertebraName, Quad]) -> dict[VertebraName, Quad]:
-        if len(vertebrae) < FEWEST_VERTEBRAE:
-            raise ValueError(f"found {len(vertebrae)} vertebrae, wanted at least {FEWEST_VERTEBRAE}")
+        if not vertebrae:
+            raise ValueError("found no vertebra, wanted at least one")
         ordered = dict(sorted(vertebrae.items(), key=lambda item: VERTEBRAE.index(item[0])))
         _check_quads(tuple(ordered), np.array(list(ordered.values())))
         return ordered
@@ -309,12 +315,12 @@ class ImageAnnotation(_Record):
 
 
 class Annotation(_Record):
-    """``annotation.json``: corners in the rest images and in the first frame of each push.
+    """``annotation.json``: corners in the rest images, in the first frame of each push and, at will, in others of them.
 
     Attributes
     ----------
     schema_version : 1.
-    images : by name: "rest/frontal", "rest/lateral", "push/<id>".
+    images : by name: "rest/frontal", "rest/lateral", "push/<id>" (frame 0), "push/<id>/<frame>".
     """
 
     schema_version: Literal[1]
@@ -324,6 +330,13 @@ class Annotation(_Record):
     @classmethod
     def _points_are_where_they_serve(cls, images: dict[str, ImageAnnotation]) -> dict[str, ImageAnnotation]:
         for name, image in images.items():
+            further = re.fullmatch(FURTHER_FRAME, name)
+            if further is None and len(image.vertebrae) < FEWEST_VERTEBRAE:
+                raise ValueError(
+                    f"{name}.vertebrae: found {len(image.vertebrae)} vertebrae, wanted at least {FEWEST_VERTEBRAE}"
+                )
+            if further is not None and image.supports:
+                raise ValueError(f"{name} has supports; wanted them in the push's first frame, {further['push']}")
             if image.supports and not name.startswith("push/"):
                 raise ValueError(f"{name} has supports; wanted them in push images only, where they can move")
             if image.pedicles and name.startswith("push/"):
@@ -349,7 +362,8 @@ def _check_quads(names: tuple[str, ...], quads: Floats) -> None:
         if turn != usual:
             raise ValueError(f"{name}: the corners are mirrored against the other vertebrae; {_ORDER}")
     centres = quads.mean(axis=1)
-    up = centres[0] - centres[-1]
+    # One vertebra alone has no other to lie above: its own corners say where up is, and only the view can tell more.
+    up = centres[0] - centres[-1] if len(quads) > 1 else quads[0, :2].mean(axis=0) - quads[0, 2:].mean(axis=0)
     heights = centres @ up
     for i in range(1, len(names)):
         if heights[i] >= heights[i - 1]:

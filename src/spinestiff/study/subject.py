@@ -6,8 +6,9 @@ rest (``check_frames``, ``image_corners``). Each refusal is one line: file, fiel
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -19,6 +20,7 @@ from spinestiff.errors import SubjectError
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.study.records import (
     ANNOTATION_FILE,
+    FURTHER_FRAME,
     LATERAL,
     REST_IMAGES,
     SCHEMA_VERSION,
@@ -75,7 +77,7 @@ class Subject:
         """File (or folder of frames) of an image by its name in the annotation."""
         if image in REST_IMAGES:
             return self.folder / REST_IMAGES[image]
-        return self.folder / self.push(image.removeprefix("push/")).frames
+        return self.folder / self.push(image.split("/")[1]).frames
 
     @property
     def rest_views(self) -> tuple[Literal["frontal", "lateral"], ...]:
@@ -108,18 +110,12 @@ def read_subject(folder: str | Path) -> Subject:
     ------
     SubjectError : anything missing, unknown, out of range or contradictory.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise SubjectError(f"{folder}: no such folder; wanted a subject folder with {SUBJECT_FILE}")
-    record = read_record(folder / SUBJECT_FILE, SubjectRecord)
-    subject = Subject(folder, record, read_annotation(folder / ANNOTATION_FILE), _unusual(record))
+    bare = read_unannotated(folder)
+    subject = replace(bare, annotation=read_annotation(bare.folder / ANNOTATION_FILE))
+    folder = subject.folder
     _check_images(subject)
     for image in subject.annotation.images:
-        path = subject.image_path(image)
-        if not path.exists():
-            raise SubjectError(f"{path}: no such file; wanted the radiograph of {image}")
-        if not path.resolve().is_relative_to(folder.resolve()):
-            raise SubjectError(f"{path}: leads out of the subject folder; copy the radiograph into it")
+        check_radiograph_path(subject, image)
     own = (
         (subject.torso_path, "torso", "the torso.npz of spinestiff torso import"),
         (subject.scan_path, "scan", "the skin scan that subject.json names"),
@@ -132,6 +128,34 @@ def read_subject(folder: str | Path) -> Subject:
         if not file.resolve().is_relative_to(folder.resolve()):
             raise SubjectError(f"{file}: leads out of the subject folder; copy the {kind} into it")
     return subject
+
+
+def read_unannotated(folder: str | Path) -> Subject:
+    """A subject as far as ``subject.json`` tells, its annotation still empty: what annotation starts from.
+
+    Raises
+    ------
+    SubjectError : no such folder, or ``subject.json`` is missing or wrong.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise SubjectError(f"{folder}: no such folder; wanted a subject folder with {SUBJECT_FILE}")
+    if not (folder / SUBJECT_FILE).is_file():
+        raise SubjectError(
+            f"{folder / SUBJECT_FILE}: no such file; write one with the person, the pushes and their forces, as "
+            "docs/subject-folder.md shows"
+        )
+    record = read_record(folder / SUBJECT_FILE, SubjectRecord)
+    return Subject(folder, record, Annotation(schema_version=SCHEMA_VERSION, images={}), _unusual(record))
+
+
+def check_radiograph_path(subject: Subject, image: str) -> None:
+    """Raise SubjectError unless the radiograph of an image is there, inside the subject folder."""
+    path = subject.image_path(image)
+    if not path.exists():
+        raise SubjectError(f"{path}: no such file; wanted the radiograph of {image}")
+    if not path.resolve().is_relative_to(subject.folder.resolve()):
+        raise SubjectError(f"{path}: leads out of the subject folder; copy the radiograph into it")
 
 
 def write_subject(folder: str | Path, record: SubjectRecord) -> None:
@@ -151,7 +175,7 @@ def read_annotation(path: str | Path) -> Annotation:
     """
     path = Path(path)
     if not path.is_file():
-        raise SubjectError(f"{path}: no annotation; wanted the vertebra corners of the rest images and first frames")
+        raise SubjectError(f"{path}: no annotation; mark the vertebra corners with spinestiff annotate")
     return read_record(path, Annotation)
 
 
@@ -225,6 +249,21 @@ def image_corners(subject: Subject, image: str, view: XRayView) -> VertebraCorne
     return VertebraCorners(names, corners)
 
 
+def push_corners(subject: Subject, push: PushRecord, view: XRayView) -> Mapping[int, VertebraCorners]:
+    """Annotated corners of a push by frame (0-based), the first among them, in mm on the detector.
+
+    Raises
+    ------
+    SubjectError : as ``image_corners``.
+    """
+    names = {frame: push.frame_image(frame) for frame in range(len(push.forces_n))}
+    return {
+        frame: image_corners(subject, name, view)
+        for frame, name in names.items()
+        if frame == 0 or name in subject.annotation.images
+    }
+
+
 def image_pedicles(subject: Subject, image: str, view: XRayView) -> tuple[tuple[str, ...], Floats]:
     """Names and marked pedicles (Nv, 2, 2), left and right, in mm on the detector of ``view``; none if none are given.
 
@@ -272,17 +311,31 @@ def _read_images(subject: Subject, image: str, which: Literal["frontal", "latera
     return frames
 
 
-def _annotatable(record: SubjectRecord) -> tuple[str, ...]:
+def annotatable(record: SubjectRecord) -> tuple[str, ...]:
+    """Names of the images that an annotation needs: the rest radiographs and the first frame of each push."""
     return (*REST_IMAGES, *(push.image for push in record.pushes))
+
+
+def check_image_name(subject: Subject, name: str) -> None:
+    """Raise SubjectError unless an annotation of this subject may have an image, or a push's frame, of that name."""
+    path, needed = subject.folder / ANNOTATION_FILE, annotatable(subject.record)
+    found = re.fullmatch(FURTHER_FRAME, name)
+    if found is not None and found["push"] in needed:
+        count = len(subject.push(found["push"].removeprefix("push/")).forces_n)
+        if int(found["frame"]) >= count:
+            raise SubjectError(f"{path}: images.{name}: the push has {count} frames, counted from 0")
+    elif name not in needed:
+        raise SubjectError(
+            f"{path}: images.{name}: unknown image; wanted {', '.join(needed)} (push/<id>/<frame> for frames after "
+            "the first)"
+        )
 
 
 def _check_images(subject: Subject) -> None:
     path, images = subject.folder / ANNOTATION_FILE, subject.annotation.images
-    known = _annotatable(subject.record)
     for name in images:
-        if name not in known:
-            raise SubjectError(f"{path}: images.{name}: unknown image; wanted {', '.join(known)}")
-    for name in known:
+        check_image_name(subject, name)
+    for name in annotatable(subject.record):
         # Without a lateral radiograph the sagittal shape is the template's; one that is there has to be annotated.
         if name == LATERAL and not subject.image_path(name).exists():
             continue

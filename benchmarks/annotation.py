@@ -1,0 +1,217 @@
+"""How much work seventeen vertebrae are on the annotation page: clicks, drags and an estimated time.
+
+Six clicks along the spine, a proposal, then what a careful person does: the corner that lies farthest off is dragged
+where it belongs, one after the other, until all lie within the tolerance. Where a whole vertebra lies off it is dragged
+first, if that leaves fewer corners to drag. "Propose the others again", after some vertebrae were put right, is used
+where that saves time.
+
+Synthetic radiographs (known corners): the subject of ``spinestiff synth``, made anew or given by ``--subject``. Real
+ones: ``--images``, a folder with ``landmarks.csv`` and ``images/``, no part of the project. Their labels lie
+millimetres off the corners that can be seen, so their tolerance is wider, and the counts are upper bounds.
+
+    python benchmarks/annotation.py [--subject FOLDER] [--images FOLDER] [--out FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.template.sizes import VERTEBRA_SIZES
+from spinestiff.imaging.projection import frontal_view
+from spinestiff.imaging.proposal import propose_boxes
+from spinestiff.imaging.radiograph import Radiograph
+from spinestiff.study.results import write_json
+from spinestiff.study.subject import read_push, read_rest, read_subject
+from spinestiff.study.synthetic import Recipe, synthesise
+
+CLICKS = 6
+# How far from the middle of the spine people click, standard deviation, mm of the person.
+CLICK_SD_MM = 1.5
+# Seconds an action takes: a point and a drag after the keystroke-level model (Card, Moran and Newell 1980: pointing
+# 1.1 s, pressing or releasing a button 0.1 s, getting ready 1.35 s); looking at a vertebra and deciding is ours.
+POINT_S = 1.1 + 0.2
+DRAG_S = 1.35 + 1.1 + 0.1 + 1.1 + 0.1
+LOOK_S = 2.0
+BUTTON_S = 1.35 + 1.1 + 0.2
+TOLERANCES_MM = {"synthetic": (1.5, 2.0, 3.0), "real": (2.0, 3.0, 4.0)}
+# Three with 17 bodies labelled in order (docs/annotate.md says which labels are not).
+REAL_ROWS = (0, 240, 360)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A radiograph, the corners (n, 4, 2) in pixels that are wanted, and mm of the person a pixel."""
+
+    name: str
+    kind: str
+    radiograph: Radiograph
+    vertebrae: tuple[str, ...]
+    corners: np.ndarray
+    mm: float
+
+
+@dataclass(frozen=True)
+class Work:
+    """What it took. ``whole`` and ``single`` are drags of vertebrae and of corners."""
+
+    tolerance_mm: float
+    clicks: int
+    proposals: int
+    whole: int
+    single: int
+    seconds: float
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--subject", type=Path, help="a subject of spinestiff synth; made anew if left out")
+    parser.add_argument("--images", type=Path, help="folder of labelled real radiographs")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "annotation.json")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = given.subject or Path(temporary) / "girl"
+        if given.subject is None:
+            synthesise(folder, Recipe(seed=1, cobb=25.0))
+        cases = [*synthetic_cases(folder), *(real_cases(given.images) if given.images else [])]
+    rows = [measured(case) for case in cases]
+    write_json(
+        given.out,
+        {
+            "clicks": CLICKS,
+            "click_sd_mm": CLICK_SD_MM,
+            "seconds": {"point": POINT_S, "drag": DRAG_S, "look_at_a_vertebra": LOOK_S, "button": BUTTON_S},
+            "radiographs": rows,
+        },
+    )
+    for row in rows:
+        for work in row["work"]:
+            drags = f"{work['whole']} vertebrae and {work['single']} corners dragged, {work['proposals']} proposals"
+            print(f"{row['name']:20s} within {work['tolerance_mm']:g} mm: {drags}, about {work['seconds']:.0f} s")
+
+
+def measured(case: Case) -> dict[str, object]:
+    """Errors of the first proposal and the work at each tolerance."""
+    clicks = clicked(case)
+    began = time.perf_counter()
+    first = propose_boxes(case.radiograph, clicks, case.vertebrae)
+    seconds = time.perf_counter() - began
+    away = np.linalg.norm(first - case.corners, axis=2) * case.mm
+    return {
+        "name": case.name,
+        "kind": case.kind,
+        "vertebrae": len(case.vertebrae),
+        "corner_error_mm": {str(q): round(float(np.percentile(away, q)), 2) for q in (50, 75, 90, 100)},
+        "proposal_seconds": round(seconds, 2),
+        "work": [asdict(least_work(case, clicks, first, limit)) for limit in TOLERANCES_MM[case.kind]],
+    }
+
+
+def clicked(case: Case) -> np.ndarray:
+    """Points along the true middle line, evenly spread, each off by what a hand is off."""
+    middle = case.corners.mean(axis=1)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middle, axis=0), axis=1))])
+    rng = np.random.default_rng(0)
+    exact = CubicSpline(along, middle)(np.linspace(0.0, along[-1], CLICKS))
+    return exact + rng.normal(0.0, CLICK_SD_MM / case.mm, exact.shape)
+
+
+def least_work(case: Case, clicks: np.ndarray, first: np.ndarray, limit: float) -> Work:
+    """The least of: all put right by hand; some vertebrae put right, then the others proposed again, and put right.
+
+    Some: one to four of the worst, as far as the tolerance asks; or two or three all over the spine, with four corners.
+    """
+    ways = [counted(case, first, limit, proposals=1)]
+    for chosen, put_right, whole, single in guides(case, first, limit):
+        kept = {case.vertebrae[i]: put_right[i] for i in chosen}
+        again = counted(case, propose_boxes(case.radiograph, clicks, case.vertebrae, kept), limit, proposals=2)
+        ways.append(total(limit, 2, whole + again.whole, single + again.single, len(case.vertebrae)))
+    return min(ways, key=lambda work: work.seconds)
+
+
+def guides(case: Case, first: np.ndarray, limit: float) -> Iterator[tuple[np.ndarray, np.ndarray, int, int]]:
+    """Vertebrae to put right before the second proposal, their boxes then, and the drags that takes."""
+    order = np.argsort(-np.linalg.norm(first - case.corners, axis=2).max(axis=1))
+    for n in range(1, 5):
+        yield order[:n], *corrected(case, first, limit, order[:n])
+    for n in (2, 3):
+        spread = np.linspace(0, len(first) - 1, n + 2)[1:-1].round().astype(int)
+        yield spread, case.corners, 0, 4 * n
+
+
+def counted(case: Case, boxes: np.ndarray, limit: float, proposals: int, only: np.ndarray | None = None) -> Work:
+    _, whole, single = corrected(case, boxes, limit, only)
+    return total(limit, proposals, whole, single, len(case.vertebrae))
+
+
+def total(limit: float, proposals: int, whole: int, single: int, vertebrae: int) -> Work:
+    seconds = CLICKS * POINT_S + proposals * BUTTON_S + (whole + single) * DRAG_S + vertebrae * LOOK_S
+    return Work(limit, CLICKS, proposals, whole, single, round(seconds, 1))
+
+
+def corrected(
+    case: Case, boxes: np.ndarray, limit: float, only: np.ndarray | None = None
+) -> tuple[np.ndarray, int, int]:
+    """Boxes put right, and how many whole vertebrae and single corners were dragged for it."""
+    found, whole, single = boxes.copy(), 0, 0
+    for i in range(len(boxes)) if only is None else only:
+        off = boxes[i] - case.corners[i]
+        plain = int((np.linalg.norm(off, axis=1) * case.mm > limit).sum())
+        shifted = off - off.mean(axis=0)
+        moved = int((np.linalg.norm(shifted, axis=1) * case.mm > limit).sum())
+        if 1 + moved < plain:
+            whole, single, off = whole + 1, single + moved, shifted
+        else:
+            single += plain
+        off = np.where(np.linalg.norm(off, axis=1, keepdims=True) * case.mm > limit, 0.0, off)
+        found[i] = case.corners[i] + off
+    return found, whole, single
+
+
+def synthetic_cases(folder: Path) -> list[Case]:
+    """The rest radiographs and the first frame of a push; mm at the patient plane."""
+    subject = read_subject(folder)
+    push = subject.pushes[0]
+    pictures = {
+        "rest/frontal": read_rest(subject, "frontal"),
+        "rest/lateral": read_rest(subject, "lateral"),
+        push.image: read_push(subject, push)[0],
+    }
+    cases = []
+    for name, radiograph in pictures.items():
+        marks = subject.annotation.images[name]
+        mm = float((radiograph.view.pixel_spacing / radiograph.view.magnification).mean())
+        cases.append(Case(name, "synthetic", radiograph, tuple(marks.vertebrae), marks.pixels(), mm))
+    return cases
+
+
+def real_cases(folder: Path) -> list[Case]:
+    """Labelled radiographs without millimetres: the spine is taken for as long as the template's."""
+    with (folder / "landmarks.csv").open() as file:
+        rows = list(csv.reader(file))
+    sizes = VERTEBRA_SIZES[:, 4:6].ravel()
+    length = sizes[:-1].sum() - 0.5 * (sizes[0] + sizes[-2])
+    cases = []
+    for row in REAL_ROWS:
+        pixels = cv2.imread(str(folder / "images" / f"row{row:03d}.jpg"), cv2.IMREAD_GRAYSCALE)
+        values = np.array([float(x) for x in rows[row]])
+        points = np.stack([values[:68] * pixels.shape[1], values[68:] * pixels.shape[0]], axis=1).reshape(17, 4, 2)
+        corners = points[:, [1, 0, 2, 3]]
+        mm = length / np.linalg.norm(np.diff(corners.mean(axis=1), axis=0), axis=1).sum()
+        radiograph = Radiograph(pixels.astype(np.float32), frontal_view(shape=pixels.shape))
+        cases.append(Case(f"real, row {row}", "real", radiograph, VERTEBRAE, corners, float(mm)))
+    return cases
+
+
+if __name__ == "__main__":
+    main()

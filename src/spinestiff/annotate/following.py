@@ -1,0 +1,140 @@
+"""Corners followed through a push while somebody looks on: in the background, from every frame that is annotated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from threading import Lock, Thread
+from typing import Any, Literal
+
+from spinestiff.annotate.session import AnnotationSession
+from spinestiff.errors import SpinestiffError, SubjectError
+from spinestiff.imaging.features import VertebraCorners
+from spinestiff.imaging.radiograph import Radiograph
+from spinestiff.imaging.tracking import Observer, track
+from spinestiff.study.results import RESULTS, changed_inputs
+from spinestiff.study.subject import push_corners
+from spinestiff.study.visit import load_tracked, open_visit
+
+
+@dataclass(frozen=True)
+class Following:
+    """How far the tracking of a push has come.
+
+    Attributes
+    ----------
+    state : of the last run. done, total : frames.
+    error : why it failed, in one line.
+    frames : corners of each frame, mm on the detector; empty until done.
+    """
+
+    state: Literal["none", "running", "done", "failed"] = "none"
+    done: int = 0
+    total: int = 0
+    error: str = ""
+    frames: tuple[VertebraCorners, ...] = field(default=())
+
+
+class Follower:
+    """Runs of tracking in the background, one at a time a push; a new start replaces a run that goes on."""
+
+    def __init__(self, session: AnnotationSession) -> None:
+        self.session = session
+        self._lock = Lock()
+        self._runs: dict[str, tuple[int, Following]] = {}
+
+    def state(self, image: str) -> Following:
+        """How far the tracking of a push has come; before the first run, what ``spinestiff track`` last found."""
+        with self._lock:
+            if image not in self._runs:
+                self._runs[image] = 0, self._stored(image)
+            return self._runs[image][1]
+
+    def _stored(self, image: str) -> Following:
+        folder = self.session.subject.folder
+        if not (folder / RESULTS / "tracked.json").is_file() or changed_inputs(folder, "track"):
+            return Following()
+        try:
+            tracked = load_tracked(open_visit(folder))[image.removeprefix("push/")]
+        except (SpinestiffError, KeyError):
+            return Following()
+        frames = tuple(frame.corners for frame in tracked.frames)
+        return Following("done", len(frames), len(frames), frames=frames)
+
+    def start(self, image: str) -> Following:
+        """Start from the marks as they are now.
+
+        Raises
+        ------
+        SubjectError : no push, or its first frame is not complete yet.
+        """
+        if not image.startswith("push/"):
+            raise SubjectError(f"{image} is no push; there is nothing to track")
+        frames = self.session.frames(image)
+        annotated = annotated_frames(self.session, image)
+        with self._lock:
+            number = self._runs.get(image, (0, Following()))[0] + 1
+            running = Following("running", 0, len(frames))
+            self._runs[image] = number, running
+        Thread(target=self._run, args=(image, number, frames, annotated), daemon=True).start()
+        return running
+
+    def _run(
+        self, image: str, number: int, frames: Sequence[Radiograph], annotated: Mapping[int, VertebraCorners]
+    ) -> None:
+        def report(found: Following) -> None:
+            with self._lock:
+                if self._runs[image][0] != number:
+                    raise _Replaced
+                self._runs[image] = number, found
+
+        def progress(done: int, total: int) -> None:
+            report(Following("running", done, total))
+
+        try:
+            tracked = follow(frames, annotated, progress)
+            report(Following("done", len(frames), len(frames), frames=tracked))
+        except _Replaced:
+            return
+        except SpinestiffError as error:
+            self._fail(image, number, str(error))
+        except Exception:
+            self._fail(image, number, "tracking broke down; see the terminal")
+            raise
+
+    def _fail(self, image: str, number: int, why: str) -> None:
+        with self._lock:
+            if self._runs[image][0] == number:
+                self._runs[image] = number, Following("failed", error=why)
+
+
+class _Replaced(Exception):
+    """A newer run has taken over."""
+
+
+def follow(
+    frames: Sequence[Radiograph], annotated: Mapping[int, VertebraCorners], observer: Observer
+) -> tuple[VertebraCorners, ...]:
+    """Corners in every frame from the annotated ones."""
+    return track(frames, annotated, observer)
+
+
+def annotated_frames(session: AnnotationSession, image: str) -> Mapping[int, VertebraCorners]:
+    """Complete annotations of a push by frame, mm on the detector. Raises SubjectError if the first has none."""
+    push = session.subject.push(image.removeprefix("push/"))
+    return push_corners(session.annotated(), push, session.view(image))
+
+
+def following_record(session: AnnotationSession, image: str, found: Following) -> dict[str, Any]:
+    """As JSON, corners in pixels."""
+    view = session.view(image)
+    frames = []
+    for corners in found.frames:
+        quads = view.pixels(corners.corners).round(2)
+        frames.append(
+            {
+                "vertebrae": {name: quad.tolist() for name, quad in zip(corners.vertebrae, quads)},
+                "quality": {name: q.round(3).tolist() for name, q in zip(corners.vertebrae, corners.quality)},
+            }
+        )
+    return {"state": found.state, "done": found.done, "total": found.total, "error": found.error, "frames": frames}

@@ -1,0 +1,95 @@
+"""What the page may send, checked before anything is done with it, and what it is told."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from spinestiff.annotate.draft import Corners, Draft, DraftImage, Points
+from spinestiff.annotate.session import Judged
+from spinestiff.errors import SubjectError
+from spinestiff.study.cobb import REGIONS, CobbReading, Curve
+from spinestiff.study.records import VertebraName, complaint_of
+from spinestiff.study.results import parse_json
+
+
+class _Sent(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Save(_Sent):
+    """All marks of the folder, made on revision ``revision``."""
+
+    revision: Annotated[int, Field(ge=0)]
+    draft: Draft
+
+
+class Judge(_Sent):
+    """Marks of one image, to be judged but not saved."""
+
+    image: str
+    marks: DraftImage
+
+
+class Propose(_Sent):
+    """Points along the spine of a frame, head to foot: the first in ``upper``, the last in ``lower``.
+
+    ``kept`` are vertebrae that stay as they are and guide the others.
+    """
+
+    image: str
+    frame: Annotated[int, Field(ge=0)]
+    points: Points
+    upper: VertebraName
+    lower: VertebraName
+    kept: dict[VertebraName, Corners] = {}
+
+
+class Track(_Sent):
+    """Follow a push from the annotated frames that the session holds."""
+
+    image: str
+
+
+class Import(_Sent):
+    """A file's name, of which its end alone counts, its text, and the image in sight."""
+
+    name: Annotated[str, Field(max_length=1000)]
+    text: str
+    image: str
+
+
+S = TypeVar("S", bound=_Sent)
+
+
+def sent(body: bytes, kind: type[S]) -> S:
+    """A request's body. Raises SubjectError, in one line, for anything it may not be."""
+    try:
+        text = body.decode("utf-8")
+    except UnicodeDecodeError:
+        raise SubjectError("the request is no UTF-8 text") from None
+    parse_json(text, "the request")
+    try:
+        return kind.model_validate_json(text)
+    except ValidationError as error:
+        raise SubjectError(f"the request: {complaint_of(error)}") from None
+
+
+def judged_record(judged: Judged) -> dict[str, Any]:
+    """As JSON."""
+    reading = judged.cobb
+    curves = [] if reading is None else [_curve_record(reading, curve) for curve in reading.curves]
+    largest = None if reading is None or reading.largest is None else _curve_record(reading, reading.largest)
+    return {"vertebrae": judged.vertebrae, "problem": judged.problem, "cobb": largest, "curves": curves}
+
+
+def _curve_record(reading: CobbReading, curve: Curve) -> dict[str, Any]:
+    return {
+        "degrees": curve.angle.degrees,
+        "upper": curve.angle.upper,
+        "lower": curve.angle.lower,
+        "convexity": reading.convexity(curve),
+        "region": REGIONS[curve.region][1],
+        "half_width": curve.half_width_deg,
+    }

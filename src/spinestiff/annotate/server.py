@@ -1,0 +1,233 @@
+"""The page's server: FastAPI on 127.0.0.1, for as long as somebody annotates."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import socket
+from collections.abc import Callable
+from contextlib import suppress
+from importlib.resources import files
+from typing import Annotated, Any
+
+import numpy as np
+import uvicorn
+from fastapi import Depends, FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+
+from spinestiff import __version__
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.annotate.exchange import Form, exported, imported
+from spinestiff.annotate.following import Follower, following_record
+from spinestiff.annotate.guard import Guard
+from spinestiff.annotate.requests import Import, Judge, Propose, Save, Track, judged_record, sent
+from spinestiff.annotate.session import AnnotationSession, ChangedElsewhere
+from spinestiff.arrays import Floats
+from spinestiff.errors import SpinestiffError, SubjectError
+from spinestiff.imaging.features import picture_axes, view_kind
+from spinestiff.imaging.proposal import propose_boxes
+from spinestiff.imaging.radiograph import Radiograph
+from spinestiff.study.records import LATERAL, REST_IMAGES
+from spinestiff.study.trials import LOWEST_QUALITY
+
+LOOPBACK = "127.0.0.1"
+PAGE = {
+    "/": ("index.html", "text/html; charset=utf-8"),
+    "/annotate.js": ("annotate.js", "text/javascript; charset=utf-8"),
+    "/annotate.css": ("annotate.css", "text/css; charset=utf-8"),
+}
+GREY_LEVELS = 65535
+
+
+async def _body(request: Request) -> bytes:
+    return await request.body()
+
+
+Body = Annotated[bytes, Depends(_body)]
+
+
+def application(session: AnnotationSession) -> FastAPI:
+    """The page and its data, still unguarded: what ``serve`` puts behind ``Guard``."""
+    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    for path in PAGE:
+        app.add_api_route(path, _shipped(path), methods=["GET"])
+    _add_answers(app)
+    follower = Follower(session)
+
+    @app.get("/api/session")
+    def everything() -> dict[str, Any]:
+        session.reload()
+        return session_record(session)
+
+    @app.get("/api/radiograph")
+    def radiograph(image: str, frame: int = 0) -> Response:
+        return _picture(_frame(session, image, frame))
+
+    @app.put("/api/annotation")
+    def save(body: Body) -> dict[str, Any]:
+        asked = sent(body, Save)
+        revision = session.save(asked.draft, asked.revision)
+        return {"revision": revision, "missing": session.missing(session.marks)}
+
+    @app.post("/api/judge")
+    def judge(body: Body) -> dict[str, Any]:
+        asked = sent(body, Judge)
+        return judged_record(session.judged(asked.image, asked.marks))
+
+    @app.post("/api/propose")
+    def propose(body: Body) -> dict[str, Any]:
+        asked = sent(body, Propose)
+        shown = _frame(session, asked.image, asked.frame)
+        names = VERTEBRAE[VERTEBRAE.index(asked.upper) : VERTEBRAE.index(asked.lower) + 1]
+        kept: dict[str, Floats] = {name: np.array(quad) for name, quad in asked.kept.items()}
+        boxes = propose_boxes(shown, np.array(asked.points, dtype=float).reshape(-1, 2), names, kept)
+        return {"vertebrae": {name: quad.round(2).tolist() for name, quad in zip(names, boxes)}}
+
+    @app.post("/api/import")
+    def read_file(body: Body) -> dict[str, Any]:
+        asked = sent(body, Import)
+        marks, said = imported(session, asked.name, asked.text, asked.image)
+        return {"marks": {name: image.model_dump(mode="json") for name, image in marks.items()}, "warnings": said}
+
+    @app.get("/api/export")
+    def write_file(form: Form) -> Response:
+        return Response(exported(session, form), media_type="application/octet-stream")
+
+    @app.get("/api/track")
+    def tracking(image: str) -> dict[str, Any]:
+        return following_record(session, image, follower.state(image))
+
+    @app.post("/api/track")
+    def track(body: Body) -> dict[str, Any]:
+        asked = sent(body, Track)
+        return following_record(session, asked.image, follower.start(asked.image))
+
+    return app
+
+
+def session_record(session: AnnotationSession) -> dict[str, Any]:
+    """What the page starts from, as JSON; nothing of a DICOM file is in it."""
+    record = session.subject.record
+    images: list[dict[str, Any]] = []
+    for name in session.images:
+        if name in REST_IMAGES:
+            kind = "lateral" if name == LATERAL else "frontal"
+            images.append({"name": name, "title": f"Rest, {kind}", "kind": kind, "forces": [None], "roles": [None]})
+        else:
+            push = session.subject.push(name.removeprefix("push/"))
+            title = f"Push {push.id}"
+            images.append(
+                {"name": name, "title": title, "kind": "frontal", "forces": push.forces_n, "roles": push.roles}
+            )
+    marks = {name: image.model_dump(mode="json") for name, image in session.marks.items()}
+    return {
+        "version": __version__,
+        "subject": record.id,
+        "vertebrae": VERTEBRAE,
+        "lowest_quality": LOWEST_QUALITY,
+        "images": images,
+        "marks": marks,
+        "revision": session.revision,
+        "missing": session.missing(session.marks),
+    }
+
+
+def serve(session: AnnotationSession, port: int, ready: Callable[[str], None]) -> None:
+    """Serve until interrupted.
+
+    Parameters
+    ----------
+    port : 0 = any that is free.
+    ready : called with the page's address, token included, once requests are taken.
+
+    Raises
+    ------
+    SubjectError : the port is taken.
+    """
+    with listening(port) as sock:
+        guarded, address = guarded_application(session, sock.getsockname()[1])
+        config = uvicorn.Config(guarded, log_level="error", access_log=False, lifespan="off", server_header=False)
+        server = uvicorn.Server(config)
+        ready(address)
+        # uvicorn stops in order at Ctrl-C and raises it once more afterwards.
+        with suppress(KeyboardInterrupt):
+            server.run(sockets=[sock])
+
+
+def guarded_application(session: AnnotationSession, port: int) -> tuple[Guard, str]:
+    """The application behind its guard with a fresh token, and the address that opens it.
+
+    The token stands in the fragment, which a browser sends to nobody.
+    """
+    token = secrets.token_urlsafe(32)
+    return Guard(application(session), token, port), f"http://{LOOPBACK}:{port}/#{token}"
+
+
+def listening(port: int) -> socket.socket:
+    """A socket that listens on loopback. Raises SubjectError if the port is taken."""
+    sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        sock.bind((LOOPBACK, port))
+        sock.listen()
+    except (OSError, OverflowError):
+        sock.close()
+        raise SubjectError(
+            f"port {port} can't be used on {LOOPBACK}; choose another with --port, or 0 for any"
+        ) from None
+    return sock
+
+
+def _shipped(path: str) -> Callable[[], Response]:
+    name, kind = PAGE[path]
+
+    def page() -> Response:
+        return Response(files("spinestiff.annotate").joinpath("page", name).read_bytes(), media_type=kind)
+
+    return page
+
+
+def _frame(session: AnnotationSession, image: str, frame: int) -> Radiograph:
+    frames = session.frames(image)
+    if not 0 <= frame < len(frames):
+        raise SubjectError(f"{image} has no frame {frame}; wanted 0 to {len(frames) - 1}")
+    return frames[frame]
+
+
+def _picture(radiograph: Radiograph) -> Response:
+    """16-bit grey values, little endian, row by row; what the page needs of the view in a header."""
+    pixels = radiograph.pixels
+    low, high = float(pixels.min()), float(pixels.max())
+    grey = np.rint((pixels - low) * (GREY_LEVELS / max(high - low, 1e-9))).astype("<u2")
+    first, up = picture_axes(radiograph.view)
+    about = {
+        "rows": pixels.shape[0],
+        "columns": pixels.shape[1],
+        "window": np.percentile(grey[::4, ::4], [1.0, 99.8]).tolist(),
+        "kind": view_kind(radiograph.view),
+        "first": first.tolist(),
+        "up": up.tolist(),
+        "pixel_mm": (radiograph.view.pixel_spacing / radiograph.view.magnification).tolist(),
+    }
+    return Response(grey.tobytes(), media_type="application/octet-stream", headers={"x-radiograph": json.dumps(about)})
+
+
+def _add_answers(app: FastAPI) -> None:
+    """Failures as one line of JSON."""
+
+    @app.exception_handler(ChangedElsewhere)
+    def changed(_: Request, error: Exception) -> JSONResponse:
+        return JSONResponse({"error": str(error)}, 409)
+
+    @app.exception_handler(SpinestiffError)
+    def refused(_: Request, error: Exception) -> JSONResponse:
+        return JSONResponse({"error": " ".join(str(error).split())}, 422)
+
+    @app.exception_handler(RequestValidationError)
+    def malformed(_: Request, error: Exception) -> JSONResponse:
+        return JSONResponse({"error": "the request is not one of this page's"}, 422)
+
+    @app.exception_handler(OSError)
+    def unwritten(_: Request, error: Exception) -> JSONResponse:
+        assert isinstance(error, OSError)
+        return JSONResponse({"error": f"a file can't be read or written ({error.strerror})"}, 500)

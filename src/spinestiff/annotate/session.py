@@ -1,0 +1,304 @@
+"""One subject folder being annotated: its radiographs, its marks, and every change saved at once."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import RLock
+
+import numpy as np
+from pydantic import ValidationError
+
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.annotate.draft import DRAFT_FILE, Draft, DraftImage, read_draft
+from spinestiff.errors import RadiographError, SpinestiffError, SubjectError
+from spinestiff.imaging.features import picture_axes, view_kind
+from spinestiff.imaging.projection import XRayView
+from spinestiff.imaging.radiograph import Radiograph
+from spinestiff.study.cobb import CobbReading, read_cobb
+from spinestiff.study.corner_files import ImageCorners, Side
+from spinestiff.study.records import (
+    ANNOTATION_FILE,
+    FEWEST_VERTEBRAE,
+    LATERAL,
+    REST_IMAGES,
+    SCHEMA_VERSION,
+    Annotation,
+    ImageAnnotation,
+    complaint_of,
+)
+from spinestiff.study.results import write_json
+from spinestiff.study.subject import (
+    Subject,
+    annotatable,
+    check_image_name,
+    check_radiograph_path,
+    image_corners,
+    read_annotation,
+    read_push,
+    read_rest,
+    read_unannotated,
+    write_annotation,
+)
+
+# Images whose frames stay in memory; a push of 1024 x 1024 has a few megabytes a frame.
+KEPT = 3
+
+
+class ChangedElsewhere(SubjectError):
+    """The annotation on disk, or the page's copy of it, is no longer the one that was read."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What can be told of the marks in one image.
+
+    Attributes
+    ----------
+    vertebrae : how many have corners.
+    problem : why the image is not complete, in words; empty where it is.
+    cobb : what ``spinestiff cobb`` reads, in frontal images with two vertebrae or more that can be read.
+    """
+
+    vertebrae: int
+    problem: str
+    cobb: CobbReading | None
+
+
+class AnnotationSession:
+    """The annotation of a subject folder, in work.
+
+    Parameters
+    ----------
+    folder : with ``subject.json`` and radiographs; ``annotation.json`` may be missing, a draft is taken up.
+
+    Raises
+    ------
+    SubjectError : the folder can't be annotated, in one line.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self.subject = read_unannotated(folder)
+        self.images = tuple(name for name in annotatable(self.subject.record) if self._offered(name))
+        if not self.images:
+            raise SubjectError(f"{folder}: no radiograph to annotate; wanted {', '.join(REST_IMAGES.values())}")
+        self.lock = RLock()
+        self.revision = 0
+        self._frames: OrderedDict[str, tuple[Radiograph, ...]] = OrderedDict()
+        self._views: dict[str, XRayView] = {}
+        self._drafted: dict[str, DraftImage] = {}
+        self.reload()
+
+    def _offered(self, name: str) -> bool:
+        if name == LATERAL and not self.subject.image_path(name).exists():
+            return False
+        check_radiograph_path(self.subject, name)
+        return True
+
+    @property
+    def annotation_path(self) -> Path:
+        return self.subject.folder / ANNOTATION_FILE
+
+    @property
+    def draft_path(self) -> Path:
+        return self.subject.folder / DRAFT_FILE
+
+    def reload(self) -> None:
+        """Take what is on disk: the draft if there is one, else ``annotation.json``, else nothing."""
+        with self.lock:
+            images: dict[str, DraftImage] = {}
+            if self.annotation_path.is_file():
+                images |= _drafted(read_annotation(self.annotation_path))
+            self._drafted = read_draft(self.draft_path).images if self.draft_path.is_file() else {}
+            images |= self._drafted
+            self._refuse_unknown(images)
+            self.marks = images
+            self._seen = self._on_disk()
+
+    def save(self, draft: Draft, revision: int) -> int:
+        """Write what the page holds, each file whole or not at all; returns the new revision.
+
+        Raises
+        ------
+        ChangedElsewhere : another window or program has written since ``revision``.
+        SubjectError : an unknown image, or a file can't be written.
+        """
+        with self.lock:
+            if revision != self.revision:
+                raise ChangedElsewhere("another window has changed the annotation; reload this page to go on")
+            if self._seen != self._on_disk():
+                raise ChangedElsewhere(
+                    f"{ANNOTATION_FILE} was changed by another program; reload this page to go on from there"
+                )
+            self._refuse_unknown(draft.images)
+            marked = {name: image for name, image in draft.images.items() if not image.empty}
+            whole = {name: image for name, marks in marked.items() if (image := self._complete(name, marks))}
+            partial = {name: image for name, image in marked.items() if name not in whole}
+            try:
+                # What moves from one file to the other is in both for a moment, never in none.
+                self._write_draft(partial | {name: marked[name] for name in self._drafted if name in marked})
+                if whole or self.annotation_path.is_file():
+                    annotation = Annotation(schema_version=SCHEMA_VERSION, images=whole)
+                    write_annotation(self.subject.folder, annotation)
+                self._write_draft(partial)
+            finally:
+                self._seen = self._on_disk()
+            self.marks = marked
+            self.revision += 1
+            return self.revision
+
+    def frames(self, name: str) -> tuple[Radiograph, ...]:
+        """The radiographs of an image by its name in the annotation; of a push all, whichever frame is named.
+
+        Raises
+        ------
+        SubjectError : no image of that name. RadiographError : see ``read_radiographs``.
+        """
+        check_image_name(self.subject, name)
+        image = image_of(name)
+        with self.lock:
+            if image not in self._frames:
+                self._frames[image] = self._read(image)
+                while len(self._frames) > KEPT:
+                    self._frames.popitem(last=False)
+            self._frames.move_to_end(image)
+            return self._frames[image]
+
+    def view(self, name: str) -> XRayView:
+        """The view of an image, kept for good: every change of a mark asks for it. Raises as ``frames``."""
+        image = image_of(name)
+        with self.lock:
+            if image not in self._views:
+                self._views[image] = self.frames(name)[0].view
+            return self._views[image]
+
+    def annotated(self) -> Subject:
+        """The subject with what is complete of its annotation."""
+        with self.lock:
+            whole = {name: image for name, marks in self.marks.items() if (image := self._complete(name, marks))}
+        return self._with(whole)
+
+    def judged(self, name: str, marks: DraftImage) -> Judged:
+        """What can be told of marks in an image: complete or why not, and its Cobb angle."""
+        problem, cobb = "", None
+        try:
+            cobb = self._cobb(name, marks)
+            self._checked(name, marks.whole())
+            self.view(name)
+        except SpinestiffError as error:
+            problem = str(error)
+        for where in (f"{self.annotation_path}: images.{name}.", f"{name}.vertebrae: "):
+            problem = problem.removeprefix(where)
+        return Judged(len(marks.vertebrae), problem, cobb)
+
+    def missing(self, marks: Mapping[str, DraftImage]) -> list[str]:
+        """What a fit still needs, a line each, in words; empty when there is all."""
+        lines = []
+        for name in self.images:
+            image = marks.get(name, DraftImage())
+            problem = self.judged(name, image).problem
+            if not image.vertebrae:
+                lines.append(f"{name}: no vertebra marked yet")
+            elif len(image.vertebrae) < FEWEST_VERTEBRAE:
+                lines.append(f"{name}: {len(image.vertebrae)} vertebrae, wanted at least {FEWEST_VERTEBRAE}")
+            elif problem:
+                lines.append(f"{name}: {problem}")
+        for name in sorted(set(marks) - set(self.images)):
+            problem = "" if marks[name].empty else self.judged(name, marks[name]).problem
+            if problem:
+                lines.append(f"{name}: {problem}")
+        return lines
+
+    def _with(self, images: dict[str, ImageAnnotation]) -> Subject:
+        return replace(self.subject, annotation=Annotation(schema_version=SCHEMA_VERSION, images=images))
+
+    def _read(self, name: str) -> tuple[Radiograph, ...]:
+        if name in REST_IMAGES:
+            return (read_rest(self.subject, "lateral" if name == LATERAL else "frontal"),)
+        return read_push(self.subject, self.subject.push(name.removeprefix("push/")))
+
+    def _complete(self, name: str, marks: DraftImage) -> ImageAnnotation | None:
+        try:
+            return self._checked(name, marks.whole())
+        except SubjectError:
+            return None
+
+    def _checked(self, name: str, image: ImageAnnotation) -> ImageAnnotation:
+        """The image itself, checked as a fit will. Raises SubjectError."""
+        try:
+            Annotation(schema_version=SCHEMA_VERSION, images={name: image})
+        except ValidationError as error:
+            raise SubjectError(complaint_of(error).removeprefix("images: ")) from None
+        try:
+            view = self.view(name)
+        except RadiographError:
+            # A radiograph that can't be read today doesn't make its annotation a draft.
+            return image
+        image_corners(self._with({name: image}), name, view)
+        return image
+
+    def seen(self, name: str, marks: DraftImage) -> ImageCorners:
+        """Marked vertebrae as other programs take them: corners as seen in the image, head to foot.
+
+        Raises
+        ------
+        SubjectError : no vertebra is marked, or as ``first_on``. RadiographError : as ``frames``.
+        """
+        side = first_on(self.view(name))
+        levels = tuple(level for level in VERTEBRAE if level in marks.vertebrae)
+        quads = np.array([marks.vertebrae[level] for level in levels], dtype=float).reshape(-1, 4, 2)
+        # The other order is its own inverse: left and right change places.
+        seen = quads[:, [0, 1, 2, 3] if side == "left" else [1, 0, 3, 2]]
+        return ImageCorners(name, levels, seen, "", "px", side)
+
+    def _cobb(self, name: str, marks: DraftImage) -> CobbReading | None:
+        if view_kind(self.view(name)) != "frontal" or len(marks.vertebrae) < 2:
+            return None
+        reading = read_cobb(self.seen(name, marks))
+        return None if reading.largest is None else reading
+
+    def _refuse_unknown(self, names: Iterable[str]) -> None:
+        for name in names:
+            check_image_name(self.subject, name)
+
+    def _write_draft(self, images: dict[str, DraftImage]) -> None:
+        if images and images != self._drafted:
+            write_json(self.draft_path, Draft(schema_version=SCHEMA_VERSION, images=images).record())
+        elif not images:
+            self.draft_path.unlink(missing_ok=True)
+        self._drafted = images
+
+    def _on_disk(self) -> tuple[str, str]:
+        return _digest(self.annotation_path), _digest(self.draft_path)
+
+
+def image_of(name: str) -> str:
+    """The image that a name of the annotation belongs to: of a push's later frame the push."""
+    return name if name in REST_IMAGES else "/".join(name.split("/")[:2])
+
+
+def first_on(view: XRayView) -> Side:
+    """The side of the image where the patient's left, in a lateral image the front, is seen.
+
+    Raises
+    ------
+    SubjectError : the radiograph stands on its head, for which files of other programs have no words.
+    """
+    first, up = picture_axes(view)
+    if up[1] > 0.0:
+        raise SubjectError("the radiograph stands on its head; such corners can't be exchanged")
+    return "right" if first[0] > 0.0 else "left"
+
+
+def _drafted(annotation: Annotation) -> dict[str, DraftImage]:
+    return {
+        name: DraftImage(vertebrae=image.vertebrae, supports=image.supports, pedicles=image.pedicles)
+        for name, image in annotation.images.items()
+    }
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""

@@ -1,0 +1,19 @@
+"""Vertebra corners and supports followed through a sequence of radiographs (paper 2.1, 2.2).
+
+As in the paper, frame by frame: the new frame's histogram is matched, dense optical flow (DIS) carries the corners
+over. Two things are added, since flow of single points drifts and a corner alone has little texture:
+
+- a vertebra moves as a body: a robust rigid motion in the picture is fitted to the flow over its area;
+- that motion is then corrected against the annotated frame (registration of the vertebra's patch), and kept
+  only if it correlates better there, so that errors don't add up from frame to frame.
+
+Quality says how well the patch still correlates with the annotated frame and how well forward and backward flow agree.
+The second alone is blind: it stays small where both directions follow the same wrong thing.
+
+Inside, everything is in pixels (column, row), the first pixel's centre at (0, 0).
+"""
+
+from spinestiff.imaging.tracking.supports import SUPPORT_LIMIT_MM, SupportMotion, support_motion
+from spinestiff.imaging.tracking.vertebrae import Observer, track
+
+__all__ = ["SUPPORT_LIMIT_MM", "Observer", "SupportMotion", "support_motion", "track"]

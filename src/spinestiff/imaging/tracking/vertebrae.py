@@ -1,0 +1,146 @@
+"""Vertebra corners followed through a sequence of radiographs, from any annotated frames in both directions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.arrays import Floats
+from spinestiff.errors import TrackingError
+from spinestiff.imaging.features import VertebraCorners
+from spinestiff.imaging.tracking.following import follow
+from spinestiff.imaging.tracking.patches import Body
+from spinestiff.imaging.tracking.pictures import Pictures, check_inside, inside
+
+if TYPE_CHECKING:
+    from spinestiff.imaging.radiograph import Radiograph
+
+Observer = Callable[[int, int], None]
+
+
+def track(
+    frames: Sequence[Radiograph],
+    annotated: Mapping[int, VertebraCorners],
+    observer: Observer | None = None,
+) -> tuple[VertebraCorners, ...]:
+    """Corners in every frame, followed from the annotated ones forwards and backwards (paper 2.2).
+
+    Each vertebra comes from the nearest frames in which it is annotated, on either side. Between two of them both
+    tracks count, each the more the nearer its annotated frame is and the better its quality.
+
+    Parameters
+    ----------
+    frames : F radiographs of one view and size, in order of time.
+    annotated : corners (mm on the detector) by frame, 0-based; at least one frame. Frames may name different vertebrae.
+    observer : called with (frames done, frames in all).
+
+    Returns
+    -------
+    F corners with their quality, all of the same vertebrae: every one that is annotated somewhere, head to foot. What
+    is annotated is returned as it is. A vertebra or corner that was lost or left the image has quality 0; its position
+    is then only the last guess.
+
+    Raises
+    ------
+    TrackingError : no frames, frames of different size or geometry, nothing annotated, an annotated frame that there is
+        not, corners outside their frame, or no vertebra found in any other frame.
+    """
+    pictures = Pictures.of(frames)
+    view, shape = frames[0].view, frames[0].pixels.shape
+    if not annotated:
+        raise TrackingError("no annotated frame to track from; wanted at least one")
+    for frame, corners in annotated.items():
+        if not 0 <= frame < len(frames):
+            raise TrackingError(f"frame {frame} is annotated, but there are {len(frames)} frames, counted from 0")
+        check_inside(view.pixels(corners.corners), shape, frame, corners.vertebrae)
+    names = tuple(name for name in VERTEBRAE if any(name in corners.vertebrae for corners in annotated.values()))
+    done = {*annotated}
+
+    def advance(frame: int) -> None:
+        if frame not in done:
+            done.add(frame)
+            if observer is not None:
+                observer(len(done), len(frames))
+
+    sightings: dict[tuple[int, str], list[_Sighting]] = {}
+    for start, corners in annotated.items():
+        pixels = view.pixels(corners.corners)
+        for step in (1, -1):
+            ends = _ends(start, corners, annotated, len(frames), step)
+            order = range(start, max(ends, key=lambda end: abs(end - start)), step)
+            moved, seen = _followed(pictures, pixels, order, advance)
+            for k, frame in enumerate(order[1:], 1):
+                quality = seen[k][:, None] * inside(moved[k], shape) * np.asarray(corners.quality)
+                for i, name in enumerate(corners.vertebrae):
+                    if (ends[i] - frame) * step > 0:
+                        sighting = _Sighting(abs(frame - start), moved[k, i], quality[i])
+                        sightings.setdefault((frame, name), []).append(sighting)
+    tracked = []
+    for frame in range(len(frames)):
+        given = annotated.get(frame)
+        if given is not None and given.vertebrae == names:
+            tracked.append(given)
+            continue
+        places, qualities = np.zeros((len(names), 4, 2)), np.zeros((len(names), 4))
+        for i, name in enumerate(names):
+            if given is not None and name in given.vertebrae:
+                row = given.vertebrae.index(name)
+                places[i], qualities[i] = given.corners[row], given.quality[row]
+            else:
+                pixels, qualities[i] = _combined(sightings[frame, name])
+                places[i] = view.from_pixels(pixels)
+        tracked.append(VertebraCorners(names, places, qualities))
+    others = [corners for frame, corners in enumerate(tracked) if frame not in annotated]
+    if others and not any(corners.usable.any() for corners in others):
+        raise TrackingError(
+            "no annotated vertebra was found in any other frame; are these frames of one sequence, in order?"
+        )
+    return tuple(tracked)
+
+
+@dataclass(frozen=True)
+class _Sighting:
+    """A vertebra as followed from one annotated frame: frames in between, corners (4, 2) in pixels, quality (4,)."""
+
+    distance: int
+    corners: Floats
+    quality: Floats
+
+
+def _ends(
+    start: int, corners: VertebraCorners, annotated: Mapping[int, VertebraCorners], count: int, step: int
+) -> list[int]:
+    """For each vertebra the frame before which following it from ``start`` ends: annotated again, or no more frames."""
+    ends = []
+    for name in corners.vertebrae:
+        others = [k for k, other in annotated.items() if (k - start) * step > 0 and name in other.vertebrae]
+        ends.append(min(others, key=lambda k: abs(k - start)) if others else (count if step > 0 else -1))
+    return ends
+
+
+def _followed(
+    pictures: Pictures, pixels: Floats, order: Sequence[int], advance: Callable[[int], None]
+) -> tuple[Floats, Floats]:
+    """Corners (len(order), Nv, 4, 2) in pixels and quality (len(order), Nv)."""
+    quads = pictures.binned(pixels)
+    bodies = [Body.of_vertebra(quad) for quad in quads]
+    poses, quality = follow(pictures, bodies, order, chained=True, observer=advance)
+    moved = [[body.placed(pose, quad) for body, pose, quad in zip(bodies, row, quads)] for row in poses]
+    return pictures.unbinned(np.array(moved)), quality
+
+
+def _combined(sightings: Sequence[_Sighting]) -> tuple[Floats, Floats]:
+    """Corners (4, 2) and quality (4,) of a vertebra that one or two annotated frames have been followed to."""
+    if len(sightings) == 1:
+        return sightings[0].corners, sightings[0].quality
+    near = 1.0 / np.array([sighting.distance for sighting in sightings])
+    quality = np.stack([sighting.quality for sighting in sightings])
+    # The nearer one where both are lost.
+    weight = (quality + 1e-6) * near[:, None]
+    share = weight / weight.sum(axis=0)
+    corners = np.einsum("sk,ski->ki", share, np.stack([sighting.corners for sighting in sightings]))
+    return corners, np.sum(share * quality, axis=0)

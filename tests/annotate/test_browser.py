@@ -1,0 +1,455 @@
+"""The page in a headless Chromium: propose, drag, keys, undo, reload, frames; nothing leaves the machine."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+from chromium import Tab, browser
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.study.cobb import read_cobb
+from spinestiff.study.corner_files import read_corners
+from spinestiff.study.subject import read_annotation
+from unannotated import CANARY, drawn
+
+pytestmark = pytest.mark.skipif(
+    browser() is None or sys.platform == "win32", reason="no Chromium to open the page in, or no pipe to drive it by"
+)
+
+ALT, CTRL, SHIFT = 1, 2, 8
+CODES = {"Enter": 13, "Escape": 27, "Delete": 46, "PageUp": 33, "PageDown": 34, "Tab": 9, " ": 32}
+CODES |= {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "Home": 36, "End": 35}
+CLICKED = ("T1", "T5", "T9", "L1", "L5")
+
+
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory):
+    with Tab(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
+
+
+@pytest.fixture
+def page(tab, served):
+    tab.size(1280, 800)
+    tab.theme("light")
+    go(tab, served.address)
+    yield Page(tab, served)
+    # Leaving must not ask whether to.
+    tab.until("!window.annotation || document.querySelector('#saved').dataset.state != 'saving'")
+
+
+def go(tab, address, state="open"):
+    tab.loaded = False
+    tab.requests.clear()
+    tab.complaints.clear()
+    tab.call("Page.navigate", url="about:blank")
+    tab.wait(lambda: tab.loaded)
+    tab.loaded = False
+    tab.call("Page.navigate", url=address)
+    tab.wait(lambda: tab.loaded)
+    tab.until(f"document.body.dataset.state == '{state}'")
+
+
+class Page:
+    """What a person does on the page, by mouse and by keys."""
+
+    def __init__(self, tab, served):
+        self.tab, self.served = tab, served
+
+    def place(self, pixel):
+        """Where a pixel of the radiograph lies in the window."""
+        x, y = (float(value) for value in pixel)
+        return self.tab.run(
+            "(() => { const b = annotation.stage.canvas.getBoundingClientRect();"
+            f"const p = annotation.stage.toPlace([{x}, {y}]); return [p[0] + b.left, p[1] + b.top]; }})()"
+        )
+
+    def click(self, pixel):
+        at = self.place(pixel)
+        self.tab.drag(at, at)
+
+    def button(self, name):
+        self.tab.run(f"document.getElementById('{name}').click()")
+
+    def key(self, key, modifiers=0, times=1):
+        code = CODES.get(key) or ord(key.upper())
+        for _ in range(times):
+            for kind in ("rawKeyDown", "keyUp"):
+                self.tab.call(
+                    "Input.dispatchKeyEvent",
+                    type=kind,
+                    key=key,
+                    code=key,
+                    windowsVirtualKeyCode=code,
+                    modifiers=modifiers,
+                )
+
+    def text(self, name):
+        return self.tab.run(f"document.getElementById('{name}').innerText")
+
+    def marks(self, image="rest/frontal"):
+        return self.tab.run(f"annotation.allMarks['{image}'] ?? null")
+
+    def quad(self, name, image="rest/frontal"):
+        return np.array(self.marks(image)["vertebrae"][name])
+
+    def saved(self):
+        self.tab.until("document.getElementById('saved').innerText.startsWith('Saved')")
+
+    def disk(self):
+        return read_annotation(self.served.session.annotation_path).images
+
+    def fill(self, image="rest/frontal"):
+        """The true corners, without the clicks."""
+        marks = json.dumps(drawn(image).named())
+        self.tab.run(f"annotation.change(marks => ({{...marks, vertebrae: {marks}}}), 'filled')")
+        self.saved()
+
+    def propose(self, image="rest/frontal"):
+        self.tab.run("document.querySelector('[data-tool=spine]').click()")
+        for pixel in drawn(image).clicks(*CLICKED):
+            self.click(pixel)
+        self.button("propose")
+        self.tab.until(f"Object.keys(annotation.allMarks['{image}']?.vertebrae ?? {{}}).length == 17")
+        self.saved()
+
+
+def test_a_few_clicks_and_seventeen_vertebrae_are_on_disk(page):
+    page.propose()
+    found = np.array([page.quad(name) for name in VERTEBRAE])
+    away = np.linalg.norm(found - drawn("rest/frontal").quads, axis=2)
+    assert np.median(away) < 1.2 and np.mean(away < 3.0) > 0.9
+    assert list(page.disk()) == ["rest/frontal"]
+    np.testing.assert_allclose(page.disk()["rest/frontal"].pixels(), found)
+    assert page.tab.complaints == []
+    assert "Rest, lateral: no vertebra marked yet" in page.text("missing")
+    assert "Rest, frontal" not in page.text("missing")
+
+
+def test_a_corner_and_a_whole_vertebra_are_dragged(page):
+    page.fill()
+    before = page.quad("T8")
+    page.tab.drag(page.place(before[1]), page.place(before[1] + [6.0, -4.0]))
+    after = page.quad("T8")
+    np.testing.assert_allclose(after[1] - before[1], [6.0, -4.0], atol=0.06)
+    np.testing.assert_array_equal(after[[0, 2, 3]], before[[0, 2, 3]])
+    middle = page.quad("L2").mean(axis=0)
+    whole = page.quad("L2")
+    page.tab.drag(page.place(middle), page.place(middle + [-5.0, 3.0]))
+    np.testing.assert_allclose(page.quad("L2") - whole, np.full((4, 2), [-5.0, 3.0]), atol=0.06)
+    page.saved()
+    np.testing.assert_allclose(page.disk()["rest/frontal"].vertebrae["T8"], after)
+
+
+def test_a_drag_beside_the_marks_moves_the_picture_and_the_wheel_zooms(page):
+    page.fill()
+    before, marks = page.place((10, 10)), page.marks()
+    page.tab.drag(page.place((60, 300)), page.place((90, 320)))
+    after = page.place((10, 10))
+    assert np.hypot(*np.subtract(after, before)) > 10.0
+    at = page.place((200, 300))
+    page.tab.wheel(at, -400.0)
+    page.tab.settle()
+    np.testing.assert_allclose(page.place((200, 300)), at, atol=1.0)  # the wheel tells whole pixels
+    assert np.hypot(*np.subtract(page.place((210, 300)), at)) > 1.5 * 10.0
+    assert page.marks() == marks
+
+
+def test_undo_and_redo_go_through_every_change_and_are_saved(page):
+    page.propose()
+    proposed = page.marks()
+    corner = page.quad("T8")[1]
+    page.tab.drag(page.place(corner), page.place(corner + [6.0, -4.0]))
+    dragged = page.marks()
+    assert dragged != proposed
+    page.key("z", CTRL)
+    assert page.marks() == proposed
+    page.key("y", CTRL)
+    assert page.marks() == dragged
+    page.button("undo")
+    page.button("undo")
+    assert page.marks()["vertebrae"] == {} and len(page.marks()["spine"]) == 5
+    page.saved()
+    assert list(page.disk()) == []
+    page.button("redo")
+    page.saved()
+    page.tab.until("document.querySelector('#saved').dataset.state == 'saved'")
+    assert list(page.disk()) == ["rest/frontal"]
+
+
+def test_the_whole_spine_by_keyboard_alone(page):
+    """From the first Tab on: points, proposal, vertebra, corner, three sizes of step, a turn, not visible."""
+    tab, key = page.tab, page.key
+    for _ in range(60):
+        key("Tab")
+        if tab.run("document.activeElement.id") == "stage":
+            break
+    assert tab.run("document.activeElement.id") == "stage"
+    assert tab.run("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+    key("p")
+    for pixel in drawn("rest/frontal").clicks(*CLICKED):
+        at = np.array(tab.run("annotation.cursor"))
+        right, down = np.rint((pixel - at) / 10.0).astype(int)
+        key("ArrowRight" if right > 0 else "ArrowLeft", times=abs(right))
+        key("ArrowDown" if down > 0 else "ArrowUp", times=abs(down))
+        key("Enter")
+    key("o")
+    tab.until("Object.keys(annotation.marks.vertebrae).length == 17")
+    key("PageDown", times=3)
+    assert page.text("spoken").startswith("T3: column ")
+    key("2")
+    assert page.text("spoken").startswith("T3, superior right corner: column ")
+    before = page.quad("T3")
+    key("ArrowRight", times=2)
+    key("ArrowDown", SHIFT)
+    key("ArrowUp", ALT, times=3)
+    np.testing.assert_allclose(page.quad("T3")[1] - before[1], [2.0, 10.0 - 0.3], atol=0.011)
+    np.testing.assert_array_equal(page.quad("T3")[[0, 2, 3]], before[[0, 2, 3]])
+    key("0")
+    key("e")
+    turned = page.quad("T3")
+    assert np.hypot(*(turned.mean(axis=0) - (before.sum(axis=0) + [2.0, 9.7]) / 4.0)) < 0.02
+    key("Delete")
+    assert "T3" not in page.marks()["vertebrae"] and "T3 is marked as not visible" in page.text("spoken")
+    key("z", CTRL)
+    np.testing.assert_array_equal(page.quad("T3"), turned)
+    page.saved()
+    np.testing.assert_allclose(page.disk()["rest/frontal"].vertebrae["T3"], turned)
+    # No trap: Tab leaves the radiograph.
+    key("Tab")
+    assert tab.run("document.activeElement.id") != "stage"
+
+
+def test_the_angle_follows_every_drag_as_spinestiff_cobb_reads_it(page):
+    page.fill()
+    before = page.text("cobb")
+    page.tab.until("annotation.cobb")
+    corner = page.quad(page.tab.run("annotation.cobb.upper"))[0]
+    page.tab.drag(page.place(corner), page.place(corner + [0.0, 9.0]))
+    page.tab.until(f"document.getElementById('cobb').innerText != {json.dumps(before)}")
+    page.tab.until("!annotation.judging")
+    page.saved()
+    (image,) = read_corners(page.served.session.annotation_path)
+    wanted = read_cobb(image)
+    first, *others = page.text("cobb").split("\n")
+    angle = wanted.largest.angle
+    assert re.fullmatch(
+        rf"(.*)° ± \d+° {angle.upper} to {angle.lower}, convex to the patient's {angle.convexity}", first
+    )
+    assert first.startswith(f"{abs(angle.degrees):.1f}°")
+    assert len(others) == len(wanted.curves) - 1 >= 1
+
+
+def test_names_move_up_and_down_and_stop_at_the_ends(page):
+    page.fill()
+    page.button("names-down")
+    assert "end at L5" in page.text("problem")
+    page.tab.run("annotation.visible('L5', false)")
+    was = page.quad("T1")
+    page.button("names-down")
+    assert set(page.marks()["vertebrae"]) == set(VERTEBRAE[1:])
+    np.testing.assert_array_equal(page.quad("T2"), was)
+    page.button("names-up")
+    np.testing.assert_array_equal(page.quad("T1"), was)
+
+
+def test_a_vertebra_comes_back_where_it_was(page):
+    page.fill()
+    was = page.quad("T6")
+    box = (
+        "[...document.querySelectorAll('#vertebrae li')].find(li => li.innerText.trim() == 'T6').querySelector('input')"
+    )
+    page.tab.run(f"{box}.click()")
+    assert "T6" not in page.marks()["vertebrae"]
+    page.tab.run(f"{box}.click()")
+    np.testing.assert_array_equal(page.quad("T6"), was)
+
+
+def test_a_reload_finds_what_was_saved_and_the_token(page):
+    page.fill()
+    marks = page.marks()
+    assert "#" not in page.tab.run("location.href")
+    page.tab.loaded = False
+    page.tab.call("Page.reload")
+    page.tab.wait(lambda: page.tab.loaded)
+    page.tab.until("document.body.dataset.state == 'open'")
+    assert page.marks()["vertebrae"] == marks["vertebrae"]
+    # The first radiograph that is not complete is shown.
+    assert page.tab.run("annotation.image.name") == "rest/lateral"
+
+
+def test_without_the_token_the_page_says_what_to_do(tab, served):
+    tab.run("sessionStorage.clear()")
+    go(tab, served.address.partition("#")[0], "refused")
+    assert "open the address that spinestiff annotate printed last" in tab.run(
+        "document.getElementById('problem').innerText"
+    )
+
+
+def test_nothing_is_asked_of_another_host_and_no_word_of_the_dicom_files_is_shown(page):
+    page.propose()
+    page.tab.run("annotation.open('push/a', 1)")
+    page.tab.until("annotation.stage.grey && annotation.frame == 1")
+    assert len(page.tab.requests) > 5
+    own = page.served.address.partition("#")[0]
+    assert [url for url in page.tab.requests if not url.startswith((own, "data:", "about:"))] == []
+    for word in CANARY.split("^"):
+        assert word not in page.tab.run("document.documentElement.outerHTML")
+    assert page.tab.complaints == []
+
+
+def test_pushed_frames_are_tracked_one_is_corrected_and_tracking_starts_again(page):
+    image = "push/a"
+    page.tab.run(f"annotation.open('{image}')")
+    page.tab.until(f"annotation.image.name == '{image}' && annotation.stage.size[0] > 1")
+    page.tab.settle()
+    page.fill(image)
+    page.button("track")
+    page.tab.until(f"annotation.tracking['{image}']?.state == 'done'", 60.0)
+    page.button("frame-on")
+    page.tab.until("annotation.frame == 1 && annotation.tracked")
+    assert "2 of 3, 20 N, training: tracked" in page.text("frame-text")
+    quads = {name: np.array(quad) for name, quad in page.tab.run("annotation.tracked.vertebrae").items()}
+    truth = drawn(f"{image}/1").named()
+    moved = [np.linalg.norm(quads[name] - np.array(truth[name]), axis=1).mean() for name in VERTEBRAE]
+    assert np.median(moved) < 2.0
+    # What is doubtful is counted, and told by a sign on the radiograph.
+    page.tab.run("annotation.tracked.quality.T3 = [1, 0.2, 0, 1]; annotation.after()")
+    assert "2 corners doubtful or lost" in page.text("frame-text")
+    page.tab.run("annotation.tracked.quality.T3 = [1, 1, 1, 1]; annotation.after()")
+    assert "doubtful" not in page.text("frame-text")
+    # A corner is put elsewhere: this vertebra alone becomes a mark of this frame.
+    corner = quads["T9"][0]
+    page.tab.drag(page.place(corner), page.place(corner + [5.0, 0.0]))
+    assert list(page.marks(f"{image}/1")["vertebrae"]) == ["T9"]
+    page.tab.until(f"annotation.tracking['{image}'].state == 'running'")
+    page.tab.until(f"annotation.tracking['{image}'].state == 'done'", 60.0)
+    again = np.array(page.tab.run("annotation.tracked.vertebrae")["T9"])
+    np.testing.assert_allclose(again[0], corner + [5.0, 0.0], atol=0.06)
+    page.saved()
+    assert list(page.disk()[f"{image}/1"].vertebrae) == ["T9"]
+    assert "1 corrected" in page.text("frame-text")
+
+
+def test_supports_and_pedicles_are_points_where_they_belong(page):
+    page.fill()
+    page.tab.run("document.querySelector('[data-tool=pedicle]').click()")
+    middle = page.quad("T9").mean(axis=0)
+    page.click(middle + [7.0, 0.0])
+    # The other one is taken to lie opposite, until it is put right.
+    page.tab.drag(page.place(middle + [-7.0, 0.0]), page.place(middle + [-6.0, 1.0]))
+    left, right = np.array(page.marks()["pedicles"]["T9"])
+    # The patient's left is on the right of the picture.
+    np.testing.assert_allclose(left, middle + [7.0, 0.0], atol=0.06)
+    np.testing.assert_allclose(right, middle + [-6.0, 1.0], atol=0.06)
+    page.tab.run("annotation.open('push/a')")
+    page.tab.until("!!document.querySelector('[data-tool=pelvis]')")
+    page.tab.settle()
+    page.tab.run("document.querySelector('[data-tool=pelvis]').click()")
+    page.click((100, 600))
+    page.click((340, 600))
+    assert len(page.marks("push/a")["supports"]["pelvis"]) == 2
+    page.key("Delete")
+    assert len(page.marks("push/a")["supports"]["pelvis"]) == 2  # nothing is selected
+    page.click((340, 600))
+    page.key("Delete")
+    assert len(page.marks("push/a")["supports"]["pelvis"]) == 1
+
+
+def test_the_greys_change_by_slider_and_come_back(page):
+    def shown():
+        page.tab.settle()
+        whole = cv2.imdecode(np.frombuffer(page.tab.picture(), np.uint8), cv2.IMREAD_GRAYSCALE).astype(float)
+        box = page.tab.run("JSON.parse(JSON.stringify(document.getElementById('stage').getBoundingClientRect()))")
+        return whole[
+            round(box["top"]) + 40 : round(box["bottom"]) - 9, round(box["left"]) + 9 : round(box["right"]) - 9
+        ]
+
+    natural = shown()
+    for name in ("level", "width"):
+        slider = f"document.getElementById('{name}')"
+        page.tab.run(f"{slider}.focus(); {slider}.value = 80; {slider}.dispatchEvent(new Event('input'))")
+        assert np.abs(shown() - natural).mean() > 8.0
+        page.button("grey")
+        assert np.abs(shown() - natural).mean() < 0.5
+    assert natural.max() > 200
+
+
+def test_another_window_is_told_and_destroys_nothing(page):
+    page.fill()
+    page.served.session.revision += 1
+    page.tab.run("annotation.clearSpine()")
+    page.tab.until("document.getElementById('saved').dataset.state == 'failed'")
+    assert "another window has changed the annotation" in page.text("saved")
+    assert list(page.disk()) == ["rest/frontal"]
+
+
+def test_a_server_that_does_not_answer_is_told_and_tried_again(page):
+    offline = {"latency": 0, "downloadThroughput": -1, "uploadThroughput": -1}
+    page.tab.call("Network.emulateNetworkConditions", offline=True, **offline)
+    try:
+        page.tab.run(
+            f"annotation.change(m => ({{...m, vertebrae: {json.dumps(drawn('rest/frontal').named())}}}), 'filled')"
+        )
+        page.tab.until("document.getElementById('saved').dataset.state == 'failed'")
+        assert "Not saved: the server does not answer" in page.text("saved")
+        assert not page.served.session.annotation_path.exists()
+    finally:
+        page.tab.call("Network.emulateNetworkConditions", offline=False, **offline)
+    page.saved()
+    assert list(page.disk()) == ["rest/frontal"]
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("zoom", [1, 2])
+def test_light_and_dark_and_twice_the_size(page, theme, zoom):
+    """200 % zoom leaves half as many pixels of the style sheet: nothing may hang out of them sideways."""
+    tab = page.tab
+    tab.theme(theme)
+    tab.size(1280 // zoom, 800 // zoom)
+    page.fill()
+    tab.settle()
+    assert tab.run("document.documentElement.scrollWidth <= innerWidth")
+    outside = tab.run(
+        "[...document.querySelectorAll('button, select, input, canvas, h1, h2, p, li')].filter(e => e.offsetParent &&"
+        " !e.closest('.hidden') && e.getBoundingClientRect().right > innerWidth + 0.5).map(e => e.id || e.innerText)"
+    )
+    assert outside == []
+    stage = tab.run("JSON.parse(JSON.stringify(document.getElementById('stage').getBoundingClientRect()))")
+    assert stage["height"] > 200 and stage["width"] > 400
+    background = tab.run("getComputedStyle(document.body).backgroundColor")
+    assert (sum(map(int, background[4:-1].split(","))) < 200) == (theme == "dark")
+    assert contrast(tab) == []
+
+
+def contrast(tab):
+    """Words whose contrast with what they stand on is below 4.5 (WCAG 2.2, 1.4.3)."""
+    return tab.run(
+        """(() => {
+        const rgb = (text) => text.match(/[\\d.]+/g).map(Number);
+        const light = (c) => { const [r, g, b] = c.map((v) => { v /= 255; return v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4; });
+            return 0.2126 * r + 0.7152 * g + 0.0722 * b; };
+        const ground = (e) => { for (; e; e = e.parentElement) { const c = rgb(getComputedStyle(e).backgroundColor); if (c[3] !== 0) return c.slice(0, 3); } return [255, 255, 255]; };
+        return [...document.querySelectorAll('button:enabled, label, p, h1, h2, small, li, summary, output, b')].filter((e) => {
+            if (!e.offsetParent || e.closest('.hidden') || !e.innerText.trim() || e.querySelector('button:disabled')) return false;
+            const a = light(rgb(getComputedStyle(e).color).slice(0, 3)), b = light(ground(e));
+            return (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05) < 4.5; }).map((e) => e.innerText);
+        })()"""  # noqa: E501
+    )
+
+
+def test_every_control_has_a_name_and_state(page):
+    nameless = page.tab.run(
+        "[...document.querySelectorAll('button, select, input, canvas, progress')].filter(e => !("
+        "e.getAttribute('aria-label') || e.innerText || e.closest('label')?.innerText.trim())).map(e => e.outerHTML)"
+    )
+    assert nameless == []
+    page.fill()
+    # What is complete and what is not is told in words and by a sign, not by colour alone.
+    rows = page.tab.run("[...document.querySelectorAll('#images button')].map(b => b.innerText.replace(/\\s+/g, ' '))")
+    assert rows == ["✓ Rest, frontal 17 vertebrae", "○ Rest, lateral nothing marked", "○ Push a nothing marked"]

@@ -1,0 +1,63 @@
+"""``spinestiff annotate`` as a program: it prints its address, serves, ends at Ctrl-C, and refuses in one line."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import re
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from spinestiff.annotate.server import listening
+from spinestiff.app import annotate as command
+
+PROGRAM = [sys.executable, "-c", "from spinestiff.app.cli import main; main()", "annotate"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no Ctrl-C to send to a program")
+def test_it_serves_until_ctrl_c(unannotated):
+    # Output to a pipe must come line by line, or whoever waits for the address waits for ever.
+    running = subprocess.Popen(
+        [*PROGRAM, str(unannotated), "--no-browser"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        line = running.stdout.readline()
+        port, token = re.fullmatch(r"annotate: http://127\.0\.0\.1:(\d+)/#([\w-]{40,})\n", line).groups()
+        connection = http.client.HTTPConnection("127.0.0.1", int(port), timeout=20)
+        connection.request("GET", "/api/session", headers={"x-spinestiff-token": token})
+        assert connection.getresponse().status == 200
+        connection.close()
+        assert "saved at once" in running.stdout.readline()
+        running.send_signal(signal.SIGINT)
+        _, err = running.communicate(timeout=20)
+    finally:
+        running.kill()
+    assert running.returncode == 0 and err == ""
+
+
+def test_what_can_not_be_served_is_refused_in_one_line(unannotated):
+    with listening(0) as taken:
+        port = str(taken.getsockname()[1])
+        done = subprocess.run(
+            [*PROGRAM, str(unannotated), "--no-browser", "--port", port], capture_output=True, text=True, timeout=60
+        )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1 and f"port {port} can't be used" in done.stderr
+    (unannotated / "subject.json").unlink()
+    done = subprocess.run([*PROGRAM, str(unannotated)], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1 and "subject.json: no such file; write one" in done.stderr
+
+
+def test_a_browser_is_opened_only_where_there_is_one(monkeypatch):
+    asked = []
+    monkeypatch.setattr(command.webbrowser, "open", lambda address: asked.append(address) or True)
+    monkeypatch.setattr(command.sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert not command.opened("http://127.0.0.1:1/") and asked == []
+    monkeypatch.setitem(os.environ, "DISPLAY", ":0")
+    assert command.opened("http://127.0.0.1:1/") and asked == ["http://127.0.0.1:1/"]

@@ -1,0 +1,202 @@
+"""Who may ask the page's server for what: one page, on this machine, with this start's token."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import socket
+
+import pytest
+
+from spinestiff.annotate.guard import LARGEST_BODY, TOKEN_HEADER
+from spinestiff.annotate.server import listening
+from unannotated import CANARY
+
+DATA = [
+    ("GET", "/api/session"),
+    ("GET", "/api/radiograph?image=rest/frontal"),
+    ("PUT", "/api/annotation"),
+    ("POST", "/api/judge"),
+    ("POST", "/api/propose"),
+    ("POST", "/api/import"),
+    ("GET", "/api/export?form=csv"),
+    ("GET", "/api/track?image=push/a"),
+    ("POST", "/api/track"),
+]
+EMPTY = {"revision": 0, "draft": {"schema_version": 1, "images": {}}}
+
+
+@pytest.mark.parametrize(("method", "path"), DATA)
+def test_nothing_is_given_or_taken_without_the_token(served, method, path):
+    for token in ("", "x" * len(served.token), served.token[:-1], served.token + "x", "é" * 20):
+        status, _, body = served.ask(method, path, EMPTY if method != "GET" else None, token=token)
+        assert status == 403, token
+        assert set(json.loads(body)) == {"error"}
+    assert served.ask(method, path, EMPTY if method != "GET" else None, {TOKEN_HEADER: None})[0] == 403
+    # With it the same request comes through to where it is judged by its content.
+    assert served.ask(method, path, EMPTY if method != "GET" else None)[0] in (200, 422)
+    assert not served.session.annotation_path.exists() or method == "PUT"
+
+
+def test_every_route_for_data_is_among_those_tested(served):
+    from fastapi.routing import APIRoute
+
+    from spinestiff.annotate.server import application
+
+    routes = [route for route in application(served.session).routes if isinstance(route, APIRoute)]
+    data = {(method, route.path) for route in routes for method in route.methods if route.path.startswith("/api/")}
+    assert data == {(method, path.partition("?")[0]) for method, path in DATA}
+    assert {route.path for route in routes} - {path for _, path in data} == {"/", "/annotate.js", "/annotate.css"}
+
+
+def test_a_token_is_of_one_start(served, session):
+    from spinestiff.annotate.server import guarded_application
+
+    tokens = {guarded_application(session, 1)[0].token for _ in range(5)} | {served.token}
+    assert len(tokens) == 6 and min(map(len, tokens)) >= 40
+
+
+@pytest.mark.parametrize(
+    "host",
+    ["evil.example", "127.0.0.1", "localhost", "127.0.0.1:1", "evil.example:{port}", "127.0.0.1:{port}.x", ""],
+)
+@pytest.mark.parametrize("path", ["/", "/api/session"])
+def test_a_foreign_host_is_refused(served, host, path):
+    """DNS rebinding: a foreign name that leads here."""
+    assert served.ask("GET", path, headers={"Host": host.format(port=served.port)})[0] == 421
+
+
+def test_the_machines_own_names_are_answered(served):
+    for host in ("127.0.0.1", "localhost"):
+        assert served.ask("GET", "/api/session", headers={"Host": f"{host}:{served.port}"})[0] == 200
+
+
+def test_a_request_with_two_hosts_or_none_is_refused(served):
+    for lines in ([f"Host: 127.0.0.1:{served.port}", "Host: evil.example"], []):
+        with socket.create_connection(("127.0.0.1", served.port), timeout=20) as sock:
+            head = "\r\n".join(["GET /api/session HTTP/1.1", *lines, f"{TOKEN_HEADER}: {served.token}", "", ""])
+            sock.sendall(head.encode())
+            answer = sock.recv(1000).split(b"\r\n")[0]
+        assert answer.split()[1] in (b"400", b"421"), answer
+
+
+@pytest.mark.parametrize(
+    "origin",
+    ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1:1", "http://localhost:{port}"],
+)
+def test_a_foreign_origin_is_refused_even_with_the_token(served, origin):
+    headers = {"Origin": origin.format(port=served.port)}
+    assert served.ask("PUT", "/api/annotation", EMPTY, headers)[0] == 403
+    assert served.ask("GET", "/api/session", None, headers)[0] == 403
+    own = {"Origin": f"http://127.0.0.1:{served.port}"}
+    assert served.ask("GET", "/api/session", None, own)[0] == 200
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site"])
+def test_a_browser_that_names_another_site_is_refused(served, site):
+    assert served.ask("GET", "/", headers={"Sec-Fetch-Site": site})[0] == 403
+    assert served.ask("GET", "/", headers={"Sec-Fetch-Site": "none"})[0] == 200
+
+
+def test_no_answer_is_for_other_pages(served):
+    for path in ("/", "/api/session", "/nothing"):
+        _, headers, _ = served.ask("GET", path)
+        found = {key.lower(): value for key, value in headers.items()}
+        policy = found["content-security-policy"]
+        assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self'; ")
+        assert "unsafe" not in policy and "*" not in policy and "http" not in policy
+        assert "frame-ancestors 'none'" in policy and "connect-src 'self'" in policy
+        assert found["x-content-type-options"] == "nosniff" and found["referrer-policy"] == "no-referrer"
+        assert found["cache-control"] == "no-store" and found["cross-origin-resource-policy"] == "same-origin"
+        assert not [key for key in found if key.startswith("access-control")]
+        assert "server" not in found
+
+
+def test_large_bodies_are_refused_before_they_are_read(served):
+    status, _, _ = served.ask("PUT", "/api/annotation", None, {"Content-Length": str(LARGEST_BODY + 1)})
+    assert status == 413
+    assert served.ask("PUT", "/api/annotation", b" " * LARGEST_BODY)[0] == 422
+
+
+def test_large_bodies_without_a_length_are_refused_too(served):
+    connection = http.client.HTTPConnection("127.0.0.1", served.port, timeout=20)
+    pieces = (b" " * 100_000 for _ in range(LARGEST_BODY // 100_000 + 2))
+    try:
+        connection.request("PUT", "/api/annotation", pieces, {TOKEN_HEADER: served.token}, encode_chunked=True)
+        assert connection.getresponse().status == 413
+    except (BrokenPipeError, ConnectionResetError):
+        pass  # The server hung up while the rest was being sent; the request was not answered.
+    finally:
+        connection.close()
+    assert served.session.revision == 0
+
+
+@pytest.mark.parametrize("method", ["DELETE", "PATCH", "OPTIONS", "POST", "TRACE", "HEAD"])
+def test_other_methods_are_refused(served, method):
+    for path in ("/", "/api/session", "/api/annotation", "/annotate.js"):
+        assert served.ask(method, path)[0] == 405, path
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        "../../../etc/passwd",
+        "rest/../rest/frontal",
+        "rest/frontal.dcm",
+        "push/../subject.json",
+        "push/a/../../subject.json",
+        "push/a/7",
+        "push/b",
+        "/etc/passwd",
+        "rest%2ffrontal%00",
+        "C:\\windows",
+        "",
+    ],
+)
+def test_no_path_comes_from_the_page(served, image):
+    from urllib.parse import quote
+
+    for path in ("/api/radiograph", "/api/track"):
+        status, _, body = served.ask("GET", f"{path}?image={quote(image, safe='')}")
+        assert status == 422 or (path == "/api/track" and json.loads(body)["state"] == "none"), path
+        assert b"root:" not in body
+    for path in ("/../subject.json", "/%2e%2e/subject.json", "/page/index.html", "/subject.json", f"/{quote(image)}x"):
+        assert served.ask("GET", path)[0] == 404, path
+    marks = {"vertebrae": {}, "supports": {}, "pedicles": {}, "spine": [[1, 1]]}
+    saved = {"revision": 0, "draft": {"schema_version": 1, "images": {image: marks}}}
+    assert served.ask("PUT", "/api/annotation", saved)[0] == 422
+    assert not served.session.draft_path.exists()
+
+
+@pytest.mark.parametrize(
+    "body",
+    [b"", b"[]", b"{", b"\xff\xfe", b'{"revision": 0}', b'{"revision": NaN, "draft": {}}', b"[" * 100_000,
+     b'{"revision": 0, "revision": 0, "draft": {"schema_version": 1, "images": {}}}',
+     b'{"revision": 0, "draft": {"schema_version": 1, "images": {"rest/frontal": {"vertebrae": {"T1": [[1e400,1]]}}}}}',
+     b'{"revision": 0, "draft": {"schema_version": 1, "images": {"rest/frontal": {"spine": [[1e9,1]]}}}}'],
+)  # fmt: skip
+def test_what_is_no_request_of_the_page_is_refused_in_a_line(served, body):
+    for method, path in DATA:
+        if method != "GET":
+            status, _, answer = served.ask(method, path, body)
+            assert status == 422, (path, answer)
+            error = json.loads(answer)["error"]
+            assert error and "\n" not in error and len(error) < 400
+    assert not served.session.draft_path.exists()
+
+
+def test_nothing_of_the_dicom_files_text_comes_out(served):
+    served.json("POST", "/api/judge", {"image": "rest/frontal", "marks": {}})
+    for path in ("/", "/annotate.js", "/api/session", "/api/radiograph?image=rest/frontal", "/api/track?image=push/a"):
+        _, headers, body = served.ask("GET", path)
+        for word in CANARY.split("^"):
+            assert word.encode() not in body and word not in str(headers)
+
+
+def test_it_listens_on_loopback_alone(served):
+    with listening(0) as sock:
+        assert sock.getsockname()[0] == "127.0.0.1"
+    from spinestiff.errors import SubjectError
+
+    with pytest.raises(SubjectError, match=f"port {served.port} can't be used .* --port"):
+        listening(served.port)

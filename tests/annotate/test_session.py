@@ -1,0 +1,285 @@
+"""What a session keeps: every change on disk at once, whole images in annotation.json, the rest in a draft."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.annotate.draft import Draft, DraftImage, parse_draft
+from spinestiff.annotate.exchange import exported, imported
+from spinestiff.annotate.session import AnnotationSession, ChangedElsewhere
+from spinestiff.errors import SubjectError
+from spinestiff.study.cobb import read_cobb
+from spinestiff.study.corner_files import read_corners
+from spinestiff.study.metrics import cobb_angle, tilts
+from spinestiff.study.subject import read_annotation, read_subject
+from unannotated import CANARY, drawn
+
+ALL = ("rest/frontal", "rest/lateral", "push/a")
+
+
+def marked(image, *levels):
+    return DraftImage.model_validate_json(json.dumps({"vertebrae": drawn(image).named(*levels)}))
+
+
+def draft(**images):
+    return Draft(schema_version=1, images={name.replace("__", "/"): image for name, image in images.items()})
+
+
+def whole():
+    return Draft(schema_version=1, images={name: marked(name) for name in ALL})
+
+
+def on_disk(session):
+    return {path.name for path in session.subject.folder.iterdir() if path.is_file()}
+
+
+def test_a_folder_without_annotation_opens_empty(session):
+    assert session.images == ALL
+    assert session.marks == {} and on_disk(session) == {"subject.json"}
+    assert [line.partition(":")[0] for line in session.missing({})] == list(ALL)
+
+
+def test_a_complete_annotation_is_one_that_all_other_steps_read(session):
+    assert session.save(whole(), 0) == 1
+    assert on_disk(session) == {"subject.json", "annotation.json"}
+    assert session.missing(session.marks) == []
+    subject = read_subject(session.subject.folder)
+    for name in ALL:
+        np.testing.assert_allclose(subject.annotation.images[name].pixels(), drawn(name).quads, atol=0.006)
+
+
+def test_few_vertebrae_wait_in_a_draft_and_come_back(session):
+    few = marked("rest/frontal", "T1", "T2", "T3")
+    session.save(draft(rest__frontal=few), 0)
+    assert on_disk(session) == {"subject.json", "annotation.draft.json"}
+    assert AnnotationSession(session.subject.folder).marks == {"rest/frontal": few}
+    assert "3 vertebrae, wanted at least 8" in session.missing(session.marks)[0]
+    # The eighth makes it an annotation, and the draft goes.
+    eight = marked("rest/frontal", *VERTEBRAE[:8])
+    session.save(draft(rest__frontal=eight), 1)
+    assert on_disk(session) == {"subject.json", "annotation.json"}
+    assert AnnotationSession(session.subject.folder).marks == {"rest/frontal": eight}
+
+
+def test_an_image_that_is_taken_apart_moves_to_the_draft_and_the_others_stay(session):
+    session.save(whole(), 0)
+    images = dict(session.marks) | {"push/a": marked("push/a", "T4")}
+    session.save(Draft(schema_version=1, images=images), 1)
+    assert set(read_annotation(session.annotation_path).images) == {"rest/frontal", "rest/lateral"}
+    assert AnnotationSession(session.subject.folder).marks == images
+
+
+def test_a_crash_between_the_two_files_loses_nothing(session, monkeypatch):
+    """Whichever write fails, what was saved before is found again or what was to be saved."""
+    from spinestiff.annotate import session as module
+
+    session.save(draft(rest__frontal=marked("rest/frontal", "T1")), 0)
+    before, after = session.marks, draft(rest__frontal=marked("rest/frontal"), push__a=marked("push/a", "T1"))
+
+    def fail(*_):
+        raise SubjectError("no space")
+
+    for broken in ("write_annotation", "write_json"):
+        with monkeypatch.context() as patch:
+            patch.setattr(module, broken, fail)
+            with pytest.raises(SubjectError, match="no space"):
+                session.save(after, 1)
+        assert AnnotationSession(session.subject.folder).marks in (before, after.images)
+    session = AnnotationSession(session.subject.folder)
+    session.save(after, 0)
+    assert AnnotationSession(session.subject.folder).marks == after.images
+
+
+def test_two_windows_do_not_overwrite_each_other(session):
+    session.save(whole(), 0)
+    with pytest.raises(ChangedElsewhere, match="another window"):
+        session.save(draft(rest__frontal=marked("rest/frontal", "T1")), 0)
+    assert set(session.marks) == set(ALL)
+
+
+def test_what_another_program_wrote_is_not_overwritten(session):
+    session.save(whole(), 0)
+    text = session.annotation_path.read_text(encoding="utf-8")
+    session.annotation_path.write_text(text.replace("\n", "\n "), encoding="utf-8")
+    with pytest.raises(ChangedElsewhere, match=r"annotation\.json was changed by another program"):
+        session.save(draft(), 1)
+    session.reload()
+    session.save(draft(rest__frontal=marked("rest/frontal")), 1)
+    assert set(read_annotation(session.annotation_path).images) == {"rest/frontal"}
+
+
+def test_wrong_corners_are_named_and_wait_in_the_draft(session):
+    quads = drawn("rest/frontal").named()
+    quads["T7"] = [quads["T7"][i] for i in (1, 0, 3, 2)]
+    crossed = DraftImage.model_validate_json(json.dumps({"vertebrae": quads}))
+    session.save(draft(rest__frontal=crossed), 0)
+    assert on_disk(session) == {"subject.json", "annotation.draft.json"}
+    (line, *_) = session.missing(session.marks)
+    assert line.startswith("rest/frontal: ") and "T7" in line
+    mirrored = {name: [quad[i] for i in (1, 0, 3, 2)] for name, quad in drawn("rest/frontal").named().items()}
+    marks = DraftImage.model_validate_json(json.dumps({"vertebrae": mirrored}))
+    assert "mirrored for this view" in session.judged("rest/frontal", marks).problem
+
+
+def test_the_angle_is_the_one_that_spinestiff_cobb_reads(session):
+    marks = marked("rest/frontal")
+    judged = session.judged("rest/frontal", marks)
+    session.save(draft(rest__frontal=marks), 0)
+    (image,) = read_corners(session.annotation_path)
+    read = read_cobb(image)
+    assert judged.cobb.curves == read.curves and judged.cobb.patient_left == read.patient_left == "right"
+    # And the one that the report reads in the patient plane.
+    view = session.view("rest/frontal")
+    quads = np.array(list(drawn("rest/frontal").named().values()))
+    wanted = cobb_angle(tilts(VERTEBRAE, view.from_pixels(quads), view))
+    assert judged.cobb.largest.angle.degrees == pytest.approx(wanted.degrees, abs=1e-9)
+    assert (judged.cobb.largest.angle.upper, judged.cobb.largest.angle.lower) == (wanted.upper, wanted.lower)
+    assert abs(wanted.degrees) > 20.0 and judged.problem == "" and judged.vertebrae == 17
+    # Also while there are too few for a fit, and never in a lateral radiograph.
+    assert session.judged("rest/frontal", marked("rest/frontal", "T3", "T9")).cobb.largest.angle.lower == "T9"
+    assert session.judged("rest/lateral", marked("rest/lateral")).cobb is None
+
+
+def test_points_that_do_not_belong_there_are_said_to(session):
+    supports = marked("rest/frontal").model_copy(update={"supports": {"pelvis": ((1.0, 2.0),)}})
+    assert "supports" in session.judged("rest/frontal", supports).problem
+    pedicles = marked("push/a").model_copy(update={"pedicles": {"T5": ((1.0, 2.0), (3.0, 4.0))}})
+    assert "pedicles" in session.judged("push/a", pedicles).problem
+
+
+def test_a_later_frame_is_annotated_by_one_vertebra(session):
+    session.save(Draft(schema_version=1, images={**whole().images, "push/a/2": marked("push/a/2", "T9")}), 0)
+    assert list(read_annotation(session.annotation_path).images["push/a/2"].vertebrae) == ["T9"]
+    with pytest.raises(SubjectError, match="the push has 3 frames"):
+        session.save(draft(push__a__3=marked("push/a", "T9")), 1)
+
+
+def test_a_radiograph_that_can_not_be_read_keeps_its_annotation(session):
+    session.save(whole(), 0)
+    (session.subject.folder / "rest/lateral.dcm").write_bytes(b"no DICOM")
+    session = AnnotationSession(session.subject.folder)
+    assert any(line.startswith("rest/lateral: ") for line in session.missing(session.marks))
+    session.save(whole(), 0)
+    assert on_disk(session) == {"subject.json", "annotation.json"}
+    assert set(read_annotation(session.annotation_path).images) == set(ALL)
+
+
+def test_folders_that_can_not_be_annotated_are_refused_in_a_line(tmp_path, unannotated):
+    with pytest.raises(SubjectError, match="no such folder"):
+        AnnotationSession(tmp_path / "nowhere")
+    (unannotated / "subject.json").unlink()
+    with pytest.raises(
+        SubjectError, match=r"subject\.json: no such file; write one .*docs/subject-folder\.md"
+    ) as refused:
+        AnnotationSession(unannotated)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_missing_or_outer_radiograph_is_refused(unannotated, tmp_path):
+    frontal = unannotated / "rest/frontal.dcm"
+    outside = tmp_path / "outside.dcm"
+    frontal.rename(outside)
+    with pytest.raises(SubjectError, match="wanted the radiograph of rest/frontal"):
+        AnnotationSession(unannotated)
+    frontal.symlink_to(outside)
+    with pytest.raises(SubjectError, match="leads out of the subject folder"):
+        AnnotationSession(unannotated)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"schema_version": 2, "images": {}}', "schema_version"),
+        ('{"schema_version": 1, "images": {"rest/frontal": {"vertebrae": {"T13": []}}}}', "T13"),
+        ('{"schema_version": 1, "images": {"rest/frontal": {"spine": [[1e9, 0]]}}}', "wanted pixels of the image"),
+        ('{"schema_version": 1, "images": {"rest/frontal": {"colour": 1}}}', "unknown key"),
+        ('{"schema_version": 1, "images": {}, "images": {}}', "given twice"),
+        ("[", "not JSON"),
+    ],
+)
+def test_a_damaged_draft_is_refused_in_a_line(unannotated, text, message):
+    (unannotated / "annotation.draft.json").write_text(text, encoding="utf-8")
+    with pytest.raises(SubjectError, match=message) as refused:
+        AnnotationSession(unannotated)
+    assert "annotation.draft.json" in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_draft_reads_what_it_writes():
+    marks = DraftImage(vertebrae={"T1": ((1.0, 2.0), (0.0, 2.0), (0.0, 3.0), (1.0, 3.0))}, spine=((1.5, 2.5),))
+    found = parse_draft(json.dumps(draft(rest__frontal=marks, rest__lateral=DraftImage()).record()), "draft")
+    assert found.images == {"rest/frontal": marks}
+
+
+# Files of other programs
+
+
+@pytest.mark.parametrize("form", ["csv", "slicer"])
+def test_corners_go_out_and_come_back(session, form):
+    session.save(whole(), 0)
+    text = exported(session, form).decode()
+    assert CANARY not in text
+    session.save(draft(), 1)
+    marks, said = imported(session, {"csv": "a.CSV", "slicer": "a.mrk.json"}[form], text, "rest/frontal")
+    assert said == []
+    assert {name: image.vertebrae for name, image in marks.items()} == {
+        name: image.vertebrae for name, image in whole().images.items()
+    }
+
+
+def test_the_csv_is_as_seen_in_the_image(session):
+    session.save(draft(rest__frontal=marked("rest/frontal", "T1", "T2")), 0)
+    rows = [line.split(",") for line in exported(session, "csv").decode().split()[1:5]]
+    places = {row[2]: (float(row[3]), float(row[4])) for row in rows}
+    assert places["top_left"][0] < places["top_right"][0] and places["top_left"][1] < places["bottom_left"][1]
+
+
+def test_an_import_keeps_what_the_file_does_not_hold(session):
+    before = marked("rest/frontal", "T1").model_copy(update={"pedicles": {"T1": ((2.0, 1.0), (1.0, 1.0))}})
+    session.save(draft(rest__frontal=before), 0)
+    text = "image,level,corner,x,y\n" + "".join(
+        f"other.png,T2,{corner},{x},{y}\n"
+        for corner, x, y in [("top_left", 1, 1), ("top_right", 9, 1), ("bottom_right", 9, 9), ("bottom_left", 1, 9)]
+    )
+    marks, _ = imported(session, "x.csv", text, "rest/frontal")
+    # One image of another name is meant for the one in sight.
+    assert list(marks) == ["rest/frontal"]
+    assert marks["rest/frontal"].pedicles == before.pedicles
+    # The patient's left is on the right of this picture.
+    assert marks["rest/frontal"].vertebrae == {"T2": ((9.0, 1.0), (1.0, 1.0), (1.0, 9.0), (9.0, 9.0))}
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("x.exe", "", "ends in .csv"),
+        ("x.csv", "a,b\n", "^the file: row 1: columns"),
+        ("../../x.csv", "image,level,corner,x,y\n", "no corner in it"),
+        ("x.json", "[", "the file"),
+    ],
+)
+def test_a_file_that_holds_no_corners_is_refused(session, name, text, message):
+    with pytest.raises(SubjectError, match=message) as refused:
+        imported(session, name, text, "rest/frontal")
+    assert "tmp" not in str(refused.value)
+
+
+def test_nothing_to_export_is_said(session):
+    with pytest.raises(SubjectError, match="nothing to export"):
+        exported(session, "csv")
+
+
+def test_a_save_that_failed_can_be_tried_again(session, monkeypatch):
+    from spinestiff.annotate import session as module
+
+    session.save(draft(rest__frontal=marked("rest/frontal", "T1")), 0)
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "write_annotation", lambda *_: (_ for _ in ()).throw(SubjectError("no space")))
+        with pytest.raises(SubjectError, match="no space"):
+            session.save(whole(), 1)
+    # The draft was written before that, by this very program.
+    assert session.save(whole(), 1) == 2
+    assert set(read_annotation(session.annotation_path).images) == set(ALL)

@@ -1,0 +1,178 @@
+"""Boxes proposed from a few clicks: on drawn spines with known corners, and on real radiographs with labels."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from phantoms import phantom
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.errors import TrackingError
+from spinestiff.imaging.projection import frontal_view, lateral_view
+from spinestiff.imaging.proposal import propose_boxes
+from spinestiff.imaging.radiograph import Radiograph
+
+CLICKED = ("T1", "T5", "T8", "T11", "L2", "L5")
+REAL = Path(__file__).parents[3] / "shared" / "data" / "scoliosis_radiographs"
+# Rows whose labels show 17 bodies in order; the labels of the other four images hold doubled or misplaced bodies.
+LABELLED = (0, 60, 240, 300, 360)
+SPINE_MM = 390.0  # from the middle of T1 to the middle of L5, about (the template's)
+
+
+def radiograph(drawn, kind="frontal"):
+    view = frontal_view if kind == "frontal" else lateral_view
+    return Radiograph(drawn.pixels, view(shape=drawn.pixels.shape))
+
+
+def errors(found, wanted, mm=0.72):
+    return np.linalg.norm(found - wanted, axis=2) * mm
+
+
+@pytest.mark.parametrize("kind", ["frontal", "lateral"])
+@pytest.mark.parametrize("bend", [-22.0, 0.0, 22.0])
+def test_corners_of_drawn_spines_are_found(kind, bend):
+    drawn = phantom(kind=kind, bend=bend)
+    rng = np.random.default_rng(1)
+    clicks = drawn.clicks(*CLICKED) + rng.normal(0.0, 2.0, (6, 2))
+    found = propose_boxes(radiograph(drawn, kind), clicks, VERTEBRAE)
+    away = errors(found, drawn.quads)
+    assert np.median(away) < 0.8
+    assert np.mean(away < 2.0) > 0.9
+    # Far better than the anatomy alone, which knows nothing of this picture.
+    blank = Radiograph(np.random.default_rng(0).normal(size=drawn.pixels.shape), radiograph(drawn, kind).view)
+    assert np.median(errors(propose_boxes(blank, clicks, VERTEBRAE), drawn.quads)) > 2.0 * np.median(away)
+
+
+def test_a_person_of_another_width_and_size_is_found():
+    drawn = phantom(size=1.2, mm=0.8, shape=(600, 448))
+    found = propose_boxes(radiograph(drawn), drawn.clicks(*CLICKED), VERTEBRAE)
+    assert np.median(errors(found, drawn.quads, 0.8)) < 0.8
+
+
+def test_part_of_a_spine_is_proposed_between_its_own_ends():
+    drawn = phantom()
+    names = VERTEBRAE[3:15]
+    found = propose_boxes(radiograph(drawn), drawn.clicks("T4", "T8", "T12", "L3"), names)
+    assert np.median(errors(found, drawn.quads[3:15])) < 0.8
+
+
+def test_the_order_of_the_clicks_does_not_matter():
+    drawn = phantom()
+    clicks = drawn.clicks(*CLICKED)
+    np.testing.assert_array_equal(
+        propose_boxes(radiograph(drawn), clicks, VERTEBRAE), propose_boxes(radiograph(drawn), clicks[::-1], VERTEBRAE)
+    )
+
+
+def test_what_was_corrected_stays_and_guides_the_others():
+    """A level counted wrongly: the vertebra that is put right takes those beside it along."""
+    drawn = phantom(noise=0.15)
+    clicks = drawn.clicks(*CLICKED)
+    # The last click lies one body too high, so that all levels are squeezed.
+    clicks[-1] = drawn.clicks("L4")[0] + [0.0, 6.0]
+    alone = propose_boxes(radiograph(drawn), clicks, VERTEBRAE)
+    kept = {name: drawn.quads[VERTEBRAE.index(name)] for name in ("T12", "L3", "L5")}
+    guided = propose_boxes(radiograph(drawn), clicks, VERTEBRAE, kept)
+    for name, quad in kept.items():
+        np.testing.assert_array_equal(guided[VERTEBRAE.index(name)], quad)
+    others = [VERTEBRAE.index(name) for name in ("T11", "L1", "L2", "L4")]
+    assert errors(alone, drawn.quads)[others].mean() > 5.0
+    assert errors(guided, drawn.quads)[others].mean() < 1.5
+
+
+def test_how_somebody_sets_corners_is_taken_over():
+    """Corners set 2 mm outside the edges on three vertebrae: the others go there, too."""
+    drawn = phantom()
+    outward = 2.0 / 0.72 * np.array([[1, -1], [-1, -1], [-1, 1], [1, 1]])
+    wanted = drawn.quads + outward
+    clicks = drawn.clicks(*CLICKED)
+    alone = propose_boxes(radiograph(drawn), clicks, VERTEBRAE)
+    kept = {name: wanted[VERTEBRAE.index(name)] for name in ("T4", "T9", "L2")}
+    guided = propose_boxes(radiograph(drawn), clicks, VERTEBRAE, kept)
+    others = [i for i, name in enumerate(VERTEBRAE) if name not in kept]
+    assert np.median(errors(alone, wanted)[others]) > 2.0
+    assert np.median(errors(guided, wanted)[others]) < 1.2
+
+
+@pytest.mark.parametrize(
+    "box",
+    [
+        np.full((4, 2), 200.0),
+        [[9, 9], [9, 300], [400, 300], [400, 9]],
+        [[180, 300], [260, 300], [260, 270], [180, 270]],
+    ],
+    ids=["a point", "half the radiograph", "upside down and mirrored"],
+)
+def test_a_box_that_is_no_vertebra_stays_and_misleads_nobody(box):
+    drawn = phantom()
+    clicks = drawn.clicks(*CLICKED)
+    found = propose_boxes(radiograph(drawn), clicks, VERTEBRAE, {"T8": np.array(box, dtype=float)})
+    np.testing.assert_array_equal(found[7], box)
+    others = np.arange(17) != 7
+    np.testing.assert_array_equal(found[others], propose_boxes(radiograph(drawn), clicks, VERTEBRAE)[others])
+
+
+def test_pixels_that_count_down_sideways_make_no_difference():
+    """The patient's left on the left of the picture: the same boxes, mirrored, corners in the order of the patient."""
+    drawn = phantom()
+    mirrored = Radiograph(drawn.pixels[:, ::-1], mirrored_view(drawn.pixels.shape))
+    width = drawn.pixels.shape[1] - 1
+    clicks = drawn.clicks(*CLICKED)
+    found = propose_boxes(mirrored, np.stack([width - clicks[:, 0], clicks[:, 1]], axis=1), VERTEBRAE)
+    back = np.stack([width - found[..., 0], found[..., 1]], axis=2)
+    np.testing.assert_allclose(back, propose_boxes(radiograph(drawn), clicks, VERTEBRAE), atol=0.3)
+
+
+def mirrored_view(shape):
+    from spinestiff.imaging.projection import FRONT, LEFT, UP, placed_view
+
+    return placed_view(
+        -LEFT, -UP, -FRONT, sid=1500.0, source_to_patient=1340.0, shape=shape, pixel=0.4, centre=(0.0, 0.0, 0.0)
+    )
+
+
+@pytest.mark.parametrize(
+    ("points", "names", "message"),
+    [
+        ([(200, 100), (200, 400)], VERTEBRAE, "2 points along the spine, wanted 3"),
+        ([(200, 100), (200.5, 100.5), (200, 400)], VERTEBRAE, "2 points along the spine, wanted 3"),
+        ([(200, 100), (900, 300), (200, 400)], VERTEBRAE, "outside the radiograph of 448 columns, 640 rows"),
+        ([(200, 100), (200, 300), (200, 400)], ("T3",), "wanted two or more neighbours"),
+        ([(200, 100), (200, 300), (200, 400)], ("T3", "T5"), "wanted two or more neighbours"),
+        ([(200, 100), (200, 300), (200, 400)], ("L1", "T12"), "wanted two or more neighbours"),
+    ],
+)
+def test_what_can_not_be_proposed_is_refused(points, names, message):
+    with pytest.raises(TrackingError, match=message):
+        propose_boxes(radiograph(phantom()), np.array(points, dtype=float), names)
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="labelled radiographs (shared/data/scoliosis_radiographs) are not here")
+def test_real_radiographs_are_met_as_well_as_their_labels_tell():
+    """The labels themselves lie millimetres off the visible corners; still, most proposals are near them."""
+    away = []
+    for row in LABELLED:
+        pixels, quads = labelled(row)
+        steps = np.linspace(0, 16, 6).astype(int)
+        clicks = quads[steps].mean(axis=1)
+        along = np.linalg.norm(np.diff(quads.mean(axis=1), axis=0), axis=1).sum()
+        mm = SPINE_MM / along
+        view = frontal_view(shape=pixels.shape)
+        away.append(errors(propose_boxes(Radiograph(pixels, view), clicks, VERTEBRAE), quads, mm))
+    assert len(away) == len(LABELLED)
+    assert np.median(away) < 3.0
+    assert np.percentile(away, 90) < 8.0
+
+
+def labelled(row):
+    """A real radiograph, and its labels in the annotation's order (the patient's left taken to be on the right)."""
+    with (REAL / "landmarks.csv").open() as file:
+        values = np.array([float(x) for x in list(csv.reader(file))[row]])
+    pixels = cv2.imread(str(REAL / "images" / f"row{row:03d}.jpg"), cv2.IMREAD_GRAYSCALE)
+    assert pixels is not None
+    points = np.stack([values[:68] * pixels.shape[1], values[68:] * pixels.shape[0]], axis=1).reshape(17, 4, 2)
+    return pixels.astype(np.float32), points[:, [1, 0, 2, 3]]

@@ -1,0 +1,352 @@
+// The state of the page and everything that can be done to it; the mouse, the keyboard and the panels only ask for it here.
+import * as api from "./api";
+import type { Cobb, ImageInfo, Session, TrackedFrame, Tracking } from "./api";
+import { centre, changed, guessed, History, type ImageMarks, type Marks, moved, NOTHING, type Point, type Quad, removed, renamed, type Selection, selected, type Support, without } from "./marks";
+import { Saver } from "./saver";
+import { Stage } from "./stage";
+
+export type Tool = "move" | "spine" | "pedicle" | Support;
+export interface Says { saved(state: string, words: string): void; problem(words: string): void; aloud(words: string): void; refresh(): void }
+
+const JUDGE_MS = 60;
+
+export class App {
+  readonly names: string[];
+  image: ImageInfo;
+  frame = 0;
+  tool: Tool = "move";
+  selection: Selection | null = null;
+  cobb: Cobb | null = null;
+  curves: Cobb[] = [];
+  judged = "";
+  missing: string[];
+  upper = "T1";
+  lower = "L5";
+  cursor: Point | null = null;
+  show = true;
+  busy = "";
+  tracking: Record<string, Tracking> = {};
+  private readonly history: History;
+  private readonly saver: Saver;
+  private draft: ImageMarks | null = null;
+  private hidden: Marks = {};
+  private proposed: Record<string, Record<string, Quad>> = {};
+  private judging = 0;
+
+  constructor(readonly session: Session, readonly stage: Stage, readonly says: Says) {
+    this.names = session.vertebrae;
+    this.missing = session.missing;
+    const marks = Object.fromEntries(Object.entries(session.marks).map(([name, image]) => [name, { ...NOTHING, ...image }]));
+    this.history = new History(marks);
+    this.saver = new Saver(session.revision, says.saved, (lines) => { this.missing = lines; says.refresh(); });
+    this.image = session.images[0] as ImageInfo;
+  }
+
+  /** Name of what is annotated here: the image, or one of its later frames. */
+  get key(): string { return this.frame ? `${this.image.name}/${this.frame}` : this.image.name; }
+  get marks(): ImageMarks { return this.draft ?? this.history.marks[this.key] ?? NOTHING; }
+  get allMarks(): Marks { return this.history.marks; }
+  get isPush(): boolean { return this.image.name.startsWith("push/"); }
+  get canUndo(): boolean { return this.history.canUndo; }
+  get canRedo(): boolean { return this.history.canRedo; }
+  get tools(): Tool[] { return this.isPush ? (this.frame ? ["move"] : ["move", "spine", "pelvis", "shoulder"]) : ["move", "spine", "pedicle"]; }
+  get tracked(): TrackedFrame | null { return this.frame ? (this.tracking[this.image.name]?.frames[this.frame] ?? null) : null; }
+
+  async open(name: string, frame = 0): Promise<void> {
+    const image = this.session.images.find((one) => one.name === name);
+    if (!image) return;
+    const same = image === this.image && this.stage.size[0] > 1;
+    this.settle();
+    this.image = image;
+    this.frame = Math.min(Math.max(0, frame), image.forces.length - 1);
+    if (!this.tools.includes(this.tool)) this.tool = "move";
+    if (!same) this.selection = this.cursor = null;
+    const asked = this.key;
+    this.says.refresh();
+    try {
+      const grey = await api.radiograph(image.name, this.frame);
+      if (asked !== this.key) return;
+      this.stage.load(grey, same);
+      this.says.problem("");
+      if (this.isPush && !this.tracking[name]) this.watch(name, await api.tracking(name));
+    } catch (error) {
+      if (asked === this.key) this.says.problem(words(error));
+    }
+    this.after();
+  }
+
+  // Changes. A drag previews and then commits once.
+  preview(change: (marks: ImageMarks) => ImageMarks): void {
+    this.draft = change(this.draft ?? this.adopted(this.selection));
+    this.after();
+  }
+
+  settle(what = "moved"): void {
+    const draft = this.draft;
+    this.draft = null;
+    if (draft && draft !== this.marks) this.commit(draft, what);
+  }
+
+  change(change: (marks: ImageMarks) => ImageMarks | null, what: string): void {
+    const next = change(this.adopted(this.selection));
+    if (next && next !== this.marks) this.commit(next, what);
+  }
+
+  private commit(next: ImageMarks, what: string): void {
+    this.replace({ ...this.history.marks, [this.key]: next }, what);
+    if (this.frame) void this.track();
+  }
+
+  replace(marks: Marks, what: string): void {
+    this.history.commit(marks, this.key, what);
+    this.saver.want(this.history.marks);
+    this.after();
+  }
+
+  /** What is shown: marks, and in later frames what was tracked where nothing is marked. */
+  get seen(): ImageMarks {
+    return this.tracked ? { ...this.marks, vertebrae: { ...this.tracked.vertebrae, ...this.marks.vertebrae } } : this.marks;
+  }
+
+  /** Marks to be changed: of a later frame, what was tracked of the one vertebra that is corrected becomes a mark. */
+  private adopted(at: Selection | null): ImageMarks {
+    const quad = at?.kind === "vertebra" ? this.tracked?.vertebrae[at.name] : undefined;
+    if (!at || !quad || this.marks.vertebrae[at.name]) return this.marks;
+    return { ...this.marks, vertebrae: { ...this.marks.vertebrae, [at.name]: quad } };
+  }
+
+  undo(): void { this.turn(this.history.undo(), "undone"); }
+  redo(): void { this.turn(this.history.redo(), "done again"); }
+  private turn(step: { image: string; words: string } | null, how: string): void {
+    if (!step) return this.says.aloud("nothing more to take back or do again");
+    this.draft = null;
+    this.saver.want(this.history.marks);
+    this.says.aloud(`${step.words}: ${how}`);
+    const image = this.session.images.find((one) => step.image === one.name || step.image.startsWith(`${one.name}/`));
+    if (image && step.image !== this.key) void this.open(image.name, Number(step.image.slice(image.name.length + 1)) || 0);
+    else this.after();
+  }
+
+  nudge(by: Point): void {
+    const at = this.selection;
+    if (!at) return this.stage.pan([-40 * Math.sign(by[0]), -40 * Math.sign(by[1])]);
+    this.change((marks) => changed(marks, at, (p) => moved(p, by)), `${this.spoken(at)} moved`);
+    this.tell();
+  }
+
+  turnBy(degrees: number): void {
+    const at = this.selection;
+    const quad = at?.kind === "vertebra" ? this.seen.vertebrae[at.name] : undefined;
+    if (!at || !quad) return;
+    const middle = centre(quad), [cos, sin] = [Math.cos((degrees * Math.PI) / 180), Math.sin((degrees * Math.PI) / 180)];
+    const turned = (p: Point): Point => {
+      const [x, y] = [p[0] - middle[0], p[1] - middle[1]];
+      return moved(middle, [cos * x - sin * y, sin * x + cos * y]);
+    };
+    this.change((marks) => changed(marks, { ...at, part: -1 }, turned), `${at.name} turned`);
+    this.says.aloud(`${at.name} turned by ${degrees} degrees`);
+  }
+
+  select(at: Selection | null): void {
+    this.selection = at;
+    const points = at ? selected(this.seen, at) : [];
+    if (points.length) this.stage.reveal(centre(points));
+    this.tell();
+    this.after();
+  }
+
+  /** The next or previous vertebra there is, with the same part of it. */
+  step(by: number): void {
+    const quads = this.seen.vertebrae, have = this.names.filter((name) => quads[name]);
+    if (!have.length) return this.says.aloud("no vertebra is marked here");
+    const at = this.selection?.kind === "vertebra" ? have.indexOf(this.selection.name) : -1;
+    const next = at < 0 ? (by > 0 ? 0 : have.length - 1) : Math.min(have.length - 1, Math.max(0, at + by));
+    this.select({ kind: "vertebra", name: have[next] as string, part: this.selection?.kind === "vertebra" ? this.selection.part : -1 });
+  }
+
+  part(part: number): void {
+    if (this.selection?.kind === "vertebra") this.select({ ...this.selection, part });
+  }
+
+  remove(): void {
+    const at = this.selection;
+    if (!at || !selected(this.marks, at).length) return;
+    if (at.kind === "vertebra") return this.visible(at.name, false);
+    this.change((marks) => removed(marks, at), `${this.spoken(at)} removed`);
+    this.selection = null;
+    this.after();
+  }
+
+  /** A vertebra that can't be seen has no corners; it comes back where it was, or between its neighbours. */
+  visible(name: string, on: boolean): void {
+    if (!on) {
+      const quad = this.marks.vertebrae[name];
+      if (quad) this.hidden = { ...this.hidden, [this.key]: { ...(this.hidden[this.key] ?? NOTHING), vertebrae: { ...this.hidden[this.key]?.vertebrae, [name]: quad } } };
+      this.change((marks) => removed(marks, { kind: "vertebra", name, part: -1 }), `${name} marked as not visible`);
+      if (this.selection?.name === name) this.selection = null;
+      this.says.aloud(`${name} is marked as not visible`);
+    } else {
+      const quad = this.hidden[this.key]?.vertebrae[name] ?? guessed(this.marks, this.names, name);
+      if (!quad) this.says.aloud("propose vertebrae first; two are needed to place another");
+      else {
+        this.change((marks) => ({ ...marks, vertebrae: { ...marks.vertebrae, [name]: quad } }), `${name} added`);
+        this.select({ kind: "vertebra", name, part: -1 });
+      }
+    }
+    this.after();
+  }
+
+  rename(step: number): void {
+    const next = renamed(this.marks, this.names, step);
+    if (!next) return this.says.problem(`The names end at ${step < 0 ? "T1" : "L5"}; mark what lies beyond as not visible first.`);
+    this.change(() => next, step < 0 ? "names moved up" : "names moved down");
+    this.selection = null;
+    this.says.aloud(step < 0 ? "each vertebra has the name of the one above" : "each vertebra has the name of the one below");
+    this.after();
+  }
+
+  /** A point at a place of the radiograph, for the tool in hand. */
+  add(p: Point): void {
+    const at: Point = [Math.round(p[0] * 100) / 100, Math.round(p[1] * 100) / 100], tool = this.tool;
+    const [columns, rows] = this.stage.size;
+    if (at[0] < -0.5 || at[1] < -0.5 || at[0] > columns - 0.5 || at[1] > rows - 0.5) return;
+    if (tool === "spine") this.change((marks) => ({ ...marks, spine: [...marks.spine, at] }), "point along the spine added");
+    else if (tool === "pelvis" || tool === "shoulder")
+      this.change((marks) => ({ ...marks, supports: { ...marks.supports, [tool]: [...(marks.supports[tool] ?? []), at] } }), `${tool} point added`);
+    else if (tool === "pedicle") this.addPedicle(at);
+    this.says.aloud(`point at column ${at[0].toFixed(0)}, row ${at[1].toFixed(0)}`);
+  }
+
+  /** The first point is taken for both until the second comes; which is the patient's left follows from the view. */
+  private addPedicle(at: Point): void {
+    const near = Object.entries(this.marks.vertebrae).map(([name, quad]) => {
+      const middle = centre(quad);
+      return [Math.hypot(middle[0] - at[0], middle[1] - at[1]), name, middle] as const;
+    });
+    if (!near.length) return this.says.problem("Mark the vertebrae first: a pedicle belongs to the nearest one.");
+    const [, name, middle] = near.reduce((a, b) => (b[0] < a[0] ? b : a));
+    const first = (at[0] - middle[0]) * this.stage.first[0] + (at[1] - middle[1]) * this.stage.first[1] > 0;
+    const mirrored: Point = [2 * middle[0] - at[0], at[1]];
+    this.change((marks) => {
+      const pair = marks.pedicles[name] ?? [first ? at : mirrored, first ? mirrored : at];
+      const next: [Point, Point] = first ? [at, pair[1]] : [pair[0], at];
+      return { ...marks, pedicles: { ...marks.pedicles, [name]: next } };
+    }, `pedicle of ${name} marked`);
+  }
+
+  choose(tool: Tool): void {
+    this.settle();
+    this.tool = tool;
+    this.cursor = null;
+    this.after();
+  }
+
+  /** Vertebrae that were corrected since they were proposed; a new proposal keeps them and takes them for guides. */
+  get kept(): Record<string, Quad> {
+    const before = this.proposed[this.key];
+    if (!before) return {};
+    return Object.fromEntries(Object.entries(this.marks.vertebrae).filter(([name, quad]) => String(quad) !== String(before[name])));
+  }
+
+  async propose(): Promise<void> {
+    const { marks, key } = this;
+    if (marks.spine.length < 3) {
+      this.choose("spine");
+      return this.says.problem("Click at least three points along the spine first: from the uppermost vertebra to the lowest.");
+    }
+    await this.whileBusy("Proposing …", async () => {
+      const found = await api.propose(this.image.name, this.frame, marks.spine, this.upper, this.lower, this.kept);
+      if (key !== this.key) return;
+      const kept = this.kept;
+      const fresh = Object.entries(found.vertebrae).filter(([name]) => !(name in kept));
+      this.proposed = { ...this.proposed, [key]: Object.fromEntries(fresh) };
+      this.change((now) => ({ ...now, vertebrae: { ...found.vertebrae, ...kept } }), "proposal");
+      this.choose("move");
+      this.says.aloud(`${Object.keys(found.vertebrae).length} vertebrae proposed; look at each of them`);
+    });
+  }
+
+  async track(): Promise<void> {
+    const { name } = this.image;
+    await this.whileBusy("", async () => {
+      // The server tracks from what is saved.
+      await this.saver.settled();
+      this.watch(name, await api.track(name));
+    });
+  }
+
+  private watch(name: string, state: Tracking): void {
+    const before = this.tracking[name];
+    // Frames of the last run stay in sight until there are new ones.
+    this.tracking = { ...this.tracking, [name]: state.frames.length || !before ? state : { ...state, frames: before.frames } };
+    if (state.state === "failed") this.says.problem(state.error);
+    if (state.state === "done" && before?.state === "running") this.says.aloud("tracking is done");
+    if (state.state === "running")
+      window.setTimeout(() => void api.tracking(name).then((next) => this.watch(name, next), () => undefined), 300);
+    this.after();
+  }
+
+  async whileBusy(words_: string, act: () => Promise<void>): Promise<void> {
+    this.busy = words_;
+    this.says.problem("");
+    this.says.refresh();
+    try { await act(); } catch (error) { this.says.problem(words(error)); }
+    this.busy = "";
+    this.after();
+  }
+
+  /** Draw, judge and show what is now. */
+  after(): void {
+    this.paint();
+    this.says.refresh();
+    if (this.judging) return;
+    this.judging = window.setTimeout(() => void this.judge(), JUDGE_MS);
+  }
+
+  private paint(): void {
+    const { marks, selection, names, cobb, tracked, cursor, show, tool } = this;
+    this.stage.draw({ marks, selection, names, cobb, tracked, cursor, show, spine: tool === "spine", lowest: this.session.lowest_quality });
+  }
+
+  private async judge(): Promise<void> {
+    const { marks, key } = this;
+    try {
+      const found = await api.judge(this.image.name, { ...NOTHING, vertebrae: this.seen.vertebrae });
+      if (key === this.key) { this.cobb = found.cobb; this.curves = found.curves; this.judged = found.problem; }
+    } catch {
+      this.cobb = null;
+      this.curves = [];
+      this.judged = "";
+    }
+    this.judging = 0;
+    if (marks !== this.marks || key !== this.key) this.after();
+    else {
+      this.paint();
+      this.says.refresh();
+    }
+  }
+
+  spoken(at: Selection): string {
+    const lateral = this.image.kind === "lateral", sides = lateral ? ["anterior", "posterior"] : ["left", "right"];
+    if (at.kind === "vertebra")
+      return at.part < 0 ? at.name : `${at.name}, ${at.part < 2 ? "superior" : "inferior"} ${sides[at.part === 0 || at.part === 3 ? 0 : 1]} corner`;
+    if (at.kind === "pedicle") return `${at.name}, ${sides[at.part]} pedicle`;
+    return at.kind === "spine" ? `point ${at.part + 1} along the spine` : `${at.kind} point ${at.part + 1}`;
+  }
+
+  private tell(): void {
+    const at = this.selection;
+    if (!at) return;
+    const points = selected(this.seen, at);
+    if (points.length) {
+      const p = centre(points);
+      this.says.aloud(`${this.spoken(at)}: column ${p[0].toFixed(1)}, row ${p[1].toFixed(1)}`);
+    }
+  }
+
+  clearSpine(): void { this.change((marks) => ({ ...marks, spine: [] }), "points along the spine cleared"); }
+  forget(name: string): void { this.tracking = without(this.tracking, name); }
+}
+
+export const words = (error: unknown): string =>
+  error instanceof api.Refused ? error.message : "The server does not answer. Is spinestiff annotate still running?";

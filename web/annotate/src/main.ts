@@ -1,0 +1,45 @@
+// Starts the page: takes the token, asks for the session, opens the first radiograph that is not complete.
+import * as api from "./api";
+import { App, words } from "./app";
+import * as keys from "./keys";
+import { need, Panel, says } from "./panel";
+import * as pointer from "./pointer";
+import { Stage } from "./stage";
+
+const THEME = "spinestiff-theme";
+
+function theme(): void {
+  const select = need<HTMLSelectElement>("theme"), dark = matchMedia("(prefers-color-scheme: dark)");
+  select.value = localStorage.getItem(THEME) ?? "auto";
+  const apply = (): void => {
+    document.documentElement.dataset["theme"] = select.value === "auto" ? (dark.matches ? "dark" : "light") : select.value;
+  };
+  select.addEventListener("change", () => { localStorage.setItem(THEME, select.value); apply(); });
+  dark.addEventListener("change", apply);
+  apply();
+}
+
+async function start(): Promise<void> {
+  theme();
+  api.takeToken();
+  try {
+    const session = await api.session();
+    const app = new App(session, new Stage(need<HTMLCanvasElement>("stage")), says);
+    const panel = new Panel(app);
+    says.refresh = () => panel.refresh();
+    pointer.listen(app);
+    keys.listen(app);
+    says.saved("saved", Object.keys(session.marks).length ? "Opened as saved" : "Nothing marked yet");
+    // For whoever automates the page.
+    Object.assign(window, { annotation: app });
+    const first = session.images.find((image) => session.missing.some((line) => line.startsWith(`${image.name}:`)));
+    await app.open((first ?? session.images[0] as api.ImageInfo).name);
+    document.body.dataset["state"] = "open";
+  } catch (error) {
+    says.saved("failed", "Not opened");
+    says.problem(words(error));
+    document.body.dataset["state"] = "refused";
+  }
+}
+
+void start();

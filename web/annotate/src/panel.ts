@@ -1,0 +1,280 @@
+// The controls around the radiograph: what they show follows the state, what they do is asked of it.
+import * as api from "./api";
+import { type App, type Says, type Tool, words } from "./app";
+import { KEYS } from "./keys";
+
+const TOOLS: Record<Tool, [string, string]> = {
+  move: ["Move", "Drag corners or whole vertebrae; drag beside them to move the picture."],
+  spine: ["Spine points", "Click the middle of the uppermost vertebra, a few points along the spine, and the middle of the lowest. Say under Spine which two they are, then propose."],
+  pelvis: ["Pelvis", "Click points on the pelvis, left and right alike; they show whether it moved under the push."],
+  shoulder: ["Shoulder", "Click a point on the shoulder that rests on the wall; it shows whether it moved."],
+  pedicle: ["Pedicles", "Click the middle of a pedicle’s shadow; it goes to the nearest vertebra. Optional."],
+};
+
+export function need<T extends HTMLElement>(id: string): T {
+  const found = document.getElementById(id);
+  if (!found) throw new Error(`the page has no part '${id}'`);
+  return found as T;
+}
+
+function put(id: string, text: string): void {
+  const element = need(id);
+  if (element.textContent !== text) element.textContent = text;
+}
+
+/** What can be said before there is a state. */
+export const says: Says = {
+  saved: (state, text) => { need("saved").dataset["state"] = state; put("saved", text); },
+  problem: (text) => { need("problem").hidden = !text; put("problem", text); },
+  aloud: (text) => put("spoken", text),
+  refresh: () => undefined,
+};
+
+function button(text: string, act: () => void): HTMLButtonElement {
+  const made = document.createElement("button");
+  made.type = "button";
+  made.textContent = text;
+  made.addEventListener("click", act);
+  return made;
+}
+
+export class Panel {
+  private readonly images = new Map<string, [HTMLButtonElement, HTMLElement, HTMLElement]>();
+  private readonly vertebrae = new Map<string, [HTMLButtonElement, HTMLInputElement]>();
+  private toolKey = "";
+
+  constructor(private readonly app: App) {
+    put("subject", app.session.subject);
+    document.title = `Annotation ${app.session.subject}`;
+    this.makeImages();
+    this.makeVertebrae();
+    for (const id of ["upper", "lower"] as const) {
+      const select = need<HTMLSelectElement>(id);
+      for (const name of app.names) select.add(new Option(name, name));
+      select.value = app[id];
+      select.addEventListener("change", () => { app[id] = select.value; });
+    }
+    const click = (id: string, act: () => void): void => need(id).addEventListener("click", act);
+    click("undo", () => app.undo());
+    click("redo", () => app.redo());
+    click("closer", () => app.stage.zoom(1.25));
+    click("further", () => app.stage.zoom(0.8));
+    click("fit", () => app.stage.fit());
+    click("propose", () => void app.propose());
+    click("clear-spine", () => app.clearSpine());
+    click("names-up", () => app.rename(-1));
+    click("names-down", () => app.rename(1));
+    click("track", () => void app.track());
+    click("frame-back", () => void app.open(app.image.name, app.frame - 1));
+    click("frame-on", () => void app.open(app.image.name, app.frame + 1));
+    click("export-csv", () => void this.export("csv"));
+    click("export-slicer", () => void this.export("slicer"));
+    click("grey", () => { app.stage.setWindow([...app.stage.natural]); this.refresh(); });
+    need("frame").addEventListener("input", () => void app.open(app.image.name, Number(need<HTMLInputElement>("frame").value)));
+    need("show").addEventListener("change", () => { app.show = need<HTMLInputElement>("show").checked; app.after(); });
+    for (const id of ["level", "width"]) need(id).addEventListener("input", () => this.greys());
+    need("import").addEventListener("change", () => void this.import());
+    for (const [keys, what] of KEYS) {
+      const dt = document.createElement("dt"), dd = document.createElement("dd");
+      dt.textContent = keys;
+      dd.textContent = what;
+      need("keys").append(dt, dd);
+    }
+  }
+
+  private makeImages(): void {
+    for (const image of this.app.session.images) {
+      const item = document.createElement("li"), mark = document.createElement("span"), state = document.createElement("small");
+      const made = button("", () => void this.app.open(image.name));
+      const title = document.createElement("span");
+      title.textContent = image.title;
+      mark.setAttribute("aria-hidden", "true");
+      made.append(mark, title, state);
+      item.append(made);
+      need("images").append(item);
+      this.images.set(image.name, [made, mark, state]);
+    }
+  }
+
+  private makeVertebrae(): void {
+    for (const name of this.app.names) {
+      const item = document.createElement("li"), label = document.createElement("label"), box = document.createElement("input");
+      const made = button(name, () => {
+        this.app.choose("move");
+        this.app.select({ kind: "vertebra", name, part: -1 });
+        this.app.stage.canvas.focus();
+      });
+      box.type = "checkbox";
+      box.setAttribute("aria-label", `${name} visible`);
+      label.title = `${name} visible`;
+      box.addEventListener("change", () => this.app.visible(name, box.checked));
+      label.append(box);
+      item.append(label, made);
+      need("vertebrae").append(item);
+      this.vertebrae.set(name, [made, box]);
+    }
+  }
+
+  private makeTools(): void {
+    const { app } = this, key = app.tools.join();
+    if (key !== this.toolKey) {
+      this.toolKey = key;
+      const group = need("tools");
+      group.replaceChildren(...app.tools.map((tool) => {
+        const made = button(TOOLS[tool][0], () => { app.choose(tool); app.stage.canvas.focus(); });
+        made.setAttribute("role", "radio");
+        made.dataset["tool"] = tool;
+        made.addEventListener("keydown", (event) => {
+          const by = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
+          if (!by) return;
+          event.preventDefault();
+          const next = app.tools[(app.tools.indexOf(tool) + by + app.tools.length) % app.tools.length] as Tool;
+          app.choose(next);
+          group.querySelector<HTMLElement>(`[data-tool="${next}"]`)?.focus();
+        });
+        return made;
+      }));
+    }
+    for (const made of need("tools").querySelectorAll<HTMLElement>("button")) {
+      const on = made.dataset["tool"] === app.tool;
+      made.setAttribute("aria-checked", String(on));
+      made.tabIndex = on ? 0 : -1;
+    }
+    put("hint", TOOLS[app.tool][1]);
+    const canvas = app.stage.canvas;
+    canvas.dataset["tool"] = app.tool;
+    canvas.dataset["adds"] = String(app.tool !== "move");
+  }
+
+  refresh(): void {
+    const { app } = this, { marks } = app;
+    this.makeTools();
+    for (const id of ["upper", "lower"] as const) need<HTMLSelectElement>(id).value = app[id];
+    for (const [name, [made, mark, state]] of this.images) {
+      const n = Object.keys(app.allMarks[name]?.vertebrae ?? {}).length;
+      const open = app.missing.some((line) => line.startsWith(`${name}:`));
+      mark.textContent = n === 0 ? "○" : open ? "◐" : "✓";
+      state.textContent = n === 0 ? "nothing marked" : `${n} vertebrae${open ? ", not complete" : ""}`;
+      if (name === app.image.name) made.setAttribute("aria-current", "true"); else made.removeAttribute("aria-current");
+    }
+    const shown = app.seen.vertebrae;
+    for (const [name, [made, box]] of this.vertebrae) {
+      const there = name in shown;
+      made.disabled = !there;
+      made.setAttribute("aria-pressed", String(app.selection?.kind === "vertebra" && app.selection.name === name));
+      box.checked = there;
+      box.disabled = app.frame > 0;
+    }
+    need<HTMLButtonElement>("undo").disabled = !app.canUndo;
+    need<HTMLButtonElement>("redo").disabled = !app.canRedo;
+    for (const id of ["names-up", "names-down"]) need<HTMLButtonElement>(id).disabled = app.frame > 0;
+    need<HTMLButtonElement>("clear-spine").disabled = !marks.spine.length;
+    need<HTMLButtonElement>("propose").disabled = !!app.busy || app.frame > 0;
+    put("propose", app.busy || (Object.keys(app.kept).length ? "Propose the others again" : "Propose vertebrae"));
+    put("spine-text", app.frame ? "Later frames are tracked." : `${marks.spine.length} points along the spine${marks.spine.length < 3 ? "; three or more are needed" : ""}.`);
+    this.cobb();
+    this.frames();
+    this.missing();
+    this.sliders();
+    app.stage.canvas.setAttribute("aria-label", `${app.image.title}, ${Object.keys(shown).length} vertebrae marked`);
+  }
+
+  private cobb(): void {
+    const { cobb, curves, image, judged } = this.app, target = need("cobb");
+    const angle = (one: api.Cobb): string => `${Math.abs(one.degrees).toFixed(1)}°`;
+    const text = cobb ? angle(cobb) : image.kind === "lateral" ? "Read in frontal radiographs." : "Needs two vertebrae.";
+    const rest = cobb ? ` ± ${cobb.half_width.toFixed(0)}° ${cobb.upper} to ${cobb.lower}, ${cobb.convexity}` : "";
+    const others = curves.filter((one) => one.upper !== cobb?.upper).map((one) => `${angle(one)} ${one.upper} to ${one.lower}, ${one.region}`);
+    const key = [text, rest, judged, ...others].join("\n");
+    if (target.dataset["key"] === key) return;
+    target.dataset["key"] = key;
+    const figure = document.createElement(cobb ? "b" : "span");
+    figure.textContent = text;
+    target.replaceChildren(figure, rest);
+    const add = (words_: string): void => {
+      const note = document.createElement("span");
+      note.className = "note";
+      note.textContent = words_;
+      target.append(document.createElement("br"), note);
+    };
+    others.forEach(add);
+    if (judged && Object.keys(this.app.marks.vertebrae).length) add(judged);
+  }
+
+  private frames(): void {
+    const { app } = this, { image, frame } = app, count = image.forces.length;
+    need("frames").hidden = count < 2;
+    if (count < 2) return;
+    const slider = need<HTMLInputElement>("frame");
+    slider.max = String(count - 1);
+    slider.value = String(frame);
+    const words_ = `${frame + 1} of ${count}, ${image.forces[frame] ?? 0} N, ${image.roles[frame] ?? ""}`;
+    slider.setAttribute("aria-valuetext", words_);
+    const state = app.tracking[image.name], here = Object.keys(app.marks.vertebrae).length;
+    const source = frame === 0 ? "marked" : here ? `${here} corrected, the others tracked` : app.tracked ? "tracked" : "not tracked yet";
+    const own = app.marks.vertebrae, tracked = Object.entries(app.tracked?.quality ?? {}).filter(([name]) => !(name in own));
+    const doubtful = tracked.flatMap(([, quality]) => quality).filter((q) => q < app.session.lowest_quality).length;
+    put("frame-text", `${words_}: ${source}${doubtful ? `, ${doubtful} corners doubtful or lost` : ""}`);
+    need<HTMLButtonElement>("frame-back").disabled = frame === 0;
+    need<HTMLButtonElement>("frame-on").disabled = frame === count - 1;
+    const running = state?.state === "running", bar = need<HTMLProgressElement>("track-progress");
+    need<HTMLButtonElement>("track").disabled = running;
+    bar.hidden = !running;
+    if (running) bar.value = state.done / Math.max(1, state.total);
+  }
+
+  private missing(): void {
+    const { app } = this, target = need("missing"), key = app.missing.join("\n");
+    if (target.dataset["key"] === key) return;
+    target.dataset["key"] = key;
+    target.dataset["state"] = app.missing.length ? "open" : "whole";
+    if (!app.missing.length) return target.replaceChildren("✓ Everything a fit needs is marked.");
+    const title = document.createElement("b"), list = document.createElement("ul");
+    title.textContent = "Still needed for a fit";
+    for (const line of app.missing) {
+      const item = document.createElement("li"), name = line.slice(0, line.indexOf(":"));
+      const image = app.session.images.find((one) => one.name === name);
+      item.textContent = image ? `${image.title}: ${line.slice(name.length + 2)}` : line;
+      list.append(item);
+    }
+    target.replaceChildren(title, list);
+  }
+
+  // Level and width of the window as shares of the radiograph's own range.
+  private sliders(): void {
+    const [low, high] = this.app.stage.window;
+    const active = document.activeElement;
+    if (active !== need("level")) need<HTMLInputElement>("level").value = String(100 - (50 * (low + high)) / 65535);
+    if (active !== need("width")) need<HTMLInputElement>("width").value = String(100 - (100 * Math.min(65535, high - low)) / 65535);
+  }
+
+  private greys(): void {
+    const middle = ((100 - Number(need<HTMLInputElement>("level").value)) / 100) * 65535;
+    const size = Math.max(200, ((100 - Number(need<HTMLInputElement>("width").value)) / 100) * 65535);
+    this.app.stage.setWindow([middle - 0.5 * size, middle + 0.5 * size]);
+  }
+
+  private async import(): Promise<void> {
+    const input = need<HTMLInputElement>("import"), file = input.files?.[0];
+    if (!file) return;
+    const { app } = this;
+    await app.whileBusy("Reading …", async () => {
+      const found = await api.importFile(file.name, await file.text(), app.key);
+      app.replace({ ...app.allMarks, ...found.marks }, `import of ${Object.keys(found.marks).length} radiographs`);
+      if (found.warnings.length) says.problem(found.warnings.join(" "));
+    });
+    input.value = "";
+  }
+
+  private async export(form: "csv" | "slicer"): Promise<void> {
+    try {
+      const link = document.createElement("a");
+      link.href = URL.createObjectURL(await api.exportFile(form));
+      link.download = form === "csv" ? "corners.csv" : "corners.mrk.json";
+      link.click();
+      URL.revokeObjectURL(link.href);
+    } catch (error) {
+      says.problem(words(error));
+    }
+  }
+}
