@@ -13,7 +13,7 @@ from spinestiff.imaging.tracking.pictures import Image, inside, sampled
 
 # Part of a patch that must lie within the image.
 FEWEST_SEEN = 0.5
-REGISTRATION_ROUNDS = 15
+REGISTRATION_ROUNDS = 30
 # The largest correction of the flow's motion, in patch sizes: half a vertebra away its neighbour would match.
 LARGEST_CORRECTION = 0.25
 
@@ -53,7 +53,7 @@ def corrected(body: Body, patch: Patch, levels: Sequence[Image], pose: Floats) -
         trial = _registered(body, values, gradients, image, trial)
     near = np.linalg.norm(trial[1:] - pose[1:]) < LARGEST_CORRECTION * body.size
     before, after = likeness(pose), likeness(trial)
-    return (trial, after) if near and after > before else (pose, before)
+    return (trial, after) if near and after > before - 0.03 else (pose, before)
 
 
 def _registered(body: Body, values: Floats, gradients: Floats, image: Image, pose: Floats) -> Floats:
