@@ -48,15 +48,18 @@ def few_frames():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(synthetic, "SHARES", SHARES)
         patch.setattr(synthetic, "ROLES", ROLES)
-        patch.setattr(synthetic, "RAYS_A_PIXEL", 1)
         yield
 
 
 @pytest.fixture(scope="session")
 def cheap_recipe():
+    from spinestiff.imaging.acquisition import Acquisition
     from spinestiff.study.synthetic import Recipe
 
-    return Recipe(seed=3, force_n=30.0, ratios=tuple(TRUTH.values()), shape=(512, 512), mesh="coarse")
+    one_ray = Acquisition(samples=1)
+    return Recipe(
+        seed=3, force_n=30.0, ratios=tuple(TRUTH.values()), shape=(512, 512), mesh="coarse", acquisition=one_ray
+    )
 
 
 @pytest.fixture(scope="session")

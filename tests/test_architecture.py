@@ -40,7 +40,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "pydicom": ("imaging/*",),
     "cv2": ("imaging/*",),
     "skimage": ("imaging/*",),
-    "numba": ("mechanics/*", "imaging/rendering.py"),
+    "numba": ("mechanics/*", "imaging/path_length.py", "imaging/texture.py"),
     "rslab": ("mechanics/factor.py",),
     "matplotlib": ("study/figures.py", "study/torso_picture.py", "study/report.py"),
     "jinja2": ("study/viewer/page.py",),

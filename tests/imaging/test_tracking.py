@@ -324,15 +324,9 @@ def test_vertebrae_of_a_rendered_torso():
     from spinestiff.anatomy.template import template_torso
     from spinestiff.anatomy.torso import TorsoState
     from spinestiff.imaging.features import silhouette_choice, state_features
-    from spinestiff.imaging.rendering import (
-        CANCELLOUS_BONE,
-        CORTICAL_BONE,
-        SOFT_TISSUE,
-        Absorber,
-        Exposure,
-        expose,
-        optical_depth,
-    )
+    from spinestiff.imaging.detector import Exposure
+    from spinestiff.imaging.materials import Material
+    from spinestiff.imaging.rendering import Absorber, render_radiograph
 
     torso = template_torso(150.0)
     rest = torso.rest_pose
@@ -359,11 +353,11 @@ def test_vertebrae_of_a_rendered_torso():
     def radiograph(state, millimetres, seed, factor):
         skin = np.array(torso.tissue.rest_positions)
         skin[:, 0] += bend(skin[:, 1], millimetres)[0]
-        bodies = [Absorber(skin, torso.tissue.boundary_faces()[:, :3], SOFT_TISSUE, smoothing=4.0)]
+        bodies = [Absorber(skin, torso.tissue.boundary_faces()[:, :3], smoothing=4.0)]
         for surface, position, rotation in zip(torso.bone_surfaces, state.bone_positions, state.bone_rotations):
             world = surface.vertices @ rotation.T + position
-            bodies.append(Absorber(world, surface.faces, CANCELLOUS_BONE, 0.9, CORTICAL_BONE - CANCELLOUS_BONE))
-        return expose(optical_depth(bodies, view), view, Exposure(factor=factor), seed).astype(np.float32)
+            bodies.append(Absorber(world, surface.faces, Material.BONE, 0.28, 0.9, 0.72))
+        return render_radiograph(bodies, view, Exposure(factor=factor), seed).astype(np.float32)
 
     states = [posed(push) for push in (0.0, 6.0, 12.0)]
     images = [radiograph(s, p, i, f) for i, (s, p, f) in enumerate(zip(states, (0.0, 6.0, 12.0), (1.0, 1.25, 0.8)))]

@@ -1,97 +1,77 @@
-"""What of a torso absorbs X-rays: skin, lungs and bones as closed surfaces in a state."""
+"""What of a torso absorbs X-rays: skin, organs and bones as closed surfaces in a state."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from spinestiff.anatomy.names import RIBS, SIDES, VERTEBRAE
+from spinestiff.anatomy.names import LUMBAR, RIBS, VERTEBRAE
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
-from spinestiff.arrays import Floats, Ints
-from spinestiff.imaging.rendering import (
-    CANCELLOUS_BONE,
-    CORTICAL_BONE,
-    LUNG,
-    SOFT_TISSUE,
-    Absorber,
-    Texture,
-)
+from spinestiff.arrays import Floats
+from spinestiff.imaging.materials import Material
+from spinestiff.imaging.organs import lungs, muscles, trachea
+from spinestiff.imaging.rendering import Absorber
+from spinestiff.imaging.texture import Texture
 
-# mm of cortex; a vertebra's is thin, a rib is little but cortex. Flat bones stay solid: their two walls meet.
-_VERTEBRA_SHELL = 0.8
-_RIB_SHELL = 1.0
-_LUNG_RIBS = range(2, 10)
-_LUNG_RING = 24
+# mm of cortex. Vertebral walls 0.4 to 0.6 and endplates 0.6 to 1.0 (adult measurements, from memory); a rib is little
+# but cortex, and the two walls of flat bones nearly meet.
+_WALL, _ENDPLATE, _PROCESS = 0.55, 0.75, 0.4
+_RIB_SHELL, _OTHER_SHELL = 0.8, 0.9
+# Bone mineral inside, of a cortical bone's: a fifth to a quarter of a child's vertebral body is bone.
+_CANCELLOUS = {"vertebra": 0.2, "rib": 0.22, "other": 0.2}
+_TRABECULAE = 3.2  # mm, coarsest clumps of trabeculae that a radiograph shows; the finest are a quarter of it
 
 
-def torso_absorbers(torso: TorsoModel, state: TorsoState, seed: int = 0) -> tuple[Absorber, ...]:
-    """Skin, two lungs and every bone of ``torso`` in ``state``.
+def torso_absorbers(torso: TorsoModel, state: TorsoState, seed: int = 0, breath: float = 0.0) -> tuple[Absorber, ...]:
+    """Skin, muscles, airways, lungs with vessels, and every bone of ``torso`` in ``state``.
 
     Bones carry a texture that moves with them; the skin's muscles and bowel stay in the world, as they hardly follow
-    the spine. ``seed`` decides the patterns and so the person.
+    the spine.
+
+    Parameters
+    ----------
+    seed : decides the patterns and so the person.
+    breath : mm that the diaphragm stands lower than at rest.
     """
-    bodies = [_skin(torso, state, seed)]
-    bodies += [_lung(torso, state, side) for side in SIDES if f"R{_LUNG_RIBS[-1]}_{side}" in torso.bone_names]
+    bodies = [_skin(torso, state, seed), *muscles(torso, state), *trachea(torso, state)]
+    bodies += lungs(torso, state, seed, breath)
     bodies += [_bone(torso, state, bone, seed) for bone in range(len(torso.bone_surfaces))]
     return tuple(bodies)
 
 
-def _skin(torso: TorsoModel, state: TorsoState, seed: int) -> Absorber:
+def skin_surface(torso: TorsoModel, state: TorsoState) -> tuple[Floats, np.ndarray]:
+    """The torso's outside: vertices (n, 3) mm and faces (m, 3)."""
     faces = torso.tissue.boundary_faces()
     if faces.shape[1] == 6:
         a, b, c, ab, bc, ca = faces.T
         faces = np.vstack([np.column_stack(t) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
     used, corners = np.unique(faces, return_inverse=True)
-    vertices = torso.node_positions(state)[used]
-    return Absorber(
-        vertices, corners.reshape(-1, 3), SOFT_TISSUE, texture=Texture(0.1, 45.0, seed + 1000), smoothing=6.0
-    )
+    return torso.node_positions(state)[used], corners.reshape(-1, 3)
+
+
+def _skin(torso: TorsoModel, state: TorsoState, seed: int) -> Absorber:
+    vertices, faces = skin_surface(torso, state)
+    return Absorber(vertices, faces, texture=Texture(0.09, 30.0, seed + 1000), smoothing=3.5)
 
 
 def _bone(torso: TorsoModel, state: TorsoState, bone: int, seed: int) -> Absorber:
     name = torso.bone_names[bone]
-    vertices, faces = torso.surface_positions(state, bone), torso.bone_surfaces[bone].faces
-    shell = _VERTEBRA_SHELL if name in VERTEBRAE else _RIB_SHELL if name in RIBS else 0.0
-    texture = Texture(0.8, 7.0, seed + bone, state.bone_positions[bone], state.bone_rotations[bone])
-    return Absorber(vertices, faces, CANCELLOUS_BONE, shell, CORTICAL_BONE, texture)
+    surface = torso.bone_surfaces[bone]
+    kind = "vertebra" if name in VERTEBRAE else "rib" if name in RIBS else "other"
+    shell: Floats | float = {"rib": _RIB_SHELL, "other": _OTHER_SHELL}.get(kind, 0.0)
+    if kind == "vertebra":
+        shell = _vertebral_cortex(surface.vertices, torso.vertebra_boxes[VERTEBRAE.index(name)])
+    grain = _TRABECULAE * (1.3 if name in LUMBAR else 1.0)
+    texture = Texture(0.55, grain, seed + bone, state.bone_positions[bone], state.bone_rotations[bone])
+    return Absorber(
+        torso.surface_positions(state, bone), surface.faces, Material.BONE,
+        _CANCELLOUS[kind], shell, 1.0 - _CANCELLOUS[kind], texture, 1.5 if kind == "other" else 0.0,
+    )  # fmt: skip
 
 
-def _lung(torso: TorsoModel, state: TorsoState, side: str) -> Absorber:
-    """A closed tube of rings inside the ribs of one side, one ring a level, capped at both ends."""
-    sign = 1.0 if side == "L" else -1.0
-    rings = [_lung_ring(torso, state, side, sign, level) for level in _LUNG_RIBS]
-    apex, base = rings[0].mean(axis=0) + [0.0, 12.0, 0.0], rings[-1].mean(axis=0) + [0.0, 22.0, 0.0]
-    # The diaphragm bulges into the chest: the base's cap stands higher than its ring.
-    vertices = np.vstack([*rings, apex, base])
-    faces = _tube_faces(len(rings), _LUNG_RING)
-    corners = vertices[faces]
-    volume = np.einsum("mi,mi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    return Absorber(vertices, faces if volume > 0.0 else faces[:, ::-1], LUNG, smoothing=4.0)
-
-
-def _lung_ring(torso: TorsoModel, state: TorsoState, side: str, sign: float, level: int) -> Floats:
-    """(24, 3) mm: an oval between the mediastinum and the rib that lies at this level's height."""
-    bone = torso.bone(f"T{level}")
-    centre = state.bone_positions[bone]
-    ribs = np.vstack([torso.surface_positions(state, torso.bone(f"R{i}_{side}")) for i in range(1, 11)])
-    near = ribs[np.abs(ribs[:, 1] - centre[1]) < 14.0]
-    outer = np.max(sign * (near[:, 0] - centre[0])) - 9.0
-    back, front = np.min(near[:, 2]) + 10.0, np.max(near[:, 2]) - 12.0
-    inner = min(24.0, 0.5 * outer)
-    angle = 2.0 * np.pi * np.arange(_LUNG_RING) / _LUNG_RING
-    # A superellipse: lungs fill the chest's corners better than an ellipse does.
-    across, along = (np.sign(f) * np.abs(f) ** 0.7 for f in (np.cos(angle), np.sin(angle)))
-    x = centre[0] + sign * (0.5 * (inner + outer) + 0.5 * (outer - inner) * across)
-    z = 0.5 * (back + front) + 0.5 * (front - back) * along
-    return np.column_stack([x, np.full(_LUNG_RING, centre[1]), z])
-
-
-def _tube_faces(rings: int, around: int) -> Ints:
-    i, j = np.meshgrid(np.arange(rings - 1), np.arange(around), indexing="ij")
-    a, b = (i * around + j).ravel(), (i * around + (j + 1) % around).ravel()
-    c, d = a + around, b + around
-    wall = np.vstack([np.column_stack([a, b, d]), np.column_stack([a, d, c])])
-    here = np.arange(around)
-    after, last = (here + 1) % around, (rings - 1) * around
-    top = np.column_stack([np.full(around, rings * around), after, here])
-    bottom = np.column_stack([np.full(around, rings * around + 1), last + here, last + after])
-    return np.vstack([wall, top, bottom])
+def _vertebral_cortex(vertices: Floats, box: Floats) -> Floats:
+    """Cortex (n,) mm of a vertebra's surface in its own frame: thicker where the body's endplates are."""
+    low, high = box.min(axis=0), box.max(axis=0)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    u = np.abs(vertices - middle) / half
+    endplate = (u[:, 1] > 0.9) & (u[:, 1] < 1.2) & (u[:, 0] < 1.1) & (u[:, 2] < 1.1)
+    return np.where(endplate, _ENDPLATE, np.where(vertices[:, 2] < low[2] - 6.0, _PROCESS, _WALL))

@@ -6,7 +6,7 @@ The truth is written beside the folder (``DIR.truth.json``), never into it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Literal
 
@@ -18,11 +18,10 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
+from spinestiff.imaging.acquisition import Acquisition, Gauge, acquire
 from spinestiff.imaging.features import silhouette_choice, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
-from spinestiff.imaging.rendering import Exposure, render_radiograph
-from spinestiff.imaging.torso_absorbers import torso_absorbers
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
@@ -37,12 +36,9 @@ Observer = Callable[[str], None]
 
 # Table 4's range of estimated ratios, where a subject's own are drawn from.
 BENDING_RANGE, TISSUE_RANGE = (0.05, 0.63), (0.01, 0.15)
-FRAME_TIME_MS = 250.0  # four radiographs a second (paper 2.1)
 ANNOTATION_SD_MM = 0.3  # of a hand-set corner, at the patient plane
 STANDING_SD_MM, STANDING_SD_RAD = 4.0, 0.012  # how differently a patient stands from one exposure to the next
-EXPOSURE_SD = 0.06
 DETECTOR_WIDTH_MM = 427.0
-RAYS_A_PIXEL = 2  # along each axis; one leaves steps on slanted endplates
 SHARES = {"main": (0.0, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0), "second": (0.0, 1 / 3, 2 / 3, 1.0)}
 ROLES: dict[str, tuple[Role, ...]] = {
     "main": ("unused", "unused", "training", "unused", "training", "unused", "validation"),
@@ -64,6 +60,7 @@ class Recipe:
     level, second_level : rib levels of the two pushes.
     shape : rows, columns of a radiograph; the detector keeps its width.
     mesh : of the subject's tissue, "coarse" or "fine"; anything but "fine" is no test of an estimate on "coarse".
+    acquisition : how the radiographs are taken; four a second (paper 2.1).
     """
 
     seed: int = 0
@@ -77,6 +74,7 @@ class Recipe:
     second_level: float = 6.0
     shape: tuple[int, int] = (1024, 1024)
     mesh: str = "fine"
+    acquisition: Acquisition = Acquisition()
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -97,6 +95,7 @@ class Recipe:
             "ratios": None if self.ratios is None else list(self.ratios),
             "shape": list(self.shape),
             "spine": spine,
+            "acquisition": asdict(self.acquisition, dict_factory=_plain),
         }
 
 
@@ -204,14 +203,15 @@ class _Acquisition:
             ("lateral", self._nominal(lateral_view), ("A", "F")),
         ):
             view = self._standing(nominal)
-            pixels = self._radiograph(self.torso.rest_pose, view)[None]
+            pixels = self._radiographs([self.torso.rest_pose], view)
             path = self.folder / "rest" / f"{name}.dcm"
             self._write(path, pixels, view, orientation, f"rest {name}")
             self.images[f"rest/{name}"] = self._annotation(view, supports=False)
 
     def push(self, push_id: str, level: float, states: list[TorsoState]) -> None:
         view = self._standing(self._nominal(frontal_view))
-        pixels = np.stack([self._radiograph(state, view) for state in states])
+        load = rib_push(self.torso, self.pushed_side, level, 1.0)
+        pixels = self._radiographs(states, view, Gauge(load.points, load.forces.sum(axis=0)))
         path = self.folder / "pushes" / f"{push_id}.dcm"
         self._write(path, pixels, view, ("L", "F"), f"push {push_id}")
         self.images[f"push/{push_id}"] = self._annotation(view, supports=True)
@@ -271,12 +271,10 @@ class _Acquisition:
         shift = self.random.normal(0.0, STANDING_SD_MM, 2)
         return nominal.moved(shift, float(self.random.normal(0.0, STANDING_SD_RAD)))
 
-    def _radiograph(self, state: TorsoState, view: XRayView) -> np.ndarray:
-        exposure = Exposure(factor=float(np.exp(self.random.normal(0.0, EXPOSURE_SD))))
-        noise = int(self.random.integers(2**31))
-        return render_radiograph(
-            torso_absorbers(self.torso, state, self.recipe.seed), view, exposure, noise, RAYS_A_PIXEL
-        )
+    def _radiographs(self, states: list[TorsoState], view: XRayView, gauge: Gauge | None = None) -> np.ndarray:
+        seed = int(self.random.integers(2**31))
+        how = self.recipe.acquisition
+        return np.stack(list(acquire(self.torso, states, view, how, person=self.recipe.seed, seed=seed, gauge=gauge)))
 
     def _write(
         self, path: Path, pixels: np.ndarray, view: XRayView, orientation: tuple[str, str], description: str
@@ -286,7 +284,7 @@ class _Acquisition:
             path,
             pixels,
             view,
-            frame_time_ms=FRAME_TIME_MS,
+            frame_time_ms=1000.0 * self.recipe.acquisition.frame_time,
             orientation=orientation,
             patient_id=f"synthetic-{self.recipe.seed}",
             description=description,
@@ -298,7 +296,7 @@ class _Acquisition:
         corners = state_features(self.torso, view, rest, silhouette_choice(self.torso, view, rest)).corners
         noise = self.random.normal(0.0, ANNOTATION_SD_MM, corners.shape) * view.magnification
         pixels = view.pixels(corners + noise).round(2)
-        inside = _inside(pixels, view).all(1)
+        inside = self._shown(pixels, view).all(1)
         vertebrae = {VERTEBRAE[i]: pixels[i].tolist() for i in np.flatnonzero(inside)}
         points: dict[str, list[list[float]]] = {}
         if supports:
@@ -306,9 +304,14 @@ class _Acquisition:
                 seen = view.pixels(view.project(self.torso.landmarks[landmark].positions(rest))).round(2)
                 if name == "shoulder":
                     seen = seen[[1 if self.pushed_side == "left" else 0]]
-                if _inside(seen, view).all():
+                if self._shown(seen, view).all():
                     points[name] = seen.tolist()
         return ImageAnnotation.model_validate({"vertebrae": vertebrae, "supports": points})
+
+    def _shown(self, pixels: Floats, view: XRayView) -> np.ndarray:
+        """Which points (..., 2) pixels lie inside the collimated field, 4 pixels from its edge or more."""
+        first, last = self.recipe.acquisition.collimation.field(view)
+        return np.asarray(((pixels > first + 4.5) & (pixels < last - 4.5)).all(-1))
 
     def _heights(self, level: float) -> tuple[float, float, float]:
         """Heights of the held shoulder, the pelvis and the push point, mm."""
@@ -329,10 +332,8 @@ class _Acquisition:
         return tilts(VERTEBRAE, state_features(self.torso, view, state, choice).corners, view)
 
 
-def _inside(pixels: Floats, view: XRayView) -> np.ndarray:
-    rows, columns = view.shape
-    margin = 4.0
-    return np.asarray(((pixels > margin) & (pixels < np.array([columns, rows]) - 1 - margin)).all(-1))
+def _plain(items: list[tuple[str, object]]) -> dict[str, object]:
+    return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in items}
 
 
 def _as_dict(change) -> dict[str, float]:  # type: ignore[no-untyped-def]
