@@ -10,12 +10,14 @@ from spinestiff.arrays import Floats
 from spinestiff.imaging.tracking.flow import dense_flow
 from spinestiff.imaging.tracking.patches import Body, turn
 from spinestiff.imaging.tracking.pictures import Image, Pictures, as_bytes, inside, levels, matched, sampled
-from spinestiff.imaging.tracking.quality import LOST, quality_of
-from spinestiff.imaging.tracking.registration import Patch, corrected
+from spinestiff.imaging.tracking.quality import FOUND, Evidence
+from spinestiff.imaging.tracking.registration import Patch, corrected, inner_shift, scatter
 
 ROBUST_ROUNDS = 5
 # Correlation that a pose one patch size away from its neighbour's motion must gain to be believed.
 STRAY_COST = 0.4
+# Poses that differ by less (in patch sizes) are corrected to the same place.
+SAME_BASIN = 0.04
 
 
 def follow(
@@ -24,7 +26,7 @@ def follow(
     order: Sequence[int],
     chained: bool,
     observer: Callable[[int], None] | None = None,
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, list[list[Evidence | None]]]:
     """Bodies carried from the frame in which they are known through others, one after the other.
 
     Parameters
@@ -37,13 +39,15 @@ def follow(
 
     Returns
     -------
-    Poses (len(order), n, 3) and quality (len(order), n); in the first frame no motion, and 1.
+    Poses (len(order), n, 3), no motion in the first frame, and for each frame n pieces of evidence; None for a body
+    that was not found there or has left the image.
     """
     mm = pictures.mm
     start = as_bytes(pictures.images[order[0]])
     known = levels(pictures.images[order[0]], mm)
     patches = [Patch.of(body, known) for body in bodies]
-    poses, quality = np.zeros((len(order), len(bodies), 3)), np.ones((len(order), len(bodies)))
+    poses = np.zeros((len(order), len(bodies), 3))
+    seen: list[list[Evidence | None]] = [[None] * len(bodies)]
     # Flow starts from the last frame in which bodies were found: a spoilt frame must not spoil those after it.
     base, found = start, 0
     for k, frame in enumerate(order[1:], 1):
@@ -52,15 +56,27 @@ def follow(
         forward, backward = dense_flow(base, image), dense_flow(image, base)
         guesses = [_carried(body, pose, forward) for body, pose in zip(bodies, poses[found])]
         poses[k], likeness = _settled(bodies, patches, here, guesses, chained)
-        for i, body in enumerate(bodies):
-            trip = _round_trip(body, poses[found, i], poses[k, i], backward) * mm
-            visible = inside(body.placed(poses[k, i], body.centre[None]), image.shape)[0]
-            quality[k, i] = visible * quality_of(likeness[i], trip)
-        if np.median(quality[k]) > LOST:
+        aside = _from_neighbours(bodies, poses[k]) if chained else np.zeros(len(bodies))
+        seen.append(
+            [
+                Evidence(
+                    scatter(body, patch, here[-1], pose) * mm,
+                    float(np.linalg.norm(pose[1:])) * mm,
+                    inner_shift(body, patch, here, pose) * mm,
+                    float(aside[i]) * mm,
+                    _round_trip(body, poses[found, i], pose, backward) * mm,
+                    float(likeness[i]),
+                )
+                if likeness[i] > FOUND and inside(body.placed(pose, body.centre[None]), image.shape)[0]
+                else None
+                for i, (body, patch, pose) in enumerate(zip(bodies, patches, poses[k]))
+            ]
+        )
+        if 2 * sum(evidence is not None for evidence in seen[-1]) > len(bodies):
             base, found = image, k
         if observer is not None:
             observer(frame)
-    return poses, quality
+    return poses, seen
 
 
 def _settled(
@@ -80,12 +96,37 @@ def _settled(
     order = range(len(bodies)) if chained else range(0)
     for sweep, beside in ((order[1:], -1), (order[-2::-1], 1)):
         for i in sweep:
-            centre, pose = bodies[i].centre, settled[i + beside][0]
-            guess = np.array([pose[0], *(bodies[i + beside].placed(pose, centre[None])[0] - centre)])
-            held, trial = settled[i], corrected(bodies[i], patches[i], here, guess)
+            guess = _as_beside(bodies[i], bodies[i + beside], settled[i + beside][0])
+            held = settled[i]
+            # A start near by leads to the same place.
+            if _apart(bodies[i], guess, held[0]) < SAME_BASIN * bodies[i].size:
+                continue
+            trial = corrected(bodies[i], patches[i], here, guess)
             if _credit(trial, guess, bodies[i]) > _credit(held, guess, bodies[i]):
                 settled[i] = trial
     return np.stack([pose for pose, _ in settled]), np.array([likeness for _, likeness in settled])
+
+
+def _as_beside(body: Body, beside: Body, pose: Floats) -> Floats:
+    """The pose of a body that moves as one piece with the one beside it."""
+    return np.array([pose[0], *(beside.placed(pose, body.centre[None])[0] - body.centre)])
+
+
+def _apart(body: Body, one: Floats, other: Floats) -> float:
+    """Largest distance (pixels) between a body's marks in two poses."""
+    return float(np.linalg.norm(body.placed(one, body.marks) - body.placed(other, body.marks), axis=1).max())
+
+
+def _from_neighbours(bodies: Sequence[Body], poses: Floats) -> Floats:
+    """(n,) pixels from where the two bodies beside it would carry a body, on average; 0 for the two ends.
+
+    A spine that bends evenly is met: what one neighbour's turn adds, the other's takes off.
+    """
+    aside = np.zeros(len(bodies))
+    for i in range(1, len(bodies) - 1):
+        expected = [_as_beside(bodies[i], bodies[j], poses[j]) for j in (i - 1, i + 1)]
+        aside[i] = np.linalg.norm(np.mean(expected, axis=0)[1:] - poses[i][1:])
+    return aside
 
 
 def _credit(found: tuple[Floats, float], expected: Floats, body: Body) -> float:

@@ -14,6 +14,7 @@ from spinestiff.errors import TrackingError
 from spinestiff.imaging.tracking.following import follow
 from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.pictures import Pictures, check_inside
+from spinestiff.imaging.tracking.quality import predicted_error, quality_of
 
 if TYPE_CHECKING:
     from spinestiff.imaging.radiograph import Radiograph
@@ -95,7 +96,9 @@ def support_motion(frames: Sequence[Radiograph], points: Mapping[str, Floats]) -
     owners = np.array([name for name, where in groups.items() for _ in where])
     radius = SUPPORT_RADIUS_MM / pictures.mm
     bodies = [Body.of_square(point, radius) for where in groups.values() for point in pictures.binned(where)]
-    poses, quality = follow(pictures, bodies, range(len(frames)), chained=False)
+    poses, seen = follow(pictures, bodies, range(len(frames)), chained=False)
+    quality = np.array([[0.0 if e is None else quality_of(predicted_error(e))[0] for e in row] for row in seen])
+    quality[0] = 1.0
     shifts = poses[:, :, 1:] * pictures.mm
     view = frames[0].view
     found = []

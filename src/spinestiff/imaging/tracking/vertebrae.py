@@ -15,6 +15,7 @@ from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.tracking.following import follow
 from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.pictures import Pictures, check_inside, inside
+from spinestiff.imaging.tracking.quality import predicted_error, quality_of
 
 if TYPE_CHECKING:
     from spinestiff.imaging.radiograph import Radiograph
@@ -72,9 +73,9 @@ def track(
         for step in (1, -1):
             ends = _ends(start, corners, annotated, len(frames), step)
             order = range(start, max(ends, key=lambda end: abs(end - start)), step)
-            moved, seen = _followed(pictures, pixels, order, advance)
+            moved, errors = _followed(pictures, pixels, order, advance)
             for k, frame in enumerate(order[1:], 1):
-                quality = seen[k][:, None] * inside(moved[k], shape) * np.asarray(corners.quality)
+                quality = quality_of(errors[k]) * inside(moved[k], shape) * np.asarray(corners.quality)
                 for i, name in enumerate(corners.vertebrae):
                     if (ends[i] - frame) * step > 0:
                         sighting = _Sighting(abs(frame - start), moved[k, i], quality[i])
@@ -125,12 +126,13 @@ def _ends(
 def _followed(
     pictures: Pictures, pixels: Floats, order: Sequence[int], advance: Callable[[int], None]
 ) -> tuple[Floats, Floats]:
-    """Corners (len(order), Nv, 4, 2) in pixels and quality (len(order), Nv)."""
-    quads = pictures.binned(pixels)
-    bodies = [Body.of_vertebra(quad) for quad in quads]
-    poses, quality = follow(pictures, bodies, order, chained=True, observer=advance)
-    moved = [[body.placed(pose, quad) for body, pose, quad in zip(bodies, row, quads)] for row in poses]
-    return pictures.unbinned(np.array(moved)), quality
+    """Corners (len(order), Nv, 4, 2) in pixels and their predicted errors (len(order), Nv, 4) in mm, infinite if lost."""
+    bodies = [Body.of_vertebra(quad) for quad in pictures.binned(pixels)]
+    poses, seen = follow(pictures, bodies, order, chained=True, observer=advance)
+    moved = [[body.placed(pose, body.marks) for body, pose in zip(bodies, row)] for row in poses]
+    lost = np.full(4, np.inf)
+    errors = [[lost if evidence is None else predicted_error(evidence) for evidence in row] for row in seen]
+    return pictures.unbinned(np.array(moved)), np.array(errors)
 
 
 def _combined(sightings: Sequence[_Sighting]) -> tuple[Floats, Floats]:
