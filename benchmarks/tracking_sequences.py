@@ -92,8 +92,8 @@ class Case:
     Attributes
     ----------
     yaw_deg : by how much the patient turns in the supports until the last frame, besides what the model does.
-    top_mm, covered_mm : what blades hide, mm at the detector: the head's end in all frames, the feet's end in the second
-        half of them.
+    top_mm, covered_mm : what blades hide, mm at the detector: at the head's end in all frames, at the feet's end in the
+        second half of them.
     dose : relative to an eighth of a standard exposure.
     """
 
@@ -123,6 +123,8 @@ CASES = (
     Case("thoracic, a sixth of the dose", 8, "thoracic", 30.0, (0.06, 0.025), 20, dose=1.0 / 6.0),
     Case("thoracic, turned", 9, "thoracic", 30.0, (0.07, 0.03), 12, yaw_deg=4.0),
     Case("lumbar, partly covered", 10, "lumbar", 25.0, (0.06, 0.03), 12, level=10.0, covered_mm=110.0),
+    Case("thoracic, partly covered", 11, "thoracic", 30.0, (0.06, 0.03), 8, covered_mm=90.0),
+    Case("lumbar, turned", 12, "lumbar", 30.0, (0.07, 0.03), 8, level=10.0, yaw_deg=-4.0),
 )
 
 
@@ -184,10 +186,9 @@ def _turned(state: TorsoState, angle: float) -> TorsoState:
 
 # Real radiographs
 
-WARP_FRAMES = 10
+WARP_FRAMES = 5
 WARP_MM = 25.0  # largest sideways motion
 NOISE_GREYS = 3.0
-KNOTS = [(a, b) for a in (0.0, 0.5, 1.0) for b in (0.0, 0.5, 1.0)]
 MAGNIFICATION = frontal_view().magnification
 
 
@@ -259,10 +260,10 @@ def _carried(image: np.ndarray, before: Floats, after: Floats) -> np.ndarray:
 
 
 def _filled(quads: Floats) -> Floats:
-    """(9 n, 2) corners (n, 4, 2), their sides' middles and centres: knots that let a spline turn each as a body."""
-    share = np.array([(1.0 - a) * (1.0 - b) for a, b in KNOTS]), np.array([a * (1.0 - b) for a, b in KNOTS])
-    other = np.array([a * b for a, b in KNOTS]), np.array([(1.0 - a) * b for a, b in KNOTS])
-    weights = np.stack([*share, *other], axis=1)
+    """(9 n, 2) corners (n, 4, 2), their sides' middles and centres: knots by which a spline turns each as a body."""
+    steps = np.linspace(0.0, 1.0, 3)
+    a, b = (grid.reshape(-1, 1) for grid in np.meshgrid(steps, steps))
+    weights = np.hstack([(1 - a) * (1 - b), a * (1 - b), a * b, (1 - a) * b])
     return np.asarray(np.einsum("pk,nki->npi", weights, quads).reshape(-1, 2))
 
 
@@ -276,6 +277,4 @@ def _exposed(image: np.ndarray, random: np.random.Generator, first: bool) -> np.
 def resampled(moving: Moving, every: int) -> Moving:
     """Every ``every``-th frame."""
     chosen = slice(None, None, every)
-    return replace(
-        moving, frames=moving.frames[chosen], truth=moving.truth[chosen], visible=moving.visible[chosen]
-    )
+    return replace(moving, frames=moving.frames[chosen], truth=moving.truth[chosen], visible=moving.visible[chosen])

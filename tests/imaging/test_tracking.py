@@ -184,6 +184,46 @@ def test_the_observer_hears_of_every_frame():
     assert len(track(frames[:1], {0: corners(truth[0])})) == 1
 
 
+def test_quality_follows_the_error():
+    """A bright bar that crosses three vertebrae pulls at them: where the error is larger, quality is lower."""
+    frames, truth = sequence(12.0, count=4)
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    barred = []
+    for k, frame in enumerate(frames):
+        bar = np.exp(-((((row - 260.0) - 0.8 * (column - 180.0)) / 5.0 + 1.2 * k) ** 2))
+        barred.append(Frame((frame.pixels + 60.0 * bar).astype(np.float32)))
+    tracked = track(barred, {0: corners(truth[0])})
+    error, quality = errors_mm(tracked, truth)[1:], np.stack([frame.quality for frame in tracked])[1:]
+    assert error.max() > 0.5
+    assert (quality[error > 0.5] < 0.3).mean() > 0.9
+    assert (quality[error < 0.2] < 0.3).mean() < 0.1
+
+
+def test_covered_vertebrae_are_lost_and_come_back():
+    """Blades close over the lowest vertebrae in one frame of three; lead lets next to nothing through."""
+    frames, truth = sequence(10.0, count=4)
+    covered = frames[2].pixels.copy()
+    covered[440:] = 8.0 + np.random.default_rng(5).normal(0.0, 2.0, covered[440:].shape)
+    tracked = track([*frames[:2], Frame(covered), frames[3]], {0: corners(truth[0])})
+    hidden = (truth[2, ..., 1] > 455.0).all(axis=1)
+    seen = (truth[2, ..., 1] < 425.0).all(axis=1)
+    assert (hidden.sum(), seen.sum()) == (4, 11)
+    assert (tracked[2].quality[hidden] < 0.3).all()
+    assert (tracked[2].quality[seen] > 0.3).all()
+    assert (tracked[3].quality[hidden] > 0.3).all()
+    assert errors_mm(tracked, truth)[3].max() < 0.5
+
+
+def test_exposure_may_drift():
+    """Half and twice the signal, another gamma, more noise in the darker frames: the corners stay."""
+    frames, truth = sequence(15.0, count=4)
+    drifted = [frames[0]]
+    for frame, gain, gamma in zip(frames[1:], (0.5, 2.0, 1.2), (1.0, 0.9, 1.3)):
+        grey = np.clip(frame.pixels, 0.0, None) / 255.0
+        drifted.append(Frame((255.0 * gain * grey**gamma).astype(np.float32)))
+    assert np.percentile(errors_mm(track(drifted, {0: corners(truth[0])}), truth), 95) <= 0.3
+
+
 # Annotated frames anywhere
 
 
@@ -323,8 +363,8 @@ def test_vertebrae_of_a_rendered_torso():
     from spinestiff.anatomy.rotation import exp_so3
     from spinestiff.anatomy.template import template_torso
     from spinestiff.anatomy.torso import TorsoState
-    from spinestiff.imaging.features import silhouette_choice, state_features
     from spinestiff.imaging.detector import Exposure
+    from spinestiff.imaging.features import silhouette_choice, state_features
     from spinestiff.imaging.materials import Material
     from spinestiff.imaging.rendering import Absorber, render_radiograph
 

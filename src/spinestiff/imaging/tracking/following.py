@@ -53,30 +53,46 @@ def follow(
     for k, frame in enumerate(order[1:], 1):
         image = matched(as_bytes(pictures.images[frame]), start)
         here = levels(pictures.images[frame], mm)
-        forward, backward = dense_flow(base, image), dense_flow(image, base)
-        guesses = [_carried(body, pose, forward) for body, pose in zip(bodies, poses[found])]
+        flow = dense_flow(base, image)
+        guesses = [_carried(body, pose, flow) for body, pose in zip(bodies, poses[found])]
         poses[k], likeness = _settled(bodies, patches, here, guesses, chained)
-        aside = _from_neighbours(bodies, poses[k]) if chained else np.zeros(len(bodies))
-        seen.append(
-            [
-                Evidence(
-                    scatter(body, patch, here[-1], pose) * mm,
-                    float(np.linalg.norm(pose[1:])) * mm,
-                    inner_shift(body, patch, here, pose) * mm,
-                    float(aside[i]) * mm,
-                    _round_trip(body, poses[found, i], pose, backward) * mm,
-                    float(likeness[i]),
-                )
-                if likeness[i] > FOUND and inside(body.placed(pose, body.centre[None]), image.shape)[0]
-                else None
-                for i, (body, patch, pose) in enumerate(zip(bodies, patches, poses[k]))
-            ]
-        )
+        seen.append(_evidence(bodies, patches, here, poses[k], likeness, mm))
         if 2 * sum(evidence is not None for evidence in seen[-1]) > len(bodies):
             base, found = image, k
         if observer is not None:
             observer(frame)
     return poses, seen
+
+
+def _evidence(
+    bodies: Sequence[Body],
+    patches: Sequence[Patch],
+    here: Sequence[Image],
+    poses: Floats,
+    likeness: Floats,
+    mm: float,
+) -> list[Evidence | None]:
+    """What a frame, ``here`` at each smoothing, says of each body in its pose; None for a lost one."""
+    present = [
+        bool(likeness[i] > FOUND and inside(body.placed(poses[i], body.centre[None]), here[0].shape)[0])
+        for i, body in enumerate(bodies)
+    ]
+    shifts = [
+        inner_shift(body, patch, here, pose) if there else 0.0
+        for body, patch, pose, there in zip(bodies, patches, poses, present)
+    ]
+    turned = np.abs(_smoothed(np.array(shifts)))
+    return [
+        Evidence(
+            scatter(bodies[i], patches[i], here[-1], pose) * mm,
+            float(np.linalg.norm(pose[1:])) * mm,
+            float(turned[i]) * mm,
+            float(likeness[i]),
+        )
+        if present[i]
+        else None
+        for i, pose in enumerate(poses)
+    ]
 
 
 def _settled(
@@ -117,16 +133,10 @@ def _apart(body: Body, one: Floats, other: Floats) -> float:
     return float(np.linalg.norm(body.placed(one, body.marks) - body.placed(other, body.marks), axis=1).max())
 
 
-def _from_neighbours(bodies: Sequence[Body], poses: Floats) -> Floats:
-    """(n,) pixels from where the two bodies beside it would carry a body, on average; 0 for the two ends.
-
-    A spine that bends evenly is met: what one neighbour's turn adds, the other's takes off.
-    """
-    aside = np.zeros(len(bodies))
-    for i in range(1, len(bodies) - 1):
-        expected = [_as_beside(bodies[i], bodies[j], poses[j]) for j in (i - 1, i + 1)]
-        aside[i] = np.linalg.norm(np.mean(expected, axis=0)[1:] - poses[i][1:])
-    return aside
+def _smoothed(shifts: Floats) -> Floats:
+    """(n,) the median of each value and the two on either side: neighbours turn alike, what crosses them differs."""
+    padded = np.pad(shifts, 2, mode="edge")
+    return np.asarray(np.median([padded[i : i + len(shifts)] for i in range(5)], axis=0))
 
 
 def _credit(found: tuple[Floats, float], expected: Floats, body: Body) -> float:
@@ -156,10 +166,3 @@ def _rigid_fit(body: Body, there: Floats, weight: Floats) -> Floats:
     a, b = relative - middle, there - target
     angle = np.arctan2(share @ (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), share @ np.sum(a * b, axis=1))
     return np.array([angle, *(target - turn(angle) @ middle - body.centre)])
-
-
-def _round_trip(body: Body, before: Floats, after: Floats, backward: Image) -> float:
-    """Median distance (pixels) by which backward flow from the new place misses the old one."""
-    there = body.placed(after, body.points)
-    back = there + sampled(backward, there)
-    return float(np.median(np.linalg.norm(back - body.placed(before, body.points), axis=1)))

@@ -63,6 +63,12 @@ class Body:
         points = _grid(centre + radius * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
         return Body(centre, 2.0 * radius, centre[None], points, _quarters(points, centre))
 
+    @property
+    def width(self) -> Floats:
+        """Unit vector (2,) from one wall of a vertebra to the other."""
+        across = self.marks[0] + self.marks[3] - self.marks[1] - self.marks[2]
+        return np.asarray(across / np.linalg.norm(across))
+
     def placed(self, pose: Floats, points: Floats) -> Floats:
         """Points (n, 2) of the first frame carried along."""
         return self.centre + pose[1:] + (points - self.centre) @ turn(pose[0]).T

@@ -1,4 +1,4 @@
-"""How far a tracked corner can be trusted: the standard deviation of its error, predicted from what tracking saw."""
+"""How far a tracked corner can be trusted: its error, predicted from what tracking saw (docs/tracking.md)."""
 
 from __future__ import annotations
 
@@ -8,10 +8,14 @@ import numpy as np
 
 from spinestiff.arrays import Floats
 
-# Correlation with the annotated frame from which on a patch counts as found at all.
+# Correlation with the annotated frame up to which a patch counts as lost.
 FOUND = 0.25
-# mm at the patient plane: the predicted standard deviation that halves quality.
-HALVING_MM = 0.2
+# The predicted error (mm) that halves quality; with it quality falls below 0.3 at 0.26 mm.
+HALVING_MM = 0.17
+# Error by the evidence: fitted on sequences of known truth (benchmarks/tracking.py
+# --calibrate).
+WEIGHTS = np.array([0.096, 0.0038, 0.364, 0.226])
+WEIGHTS.setflags(write=False)
 
 
 @dataclass(frozen=True)
@@ -20,36 +24,28 @@ class Evidence:
 
     Attributes
     ----------
-    scatter : (k,) of its marks, by the jackknife over parts of the patch.
+    scatter : (k,) of its marks, by the jackknife over parts of the patch: what covers a side, and noise.
     travel : way across the picture since the annotated frame: parallax grows with it.
-    inner : motion of what lies before or behind the body against its outline: it turned out of the picture's plane.
-    neighbours : distance from where those beside it, taken together, would carry it.
-    round_trip : by which backward flow misses where forward flow came from.
+    turned : motion of what lies before or behind the body against its outline: the body turned out of the picture's
+        plane or moved across the beam, and its corners, which lie at different depths, moved against each other.
     likeness : correlation with the annotated frame.
     """
 
     scatter: Floats
     travel: float
-    inner: float
-    neighbours: float
-    round_trip: float
+    turned: float
     likeness: float
 
     def terms(self) -> Floats:
-        """(k, 6) mm, each of which may explain a part of the error."""
-        ones = np.ones(len(self.scatter))
-        vague = np.sqrt(max(1.0 - self.likeness, 0.0))
-        shared = [self.travel, self.inner, self.neighbours, self.round_trip, vague]
-        return np.column_stack([self.scatter, *(value * ones for value in shared)])
-
-
-FLOOR_MM = 0.03
-WEIGHTS = np.array([1.0, 0.01, 0.2, 0.2, 0.1, 0.1])
+        """(k, 4), each of which explains a part of the error: three in mm, and how unlike the patch has become."""
+        unlike = np.sqrt(max(1.0 - self.likeness, 0.0))
+        shared = (self.travel, self.turned, unlike)
+        return np.column_stack([self.scatter, *(np.full(len(self.scatter), value) for value in shared)])
 
 
 def predicted_error(evidence: Evidence) -> Floats:
     """(k,) mm, root mean square of a mark's distance from the truth."""
-    return np.asarray(np.sqrt(FLOOR_MM**2 + np.sum((WEIGHTS * evidence.terms()) ** 2, axis=1)))
+    return np.asarray(evidence.terms() @ WEIGHTS)
 
 
 def quality_of(error: Floats) -> Floats:

@@ -80,14 +80,14 @@ def scatter(body: Body, patch: Patch, image: Image, pose: Floats) -> Floats:
 
 
 def inner_shift(body: Body, patch: Patch, levels: Sequence[Image], pose: Floats) -> float:
-    """Pixels by which the inner patch lies aside of where the body's pose would carry it; 0 without one."""
+    """Pixels, along the body's width, by which the inner patch lies aside of where the pose has it; 0 without one."""
     inner, own = body.inner, patch.inner
     if inner is None or own is None or len(inner.points) < FEWEST_POINTS:
         return 0.0
     found = pose
     for values, gradients, image in zip(own.values, own.gradients, levels):
         found = _registered(inner, values, gradients, image, found)
-    return float(np.linalg.norm(found[1:] - pose[1:]))
+    return float((found[1:] - pose[1:]) @ turn(pose[0]) @ body.width)
 
 
 def _registered(

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 Observer = Callable[[int, int], None]
 
+# Two tracks weigh alike once both are predicted to be off by less.
+SMALLEST_MM = 0.02
+
 
 def track(
     frames: Sequence[Radiograph],
@@ -75,10 +78,10 @@ def track(
             order = range(start, max(ends, key=lambda end: abs(end - start)), step)
             moved, errors = _followed(pictures, pixels, order, advance)
             for k, frame in enumerate(order[1:], 1):
-                quality = quality_of(errors[k]) * inside(moved[k], shape) * np.asarray(corners.quality)
+                error = np.where(inside(moved[k], shape), errors[k], np.inf)
                 for i, name in enumerate(corners.vertebrae):
                     if (ends[i] - frame) * step > 0:
-                        sighting = _Sighting(abs(frame - start), moved[k, i], quality[i])
+                        sighting = _Sighting(abs(frame - start), moved[k, i], error[i], corners.quality[i])
                         sightings.setdefault((frame, name), []).append(sighting)
     tracked = []
     for frame in range(len(frames)):
@@ -92,7 +95,7 @@ def track(
                 row = given.vertebrae.index(name)
                 places[i], qualities[i] = given.corners[row], given.quality[row]
             else:
-                pixels, qualities[i] = _combined(sightings[frame, name])
+                pixels, qualities[i] = _combined(sightings[frame, name], pictures.mm / pictures.factor)
                 places[i] = view.from_pixels(pixels)
         tracked.append(VertebraCorners(names, places, qualities))
     others = [corners for frame, corners in enumerate(tracked) if frame not in annotated]
@@ -105,11 +108,20 @@ def track(
 
 @dataclass(frozen=True)
 class _Sighting:
-    """A vertebra as followed from one annotated frame: frames in between, corners (4, 2) in pixels, quality (4,)."""
+    """A vertebra as followed from one annotated frame.
+
+    Attributes
+    ----------
+    distance : frames in between.
+    corners : (4, 2) pixels.
+    error : (4,) predicted, mm; infinite if lost.
+    given : (4,) quality in the annotated frame.
+    """
 
     distance: int
     corners: Floats
-    quality: Floats
+    error: Floats
+    given: Floats
 
 
 def _ends(
@@ -126,7 +138,7 @@ def _ends(
 def _followed(
     pictures: Pictures, pixels: Floats, order: Sequence[int], advance: Callable[[int], None]
 ) -> tuple[Floats, Floats]:
-    """Corners (len(order), Nv, 4, 2) in pixels and their predicted errors (len(order), Nv, 4) in mm, infinite if lost."""
+    """Corners (len(order), Nv, 4, 2), pixels, and their predicted errors (len(order), Nv, 4), mm, infinite if lost."""
     bodies = [Body.of_vertebra(quad) for quad in pictures.binned(pixels)]
     poses, seen = follow(pictures, bodies, order, chained=True, observer=advance)
     moved = [[body.placed(pose, body.marks) for body, pose in zip(bodies, row)] for row in poses]
@@ -135,14 +147,17 @@ def _followed(
     return pictures.unbinned(np.array(moved)), np.array(errors)
 
 
-def _combined(sightings: Sequence[_Sighting]) -> tuple[Floats, Floats]:
-    """Corners (4, 2) and quality (4,) of a vertebra that one or two annotated frames have been followed to."""
-    if len(sightings) == 1:
-        return sightings[0].corners, sightings[0].quality
+def _combined(sightings: Sequence[_Sighting], mm: float) -> tuple[Floats, Floats]:
+    """Corners (4, 2), quality (4,) of a vertebra followed from one or two annotated frames; a pixel is ``mm``."""
+    corners = np.stack([sighting.corners for sighting in sightings])
+    variance = np.stack([sighting.error for sighting in sightings]) ** 2
     near = 1.0 / np.array([sighting.distance for sighting in sightings])
-    quality = np.stack([sighting.quality for sighting in sightings])
-    # The nearer one where both are lost.
-    weight = (quality + 1e-6) * near[:, None]
+    # The nearer one where all are lost.
+    weight = near[:, None] * (1.0 / (variance + SMALLEST_MM**2) + 1e-9)
     share = weight / weight.sum(axis=0)
-    corners = np.einsum("sk,ski->ki", share, np.stack([sighting.corners for sighting in sightings]))
-    return corners, np.sum(share * quality, axis=0)
+    place = np.einsum("sk,ski->ki", share, corners)
+    apart = np.sum((corners - place) ** 2, axis=2) * mm**2
+    own = share**2 * np.where(np.isinf(variance), 0.0, variance)
+    error = np.sqrt(np.sum(own + share * apart, axis=0))
+    error[np.isinf(variance).all(axis=0)] = np.inf
+    return place, quality_of(error) * np.sum(share * [sighting.given for sighting in sightings], axis=0)
