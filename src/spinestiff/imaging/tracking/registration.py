@@ -130,7 +130,7 @@ def _robust_fit(columns: Floats, wanted: Floats, weight: Floats, rounds: int) ->
 
     Returns the solution and the weights that its residuals give.
     """
-    solution = np.zeros(columns.shape[1])
+    solution: Floats = np.zeros(columns.shape[1])
     for _ in range(rounds):
         weighted = columns * weight[:, None]
         normal = weighted.T @ columns

@@ -104,7 +104,8 @@ def support_motion(frames: Sequence[Radiograph], points: Mapping[str, Floats]) -
     found = []
     for name in groups:
         mine = owners == name
-        weight = quality[:, mine] + 1e-12
+        # Each point alike, as long as it is found: a turn about their middle then is no motion.
+        weight = (quality[:, mine] > 0.0) + 1e-12
         mean = np.einsum("fp,fpi->fi", weight / weight.sum(1, keepdims=True), shifts[:, mine])
         away = np.abs(view.to_patient_plane(view.from_pixels(groups[name]))[:, 0]).max()
         found.append(SupportMotion(name, mean, quality[:, mine].max(1), float(away) / view.source_to_patient))
