@@ -12,7 +12,14 @@ ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 # Python blocks of each document. A block that a change of marking hides from this test would show here.
-BLOCKS = {"README.md": 1, "anatomy.md": 1, "conventions.md": 1, "mechanics.md": 1, "subject-folder.md": 1}
+BLOCKS = {
+    "README.md": 1,
+    "anatomy.md": 1,
+    "conventions.md": 1,
+    "mechanics.md": 1,
+    "subject-folder.md": 1,
+    "synthetic-radiographs.md": 1,
+}
 COMMANDS = {
     "demo": "python3 -m venv .venv && .venv/bin/pip install -e . && .venv/bin/spinestiff demo",
     "test": 'python3 -m venv .venv && .venv/bin/pip install -e ".[test]" && .venv/bin/pytest',

@@ -13,17 +13,17 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel, retract
 from spinestiff.errors import RadiographError
 from spinestiff.imaging.acquisition import Acquisition, Gauge, acquire
+from spinestiff.imaging.bowel import bowel
 from spinestiff.imaging.breathing import Breathing, breathed
 from spinestiff.imaging.collimation import Collimation
 from spinestiff.imaging.detector import AIR_GREY, Exposure
-from spinestiff.imaging.gas import bowel_gas
 from spinestiff.imaging.gauge import PAD_RADIUS, gauge_pad
 from spinestiff.imaging.materials import Material
 from spinestiff.imaging.path_length import path_length
 from spinestiff.imaging.projection import frontal_view
 
 VIEW = frontal_view(shape=(200, 200), pixel=2.1)
-STILL = Acquisition(breathing=None, gas=0.0, exposure_drift=0.0, samples=1)
+STILL = Acquisition(breathing=None, gas=0.0, bowel_motion=0.0, exposure_drift=0.0, samples=1)
 
 
 @pytest.fixture(scope="module")
@@ -86,11 +86,19 @@ def test_a_sequence_breathes(torso: TorsoModel) -> None:
 
 
 def test_the_seeds_decide_everything(torso: TorsoModel) -> None:
-    how = {"breathing": Breathing(), "gas": 1.0, "exposure_drift": 0.06}
+    how = {"breathing": Breathing(), "gas": 1.0, "bowel_motion": 2.0, "exposure_drift": 0.06}
     first = frames(torso, 2, seed=5, **how)
     np.testing.assert_array_equal(first, frames(torso, 2, seed=5, **how))
     assert np.abs(first - frames(torso, 2, seed=6, **how)).max() > 100.0
-    assert np.abs(first - frames(torso, 2, seed=5, person=9, **how)).max() > 100.0
+    # Noise and the body's textures alone: nothing moves, nothing drifts, no gas.
+    still = frames(torso, 2, seed=5, exposure=Exposure(photons=1e4))
+    assert (still[0] != still[1]).mean() > 0.9
+    assert (still != frames(torso, 2, seed=6, exposure=Exposure(photons=1e4))).mean() > 0.9
+    quiet = Exposure(photons=1e9, electronic_noise=0.0)
+    change = np.abs(frames(torso, person=5, exposure=quiet) - frames(torso, person=9, exposure=quiet))[0]
+    spine = np.rint(VIEW.pixels(VIEW.project(torso.rest_pose.bone_positions[torso.bone("T8")]))).astype(int)
+    assert change[spine[1] - 5 : spine[1] + 5, spine[0] - 4 : spine[0] + 4].max() > 100.0
+    assert change[60:100, 60:80].max() > 200.0  # a lung
 
 
 def test_exposure_wanders_from_frame_to_frame(torso: TorsoModel) -> None:
@@ -100,10 +108,8 @@ def test_exposure_wanders_from_frame_to_frame(torso: TorsoModel) -> None:
 
 
 def test_bubbles_are_air_inside_the_belly_and_move(torso: TorsoModel) -> None:
-    still, moved = (
-        bowel_gas(torso, torso.rest_pose, 3, 1.0, motion, np.random.default_rng(1))[0] for motion in (0.0, 4.0)
-    )
-    again = bowel_gas(torso, torso.rest_pose, 3, 1.0, 0.0, np.random.default_rng(2))[0]
+    still, moved = (bowel(torso, torso.rest_pose, 3, 1.0, motion, np.random.default_rng(1))[1] for motion in (0.0, 4.0))
+    again = bowel(torso, torso.rest_pose, 3, 1.0, 0.0, np.random.default_rng(2))[1]
     np.testing.assert_array_equal(still.vertices, again.vertices)
     way = np.linalg.norm(moved.vertices - still.vertices, axis=1)
     assert 2.0 < np.median(way) < 12.0
@@ -112,7 +118,9 @@ def test_bubbles_are_air_inside_the_belly_and_move(torso: TorsoModel) -> None:
     skin = torso.node_positions(torso.rest_pose)
     assert (still.vertices > skin.min(axis=0)).all()
     assert (still.vertices < skin.max(axis=0)).all()
-    assert bowel_gas(torso, torso.rest_pose, 3, 0.0, 1.0, np.random.default_rng(1)) == []
+    (contents,) = bowel(torso, torso.rest_pose, 3, 0.0, 1.0, np.random.default_rng(1))
+    assert contents.texture is not None
+    assert abs(contents.density) < 0.1
 
 
 def test_the_pad_lies_outside_the_skin_and_moves_with_the_rib(torso: TorsoModel) -> None:
@@ -145,7 +153,7 @@ def test_nothing_but_scatter_comes_behind_the_blades(torso: TorsoModel) -> None:
     row, column = int(first[1]), int(first[0])
     np.testing.assert_allclose(shut[row + 4 :, column + 4 :], full[row + 4 :, column + 4 :], atol=60.0)
     open_air = np.zeros_like(full, dtype=bool)
-    open_air[: row - 4] = full[: row - 4] < AIR_GREY + 100.0
+    open_air[:, : column - 4] = full[:, : column - 4] < AIR_GREY + 100.0
     assert open_air.sum() > 500
     np.testing.assert_allclose(shut[open_air], AIR_GREY + 8000.0 * np.log(1e3), atol=200.0)  # unexposed is white
     np.testing.assert_allclose(last, 199.5)
@@ -161,7 +169,9 @@ def test_blades_out_of_the_picture_change_nothing_and_closed_ones_are_refused() 
         Collimation(top=-1.0)
 
 
-@pytest.mark.parametrize("change", [{"gas": -1.0}, {"exposure_drift": np.nan}, {"frame_time": -0.1}, {"gas_motion": -1}])
+@pytest.mark.parametrize(
+    "change", [{"gas": -1.0}, {"exposure_drift": np.nan}, {"frame_time": -0.1}, {"bowel_motion": -1}]
+)
 def test_impossible_acquisitions_are_refused(change: dict[str, float]) -> None:
     with pytest.raises(RadiographError, match="wanted 0 or more"):
         Acquisition(**change)  # type: ignore[arg-type]

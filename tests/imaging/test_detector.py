@@ -26,6 +26,11 @@ def uniform(millimetres: float, size: int = 256) -> np.ndarray:
     return thickness
 
 
+def mtf(sigma: float, fx: np.ndarray | float, fy: np.ndarray | float = 0.0) -> np.ndarray | float:
+    waves = 2.0 - np.cos(2.0 * np.pi * PIXEL * fx) - np.cos(2.0 * np.pi * PIXEL * fy)
+    return np.exp(-((sigma / PIXEL) ** 2) * waves)
+
+
 def test_more_exposure_is_less_grey_and_more_tissue_more() -> None:
     image = expose(uniform(100.0), plate(), QUIET).astype(float)
     assert (expose(uniform(120.0), plate(), QUIET) > image).all()
@@ -60,10 +65,11 @@ def test_noise_is_correlated_by_the_detectors_blur() -> None:
     open_field = np.ones((512, 512))
     noise = detected(open_field, plate(512), exposure, seed=3)
     power = np.abs(np.fft.fft2(noise / noise.mean() - 1.0)) ** 2 * PIXEL**2 / noise.size
-    f = np.hypot(*np.meshgrid(*[np.fft.fftfreq(512, PIXEL)] * 2))
+    axes = np.meshgrid(*[np.fft.fftfreq(512, PIXEL)] * 2)
+    f = np.hypot(*axes)
     for low, high in ((0.05, 0.15), (0.45, 0.55), (0.85, 0.95)):
         band = (f > low) & (f < high)
-        wanted = np.mean(np.exp(-4.0 * (np.pi * 0.3 * f[band]) ** 2)) / 1e6
+        wanted = np.mean(mtf(0.3, *axes)[band] ** 2) / 1e6
         assert power[band].mean() == pytest.approx(wanted, rel=0.06)
 
 
@@ -73,6 +79,7 @@ def test_the_transfer_function_is_the_one_promised(what: str, width: float) -> N
     exposure = replace(QUIET, **{what: width})
     sigma = width if what == "detector_blur" else width * (plate().magnification - 1.0) / np.sqrt(12.0)
     x = np.arange(256) * PIXEL
+    assert mtf(sigma, 0.1) == pytest.approx(np.exp(-2.0 * (np.pi * sigma * 0.1) ** 2), abs=0.001)  # Gaussian
     for frequency in (0.5, 1.0):
         wave = np.cos(2.0 * np.pi * frequency * x)
         signal = np.broadcast_to(0.5 + 0.1 * wave, (256, 256))
@@ -80,7 +87,15 @@ def test_the_transfer_function_is_the_one_promised(what: str, width: float) -> N
         inside = slice(20, 236)
         amplitude = 2.0 * np.mean((seen[inside] - seen[inside].mean()) * wave[inside])
         plain = 2.0 * np.mean(0.1 * (wave[inside] - wave[inside].mean()) * wave[inside])
-        assert amplitude / plain == pytest.approx(np.exp(-2.0 * (np.pi * sigma * frequency) ** 2), abs=0.004)
+        assert amplitude / plain == pytest.approx(mtf(sigma, frequency), abs=0.004)
+
+
+def test_blur_does_not_ring_beside_free_air() -> None:
+    signal = np.full((64, 64), 1e-4)
+    signal[:, 32:] = 1.0
+    seen = detected(signal, plate(64), replace(QUIET, detector_blur=0.15)) / (1e12 * PIXEL**2)
+    np.testing.assert_allclose(seen[:, :26], 1e-4, rtol=1e-3)
+    assert (np.diff(seen[32]) > -2e-5).all()  # noise of 1e12 photons
 
 
 def test_the_edges_of_a_picture_do_not_leak_to_the_other_side() -> None:

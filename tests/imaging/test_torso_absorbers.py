@@ -7,9 +7,9 @@ import pytest
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel, retract
-from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.materials import tube_beam
 from spinestiff.imaging.path_length import path_length
+from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.rendering import Absorber, thicknesses
 from spinestiff.imaging.torso_absorbers import torso_absorbers
 

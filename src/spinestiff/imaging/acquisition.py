@@ -12,10 +12,10 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.errors import RadiographError
+from spinestiff.imaging.bowel import bowel
 from spinestiff.imaging.breathing import Breathing, breathed
 from spinestiff.imaging.collimation import Collimation
 from spinestiff.imaging.detector import Exposure, expose
-from spinestiff.imaging.gas import bowel_gas
 from spinestiff.imaging.gauge import gauge_pad
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.rendering import thicknesses
@@ -33,7 +33,7 @@ class Acquisition:
     frame_time : s from frame to frame.
     breathing : None for a held breath.
     gas : amount of gas in the bowel, 1 for a common picture, 0 for none.
-    gas_motion : mm, standard deviation of a bubble's place from frame to frame.
+    bowel_motion : mm, standard deviation of the place of the bowel's contents and bubbles from frame to frame.
     collimation : blades.
     samples : rays a pixel along each axis.
 
@@ -42,19 +42,24 @@ class Acquisition:
     RadiographError : a value is outside its range.
     """
 
-    exposure: Exposure = Exposure()
+    exposure: Exposure = field(default_factory=Exposure)
     exposure_drift: float = 0.06
     frame_time: float = 0.25
     breathing: Breathing | None = field(default_factory=Breathing)
     gas: float = 1.0
-    gas_motion: float = 2.0
-    collimation: Collimation = Collimation()
+    bowel_motion: float = 2.0
+    collimation: Collimation = field(default_factory=Collimation)
     samples: int = 2
 
     def __post_init__(self) -> None:
-        for name in ("exposure_drift", "frame_time", "gas", "gas_motion"):
+        for name in ("exposure_drift", "frame_time", "gas", "bowel_motion"):
             if not getattr(self, name) >= 0.0:
                 raise RadiographError(f"{name.replace('_', ' ')} {getattr(self, name):g}; wanted 0 or more")
+
+
+DEFAULT_ACQUISITION = Acquisition()
+LATERAL = Exposure(kvp=88.0, photons=4.2e5)
+"""The exposure of a lateral radiograph, whose way through the body is longer: more voltage and three times as much."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,7 @@ def acquire(
     torso: TorsoModel,
     states: Sequence[TorsoState],
     view: XRayView,
-    acquisition: Acquisition = Acquisition(),
+    acquisition: Acquisition = DEFAULT_ACQUISITION,
     *,
     person: int = 0,
     seed: int = 0,
@@ -95,7 +100,7 @@ def acquire(
         phase = breathing.phase(number * acquisition.frame_time, start)
         shown = breathed(torso, state, breathing.rise * phase) if breathing.rise > 0.0 else state
         bodies = [*torso_absorbers(torso, shown, person, breathing.diaphragm * phase)]
-        bodies += bowel_gas(torso, shown, person, acquisition.gas, acquisition.gas_motion, own)
+        bodies += bowel(torso, shown, person, acquisition.gas, acquisition.bowel_motion, own)
         if gauge is not None:
             bodies += gauge_pad(torso, shown, gauge.points, gauge.direction)
         drift = float(np.exp(acquisition.exposure_drift * own.standard_normal()))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.template.surfaces import joined, loft, outward, tube
+from spinestiff.anatomy.template.surfaces import Surface, loft, outward, tube
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.imaging.materials import Material
@@ -14,6 +14,7 @@ from spinestiff.imaging.torso_absorbers import skin_surface
 
 PAD_RADIUS = 32.0  # mm
 _CUSHION, _PLATE = 14.0, 3.0  # mm of rubber, of aluminium
+_RUBBER = 0.9  # of soft tissue
 
 
 def gauge_pad(torso: TorsoModel, state: TorsoState, points: PointsOnBones, push: Floats) -> list[Absorber]:
@@ -39,14 +40,15 @@ def gauge_pad(torso: TorsoModel, state: TorsoState, points: PointsOnBones, push:
     plate = _disc(back, back - _PLATE * inward, PAD_RADIUS, upright)
     rod_start = back - _PLATE * inward
     rod = tube(rod_start - np.outer([0.0, 40.0, 150.0], inward), np.array([7.0, 7.0]), upright, 16)
+    aluminium = Material.ALUMINIUM
     return [
-        Absorber(*cushion, density=0.9),
-        Absorber(*plate, material=Material.ALUMINIUM),
-        Absorber(*rod, material=Material.ALUMINIUM),
+        Absorber(cushion[0], cushion[1], density=_RUBBER),
+        Absorber(plate[0], plate[1], aluminium),
+        Absorber(rod[0], rod[1], aluminium),
     ]
 
 
-def _disc(start: Floats, end: Floats, radius: float, upright: Floats):  # type: ignore[no-untyped-def]
+def _disc(start: Floats, end: Floats, radius: float, upright: Floats) -> Surface:
     axis = (end - start) / np.linalg.norm(end - start)
     first = upright - (upright @ axis) * axis
     first = first / np.linalg.norm(first)

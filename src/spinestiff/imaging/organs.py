@@ -109,7 +109,7 @@ def muscles(torso: TorsoModel, state: TorsoState) -> list[Absorber]:
         beside = np.stack([sign * (width + [-3.0, 4.0, 11.0, 19.0, 29.0]), np.zeros(5), np.full(5, -8.0)], -1)
         curve = np.vstack([spine + beside, spine[-1] + beside[-1] + [sign * 12.0, -50.0, 18.0]])
         radii = np.array([[5.0, 8.0], [9.0, 12.0], [13.0, 15.0], [16.0, 17.0], [18.0, 18.0], [18.0, 18.0]])
-        bodies.append(Absorber(*tube(curve, radii, np.eye(3)[2], 20), density=0.1, smoothing=1.5))
+        bodies.append(Absorber(*tube(curve, radii, np.eye(3)[2], 20), density=0.06, smoothing=1.5))
     return bodies
 
 
@@ -176,7 +176,11 @@ def _beside_heart(rings: Floats, cage: Chest, side: str) -> Floats:
     u = sign * (rings[..., 0] - middle)
     # Heart, aortic arch and descending aorta on the left; right atrium and upper caval vein on the right.
     if side == "L":
-        parts = [(14, height(8.6), 0.68, 54, 58, 48), (8, height(4.2), 0.42, 24, 13, 22), (6, height(5.6), 0.5, 25, 14, 18)]
+        parts = [
+            (14, height(8.6), 0.68, 54, 58, 48),
+            (8, height(4.2), 0.42, 24, 13, 22),
+            (6, height(5.6), 0.5, 25, 14, 18),
+        ]
     else:
         parts = [(8, height(8.8), 0.64, 27, 46, 38), (4, height(4.0), 0.5, 21, 38, 20)]
     for x0, y0, share, a, b, c in parts:

@@ -109,8 +109,6 @@ def shrunk(surface: Surface, thickness: Floats | float) -> Surface:
     return Surface(surface.vertices - inward, surface.faces)
 
 
-
-
 def cast(surface: Surface, view: XRayView, block: int = 1) -> Shadow | None:
     """The shadow of a surface, or None where it misses the detector.
 

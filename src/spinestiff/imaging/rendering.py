@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.detector import Exposure, expose, wide_blur
+from spinestiff.imaging.detector import DEFAULT_EXPOSURE, Exposure, expose, wide_blur
 from spinestiff.imaging.materials import Material
 from spinestiff.imaging.path_length import Shadow, Surface, cast, closed_surface, shrunk
 from spinestiff.imaging.projection import XRayView
@@ -61,7 +61,7 @@ def thicknesses(absorbers: Sequence[Absorber], view: XRayView, samples: int = 1)
 def render_radiograph(
     absorbers: Sequence[Absorber],
     view: XRayView,
-    exposure: Exposure = Exposure(),
+    exposure: Exposure = DEFAULT_EXPOSURE,
     seed: int = 0,
     samples: int = 1,
 ) -> NDArray[np.uint16]:

@@ -14,10 +14,10 @@ from spinestiff.imaging.texture import Texture
 
 # mm of cortex. Vertebral walls 0.4 to 0.6 and endplates 0.6 to 1.0 (adult measurements, from memory); a rib is little
 # but cortex, and the two walls of flat bones nearly meet.
-_WALL, _ENDPLATE, _PROCESS = 0.55, 0.75, 0.4
+_WALL, _ENDPLATE, _PROCESS = 0.5, 0.55, 0.4
 _RIB_SHELL, _OTHER_SHELL = 0.8, 0.9
 # Bone mineral inside, of a cortical bone's: a fifth to a quarter of a child's vertebral body is bone.
-_CANCELLOUS = {"vertebra": 0.2, "rib": 0.22, "other": 0.2}
+_CANCELLOUS = {"vertebra": 0.11, "rib": 0.22, "other": 0.2}
 _TRABECULAE = 3.2  # mm, coarsest clumps of trabeculae that a radiograph shows; the finest are a quarter of it
 
 
@@ -50,7 +50,7 @@ def skin_surface(torso: TorsoModel, state: TorsoState) -> tuple[Floats, np.ndarr
 
 def _skin(torso: TorsoModel, state: TorsoState, seed: int) -> Absorber:
     vertices, faces = skin_surface(torso, state)
-    return Absorber(vertices, faces, texture=Texture(0.09, 30.0, seed + 1000), smoothing=3.5)
+    return Absorber(vertices, faces, texture=Texture(0.07, 30.0, seed + 1000), smoothing=3.5)
 
 
 def _bone(torso: TorsoModel, state: TorsoState, bone: int, seed: int) -> Absorber:

@@ -6,7 +6,7 @@ The truth is written beside the folder (``DIR.truth.json``), never into it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +18,8 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
-from spinestiff.imaging.acquisition import Acquisition, Gauge, acquire
+from spinestiff.imaging.acquisition import LATERAL, Acquisition, Gauge, acquire
+from spinestiff.imaging.detector import Exposure
 from spinestiff.imaging.features import silhouette_choice, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
@@ -61,6 +62,7 @@ class Recipe:
     shape : rows, columns of a radiograph; the detector keeps its width.
     mesh : of the subject's tissue, "coarse" or "fine"; anything but "fine" is no test of an estimate on "coarse".
     acquisition : how the radiographs are taken; four a second (paper 2.1).
+    lateral_exposure : of the lateral rest radiograph.
     """
 
     seed: int = 0
@@ -74,7 +76,8 @@ class Recipe:
     second_level: float = 6.0
     shape: tuple[int, int] = (1024, 1024)
     mesh: str = "fine"
-    acquisition: Acquisition = Acquisition()
+    acquisition: Acquisition = field(default_factory=Acquisition)
+    lateral_exposure: Exposure = LATERAL
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -96,6 +99,7 @@ class Recipe:
             "shape": list(self.shape),
             "spine": spine,
             "acquisition": asdict(self.acquisition, dict_factory=_plain),
+            "lateral_exposure": asdict(self.lateral_exposure, dict_factory=_plain),
         }
 
 
@@ -198,12 +202,13 @@ class _Acquisition:
         self.pushed_side: Literal["left", "right"] = "left" if self.rest_cobb.degrees > 0.0 else "right"
 
     def rest_images(self) -> None:
-        for name, nominal, orientation in (
-            ("frontal", self._nominal(frontal_view), ("L", "F")),
-            ("lateral", self._nominal(lateral_view), ("A", "F")),
+        lateral = replace(self.recipe.acquisition, exposure=self.recipe.lateral_exposure)
+        for name, nominal, orientation, how in (
+            ("frontal", self._nominal(frontal_view), ("L", "F"), self.recipe.acquisition),
+            ("lateral", self._nominal(lateral_view), ("A", "F"), lateral),
         ):
             view = self._standing(nominal)
-            pixels = self._radiographs([self.torso.rest_pose], view)
+            pixels = self._radiographs([self.torso.rest_pose], view, how)
             path = self.folder / "rest" / f"{name}.dcm"
             self._write(path, pixels, view, orientation, f"rest {name}")
             self.images[f"rest/{name}"] = self._annotation(view, supports=False)
@@ -211,7 +216,7 @@ class _Acquisition:
     def push(self, push_id: str, level: float, states: list[TorsoState]) -> None:
         view = self._standing(self._nominal(frontal_view))
         load = rib_push(self.torso, self.pushed_side, level, 1.0)
-        pixels = self._radiographs(states, view, Gauge(load.points, load.forces.sum(axis=0)))
+        pixels = self._radiographs(states, view, self.recipe.acquisition, Gauge(load.points, load.forces.sum(axis=0)))
         path = self.folder / "pushes" / f"{push_id}.dcm"
         self._write(path, pixels, view, ("L", "F"), f"push {push_id}")
         self.images[f"push/{push_id}"] = self._annotation(view, supports=True)
@@ -271,9 +276,10 @@ class _Acquisition:
         shift = self.random.normal(0.0, STANDING_SD_MM, 2)
         return nominal.moved(shift, float(self.random.normal(0.0, STANDING_SD_RAD)))
 
-    def _radiographs(self, states: list[TorsoState], view: XRayView, gauge: Gauge | None = None) -> np.ndarray:
+    def _radiographs(
+        self, states: list[TorsoState], view: XRayView, how: Acquisition, gauge: Gauge | None = None
+    ) -> np.ndarray:
         seed = int(self.random.integers(2**31))
-        how = self.recipe.acquisition
         return np.stack(list(acquire(self.torso, states, view, how, person=self.recipe.seed, seed=seed, gauge=gauge)))
 
     def _write(
