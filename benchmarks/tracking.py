@@ -16,7 +16,7 @@ import datetime
 import json
 import pickle
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -136,6 +136,24 @@ def _angle(quads: Floats) -> Floats:
     return np.asarray(np.arctan2(along[..., 1], along[..., 0]))
 
 
+def pooled(rows: Sequence[Found], errors: Sequence[Floats]) -> Found:
+    """All corners of several sequences together: errors (mm) of ours, and how well they were flagged."""
+    everything = np.concatenate(errors)
+    counts = {
+        key: sum(row["methods"]["ours"][key] for row in rows)
+        for key in ("large", "large_flagged", "good", "good_flagged", "hidden", "hidden_flagged")
+    }
+    angles = [row["methods"]["ours"]["angle_median_deg"] for row in rows]
+    return {
+        "sequences": len(rows),
+        "corners": len(everything),
+        "median_mm": _percentile(everything, 50),
+        "p95_mm": _percentile(everything, 95),
+        "worst_angle_median_deg": max(angles),
+        **counts,
+    }
+
+
 def sequences(arguments: argparse.Namespace) -> Iterator[tuple[str, int, Moving]]:
     """Kind, number and sequence, one at a time."""
     wanted = [case for case in CASES if not arguments.only or any(word in case.name for word in arguments.only)]
@@ -162,6 +180,7 @@ def _cached(folder: Path | None, name: str, make: Callable[[], Moving]) -> Movin
 def measure(arguments: argparse.Namespace) -> Found:
     """All figures."""
     rows: list[Found] = []
+    errors: list[Floats] = []
     for kind, number, moving in sequences(arguments):
         began = time.process_time()
         places, quality = ours(moving)
@@ -184,9 +203,23 @@ def measure(arguments: argparse.Namespace) -> Found:
         for name, (step, match) in PLAIN.items():
             row["methods"][name] = figures(moving, plain(moving, step, match))
         rows.append(row)
+        errors.append(np.linalg.norm(places - moving.truth, axis=-1)[1:][moving.visible[1:]] * moving.pixel_mm)
         if not arguments.json:
             print(_line(row), flush=True)
-    return {"date": datetime.date.today().isoformat(), "sequences": rows}
+    groups = {
+        "modelled, not turned": [k for k, row in enumerate(rows) if row["kind"] == "modelled" and not _turned(row)],
+        "turned by 4 degrees": [k for k, row in enumerate(rows) if _turned(row)],
+        "warped": [k for k, row in enumerate(rows) if row["kind"] == "warped"],
+    }
+    return {
+        "date": datetime.date.today().isoformat(),
+        "pooled": {n: pooled([rows[k] for k in ks], [errors[k] for k in ks]) for n, ks in groups.items() if ks},
+        "sequences": rows,
+    }
+
+
+def _turned(row: Found) -> bool:
+    return "turned" in row["sequence"]
 
 
 def _line(row: Found) -> str:

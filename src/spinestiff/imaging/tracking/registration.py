@@ -135,7 +135,7 @@ def _robust_fit(columns: Floats, wanted: Floats, weight: Floats, rounds: int) ->
         weighted = columns * weight[:, None]
         normal = weighted.T @ columns
         damping = 1e-9 * np.diag(normal) + 1e-12 * normal.max()
-        solution = np.linalg.solve(normal + np.diag(damping), weighted.T @ wanted)
+        solution = np.asarray(np.linalg.solve(normal + np.diag(damping), weighted.T @ wanted), dtype=np.float64)
         residual = np.abs(wanted - columns @ solution)
         middle = np.partition(residual, len(residual) // 2)[len(residual) // 2]
         weight = 1.0 / (1.0 + (residual / (1.5 * 1.4826 * middle + 1e-12)) ** 2)
