@@ -201,14 +201,16 @@ def warped(folder: Path) -> Iterator[Moving]:
     landmarks = np.loadtxt(folder.parent / "landmarks.csv", delimiter=",")
     with (folder.parent / "images.csv").open(newline="", encoding="utf-8") as lines:
         rows = [row for row in csv.DictReader(lines) if row["file"]]
-    for row in rows:
+    for number, row in enumerate(rows, 1):
         image = cv2.imread(str(folder / row["file"]), cv2.IMREAD_GRAYSCALE)
         size = np.array([float(row["width_px"]), float(row["height_px"])])
         quads = (landmarks[int(row["row"])].reshape(2, 68).T * size).reshape(17, 4, 2)
         # From top-left, top-right, bottom-left, bottom-right as seen: the patient's left is on the right.
         quads = quads[:, [1, 0, 2, 3]]
         ordered = (quads[:, 0, 0] > quads[:, 1, 0]) & (quads[:, 3, 1] > quads[:, 0, 1])
-        yield _warped(row["file"], image.astype(np.float32), quads[ordered], ordered, width_mm, int(row["row"]))
+        yield _warped(
+            f"radiograph {number}", image.astype(np.float32), quads[ordered], ordered, width_mm, int(row["row"])
+        )
 
 
 def _warped(name: str, image: np.ndarray, quads: Floats, ordered: np.ndarray, width_mm: float, seed: int) -> Moving:
