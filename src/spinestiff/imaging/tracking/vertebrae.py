@@ -45,8 +45,8 @@ def track(
     Returns
     -------
     F corners with their quality, all of the same vertebrae: every one that is annotated somewhere, head to foot. What
-    is annotated is returned as it is. A vertebra or corner that was lost or left the image has quality 0; its position
-    is then only the last guess.
+    is annotated is returned as it is. Quality tells the predicted error (``quality.quality_of``); a vertebra or corner
+    that was lost or left the image has quality 0, and its position is then only the last guess.
 
     Raises
     ------
