@@ -210,14 +210,14 @@ class CurvedValley:
 
     def solve(self, log_ratios, *_):
         a, b = log_ratios
-        values = np.array([300.0 * (b + 0.15 * a**2 + 0.05 * a**3), 0.3 * (a + 2.0), 1.0])
+        values = np.array([100.0 * (b + 0.15 * a**2 + 0.05 * a**3), 0.3 * (a + 2.0), 1.0])
         return SimpleNamespace(
             log_ratios=np.asarray(log_ratios), values=values, loss=0.5 * values @ values, rmse=np.linalg.norm(values)
         )
 
     def slope(self, point):
         a, _ = point.log_ratios
-        return SimpleNamespace(jacobian=np.array([[300.0 * (0.3 * a + 0.15 * a**2), 300.0], [0.3, 0.0], [0.0, 0.0]]))
+        return SimpleNamespace(jacobian=np.array([[100.0 * (0.3 * a + 0.15 * a**2), 100.0], [0.3, 0.0], [0.0, 0.0]]))
 
     def __init__(self):
         self.evaluations = 0
@@ -238,9 +238,9 @@ def test_a_curved_valley_is_followed_along_its_floor(monkeypatch) -> None:
         return valley.evaluations
 
     bent = search()
-    assert bent < 60
+    assert bent < 120
     monkeypatch.setattr(fitting, "_arc", lambda point, slope, limits, damping, *_: fitting._damped_step(
         point, slope, limits, 4.0 * max(damping, 3e-3), None
     ))  # fmt: skip
     straight = search()
-    assert straight > 1.5 * bent, (bent, straight)
+    assert straight > 3 * bent

@@ -4,11 +4,11 @@ As in the paper, frame by frame: the new frame's histogram is matched, dense opt
 over. Two things are added, since flow of single points drifts and a corner alone has little texture:
 
 - a vertebra moves as a body: a robust rigid motion in the picture is fitted to the flow over its area;
-- that motion is then corrected against the annotated frame (registration of the vertebra's patch), and kept
-  only if it correlates better there, so that errors don't add up from frame to frame.
+- that motion is then corrected against the annotated frame (registration of the vertebra's patch), so that errors
+  don't add up from frame to frame.
 
-Quality says how well the patch still correlates with the annotated frame and how well forward and backward flow agree.
-The second alone is blind: it stays small where both directions follow the same wrong thing.
+Quality is the predicted error of a corner, calibrated on sequences whose truth is known (docs/tracking.md). Forward and
+backward flow alone would not do: they agree where both follow the same wrong thing.
 
 Inside, everything is in pixels (column, row), the first pixel's centre at (0, 0).
 """

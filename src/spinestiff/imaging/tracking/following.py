@@ -10,12 +10,14 @@ from spinestiff.arrays import Floats
 from spinestiff.imaging.tracking.flow import dense_flow
 from spinestiff.imaging.tracking.patches import Body, turn
 from spinestiff.imaging.tracking.pictures import Image, Pictures, as_bytes, inside, levels, matched, sampled
-from spinestiff.imaging.tracking.quality import LOST, quality_of
-from spinestiff.imaging.tracking.registration import Patch, corrected
+from spinestiff.imaging.tracking.quality import FOUND, Evidence
+from spinestiff.imaging.tracking.registration import Patch, corrected, inner_shift, scatter
 
 ROBUST_ROUNDS = 5
 # Correlation that a pose one patch size away from its neighbour's motion must gain to be believed.
 STRAY_COST = 0.4
+# Poses that differ by less (in patch sizes) are corrected to the same place.
+SAME_BASIN = 0.04
 
 
 def follow(
@@ -24,7 +26,7 @@ def follow(
     order: Sequence[int],
     chained: bool,
     observer: Callable[[int], None] | None = None,
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, list[list[Evidence | None]]]:
     """Bodies carried from the frame in which they are known through others, one after the other.
 
     Parameters
@@ -37,30 +39,60 @@ def follow(
 
     Returns
     -------
-    Poses (len(order), n, 3) and quality (len(order), n); in the first frame no motion, and 1.
+    Poses (len(order), n, 3), no motion in the first frame, and for each frame n pieces of evidence; None for a body
+    that was not found there or has left the image.
     """
     mm = pictures.mm
     start = as_bytes(pictures.images[order[0]])
     known = levels(pictures.images[order[0]], mm)
     patches = [Patch.of(body, known) for body in bodies]
-    poses, quality = np.zeros((len(order), len(bodies), 3)), np.ones((len(order), len(bodies)))
+    poses = np.zeros((len(order), len(bodies), 3))
+    seen: list[list[Evidence | None]] = [[None] * len(bodies)]
     # Flow starts from the last frame in which bodies were found: a spoilt frame must not spoil those after it.
     base, found = start, 0
     for k, frame in enumerate(order[1:], 1):
         image = matched(as_bytes(pictures.images[frame]), start)
         here = levels(pictures.images[frame], mm)
-        forward, backward = dense_flow(base, image), dense_flow(image, base)
-        guesses = [_carried(body, pose, forward) for body, pose in zip(bodies, poses[found])]
+        flow = dense_flow(base, image)
+        guesses = [_carried(body, pose, flow) for body, pose in zip(bodies, poses[found])]
         poses[k], likeness = _settled(bodies, patches, here, guesses, chained)
-        for i, body in enumerate(bodies):
-            trip = _round_trip(body, poses[found, i], poses[k, i], backward) * mm
-            visible = inside(body.placed(poses[k, i], body.centre[None]), image.shape)[0]
-            quality[k, i] = visible * quality_of(likeness[i], trip)
-        if np.median(quality[k]) > LOST:
+        seen.append(_evidence(bodies, patches, here, poses[k], likeness, mm))
+        if 2 * sum(evidence is not None for evidence in seen[-1]) > len(bodies):
             base, found = image, k
         if observer is not None:
             observer(frame)
-    return poses, quality
+    return poses, seen
+
+
+def _evidence(
+    bodies: Sequence[Body],
+    patches: Sequence[Patch],
+    here: Sequence[Image],
+    poses: Floats,
+    likeness: Floats,
+    mm: float,
+) -> list[Evidence | None]:
+    """What a frame, ``here`` at each smoothing, says of each body in its pose; None for a lost one."""
+    present = [
+        bool(likeness[i] > FOUND and inside(body.placed(poses[i], body.centre[None]), here[0].shape)[0])
+        for i, body in enumerate(bodies)
+    ]
+    shifts = [
+        inner_shift(body, patch, here, pose) if there else 0.0
+        for body, patch, pose, there in zip(bodies, patches, poses, present)
+    ]
+    turned = np.abs(_smoothed(np.array(shifts)))
+    return [
+        Evidence(
+            scatter(bodies[i], patches[i], here[-1], pose) * mm,
+            float(np.linalg.norm(pose[1:])) * mm,
+            float(turned[i]) * mm,
+            float(likeness[i]),
+        )
+        if present[i]
+        else None
+        for i, pose in enumerate(poses)
+    ]
 
 
 def _settled(
@@ -80,12 +112,31 @@ def _settled(
     order = range(len(bodies)) if chained else range(0)
     for sweep, beside in ((order[1:], -1), (order[-2::-1], 1)):
         for i in sweep:
-            centre, pose = bodies[i].centre, settled[i + beside][0]
-            guess = np.array([pose[0], *(bodies[i + beside].placed(pose, centre[None])[0] - centre)])
-            held, trial = settled[i], corrected(bodies[i], patches[i], here, guess)
+            guess = _as_beside(bodies[i], bodies[i + beside], settled[i + beside][0])
+            held = settled[i]
+            # A start near by leads to the same place.
+            if _apart(bodies[i], guess, held[0]) < SAME_BASIN * bodies[i].size:
+                continue
+            trial = corrected(bodies[i], patches[i], here, guess)
             if _credit(trial, guess, bodies[i]) > _credit(held, guess, bodies[i]):
                 settled[i] = trial
     return np.stack([pose for pose, _ in settled]), np.array([likeness for _, likeness in settled])
+
+
+def _as_beside(body: Body, beside: Body, pose: Floats) -> Floats:
+    """The pose of a body that moves as one piece with the one beside it."""
+    return np.array([pose[0], *(beside.placed(pose, body.centre[None])[0] - body.centre)])
+
+
+def _apart(body: Body, one: Floats, other: Floats) -> float:
+    """Largest distance (pixels) between a body's marks in two poses."""
+    return float(np.linalg.norm(body.placed(one, body.marks) - body.placed(other, body.marks), axis=1).max())
+
+
+def _smoothed(shifts: Floats) -> Floats:
+    """(n,) the median of each value and the two on either side: neighbours turn alike, what crosses them differs."""
+    padded = np.pad(shifts, 2, mode="edge")
+    return np.asarray(np.median([padded[i : i + len(shifts)] for i in range(5)], axis=0))
 
 
 def _credit(found: tuple[Floats, float], expected: Floats, body: Body) -> float:
@@ -115,10 +166,3 @@ def _rigid_fit(body: Body, there: Floats, weight: Floats) -> Floats:
     a, b = relative - middle, there - target
     angle = np.arctan2(share @ (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), share @ np.sum(a * b, axis=1))
     return np.array([angle, *(target - turn(angle) @ middle - body.centre)])
-
-
-def _round_trip(body: Body, before: Floats, after: Floats, backward: Image) -> float:
-    """Median distance (pixels) by which backward flow from the new place misses the old one."""
-    there = body.placed(after, body.points)
-    back = there + sampled(backward, there)
-    return float(np.median(np.linalg.norm(back - body.placed(before, body.points), axis=1)))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, Ints
 
 # Half width of the band along a vertebra's outline that is registered, in parts of the vertebra's size.
 BAND = 0.2
@@ -19,19 +19,26 @@ PATCH_POINTS = 3000
 
 @dataclass(frozen=True)
 class Body:
-    """A patch of the first frame that moves rigidly in the picture. A pose is (angle, shift), (3,) rad and pixels.
+    """A patch of an annotated frame that moves rigidly in the picture. A pose is (angle, shift), (3,) rad and pixels.
 
     Attributes
     ----------
     centre, size : (2,) and pixels.
+    marks : (k, 2) what is asked for: a vertebra's corners, or a point.
     points : (n, 2) of the patch.
+    parts : (n,) int, which of four parts of the patch a point belongs to: a vertebra's sides, a square's quarters.
     normals : (n, 2) unit, the only direction in which a point tells of motion; None = both.
+    inner : a patch of what lies before or behind the middle, which moves otherwise when the body turns out of the
+        picture's plane; None = there is no such thing.
     """
 
     centre: Floats
     size: float
+    marks: Floats
     points: Floats
+    parts: Ints
     normals: Floats | None = None
+    inner: Body | None = None
 
     @staticmethod
     def of_vertebra(quad: Floats) -> Body:
@@ -40,18 +47,27 @@ class Body:
         Arch and processes lie behind the body, are brighter than its walls and move otherwise (with axial rotation,
         and by parallax): the middle is left out, and where they cross the endplates they must not count sideways.
         """
-        size = np.sqrt(_area(quad))
+        size = float(np.sqrt(_area(quad)))
         grid = _grid(_dilated(quad, BAND * size))
-        points = grid[~_within(_dilated(quad, -BAND * size), grid)]
+        middle = _within(_dilated(quad, -BAND * size), grid)
+        points, centre = grid[~middle], quad.mean(axis=0)
         along = np.roll(quad, -1, axis=0) - quad
         across = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1)[:, None]
-        distance = np.abs(np.einsum("pki,ki->pk", points[:, None] - quad, across))
-        return Body(quad.mean(axis=0), float(size), points, across[np.argmin(distance, axis=1)])
+        side = np.argmin(np.abs(np.einsum("pki,ki->pk", points[:, None] - quad, across)), axis=1)
+        inner = Body(centre, size, centre[None], grid[middle], _quarters(grid[middle], centre))
+        return Body(centre, size, quad, points, side, across[side], inner)
 
     @staticmethod
     def of_square(centre: Floats, radius: float) -> Body:
         """All around a point."""
-        return Body(centre, 2.0 * radius, _grid(centre + radius * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])))
+        points = _grid(centre + radius * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
+        return Body(centre, 2.0 * radius, centre[None], points, _quarters(points, centre))
+
+    @property
+    def width(self) -> Floats:
+        """Unit vector (2,) from one wall of a vertebra to the other."""
+        across = self.marks[0] + self.marks[3] - self.marks[1] - self.marks[2]
+        return np.asarray(across / np.linalg.norm(across))
 
     def placed(self, pose: Floats, points: Floats) -> Floats:
         """Points (n, 2) of the first frame carried along."""
@@ -76,6 +92,11 @@ def _dilated(quad: Floats, margin: float) -> Floats:
     sides = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     unit = np.stack([across / np.linalg.norm(across), down / np.linalg.norm(down)])
     return np.asarray(quad + margin * sides @ unit) if np.isfinite(unit).all() else centre + (quad - centre)
+
+
+def _quarters(points: Floats, centre: Floats) -> Ints:
+    """(n,) 0 to 3, by the side of the centre on which points (n, 2) lie."""
+    return np.asarray((points[:, 0] > centre[0]) + 2 * (points[:, 1] > centre[1]), dtype=np.int64)
 
 
 def _within(outline: Floats, points: Floats) -> NDArray[np.bool_]:

@@ -1,18 +1,53 @@
-"""How far a tracked corner can be trusted."""
+"""How far a tracked corner can be trusted: its error, predicted from what tracking saw (docs/tracking.md)."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-# Correlation with the annotated frame up to which quality is 0 and from which on it is 1.
-CORRELATION = (0.25, 0.75)
-# Disagreement of forward and backward flow (mm, patient plane) that halves quality.
-ROUND_TRIP_MM = 1.0
-LOST = 0.1
+from spinestiff.arrays import Floats
+
+# Correlation with the annotated frame up to which a patch counts as lost.
+FOUND = 0.25
+# The predicted error (mm) that halves quality; with it quality falls below 0.3 at 0.26 mm.
+HALVING_MM = 0.17
+# Error by the evidence: fitted on sequences of known truth (benchmarks/tracking.py
+# --calibrate).
+WEIGHTS = np.array([0.096, 0.0038, 0.364, 0.226])
+WEIGHTS.setflags(write=False)
 
 
-def quality_of(correlation: float, round_trip: float) -> float:
-    """Quality of a vertebra from its correlation with the annotated frame and the round trip (mm) of flow."""
-    low, high = CORRELATION
-    likeness = np.clip((correlation - low) / (high - low), 0.0, 1.0)
-    return float(likeness / (1.0 + (round_trip / ROUND_TRIP_MM) ** 2))
+@dataclass(frozen=True)
+class Evidence:
+    """What tracking saw of a body in a frame, in mm at the patient plane.
+
+    Attributes
+    ----------
+    scatter : (k,) of its marks, by the jackknife over parts of the patch: what covers a side, and noise.
+    travel : way across the picture since the annotated frame: parallax grows with it.
+    turned : motion of what lies before or behind the body against its outline: the body turned out of the picture's
+        plane or moved across the beam, and its corners, which lie at different depths, moved against each other.
+    likeness : correlation with the annotated frame.
+    """
+
+    scatter: Floats
+    travel: float
+    turned: float
+    likeness: float
+
+    def terms(self) -> Floats:
+        """(k, 4), each of which explains a part of the error: three in mm, and how unlike the patch has become."""
+        unlike = np.sqrt(max(1.0 - self.likeness, 0.0))
+        shared = (self.travel, self.turned, unlike)
+        return np.column_stack([self.scatter, *(np.full(len(self.scatter), value) for value in shared)])
+
+
+def predicted_error(evidence: Evidence) -> Floats:
+    """(k,) mm, root mean square of a mark's distance from the truth."""
+    return np.asarray(evidence.terms() @ WEIGHTS)
+
+
+def quality_of(error: Floats) -> Floats:
+    """Quality in 0..1 of predicted errors in mm: 1 for none, 1/2 at ``HALVING_MM``, 0 for infinite ones."""
+    return np.asarray(1.0 / (1.0 + (error / HALVING_MM) ** 2))

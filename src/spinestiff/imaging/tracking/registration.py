@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spinestiff.arrays import Floats
 from spinestiff.imaging.tracking.patches import Body, turn
@@ -13,7 +14,13 @@ from spinestiff.imaging.tracking.pictures import Image, inside, sampled
 
 # Part of a patch that must lie within the image.
 FEWEST_SEEN = 0.5
-REGISTRATION_ROUNDS = 15
+FEWEST_POINTS = 30
+REGISTRATION_ROUNDS = 30
+FIRST_ROBUST_ROUNDS = 3  # later ones start from the weights of the one before
+SMALLEST_STEP = 0.003  # pixels
+PARTS = 4
+# Correlation that registration may cost: it fits robustly, along normals, and correlation asks for neither.
+LIKENESS_LEFT = 0.03
 # The largest correction of the flow's motion, in patch sizes: half a vertebra away its neighbour would match.
 LARGEST_CORRECTION = 0.25
 
@@ -24,6 +31,7 @@ class Patch:
 
     values: tuple[Floats, ...]
     gradients: tuple[Floats, ...]
+    inner: Patch | None = None
 
     @staticmethod
     def of(body: Body, levels: Sequence[Image]) -> Patch:
@@ -35,7 +43,8 @@ class Patch:
             if body.normals is not None:
                 gradient = body.normals * np.sum(gradient * body.normals, axis=1, keepdims=True)
             gradients.append(gradient)
-        return Patch(tuple(values), tuple(gradients))
+        inner = None if body.inner is None else Patch.of(body.inner, levels)
+        return Patch(tuple(values), tuple(gradients), inner)
 
 
 def corrected(body: Body, patch: Patch, levels: Sequence[Image], pose: Floats) -> tuple[Floats, float]:
@@ -53,49 +62,84 @@ def corrected(body: Body, patch: Patch, levels: Sequence[Image], pose: Floats) -
         trial = _registered(body, values, gradients, image, trial)
     near = np.linalg.norm(trial[1:] - pose[1:]) < LARGEST_CORRECTION * body.size
     before, after = likeness(pose), likeness(trial)
-    return (trial, after) if near and after > before else (pose, before)
+    return (trial, after) if near and after > before - LIKENESS_LEFT else (pose, before)
 
 
-def _registered(body: Body, values: Floats, gradients: Floats, image: Image, pose: Floats) -> Floats:
-    """Robust Gauss-Newton for the pose in which ``image`` shows the patch up to brightness and contrast.
+def scatter(body: Body, patch: Patch, image: Image, pose: Floats) -> Floats:
+    """(k,) pixels: standard deviation of the marks by the jackknife, each of the patch's parts left out in turn.
+
+    What covers one side, or moves it otherwise, shows here; noise does too.
+    """
+    marks = []
+    for part in range(PARTS):
+        kept = body.parts != part
+        found = _registered(body, patch.values[-1], patch.gradients[-1], image, pose, kept)
+        marks.append(body.placed(found, body.marks))
+    spread = np.array(marks) - np.mean(marks, axis=0)
+    return np.asarray(np.sqrt((PARTS - 1) / PARTS * np.sum(spread**2, axis=(0, 2))))
+
+
+def inner_shift(body: Body, patch: Patch, levels: Sequence[Image], pose: Floats) -> float:
+    """Pixels, along the body's width, by which the inner patch lies aside of where the pose has it; 0 without one."""
+    inner, own = body.inner, patch.inner
+    if inner is None or own is None or len(inner.points) < FEWEST_POINTS:
+        return 0.0
+    found = pose
+    for values, gradients, image in zip(own.values, own.gradients, levels):
+        found = _registered(inner, values, gradients, image, found)
+    return float((found[1:] - pose[1:]) @ turn(pose[0]) @ body.width)
+
+
+def _registered(
+    body: Body, values: Floats, gradients: Floats, image: Image, pose: Floats, kept: NDArray[np.bool_] | None = None
+) -> Floats:
+    """Robust Gauss-Newton for the pose in which ``image`` shows the patch (or what is kept) up to brightness, contrast.
 
     Inverse compositional (Baker & Matthews 2004): the patch's own gradient stands for the image's, the small motion
     found for the patch is undone on the pose.
     """
-    arm = body.points - body.centre
+    points = body.points
+    if kept is not None:
+        points, values, gradients = points[kept], values[kept], gradients[kept]
+    arm = points - body.centre
     turned = gradients[:, 1] * arm[:, 0] - gradients[:, 0] * arm[:, 1]
     columns = np.column_stack([turned, gradients, values, np.ones(len(values))])
-    for _ in range(REGISTRATION_ROUNDS):
-        there = body.placed(pose, body.points)
+    weight: Floats = np.ones(len(points))
+    for number in range(REGISTRATION_ROUNDS):
+        there = body.placed(pose, points)
         within = inside(there, image.shape)
-        if np.mean(within) < FEWEST_SEEN:
+        if np.count_nonzero(within) < max(FEWEST_SEEN * len(points), FEWEST_POINTS):
             break
-        seen = sampled(image, there[within])
         # seen = contrast * patch(moved by d) + brightness, linear in (contrast * d, contrast, brightness).
-        solution = _robust_fit(columns[within], seen)
+        reweighted = 1 if number else FIRST_ROBUST_ROUNDS
+        solution, weight[within] = _robust_fit(
+            columns[within], sampled(image, there[within]), weight[within], reweighted
+        )
         contrast = solution[3]
         if not contrast > 0.0:
             break
         d = solution[:3] / contrast
         pose = _undone(pose, d)
-        if np.abs(d[1:]).max() < 0.003 and abs(d[0]) < 1e-4:
+        if np.abs(d[1:]).max() < SMALLEST_STEP and abs(d[0]) * body.size < SMALLEST_STEP:
             break
     return pose
 
 
-def _robust_fit(columns: Floats, wanted: Floats) -> Floats:
-    """Least squares that gives little weight to what moves otherwise (ribs, soft tissue seen through)."""
-    weight: Floats = np.ones(len(wanted))
-    solution = np.zeros(columns.shape[1])
-    for _ in range(3):
+def _robust_fit(columns: Floats, wanted: Floats, weight: Floats, rounds: int) -> tuple[Floats, Floats]:
+    """Least squares that gives little weight to what moves otherwise (ribs, soft tissue seen through).
+
+    Returns the solution and the weights that its residuals give.
+    """
+    solution: Floats = np.zeros(columns.shape[1])
+    for _ in range(rounds):
         weighted = columns * weight[:, None]
         normal = weighted.T @ columns
-        normal[np.diag_indices_from(normal)] *= 1.0 + 1e-9
-        solution = np.asarray(np.linalg.lstsq(normal, weighted.T @ wanted, rcond=None)[0], dtype=np.float64)
+        damping = 1e-9 * np.diag(normal) + 1e-12 * normal.max()
+        solution = np.asarray(np.linalg.solve(normal + np.diag(damping), weighted.T @ wanted), dtype=np.float64)
         residual = np.abs(wanted - columns @ solution)
-        scale = 1.5 * 1.4826 * float(np.median(residual)) + 1e-12
-        weight = 1.0 / (1.0 + (residual / scale) ** 2)
-    return solution
+        middle = np.partition(residual, len(residual) // 2)[len(residual) // 2]
+        weight = 1.0 / (1.0 + (residual / (1.5 * 1.4826 * middle + 1e-12)) ** 2)
+    return solution, weight
 
 
 def _undone(pose: Floats, step: Floats) -> Floats:

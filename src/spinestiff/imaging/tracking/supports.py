@@ -14,6 +14,7 @@ from spinestiff.errors import TrackingError
 from spinestiff.imaging.tracking.following import follow
 from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.pictures import Pictures, check_inside
+from spinestiff.imaging.tracking.quality import predicted_error, quality_of
 
 if TYPE_CHECKING:
     from spinestiff.imaging.radiograph import Radiograph
@@ -95,13 +96,16 @@ def support_motion(frames: Sequence[Radiograph], points: Mapping[str, Floats]) -
     owners = np.array([name for name, where in groups.items() for _ in where])
     radius = SUPPORT_RADIUS_MM / pictures.mm
     bodies = [Body.of_square(point, radius) for where in groups.values() for point in pictures.binned(where)]
-    poses, quality = follow(pictures, bodies, range(len(frames)), chained=False)
+    poses, seen = follow(pictures, bodies, range(len(frames)), chained=False)
+    quality = np.array([[0.0 if e is None else quality_of(predicted_error(e))[0] for e in row] for row in seen])
+    quality[0] = 1.0
     shifts = poses[:, :, 1:] * pictures.mm
     view = frames[0].view
     found = []
     for name in groups:
         mine = owners == name
-        weight = quality[:, mine] + 1e-12
+        # Each point alike, as long as it is found: a turn about their middle then is no motion.
+        weight = (quality[:, mine] > 0.0) + 1e-12
         mean = np.einsum("fp,fpi->fi", weight / weight.sum(1, keepdims=True), shifts[:, mine])
         away = np.abs(view.to_patient_plane(view.from_pixels(groups[name]))[:, 0]).max()
         found.append(SupportMotion(name, mean, quality[:, mine].max(1), float(away) / view.source_to_patient))

@@ -15,11 +15,15 @@ from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.tracking.following import follow
 from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.pictures import Pictures, check_inside, inside
+from spinestiff.imaging.tracking.quality import predicted_error, quality_of
 
 if TYPE_CHECKING:
     from spinestiff.imaging.radiograph import Radiograph
 
 Observer = Callable[[int, int], None]
+
+# Two tracks weigh alike once both are predicted to be off by less.
+SMALLEST_MM = 0.02
 
 
 def track(
@@ -41,8 +45,8 @@ def track(
     Returns
     -------
     F corners with their quality, all of the same vertebrae: every one that is annotated somewhere, head to foot. What
-    is annotated is returned as it is. A vertebra or corner that was lost or left the image has quality 0; its position
-    is then only the last guess.
+    is annotated is returned as it is. Quality tells the predicted error (``quality.quality_of``); a vertebra or corner
+    that was lost or left the image has quality 0, and its position is then only the last guess.
 
     Raises
     ------
@@ -72,12 +76,12 @@ def track(
         for step in (1, -1):
             ends = _ends(start, corners, annotated, len(frames), step)
             order = range(start, max(ends, key=lambda end: abs(end - start)), step)
-            moved, seen = _followed(pictures, pixels, order, advance)
+            moved, errors = _followed(pictures, pixels, order, advance)
             for k, frame in enumerate(order[1:], 1):
-                quality = seen[k][:, None] * inside(moved[k], shape) * np.asarray(corners.quality)
+                error = np.where(inside(moved[k], shape), errors[k], np.inf)
                 for i, name in enumerate(corners.vertebrae):
                     if (ends[i] - frame) * step > 0:
-                        sighting = _Sighting(abs(frame - start), moved[k, i], quality[i])
+                        sighting = _Sighting(abs(frame - start), moved[k, i], error[i], corners.quality[i])
                         sightings.setdefault((frame, name), []).append(sighting)
     tracked = []
     for frame in range(len(frames)):
@@ -91,7 +95,7 @@ def track(
                 row = given.vertebrae.index(name)
                 places[i], qualities[i] = given.corners[row], given.quality[row]
             else:
-                pixels, qualities[i] = _combined(sightings[frame, name])
+                pixels, qualities[i] = _combined(sightings[frame, name], pictures.mm / pictures.factor)
                 places[i] = view.from_pixels(pixels)
         tracked.append(VertebraCorners(names, places, qualities))
     others = [corners for frame, corners in enumerate(tracked) if frame not in annotated]
@@ -104,11 +108,20 @@ def track(
 
 @dataclass(frozen=True)
 class _Sighting:
-    """A vertebra as followed from one annotated frame: frames in between, corners (4, 2) in pixels, quality (4,)."""
+    """A vertebra as followed from one annotated frame.
+
+    Attributes
+    ----------
+    distance : frames in between.
+    corners : (4, 2) pixels.
+    error : (4,) predicted, mm; infinite if lost.
+    given : (4,) quality in the annotated frame.
+    """
 
     distance: int
     corners: Floats
-    quality: Floats
+    error: Floats
+    given: Floats
 
 
 def _ends(
@@ -125,22 +138,26 @@ def _ends(
 def _followed(
     pictures: Pictures, pixels: Floats, order: Sequence[int], advance: Callable[[int], None]
 ) -> tuple[Floats, Floats]:
-    """Corners (len(order), Nv, 4, 2) in pixels and quality (len(order), Nv)."""
-    quads = pictures.binned(pixels)
-    bodies = [Body.of_vertebra(quad) for quad in quads]
-    poses, quality = follow(pictures, bodies, order, chained=True, observer=advance)
-    moved = [[body.placed(pose, quad) for body, pose, quad in zip(bodies, row, quads)] for row in poses]
-    return pictures.unbinned(np.array(moved)), quality
+    """Corners (len(order), Nv, 4, 2), pixels, and their predicted errors (len(order), Nv, 4), mm, infinite if lost."""
+    bodies = [Body.of_vertebra(quad) for quad in pictures.binned(pixels)]
+    poses, seen = follow(pictures, bodies, order, chained=True, observer=advance)
+    moved = [[body.placed(pose, body.marks) for body, pose in zip(bodies, row)] for row in poses]
+    lost = np.full(4, np.inf)
+    errors = [[lost if evidence is None else predicted_error(evidence) for evidence in row] for row in seen]
+    return pictures.unbinned(np.array(moved)), np.array(errors)
 
 
-def _combined(sightings: Sequence[_Sighting]) -> tuple[Floats, Floats]:
-    """Corners (4, 2) and quality (4,) of a vertebra that one or two annotated frames have been followed to."""
-    if len(sightings) == 1:
-        return sightings[0].corners, sightings[0].quality
+def _combined(sightings: Sequence[_Sighting], mm: float) -> tuple[Floats, Floats]:
+    """Corners (4, 2), quality (4,) of a vertebra followed from one or two annotated frames; a pixel is ``mm``."""
+    corners = np.stack([sighting.corners for sighting in sightings])
+    variance = np.stack([sighting.error for sighting in sightings]) ** 2
     near = 1.0 / np.array([sighting.distance for sighting in sightings])
-    quality = np.stack([sighting.quality for sighting in sightings])
-    # The nearer one where both are lost.
-    weight = (quality + 1e-6) * near[:, None]
+    # The nearer one where all are lost.
+    weight = near[:, None] * (1.0 / (variance + SMALLEST_MM**2) + 1e-9)
     share = weight / weight.sum(axis=0)
-    corners = np.einsum("sk,ski->ki", share, np.stack([sighting.corners for sighting in sightings]))
-    return corners, np.sum(share * quality, axis=0)
+    place = np.einsum("sk,ski->ki", share, corners)
+    apart = np.sum((corners - place) ** 2, axis=2) * mm**2
+    own = share**2 * np.where(np.isinf(variance), 0.0, variance)
+    error = np.sqrt(np.sum(own + share * apart, axis=0))
+    error[np.isinf(variance).all(axis=0)] = np.inf
+    return place, quality_of(error) * np.sum(share * [sighting.given for sighting in sightings], axis=0)
