@@ -32,8 +32,7 @@ from spinestiff.imaging.tracking.flow import dense_flow
 from spinestiff.imaging.tracking.following import follow
 from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.pictures import Pictures, as_bytes, matched, sampled
-from spinestiff.imaging.tracking.quality import WEIGHTS, quality_of
-from spinestiff.study.trials import LOWEST_QUALITY
+from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY, WEIGHTS, quality_of
 
 Found = dict[str, Any]
 RESULTS = Path(__file__).parent / "results" / "tracking.json"
@@ -110,7 +109,7 @@ def figures(moving: Moving, places: Floats, quality: Floats | None = None) -> Fo
         "angle_median_deg": _percentile(np.degrees(turned[visible.all(-1)]), 50),
     }
     if quality is not None:
-        flagged = quality < LOWEST_QUALITY
+        flagged = quality < DOUBTED_QUALITY
         large = visible & (error > LARGE_MM)
         hidden = ~moving.visible
         kept = visible & ~flagged
@@ -275,7 +274,7 @@ def calibrate(arguments: argparse.Namespace) -> Found:
     found: Found = {"weights": weights.round(4).tolist()}
     for name, (terms, errors) in zip(("other half", "calibrating half"), joined):
         predicted = terms @ weights
-        flagged, large = quality_of(predicted) < LOWEST_QUALITY, errors > LARGE_MM
+        flagged, large = quality_of(predicted) < DOUBTED_QUALITY, errors > LARGE_MM
         found[name] = {
             "rms_error_over_predicted": round(float(np.sqrt(np.mean((errors / predicted) ** 2))), 2),
             "large": int(large.sum()),

@@ -190,7 +190,7 @@ def test_a_push_of_which_nothing_is_left_is_refused(torso, corners):
 
 
 def test_usable_corners_keep_what_was_well_tracked(corners):
-    kept = usable_corners(with_quality(corners, T4=[0.29, 0.5, 0.5, 0.5], T6=[0.29, 0.29, 1.0, 1.0]))
+    kept = usable_corners(with_quality(corners, T4=[0.019, 0.5, 0.5, 0.5], T6=[0.019, 0.019, 1.0, 1.0]))
     assert "T4" in kept.vertebrae
     assert "T6" not in kept.vertebrae
     assert kept.quality[kept.vertebrae.index("T4")].tolist() == [0.0, 0.5, 0.5, 0.5]

@@ -28,8 +28,8 @@ from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.imaging.features import picture_axes, view_kind
 from spinestiff.imaging.proposal import propose_boxes
 from spinestiff.imaging.radiograph import Radiograph
+from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY
 from spinestiff.study.records import LATERAL, REST_IMAGES
-from spinestiff.study.trials import LOWEST_QUALITY
 
 LOOPBACK = "127.0.0.1"
 PAGE = {
@@ -125,7 +125,7 @@ def session_record(session: AnnotationSession) -> dict[str, Any]:
         "version": __version__,
         "subject": record.id,
         "vertebrae": VERTEBRAE,
-        "lowest_quality": LOWEST_QUALITY,
+        "lowest_quality": DOUBTED_QUALITY,
         "images": images,
         "marks": marks,
         "revision": session.revision,

@@ -18,8 +18,8 @@ from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.pose import ViewPose, align_view
 from spinestiff.study.records import PushRecord
 
-# Corners tracked worse than this carry no information worth their risk.
-LOWEST_QUALITY = 0.3
+# Corners tracked worse than this, by about 1.2 mm, count as lost; better ones weigh by their quality.
+LOWEST_QUALITY = 0.02
 # Fewer usable corners leave a vertebra's orientation to chance.
 FEWEST_CORNERS = 3
 

@@ -10,8 +10,10 @@ from spinestiff.arrays import Floats
 
 # Correlation with the annotated frame up to which a patch counts as lost.
 FOUND = 0.25
-# The predicted error (mm) that halves quality; with it quality falls below 0.3 at 0.26 mm.
+# The predicted error (mm) that halves quality: with it quality is an inverse variance, for weights.
 HALVING_MM = 0.17
+# Below this a corner is doubtful (0.26 mm predicted): chosen to flag most errors above 0.5 mm.
+DOUBTED_QUALITY = 0.3
 # Error by the evidence: fitted on sequences of known truth (benchmarks/tracking.py
 # --calibrate).
 WEIGHTS = np.array([0.096, 0.0038, 0.364, 0.226])
