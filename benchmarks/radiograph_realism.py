@@ -32,9 +32,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from spinestiff.anatomy.template import template_torso
-from spinestiff.imaging.acquisition import DEFAULT_ACQUISITION, Acquisition, acquire
 from spinestiff.imaging.features import silhouette_choice, state_features
 from spinestiff.imaging.projection import frontal_view
+from spinestiff.imaging.synthetic.acquisition import DEFAULT_ACQUISITION, Acquisition, acquire
 from spinestiff.personalise.shape import place_vertebrae
 from spinestiff.study.spines import curved_spine
 

@@ -25,11 +25,11 @@ from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
-from spinestiff.imaging.acquisition import Acquisition, Gauge, acquire
-from spinestiff.imaging.collimation import Collimation
-from spinestiff.imaging.detector import Exposure
 from spinestiff.imaging.features import VertebraCorners, box_sizes, silhouette_choice, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view
+from spinestiff.imaging.synthetic.acquisition import Acquisition, Gauge, acquire
+from spinestiff.imaging.synthetic.collimation import Collimation
+from spinestiff.imaging.synthetic.detector import Exposure
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports

@@ -12,7 +12,7 @@ from pydicom.dataset import Dataset
 from pydicom.sequence import Sequence
 from pydicom.tag import Tag
 
-from spinestiff.imaging.allow_list import KEPT
+from spinestiff.imaging.deidentification.allow_list import KEPT
 
 CANARY = "ZQXJ"
 """Begins all canaries; numbers cannot hold it, so they have one of their own."""

@@ -56,7 +56,7 @@ def few_frames():
 
 @pytest.fixture(scope="session")
 def cheap_recipe():
-    from spinestiff.imaging.acquisition import Acquisition
+    from spinestiff.imaging.synthetic.acquisition import Acquisition
     from spinestiff.study.synthetic import Recipe
 
     one_ray = Acquisition(samples=1)

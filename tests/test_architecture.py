@@ -44,7 +44,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "openjpeg": ("imaging/dicom/decoding.py",),
     "cv2": ("imaging/*",),
     "skimage": ("imaging/*",),
-    "numba": ("mechanics/*", "imaging/path_length.py", "imaging/texture.py"),
+    "numba": ("mechanics/*", "imaging/synthetic/path_length.py", "imaging/synthetic/texture.py"),
     "rslab": ("mechanics/factor.py",),
     "matplotlib": (
         "study/figures.py",

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.imaging.acquisition import LATERAL, Acquisition, Gauge, acquire
-from spinestiff.imaging.collimation import Collimation
 from spinestiff.imaging.projection import frontal_view, lateral_view
+from spinestiff.imaging.synthetic.acquisition import LATERAL, Acquisition, Gauge, acquire
+from spinestiff.imaging.synthetic.collimation import Collimation
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports

@@ -381,10 +381,10 @@ def test_vertebrae_of_a_rendered_torso():
     from spinestiff.anatomy.rotation import exp_so3
     from spinestiff.anatomy.template import template_torso
     from spinestiff.anatomy.torso import TorsoState
-    from spinestiff.imaging.detector import Exposure
     from spinestiff.imaging.features import silhouette_choice, state_features
-    from spinestiff.imaging.materials import Material
-    from spinestiff.imaging.rendering import Absorber, render_radiograph
+    from spinestiff.imaging.synthetic.detector import Exposure
+    from spinestiff.imaging.synthetic.materials import Material
+    from spinestiff.imaging.synthetic.rendering import Absorber, render_radiograph
 
     torso = template_torso(150.0)
     rest = torso.rest_pose

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.burned_in import inspection_row, sheet
-from spinestiff.imaging.deidentify import NO_DICOM, deidentify
+from spinestiff.imaging.deidentification.burned_in import inspection_row, sheet
+from spinestiff.imaging.deidentification.deidentify import NO_DICOM, deidentify
+from spinestiff.imaging.deidentification.pseudonyms import key_of, random_key
 from spinestiff.imaging.dicom.files import MOST_BYTES
-from spinestiff.imaging.pseudonyms import key_of, random_key
 
 MOST_FILES = 10_000
 ROWS_A_SHEET = 4

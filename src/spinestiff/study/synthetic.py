@@ -18,11 +18,11 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
-from spinestiff.imaging.acquisition import LATERAL, Acquisition, Gauge, acquire
-from spinestiff.imaging.detector import Exposure
 from spinestiff.imaging.features import silhouette_choice, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
+from spinestiff.imaging.synthetic.acquisition import LATERAL, Acquisition, Gauge, acquire
+from spinestiff.imaging.synthetic.detector import Exposure
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports

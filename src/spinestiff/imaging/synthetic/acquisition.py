@@ -12,14 +12,14 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.bowel import bowel
-from spinestiff.imaging.breathing import Breathing, breathed
-from spinestiff.imaging.collimation import Collimation
-from spinestiff.imaging.detector import Exposure, expose
-from spinestiff.imaging.gauge import gauge_pad
 from spinestiff.imaging.projection import XRayView
-from spinestiff.imaging.rendering import thicknesses
-from spinestiff.imaging.torso_absorbers import torso_absorbers
+from spinestiff.imaging.synthetic.bowel import bowel
+from spinestiff.imaging.synthetic.breathing import Breathing, breathed
+from spinestiff.imaging.synthetic.collimation import Collimation
+from spinestiff.imaging.synthetic.detector import Exposure, expose
+from spinestiff.imaging.synthetic.gauge import gauge_pad
+from spinestiff.imaging.synthetic.rendering import thicknesses
+from spinestiff.imaging.synthetic.torso_absorbers import torso_absorbers
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.detector import AIR_GREY, GREY_PER_OPTICAL_DEPTH, Exposure, arriving, detected, expose
-from spinestiff.imaging.materials import monoenergetic
 from spinestiff.imaging.projection import XRayView, frontal_view
+from spinestiff.imaging.synthetic.detector import AIR_GREY, GREY_PER_OPTICAL_DEPTH, Exposure, arriving, detected, expose
+from spinestiff.imaging.synthetic.materials import monoenergetic
 
 PIXEL = 0.4
 QUIET = Exposure(photons=1e12, scatter_fraction=0.0, haze=0.0, focal_spot=0.0, detector_blur=0.0, electronic_noise=0.0)

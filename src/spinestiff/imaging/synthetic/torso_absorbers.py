@@ -7,10 +7,10 @@ import numpy as np
 from spinestiff.anatomy.names import LUMBAR, RIBS, VERTEBRAE
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
-from spinestiff.imaging.materials import Material
-from spinestiff.imaging.organs import lungs, muscles, trachea
-from spinestiff.imaging.rendering import Absorber
-from spinestiff.imaging.texture import Texture
+from spinestiff.imaging.synthetic.materials import Material
+from spinestiff.imaging.synthetic.organs import lungs, muscles, trachea
+from spinestiff.imaging.synthetic.rendering import Absorber
+from spinestiff.imaging.synthetic.texture import Texture
 
 # mm of cortex. Vertebral walls 0.4 to 0.6 and endplates 0.6 to 1.0 (adult measurements, from memory); a rib is little
 # but cortex, and the two walls of flat bones nearly meet.

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.detector import DEFAULT_EXPOSURE, Exposure, expose, wide_blur
-from spinestiff.imaging.materials import Material
-from spinestiff.imaging.path_length import Shadow, Surface, cast, closed_surface, shrunk
 from spinestiff.imaging.projection import XRayView
-from spinestiff.imaging.texture import Texture, pattern
+from spinestiff.imaging.synthetic.detector import DEFAULT_EXPOSURE, Exposure, expose, wide_blur
+from spinestiff.imaging.synthetic.materials import Material
+from spinestiff.imaging.synthetic.path_length import Shadow, Surface, cast, closed_surface, shrunk
+from spinestiff.imaging.synthetic.texture import Texture, pattern
 
 _COARSE = 4.0  # pixels that the smoothing of a body keeps on a coarser detector
 

@@ -8,9 +8,9 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.template.surfaces import Surface, loft, outward, tube
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
-from spinestiff.imaging.materials import Material
-from spinestiff.imaging.rendering import Absorber
-from spinestiff.imaging.torso_absorbers import skin_surface
+from spinestiff.imaging.synthetic.materials import Material
+from spinestiff.imaging.synthetic.rendering import Absorber
+from spinestiff.imaging.synthetic.torso_absorbers import skin_surface
 
 PAD_RADIUS = 32.0  # mm
 _CUSHION, _PLATE = 14.0, 3.0  # mm of rubber, of aluminium

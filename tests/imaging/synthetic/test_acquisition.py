@@ -12,15 +12,15 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel, retract
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.acquisition import Acquisition, Gauge, acquire
-from spinestiff.imaging.bowel import bowel
-from spinestiff.imaging.breathing import Breathing, breathed
-from spinestiff.imaging.collimation import Collimation
-from spinestiff.imaging.detector import AIR_GREY, Exposure
-from spinestiff.imaging.gauge import PAD_RADIUS, gauge_pad
-from spinestiff.imaging.materials import Material
-from spinestiff.imaging.path_length import path_length
 from spinestiff.imaging.projection import frontal_view
+from spinestiff.imaging.synthetic.acquisition import Acquisition, Gauge, acquire
+from spinestiff.imaging.synthetic.bowel import bowel
+from spinestiff.imaging.synthetic.breathing import Breathing, breathed
+from spinestiff.imaging.synthetic.collimation import Collimation
+from spinestiff.imaging.synthetic.detector import AIR_GREY, Exposure
+from spinestiff.imaging.synthetic.gauge import PAD_RADIUS, gauge_pad
+from spinestiff.imaging.synthetic.materials import Material
+from spinestiff.imaging.synthetic.path_length import path_length
 
 VIEW = frontal_view(shape=(200, 200), pixel=2.1)
 STILL = Acquisition(breathing=None, gas=0.0, bowel_motion=0.0, exposure_drift=0.0, samples=1)

@@ -14,8 +14,8 @@ from spinestiff.anatomy.names import SIDES, VERTEBRAE
 from spinestiff.anatomy.template.surfaces import Surface, joined, loft, outward, tube
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
-from spinestiff.imaging.rendering import Absorber
-from spinestiff.imaging.texture import Texture
+from spinestiff.imaging.synthetic.rendering import Absorber
+from spinestiff.imaging.synthetic.texture import Texture
 
 _LUNG = -0.74  # soft tissue that an inflated lung lacks
 _AROUND, _ALONG, _CAP = 48, 44, 6

@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 
 from spinestiff.arrays import Floats
-from spinestiff.imaging.path_length import Shadow, offsets
 from spinestiff.imaging.projection import XRayView
+from spinestiff.imaging.synthetic.path_length import Shadow, offsets
 
 
 @dataclass(frozen=True)

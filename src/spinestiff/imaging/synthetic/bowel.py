@@ -7,10 +7,10 @@ import numpy as np
 from spinestiff.anatomy.template.surfaces import Surface, joined, loft
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
-from spinestiff.imaging.organs import chest, diaphragm_top
-from spinestiff.imaging.rendering import Absorber
-from spinestiff.imaging.texture import Texture
-from spinestiff.imaging.torso_absorbers import skin_surface
+from spinestiff.imaging.synthetic.organs import chest, diaphragm_top
+from spinestiff.imaging.synthetic.rendering import Absorber
+from spinestiff.imaging.synthetic.texture import Texture
+from spinestiff.imaging.synthetic.torso_absorbers import skin_surface
 
 _AIR = -0.97  # soft tissue that a bubble lacks; its wall's folds are left out
 _BUBBLES = 15

@@ -7,11 +7,11 @@ import pytest
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel, retract
-from spinestiff.imaging.materials import tube_beam
-from spinestiff.imaging.path_length import path_length
 from spinestiff.imaging.projection import frontal_view
-from spinestiff.imaging.rendering import Absorber, thicknesses
-from spinestiff.imaging.torso_absorbers import torso_absorbers
+from spinestiff.imaging.synthetic.materials import tube_beam
+from spinestiff.imaging.synthetic.path_length import path_length
+from spinestiff.imaging.synthetic.rendering import Absorber, thicknesses
+from spinestiff.imaging.synthetic.torso_absorbers import torso_absorbers
 
 BEAM = tube_beam(75.0)
 VIEW = frontal_view(shape=(256, 256), pixel=1.67)

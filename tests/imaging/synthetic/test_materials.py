@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.materials import Beam, Material, attenuations, monoenergetic, tube_beam
+from spinestiff.imaging.synthetic.materials import Beam, Material, attenuations, monoenergetic, tube_beam
 
 
 def test_attenuation_is_density_times_the_tables_mass_attenuation() -> None:

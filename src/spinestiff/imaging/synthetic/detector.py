@@ -15,8 +15,8 @@ from scipy.special import ive
 
 from spinestiff.arrays import Floats
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.materials import Beam, tube_beam
 from spinestiff.imaging.projection import XRayView
+from spinestiff.imaging.synthetic.materials import Beam, tube_beam
 
 GREY_PER_OPTICAL_DEPTH = 8000.0
 AIR_GREY = 4000.0

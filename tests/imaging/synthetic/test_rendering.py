@@ -9,12 +9,12 @@ import pytest
 
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.errors import RadiographError, TorsoError
-from spinestiff.imaging.detector import AIR_GREY, GREY_PER_OPTICAL_DEPTH, Exposure
-from spinestiff.imaging.materials import Material, attenuations, monoenergetic
-from spinestiff.imaging.path_length import _side, _turn, path_length
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
-from spinestiff.imaging.rendering import Absorber, render_radiograph, thicknesses
-from spinestiff.imaging.texture import Texture
+from spinestiff.imaging.synthetic.detector import AIR_GREY, GREY_PER_OPTICAL_DEPTH, Exposure
+from spinestiff.imaging.synthetic.materials import Material, attenuations, monoenergetic
+from spinestiff.imaging.synthetic.path_length import _side, _turn, path_length
+from spinestiff.imaging.synthetic.rendering import Absorber, render_radiograph, thicknesses
+from spinestiff.imaging.synthetic.texture import Texture
 
 CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 CUBE_FACES = np.array(

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 from spinestiff import __version__
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.allow_list import CLASSES, KEPT, VIEW_CODES, listed, one_of, ruled
-from spinestiff.imaging.codestreams import without_comments
+from spinestiff.imaging.deidentification.allow_list import CLASSES, KEPT, VIEW_CODES, listed, one_of, ruled
+from spinestiff.imaging.deidentification.codestreams import without_comments
+from spinestiff.imaging.deidentification.pseudonyms import Key, moment
 from spinestiff.imaging.dicom.files import MOST_BYTES
 from spinestiff.imaging.dicom.layout import MODALITIES
-from spinestiff.imaging.pseudonyms import Key, moment
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset

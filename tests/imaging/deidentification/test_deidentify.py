@@ -15,18 +15,18 @@ from pydicom.encaps import encapsulate
 from pydicom.uid import UID, ExplicitVRBigEndian, JPEG2000Lossless, JPEGBaseline8Bit, JPEGLSLossless, RLELossless
 
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.allow_list import KEPT
-from spinestiff.imaging.burned_in import inspection_row, sheet
-from spinestiff.imaging.codestreams import without_comments
-from spinestiff.imaging.deidentify import deidentify
+from spinestiff.imaging.deidentification.allow_list import KEPT
+from spinestiff.imaging.deidentification.burned_in import inspection_row, sheet
+from spinestiff.imaging.deidentification.codestreams import without_comments
+from spinestiff.imaging.deidentification.deidentify import deidentify
+from spinestiff.imaging.deidentification.pseudonyms import Key, moment
 from spinestiff.imaging.projection import frontal_view
-from spinestiff.imaging.pseudonyms import Key, moment
 from spinestiff.imaging.radiograph import write_radiographs
 
 KEY = Key(b"0123456789abcdef")
 VIEW = frontal_view(sid=1500.0, source_to_patient=1340.0, shape=(48, 40), pixel=(0.3, 0.4))
 CANARY = b"ZQXJ was here"
-DOCUMENT = Path(__file__).parents[2] / "docs" / "deidentify.md"
+DOCUMENT = Path(__file__).parents[3] / "docs" / "deidentify.md"
 
 
 def smooth(depth: int) -> np.ndarray:

@@ -1,0 +1,1 @@
+"""Radiographs without their patients (docs/deidentify.md)."""
