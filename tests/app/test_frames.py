@@ -73,7 +73,7 @@ def test_roles_stay_without_being_asked(spinestiff, subject, monkeypatch):
     monkeypatch.setattr(frames, "run_steps", lambda *_: None)
     monkeypatch.setattr(frames, "draw_strip", lambda rows: Figure())
     monkeypatch.setattr(frames, "frame_qualities", lambda push, *_: [
-        FrameQuality(push.id, i, force, ImageQuality(1.0, 5.0, 0.0), 14, 0.9, {})
+        FrameQuality(push.id, i, force, ImageQuality(1.0, 5.0, 0.0), 14, 0.1, {})
         for i, force in enumerate(push.forces_n)
     ])  # fmt: skip
     content = read_json(subject / "subject.json")

@@ -13,6 +13,7 @@ from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView, frontal_view
 from spinestiff.imaging.tracking import SUPPORT_LIMIT_MM, support_motion, track
+from spinestiff.imaging.tracking.quality import error_of, quality_of
 
 SHAPE = (620, 360)
 VIEW = frontal_view(shape=SHAPE, pixel=0.7)
@@ -426,3 +427,10 @@ def test_vertebrae_of_a_rendered_torso():
     assert np.median(error) <= 0.15
     assert np.percentile(error, 95) <= 0.5
     assert np.mean([frame.quality > 0.3 for frame in tracked[1:]]) > 0.9
+
+
+def test_errors_and_qualities_are_inverse():
+    errors = np.array([0.0, 0.17, 0.5, 3.0])
+    assert error_of(quality_of(errors)) == pytest.approx(errors)
+    assert quality_of(errors)[1] == pytest.approx(0.5)
+    assert np.isinf(error_of(np.zeros(1))).all()

@@ -25,7 +25,7 @@ def frames(push, *forces, **others):
     """Good frames of a push; ``others``: f3=dict(...) changes frame 3."""
     return [
         FrameQuality(push, i, force, **{
-            "image": GOOD, "vertebrae": 14, "tracking": 0.9,
+            "image": GOOD, "vertebrae": 14, "tracking_mm": 0.1,
             "supports": {"pelvis": Motion(0.8, 0.1), "shoulder": Motion(0.3, None)},
             **others.get(f"f{i}", {}),
         })
@@ -70,7 +70,7 @@ def test_more_frames_than_needed_and_equal_forces():
         ({"image": ImageQuality(1.0, 5.0, 0.2)}, "20 % of the vertebrae have no grey values of their own"),
         ({"vertebrae": 2}, "2 vertebrae could be followed"),
         ({"vertebrae": 0}, "no vertebrae could be followed"),
-        ({"tracking": 0.3}, "followed unsurely (quality 0.30)"),
+        ({"tracking_mm": 1.3}, "followed unsurely (by about 1.3 mm)"),
     ],
 )  # fmt: skip
 def test_unfit_frames_are_never_proposed(bad, why):

@@ -67,7 +67,7 @@ def frame_record(proposal: Proposal, side: str, level: float, role: str) -> dict
         "contrast_to_noise": _rounded(quality.image.contrast_to_noise, 2),
         "saturated": _rounded(quality.image.saturated, 4),
         "vertebrae": quality.vertebrae,
-        "tracking_quality": _rounded(quality.tracking, 3),
+        "tracking_mm": _rounded(quality.tracking_mm, 2),
         "supports": {
             name: {"mm": _rounded(motion.mm, 2), "degrees": _rounded(motion.degrees, 2)}
             for name, motion in quality.supports.items()

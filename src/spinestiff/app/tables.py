@@ -103,7 +103,7 @@ def frames_table(records: Sequence[dict[str, Any]]) -> Table:
     """Every frame's quality and support motion, its role in ``subject.json`` and the proposed one."""
     table = _table(
         "Frames: quality, motion of supports since the first frame, roles",
-        "push", "frame", "force N", "sharpness", "contrast/noise", "vertebrae", "tracking",
+        "push", "frame", "force N", "sharpness", "contrast/noise", "vertebrae", "tracking mm",
         "pelvis", "shoulder", "role", "proposed",
     )  # fmt: skip
     for record in records:
@@ -114,7 +114,7 @@ def frames_table(records: Sequence[dict[str, Any]]) -> Table:
             _number(record["sharpness"]),
             _number(record["contrast_to_noise"], 1),
             str(record["vertebrae"]),
-            _number(record["tracking_quality"]),
+            _number(record["tracking_mm"]),
             *[_motion(record["supports"].get(name)) for name in ("pelvis", "shoulder")],
             record["role"],
             record["proposed"],

@@ -17,6 +17,7 @@ from spinestiff.estimation.objective import FEWEST_VERTEBRAE
 from spinestiff.imaging.image_quality import ImageQuality, image_quality
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.tracking import support_motion
+from spinestiff.imaging.tracking.quality import error_of
 from spinestiff.study.records import PushRecord, Role
 from spinestiff.study.trials import TrackedFrame, usable_corners
 
@@ -27,8 +28,8 @@ SATURATED = 0.05
 """Share of the vertebrae's pixels without a grey value of their own, above which a frame is left out."""
 NOISY = 2.0
 """Contrast to noise below which a frame is called noisy."""
-UNSURE = 0.5
-"""Median quality of tracked corners below which a frame is left out."""
+UNSURE_MM = 1.0
+"""Median predicted error of tracked corners above which a frame is left out."""
 SMALL_FORCE = 0.15
 """Share of a push's largest force below which a frame tells little about stiffness."""
 SAME_FORCE = 0.08
@@ -58,7 +59,7 @@ class FrameQuality:
     push, frame, force_n : which one.
     image : sharpness, noise, exposure.
     vertebrae : how many are tracked well enough to be used.
-    tracking : median quality of their corners, 0 to 1.
+    tracking_mm : median predicted error of their corners, at the patient plane.
     supports : by name, those that are seen.
     dropped : why the tracking step drops it; "" = it doesn't.
     """
@@ -68,7 +69,7 @@ class FrameQuality:
     force_n: float
     image: ImageQuality
     vertebrae: int
-    tracking: float
+    tracking_mm: float
     supports: Mapping[str, Motion]
     dropped: str = ""
 
@@ -81,7 +82,8 @@ class FrameQuality:
     def score(self) -> float:
         """Orders frames under the same force; above is better."""
         moved = self.moved_mm or 0.0
-        return self.image.sharpness * min(self.tracking, 1.0) * min(self.image.contrast_to_noise / NOISY, 2.0) - moved
+        sure = 1.0 / (1.0 + self.tracking_mm / UNSURE_MM)
+        return self.image.sharpness * sure * min(self.image.contrast_to_noise / NOISY, 2.0) - moved
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ def frame_qualities(
     return tuple(
         FrameQuality(
             push.id, i, force, images[i], len(corners[i]),
-            float(np.median(corners[i].quality)) if len(corners[i]) else 0.0, motions[i], entry.dropped,
+            float(np.median(error_of(corners[i].quality))) if len(corners[i]) else np.inf, motions[i], entry.dropped,
         )
         for i, (force, entry) in enumerate(zip(push.forces_n, tracked, strict=True))
     )  # fmt: skip
@@ -202,8 +204,8 @@ def _unfit(frame: FrameQuality, largest: float) -> str:
         return f"blurred (sharpness {image.sharpness:.2f} of the sharpest frame's)"
     if image.saturated > SATURATED:
         return f"{100 * image.saturated:.0f} % of the vertebrae have no grey values of their own (exposure)"
-    if frame.tracking < UNSURE:
-        return f"corners were followed unsurely (quality {frame.tracking:.2f})"
+    if not frame.tracking_mm <= UNSURE_MM:
+        return f"corners were followed unsurely (by about {frame.tracking_mm:.1f} mm)"
     return ""
 
 

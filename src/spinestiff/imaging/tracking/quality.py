@@ -53,3 +53,9 @@ def predicted_error(evidence: Evidence) -> Floats:
 def quality_of(error: Floats) -> Floats:
     """Quality in 0..1 of predicted errors in mm: 1 for none, 1/2 at ``HALVING_MM``, 0 for infinite ones."""
     return np.asarray(1.0 / (1.0 + (error / HALVING_MM) ** 2))
+
+
+def error_of(quality: Floats) -> Floats:
+    """Predicted errors in mm of qualities; inverse of ``quality_of``, infinite for 0."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(HALVING_MM * np.sqrt(1.0 / np.asarray(quality, dtype=float) - 1.0))
