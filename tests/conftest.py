@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # A process a core: more threads would only stand in each other's way. Read when NumPy and numba are imported.
+    for setting in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(setting, "1")
 
 import numpy as np
 import pytest

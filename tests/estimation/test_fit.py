@@ -232,7 +232,7 @@ def test_a_curved_valley_is_followed_along_its_floor(monkeypatch) -> None:
     def search():
         valley = CurvedValley()
         start = valley.solve(np.array([1.5, -0.5]))
-        point, _, status = fitting._levenberg_marquardt(valley, start, (-8.0, 8.0), 400)
+        point, _, status = fitting._levenberg_marquardt(valley, start, (-8.0, 8.0), 800)
         assert status is FitStatus.CONVERGED
         assert point.log_ratios == pytest.approx([-2.0, -0.2], abs=1e-3)
         return valley.evaluations
