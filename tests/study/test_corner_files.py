@@ -284,7 +284,7 @@ def test_an_annotation_that_would_be_refused_leaves_the_old_file(tmp_path):
     write_corners(path, [image("rest/frontal", first_on="right")])
     before = path.read_bytes()
     few = ImageCorners("rest/frontal", VERTEBRAE[:2], QUAD + np.array([[[0, 0]], [[0, 30]]]), first_on="right")
-    with pytest.raises(SubjectError, match=r"not written: images.rest/frontal.vertebrae: found 2 vertebrae"):
+    with pytest.raises(SubjectError, match=r"not written: images: rest/frontal.vertebrae: found 2 vertebrae"):
         write_corners(path, [few])
     assert path.read_bytes() == before
     path.write_text("[]")

@@ -139,7 +139,7 @@ def test_a_frame_whose_support_moved_is_left_out_and_named(torso, corners):
 
 
 def test_lost_vertebrae_are_left_out_and_counted(torso, corners):
-    poor = with_quality(corners, T5=0.0, T8=[1.0, 1.0, 0.2, 0.1], L1=[1.0, 1.0, 1.0, 0.2])
+    poor = with_quality(corners, T5=0.0, T8=[1.0, 1.0, 0.01, 0.01], L1=[1.0, 1.0, 1.0, 0.01])
     found = push_set(torso, [record()], {"main": tracked(corners, poor, corners)})
     (trial,) = found.of_role("training")
     assert set(corners.vertebrae) - set(trial.trial.corners.vertebrae) == {"T5", "T8"}

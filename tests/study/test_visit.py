@@ -56,8 +56,8 @@ def test_the_truth_is_measured_on_the_model(finished, tmp_path):
     assert at_estimate["distance2"] < 1e-6
     assert at_estimate["inside"] is True
     direction = np.linalg.cholesky(fit.uncertainty.covariance) @ np.array([0.6, 0.8])
-    near = dict(zip(fit.names, np.exp(np.log(fit.ratios.values) + 0.02 * direction).tolist()))
-    assert compared(finished.folder, with_truth(tmp_path, **near))["distance2"] == pytest.approx(0.02**2, rel=0.15)
+    near = dict(zip(fit.names, np.exp(np.log(fit.ratios.values) + 0.003 * direction).tolist()))
+    assert compared(finished.folder, with_truth(tmp_path, **near))["distance2"] == pytest.approx(0.003**2, rel=0.15)
     stiff = compared(finished.folder, with_truth(tmp_path, lateral_bending=1.0, tissue=1.0))
     assert stiff["distance2"] > stiff["region_size"]
     assert stiff["inside"] is False
