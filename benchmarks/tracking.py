@@ -3,7 +3,7 @@
     python benchmarks/tracking.py [--images FOLDER] [--only WORD ...] [--cache FOLDER] [--calibrate] [--json] [--write]
 
 Sequences moved by the mechanical model (benchmarks/tracking_sequences.py) and, with ``--images``, known warps of the
-radiographs in a folder, whose landmarks.csv and images.csv lie beside it. Errors are in mm at the patient plane, of
+radiographs in a folder with landmarks.csv, images.csv and images/. Errors are in mm at the patient plane, of
 every corner that is in the open field, in all frames after the first ("all") and in the last ("last"). ``--cache``
 keeps rendered sequences. ``--calibrate`` fits the weights of the predicted error on sequences of odd number and says
 how well they do on the others. ``--write`` stores benchmarks/results/tracking.json.
@@ -287,7 +287,7 @@ def calibrate(arguments: argparse.Namespace) -> Found:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--images", type=Path, help="folder of radiographs to warp")
+    parser.add_argument("--images", type=Path, help="folder of landmarks.csv, images.csv and images/ to warp")
     parser.add_argument(
         "--only", nargs="*", default=[], metavar="WORD", help="modelled sequences whose name has a word"
     )
@@ -296,6 +296,9 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--write", action="store_true")
     arguments = parser.parse_args()
+    # Told before the modelled sequences take their minutes.
+    if arguments.images is not None and not (arguments.images / "landmarks.csv").is_file():
+        parser.error(f"{arguments.images}: no landmarks.csv in this folder")
     found = calibrate(arguments) if arguments.calibrate else measure(arguments)
     if arguments.json or arguments.calibrate:
         print(json.dumps(found, indent=1))

@@ -193,16 +193,16 @@ MAGNIFICATION = frontal_view().magnification
 
 
 def warped(folder: Path) -> Iterator[Moving]:
-    """The radiographs of ``folder`` (images/*.jpg with landmarks.csv, images.csv beside), each moved in steps.
+    """The radiographs of ``folder`` (landmarks.csv, images.csv and images/), each moved in steps.
 
     Nothing says how large a pixel is there: the mean width of the vertebrae is taken to be the template's.
     """
     width_mm = float(box_sizes(template_torso(HEIGHT_CM, "coarse"))[:, 0].mean())
-    landmarks = np.loadtxt(folder.parent / "landmarks.csv", delimiter=",")
-    with (folder.parent / "images.csv").open(newline="", encoding="utf-8") as lines:
+    landmarks = np.loadtxt(folder / "landmarks.csv", delimiter=",")
+    with (folder / "images.csv").open(newline="", encoding="utf-8") as lines:
         rows = [row for row in csv.DictReader(lines) if row["file"]]
     for number, row in enumerate(rows, 1):
-        image = cv2.imread(str(folder / row["file"]), cv2.IMREAD_GRAYSCALE)
+        image = cv2.imread(str(folder / "images" / row["file"]), cv2.IMREAD_GRAYSCALE)
         size = np.array([float(row["width_px"]), float(row["height_px"])])
         quads = (landmarks[int(row["row"])].reshape(2, 68).T * size).reshape(17, 4, 2)
         # From top-left, top-right, bottom-left, bottom-right as seen: the patient's left is on the right.

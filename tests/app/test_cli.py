@@ -41,24 +41,6 @@ COMMANDS = {
 HEAVY = ("numba", "scipy", "cv2", "matplotlib", "skimage", "pydicom", "rslab", "numpy", "fastapi", "uvicorn")
 
 
-@pytest.fixture
-def spinestiff(monkeypatch, capsys):
-    """Run a command line as the installed program does; gives its exit status and output."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["spinestiff", *map(str, arguments)])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as end:
-            status = end.code or 0
-        out, err = capsys.readouterr()
-        assert "Traceback" not in out + err
-        return SimpleNamespace(status=status, out=out, err=err, lines=err.splitlines())
-
-    return call
-
-
 def digests(folder):
     return {p.relative_to(folder).as_posix(): file_digest(p) for p in sorted(folder.rglob("*")) if p.is_file()}
 

@@ -3,31 +3,22 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import pytest
 
 from spine_images import image
-from spinestiff.app import cli
 from spinestiff.study.corner_files import write_corners
 
 TILTS = [12, 6, 0, -8, -16, -12, -4, 6, 12]
 
 
 @pytest.fixture
-def cobb(monkeypatch, capsys):
-    """Run ``spinestiff cobb`` as the installed program does; gives its exit status, output and complaints."""
+def cobb(spinestiff):
+    """Run ``spinestiff cobb``; gives its exit status, output and complaints."""
 
     def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["spinestiff", "cobb", *map(str, arguments)])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as end:
-            status = end.code or 0
-        out, err = capsys.readouterr()
-        assert "Traceback" not in out + err
-        return status, out, err
+        ran = spinestiff("cobb", *arguments)
+        return ran.status, ran.out, ran.err
 
     return call
 

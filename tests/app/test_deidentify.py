@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,27 +13,10 @@ from pydicom.dataset import Dataset
 from pydicom.tag import Tag
 
 from canaries import CANARY, NUMBER, UID, infest, traces
-from spinestiff.app import cli
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.radiograph import Geometry, read_radiographs, write_radiographs
 
 VIEW = frontal_view(sid=1500.0, source_to_patient=1340.0, shape=(40, 36), pixel=(0.3, 0.4))
-
-
-@pytest.fixture
-def spinestiff(monkeypatch, capfd):
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["spinestiff", *map(str, arguments)])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as end:
-            status = end.code or 0
-        out, err = capfd.readouterr()
-        assert "Traceback" not in out + err
-        return SimpleNamespace(status=status, out=out, err=err)
-
-    return call
 
 
 @pytest.fixture

@@ -4,36 +4,17 @@ from __future__ import annotations
 
 import json
 import re
-import sys
-from types import SimpleNamespace
 
 import cv2
-import pytest
 from matplotlib.figure import Figure
 
-from spinestiff.app import cli, frames
+from spinestiff.app import frames
 from spinestiff.imaging.image_quality import ImageQuality
 from spinestiff.study.frame_selection import FrameQuality
 from spinestiff.study.results import read_json, write_json
 
 
-@pytest.fixture
-def spinestiff(monkeypatch, capsys):
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["spinestiff", *map(str, arguments)])
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as end:
-            status = end.code or 0
-        out, err = capsys.readouterr()
-        assert "Traceback" not in out + err
-        return SimpleNamespace(status=status, out=out, err=err)
-
-    return call
-
-
-def test_a_proposal_for_a_subject_without_roles(spinestiff, subject, monkeypatch, capsys):
+def test_a_proposal_for_a_subject_without_roles(spinestiff, subject, monkeypatch, capfd):
     monkeypatch.setattr(frames, "run_steps", lambda *_: None)  # tracking doesn't ask for roles
     path = subject / "subject.json"
     chosen = path.read_text()
@@ -63,7 +44,7 @@ def test_a_proposal_for_a_subject_without_roles(spinestiff, subject, monkeypatch
     assert json.loads(path.read_text()) == json.loads(chosen)
     # What people see of the same.
     frames.show_frames(found, subject / "results/frames.png", written=False)
-    shown = capsys.readouterr().out
+    shown = capfd.readouterr().out
     assert re.fullmatch(r"30 N, sharp, shoulder moved 0\.\d mm: validation, the largest force", found[3]["reason"])
     assert f"push 'main' frame 3: {found[3]['reason']}" in shown
     assert "subject.json is as it was; --write puts the proposed roles in" in shown

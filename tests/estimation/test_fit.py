@@ -11,6 +11,7 @@ from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import FitError
 from spinestiff.estimation import fit as fitting
+from spinestiff.estimation import search as searching
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fit import FitStatus, fit_stiffness
 from spinestiff.estimation.objective import Trial
@@ -168,7 +169,7 @@ def test_secant_curvature_meets_its_equation_and_is_symmetric(spine, trials) -> 
     here, there = (trial_set.solve(np.log(values)) for values in ([0.2, 0.06], [0.11, 0.035]))
     before, after = trial_set.slope(here), trial_set.slope(there)
     step = there.log_ratios - here.log_ratios
-    curvature = fitting._secant(np.eye(2), step, here, before, there, after)
+    curvature = searching._secant(np.eye(2), step, here, before, there, after)
     assert np.allclose(curvature, curvature.T)
     wanted = (after.jacobian - before.jacobian).T @ there.values
     assert np.abs(wanted).min() > 1.0
@@ -232,14 +233,14 @@ def test_a_curved_valley_is_followed_along_its_floor(monkeypatch) -> None:
     def search():
         valley = CurvedValley()
         start = valley.solve(np.array([1.5, -0.5]))
-        point, _, status = fitting._levenberg_marquardt(valley, start, (-8.0, 8.0), 800)
+        point, _, status = searching.levenberg_marquardt(valley, start, (-8.0, 8.0), 800)
         assert status is FitStatus.CONVERGED
         assert point.log_ratios == pytest.approx([-2.0, -0.2], abs=1e-3)
         return valley.evaluations
 
     bent = search()
     assert bent < 120
-    monkeypatch.setattr(fitting, "_arc", lambda point, slope, limits, damping, *_: fitting._damped_step(
+    monkeypatch.setattr(searching, "_arc", lambda point, slope, limits, damping, *_: searching._damped_step(
         point, slope, limits, 4.0 * max(damping, 3e-3), None
     ))  # fmt: skip
     straight = search()
