@@ -29,7 +29,7 @@ from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study import report
 from spinestiff.study.records import Annotation, ImageAnnotation, PushRecord, SubjectRecord
 from spinestiff.study.report import write_report
-from spinestiff.study.report_content import MISSING, fixed, number
+from spinestiff.study.report_content import MISSING, _strip, fixed, number
 from spinestiff.study.results import write_json
 from spinestiff.study.subject import write_annotation, write_subject
 from spinestiff.study.viewer.page import script_hash
@@ -527,3 +527,13 @@ def test_the_torso_is_drawn_where_it_is_reached_and_on_paper(visit: Visit, html:
         assert {address for address in tab.requests if not address.startswith("data:")} == {page.as_uri()}
     # The same picture as a page of its own.
     assert f"Torso of {visit.subject.record.id}" in visit.file("view.html").read_text(encoding="utf-8")
+
+
+def test_published_ratios_stand_only_beside_the_ratio_they_are_of():
+    """The group that takes the sternal joints along is no group of the published subjects."""
+    entry = {"value": 0.1, "interval95": [0.05, 0.2]}
+    own, published = (_strip(name, entry, (0.005, 5.0), None) for name in ("lateral_bending", "intervertebral_bending"))
+    assert own["band"] is None
+    # 0.01 to 0.63 on a logarithmic axis of three decades.
+    assert published["band"] == pytest.approx((10.03, 70.01), abs=0.01)
+    assert own["value"] == published["value"]

@@ -16,8 +16,8 @@ MISSING = "not available"
 # Secant lateral-bending stiffness of cadaver thoracic segments at 7.5 N m (Wilke et al. 2017), N m/degree.
 BENDING_BAND = (1.3, 1.8)
 # Range of the ratio in the seven subjects of the method's first study. Its tissue ratios are left out: they belong to
-# another default tissue.
-PUBLISHED = {"lateral_bending": (0.01, 0.63), "intervertebral_bending": (0.01, 0.63)}
+# another default tissue. "lateral_bending" takes the sternal joints along and is another ratio.
+PUBLISHED = {"intervertebral_bending": (0.01, 0.63)}
 RATIO_TITLES = {
     "lateral_bending": "Lateral bending of the spine",
     "intervertebral_bending": "Lateral bending of the spine, rib cage as it is",
