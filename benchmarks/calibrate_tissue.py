@@ -27,7 +27,7 @@ from spinestiff.anatomy.names import RIBS
 from spinestiff.anatomy.stiffness import DEFAULT_POISSON, StiffnessRatios, lame_parameters, stiffness_ratios
 from spinestiff.anatomy.template import MESHES, template_torso
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
-from spinestiff.imaging.features import silhouette_choice, state_features
+from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push
@@ -89,7 +89,7 @@ class Body:
         self.level = apex_level(self.torso, row.curve, self.side)
         self.problem = EquilibriumProblem(self.torso, three_point_supports(self.torso, self.side, pelvis))
         self.view = frontal_view(centre=(0.0, 200.0, 0.0))
-        self.choice = silhouette_choice(self.torso, self.view, self.torso.rest_pose)
+        self.shares = silhouette_shares(self.torso, self.view, self.torso.rest_pose)
         self.state = self.torso.rest_pose
 
     def load(self) -> LoadCase:
@@ -122,7 +122,7 @@ class Body:
 
     def corners(self, state: TorsoState) -> np.ndarray:
         """(17, 4, 2) mm, the vertebrae's corners in the frontal picture, at the patient plane."""
-        return state_features(self.torso, self.view, state, self.choice).corners
+        return state_features(self.torso, self.view, state, self.shares).corners
 
     def _tilts(self, state: TorsoState) -> SpineTilts:
         return tilts(self.torso.vertebrae, self.corners(state), self.view)

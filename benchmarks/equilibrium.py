@@ -37,7 +37,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.estimation.fit import fit_stiffness
 from spinestiff.estimation.objective import Trial
-from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
+from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.factor import default_backend
@@ -125,11 +125,11 @@ def linear_residual(problem, tangent, rhs, rested, load, ratios) -> float:  # ty
 def two_frame_fit(problem, torso, soft):  # type: ignore[no-untyped-def]
     """Two ratios from two noise-free frames of the same mesh."""
     view = frontal_view()
-    choice = silhouette_choice(torso, view, torso.rest_pose)
+    shares = silhouette_shares(torso, view, torso.rest_pose)
     trials = []
     for force in (20.0, 40.0):
         load = rib_push(torso, "left", 8.0, force)
-        corners = state_features(torso, view, problem.solve(load, soft).require().state, choice).corners
+        corners = state_features(torso, view, problem.solve(load, soft).require().state, shares).corners
         trials.append(Trial(load, VertebraCorners(torso.vertebrae, corners), view, f"{force:.0f} N"))
     return fit_stiffness(problem, trials)
 

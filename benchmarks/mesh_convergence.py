@@ -39,7 +39,7 @@ from elements import Form, VolumeAveraged, linear_torso
 from spinestiff.anatomy.stiffness import DEFAULT_YOUNG_MPA, StiffnessRatios, stiffness_ratios
 from spinestiff.anatomy.template.assemble import assemble, build_skeleton
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
-from spinestiff.imaging.features import silhouette_choice, state_features
+from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
@@ -111,7 +111,7 @@ class Observation:
     def __init__(self, torso: TorsoModel) -> None:
         self.torso = torso
         self.view = frontal_view(centre=(0.0, 200.0, 0.0))
-        self.choice = silhouette_choice(torso, self.view, torso.rest_pose)
+        self.shares = silhouette_shares(torso, self.view, torso.rest_pose)
         self.rest = self._tilts(torso.rest_pose)
 
     def of(self, state: TorsoState) -> dict[str, Any]:
@@ -126,7 +126,7 @@ class Observation:
         }
 
     def _tilts(self, state: TorsoState) -> Any:
-        corners = state_features(self.torso, self.view, state, self.choice).corners
+        corners = state_features(self.torso, self.view, state, self.shares).corners
         return tilts(self.torso.vertebrae, corners, self.view)
 
 

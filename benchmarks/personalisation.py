@@ -57,7 +57,7 @@ from spinestiff.anatomy.template.sizes import VERTEBRA_SIZES
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError
-from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
+from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.personalise.image_terms import PediclePoints
 from spinestiff.personalise.shape import personalise
@@ -381,8 +381,8 @@ def exact_rmse(torso: TorsoModel, given: Pictures) -> float:
     squares = []
     for name, exact in given.exact.items():
         view = given.corners[name][1]
-        choice = silhouette_choice(torso, view, torso.rest_pose)
-        seen = state_features(torso, view, torso.rest_pose, choice).corners
+        shares = silhouette_shares(torso, view, torso.rest_pose)
+        seen = state_features(torso, view, torso.rest_pose, shares).corners
         squares.append(np.sum((seen - exact) ** 2, -1) / view.magnification**2)
     return float(np.sqrt(np.mean(squares)))
 

@@ -32,7 +32,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from spinestiff.anatomy.template import template_torso
-from spinestiff.imaging.features import silhouette_choice, state_features
+from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.synthetic.acquisition import DEFAULT_ACQUISITION, Acquisition, acquire
 from spinestiff.personalise.shape import place_vertebrae
@@ -76,8 +76,8 @@ def synthetic_pictures(acquisition: Acquisition = DEFAULT_ACQUISITION) -> Iterat
         spine = torso.rest_pose.bone_positions[torso.vertebra_bones]
         view = frontal_view(centre=(0.0, 0.5 * (spine[0, 1] + spine[-1, 1]), 0.0))
         (image,) = acquire(torso, [torso.rest_pose], view, acquisition, person=person, seed=person)
-        choice = silhouette_choice(torso, view, torso.rest_pose)
-        corners = view.pixels(state_features(torso, view, torso.rest_pose, choice).corners)[:, [1, 0, 2, 3]]
+        shares = silhouette_shares(torso, view, torso.rest_pose)
+        corners = view.pixels(state_features(torso, view, torso.rest_pose, shares).corners)[:, [1, 0, 2, 3]]
         yield published(Picture(f"synthetic {person}", image.astype(float), corners))
 
 

@@ -25,7 +25,7 @@ from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
-from spinestiff.imaging.features import VertebraCorners, box_sizes, silhouette_choice, state_features
+from spinestiff.imaging.features import VertebraCorners, box_sizes, silhouette_shares, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view
 from spinestiff.imaging.synthetic.acquisition import Acquisition, Gauge, acquire
 from spinestiff.imaging.synthetic.collimation import Collimation
@@ -134,10 +134,10 @@ def modelled(case: Case) -> Moving:
     spine = torso.rest_pose.bone_positions[torso.vertebra_bones]
     centre = np.array([0.0, 0.5 * (spine[0, 1] + spine[-1, 1]), 0.0])
     view = frontal_view(shape=SHAPE, pixel=DETECTOR_PIXEL_MM, centre=centre)
-    choice = silhouette_choice(torso, view, torso.rest_pose)
+    shares = silhouette_shares(torso, view, torso.rest_pose)
 
     def seen(state: TorsoState) -> Floats:
-        return state_features(torso, view, state, choice).corners
+        return state_features(torso, view, state, shares).corners
 
     rest_tilts = tilts(VERTEBRAE, seen(torso.rest_pose), view)
     side: Literal["left", "right"] = "left" if cobb_angle(rest_tilts).degrees > 0.0 else "right"

@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # the same list for editors and type checkers; a test compare
     from spinestiff.estimation.fit import fit_stiffness as fit_stiffness
     from spinestiff.estimation.objective import Trial as Trial
     from spinestiff.imaging.features import VertebraCorners as VertebraCorners
-    from spinestiff.imaging.features import silhouette_choice as silhouette_choice
+    from spinestiff.imaging.features import silhouette_shares as silhouette_shares
     from spinestiff.imaging.features import state_features as state_features
     from spinestiff.imaging.projection import frontal_view as frontal_view
     from spinestiff.imaging.projection import lateral_view as lateral_view
@@ -43,7 +43,7 @@ _MODULES = {
     "errors": ("SpinestiffError",),
     "estimation.fit": ("fit_stiffness",),
     "estimation.objective": ("Trial",),
-    "imaging.features": ("VertebraCorners", "silhouette_choice", "state_features"),
+    "imaging.features": ("VertebraCorners", "silhouette_shares", "state_features"),
     "imaging.projection": ("frontal_view", "lateral_view"),
     "mechanics.equilibrium": ("EquilibriumProblem",),
     "mechanics.loads": ("rib_push",),

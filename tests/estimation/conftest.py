@@ -12,7 +12,7 @@ from spinestiff.anatomy.points import PointsOnBones, rotation_second_derivative
 from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
 from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel, TorsoState, joint_frames, retract
 from spinestiff.estimation.objective import Trial
-from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
+from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import Equilibrium, SolveStatus
 from spinestiff.mechanics.loads import LoadCase
@@ -191,8 +191,8 @@ def push(force: float, bone: int = 4) -> LoadCase:
 def shown(problem: PlanarSpine, load: LoadCase, ratios: StiffnessRatios, error: float = 0.0, seed: int = 0) -> Trial:
     """A trial whose corners are the simulated ones, with white errors of sd ``error`` mm at the patient plane."""
     state = problem.solve(load, ratios).require().state
-    choice = silhouette_choice(problem.torso, VIEW, problem.torso.rest_pose)
-    corners = state_features(problem.torso, VIEW, state, choice).corners
+    shares = silhouette_shares(problem.torso, VIEW, problem.torso.rest_pose)
+    corners = state_features(problem.torso, VIEW, state, shares).corners
     noise = np.random.default_rng(seed).standard_normal(corners.shape)
     corners = corners + error * VIEW.magnification * noise
     visible = slice(0, len(problem.torso.vertebrae) - 1)

@@ -16,7 +16,7 @@ from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fit import FitStatus, fit_stiffness
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.uncertainty import joint_region_contains
-from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
+from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
@@ -190,11 +190,11 @@ def test_eqs_8_10_on_the_template_torso() -> None:
     problem = EquilibriumProblem(torso, three_point_supports(torso, "right"))
     view = frontal_view(centre=torso.rest_pose.bone_positions[torso.vertebra_bones].mean(0))
     truth = stiffness_ratios({"lateral_bending": 0.1, "tissue": 0.01})
-    choice = silhouette_choice(torso, view, torso.rest_pose)
+    shares = silhouette_shares(torso, view, torso.rest_pose)
     data = []
     for force in (20.0, 40.0):
         load = rib_push(torso, "right", 7.5, force)
-        seen = state_features(torso, view, problem.solve(load, truth).require().state, choice).corners
+        seen = state_features(torso, view, problem.solve(load, truth).require().state, shares).corners
         data.append(Trial(load, VertebraCorners(torso.vertebrae, seen), view, f"{force:g} N", "push"))
     trial_set = TrialSet([problem] * 2, data, truth.groups, "procrustes", None)
     point = trial_set.solve(np.log([0.3, 0.05]))

@@ -55,9 +55,9 @@ def quad(view, centre, angle, width, height):
 @pytest.mark.parametrize("name", VIEWS)
 def test_eq_12_feature_derivatives_by_sixth_order_differences(name: str, orientation: ft.Orientation) -> None:
     model, view = torso(), VIEWS[name]
-    choice = ft.silhouette_choice(model, view, model.rest_pose)
+    shares = ft.silhouette_shares(model, view, model.rest_pose)
     state = retract(model.rest_pose, 0.1 * np.random.default_rng(1).standard_normal(18))
-    exact = ft.state_features(model, view, state, choice, orientation).jacobian
+    exact = ft.state_features(model, view, state, shares, orientation).jacobian
     assert np.abs(exact).min(axis=(0, 1)).min() > 1e-6, "a derivative that is zero proves nothing"
     for bone in range(3):
         for dof in range(6):
@@ -66,7 +66,7 @@ def test_eq_12_feature_derivatives_by_sixth_order_differences(name: str, orienta
             step, slope = (0.1 if dof < 3 else 1e-3), 0.0
             for k, weight in SIXTH_ORDER.items():
                 ahead, behind = (retract(state, s * k * step * dx) for s in (1, -1))
-                z = [ft.state_features(model, view, at, choice, orientation).z for at in (ahead, behind)]
+                z = [ft.state_features(model, view, at, shares, orientation).z for at in (ahead, behind)]
                 slope += weight * (z[0] - z[1]) / step
             others = [v for v in range(3) if v != bone]
             assert np.abs(slope[others]).max() == 0.0
@@ -77,15 +77,15 @@ def test_eq_12_feature_derivatives_by_sixth_order_differences(name: str, orienta
 @pytest.mark.parametrize("orientation", ft.ORIENTATIONS)
 def test_derivatives_with_a_lost_corner(orientation: ft.Orientation) -> None:
     model, view = torso(), VIEWS["frontal"]
-    choice = ft.silhouette_choice(model, view, model.rest_pose)
+    shares = ft.silhouette_shares(model, view, model.rest_pose)
     used = np.ones((3, 4), dtype=bool)
     used[1, 2] = False
-    exact = ft.state_features(model, view, model.rest_pose, choice, orientation, used).jacobian
+    exact = ft.state_features(model, view, model.rest_pose, shares, orientation, used).jacobian
     for dof in range(6):
         dx = np.zeros(18)
         dx[6 + dof] = 1e-3
         ahead, behind = (retract(model.rest_pose, s * dx) for s in (1, -1))
-        z = [ft.state_features(model, view, at, choice, orientation, used).z for at in (ahead, behind)]
+        z = [ft.state_features(model, view, at, shares, orientation, used).z for at in (ahead, behind)]
         assert np.allclose((z[0] - z[1])[1] / 2e-3, exact[1, ..., dof], atol=1e-5)
 
 
@@ -94,8 +94,8 @@ def test_eq_9_upright_box_is_seen_as_itself(name: str) -> None:
     """z of an unturned box in the patient plane is the reference box at the projected centre, in anatomical mm."""
     model, view = torso(), VIEWS[name]
     state = TorsoState(np.zeros((3, 3)), np.broadcast_to(np.eye(3), (3, 3, 3)), np.empty((0, 3)))
-    choice = ft.silhouette_choice(model, view, state)
-    found = ft.state_features(model, view, state, choice)
+    shares = ft.silhouette_shares(model, view, state)
+    found = ft.state_features(model, view, state, shares)
     first, up = ft.picture_axes(view)
     assert np.allclose(found.angle, 0.0, atol=1e-12)
     width = SIZES[:, 0] if name == "frontal" else SIZES[:, 2]
@@ -110,8 +110,8 @@ def test_first_corner_is_left_or_anterior_and_superior_in_every_display() -> Non
     flips = [view.__class__(view.source, view.detector_origin, view.detector_axes * [[-1.0], [1.0]], view.pixel_spacing,
                             view.shape, view.source_to_patient) for view in VIEWS.values()]  # fmt: skip
     for view in (*VIEWS.values(), *flips, VIEWS["frontal"].moved((3.0, 4.0), 2.0)):
-        choice = ft.silhouette_choice(model, view, state)
-        seen = ft.state_features(model, view, state, choice).corners
+        shares = ft.silhouette_shares(model, view, state)
+        seen = ft.state_features(model, view, state, shares).corners
         positions = state.bone_positions
         side = np.array([8.0, 0, 0]) if ft.view_kind(view) == "frontal" else np.array([0, 0, 8.0])
         to_first = view.project(positions + side) - view.project(positions)
@@ -125,22 +125,41 @@ def test_first_corner_is_left_or_anterior_and_superior_in_every_display() -> Non
 @pytest.mark.parametrize("name", VIEWS)
 def test_targets_of_simulated_corners_are_the_simulated_features(name: str, orientation: ft.Orientation) -> None:
     model, view = torso(), VIEWS[name]
-    choice = ft.silhouette_choice(model, view, model.rest_pose)
-    found = ft.state_features(model, view, model.rest_pose, choice, orientation)
+    shares = ft.silhouette_shares(model, view, model.rest_pose)
+    found = ft.state_features(model, view, model.rest_pose, shares, orientation)
     order = (2, 0)
     corners = ft.VertebraCorners(tuple(NAMES[i] for i in order), found.corners[list(order)])
     target = ft.target_features(model, view, corners, orientation)
     assert np.abs(target - found.z[list(order)]).max() < 1e-11
 
 
-def test_silhouette_takes_the_outer_corner_of_a_tilted_plate() -> None:
-    """Tipped forward, the plates' hind edges are the upper ones: hind corners above, front ones below."""
+def test_the_silhouette_goes_to_the_outer_edge_of_a_tilted_plate() -> None:
+    """Tipped forward, the plates' hind edges are the upper ones: corners lie behind above, in front below."""
     model, view = torso(), VIEWS["frontal"]
     tipped = upright(model)
+    # On the principal ray, so that the plates are seen edge on as long as they are not tipped.
+    still = TorsoState(np.zeros((3, 3)), np.broadcast_to(np.eye(3), (3, 3, 3)), np.empty((0, 3)))
     forward = TorsoState(tipped.bone_positions, exp_so3(np.tile([0.4, 0, 0], (3, 1))), np.empty((0, 3)))
     backward = TorsoState(tipped.bone_positions, exp_so3(np.tile([-0.4, 0, 0], (3, 1))), np.empty((0, 3)))
-    assert (ft.silhouette_choice(model, view, forward) == [1, 1, 0, 0]).all()
-    assert (ft.silhouette_choice(model, view, backward) == [0, 0, 1, 1]).all()
+    assert np.abs(ft.silhouette_shares(model, view, still)).max() < 0.06
+    signs = np.array([-1.0, -1.0, 1.0, 1.0])
+    assert (signs * ft.silhouette_shares(model, view, forward) > 0.3).all()
+    assert (-signs * ft.silhouette_shares(model, view, backward) > 0.3).all()
+
+
+def test_a_turn_about_the_vertical_shifts_box_corners_and_not_the_silhouette() -> None:
+    """A round body that turns by 4 degrees keeps its outline; its box's corners move by half a depth times that."""
+    model, view = torso(), VIEWS["frontal"]
+    still = TorsoState(np.zeros((3, 3)), np.broadcast_to(np.eye(3), (3, 3, 3)), np.empty((0, 3)))
+    turned = TorsoState(still.bone_positions, exp_so3(np.tile([0, 0.07, 0], (3, 1))), np.empty((0, 3)))
+    shares = ft.silhouette_shares(model, view, still)
+
+    def shifts(of: np.ndarray) -> np.ndarray:
+        before, after = (ft.state_features(model, view, state, of).corners for state in (still, turned))
+        return np.linalg.norm(after - before, axis=-1) / view.magnification
+
+    assert shifts(np.ones((3, 4))) == pytest.approx(np.tile(0.5 * 0.07 * SIZES[:, 2, None], (1, 4)), rel=0.1)
+    assert shifts(shares).max() < 0.15
 
 
 @pytest.mark.parametrize("orientation", ft.ORIENTATIONS)
@@ -196,11 +215,11 @@ def test_near_square_boxes_are_flagged_under_covariance_only() -> None:
     model = torso(np.array([[26.0, 24.0, 30.0], [31.0, 20.0, 28.0], [45.0, 28.0, 30.0]]))
     for name, expected in (("frontal", [True, False, False]), ("lateral", [False, False, True])):
         view = VIEWS[name]
-        choice = ft.silhouette_choice(model, view, model.rest_pose)
-        found = ft.state_features(model, view, model.rest_pose, choice, "covariance")
+        shares = ft.silhouette_shares(model, view, model.rest_pose)
+        found = ft.state_features(model, view, model.rest_pose, shares, "covariance")
         assert found.undetermined.tolist() == expected
         assert np.isfinite(found.jacobian).all()
-        assert not ft.state_features(model, view, model.rest_pose, choice).undetermined.any()
+        assert not ft.state_features(model, view, model.rest_pose, shares).undetermined.any()
 
 
 def test_an_exact_square_stays_finite_under_covariance() -> None:
@@ -212,13 +231,13 @@ def test_an_exact_square_stays_finite_under_covariance() -> None:
 
 def test_a_lost_corner_does_not_shift_the_box() -> None:
     model, view = torso(), VIEWS["frontal"]
-    choice = ft.silhouette_choice(model, view, model.rest_pose)
-    seen = ft.state_features(model, view, model.rest_pose, choice).corners.copy()
+    shares = ft.silhouette_shares(model, view, model.rest_pose)
+    seen = ft.state_features(model, view, model.rest_pose, shares).corners.copy()
     quality = np.ones((3, 4))
     quality[1, 3] = 0.0
     seen[1, 3] += 40.0
     corners = ft.VertebraCorners(NAMES, seen, quality)
-    same = ft.state_features(model, view, model.rest_pose, choice, used=corners.usable).z
+    same = ft.state_features(model, view, model.rest_pose, shares, used=corners.usable).z
     assert np.abs(ft.target_features(model, view, corners) - same).max() < 1e-11
 
 
@@ -269,9 +288,9 @@ def test_views_from_above_and_unknown_orientations_are_refused() -> None:
     above = view.__class__([0, 900.0, 0], [0, -200.0, 0], [[1.0, 0, 0], [0, 0, 1.0]], [1, 1], (10, 10), 900.0)
     with pytest.raises(RadiographError, match="up or down"):
         ft.view_kind(above)
-    choice = ft.silhouette_choice(model, view, model.rest_pose)
+    shares = ft.silhouette_shares(model, view, model.rest_pose)
     with pytest.raises(RadiographError, match="procrustes, covariance"):
-        ft.state_features(model, view, model.rest_pose, choice, "svd")  # type: ignore[arg-type]
+        ft.state_features(model, view, model.rest_pose, shares, "svd")  # type: ignore[arg-type]
 
 
 def test_selected_keeps_order_and_quality() -> None:

@@ -382,7 +382,7 @@ def test_vertebrae_of_a_rendered_torso():
     from spinestiff.anatomy.rotation import exp_so3
     from spinestiff.anatomy.template import template_torso
     from spinestiff.anatomy.torso import TorsoState
-    from spinestiff.imaging.features import silhouette_choice, state_features
+    from spinestiff.imaging.features import silhouette_shares, state_features
     from spinestiff.imaging.synthetic.detector import Exposure
     from spinestiff.imaging.synthetic.materials import Material
     from spinestiff.imaging.synthetic.rendering import Absorber, render_radiograph
@@ -420,8 +420,8 @@ def test_vertebrae_of_a_rendered_torso():
 
     states = [posed(push) for push in (0.0, 6.0, 12.0)]
     images = [radiograph(s, p, i, f) for i, (s, p, f) in enumerate(zip(states, (0.0, 6.0, 12.0), (1.0, 1.25, 0.8)))]
-    choice = silhouette_choice(torso, view, rest)
-    truth = [state_features(torso, view, state, choice).corners for state in states]
+    shares = silhouette_shares(torso, view, rest)
+    truth = [state_features(torso, view, state, shares).corners for state in states]
     tracked = track([Frame(image, view) for image in images], {0: VertebraCorners(VERTEBRAE, truth[0])})
     error = np.linalg.norm(np.stack([f.corners for f in tracked[1:]]) - truth[1:], axis=-1) / view.magnification
     assert np.median(error) <= 0.15

@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from spinestiff.anatomy.template import template_torso
-from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
+from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 
 
 def annotated(torso, view, names=None):
     """Corners as seen, without error."""
-    choice = silhouette_choice(torso, view, torso.rest_pose)
-    corners = state_features(torso, view, torso.rest_pose, choice).corners
+    shares = silhouette_shares(torso, view, torso.rest_pose)
+    corners = state_features(torso, view, torso.rest_pose, shares).corners
     found = VertebraCorners(torso.vertebrae, corners)
     return found if names is None else found.selected(tuple(names))
 

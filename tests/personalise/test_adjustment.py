@@ -143,7 +143,7 @@ def test_what_no_image_shows_is_the_priors(template, prior, girl):
     views = []
     for view in pictures(template, girl, 0.5):
         keep = view.vertebra > 2
-        parts = {key: getattr(view, key)[keep] for key in ("vertebra", "pair", "upward", "outward", "measured")}
+        parts = {key: getattr(view, key)[keep] for key in ("vertebra", "pair", "outward", "measured")}
         views.append(replace(view, **parts))
     found = adjust(views, prior, start(template), KNOWN, KNOWN)
     assert found.prior_share[:3] == pytest.approx(np.ones((3, 6)), abs=1e-9)

@@ -10,7 +10,7 @@ import pytest
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.torso import TorsoState
 from spinestiff.errors import TrackingError
-from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
+from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.personalise.image_terms import UNKNOWNS, PediclePoints, Shape, image_points, own_boxes, shape_of
 from spinestiff.personalise.pose import posed
@@ -77,9 +77,9 @@ def test_the_silhouette_is_that_of_the_shape(template, name):
     rotations = rest.bone_rotations.copy()
     rotations[bones] = turn @ rotations[bones]
     bent = TorsoState(rest.bone_positions, rotations, rest.tissue_positions)
-    upright, choice = (silhouette_choice(template, view, state) for state in (rest, bent))
-    assert (upright != choice).sum() > 3
-    corners = VertebraCorners(template.vertebrae, state_features(template, view, bent, choice).corners)
+    upright, shares = (silhouette_shares(template, view, state) for state in (rest, bent))
+    assert (upright != shares).sum() > 3
+    corners = VertebraCorners(template.vertebrae, state_features(template, view, bent, shares).corners)
     residual = points_of(template, view, corners).residuals(shape_of(template, bent), np.zeros(4))
     assert np.abs(residual).max() < 1e-9
 
@@ -138,8 +138,8 @@ def test_corners_are_those_of_the_shapes_own_boxes(template, see, moved, name):
     poses = [template.rest_pose.bone_positions.copy(), template.rest_pose.bone_rotations.copy()]
     poses[0][template.vertebra_bones], poses[1][template.vertebra_bones] = moved.positions, moved.rotations
     state = TorsoState(*poses, template.rest_pose.tissue_positions)
-    choice = silhouette_choice(torso, view, state)
-    corners = VertebraCorners(torso.vertebrae, state_features(torso, view, state, choice).corners)
+    shares = silhouette_shares(torso, view, state)
+    corners = VertebraCorners(torso.vertebrae, state_features(torso, view, state, shares).corners)
     points = image_points(template, view, corners)
     assert np.abs(points.residuals(moved, np.zeros(4))).max() < 1e-9
 

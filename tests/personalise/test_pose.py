@@ -7,7 +7,7 @@ import pytest
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import TrackingError
-from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
+from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.personalise.pose import Stance, align_view, posed
 
@@ -17,8 +17,8 @@ def torso():
     return template_torso(157.0, "coarse")
 
 
-def seen(torso, view, choice, rows=slice(None)):
-    corners = state_features(torso, view, torso.rest_pose, choice).corners
+def seen(torso, view, shares, rows=slice(None)):
+    corners = state_features(torso, view, torso.rest_pose, shares).corners
     return VertebraCorners(torso.vertebrae[rows], corners[rows])
 
 
@@ -47,9 +47,9 @@ def test_a_yaw_turns_the_patient_to_the_left():
 @pytest.mark.parametrize(("shift", "roll"), [((8.0, -5.0), 0.03), ((-20.0, 12.0), -0.08), ((0.0, 0.0), 0.0)])
 def test_a_moved_view_is_found(torso, make, shift, roll):
     nominal = make()
-    choice = silhouette_choice(torso, nominal, torso.rest_pose)
+    shares = silhouette_shares(torso, nominal, torso.rest_pose)
     true = nominal.moved(shift, roll)
-    found, pose = align_view(torso, torso.rest_pose, nominal, seen(torso, true, choice), choice)
+    found, pose = align_view(torso, torso.rest_pose, nominal, seen(torso, true, shares), shares)
     assert pose.shift == pytest.approx(shift, abs=1e-6)
     assert pose.roll == pytest.approx(roll, abs=1e-8)
     assert pose.rms_mm < 1e-6
@@ -62,22 +62,22 @@ def test_a_moved_view_is_found(torso, make, shift, roll):
 def test_a_roll_may_be_left_to_the_torso(torso, share):
     """The view takes its share; the middles of both pictures meet all the same."""
     nominal = frontal_view()
-    choice = silhouette_choice(torso, nominal, torso.rest_pose)
-    corners = seen(torso, nominal.moved((8.0, -5.0), 0.05), choice)
-    view, pose = align_view(torso, torso.rest_pose, nominal, corners, choice, roll_share=share)
+    shares = silhouette_shares(torso, nominal, torso.rest_pose)
+    corners = seen(torso, nominal.moved((8.0, -5.0), 0.05), shares)
+    view, pose = align_view(torso, torso.rest_pose, nominal, corners, shares, roll_share=share)
     assert pose.roll == pytest.approx(share * 0.05, abs=1e-4)
     assert pose.rms_mm > 1.0
     shown, wanted = (
-        view.to_patient_plane(c).reshape(-1, 2).mean(0) for c in (seen(torso, view, choice).corners, corners.corners)
+        view.to_patient_plane(c).reshape(-1, 2).mean(0) for c in (seen(torso, view, shares).corners, corners.corners)
     )
     assert shown == pytest.approx(wanted, abs=1e-3)
 
 
 def test_part_of_the_spine_is_enough(torso):
     nominal = frontal_view()
-    choice = silhouette_choice(torso, nominal, torso.rest_pose)
-    corners = seen(torso, nominal.moved((6.0, 3.0), 0.05), choice, slice(2, 11))
-    _, pose = align_view(torso, torso.rest_pose, nominal, corners, choice)
+    shares = silhouette_shares(torso, nominal, torso.rest_pose)
+    corners = seen(torso, nominal.moved((6.0, 3.0), 0.05), shares, slice(2, 11))
+    _, pose = align_view(torso, torso.rest_pose, nominal, corners, shares)
     assert pose.shift == pytest.approx((6.0, 3.0), abs=1e-6)
     assert pose.roll == pytest.approx(0.05, abs=1e-8)
 
@@ -85,11 +85,11 @@ def test_part_of_the_spine_is_enough(torso):
 def test_what_no_pose_explains_is_reported(torso):
     """Every other vertebra 1 mm aside (at the patient plane): the pose stays and 1 mm remains."""
     nominal = frontal_view()
-    choice = silhouette_choice(torso, nominal, torso.rest_pose)
-    corners = seen(torso, nominal, choice, slice(0, 16))
+    shares = silhouette_shares(torso, nominal, torso.rest_pose)
+    corners = seen(torso, nominal, shares, slice(0, 16))
     aside = np.where(np.arange(16) % 2, 1.0, -1.0)[:, None, None] * [1.0, 0.0] * nominal.magnification
     _, pose = align_view(
-        torso, torso.rest_pose, nominal, VertebraCorners(corners.vertebrae, corners.corners + aside), choice
+        torso, torso.rest_pose, nominal, VertebraCorners(corners.vertebrae, corners.corners + aside), shares
     )
     assert pose.rms_mm == pytest.approx(1.0, abs=0.05)
     assert np.abs(pose.shift).max() < 0.1

@@ -125,7 +125,7 @@ def test_the_new_torso_is_free_of_stress_and_as_stiff_as_the_fine_mesh(rebuilt, 
 @pytest.mark.slow
 def test_without_a_mesher_it_ends_in_one_line(template, subject, waist, see, monkeypatch):
     monkeypatch.setitem(sys.modules, "mmgpy", None)
-    view = VIEWS["frontal"]
+    pictures = {name: (see(subject, view), view) for name, view in VIEWS.items()}
     with pytest.raises(TorsoError, match=r"leave no room .* a finer tissue mesh may do; pip install") as caught:
-        personalise(template, {"frontal": (see(subject, view), view)}, geometry="known", trunk=waist)
+        personalise(template, pictures, geometry="known", trunk=waist)
     assert "\n" not in str(caught.value)

@@ -13,7 +13,7 @@ from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.fit import FitStatus
-from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
+from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import SolveStatus
 from spinestiff.study import assessment
@@ -35,8 +35,8 @@ def torso():
 @pytest.fixture(scope="module")
 def rest(torso):
     view = frontal_view()
-    choice = silhouette_choice(torso, view, torso.rest_pose)
-    corners = state_features(torso, view, torso.rest_pose, choice).corners
+    shares = silhouette_shares(torso, view, torso.rest_pose)
+    corners = state_features(torso, view, torso.rest_pose, shares).corners
     return VertebraCorners(torso.vertebrae, corners).selected(torso.vertebrae[2:16])
 
 
@@ -189,13 +189,13 @@ def test_a_prediction_that_is_the_truth_has_no_error(torso, monkeypatch):
     kinds = torso.joints.kinds
     true, wrong = {"lateral_bending": 0.5, "tissue": 0.3}, {"lateral_bending": 1.5, "tissue": 1.5}
     view = frontal_view()
-    choice = silhouette_choice(torso, view, torso.rest_pose)
-    rest = VertebraCorners(torso.vertebrae, state_features(torso, view, torso.rest_pose, choice).corners)
+    shares = silhouette_shares(torso, view, torso.rest_pose)
+    rest = VertebraCorners(torso.vertebrae, state_features(torso, view, torso.rest_pose, shares).corners)
     monkeypatch.setattr(assessment, "single_ratio", lambda *args: None)
     blank = make_set(torso, [rest] * 4)
     (item,) = blank.of_role("validation")
     state = blank.problems["main"].solve(item.trial.load, stiffness_ratios(true, kinds)).require().state
-    pushed = VertebraCorners(torso.vertebrae, state_features(torso, view, state, choice).corners)
+    pushed = VertebraCorners(torso.vertebrae, state_features(torso, view, state, shares).corners)
     lines = []
     found = make_set(torso, [rest, rest, rest, pushed])
     (frame,) = assess(found, stiffness_ratios(wrong, kinds), true, lines.append)

@@ -20,7 +20,7 @@ from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoState
 from spinestiff.errors import SubjectError
-from spinestiff.imaging.features import silhouette_choice, state_features
+from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -69,8 +69,8 @@ def make_visit(folder: Path, side: int = 256, seed: int = 1) -> Visit:
     images, records, tracked = {}, [], {}
 
     def corners(view: XRayView, state: TorsoState) -> np.ndarray:
-        choice = silhouette_choice(torso, view, torso.rest_pose)
-        seen = state_features(torso, view, state, choice).corners[SEEN]
+        shares = silhouette_shares(torso, view, torso.rest_pose)
+        seen = state_features(torso, view, state, shares).corners[SEEN]
         return view.pixels(seen + random.normal(0.0, 0.4, seen.shape))
 
     def annotated(found: np.ndarray) -> ImageAnnotation:

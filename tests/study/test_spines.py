@@ -12,7 +12,7 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SubjectError
-from spinestiff.imaging.features import silhouette_choice, state_features
+from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.personalise.shape import place_vertebrae
 from spinestiff.study.metrics import cobb_angle, tilts, tilts_from_points
@@ -69,7 +69,7 @@ def test_a_placed_torso_shows_the_wanted_angle_in_its_radiograph(torso):
     """Up to what perspective and the vertebrae's axial turn do to a picture."""
     placed = place_vertebrae(torso, *curved_spine(torso, 20.0, "thoracic"))
     view = frontal_view()
-    corners = state_features(placed, view, placed.rest_pose, silhouette_choice(placed, view, placed.rest_pose)).z
+    corners = state_features(placed, view, placed.rest_pose, silhouette_shares(placed, view, placed.rest_pose)).z
     assert cobb_angle(tilts(VERTEBRAE, corners, view)).degrees == pytest.approx(20.0, abs=2.0)
 
 

@@ -11,7 +11,7 @@ from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SubjectError
 from spinestiff.estimation.fit import fit_stiffness
-from spinestiff.imaging.features import VertebraCorners, silhouette_choice, state_features
+from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
@@ -31,8 +31,8 @@ def torso():
 def corners(torso):
     """The torso at rest as a nominal view's detector shows it after the patient stood elsewhere."""
     view = frontal_view()
-    choice = silhouette_choice(torso, view, torso.rest_pose)
-    seen = state_features(torso, view.moved(*STOOD), torso.rest_pose, choice).corners
+    shares = silhouette_shares(torso, view, torso.rest_pose)
+    seen = state_features(torso, view.moved(*STOOD), torso.rest_pose, shares).corners
     return VertebraCorners(torso.vertebrae, seen).selected(torso.vertebrae[2:16])
 
 
@@ -101,10 +101,10 @@ def test_pushes_from_both_sides_and_at_several_sites_are_fitted_together(torso):
     truth = {"lateral_bending": 0.2, "tissue": 0.05}
     sites = {"right-8": ("right", 8.0), "left-9": ("left", 9.0), "left-6": ("left", 6.0)}
     view, ratios = frontal_view(), stiffness_ratios(truth)
-    choice = silhouette_choice(torso, view, torso.rest_pose)
+    shares = silhouette_shares(torso, view, torso.rest_pose)
 
     def seen(state):
-        return VertebraCorners(torso.vertebrae, state_features(torso, view, state, choice).corners)
+        return VertebraCorners(torso.vertebrae, state_features(torso, view, state, shares).corners)
 
     records, pictures = [], {}
     for name, (side, level) in sites.items():

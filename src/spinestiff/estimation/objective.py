@@ -15,7 +15,7 @@ from spinestiff.imaging.features import (
     VertebraCorners,
     near_square,
     reference_boxes,
-    silhouette_choice,
+    silhouette_shares,
     state_features,
     target_features,
     vertebra_rows,
@@ -67,7 +67,7 @@ class Target:
     bones : (Nv,) their bones.
     z : (Nv, 4, 2) mm at the patient plane, measured features z-hat.
     weights : (Nv,) mean quality of a vertebra's usable corners; features mix all four, so they share one weight.
-    choice : (V, 4) silhouette choice, made in the rest pose.
+    shares : (V, 4) from ``silhouette_shares`` in the rest pose.
     used : (V, 4) bool, corners that place the boxes.
     orientation : "procrustes" or "covariance".
     rest_misfit : (Nv, 4, 2) mm, z - z-hat of the unloaded reference, 0 where there is none.
@@ -78,7 +78,7 @@ class Target:
     bones: Ints
     z: Floats
     weights: Floats
-    choice: Ints
+    shares: Floats
     used: np.ndarray
     orientation: Orientation
     rest_misfit: Floats
@@ -144,7 +144,7 @@ class Residuals:
 
 
 def make_target(torso: TorsoModel, trial: Trial, orientation: Orientation = "procrustes") -> Target:
-    """Measured features of a trial, with the silhouettes' choice of ``torso``'s rest pose.
+    """Measured features of a trial, with the silhouette as in ``torso``'s rest pose.
 
     Raises
     ------
@@ -159,22 +159,22 @@ def make_target(torso: TorsoModel, trial: Trial, orientation: Orientation = "pro
     used = np.ones((len(torso.vertebrae), 4), dtype=bool)
     used[rows] = corners.usable
     weights = np.sum(corners.quality, axis=1) / np.maximum(corners.usable.sum(1), 1)
-    choice = silhouette_choice(torso, trial.view, torso.rest_pose)
+    shares = silhouette_shares(torso, trial.view, torso.rest_pose)
     return Target(
         trial,
         read_only("rows", rows, (None,), FitError, np.int64),
         read_only("bones", torso.vertebra_bones[rows], (None,), FitError, np.int64),
         read_only("targets", z, (len(rows), 4, 2), FitError),
         read_only("weights", weights, (len(rows),), FitError),
-        choice,
+        shares,
         used,
         orientation,
-        _rest_misfit(torso, trial, orientation, choice, z.shape),
+        _rest_misfit(torso, trial, orientation, shares, z.shape),
     )
 
 
 def _rest_misfit(
-    torso: TorsoModel, trial: Trial, orientation: Orientation, choice: Ints, shape: tuple[int, ...]
+    torso: TorsoModel, trial: Trial, orientation: Orientation, shares: Floats, shape: tuple[int, ...]
 ) -> Floats:
     misfit = np.zeros(shape)
     if trial.reference is not None:
@@ -182,7 +182,7 @@ def _rest_misfit(
         used = np.ones((len(torso.vertebrae), 4), dtype=bool)
         rows = vertebra_rows(torso, seen)
         used[rows] = seen.usable
-        still = state_features(torso, trial.view, torso.rest_pose, choice, orientation, used).z[rows]
+        still = state_features(torso, trial.view, torso.rest_pose, shares, orientation, used).z[rows]
         places = [trial.corners.vertebrae.index(name) for name in seen.vertebrae]
         misfit[places] = still - target_features(torso, trial.view, seen, orientation)
     return read_only("misfit at rest", misfit, (len(misfit), 4, 2), FitError)
@@ -190,7 +190,7 @@ def _rest_misfit(
 
 def residuals(torso: TorsoModel, target: Target, state: TorsoState) -> Residuals:
     """z(x) - z-hat of the visible vertebrae of one trial (Eq. 9), with derivatives (Eq. 12)."""
-    found = state_features(torso, target.trial.view, state, target.choice, target.orientation, target.used)
+    found = state_features(torso, target.trial.view, state, target.shares, target.orientation, target.used)
     rows = target.rows
     difference = found.z[rows] - target.z
     return Residuals(difference, found.jacobian[rows], target.bones, target.weights, target.rest_misfit)

@@ -21,6 +21,7 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import RadiographError, TrackingError
+from spinestiff.imaging.silhouette import rim_share
 
 if TYPE_CHECKING:
     from spinestiff.imaging.projection import XRayView
@@ -36,8 +37,6 @@ SIZE_LIMITS = (0.4, 2.5)
 # Corner order: (superior 0 or inferior 1, first 0 or second 1).
 _LEVEL = np.array([0, 0, 1, 1])
 _SIDE = np.array([0, 1, 1, 0])
-CORNER_UPWARD = np.where(_LEVEL == 0, 1.0, -1.0)
-"""(4,) of a vertebra's corners in their order: +1 on the superior, -1 on the inferior endplate."""
 
 
 @dataclass(frozen=True)
@@ -157,38 +156,26 @@ def reference_boxes(torso: TorsoModel, view: XRayView) -> Floats:
     return along[:, :, None] * first + above[:, :, None] * up
 
 
-def silhouette_choice(torso: TorsoModel, view: XRayView, state: TorsoState) -> Ints:
-    """Which box corner of each pair makes the silhouette, (V, 4) of 0 or 1.
+def silhouette_shares(torso: TorsoModel, view: XRayView, state: TorsoState) -> Floats:
+    """Where between the two box corners of each pair the silhouette has its corner, (V, 4) from -1 to 1.
 
-    In a frontal view the pair is (anterior, posterior), in a lateral one (left, right). The one farther out along the
-    vertebra's own superior direction is seen: the upper one of a superior pair, the lower one of an inferior pair
-    (paper 4.1: the visible silhouettes of the top and bottom plates).
+    In a frontal view the pair is (anterior, posterior), in a lateral one (left, right); 1 is its first, 0 midway. See
+    ``imaging.silhouette``; the paper (4.1) takes the one of the two that is farther out, 1 or -1.
 
-    Choose in the rest pose and keep the choice through a fit: optical flow follows what was annotated in the first
+    Choose in the rest pose and keep the shares through a fit: optical flow follows what was annotated in the first
     frame, and features stay smooth.
     """
-    pairs = _box_points(torso, view)
-    seen = view.project(pairs.positions(state)).reshape(len(torso.vertebrae), 4, 2, 2)
+    middle, half = silhouette_pairs(torso, view)
     bones = torso.vertebra_bones
-    upward = seen_axes(view, state.bone_positions[bones], state.bone_rotations[bones])
-    outward = CORNER_UPWARD[None, :, None] * np.einsum("vkpi,vi->vkp", seen, upward)
-    return np.argmax(outward, axis=2).astype(np.int64)
-
-
-def seen_axes(view: XRayView, positions: Floats, rotations: Floats) -> Floats:
-    """(V, 2) mm on the detector: vertebrae's superior directions as they are seen, of 2 mm at their origins.
-
-    positions (V, 3) mm and rotations (V, 3, 3), world_from_bone.
-    """
-    superior = rotations[:, :, 1]
-    return np.asarray(view.project(positions + superior) - view.project(positions - superior))
+    beam = np.einsum("vji,vj->vi", state.bone_rotations[bones], state.bone_positions[bones] - view.source)
+    return rim_share(middle, half, middle + beam[:, None], depth_axis(view))
 
 
 def state_features(
     torso: TorsoModel,
     view: XRayView,
     state: TorsoState,
-    choice: Ints,
+    shares: Floats,
     orientation: Orientation = "procrustes",
     used: np.ndarray | None = None,
 ) -> Features:
@@ -198,14 +185,16 @@ def state_features(
     ----------
     torso, view : what is seen, from where.
     state : its pose.
-    choice : (V, 4) from ``silhouette_choice`` in the rest pose.
+    shares : (V, 4) from ``silhouette_shares`` in the rest pose.
     orientation : "procrustes" (default) or "covariance" (the paper's SVD).
     used : (V, 4) bool, corners that also the radiograph has; default all. A box is placed by these alone, so that a
         lost corner does not shift the simulated against the measured box.
     """
     count = len(torso.vertebrae)
-    choice = read_only("silhouette choice", choice, (count, 4), RadiographError, np.int64)
-    points = _box_points(torso, view)[np.arange(count * 4) * 2 + choice.reshape(-1)]
+    shares = read_only("silhouette shares", shares, (count, 4), RadiographError)
+    middle, half = silhouette_pairs(torso, view)
+    corners = (middle + shares[..., None] * half).reshape(-1, 3)
+    points = PointsOnBones(np.repeat(torso.vertebra_bones, 4), corners)
     detector, jacobian = view.project_with_jacobian(points.positions(state))
     seen = view.to_patient_plane(detector).reshape(count, 4, 2)
     # The patient plane's picture is the detector's, shrunk by the magnification.
@@ -380,17 +369,19 @@ def _principal(c: Floats, boxes: Floats, guess: Floats) -> tuple[Floats, Floats]
     return turn + quarters * 0.5 * np.pi, gradient
 
 
-def corner_offsets(torso: TorsoModel, view: XRayView) -> Floats:
-    """(V, 4, 2, 3) mm in the vertebra's frame: box corners by vertebra, corner in picture order, member of the pair."""
+def silhouette_pairs(torso: TorsoModel, view: XRayView) -> tuple[Floats, Floats]:
+    """Box corners behind one another in the beam, in the vertebra's frame: the middle of the two and half of what is
+    between them, first less second, (V, 4, 3) mm each, corners in picture order."""
     box = torso.vertebra_boxes.reshape(-1, 2, 2, 2, 3)
     if view_kind(view) == "lateral":
         box = box.swapaxes(2, 3)
-    return np.asarray(box[:, _LEVEL, _SIDE])
+    first, second = np.moveaxis(box[:, _LEVEL, _SIDE], 2, 0)
+    return 0.5 * (first + second), 0.5 * (first - second)
 
 
-def _box_points(torso: TorsoModel, view: XRayView) -> PointsOnBones:
-    """Box corners as points, (V * 4 * 2): vertebra, corner in picture order, member of the pair."""
-    return PointsOnBones(np.repeat(torso.vertebra_bones, 8), corner_offsets(torso, view).reshape(-1, 3))
+def depth_axis(view: XRayView) -> int:
+    """The axis of an upright vertebra that lies along the beam."""
+    return 2 if view_kind(view) == "frontal" else 0
 
 
 def _cross(a: Floats, b: Floats) -> Floats:

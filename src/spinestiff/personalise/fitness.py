@@ -16,7 +16,7 @@ from spinestiff.imaging.features import (
     check_corners,
     place_boxes,
     reference_boxes,
-    silhouette_choice,
+    silhouette_shares,
     state_features,
     vertebra_rows,
     view_kind,
@@ -58,7 +58,7 @@ def vertebra_fits(
     """
     rest = torso.rest_pose
     rows, used = vertebra_rows(torso, corners), corners.usable
-    simulated = state_features(torso, view, rest, silhouette_choice(torso, view, rest)).corners[rows]
+    simulated = state_features(torso, view, rest, silhouette_shares(torso, view, rest)).corners[rows]
     seen, shown = (view.to_patient_plane(c.reshape(-1, 2)).reshape(-1, 4, 2) for c in (corners.corners, simulated))
     error2 = np.sum((shown - seen) ** 2, axis=2)
     trusted = np.zeros(used.shape, dtype=bool)

@@ -5,10 +5,10 @@ A vertebra of place t, rotation R, log sizes s and tapers a has the box corner r
     r' = exp(s) o (x (1 + a_1 sign y), y (1 + a_3 sign z), z (1 + a_2 sign y)):
 
 its upper endplate is a_1 wider and a_2 deeper, its front a_3 higher than its mean. Seen in a view the corner is
-compared with the annotated one at the patient plane, in mm. Of two box corners one behind the other in the beam the one
-farther out along the vertebra's axis is seen, for every shape anew: in a strong curve it is another one than in the
-template. Unlike the features of Eq. 9, which place a box of given
-size, corners are compared one by one: only so do they say how large a vertebra is.
+compared with the annotated one at the patient plane, in mm. Between two box corners, one behind the other in the beam,
+the silhouette's corner lies where the rim is seen farthest out (``imaging.silhouette``), for every shape anew. Unlike
+the features of Eq. 9, which place a box of given size, corners are compared one by one: only so do they say how large
+a vertebra is.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from spinestiff.anatomy.rotation import cross_matrix
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import TrackingError
-from spinestiff.imaging.features import CORNER_UPWARD, VertebraCorners, corner_offsets, seen_axes, vertebra_rows
+from spinestiff.imaging.features import VertebraCorners, depth_axis, silhouette_pairs, vertebra_rows
 from spinestiff.imaging.projection import XRayView
+from spinestiff.imaging.silhouette import rim_share, rim_share_slope
 from spinestiff.personalise.pose import Stance
 from spinestiff.personalise.sizes import pedicle_centres
 
@@ -89,9 +90,8 @@ class ImagePoints:
     ----------
     view : nominal.
     vertebra : (P,) row of the torso's vertebrae.
-    pair : (P, 2, 3) mm in the vertebra's frame, at the template's size: the two box corners that the point may be; a
-        pedicle twice.
-    upward : (P,) +1 for a corner of the superior, -1 of the inferior endplate; 0 for a pedicle.
+    pair : (P, 2, 3) mm in the vertebra's frame, at the template's size: the two box corners between which the
+        silhouette's lies; a pedicle twice.
     outward : (P,) 0 for a corner; +1 for a left, -1 for a right pedicle.
     measured : (P, 2) mm on the detector.
     """
@@ -99,7 +99,6 @@ class ImagePoints:
     view: XRayView
     vertebra: Ints
     pair: Floats
-    upward: Floats
     outward: Floats
     measured: Floats
 
@@ -109,45 +108,76 @@ class ImagePoints:
     def residuals(self, shape: Shape, pose: Floats) -> Floats:
         """(P, 2) mm at the patient plane, simulated less measured, for a pose (4,) of the view."""
         standing = Stance(self.view, pose)
-        points, _, _ = self._world(shape, self._seen(shape, standing))
+        local = self._points(*self._pairs(shape), self._beams(shape, standing))
+        points = shape.positions[self.vertebra] + _turned(shape.rotations[self.vertebra], local)
         return np.asarray((self.view.project(standing.moved(points)) - self.measured) / self.view.magnification)
 
     def linearised(self, shape: Shape, pose: Floats) -> tuple[Floats, Floats, Floats]:
         """Residuals (P, 2), and their derivatives in the vertebra's (P, 2, 15) and in the view's unknowns (P, 2, 4)."""
         standing = Stance(self.view, pose)
-        offset = self._seen(shape, standing)
-        points, scaled, local = self._world(shape, offset)
-        moved = standing.moved(points)
+        rotation = shape.rotations[self.vertebra]
+        pairs, beams = self._pairs(shape), self._beams(shape, standing)
+        local = self._points(*pairs, beams)
+        arm = _turned(rotation, local)
+        moved = standing.moved(shape.positions[self.vertebra] + arm)
         seen, slope = self.view.project_with_jacobian(moved)
         slope = slope / self.view.magnification
-        rotation = shape.rotations[self.vertebra]
-        own = np.zeros((len(self), 3, UNKNOWNS))
-        own[:, :, :3] = np.eye(3)
-        own[:, :, 3:6] = -cross_matrix(points - shape.positions[self.vertebra])
-        own[:, :, 6:9] = rotation * scaled[:, None, :]
-        own[:, :, 9:12] = rotation * local[:, None, :]
-        plain = np.exp(shape.log_sizes[self.vertebra]) * offset * _taper_signs(offset, self.outward)
-        own[:, :, 12:] = (rotation * plain[:, None, :])[:, :, [0, 2, 1]]
+        # All unknowns: what they do to a point in its vertebra's frame, then to the frame.
+        changed = rotation @ self._point_slopes(*pairs, beams, shape, standing)
+        changed[:, :, :3] += np.eye(3)
+        changed[:, :, 3:6] -= cross_matrix(arm)
+        changed = slope @ (standing.turn @ changed)
+        changed[:, :, UNKNOWNS:] += slope @ standing.jacobian(moved)
         residual = (seen - self.measured) / self.view.magnification
-        return residual, slope @ (standing.turn @ own), slope @ standing.jacobian(moved)
+        return residual, changed[:, :, :UNKNOWNS], changed[:, :, UNKNOWNS:]
 
-    def _seen(self, shape: Shape, standing: Stance) -> Floats:
-        """(P, 3) mm of each pair the one that makes the silhouette (``imaging.features.silhouette_choice``)."""
-        placed = standing.moved(shape.positions)
-        axis = seen_axes(self.view, placed, standing.turn @ shape.rotations)[self.vertebra] * self.upward[:, None]
-        both = [self._world(shape, self.pair[:, which])[0] for which in (0, 1)]
-        height = [np.sum(self.view.project(standing.moved(points)) * axis, axis=1) for points in both]
-        return np.where((height[1] > height[0])[:, None], self.pair[:, 1], self.pair[:, 0])
+    def _pairs(self, shape: Shape) -> tuple[Floats, Floats]:
+        """(P, 3) mm in the vertebra's frame, of this shape: the middle of each pair, half of first less second."""
+        sized, _, outwards = self._sized(shape)
+        first, second = np.moveaxis(sized, 1, 0)
+        return 0.5 * (first + second) + outwards * shape.pedicles[self.vertebra], 0.5 * (first - second)
 
-    def _world(self, shape: Shape, offset: Floats) -> tuple[Floats, Floats, Floats]:
-        """(P, 3) mm in the world, sized offsets (P, 3), and the directions (P, 3) of a pedicle's own place."""
-        which = self.vertebra
+    def _sized(self, shape: Shape) -> tuple[Floats, Floats, Floats]:
+        """Pairs (P, 2, 3) mm at the shape's sizes, what a taper of 1 adds to them, (P, 3) how pedicles move."""
+        plain = np.exp(shape.log_sizes[self.vertebra])[:, None] * self.pair
+        tapering = plain * _taper_signs(plain, self.outward[:, None])
         pedicle = np.abs(self.outward)
-        local = np.stack([self.outward, pedicle, pedicle], -1)
-        tapered = 1.0 + _taper_signs(offset, self.outward) * shape.tapers[which][:, [0, 2, 1]]
-        scaled = np.exp(shape.log_sizes[which]) * offset * tapered
-        moved = scaled + local * shape.pedicles[which]
-        return shape.positions[which] + np.einsum("pij,pj->pi", shape.rotations[which], moved), scaled, local
+        sized = plain + tapering * shape.tapers[self.vertebra][:, None, [0, 2, 1]]
+        return sized, tapering, np.stack([self.outward, pedicle, pedicle], -1)
+
+    def _beams(self, shape: Shape, standing: Stance) -> Floats:
+        """(P, 3) mm in the vertebra's frame, from the source to the vertebra."""
+        from_source = shape.positions - standing.unmoved(self.view.source[None])
+        return _turned(np.swapaxes(shape.rotations, 1, 2), from_source)[self.vertebra]
+
+    def _points(self, middle: Floats, half: Floats, beams: Floats) -> Floats:
+        """(P, 3) mm in the vertebra's frame: where the silhouette has its corner, or the pedicle."""
+        points, corner = middle.copy(), self.outward == 0.0
+        m, h = middle[corner], half[corner]
+        points[corner] += rim_share(m, h, m + beams[corner], depth_axis(self.view))[:, None] * h
+        return points
+
+    def _point_slopes(self, middle: Floats, half: Floats, beams: Floats, shape: Shape, standing: Stance) -> Floats:
+        """(P, 3, 19) derivative of ``_points`` in the unknowns of vertebra and view."""
+        sized, tapering, outwards = self._sized(shape)
+        slopes = np.zeros((len(self), 2, 3, UNKNOWNS + VIEW_UNKNOWNS))
+        slopes[..., 6:9] = sized[..., None] * np.eye(3)
+        slopes[..., 9:12] = outwards[:, None, :, None] * np.eye(3)
+        slopes[..., 12:15] = tapering[..., None] * np.eye(3)[:, [0, 2, 1]]
+        first, second = np.moveaxis(slopes, 1, 0)
+        d_middle, d_half = 0.5 * (first + second), 0.5 * (first - second)
+        source = self.view.source[None]
+        seen_from = np.zeros_like(d_middle)
+        seen_from[:, :, :3] = np.eye(3)
+        seen_from[:, :, 3:6] = cross_matrix(shape.positions - standing.unmoved(source))[self.vertebra]
+        seen_from[:, :, UNKNOWNS:] = standing.turn.T @ standing.jacobian(source)
+        d_ray = d_middle + np.swapaxes(shape.rotations, 1, 2)[self.vertebra] @ seen_from
+        corner, depth = self.outward == 0.0, depth_axis(self.view)
+        m, h = middle[corner], half[corner]
+        share = rim_share(m, h, m + beams[corner], depth)[:, None, None]
+        d_share = rim_share_slope(m, h, m + beams[corner], depth, (d_middle[corner], d_half[corner], d_ray[corner]))
+        d_middle[corner] += share * d_half[corner] + h[..., None] * d_share[:, None]
+        return d_middle
 
 
 def image_points(
@@ -167,8 +197,8 @@ def image_points(
     rows = vertebra_rows(torso, corners)
     used = corners.usable
     vertebra = np.repeat(rows, 4).reshape(-1, 4)[used]
-    pair, measured = corner_offsets(torso, view)[rows][used], corners.corners[used]
-    upward = np.broadcast_to(CORNER_UPWARD, used.shape)[used]
+    middle, half = (part[rows][used] for part in silhouette_pairs(torso, view))
+    pair, measured = np.stack([middle + half, middle - half], 1), corners.corners[used]
     outward = np.zeros(len(vertebra))
     if pedicles is not None:
         for name in pedicles.vertebrae:
@@ -178,10 +208,9 @@ def image_points(
         seen = np.isfinite(pedicles.points).all(2)
         vertebra = np.concatenate([vertebra, np.repeat(which, 2).reshape(-1, 2)[seen]])
         pair = np.concatenate([pair, np.repeat(pedicle_centres(torso)[which][seen][:, None], 2, axis=1)])
-        upward = np.concatenate([upward, np.zeros(seen.sum())])
         measured = np.concatenate([measured, pedicles.points[seen]])
         outward = np.concatenate([outward, np.tile([1.0, -1.0], (len(which), 1))[seen]])
-    return ImagePoints(view, vertebra, pair, upward, outward, read_only("corners", measured, (None, 2), TrackingError))
+    return ImagePoints(view, vertebra, pair, outward, read_only("corners", measured, (None, 2), TrackingError))
 
 
 def shape_of(torso: TorsoModel, state: TorsoState) -> Shape:
@@ -201,3 +230,8 @@ def _taper_signs(offset: Floats, outward: Floats) -> Floats:
     """(..., 3) by which side of the box the tapers of width, height and depth go; 0 for pedicles."""
     up, front = np.sign(offset[..., 1]), np.sign(offset[..., 2])
     return np.stack([up, front, up], -1) * (outward == 0.0)[..., None]
+
+
+def _turned(rotations: Floats, vectors: Floats) -> Floats:
+    """(n, 3) vectors under rotations (n, 3, 3), each its own."""
+    return np.asarray(np.einsum("nij,nj->ni", rotations, vectors))

@@ -8,11 +8,11 @@ import numpy as np
 
 from spinestiff.anatomy.rotation import cross_matrix, exp_so3
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
-from spinestiff.arrays import Floats, Ints
+from spinestiff.arrays import Floats
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import (
     VertebraCorners,
-    silhouette_choice,
+    silhouette_shares,
     state_features,
     target_features,
     vertebra_rows,
@@ -75,6 +75,10 @@ class Stance:
         """(P, 3) mm in the room."""
         return np.asarray((points - self._pivot) @ self.turn.T + self._pivot + self._shift)
 
+    def unmoved(self, points: Floats) -> Floats:
+        """(P, 3) mm, points of the room as the patient has them: inverse of ``moved``."""
+        return np.asarray((points - self._pivot - self._shift) @ self.turn + self._pivot)
+
     def jacobian(self, moved: Floats) -> Floats:
         """(P, 3, 4), derivative of ``moved`` points in the pose."""
         turned = moved - self._pivot - self._shift
@@ -89,7 +93,7 @@ def align_view(
     state: TorsoState,
     nominal: XRayView,
     corners: VertebraCorners,
-    choice: Ints | None = None,
+    shares: Floats | None = None,
     roll_share: float = 1.0,
 ) -> tuple[XRayView, ViewPose]:
     """The nominal view, moved so that the simulated features of ``state`` meet the measured ones best.
@@ -105,11 +109,11 @@ def align_view(
     """
     if not len(corners):
         raise TrackingError("no vertebra is left to say where the patient stood; check annotation and tracking")
-    choice = silhouette_choice(torso, nominal, state) if choice is None else choice
+    shares = silhouette_shares(torso, nominal, state) if shares is None else shares
     rows = vertebra_rows(torso, corners)
     shift, roll, view = np.zeros(2), 0.0, nominal
     for _ in range(8):
-        seen = state_features(torso, view, state, choice).z[rows].reshape(-1, 2)
+        seen = state_features(torso, view, state, shares).z[rows].reshape(-1, 2)
         target = target_features(torso, view, corners).reshape(-1, 2)
         wanted, _ = _rigid_motion(seen, target, None)
         best = roll + wanted
@@ -119,7 +123,7 @@ def align_view(
         # q -> Q(turn) (Q(roll) q + shift) + move
         shift, roll = _rotated(shift, turn) + move, roll + turn
         view = nominal.moved(shift, roll)
-    seen = state_features(torso, view, state, choice).z[rows]
+    seen = state_features(torso, view, state, shares).z[rows]
     residual = seen - target_features(torso, view, corners)
     return view, ViewPose(shift, roll, float(np.sqrt(np.mean(np.sum(residual**2, -1)))))
 

@@ -224,6 +224,6 @@ def _measured_change(
 
 def _simulated_tilts(pushes: PushSet, target: Target, state: TorsoState, common: tuple[str, ...]) -> SpineTilts:
     view = target.trial.view
-    seen = state_features(pushes.torso, view, state, target.choice)
+    seen = state_features(pushes.torso, view, state, target.shares)
     rows = vertebra_rows(pushes.torso, target.trial.corners.selected(common))
     return tilts(common, seen.z[rows], view)

@@ -36,7 +36,7 @@ class Prediction:
     def boxes(self, torso: TorsoModel, name: str) -> Floats:
         """(Nv, 4, 2) mm at the patient plane, simulated boxes of the measured vertebrae."""
         target = self.target
-        seen = state_features(torso, target.trial.view, self.states[name], target.choice, used=target.used)
+        seen = state_features(torso, target.trial.view, self.states[name], target.shares, used=target.used)
         return seen.z[target.rows]
 
     def rmse(self, torso: TorsoModel, name: str) -> float:

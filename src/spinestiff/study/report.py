@@ -20,7 +20,7 @@ from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
-from spinestiff.imaging.features import picture_axes, silhouette_choice, state_features, target_features, vertebra_rows
+from spinestiff.imaging.features import picture_axes, silhouette_shares, state_features, target_features, vertebra_rows
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.study.figures import (
@@ -194,8 +194,8 @@ def _rest_picture(
     corners = image_corners(visit.subject, f"rest/{name}", picture.view)
     entry = personalised["views"][name]
     view = XRayView(**{**entry, "shape": tuple(entry["shape"])})
-    choice = silhouette_choice(torso, view, torso.rest_pose)
-    seen = state_features(torso, view, torso.rest_pose, choice).z[vertebra_rows(torso, corners)]
+    shares = silhouette_shares(torso, view, torso.rest_pose)
+    seen = state_features(torso, view, torso.rest_pose, shares).z[vertebra_rows(torso, corners)]
     error = float(personalised["rmse_mm"][name])
     panel = Panel(f"Rest, {name}", _pixels(view, seen), error)
     overlay = _overlay(picture, view, corners.vertebrae, target_features(torso, view, corners), (panel,), None)
@@ -278,7 +278,7 @@ def _simulated_change(pushes: PushSet, prediction: Prediction, name: str) -> flo
     rows = vertebra_rows(torso, item.trial.corners.selected(common))
     view = item.trial.view
     spines = [
-        tilts(common, state_features(torso, view, state, target.choice).z[rows], view)
+        tilts(common, state_features(torso, view, state, target.shares).z[rows], view)
         for state in (torso.rest_pose, prediction.states[name])
     ]
     return cobb_change(*spines).tilt
@@ -301,7 +301,7 @@ def _tilt_picture(visit: Visit, pushes: PushSet, predictions: Sequence[Predictio
 
         before, after = (target_features(torso, view, t.trial.corners.selected(common)) for t in (reference, item))
         rows = vertebra_rows(torso, item.trial.corners.selected(common))
-        seen = {name: state_features(torso, view, s, p.target.choice).z[rows] for name, s in p.states.items()}
+        seen = {name: state_features(torso, view, s, p.target.shares).z[rows] for name, s in p.states.items()}
         start = tilt(seen["rest"])
         role = "held out" if item.role == "validation" else "training"
         title = f"“{item.push}”, {item.force_n:.0f} N ({role})"

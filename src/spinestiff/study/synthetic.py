@@ -18,7 +18,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
-from spinestiff.imaging.features import silhouette_choice, state_features
+from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.imaging.synthetic.acquisition import LATERAL, Acquisition, Gauge, acquire
@@ -233,10 +233,10 @@ class _Acquisition:
                 roles=ROLES[push_id],
             )
         )
-        choice = silhouette_choice(self.torso, view, self.torso.rest_pose)
+        shares = silhouette_shares(self.torso, view, self.torso.rest_pose)
         self.truth[push_id] = [
             {
-                "corners_px": view.pixels(state_features(self.torso, view, state, choice).corners).round(4).tolist(),
+                "corners_px": view.pixels(state_features(self.torso, view, state, shares).corners).round(4).tolist(),
                 "cobb_change_deg": _as_dict(cobb_change(self._rest_tilts, self._tilts(state))),
             }
             for state in states
@@ -299,7 +299,7 @@ class _Acquisition:
     def _annotation(self, view: XRayView, supports: bool) -> ImageAnnotation:
         """What a person would click in the unloaded torso's image: the visible vertebrae, a little off."""
         rest = self.torso.rest_pose
-        corners = state_features(self.torso, view, rest, silhouette_choice(self.torso, view, rest)).corners
+        corners = state_features(self.torso, view, rest, silhouette_shares(self.torso, view, rest)).corners
         noise = self.random.normal(0.0, ANNOTATION_SD_MM, corners.shape) * view.magnification
         pixels = view.pixels(corners + noise).round(2)
         inside = self._shown(pixels, view).all(1)
@@ -334,8 +334,8 @@ class _Acquisition:
 
     def _tilts(self, state: TorsoState):  # type: ignore[no-untyped-def]
         view = self._nominal(frontal_view)
-        choice = silhouette_choice(self.torso, view, self.torso.rest_pose)
-        return tilts(VERTEBRAE, state_features(self.torso, view, state, choice).corners, view)
+        shares = silhouette_shares(self.torso, view, self.torso.rest_pose)
+        return tilts(VERTEBRAE, state_features(self.torso, view, state, shares).corners, view)
 
 
 def _plain(items: list[tuple[str, object]]) -> dict[str, object]:

@@ -10,11 +10,11 @@ import numpy as np
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios, parameter_group, stiffness_ratios
 from spinestiff.anatomy.torso import TorsoModel, TorsoState, retract
-from spinestiff.arrays import Floats, Ints
+from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.objective import Trial, make_target, residuals
-from spinestiff.imaging.features import VertebraCorners, reference_boxes, silhouette_choice, state_features
+from spinestiff.imaging.features import VertebraCorners, reference_boxes, silhouette_shares, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, no_load
@@ -291,8 +291,13 @@ def boxed_torso() -> TorsoModel:
     return replace(torso, bone_names=names, vertebrae=names, vertebra_boxes=boxes)
 
 
-def _corners_oracle(torso: TorsoModel, view: XRayView, state: TorsoState, choice: Ints, dx: Complexes) -> Complexes:
-    """The silhouette's corners (V, 4, 2), mm at the patient plane from the source's foot, by another way."""
+def _corners_oracle(
+    torso: TorsoModel, view: XRayView, state: TorsoState, shares: Floats | None, dx: Complexes
+) -> Complexes:
+    """The silhouette's corners (V, 4, 2), mm at the patient plane from the source's foot, by another way.
+
+    Without ``shares`` they are those of the state.
+    """
     v = len(torso.vertebrae)
     t = state.bone_positions + dx[:, :3]
     r = rotation(dx[:, 3:]) @ state.bone_rotations
@@ -304,8 +309,10 @@ def _corners_oracle(torso: TorsoModel, view: XRayView, state: TorsoState, choice
     seen = np.empty((v, 4, 2), dtype=complex)
     for i in range(v):
         for k in range(4):
-            pair = (side[k], choice[i, k]) if frontal else (choice[i, k], side[k])
-            point = t[i] + r[i] @ boxes[i, level[k], pair[0], pair[1]]
+            first, second = (boxes[(i, level[k], *((side[k], m) if frontal else (m, side[k])))] for m in (0, 1))
+            middle, half = 0.5 * (first + second), 0.5 * (first - second)
+            share = _share_oracle(t[i] - view.source, r[i], middle, half, frontal) if shares is None else shares[i, k]
+            point = t[i] + r[i] @ (middle + share * half)
             ray = point - view.source
             spot = ray * (height / (ray @ normal))
             # From the source's foot, in units of the patient plane.
@@ -313,11 +320,23 @@ def _corners_oracle(torso: TorsoModel, view: XRayView, state: TorsoState, choice
     return seen
 
 
+def _share_oracle(place: Complexes, r: Complexes, middle: Floats, half: Floats, frontal: bool) -> complex:
+    """Where the rim is seen farthest out, by Cramer's rule: half = a across + b up + c ray in the world, t of a + b."""
+    up, across = r @ (middle * [0.0, 1.0, 0.0]), r @ (middle * ([1.0, 0.0, 0.0] if frontal else [0.0, 0.0, 1.0]))
+    ray, h = place + r @ middle, r @ half
+
+    def volume(*edges: Complexes) -> complex:
+        return complex(edges[0] @ np.cross(edges[1], edges[2]))
+
+    reach = (volume(h, up, ray) + volume(across, h, ray)) / volume(across, up, ray)
+    return complex(reach / np.sqrt(1.0 + reach * reach))
+
+
 def _features_oracle(
-    torso: TorsoModel, view: XRayView, state: TorsoState, choice: Ints, orientation: str, dx: Complexes
+    torso: TorsoModel, view: XRayView, state: TorsoState, shares: Floats, orientation: str, dx: Complexes
 ) -> Complexes:
     """z (V, 4, 2) by another way: homogeneous projection, complex arithmetic, half-angle formulas."""
-    seen = _corners_oracle(torso, view, state, choice, dx)
+    seen = _corners_oracle(torso, view, state, shares, dx)
     centre = seen.mean(1, keepdims=True)
     c, ref = seen - centre, reference_boxes(torso, view)
     if orientation == "procrustes":
@@ -338,14 +357,14 @@ def features() -> Iterator[Check]:
     torso = boxed_torso()
     state = shaken(torso, 7, turn=0.1, move=5.0)
     for view_name, view in (("frontal", frontal_view()), ("lateral", lateral_view())):
-        choice = silhouette_choice(torso, view, torso.rest_pose)
+        shares = silhouette_shares(torso, view, torso.rest_pose)
         for orientation in ("procrustes", "covariance"):
-            found = state_features(torso, view, state, choice, orientation)  # type: ignore[arg-type]
+            found = state_features(torso, view, state, shares, orientation)  # type: ignore[arg-type]
 
             def oracle(
-                dx: Complexes, view: XRayView = view, choice: Ints = choice, kind: str = orientation
+                dx: Complexes, view: XRayView = view, shares: Floats = shares, kind: str = orientation
             ) -> Complexes:
-                return _features_oracle(torso, view, state, choice, kind, dx)
+                return _features_oracle(torso, view, state, shares, kind, dx)
 
             name = f"{view_name} view, {orientation}"
             yield compared(
@@ -365,9 +384,9 @@ def features() -> Iterator[Check]:
                 )
 
 
-def _corners(torso: TorsoModel, view: XRayView, state: TorsoState, choice: Ints) -> VertebraCorners:
+def _corners(torso: TorsoModel, view: XRayView, state: TorsoState, shares: Floats) -> VertebraCorners:
     """The picture of ``state``: corners on the detector whose features are the state's own."""
-    z = state_features(torso, view, state, choice).z
+    z = state_features(torso, view, state, shares).z
     return VertebraCorners(torso.vertebrae, view.from_patient_plane(z), np.ones(z.shape[:2]))
 
 
@@ -375,8 +394,8 @@ def image_loss() -> Iterator[Check]:
     """The image loss's slope in the pose (Eqs. 9-12) over 100 random states, as a fit and as a geometry feel it."""
     torso = boxed_torso()
     view = frontal_view()
-    choice = silhouette_choice(torso, view, torso.rest_pose)
-    seen = _corners(torso, view, shaken(torso, STATES, turn=0.1, move=4.0), choice)
+    shares = silhouette_shares(torso, view, torso.rest_pose)
+    seen = _corners(torso, view, shaken(torso, STATES, turn=0.1, move=4.0), shares)
     target = make_target(torso, Trial(no_load(), seen, view, "picture"))
     points = image_points(torso, view, seen)
     places = view.to_patient_plane(seen.corners)
@@ -386,12 +405,11 @@ def image_loss() -> Iterator[Check]:
         state = shaken(torso, seed, turn=0.1, move=4.0)
         part = residuals(torso, target, state)
         direction = random.normal(size=(3, 6)) * [1, 1, 1, 0.03, 0.03, 0.03]
-        z = _features_oracle(torso, view, state, choice, "procrustes", 1j * STEP * direction)
+        z = _features_oracle(torso, view, state, shares, "procrustes", 1j * STEP * direction)
         weights = target.weights[:, None, None]
         wanted = float((0.5 * np.sum(weights * (z - target.z) ** 2)).imag / STEP)
         # A geometry sees the silhouette of each state.
-        there = silhouette_choice(torso, view, state)
-        shown = _corners_oracle(torso, view, state, there, 1j * STEP * direction)
+        shown = _corners_oracle(torso, view, state, None, 1j * STEP * direction)
         pulled = float((0.5 * np.sum((shown - places) ** 2)).imag / STEP)
         found = part.gradient(state.dofs)[:18].reshape(3, 6) * direction
         gap, slope, _ = points.linearised(shape_of(torso, state), np.zeros(4))
@@ -408,11 +426,11 @@ def gauss_newton() -> Iterator[Check]:
     torso = boxed_torso()
     problem = EquilibriumProblem(torso, toy_supports(torso))
     view, load = frontal_view(), toy_load(40.0)
-    choice = silhouette_choice(torso, view, torso.rest_pose)
+    shares = silhouette_shares(torso, view, torso.rest_pose)
     names = {"lateral_bending": 0.3, "tissue": 0.2}
     truth = stiffness_ratios(names, torso.joints.kinds)
     pictured = problem.solve(load, truth, tolerance=1e-12 * load.size).require().state
-    trials = [Trial(load, _corners(torso, view, pictured, choice), view, "push")]
+    trials = [Trial(load, _corners(torso, view, pictured, shares), view, "push")]
     fit = TrialSet([problem], trials, truth.groups, "procrustes", None)
     at = np.log(truth.values)
     point = fit.solve(at)

@@ -56,7 +56,8 @@ def follow(
         flow = dense_flow(base, image)
         guesses = [_carried(body, pose, flow) for body, pose in zip(bodies, poses[found])]
         poses[k], likeness = _settled(bodies, patches, here, guesses, chained)
-        seen.append(_evidence(bodies, patches, here, poses[k], likeness, mm))
+        credits = _credits(bodies, poses[k], likeness) if chained else likeness
+        seen.append(_evidence(bodies, patches, here, poses[k], likeness, credits, mm))
         if 2 * sum(evidence is not None for evidence in seen[-1]) > len(bodies):
             base, found = image, k
         if observer is not None:
@@ -70,11 +71,12 @@ def _evidence(
     here: Sequence[Image],
     poses: Floats,
     likeness: Floats,
+    credits: Floats,
     mm: float,
 ) -> list[Evidence | None]:
     """What a frame, ``here`` at each smoothing, says of each body in its pose; None for a lost one."""
     present = [
-        bool(likeness[i] > FOUND and inside(body.placed(poses[i], body.centre[None]), here[0].shape)[0])
+        bool(credits[i] > FOUND and inside(body.placed(poses[i], body.centre[None]), here[0].shape)[0])
         for i, body in enumerate(bodies)
     ]
     shifts = [
@@ -143,6 +145,20 @@ def _credit(found: tuple[Floats, float], expected: Floats, body: Body) -> float:
     """Likeness of a found pose, less what it costs to lie away from where it is expected."""
     pose, likeness = found
     return likeness - STRAY_COST * min(1.0, float(np.linalg.norm(pose[1:] - expected[1:])) / body.size)
+
+
+def _credits(bodies: Sequence[Body], poses: Floats, likeness: Floats) -> Floats:
+    """(n,) likeness, less what it costs to lie away from where the one beside that is found more like itself has it.
+
+    A vertebra that a blade half covers resembles its neighbour a whole vertebra away.
+    """
+    credits = likeness.copy()
+    for i, body in enumerate(bodies):
+        beside = max((j for j in (i - 1, i + 1) if 0 <= j < len(bodies)), key=lambda j: likeness[j], default=None)
+        if beside is not None:
+            expected = _as_beside(body, bodies[beside], poses[beside])
+            credits[i] = _credit((poses[i], float(likeness[i])), expected, body)
+    return credits
 
 
 def _carried(body: Body, pose: Floats, flow: Image) -> Floats:
