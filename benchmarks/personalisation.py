@@ -10,10 +10,11 @@ rotation from the pedicle points by a median of five levels, smoothed alike, and
 scaled to a body of 139 to 180 cm whose spine is up to 7 % longer or shorter than the template's at that height, and
 curves of 10 to 45 degrees (``study.spines.curved_spine``) on a body with another kyphosis. Vertebrae: boxes with their
 own width, height and depth each, endplates that differ in size as published, and bodies wedged front to back.
-Pedicles: where the table has them in the vertebra's own frame. Both views are of a full-length detector; the silhouette
-is the outermost projected corner of each pair. The fit sees noisy corners, views and body height, nothing else. A spine
-with a point missing or far off the others' line, with bodies that overlap or with a gap as tall as a body is skipped
-and named. ``known`` takes every subject, the other scenarios every ninth (``EVERY``; ``--all``: every one).
+Pedicles: where the table has them in the vertebra's own frame. Both views are of a full-length detector; a search
+over each endplate's rim finds how deep the silhouette's corner lies. The fit sees noisy corners, views and body height,
+nothing else.
+A spine with a point missing or far off the others' line, with bodies that overlap or with a gap as tall as a body is
+skipped and named. ``known`` takes every subject, the other scenarios every ninth (``EVERY``; ``--all``: every one).
 
 Scenarios:
 
@@ -92,6 +93,7 @@ KYPHOSIS_DEG, LORDOSIS_DEG = (20.0, 50.0), (35.0, 60.0)
 EVERY = {"nuisance": 9, "pedicles": 9, "wrong": 9, "frontal": 9}
 # Corners in picture order: superior-first, superior-second, inferior-second, inferior-first.
 LEVEL, SIDE = np.array([0, 0, 1, 1]), np.array([0, 1, 1, 0])
+RIM = np.deg2rad(np.arange(-89.0, 89.1, 0.25))
 
 
 @dataclass(frozen=True)
@@ -268,15 +270,20 @@ def _subject(
 
 
 def projected(truth: Truth, view: XRayView, lateral: bool) -> Floats:
-    """(17, 4, 2) mm on the detector: of each pair of box corners the one farther out along the vertebra's axis."""
+    """(17, 4, 2) mm on the detector: between the two box corners of each pair, as deep as a search over the endplate's
+    rim (an ellipse in the box) finds what is seen farthest out, in half widths and half heights together."""
     boxes = truth.boxes if lateral else truth.boxes.swapaxes(2, 3)
-    # (17, 4, 2, 3): corner in picture order, member of the pair. Lateral: first = front, the pair is left and right.
-    pairs = np.stack([boxes[:, level, :, side] for level, side in zip(LEVEL, SIDE)], 1)
-    seen = view.project(truth.world(pairs))
-    up = seen[:, :2].mean((1, 2)) - seen[:, 2:].mean((1, 2))
-    height = np.einsum("vkpi,vi->vkp", seen, up) * np.where(LEVEL == 0, 1.0, -1.0)[:, None]
-    outer = np.argmax(height, axis=2)
-    return np.asarray(np.take_along_axis(seen, outer[:, :, None, None], axis=2)[:, :, 0])
+    # (17, 4, 3): corner in picture order. Lateral: first = front, the pair is left and right.
+    one, other = (np.stack([boxes[:, level, pair, side] for level, side in zip(LEVEL, SIDE)], 1) for pair in (0, 1))
+    middle, half = 0.5 * (one + other), 0.5 * (one - other)
+    up, across = middle * [0.0, 1.0, 0.0], middle * ([0.0, 0.0, 1.0] if lateral else [1.0, 0.0, 0.0])
+    rim = middle - across + np.cos(RIM)[:, None, None, None] * across + np.sin(RIM)[:, None, None, None] * half
+    start = view.project(truth.world(middle))
+    axes = np.stack([start - view.project(truth.world(middle - side)) for side in (across, up)], -1)
+    seen = np.stack([view.project(truth.world(points)) for points in rim]) - start
+    outwards = np.linalg.solve(np.broadcast_to(axes, (*seen.shape, 2)), seen[..., None])[..., 0].sum(-1)
+    angle = RIM[np.argmax(outwards, axis=0)]
+    return np.asarray(view.project(truth.world(middle + np.sin(angle)[..., None] * half)))
 
 
 def full_length(make: Any, centre: Floats, distance: float = 1.0) -> XRayView:

@@ -236,7 +236,7 @@ def _line(row: Found) -> str:
 
 
 def evidence(moving: Moving) -> tuple[Floats, Floats]:
-    """Terms (n, 4) and errors (n,) in mm of all visible corners that were found."""
+    """Terms (n, 3) and errors (n,) in mm of all visible corners that were found."""
     pictures = Pictures.of(moving.frames)  # type: ignore[arg-type]
     bodies = [Body.of_vertebra(quad) for quad in pictures.binned(moving.truth[0])]
     poses, seen = follow(pictures, bodies, range(len(moving.frames)), chained=True)
@@ -254,7 +254,7 @@ def evidence(moving: Moving) -> tuple[Floats, Floats]:
 
 
 def calibrated(terms: Floats, errors: Floats) -> Floats:
-    """Weights (4,) under which the errors are likeliest, their squares exponentially distributed."""
+    """Weights (3,) under which the errors are likeliest, their squares exponentially distributed."""
 
     def cost(logarithms: Floats) -> float:
         predicted = terms @ np.exp(logarithms)

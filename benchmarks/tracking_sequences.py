@@ -1,7 +1,7 @@
 """Sequences of radiographs in which the place of every vertebra corner is known, for benchmarks/tracking.py.
 
 ``modelled``: a torso of known stiffness under a growing push, radiographed four times a second. What is true are the
-projected corners of the vertebra boxes that make the silhouette at rest, points of the bone, as a fit compares them.
+projected corners of the vertebrae's silhouettes at rest, points of the bone, as a fit compares them.
 
 ``warped``: a real radiograph moved by a smooth field in which each vertebra moves as a body.
 """

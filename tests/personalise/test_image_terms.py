@@ -71,14 +71,14 @@ def test_a_torso_meets_its_own_picture(template, see, name):
 
 @pytest.mark.parametrize("name", VIEWS)
 def test_the_silhouette_is_that_of_the_shape(template, name):
-    """Bent by 30 degrees to one side and forwards, a spine shows other corners than upright."""
+    """Bent by 30 degrees to one side and forwards, a spine shows corners at another depth than upright."""
     view, rest = VIEWS[name], template.rest_pose
     bones, turn = template.vertebra_bones, exp_so3(np.outer(np.linspace(-0.5, 0.5, 17), [0.7, 0.0, 1.0]))
     rotations = rest.bone_rotations.copy()
     rotations[bones] = turn @ rotations[bones]
     bent = TorsoState(rest.bone_positions, rotations, rest.tissue_positions)
     upright, shares = (silhouette_shares(template, view, state) for state in (rest, bent))
-    assert (upright != shares).sum() > 3
+    assert (np.abs(upright - shares) > 0.3).sum() > 3
     corners = VertebraCorners(template.vertebrae, state_features(template, view, bent, shares).corners)
     residual = points_of(template, view, corners).residuals(shape_of(template, bent), np.zeros(4))
     assert np.abs(residual).max() < 1e-9

@@ -21,7 +21,7 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import RadiographError, TrackingError
-from spinestiff.imaging.silhouette import rim_share
+from spinestiff.imaging.silhouette import halves, rim_share
 
 if TYPE_CHECKING:
     from spinestiff.imaging.projection import XRayView
@@ -162,10 +162,10 @@ def silhouette_shares(torso: TorsoModel, view: XRayView, state: TorsoState) -> F
     In a frontal view the pair is (anterior, posterior), in a lateral one (left, right); 1 is its first, 0 midway. See
     ``imaging.silhouette``; the paper (4.1) takes the one of the two that is farther out, 1 or -1.
 
-    Choose in the rest pose and keep the shares through a fit: optical flow follows what was annotated in the first
-    frame, and features stay smooth.
+    Take them in the rest pose and keep them through a fit: optical flow follows what was annotated in the first frame,
+    and features stay smooth.
     """
-    middle, half = silhouette_pairs(torso, view)
+    middle, half = halves(silhouette_pairs(torso, view))
     bones = torso.vertebra_bones
     beam = np.einsum("vji,vj->vi", state.bone_rotations[bones], state.bone_positions[bones] - view.source)
     return rim_share(middle, half, middle + beam[:, None], depth_axis(view))
@@ -192,7 +192,7 @@ def state_features(
     """
     count = len(torso.vertebrae)
     shares = read_only("silhouette shares", shares, (count, 4), RadiographError)
-    middle, half = silhouette_pairs(torso, view)
+    middle, half = halves(silhouette_pairs(torso, view))
     corners = (middle + shares[..., None] * half).reshape(-1, 3)
     points = PointsOnBones(np.repeat(torso.vertebra_bones, 4), corners)
     detector, jacobian = view.project_with_jacobian(points.positions(state))
@@ -369,14 +369,12 @@ def _principal(c: Floats, boxes: Floats, guess: Floats) -> tuple[Floats, Floats]
     return turn + quarters * 0.5 * np.pi, gradient
 
 
-def silhouette_pairs(torso: TorsoModel, view: XRayView) -> tuple[Floats, Floats]:
-    """Box corners behind one another in the beam, in the vertebra's frame: the middle of the two and half of what is
-    between them, first less second, (V, 4, 3) mm each, corners in picture order."""
+def silhouette_pairs(torso: TorsoModel, view: XRayView) -> Floats:
+    """(V, 4, 2, 3) mm in the vertebra's frame: box corners behind one another in the beam, corners in picture order."""
     box = torso.vertebra_boxes.reshape(-1, 2, 2, 2, 3)
     if view_kind(view) == "lateral":
         box = box.swapaxes(2, 3)
-    first, second = np.moveaxis(box[:, _LEVEL, _SIDE], 2, 0)
-    return 0.5 * (first + second), 0.5 * (first - second)
+    return np.asarray(box[:, _LEVEL, _SIDE])
 
 
 def depth_axis(view: XRayView) -> int:

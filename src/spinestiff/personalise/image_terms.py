@@ -6,14 +6,15 @@ A vertebra of place t, rotation R, log sizes s and tapers a has the box corner r
 
 its upper endplate is a_1 wider and a_2 deeper, its front a_3 higher than its mean. Seen in a view the corner is
 compared with the annotated one at the patient plane, in mm. Between two box corners, one behind the other in the beam,
-the silhouette's corner lies where the rim is seen farthest out (``imaging.silhouette``), for every shape anew. Unlike
-the features of Eq. 9, which place a box of given size, corners are compared one by one: only so do they say how large
-a vertebra is.
+the silhouette's corner lies as deep as the rim is seen farthest out (``imaging.silhouette``), for every shape anew.
+Unlike the features of Eq. 9, which place a box of given size, corners are compared one by one: only so do they say how
+large a vertebra is.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import VertebraCorners, depth_axis, silhouette_pairs, vertebra_rows
 from spinestiff.imaging.projection import XRayView
-from spinestiff.imaging.silhouette import rim_share, rim_share_slope
+from spinestiff.imaging.silhouette import halves, rim_share, rim_share_slope
 from spinestiff.personalise.pose import Stance
 from spinestiff.personalise.sizes import pedicle_centres
 
@@ -82,6 +83,21 @@ class Shape:
         return np.concatenate([self.log_sizes, self.pedicles, self.tapers], axis=1)
 
 
+class _Seen(NamedTuple):
+    """Pairs of box corners as a view sees them: middle, half of the difference and ray to the middle (P, 3), mm in the
+    vertebra's frame, and where between the two the silhouette's corner lies (P,)."""
+
+    middle: Floats
+    half: Floats
+    ray: Floats
+    share: Floats
+
+    @property
+    def point(self) -> Floats:
+        """(P, 3) mm in the vertebra's frame: the silhouette's corner, or the pedicle."""
+        return np.asarray(self.middle + self.share[:, None] * self.half)
+
+
 @dataclass(frozen=True)
 class ImagePoints:
     """Annotated points of one view and what they are on a torso.
@@ -108,22 +124,20 @@ class ImagePoints:
     def residuals(self, shape: Shape, pose: Floats) -> Floats:
         """(P, 2) mm at the patient plane, simulated less measured, for a pose (4,) of the view."""
         standing = Stance(self.view, pose)
-        local = self._points(*self._pairs(shape), self._beams(shape, standing))
-        points = shape.positions[self.vertebra] + _turned(shape.rotations[self.vertebra], local)
-        return np.asarray((self.view.project(standing.moved(points)) - self.measured) / self.view.magnification)
+        arm = _turned(shape.rotations[self.vertebra], self._seen(shape, standing).point)
+        moved = standing.moved(shape.positions[self.vertebra] + arm)
+        return np.asarray((self.view.project(moved) - self.measured) / self.view.magnification)
 
     def linearised(self, shape: Shape, pose: Floats) -> tuple[Floats, Floats, Floats]:
         """Residuals (P, 2), and their derivatives in the vertebra's (P, 2, 15) and in the view's unknowns (P, 2, 4)."""
-        standing = Stance(self.view, pose)
-        rotation = shape.rotations[self.vertebra]
-        pairs, beams = self._pairs(shape), self._beams(shape, standing)
-        local = self._points(*pairs, beams)
-        arm = _turned(rotation, local)
+        standing, rotation = Stance(self.view, pose), shape.rotations[self.vertebra]
+        there = self._seen(shape, standing)
+        arm = _turned(rotation, there.point)
         moved = standing.moved(shape.positions[self.vertebra] + arm)
         seen, slope = self.view.project_with_jacobian(moved)
         slope = slope / self.view.magnification
         # All unknowns: what they do to a point in its vertebra's frame, then to the frame.
-        changed = rotation @ self._point_slopes(*pairs, beams, shape, standing)
+        changed = rotation @ self._slopes(there, shape, standing)
         changed[:, :, :3] += np.eye(3)
         changed[:, :, 3:6] -= cross_matrix(arm)
         changed = slope @ (standing.turn @ changed)
@@ -131,53 +145,51 @@ class ImagePoints:
         residual = (seen - self.measured) / self.view.magnification
         return residual, changed[:, :, :UNKNOWNS], changed[:, :, UNKNOWNS:]
 
-    def _pairs(self, shape: Shape) -> tuple[Floats, Floats]:
-        """(P, 3) mm in the vertebra's frame, of this shape: the middle of each pair, half of first less second."""
-        sized, _, outwards = self._sized(shape)
-        first, second = np.moveaxis(sized, 1, 0)
-        return 0.5 * (first + second) + outwards * shape.pedicles[self.vertebra], 0.5 * (first - second)
+    def _seen(self, shape: Shape, standing: Stance) -> _Seen:
+        middle, half = halves(self._sized(shape)[0])
+        middle = middle + self._pedicle_ways * shape.pedicles[self.vertebra]
+        beams = shape.positions - standing.unmoved(self.view.source[None])
+        ray = middle + _turned(np.swapaxes(shape.rotations, 1, 2), beams)[self.vertebra]
+        share, corner = np.zeros(len(self)), self.outward == 0.0
+        share[corner] = rim_share(middle[corner], half[corner], ray[corner], depth_axis(self.view))
+        return _Seen(middle, half, ray, share)
 
-    def _sized(self, shape: Shape) -> tuple[Floats, Floats, Floats]:
-        """Pairs (P, 2, 3) mm at the shape's sizes, what a taper of 1 adds to them, (P, 3) how pedicles move."""
+    def _sized(self, shape: Shape) -> tuple[Floats, Floats]:
+        """(P, 2, 3) mm each: the pairs at the shape's sizes, and what a taper of 1 adds to them."""
         plain = np.exp(shape.log_sizes[self.vertebra])[:, None] * self.pair
         tapering = plain * _taper_signs(plain, self.outward[:, None])
+        return plain + tapering * shape.tapers[self.vertebra][:, None, [0, 2, 1]], tapering
+
+    @property
+    def _pedicle_ways(self) -> Floats:
+        """(P, 3) directions of outwards, up and front for a pedicle, 0 for a corner."""
         pedicle = np.abs(self.outward)
-        sized = plain + tapering * shape.tapers[self.vertebra][:, None, [0, 2, 1]]
-        return sized, tapering, np.stack([self.outward, pedicle, pedicle], -1)
+        return np.stack([self.outward, pedicle, pedicle], -1)
 
-    def _beams(self, shape: Shape, standing: Stance) -> Floats:
-        """(P, 3) mm in the vertebra's frame, from the source to the vertebra."""
-        from_source = shape.positions - standing.unmoved(self.view.source[None])
-        return _turned(np.swapaxes(shape.rotations, 1, 2), from_source)[self.vertebra]
-
-    def _points(self, middle: Floats, half: Floats, beams: Floats) -> Floats:
-        """(P, 3) mm in the vertebra's frame: where the silhouette has its corner, or the pedicle."""
-        points, corner = middle.copy(), self.outward == 0.0
-        m, h = middle[corner], half[corner]
-        points[corner] += rim_share(m, h, m + beams[corner], depth_axis(self.view))[:, None] * h
-        return points
-
-    def _point_slopes(self, middle: Floats, half: Floats, beams: Floats, shape: Shape, standing: Stance) -> Floats:
-        """(P, 3, 19) derivative of ``_points`` in the unknowns of vertebra and view."""
-        sized, tapering, outwards = self._sized(shape)
-        slopes = np.zeros((len(self), 2, 3, UNKNOWNS + VIEW_UNKNOWNS))
-        slopes[..., 6:9] = sized[..., None] * np.eye(3)
-        slopes[..., 9:12] = outwards[:, None, :, None] * np.eye(3)
-        slopes[..., 12:15] = tapering[..., None] * np.eye(3)[:, [0, 2, 1]]
-        first, second = np.moveaxis(slopes, 1, 0)
-        d_middle, d_half = 0.5 * (first + second), 0.5 * (first - second)
+    def _slopes(self, there: _Seen, shape: Shape, standing: Stance) -> Floats:
+        """(P, 3, 19) derivative of ``there.point`` in the unknowns of vertebra and view."""
+        sized, tapering = self._sized(shape)
+        pairs = np.zeros((len(self), 2, 3, UNKNOWNS + VIEW_UNKNOWNS))
+        pairs[..., 6:9] = sized[..., None] * np.eye(3)
+        pairs[..., 9:12] = self._pedicle_ways[:, None, :, None] * np.eye(3)
+        pairs[..., 12:15] = tapering[..., None] * np.eye(3)[:, [0, 2, 1]]
+        middle, half = 0.5 * (pairs[:, 0] + pairs[:, 1]), 0.5 * (pairs[:, 0] - pairs[:, 1])
         source = self.view.source[None]
-        seen_from = np.zeros_like(d_middle)
-        seen_from[:, :, :3] = np.eye(3)
-        seen_from[:, :, 3:6] = cross_matrix(shape.positions - standing.unmoved(source))[self.vertebra]
-        seen_from[:, :, UNKNOWNS:] = standing.turn.T @ standing.jacobian(source)
-        d_ray = d_middle + np.swapaxes(shape.rotations, 1, 2)[self.vertebra] @ seen_from
-        corner, depth = self.outward == 0.0, depth_axis(self.view)
-        m, h = middle[corner], half[corner]
-        share = rim_share(m, h, m + beams[corner], depth)[:, None, None]
-        d_share = rim_share_slope(m, h, m + beams[corner], depth, (d_middle[corner], d_half[corner], d_ray[corner]))
-        d_middle[corner] += share * d_half[corner] + h[..., None] * d_share[:, None]
-        return d_middle
+        beams = np.zeros_like(middle)
+        beams[:, :, :3] = np.eye(3)
+        beams[:, :, 3:6] = cross_matrix(shape.positions - standing.unmoved(source))[self.vertebra]
+        beams[:, :, UNKNOWNS:] = standing.turn.T @ standing.jacobian(source)
+        ray = middle + np.swapaxes(shape.rotations, 1, 2)[self.vertebra] @ beams
+        corner = self.outward == 0.0
+        share = np.zeros((len(self), 1, UNKNOWNS + VIEW_UNKNOWNS))
+        share[corner, 0] = rim_share_slope(
+            there.middle[corner],
+            there.half[corner],
+            there.ray[corner],
+            depth_axis(self.view),
+            (middle[corner], half[corner], ray[corner]),
+        )
+        return np.asarray(middle + there.share[:, None, None] * half + there.half[..., None] * share)
 
 
 def image_points(
@@ -197,8 +209,7 @@ def image_points(
     rows = vertebra_rows(torso, corners)
     used = corners.usable
     vertebra = np.repeat(rows, 4).reshape(-1, 4)[used]
-    middle, half = (part[rows][used] for part in silhouette_pairs(torso, view))
-    pair, measured = np.stack([middle + half, middle - half], 1), corners.corners[used]
+    pair, measured = silhouette_pairs(torso, view)[rows][used], corners.corners[used]
     outward = np.zeros(len(vertebra))
     if pedicles is not None:
         for name in pedicles.vertebrae:

@@ -82,15 +82,18 @@ def make_torso(
     )
 
 
-def toy_torso(seed: int = 0, nodes: int = 10) -> TorsoModel:
-    """Three bones in a block of tissue, two joints with tilted frames; rest shape of the elements slightly curved."""
+def toy_torso(seed: int = 0, nodes: int = 10, turned: float = 0.4) -> TorsoModel:
+    """Three bones in a block of tissue, two joints with tilted frames; rest shape of the elements slightly curved.
+
+    ``turned`` is the largest component, rad, of the bones' rotations at rest.
+    """
     random = np.random.default_rng(seed)
     positions, elements = box_mesh((2, 2, 2), (60.0, 90.0, 40.0), nodes)
     positions = positions + random.uniform(-1.0, 1.0, positions.shape)
     middles = np.array([[30.0, 10.0, 20.0], [30.0, 45.0, 20.0], [30.0, 80.0, 20.0]])
     near = np.linalg.norm(positions[:, None] - middles, axis=-1)
     bone_of_node = np.where(near.min(1) < 23.0, near.argmin(1), -1)
-    rotations = exp_so3(random.uniform(-0.4, 0.4, (3, 3)))
+    rotations = exp_so3(turned * random.uniform(-1.0, 1.0, (3, 3)))
     return make_torso(
         middles,
         [(1, 0), (2, 1)],

@@ -56,8 +56,8 @@ def follow(
         flow = dense_flow(base, image)
         guesses = [_carried(body, pose, flow) for body, pose in zip(bodies, poses[found])]
         poses[k], likeness = _settled(bodies, patches, here, guesses, chained)
-        credits = _credits(bodies, poses[k], likeness) if chained else likeness
-        seen.append(_evidence(bodies, patches, here, poses[k], likeness, credits, mm))
+        believed = credits(bodies, poses[k], likeness) if chained else likeness
+        seen.append(_evidence(bodies, patches, here, poses[k], likeness, believed, mm))
         if 2 * sum(evidence is not None for evidence in seen[-1]) > len(bodies):
             base, found = image, k
         if observer is not None:
@@ -71,12 +71,12 @@ def _evidence(
     here: Sequence[Image],
     poses: Floats,
     likeness: Floats,
-    credits: Floats,
+    believed: Floats,
     mm: float,
 ) -> list[Evidence | None]:
     """What a frame, ``here`` at each smoothing, says of each body in its pose; None for a lost one."""
     present = [
-        bool(credits[i] > FOUND and inside(body.placed(poses[i], body.centre[None]), here[0].shape)[0])
+        bool(believed[i] > FOUND and inside(body.placed(poses[i], body.centre[None]), here[0].shape)[0])
         for i, body in enumerate(bodies)
     ]
     shifts = [
@@ -87,7 +87,6 @@ def _evidence(
     return [
         Evidence(
             scatter(bodies[i], patches[i], here[-1], pose) * mm,
-            float(np.linalg.norm(pose[1:])) * mm,
             float(turned[i]) * mm,
             float(likeness[i]),
         )
@@ -147,18 +146,18 @@ def _credit(found: tuple[Floats, float], expected: Floats, body: Body) -> float:
     return likeness - STRAY_COST * min(1.0, float(np.linalg.norm(pose[1:] - expected[1:])) / body.size)
 
 
-def _credits(bodies: Sequence[Body], poses: Floats, likeness: Floats) -> Floats:
-    """(n,) likeness, less what it costs to lie away from where the one beside that is found more like itself has it.
+def credits(bodies: Sequence[Body], poses: Floats, likeness: Floats) -> Floats:
+    """(n,) likeness, less what it costs to lie away from where the one beside that is more like itself has it.
 
-    A vertebra that a blade half covers resembles its neighbour a whole vertebra away.
+    A vertebra that a blade half covers resembles its neighbour, a whole vertebra away.
     """
-    credits = likeness.copy()
+    believed = likeness.copy()
     for i, body in enumerate(bodies):
         beside = max((j for j in (i - 1, i + 1) if 0 <= j < len(bodies)), key=lambda j: likeness[j], default=None)
         if beside is not None:
             expected = _as_beside(body, bodies[beside], poses[beside])
-            credits[i] = _credit((poses[i], float(likeness[i])), expected, body)
-    return credits
+            believed[i] = _credit((poses[i], float(likeness[i])), expected, body)
+    return believed
 
 
 def _carried(body: Body, pose: Floats, flow: Image) -> Floats:

@@ -12,11 +12,10 @@ from spinestiff.arrays import Floats
 FOUND = 0.25
 # The predicted error (mm) that halves quality: with it quality is an inverse variance, for weights.
 HALVING_MM = 0.17
-# Below this a corner is doubtful (0.26 mm predicted): chosen to flag most errors above 0.5 mm.
+# Below this a corner is doubtful (0.26 mm predicted): most errors above 0.5 mm are, few others (docs/tracking.md).
 DOUBTED_QUALITY = 0.3
-# Error by the evidence: fitted on sequences of known truth (benchmarks/tracking.py
-# --calibrate).
-WEIGHTS = np.array([0.096, 0.0038, 0.364, 0.226])
+# Error by the evidence: fitted on sequences of known truth (benchmarks/tracking.py --calibrate).
+WEIGHTS = np.array([0.319, 0.109, 0.237])
 WEIGHTS.setflags(write=False)
 
 
@@ -27,21 +26,19 @@ class Evidence:
     Attributes
     ----------
     scatter : (k,) of its marks, by the jackknife over parts of the patch: what covers a side, and noise.
-    travel : way across the picture since the annotated frame: parallax grows with it.
     turned : motion of what lies before or behind the body against its outline: the body turned out of the picture's
         plane or moved across the beam, and its corners, which lie at different depths, moved against each other.
     likeness : correlation with the annotated frame.
     """
 
     scatter: Floats
-    travel: float
     turned: float
     likeness: float
 
     def terms(self) -> Floats:
-        """(k, 4), each of which explains a part of the error: three in mm, and how unlike the patch has become."""
+        """(k, 3), each of which explains a part of the error: two in mm, and how unlike the patch has become."""
         unlike = np.sqrt(max(1.0 - self.likeness, 0.0))
-        shared = (self.travel, self.turned, unlike)
+        shared = (self.turned, unlike)
         return np.column_stack([self.scatter, *(np.full(len(self.scatter), value) for value in shared)])
 
 
