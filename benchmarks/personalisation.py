@@ -93,7 +93,7 @@ KYPHOSIS_DEG, LORDOSIS_DEG = (20.0, 50.0), (35.0, 60.0)
 EVERY = {"nuisance": 9, "pedicles": 9, "wrong": 9, "frontal": 9}
 # Corners in picture order: superior-first, superior-second, inferior-second, inferior-first.
 LEVEL, SIDE = np.array([0, 0, 1, 1]), np.array([0, 1, 1, 0])
-RIM = np.deg2rad(np.arange(-89.0, 89.1, 0.25))
+RIM_END = np.deg2rad(89.0)
 
 
 @dataclass(frozen=True)
@@ -277,13 +277,17 @@ def projected(truth: Truth, view: XRayView, lateral: bool) -> Floats:
     one, other = (np.stack([boxes[:, level, pair, side] for level, side in zip(LEVEL, SIDE)], 1) for pair in (0, 1))
     middle, half = 0.5 * (one + other), 0.5 * (one - other)
     up, across = middle * [0.0, 1.0, 0.0], middle * ([0.0, 0.0, 1.0] if lateral else [1.0, 0.0, 0.0])
-    rim = middle - across + np.cos(RIM)[:, None, None, None] * across + np.sin(RIM)[:, None, None, None] * half
     start = view.project(truth.world(middle))
     axes = np.stack([start - view.project(truth.world(middle - side)) for side in (across, up)], -1)
-    seen = np.stack([view.project(truth.world(points)) for points in rim]) - start
-    outwards = np.linalg.solve(np.broadcast_to(axes, (*seen.shape, 2)), seen[..., None])[..., 0].sum(-1)
-    angle = RIM[np.argmax(outwards, axis=0)]
-    return np.asarray(view.project(truth.world(middle + np.sin(angle)[..., None] * half)))
+    outer = np.zeros(middle.shape[:2])
+    # Nearer and nearer: 10 degrees apart, then 1, then a tenth.
+    for step in np.deg2rad([10.0, 1.0, 0.1]):
+        angles = np.clip(outer + step * np.arange(-9, 10)[:, None, None], -RIM_END, RIM_END)[..., None]
+        rim = middle - across + np.cos(angles) * across + np.sin(angles) * half
+        seen = np.stack([view.project(truth.world(points)) for points in rim]) - start
+        outwards = np.linalg.solve(np.broadcast_to(axes, (*seen.shape, 2)), seen[..., None])[..., 0].sum(-1)
+        outer = np.take_along_axis(angles[..., 0], np.argmax(outwards, axis=0)[None], axis=0)[0]
+    return np.asarray(view.project(truth.world(middle + np.sin(outer)[..., None] * half)))
 
 
 def full_length(make: Any, centre: Floats, distance: float = 1.0) -> XRayView:

@@ -26,12 +26,11 @@ def prior(template):
     return elastic_prior(EquilibriumProblem(template, pelvis_on_springs(template)), template.rest_pose)
 
 
-@pytest.fixture(scope="module")
-def girl(template):
-    """A curve of about 20 degrees, half a standard deviation of size."""
+def bent(template, aside_mm, waves):
+    """A spine of its own sizes whose middle line is so many half waves."""
     rest = shape_of(template, template.rest_pose)
     height = (rest.positions[:, 1] - rest.positions[-1, 1]) / np.ptp(rest.positions[:, 1])
-    aside = 8.0 * np.sin(np.pi * height)
+    aside = aside_mm * np.sin(waves * np.pi * height)
     tilt = -np.arctan(np.gradient(aside, rest.positions[:, 1]))
     random = np.random.default_rng(5)
     return Shape(
@@ -41,6 +40,12 @@ def girl(template):
         random.normal(0.0, 1.0, (17, 3)),
         random.normal(0.0, 0.02, (17, 3)),
     )
+
+
+@pytest.fixture(scope="module")
+def girl(template):
+    """A curve of about 20 degrees, half a standard deviation of size."""
+    return bent(template, 8.0, 1)
 
 
 def pictures(template, girl, noise, seed=0, stance=KNOWN):
@@ -127,6 +132,17 @@ def test_an_unusual_vertebra_is_no_wrong_one(template, prior, girl):
     found = adjust(pictures(template, odd, 0.5), prior, start(template), KNOWN, KNOWN)
     assert min(weights.min() for weights in found.weights) > 0.1
     assert centre_errors(found, odd).max() < 1.2
+
+
+def test_a_curve_of_eighty_degrees_is_no_turned_body(template, prior):
+    """Far from the template a spine looks like wrong corners, or like one whose kyphosis is seen from aside."""
+    strong = bent(template, 50.0, 2)
+    tilt = np.degrees(np.arcsin(strong.rotations[:, 0, 1]))
+    assert np.ptp(tilt) > 75.0
+    found = adjust(pictures(template, strong, 0.5), prior, start(template), KNOWN, KNOWN)
+    assert min(weights.min() for weights in found.weights) > 0.1
+    assert centre_errors(found, strong).max() < 1.5
+    assert np.degrees(np.abs(turn_errors(found, strong)[:, 1])).max() < 15.0
 
 
 def test_a_stance_is_found_with_its_prior(template, prior, girl):

@@ -9,9 +9,10 @@ view's stance n (Gauss and Newton, with weights renewed at every step):
 The corners' standard deviation sigma falls from 16 mm by halves to what the residuals themselves show: the image's
 weight 1/sigma^2 is annealed, and a wrong corner is told from the shape that the others agree on (graduated
 non-convexity; Blake and Zisserman 1987). A vertebra that is unusual, though, looks like a wrong one as long as the
-others hold it where they would have it. So the fit is repeated from where their own corners put the vertebrae with a
-corner set aside, then all of them, then with those that all views set aside let go by the prior (one in a hundred is
-expected to be like that). The most probable answer is kept: that of the smallest minus logarithm, with what the
+others hold it where they would have it, and so does a whole spine far from the template. So the fit is repeated from
+where it leads with next to no prior, from where their own corners put the vertebrae with a corner set aside, then with
+those that all views set aside let go by the prior (one in a hundred is expected to be like that). The most probable
+answer is kept: that of the smallest minus logarithm, with what the
 corners' standard deviation (2 log sigma a point) and the prior (half the logarithm of its determinant) are normalised
 by. The covariance is the inverse of the Gauss-Newton Hessian at the end.
 """
@@ -38,6 +39,10 @@ WRONG_WEIGHT = 0.1
 # Part of all vertebrae that lie where none is expected.
 UNUSUAL = 0.01
 STEPS = 15
+# 1/rad^2, of a turn that stays as it is.
+HELD = 1e9
+# Share of the prior in the fit that shows where it would lead without.
+SOFT = 0.02
 # mm, of each pedicle about the place that left and right share mirrored.
 PEDICLE_SD = 1.0
 # mm, or rad times 30 mm: while annealing, and at the end.
@@ -95,24 +100,21 @@ def adjust(
     FitError : no finite solution, or hardly a point that agrees with the others.
     """
     system = _System(views, prior, pose_sd)
-    shape, sd = start, first_sd
-    while True:
-        shape, poses, normal = system.settled(shape, poses, sd, SMALL_STEP)
-        if observer:
-            observer(f"corner sd {sd:.2f} mm: rms {normal.rms:.2f} mm, {normal.wrong} points set aside")
-        if sd <= SD_LIMITS[1]:
-            break
-        sd = max(0.5 * sd, SD_LIMITS[1])
-    best = system.refined(shape, poses, normal, sd)
-    for again in (_System.doubted, _System.everyone, _System.disowned):
+    best = system.refined(*system.annealed(start, poses, first_sd, observer))
+    shape, stance, soft = system.softened().annealed(start, poses, first_sd)
+    soft = system.normal(shape, stance, max(soft.estimated_sd, SD_LIMITS[0]))
+    best = min(best, system.refined(shape, stance, soft), key=_Answer.cost)
+    for again in (_System.doubted, _System.disowned):
         which = again(system, best.normal)
         if len(which):
             tried = system.freeing(which) if again is _System.disowned else system
             own = tried.by_own_corners(best.shape, best.poses, which)
-            other = tried.refined(own, best.poses, tried.normal(own, best.poses, best.sd), best.sd)
-            best = min(best, other, key=lambda answer: answer.cost)
+            other = tried.refined(own, best.poses, tried.normal(own, best.poses, best.normal.sd))
+            best = min(best, other, key=_Answer.cost)
     if observer:
-        observer(f"corner sd {best.sd:.2f} mm: rms {best.normal.rms:.2f} mm, {best.normal.wrong} points set aside")
+        observer(
+            f"corner sd {best.normal.sd:.2f} mm: rms {best.normal.rms:.2f} mm, {best.normal.wrong} points set aside"
+        )
     if best.normal.weights.sum() < 0.5 * len(best.normal.weights):
         raise FitError(
             "most annotated corners contradict each other or the template; check vertebra names, the order of corners, "
@@ -125,7 +127,7 @@ def adjust(
 class _Normal:
     """Normal equations at one point: image part and whole Hessian, slope, weights of all points, weighted squares.
 
-    ``cost`` is what is minimised there, with 2 log sigma for each point.
+    ``cost`` is what is minimised there, with 2 log sigma for each point, and ``sd`` that sigma in mm.
     """
 
     image: Floats
@@ -134,6 +136,7 @@ class _Normal:
     weights: Floats
     squares: float
     cost: float
+    sd: float
 
     @property
     def rms(self) -> float:
@@ -159,9 +162,7 @@ class _Answer:
     shape: Shape
     poses: Floats
     normal: _Normal
-    sd: float
 
-    @property
     def cost(self) -> float:
         """Minus the logarithm of its probability, but for what all answers share."""
         return self.normal.cost + self.system.norm
@@ -186,8 +187,26 @@ class _System:
         tail = np.arange(UNKNOWNS * self.count, size)
         fixed[tail, tail] = 1.0 / self.pose_sd.ravel()[self.free] ** 2
 
-    def refined(self, shape: Shape, poses: Floats, normal: _Normal, sd: float) -> _Answer:
+    def annealed(
+        self, shape: Shape, poses: Floats, sd: float, observer: Observer | None = None
+    ) -> tuple[Shape, Floats, _Normal]:
+        """From corners that hardly count to those of the largest standard deviation that is believed."""
+        while True:
+            shape, poses, normal = self.settled(shape, poses, sd, SMALL_STEP)
+            if observer:
+                observer(f"corner sd {sd:.2f} mm: rms {normal.rms:.2f} mm, {normal.wrong} points set aside")
+            if sd <= SD_LIMITS[1]:
+                return shape, poses, normal
+            sd = max(0.5 * sd, SD_LIMITS[1])
+
+    def softened(self) -> _System:
+        """The same with next to no prior."""
+        prior = replace(self.prior, gradient=SOFT * self.prior.gradient, hessian=SOFT * self.prior.hessian)
+        return _System(self.views, prior, self.pose_sd)
+
+    def refined(self, shape: Shape, poses: Floats, normal: _Normal) -> _Answer:
         """From here on the residuals say how exact the corners are."""
+        sd = normal.sd
         for _ in range(10):
             found = float(np.clip(normal.estimated_sd, 0.5 * sd, SD_LIMITS[1]))
             found = max(found, SD_LIMITS[0])
@@ -196,7 +215,7 @@ class _System:
             shape, poses, normal = self.settled(shape, poses, sd, SMALLEST_STEP if close else SMALL_STEP)
             if close:
                 break
-        return _Answer(self, shape, poses, normal, sd)
+        return _Answer(self, shape, poses, normal)
 
     def settled(self, shape: Shape, poses: Floats, sd: float, small: float) -> tuple[Shape, Floats, _Normal]:
         for _ in range(STEPS):
@@ -244,15 +263,11 @@ class _System:
         stance = poses.ravel()[self.free] / self.pose_sd.ravel()[self.free] ** 2
         slope[UNKNOWNS * self.count :] += stance
         cost += 0.5 * float(stance @ poses.ravel()[self.free])
-        return _Normal(image, hessian, slope, weight, float(np.sum(weight * error2)), cost)
+        return _Normal(image, hessian, slope, weight, float(np.sum(weight * error2)), cost, sd)
 
     def doubted(self, normal: _Normal) -> Ints:
         """Vertebrae with a point set aside in some view."""
         return np.flatnonzero((np.nan_to_num(self._set_aside(normal)) > 0.0).any(0))
-
-    def everyone(self, normal: _Normal) -> Ints:
-        """All vertebrae."""
-        return np.arange(self.count)
 
     def disowned(self, normal: _Normal) -> Ints:
         """Vertebrae of which every view, and more than one, sets more than half aside."""
@@ -281,12 +296,13 @@ class _System:
 
     def by_own_corners(self, shape: Shape, poses: Floats, which: Ints) -> Shape:
         """The shape with each of those vertebrae where its own points put it, none of them wrong, its neighbours
-        without a say: place and tilt are next to free, 100 mm and 1 rad."""
+        without a say: place and tilt are next to free, 100 mm and 1 rad. How it is turned about the vertical stays: the
+        outline of one round body does not tell."""
         size = len(self.fixed)
         rows = (UNKNOWNS * which[:, None] + np.arange(UNKNOWNS)).ravel()
         precision = np.zeros((size, size))
         for first in UNKNOWNS * which:
-            precision[first + np.arange(6), first + np.arange(6)] = np.repeat([1e-4, 1.0], 3)
+            precision[first + np.arange(6), first + np.arange(6)] = [1e-4, 1e-4, 1e-4, 1.0, HELD, 1.0]
             block = slice(first + 6, first + UNKNOWNS)
             precision[block, block] = np.diag(np.diag(self.fixed)[block])
         for _ in range(STEPS):
@@ -342,7 +358,7 @@ class _System:
             answer.shape,
             answer.poses,
             tuple(np.split(normal.weights, ends)),
-            answer.sd,
+            normal.sd,
             covariance[:size, :size],
             views,
             np.array(shares),

@@ -33,6 +33,9 @@ REGULARISER = {"everything": 0.05}
 ENERGY_SCALE = 75.0
 # Springs that hold the pelvis: mm from its origin, N/mm.
 PELVIS_ARM, PELVIS_STIFFNESS = 100.0, 0.1
+# How far from frontal somebody stands for a frontal radiograph (rad), held by a pair of springs farther out (mm): the
+# outlines of round bodies hardly tell yaw, and kyphosis seen aside would pass for scoliosis.
+PELVIS_YAW_SD, PELVIS_YAW_ARM = np.deg2rad(3.0), 1000.0
 # Design values. Log sizes (width, height, depth; height once the spine's length is the person's) vary from person to
 # person and within one; so does, in mm, where pedicles lie (outwards, up, front), and so do tapers.
 PERSON_SIZE_SD, OWN_SIZE_SD = np.array([0.08, 0.04, 0.08]), 0.04
@@ -118,10 +121,12 @@ def regulariser(torso: TorsoModel) -> StiffnessRatios:
 def pelvis_on_springs(torso: TorsoModel) -> Supports:
     """The pelvis held softly: it keeps the torso in place, yet follows the spine where L5 leans otherwise."""
     arms = PELVIS_ARM * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
-    offsets = np.repeat(arms, 3, axis=0)
+    aside = PELVIS_YAW_ARM * np.array([[1.0, 0, 0], [-1.0, 0, 0]])
+    offsets = np.concatenate([np.repeat(arms, 3, axis=0), aside])
     points = PointsOnBones(np.full(len(offsets), torso.bone("pelvis")), offsets)
-    directions = np.tile(np.eye(3), (len(arms), 1))
-    stiffness = np.full(len(offsets), PELVIS_STIFFNESS)
+    directions = np.concatenate([np.tile(np.eye(3), (len(arms), 1)), np.tile([0.0, 0.0, 1.0], (2, 1))])
+    yaw = 0.5 * ENERGY_SCALE / (PELVIS_YAW_SD * PELVIS_YAW_ARM) ** 2
+    stiffness = np.append(np.full(3 * len(arms), PELVIS_STIFFNESS), [yaw, yaw])
     springs = PointSprings(points, points.positions(torso.rest_pose), directions, stiffness)
     return Supports(np.zeros((len(torso.bone_names), 6), dtype=bool), springs, ("pelvis",) * len(offsets))
 

@@ -51,9 +51,10 @@ MeshPath = Literal["kept", "rebuilt", "finer"]
 # lean seen at rest is the person's own (about 3 degrees from one to the next) rather than the stance of the moment
 # (about 0.7 degrees). The frontal view says what is frontal, so only the lateral one has a yaw.
 SHIFT_SD, ROLL_SD, YAW_SD = 200.0, np.deg2rad(0.7), np.deg2rad(3.0)
-# How far a body may be from the template's place in a room of known views, mm and rad, and how far its spine's length
-# from the template's at that height (log).
-PLACE_SD, TURN_SD, LENGTH_SD = 50.0, 0.1, 0.06
+# How far a body may be from the template's place in a room of known views, mm and rad (about x, y, z), and how far its
+# spine's length from the template's at that height (log). As one body the template does not turn about the vertical:
+# its kyphosis, seen aside, would pass for the patient's scoliosis. Yaw comes with the vertebrae's own poses.
+PLACE_SD, TURN_SD, LENGTH_SD = 50.0, (0.1, 0.0, 0.1), 0.06
 COARSE_SDS = (50.0, 16.0)
 # Springs at the box corners that bring the vertebrae to their places, N/mm, from loose to tight.
 PULLS, PLACING_PULLS = (30.0, 1000.0), (3.0, 100.0, 1000.0)
