@@ -82,7 +82,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = given.subject or Path(temporary) / "girl"
         if given.subject is None:
-            synthesise(folder, Recipe(seed=1, cobb=25.0))
+            synthesise(folder, Recipe(seed=1, cobb_deg=25.0))
         cases = [*synthetic_cases(folder), *(real_cases(given.images) if given.images else [])]
     rows = [measured(case) for case in cases]
     write_json(

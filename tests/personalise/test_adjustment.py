@@ -23,7 +23,7 @@ STANCE = np.array([[6.0, -4.0, 0.01, 0.0], [-5.0, 3.0, -0.008, 0.05]])
 
 @pytest.fixture(scope="module")
 def prior(template):
-    return elastic_prior(EquilibriumProblem(template, pelvis_on_springs(template)), template.rest_pose)
+    return elastic_prior(EquilibriumProblem(template, pelvis_on_springs(template, frontal=True)), template.rest_pose)
 
 
 def bent(template, aside_mm, waves):

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.evaluation import Evaluation, Slope, TrialSet, compliance_step, log_step
 from spinestiff.estimation.objective import Trial
@@ -30,8 +30,9 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 
 # Of the half-width, in h: from here the last linear step is taken without another solve.
 CLOSE_ENOUGH = 0.15
-LARGEST_FACTOR = 8.0  # change of a ratio in one step
-MOST_STEPS = 5
+LARGEST_FACTOR = 2.5  # change of a ratio in one step
+MOST_STEPS, MOST_CORRECTIONS = 8, 3
+SMALL_CORRECTION = 0.02  # log ratio
 
 
 @dataclass(frozen=True)
@@ -69,13 +70,14 @@ def inverted_intervals(
     linear = linear_intervals(point.log_ratios, spread, limits)
     if not np.isfinite(spread.covariance).all():
         return linear
+    inversion = _Inversion(trial_set, point, slope, limits)
     ends = {"low": linear.low.copy(), "high": linear.high.copy()}
     opens = {"low": linear.open_low.copy(), "high": linear.open_high.copy()}
     sd = np.sqrt(np.diag(spread.covariance))
     for i in range(len(sd)):
         for side, sign in (("low", -1.0), ("high", 1.0)):
             wanted = sign * spread.half_width[i] * spread.covariance[:, i] / sd[i] ** 2
-            found = _solve_end(trial_set, point, slope, wanted, i, limits)
+            found = inversion.end(wanted, i)
             if found is not None:
                 ends[side][i], opens[side][i] = found
     return Intervals(ends["low"], ends["high"], opens["low"], opens["high"])
@@ -106,32 +108,84 @@ def offset_from(
     return estimator_offset(centre, slope, trial_set.solve(truth, centre, slope))
 
 
-def _solve_end(
-    trial_set: TrialSet, point: Evaluation, slope: Slope, wanted: Floats, i: int, limits: tuple[float, float]
-) -> tuple[float, bool] | None:
-    """Log ratio i where h reaches ``wanted``, and whether it is the bound; None without an answer."""
-    at, around = point, slope
-    largest = np.log(LARGEST_FACTOR)
-    edge = limits[1] if wanted[i] > 0.0 else limits[0]
-    free = np.ones(len(wanted), dtype=bool)
-    for _ in range(MOST_STEPS):
-        left = (wanted - estimator_offset(point, slope, at))[free]
-        gain = np.linalg.lstsq(slope.jacobian, around.jacobian, rcond=None)[0][np.ix_(free, free)]
-        step = np.zeros(len(wanted))
-        step[free] = np.linalg.lstsq(gain, left, rcond=1e-9)[0]
-        ceiling = compliance_step(np.full(len(step), largest))
-        change = np.clip(log_step(np.minimum(step, ceiling)), -largest, largest)
-        goal = np.clip(at.log_ratios + change, *limits)
-        if np.abs(left).max() < CLOSE_ENOUGH * np.abs(wanted[free]).max():
-            return float(goal[i]), bool(goal[i] == edge)
-        stuck = (goal == at.log_ratios) & free
-        if stuck[i]:
-            return float(goal[i]), True
-        # Another ratio at its bound can't follow any more; the end is then sought without it.
-        free &= ~stuck
-        try:
-            at = trial_set.solve(goal, at, around)
-            around = trial_set.slope(at)
-        except EquilibriumError:
-            return None
-    return None
+@dataclass(frozen=True)
+class _Place:
+    """The model somewhere: its log ratios and slope, h there (P,) and the derivative of h in them (P, P)."""
+
+    at: Evaluation
+    slope: Slope
+    offset: Floats
+    gain: Floats
+
+
+@dataclass(frozen=True)
+class _Inversion:
+    """Where h takes given values; ``point`` and ``slope`` are the estimate's, ``limits`` bound the log ratios."""
+
+    trial_set: TrialSet
+    point: Evaluation
+    slope: Slope
+    limits: tuple[float, float]
+
+    def end(self, wanted: Floats, i: int) -> tuple[float, bool] | None:
+        """Log ratio i where h reaches ``wanted`` (P,), and whether it is the bound; None without an answer, as where
+        another ratio meets its bound first.
+
+        Ratio i goes ahead, at most by ``LARGEST_FACTOR`` at a time; at each place the others are brought to where h
+        points the way that is wanted. That way is a narrow valley that bends: Newton's method in all at once loses it.
+        """
+        others = np.delete(np.arange(len(wanted)), i)
+        way = wanted / wanted[i]
+        sign, edge = np.sign(wanted[i]), self.limits[1] if wanted[i] > 0.0 else self.limits[0]
+        here = _Place(self.point, self.slope, np.zeros(len(wanted)), np.eye(len(wanted)))
+        for _ in range(MOST_STEPS):
+            along = np.zeros(len(wanted))
+            along[i] = 1.0
+            across = here.gain - np.outer(way, here.gain[i])
+            along[others] = -np.linalg.lstsq(across[np.ix_(others, others)], across[others, i], rcond=1e-9)[0]
+            speed, left = here.gain[i] @ along, wanted[i] - here.offset[i]
+            step = left / speed if speed > 0.0 else np.inf * sign
+            change = _log_change(step)
+            goal = float(np.clip(here.at.log_ratios[i] + change, *self.limits))
+            if abs(left) < CLOSE_ENOUGH * abs(wanted[i]):
+                return goal, goal == edge
+            if goal == here.at.log_ratios[i]:
+                return edge, True
+            start = here.at.log_ratios + along * (goal - here.at.log_ratios[i])
+            start[i] = goal
+            try:
+                here = self._brought_over(start, here, others, way)
+            except EquilibriumError:
+                return None
+            if np.isin(here.at.log_ratios[others], self.limits).any():
+                return None
+        return None
+
+    def _brought_over(self, start: Floats, near: _Place, others: Ints, way: Floats) -> _Place:
+        """The place nearest to ``start`` with the other ratios where h points along ``way``."""
+        here, goal = near, np.clip(start, *self.limits)
+        for _ in range(MOST_CORRECTIONS):
+            here = self._place(goal, here)
+            (i,) = np.setdiff1d(np.arange(len(goal)), others)
+            off = here.offset - way * here.offset[i]
+            across = here.gain - np.outer(way, here.gain[i])
+            steps = -np.linalg.lstsq(across[np.ix_(others, others)], off[others], rcond=1e-9)[0]
+            change = np.array([_log_change(step) for step in steps])
+            if np.abs(change).max(initial=0.0) < SMALL_CORRECTION:
+                break
+            goal = here.at.log_ratios.copy()
+            goal[others] = np.clip(goal[others] + change, *self.limits)
+        return here
+
+    def _place(self, log_ratios: Floats, near: _Place) -> _Place:
+        at = self.trial_set.solve(log_ratios, near.at, near.slope)
+        slope = self.trial_set.slope(at)
+        gain = np.linalg.lstsq(self.slope.jacobian, slope.jacobian, rcond=None)[0]
+        return _Place(at, slope, estimator_offset(self.point, self.slope, at), np.asarray(gain, dtype=np.float64))
+
+
+def _log_change(step: float) -> float:
+    """Change of log ratio for a step in compliance, at most ``LARGEST_FACTOR`` either way."""
+    largest = float(np.log(LARGEST_FACTOR))
+    ceiling = float(compliance_step(np.array(largest)))
+    return float(np.clip(log_step(np.array(min(step, ceiling))), -largest, largest))

@@ -118,14 +118,17 @@ def regulariser(torso: TorsoModel) -> StiffnessRatios:
     return stiffness_ratios(REGULARISER, torso.joints.kinds)
 
 
-def pelvis_on_springs(torso: TorsoModel) -> Supports:
-    """The pelvis held softly: it keeps the torso in place, yet follows the spine where L5 leans otherwise."""
+def pelvis_on_springs(torso: TorsoModel, frontal: bool = False) -> Supports:
+    """The pelvis held softly: it keeps the torso in place, yet follows the spine where L5 leans otherwise.
+
+    ``frontal`` holds its yaw within ``PELVIS_YAW_SD`` besides.
+    """
     arms = PELVIS_ARM * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
     aside = PELVIS_YAW_ARM * np.array([[1.0, 0, 0], [-1.0, 0, 0]])
     offsets = np.concatenate([np.repeat(arms, 3, axis=0), aside])
     points = PointsOnBones(np.full(len(offsets), torso.bone("pelvis")), offsets)
     directions = np.concatenate([np.tile(np.eye(3), (len(arms), 1)), np.tile([0.0, 0.0, 1.0], (2, 1))])
-    yaw = 0.5 * ENERGY_SCALE / (PELVIS_YAW_SD * PELVIS_YAW_ARM) ** 2
+    yaw = 0.5 * ENERGY_SCALE / (PELVIS_YAW_SD * PELVIS_YAW_ARM) ** 2 if frontal else 0.0
     stiffness = np.append(np.full(3 * len(arms), PELVIS_STIFFNESS), [yaw, yaw])
     springs = PointSprings(points, points.positions(torso.rest_pose), directions, stiffness)
     return Supports(np.zeros((len(torso.bone_names), 6), dtype=bool), springs, ("pelvis",) * len(offsets))

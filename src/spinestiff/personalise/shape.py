@@ -220,9 +220,8 @@ class _Fit:
     def run(self, template: TorsoModel) -> Personalised:
         base, poses, length = self.aligned(template)
         self.say(f"spine {length:.3f} times the template's length")
-        problem = EquilibriumProblem(base, pelvis_on_springs(base))
         rest, points = base.rest_pose, self.points(base)
-        prior = elastic_prior(problem, rest)
+        prior = elastic_prior(EquilibriumProblem(base, pelvis_on_springs(base, frontal=True)), rest)
         first = adjust(points, prior, shape_of(base, rest), poses, self.pose_sd, observer=self.say)
         sized = replace(resized(base, np.exp(first.shape.log_sizes)), vertebra_boxes=own_boxes(base, first.shape))
         problem = EquilibriumProblem(sized, pelvis_on_springs(sized))
@@ -233,9 +232,8 @@ class _Fit:
             positions=state.bone_positions[sized.vertebra_bones],
             rotations=state.bone_rotations[sized.vertebra_bones],
         )
-        final = adjust(
-            points, elastic_prior(problem, state), start, first.poses, self.pose_sd, first.corner_sd, self.say
-        )
+        prior = elastic_prior(EquilibriumProblem(sized, pelvis_on_springs(sized, frontal=True)), state)
+        final = adjust(points, prior, start, first.poses, self.pose_sd, first.corner_sd, self.say)
         before, after = (np.concatenate(found.weights) < WRONG_WEIGHT for found in (first, final))
         if (after & ~before).any():
             # What the first adjustment could explain is not wrong: the energy's new tangent led away from it.
