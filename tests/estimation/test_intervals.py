@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy.optimize import fsolve
 
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fit import fit_stiffness
-from spinestiff.estimation.intervals import estimator_offset, linear_intervals
+from spinestiff.estimation.intervals import estimator_offset, inverted_intervals, linear_intervals
 from spinestiff.estimation.uncertainty import Uncertainty, UncertaintySettings
 
 TRUTH = {"lateral_bending": 0.1, "tissue": 0.03}
@@ -42,3 +45,66 @@ def test_linear_intervals_are_cut_at_the_bounds_and_say_so() -> None:
     assert not found.open_high.any()
     assert found.low[1] == pytest.approx(np.log(0.005))
     assert found.high[0] - found.low[0] == pytest.approx(2.0 * spread.half_width[0])
+
+
+class Valley:
+    """Two picture coordinates: one steep across a valley that bends, one along it that saturates for soft springs."""
+
+    def __init__(self, bend: float, saturation: float) -> None:
+        self.bend, self.saturation = bend, saturation
+        self.solves = 0
+
+    def seen(self, log_ratios: np.ndarray) -> np.ndarray:
+        x, y = log_ratios - np.log([0.1, 0.01])
+        return np.array([10.0 * (y + 0.3 * x + self.bend * x**2), np.expm1(self.saturation * x) / self.saturation])
+
+    def solve(self, log_ratios, near=None, slope=None):
+        self.solves += 1
+        return SimpleNamespace(log_ratios=np.asarray(log_ratios, dtype=float), values=self.seen(log_ratios))
+
+    def slope(self, at):
+        x = at.log_ratios[0] - np.log(0.1)
+        rows = [[10.0 * (0.3 + 2.0 * self.bend * x), 10.0], [np.exp(self.saturation * x), 0.0]]
+        return SimpleNamespace(jacobian=np.array(rows))
+
+
+LIMITS = (np.log(0.005), np.log(5.0))
+
+
+def ends(bend: float, sd: float, saturation: float = 0.7):
+    """Intervals at (0.1, 0.01) for errors of that size in both coordinates, with what they are made of."""
+    valley = Valley(bend, saturation)
+    point = valley.solve(np.log([0.1, 0.01]))
+    slope = valley.slope(point)
+    covariance = sd**2 * np.linalg.inv(slope.jacobian.T @ slope.jacobian)
+    spread = Uncertainty(covariance, np.full(2, 50.0), {}, 400.0, 0.0)
+    return inverted_intervals(valley, point, slope, spread, LIMITS), valley, point, slope, spread
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.1, -0.2, 0.5])
+def test_ends_are_found_along_a_valley_that_bends(bend: float) -> None:
+    """Steps in both ratios at once leave it: the other ratio has to be brought back at each place."""
+    found, valley, point, slope, spread = ends(bend, 0.4)
+    for i in (0, 1):
+        for sign, end in ((-1, found.low[i]), (1, found.high[i])):
+            wanted = sign * spread.half_width[i] * spread.covariance[:, i] / spread.covariance[i, i]
+
+            def missed(q: np.ndarray, wanted: np.ndarray = wanted) -> np.ndarray:
+                return estimator_offset(point, slope, valley.solve(q)) - wanted
+
+            exact = fsolve(missed, point.log_ratios + wanted)
+            assert np.abs(missed(exact)).max() < 1e-6
+            assert end == pytest.approx(exact[i], abs=0.05)
+    assert not found.open_low.any()
+    assert not found.open_high.any()
+
+
+def test_what_saturates_is_open() -> None:
+    """Below some stiffness the picture no longer changes: h never gets as far as the linear interval would have it."""
+    found, valley, point, _, spread = ends(0.1, 0.8, 1.75)
+    assert found.open_low.tolist() == [True, False]
+    assert found.low[0] == LIMITS[0]
+    assert not found.open_high.any()
+    # The other ratio can't be followed to where that one meets its bound.
+    assert found.high[1] == linear_intervals(point.log_ratios, spread, LIMITS).high[1]
+    assert valley.solves < 60

@@ -29,9 +29,9 @@ from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 
 # Of the half-width, in h: from here the last linear step is taken without another solve.
-CLOSE_ENOUGH = 0.15
+CLOSE_ENOUGH = 0.05
 LARGEST_FACTOR = 2.5  # change of a ratio in one step
-MOST_STEPS, MOST_CORRECTIONS = 8, 3
+MOST_STEPS, MOST_CORRECTIONS = 8, 5
 SMALL_CORRECTION = 0.02  # log ratio
 
 
@@ -131,33 +131,35 @@ class _Inversion:
         """Log ratio i where h reaches ``wanted`` (P,), and whether it is the bound; None without an answer, as where
         another ratio meets its bound first.
 
-        Ratio i goes ahead, at most by ``LARGEST_FACTOR`` at a time; at each place the others are brought to where h
-        points the way that is wanted. That way is a narrow valley that bends: Newton's method in all at once loses it.
+        The least certain ratio leads, at most by ``LARGEST_FACTOR`` at a time; at each place the others are brought to
+        where h points the way that is wanted. That way is a narrow valley that bends: Newton's method in all at once
+        loses it, and any other ratio may go back and forth along it.
         """
-        others = np.delete(np.arange(len(wanted)), i)
-        way = wanted / wanted[i]
-        sign, edge = np.sign(wanted[i]), self.limits[1] if wanted[i] > 0.0 else self.limits[0]
+        lead = int(np.argmax(np.abs(wanted)))
+        others = np.delete(np.arange(len(wanted)), lead)
+        way = wanted / wanted[lead]
+        sign, edge = np.sign(wanted[lead]), self.limits[1] if wanted[lead] > 0.0 else self.limits[0]
         here = _Place(self.point, self.slope, np.zeros(len(wanted)), np.eye(len(wanted)))
         for _ in range(MOST_STEPS):
             along = np.zeros(len(wanted))
-            along[i] = 1.0
-            across = here.gain - np.outer(way, here.gain[i])
-            along[others] = -np.linalg.lstsq(across[np.ix_(others, others)], across[others, i], rcond=1e-9)[0]
-            speed, left = here.gain[i] @ along, wanted[i] - here.offset[i]
-            step = left / speed if speed > 0.0 else np.inf * sign
-            change = _log_change(step)
-            goal = float(np.clip(here.at.log_ratios[i] + change, *self.limits))
-            if abs(left) < CLOSE_ENOUGH * abs(wanted[i]):
-                return goal, goal == edge
-            if goal == here.at.log_ratios[i]:
-                return edge, True
-            start = here.at.log_ratios + along * (goal - here.at.log_ratios[i])
-            start[i] = goal
+            along[lead] = 1.0
+            across = here.gain - np.outer(way, here.gain[lead])
+            along[others] = -np.linalg.lstsq(across[np.ix_(others, others)], across[others, lead], rcond=1e-9)[0]
+            speed, left = here.gain[lead] @ along, wanted[lead] - here.offset[lead]
+            change = _log_change(left / speed if speed > 0.0 else np.inf * sign)
+            goal = float(np.clip(here.at.log_ratios[lead] + change, *self.limits))
+            ahead = here.at.log_ratios + along * (goal - here.at.log_ratios[lead])
+            if abs(left) < CLOSE_ENOUGH * abs(wanted[lead]):
+                end = float(np.clip(ahead[i], *self.limits))
+                return end, end in self.limits
+            if goal == here.at.log_ratios[lead]:
+                return (edge, True) if i == lead else None
             try:
-                here = self._brought_over(start, here, others, way)
+                here = self._brought_over(ahead, here, others, way)
             except EquilibriumError:
                 return None
-            if np.isin(here.at.log_ratios[others], self.limits).any():
+            short = (wanted[lead] - here.offset[lead]) * sign > 0.0
+            if short and np.isin(here.at.log_ratios[others], self.limits).any():
                 return None
         return None
 
@@ -166,15 +168,15 @@ class _Inversion:
         here, goal = near, np.clip(start, *self.limits)
         for _ in range(MOST_CORRECTIONS):
             here = self._place(goal, here)
-            (i,) = np.setdiff1d(np.arange(len(goal)), others)
-            off = here.offset - way * here.offset[i]
-            across = here.gain - np.outer(way, here.gain[i])
+            (lead,) = np.setdiff1d(np.arange(len(goal)), others)
+            off = here.offset - way * here.offset[lead]
+            across = here.gain - np.outer(way, here.gain[lead])
             steps = -np.linalg.lstsq(across[np.ix_(others, others)], off[others], rcond=1e-9)[0]
             change = np.array([_log_change(step) for step in steps])
-            if np.abs(change).max(initial=0.0) < SMALL_CORRECTION:
-                break
             goal = here.at.log_ratios.copy()
             goal[others] = np.clip(goal[others] + change, *self.limits)
+            if np.abs(goal - here.at.log_ratios).max() < SMALL_CORRECTION:
+                break
         return here
 
     def _place(self, log_ratios: Floats, near: _Place) -> _Place:
