@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import EquilibriumError, FitError, TorsoError, TrackingError
 from spinestiff.imaging.features import VertebraCorners, box_sizes
 from spinestiff.imaging.projection import frontal_view, lateral_view
@@ -78,6 +79,28 @@ def test_placed_vertebrae_are_where_they_were_wanted(template):
     assert np.abs(positions - wanted[0]).max() < 0.05
     assert np.abs(rotations - wanted[1]).max() < 0.005
     assert placed.height_cm == template.height_cm
+
+
+def test_placing_ends_where_the_mesh_bears_no_more(template, monkeypatch):
+    """Where the tightest pull turns an element over the one before will do, but none that leaves more than 0.5 mm."""
+    wanted = curved_spine(template, 20.0, "thoracic")
+    rebased, calls = TorsoModel.rebased, []
+
+    def breaking(self, state):
+        calls.append(state)
+        if len(calls) == last:
+            raise TorsoError("element 7 has volume -1 mm3; wanted positive")
+        return rebased(self, state)
+
+    monkeypatch.setattr(TorsoModel, "rebased", breaking)
+    last = 3
+    placed = place_vertebrae(template, *wanted)
+    off = np.linalg.norm(placed.rest_pose.bone_positions[template.vertebra_bones] - wanted[0], axis=1).max()
+    assert 0.01 < off < 0.5
+    calls.clear()
+    last = 2
+    with pytest.raises(TorsoError, match="element 7"):
+        place_vertebrae(template, *wanted)
 
 
 def test_both_pictures_are_met(shaped):

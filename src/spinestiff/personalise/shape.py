@@ -58,6 +58,8 @@ PLACE_SD, TURN_SD, LENGTH_SD = 50.0, (0.1, 0.0, 0.1), 0.06
 COARSE_SDS = (50.0, 16.0)
 # Springs at the box corners that bring the vertebrae to their places, N/mm, from loose to tight.
 PULLS, PLACING_PULLS = (30.0, 1000.0), (3.0, 100.0, 1000.0)
+# How far, mm, a vertebra may stay from where it is placed, if its mesh bears no more.
+PLACED_MM = 0.5
 # N; a geometry needs no equilibrium to the last digit.
 SHAPE_TOLERANCE = 1e-3
 # Beyond this share a vertebra's motion is the prior's more than its own images'.
@@ -190,10 +192,25 @@ def place_vertebrae(
     ----------
     positions : (V, 3) mm, world positions of the vertebrae's origins.
     rotations : (V, 3, 3) world_from_bone.
-    stiffness : N/mm of the springs at the box corners, in rising steps.
+    stiffness : N/mm of the springs at the box corners, in rising steps. Where an element of the mesh turns over in a
+        step, the one before will do if it leaves less than ``PLACED_MM``.
+
+    Raises
+    ------
+    TorsoError : an element turns over before the vertebrae are there.
     """
     problem = EquilibriumProblem(torso, pelvis_on_springs(torso))
-    return torso.rebased(_pulled(problem, torso.rest_pose, positions, rotations, stiffness))
+    placed, state = torso, torso.rest_pose
+    for pull in stiffness:
+        state = _pulled(problem, state, positions, rotations, (pull,))
+        try:
+            placed = torso.rebased(state)
+        except TorsoError:
+            there = placed.rest_pose.bone_positions[torso.vertebra_bones]
+            if np.linalg.norm(there - positions, axis=1).max() > PLACED_MM:
+                raise
+            break
+    return placed
 
 
 class _Fit:
