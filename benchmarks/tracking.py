@@ -6,7 +6,8 @@ Sequences moved by the mechanical model (benchmarks/tracking_sequences.py) and, 
 radiographs in a folder with landmarks.csv, images.csv and images/. Errors are in mm at the patient plane, of
 every corner that is in the open field, in all frames after the first ("all") and in the last ("last"). ``--cache``
 keeps rendered sequences. ``--calibrate`` fits the weights of the predicted error on sequences of odd number and says
-how well they do on the others. ``--write`` stores benchmarks/results/tracking.json.
+how well they do on the others and on each group, flagging above several limits. ``--write`` stores
+benchmarks/results/tracking.json.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import datetime
 import json
 import pickle
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ from spinestiff.imaging.tracking.flow import dense_flow
 from spinestiff.imaging.tracking.following import follow
 from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.pictures import Pictures, as_bytes, matched, sampled
-from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY, WEIGHTS, quality_of
+from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY, WEIGHTS
 
 Found = dict[str, Any]
 RESULTS = Path(__file__).parent / "results" / "tracking.json"
@@ -265,24 +266,38 @@ def calibrated(terms: Floats, errors: Floats) -> Floats:
 
 
 def calibrate(arguments: argparse.Namespace) -> Found:
-    """Weights from the sequences of odd number, and how their predictions do on both halves."""
-    halves: list[list[tuple[Floats, Floats]]] = [[], []]
-    for _, number, moving in sequences(arguments):
-        halves[number % 2].append(evidence(moving))
-    joined = [tuple(np.concatenate(parts) for parts in zip(*half)) for half in halves]
-    weights = calibrated(*joined[1])
+    """Weights from the sequences of odd number, and how their predictions do on the others and on each group."""
+    seen = [(kind, number, moving.name, *evidence(moving)) for kind, number, moving in sequences(arguments)]
+    weights = calibrated(*_joined(row for row in seen if row[1] % 2))
+    groups = {
+        "other half": [row for row in seen if not row[1] % 2],
+        "calibrating half": [row for row in seen if row[1] % 2],
+        "modelled, not turned": [row for row in seen if row[0] == "modelled" and "turned" not in row[2]],
+        "turned by 4 degrees": [row for row in seen if "turned" in row[2]],
+        "warped": [row for row in seen if row[0] == "warped"],
+    }
     found: Found = {"weights": weights.round(4).tolist()}
-    for name, (terms, errors) in zip(("other half", "calibrating half"), joined):
-        predicted = terms @ weights
-        flagged, large = quality_of(predicted) < DOUBTED_QUALITY, errors > LARGE_MM
+    for name, rows in groups.items():
+        if not rows:
+            continue
+        terms, errors = _joined(rows)
+        predicted, large = terms @ weights, errors > LARGE_MM
         found[name] = {
             "rms_error_over_predicted": round(float(np.sqrt(np.mean((errors / predicted) ** 2))), 2),
             "large": int(large.sum()),
-            "large_flagged": int((large & flagged).sum()),
             "good": int((~large).sum()),
-            "good_flagged": int((~large & flagged).sum()),
+            "flagged_above_mm": {
+                f"{limit:.2f}": [int((large & (predicted > limit)).sum()), int((~large & (predicted > limit)).sum())]
+                for limit in (0.20, 0.22, 0.24, 0.26, 0.30)
+            },
         }
     return found
+
+
+def _joined(rows: Iterable[tuple[Any, ...]]) -> tuple[Floats, Floats]:
+    """Terms (n, 3) and errors (n,) of rows that end with them."""
+    terms, errors = zip(*(row[-2:] for row in rows))
+    return np.concatenate(terms), np.concatenate(errors)
 
 
 def main() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import re
+import warnings
 from io import BytesIO
 from pathlib import Path
 
@@ -212,6 +214,24 @@ def test_a_coded_view_keeps_its_code_and_not_its_words(tmp_path):
     found = deidentify(saved(dataset), KEY)
     assert found.left_out == ("ViewCodeSequence",)
     assert CANARY not in found.content
+
+
+@pytest.mark.parametrize("speaker", ["pydicom", "PIL", "pylibjpeg"])
+def test_no_library_or_codec_gets_a_word_in(tmp_path, monkeypatch, caplog, recwarn, speaker):
+    """Their warnings and log lines quote values of the file."""
+
+    def talkative(*_):
+        logging.getLogger(speaker).error("Doe^Jane")
+        warnings.warn("Doe^Jane", stacklevel=1)
+        raise RadiographError("refused")
+
+    monkeypatch.setattr("spinestiff.imaging.deidentification.deidentify._deidentified", talkative)
+    with pytest.raises(RadiographError, match="refused"):
+        deidentify(saved(plain(tmp_path)), KEY)
+    assert not caplog.records
+    assert not [warning for warning in recwarn if "Doe" in str(warning.message)]
+    logging.getLogger(speaker).error("aloud again")
+    assert [record.message for record in caplog.records] == ["aloud again"]
 
 
 def test_damaged_files_end_in_one_kind_of_error(tmp_path):

@@ -8,11 +8,7 @@ Confidentiality Profile of PS3.15 Annex E with the option to retain modified dat
 
 from __future__ import annotations
 
-import contextlib
-import logging
 import re
-import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
@@ -25,7 +21,7 @@ from spinestiff.errors import RadiographError
 from spinestiff.imaging.deidentification.allow_list import CLASSES, KEPT, VIEW_CODES, listed, one_of, ruled
 from spinestiff.imaging.deidentification.codestreams import without_comments
 from spinestiff.imaging.deidentification.pseudonyms import Key, moment
-from spinestiff.imaging.dicom.files import MOST_BYTES
+from spinestiff.imaging.dicom.files import MOST_BYTES, quiet
 from spinestiff.imaging.dicom.layout import MODALITIES
 
 if TYPE_CHECKING:
@@ -82,27 +78,13 @@ def deidentify(content: bytes, key: Key, *, burned_in_ok: bool = False) -> Deide
         raise RadiographError(NO_DICOM)
     # pydicom raises all sorts, at any access, and its messages may quote the file.
     try:
-        with quiet_pydicom():
+        with quiet():
             return _deidentified(dcmread(BytesIO(content)), key, burned_in_ok)
     except RadiographError:
         raise
     except Exception as problem:
         kind = type(problem).__name__
         raise RadiographError(f"damaged or unsupported DICOM ({kind}); export it again, uncompressed") from None
-
-
-@contextlib.contextmanager
-def quiet_pydicom() -> Iterator[None]:
-    """No warnings or log lines of the DICOM library: they quote the file's values, patient data too."""
-    logger = logging.getLogger("pydicom")
-    was = logger.disabled
-    logger.disabled = True
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.disabled = was
 
 
 def _deidentified(old: Dataset, key: Key, burned_in_ok: bool) -> Deidentified:

@@ -35,7 +35,7 @@ def one_clear_line(name: str) -> Iterator[None]:
     problem is passed on.
     """
     try:
-        with _quiet():
+        with quiet():
             yield
     except RadiographError as problem:
         raise type(problem)(f"{name}: {problem}") from None
@@ -52,8 +52,8 @@ def one_clear_line(name: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """No warnings or log lines of the DICOM library: they quote the file's values, patient data too."""
+def quiet() -> Iterator[None]:
+    """No warnings or log lines of the DICOM library and its codecs: they quote the file's values, patient data too."""
     loggers = [logging.getLogger(name) for name in ("pydicom", "PIL", "pylibjpeg")]
     were = [logger.disabled for logger in loggers]
     for logger in loggers:
