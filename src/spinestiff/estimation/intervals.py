@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.arrays import Floats, Ints
+from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.evaluation import Evaluation, Slope, TrialSet, compliance_step, log_step
 from spinestiff.estimation.objective import Trial
@@ -155,7 +155,7 @@ class _Inversion:
             if goal == here.at.log_ratios[lead]:
                 return (edge, True) if i == lead else None
             try:
-                here = self._brought_over(ahead, here, others, way)
+                here = self._brought_over(ahead, here, lead, way)
             except EquilibriumError:
                 return None
             short = (wanted[lead] - here.offset[lead]) * sign > 0.0
@@ -163,12 +163,12 @@ class _Inversion:
                 return None
         return None
 
-    def _brought_over(self, start: Floats, near: _Place, others: Ints, way: Floats) -> _Place:
-        """The place nearest to ``start`` with the other ratios where h points along ``way``."""
+    def _brought_over(self, start: Floats, near: _Place, lead: int, way: Floats) -> _Place:
+        """The place with ratio ``lead`` as at ``start`` and the others, from there on, where h points along ``way``."""
         here, goal = near, np.clip(start, *self.limits)
+        others = np.delete(np.arange(len(way)), lead)
         for _ in range(MOST_CORRECTIONS):
             here = self._place(goal, here)
-            (lead,) = np.setdiff1d(np.arange(len(goal)), others)
             off = here.offset - way * here.offset[lead]
             across = here.gain - np.outer(way, here.gain[lead])
             steps = -np.linalg.lstsq(across[np.ix_(others, others)], off[others], rcond=1e-9)[0]
