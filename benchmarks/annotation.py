@@ -28,12 +28,12 @@ from scipy.interpolate import CubicSpline
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.template.sizes import VERTEBRA_SIZES
+from spinestiff.files import write_json
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.proposal import propose_boxes
 from spinestiff.imaging.radiograph import Radiograph
-from spinestiff.study.results import write_json
-from spinestiff.study.subject import read_push, read_rest, read_subject
 from spinestiff.study.synthetic import Recipe, synthesise
+from spinestiff.subject.folder import read_push, read_rest, read_subject
 
 CLICKS = 6
 # How far from the middle of the spine people click, standard deviation, mm of the person.

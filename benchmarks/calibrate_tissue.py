@@ -27,13 +27,13 @@ from spinestiff.anatomy.names import RIBS
 from spinestiff.anatomy.stiffness import DEFAULT_POISSON, StiffnessRatios, lame_parameters, stiffness_ratios
 from spinestiff.anatomy.template import MESHES, template_torso
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.curves.tilts import CobbChange, SpineTilts, cobb_change, tilts
 from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.shape import place_vertebrae
-from spinestiff.study.metrics import CobbChange, SpineTilts, cobb_change, tilts
 from spinestiff.study.spines import CURVES, curved_spine
 
 TARGET_N_PER_DEG = 3.66

@@ -39,13 +39,13 @@ from elements import Form, VolumeAveraged, linear_torso
 from spinestiff.anatomy.stiffness import DEFAULT_YOUNG_MPA, StiffnessRatios, stiffness_ratios
 from spinestiff.anatomy.template.assemble import assemble, build_skeleton
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.curves.tilts import cobb_change, tilts
 from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.mechanics.tissue import smallest_nodal_jacobian
-from spinestiff.study.metrics import cobb_change, tilts
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "tools"))

@@ -25,8 +25,8 @@ import numpy as np
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
+from spinestiff.files import read_json
 from spinestiff.study.pipeline import run_steps
-from spinestiff.study.results import read_json
 from spinestiff.study.spines import real_spine
 from spinestiff.study.synthetic import Recipe, made_by, synthesise, truth_path
 from spinestiff.study.visit import open_visit, truth_in_region

@@ -25,6 +25,7 @@ from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
+from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.imaging.features import VertebraCorners, box_sizes, silhouette_shares, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view
 from spinestiff.imaging.synthetic.acquisition import Acquisition, Gauge, acquire
@@ -34,7 +35,6 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.shape import place_vertebrae
-from spinestiff.study.metrics import cobb_angle, tilts
 from spinestiff.study.spines import curved_spine
 
 FRAME_TIME_S = 0.25

@@ -34,12 +34,12 @@ from spinestiff.anatomy.stiffness import (
 )
 from spinestiff.anatomy.template import MESHES, template_torso
 from spinestiff.anatomy.torso import TissueMesh, TorsoModel, TorsoState
+from spinestiff.imaging.features import rmse
 from spinestiff.mechanics.contact import solve_with_contact
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push, three_point_reactions
 from spinestiff.mechanics.supports import Supports, three_point_supports
 from spinestiff.mechanics.terms import PointSprings
-from spinestiff.study.metrics import rmse
 
 Found = dict[str, Any]
 PLANES = {"FE": 0, "AR": 1, "LB": 2}  # axis of the moment: lateral, along the spine, sagittal

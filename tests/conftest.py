@@ -92,7 +92,7 @@ def finished(tmp_path_factory, few_frames, cheap_recipe):
     fit_stiffness = pipeline.fit_stiffness
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pipeline, "fit_stiffness", fit_and_keep)
-        patch.setattr("spinestiff.study.report.write_report", stub_report)
+        patch.setattr("spinestiff.study.report.page.write_report", stub_report)
         ran = pipeline.run_steps(open_visit(folder, truth=truth), observer=lines.append)
     assert ran == list(pipeline.STEPS)
     return Finished(folder, truth, fits[0], tuple(lines))
@@ -107,7 +107,7 @@ def subject(finished, tmp_path):
 
 @pytest.fixture
 def no_report(monkeypatch):
-    monkeypatch.setattr("spinestiff.study.report.write_report", stub_report)
+    monkeypatch.setattr("spinestiff.study.report.page.write_report", stub_report)
 
 
 @pytest.fixture(scope="session")
@@ -115,7 +115,7 @@ def viewed(finished):
     """The finished subject's trials with what default and estimated stiffness make of them, and its viewer's scene."""
     from spinestiff.anatomy.files import read_torso
     from spinestiff.study.predictions import predict
-    from spinestiff.study.viewer.files import scene_of
+    from spinestiff.study.report.viewer.files import scene_of
     from spinestiff.study.visit import estimated_ratios, load_pushes, open_visit
 
     visit = open_visit(finished.folder)

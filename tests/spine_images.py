@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from spinestiff.anatomy.names import VERTEBRAE
-from spinestiff.study.corner_files import ImageCorners, write_corners
+from spinestiff.curves.corner_files import ImageCorners, write_corners
 
 LABELLED = Path(__file__).parents[2] / "shared/data/scoliosis_radiographs"
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.study.torso_picture import (
+from spinestiff.study.report.torso_picture import (
     DPI,
     FRONT,
     LANDSCAPE,

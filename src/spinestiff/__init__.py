@@ -16,10 +16,13 @@ if TYPE_CHECKING:  # the same list for editors and type checkers; a test compare
     from spinestiff.anatomy.template import template_torso as template_torso
     from spinestiff.anatomy.torso import TorsoModel as TorsoModel
     from spinestiff.anatomy.torso import TorsoState as TorsoState
+    from spinestiff.curves.tilts import cobb_angle as cobb_angle
+    from spinestiff.curves.tilts import cobb_change as cobb_change
     from spinestiff.errors import SpinestiffError as SpinestiffError
     from spinestiff.estimation.fit import fit_stiffness as fit_stiffness
     from spinestiff.estimation.objective import Trial as Trial
     from spinestiff.imaging.features import VertebraCorners as VertebraCorners
+    from spinestiff.imaging.features import rmse as rmse
     from spinestiff.imaging.features import silhouette_shares as silhouette_shares
     from spinestiff.imaging.features import state_features as state_features
     from spinestiff.imaging.projection import frontal_view as frontal_view
@@ -27,14 +30,11 @@ if TYPE_CHECKING:  # the same list for editors and type checkers; a test compare
     from spinestiff.mechanics.equilibrium import EquilibriumProblem as EquilibriumProblem
     from spinestiff.mechanics.loads import rib_push as rib_push
     from spinestiff.mechanics.supports import three_point_supports as three_point_supports
-    from spinestiff.study.metrics import cobb_angle as cobb_angle
-    from spinestiff.study.metrics import cobb_change as cobb_change
-    from spinestiff.study.metrics import rmse as rmse
     from spinestiff.study.pipeline import run_steps as run_steps
-    from spinestiff.study.subject import read_subject as read_subject
     from spinestiff.study.synthetic import Recipe as Recipe
     from spinestiff.study.synthetic import synthesise as synthesise
     from spinestiff.study.visit import open_visit as open_visit
+    from spinestiff.subject.folder import read_subject as read_subject
 
 _MODULES = {
     "anatomy.stiffness": ("stiffness_ratios",),
@@ -43,15 +43,15 @@ _MODULES = {
     "errors": ("SpinestiffError",),
     "estimation.fit": ("fit_stiffness",),
     "estimation.objective": ("Trial",),
-    "imaging.features": ("VertebraCorners", "silhouette_shares", "state_features"),
+    "imaging.features": ("VertebraCorners", "rmse", "silhouette_shares", "state_features"),
     "imaging.projection": ("frontal_view", "lateral_view"),
     "mechanics.equilibrium": ("EquilibriumProblem",),
     "mechanics.loads": ("rib_push",),
     "mechanics.supports": ("three_point_supports",),
-    "study.metrics": ("cobb_angle", "cobb_change", "rmse"),
+    "curves.tilts": ("cobb_angle", "cobb_change"),
     "study.pipeline": ("run_steps",),
     "study.visit": ("open_visit",),
-    "study.subject": ("read_subject",),
+    "subject.folder": ("read_subject",),
     "study.synthetic": ("Recipe", "synthesise"),
 }
 _HOMES = {name: f"spinestiff.{module}" for module, names in _MODULES.items() for name in names}

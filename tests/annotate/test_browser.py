@@ -12,9 +12,9 @@ import pytest
 
 from chromium import Tab, browser
 from spinestiff.anatomy.names import VERTEBRAE
-from spinestiff.study.cobb import read_cobb
-from spinestiff.study.corner_files import read_corners
-from spinestiff.study.subject import read_annotation
+from spinestiff.curves.cobb import read_cobb
+from spinestiff.curves.corner_files import read_corners
+from spinestiff.subject.folder import read_annotation
 from unannotated import CANARY, drawn
 
 pytestmark = pytest.mark.skipif(

@@ -11,11 +11,11 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.annotate.draft import Draft, DraftImage, parse_draft
 from spinestiff.annotate.exchange import exported, imported
 from spinestiff.annotate.session import AnnotationSession, ChangedElsewhere
+from spinestiff.curves.cobb import read_cobb
+from spinestiff.curves.corner_files import read_corners
+from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import SubjectError
-from spinestiff.study.cobb import read_cobb
-from spinestiff.study.corner_files import read_corners
-from spinestiff.study.metrics import cobb_angle, tilts
-from spinestiff.study.subject import read_annotation, read_subject
+from spinestiff.subject.folder import read_annotation, read_subject
 from unannotated import CANARY, drawn
 
 ALL = ("rest/frontal", "rest/lateral", "push/a")

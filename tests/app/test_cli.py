@@ -15,8 +15,8 @@ import pytest
 from spinestiff import __version__
 from spinestiff.app import cli
 from spinestiff.errors import EquilibriumError, FitError
+from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.study.results import file_digest, read_json, write_json
 from spinestiff.verification.outcome import Check
 
 COMMANDS = {

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from spine_images import image
-from spinestiff.study.corner_files import write_corners
+from spinestiff.curves.corner_files import write_corners
 
 TILTS = [12, 6, 0, -8, -16, -12, -4, 6, 12]
 

@@ -9,9 +9,9 @@ import cv2
 from matplotlib.figure import Figure
 
 from spinestiff.app import frames
+from spinestiff.files import read_json, write_json
 from spinestiff.imaging.image_quality import ImageQuality
 from spinestiff.study.frame_selection import FrameQuality
-from spinestiff.study.results import read_json, write_json
 
 
 def test_a_proposal_for_a_subject_without_roles(spinestiff, subject, monkeypatch, capfd):

@@ -85,7 +85,7 @@ def test_a_subject_folder_stands_for_its_torso(tmp_path, monkeypatch):
     changed = []
     visit = SimpleNamespace(file=lambda name: tmp_path / "results" / name)
     monkeypatch.setattr("spinestiff.study.visit.open_visit", lambda folder: visit)
-    monkeypatch.setattr("spinestiff.study.results.changed_inputs", lambda folder, step: changed)
+    monkeypatch.setattr("spinestiff.subject.run_record.changed_inputs", lambda folder, step: changed)
     assert refusal("show", tmp_path).endswith("torso.npz: no such file; run spinestiff personalise first")
     (tmp_path / "results").mkdir()
     write_torso(tmp_path / "results" / "torso.npz", template_torso(150.0))

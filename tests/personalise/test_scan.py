@@ -10,13 +10,14 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
+from spinestiff.anatomy.axes import body_axes
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.solids import dense_points, enclosed
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SubjectError
 from spinestiff.personalise.quality import mesh_quality
 from spinestiff.personalise.registration import register
-from spinestiff.personalise.scan import SkinScan, body_axes, read_scan
+from spinestiff.personalise.scan import SkinScan, read_scan
 from spinestiff.personalise.scanned_skin import with_scan
 from spinestiff.personalise.skin_surface import skin_surface
 

@@ -18,8 +18,8 @@ from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import SolveStatus
 from spinestiff.study import assessment
 from spinestiff.study.assessment import BASELINES, assess, extrapolated, single_ratio
-from spinestiff.study.records import PushRecord
 from spinestiff.study.trials import TrackedFrame, TrackedPush, push_set
+from spinestiff.subject.records import PushRecord
 
 FORCES = (0.0, 10.0, 20.0, 30.0)
 MOVES = (0.0, 1.0, 3.0, 4.0)  # mm to the patient's left at the patient plane

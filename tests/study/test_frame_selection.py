@@ -15,8 +15,8 @@ from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.study import frame_selection
 from spinestiff.study.frame_selection import FrameQuality, Motion, propose
-from spinestiff.study.records import SubjectRecord, read_record
-from spinestiff.study.roles import write_roles
+from spinestiff.subject.records import SubjectRecord, read_record
+from spinestiff.subject.roles import write_roles
 
 GOOD = ImageQuality(1.0, 5.0, 0.0)
 

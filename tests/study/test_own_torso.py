@@ -12,8 +12,8 @@ from spinestiff.anatomy.files import read_torso, write_torso
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SubjectError
 from spinestiff.study.pipeline import starting_torso
-from spinestiff.study.subject import read_subject
 from spinestiff.study.visit import open_visit
+from spinestiff.subject.folder import read_subject
 
 
 def point_at(folder, name):

@@ -13,10 +13,10 @@ from pydicom.tag import Tag
 
 from canaries import CANARY, NUMBER, traces
 from spinestiff.errors import RadiographError
+from spinestiff.files import read_json, write_json
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.radiograph import Geometry, read_radiographs, write_radiographs
 from spinestiff.study.pipeline import run_steps
-from spinestiff.study.results import read_json, write_json
 from spinestiff.study.visit import open_visit
 
 

@@ -13,10 +13,11 @@ from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.errors import EquilibriumError, FitError, RadiographError, SubjectError
 from spinestiff.estimation.fit import FitStatus
+from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.study import pipeline
 from spinestiff.study.pipeline import STEPS, run_steps
-from spinestiff.study.results import file_digest, package_version, read_json, write_json
 from spinestiff.study.visit import Settings, load_pushes, load_tracked, open_visit
+from spinestiff.subject.run_record import package_version
 
 UP_TO_DATE = [f"{step}: up to date" for step in STEPS]
 

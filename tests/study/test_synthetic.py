@@ -11,11 +11,11 @@ import pytest
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.errors import EquilibriumError, SubjectError
+from spinestiff.files import file_digest
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.study import synthetic
-from spinestiff.study.results import file_digest
-from spinestiff.study.subject import image_corners, image_supports, read_push, read_rest, read_subject
 from spinestiff.study.synthetic import BENDING_RANGE, TISSUE_RANGE, Recipe, made_by, synthesise, truth_path
+from spinestiff.subject.folder import image_corners, image_supports, read_push, read_rest, read_subject
 
 
 def digests(folder: Path) -> dict[str, str]:

@@ -16,8 +16,8 @@ from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.study.records import PushRecord
 from spinestiff.study.trials import TrackedFrame, TrackedPush, push_set, usable_corners
+from spinestiff.subject.records import PushRecord
 
 STOOD = ((6.0, -4.0), 0.02)
 

@@ -13,10 +13,10 @@ from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoState
 from spinestiff.errors import SubjectError
+from spinestiff.files import read_json, write_json
 from spinestiff.mechanics.equilibrium import Equilibrium, SolveStatus
 from spinestiff.mechanics.supports import Reaction
 from spinestiff.study.pipeline import run_steps
-from spinestiff.study.results import read_json, write_json
 from spinestiff.study.visit import (
     Settings,
     cobb_frames,

@@ -6,7 +6,7 @@ import { defineConfig } from "vite";
 
 const here = import.meta.dirname;
 
-// The same list is read by tests/study/viewer/test_built.py.
+// The same list is read by tests/study/report/viewer/test_page.py.
 function sourceHash(): string {
   const names = ["package.json", "package-lock.json", "tsconfig.json", "vite.config.ts"];
   for (const name of readdirSync(join(here, "src"))) names.push(`src/${name}`);
@@ -32,7 +32,7 @@ function banner(): string {
 export default defineConfig({
   build: {
     target: "es2022",
-    outDir: join(here, "../../src/spinestiff/study/viewer"),
+    outDir: join(here, "../../src/spinestiff/study/report/viewer"),
     emptyOutDir: false,
     copyPublicDir: false,
     reportCompressedSize: true,

@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from spinestiff.errors import SubjectError
-from spinestiff.study.records import ImageAnnotation, Point, VertebraName, complaint_of
-from spinestiff.study.results import parse_json, read_text
+from spinestiff.files import parse_json, read_text
+from spinestiff.subject.records import ImageAnnotation, Point, VertebraName, complaint_of
 
 DRAFT_FILE = "annotation.draft.json"
 MOST_POINTS = 50

@@ -10,9 +10,9 @@ from typing import Literal
 
 from spinestiff.annotate.draft import DraftImage
 from spinestiff.annotate.session import AnnotationSession, first_on
+from spinestiff.curves.corner_files import UnreadableImage, read_corner_file, write_corners
 from spinestiff.errors import SubjectError
-from spinestiff.study.corner_files import UnreadableImage, read_corner_file, write_corners
-from spinestiff.study.subject import check_image_name
+from spinestiff.subject.folder import check_image_name
 
 Form = Literal["csv", "slicer"]
 # Names of our own: nothing of a name that a page sends becomes a path.

@@ -12,9 +12,9 @@ from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.tracking import Observer, track
-from spinestiff.study.results import RESULTS, changed_inputs
-from spinestiff.study.subject import push_corners
 from spinestiff.study.visit import load_tracked, open_visit
+from spinestiff.subject.folder import push_corners
+from spinestiff.subject.run_record import RESULTS, changed_inputs
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from spinestiff.annotate.draft import Corners, Draft, DraftImage, Points
 from spinestiff.annotate.session import Judged
+from spinestiff.curves.cobb import REGIONS, CobbReading, Curve
 from spinestiff.errors import SubjectError
-from spinestiff.study.cobb import REGIONS, CobbReading, Curve
-from spinestiff.study.records import VertebraName, complaint_of
-from spinestiff.study.results import parse_json
+from spinestiff.files import parse_json
+from spinestiff.subject.records import VertebraName, complaint_of
 
 
 class _Sent(BaseModel):

@@ -29,7 +29,7 @@ from spinestiff.imaging.features import picture_axes, view_kind
 from spinestiff.imaging.proposal import propose_boxes
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY
-from spinestiff.study.records import LATERAL, REST_IMAGES
+from spinestiff.subject.records import LATERAL, REST_IMAGES
 
 LOOPBACK = "127.0.0.1"
 PAGE = {

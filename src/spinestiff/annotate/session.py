@@ -14,24 +14,14 @@ from pydantic import ValidationError
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.annotate.draft import DRAFT_FILE, Draft, DraftImage, read_draft
+from spinestiff.curves.cobb import CobbReading, read_cobb
+from spinestiff.curves.corner_files import ImageCorners, Side
 from spinestiff.errors import RadiographError, SpinestiffError, SubjectError
+from spinestiff.files import write_json
 from spinestiff.imaging.features import picture_axes, view_kind
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
-from spinestiff.study.cobb import CobbReading, read_cobb
-from spinestiff.study.corner_files import ImageCorners, Side
-from spinestiff.study.records import (
-    ANNOTATION_FILE,
-    FEWEST_VERTEBRAE,
-    LATERAL,
-    REST_IMAGES,
-    SCHEMA_VERSION,
-    Annotation,
-    ImageAnnotation,
-    complaint_of,
-)
-from spinestiff.study.results import write_json
-from spinestiff.study.subject import (
+from spinestiff.subject.folder import (
     Subject,
     annotatable,
     check_image_name,
@@ -42,6 +32,16 @@ from spinestiff.study.subject import (
     read_rest,
     read_unannotated,
     write_annotation,
+)
+from spinestiff.subject.records import (
+    ANNOTATION_FILE,
+    FEWEST_VERTEBRAE,
+    LATERAL,
+    REST_IMAGES,
+    SCHEMA_VERSION,
+    Annotation,
+    ImageAnnotation,
+    complaint_of,
 )
 
 # Images whose frames stay in memory; a push of 1024 x 1024 has a few megabytes a frame.

@@ -332,8 +332,8 @@ def _recipe(
 
 def _visit_page(folder: Path | None, out: Path | None) -> Path:
     """The page of a visit as far as it has come."""
-    from spinestiff.study.results import write_text
-    from spinestiff.study.viewer.files import write_rest_view
+    from spinestiff.files import write_text
+    from spinestiff.study.report.viewer.files import write_rest_view
     from spinestiff.study.visit import open_visit
 
     visit = open_visit(folder or Path())
@@ -349,7 +349,7 @@ def _visit_page(folder: Path | None, out: Path | None) -> Path:
 
 
 def _torso_page(torso: Path, out: Path | None) -> Path:
-    from spinestiff.study.viewer.files import write_torso_view
+    from spinestiff.study.report.viewer.files import write_torso_view
 
     page = out or torso.with_suffix(".html")
     write_torso_view(torso, page)
@@ -371,7 +371,7 @@ def _steps(folder: Path, steps: tuple[str, ...], redo: bool, truth: Path | None 
 
 def _assess(visit: Any) -> None:
     from spinestiff.app import tables
-    from spinestiff.study.results import read_json
+    from spinestiff.files import read_json
     from spinestiff.study.visit import truth_in_region
 
     tables.show(tables.assessment_table(read_json(visit.file("assessment.json"))))
@@ -382,7 +382,7 @@ def _assess(visit: Any) -> None:
 
 def _print_estimate(visit: Any) -> None:
     from spinestiff.app import tables
-    from spinestiff.study.results import read_json
+    from spinestiff.files import read_json
 
     estimate = read_json(visit.file("estimate.json"))
     tables.show(tables.estimate_table(estimate))

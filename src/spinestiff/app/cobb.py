@@ -14,8 +14,8 @@ from spinestiff.app import tables
 from spinestiff.errors import SubjectError
 
 if TYPE_CHECKING:
-    from spinestiff.study.cobb import CobbReading, Curve, Definition
-    from spinestiff.study.corner_files import Side
+    from spinestiff.curves.cobb import CobbReading, Curve, Definition
+    from spinestiff.curves.corner_files import Side
 
 REFUSED = 2
 
@@ -42,7 +42,7 @@ def cobb(
 
 
 def _definition(name: str) -> Definition:
-    from spinestiff.study.cobb import DEFINITIONS
+    from spinestiff.curves.cobb import DEFINITIONS
 
     for known in DEFINITIONS:
         if name == known:
@@ -81,8 +81,8 @@ def _of_file(
     side: Side | None,
     picture: Path | None,
 ) -> int:
-    from spinestiff.study.cobb import read_cobb
-    from spinestiff.study.corner_files import read_corner_file
+    from spinestiff.curves.cobb import read_cobb
+    from spinestiff.curves.corner_files import read_corner_file
 
     readings = [read_cobb(image, definition, noise_px, side) for image in read_corner_file(path).images]
     _draw(readings, picture)
@@ -100,14 +100,14 @@ def _of_file(
 def _draw(readings: Sequence[CobbReading], picture: Path | None) -> None:
     if picture is None:
         return
-    from spinestiff.study.cobb_picture import write_picture
+    from spinestiff.study.report.cobb_picture import write_picture
 
     write_picture(readings, picture)
 
 
 def readings_table(readings: Sequence[CobbReading]) -> Table:
     """A row an image: the largest angle with its noise and levels, its convexity, and the angle of each region."""
-    from spinestiff.study.cobb import REGIONS
+    from spinestiff.curves.cobb import REGIONS
 
     definition = readings[0].definition
     table = Table(

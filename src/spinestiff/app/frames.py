@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from spinestiff.app import tables
-from spinestiff.study.figures import as_png
+from spinestiff.files import write_bytes, write_json
 from spinestiff.study.frame_selection import Proposal, frame_qualities, propose
-from spinestiff.study.frame_strip import Row, draw_strip
 from spinestiff.study.pipeline import run_steps
-from spinestiff.study.results import write_bytes, write_json
-from spinestiff.study.roles import write_roles
-from spinestiff.study.subject import image_supports, read_push
+from spinestiff.study.report.figures import as_png
+from spinestiff.study.report.frame_strip import Row, draw_strip
 from spinestiff.study.visit import Visit, load_tracked
+from spinestiff.subject.folder import image_supports, read_push
+from spinestiff.subject.roles import write_roles
 
 SCHEMA_VERSION = 1
 

@@ -11,7 +11,7 @@ import typer
 from spinestiff.errors import RadiographError
 
 if TYPE_CHECKING:
-    from spinestiff.study.inspection import Inspection
+    from spinestiff.subject.inspection import Inspection
 
 
 def show_inspection(path: Path, as_json: bool) -> None:
@@ -23,7 +23,7 @@ def show_inspection(path: Path, as_json: bool) -> None:
     typer.Exit : with status 2, after everything was printed, if an image of a folder can't be used.
     """
     from spinestiff.app.tables import show_json
-    from spinestiff.study.inspection import inspect
+    from spinestiff.subject.inspection import inspect
 
     found = inspect(path)
     refused = [one for one in found if one.reason]

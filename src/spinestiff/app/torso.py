@@ -130,8 +130,8 @@ def _torso(file: Path | None, **template: Any) -> Any:
 
 def _personalised(folder: Path) -> Path:
     """The torso file of a subject folder; refused where what it was made from has changed since."""
-    from spinestiff.study.results import changed_inputs
     from spinestiff.study.visit import open_visit
+    from spinestiff.subject.run_record import changed_inputs
 
     path = open_visit(folder).file("torso.npz")
     if not path.exists():

@@ -15,12 +15,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats, Ints, read_only
-from spinestiff.errors import RadiographError, TrackingError
+from spinestiff.errors import RadiographError, SpinestiffError, TrackingError
 from spinestiff.imaging.silhouette import halves, rim_share
 
 if TYPE_CHECKING:
@@ -388,3 +389,25 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 def _name(names: tuple[str, ...], index: int) -> str:
     return names[index] if index < len(names) else f"vertebra {index}"
+
+
+def rmse(corners: ArrayLike, others: ArrayLike) -> float:
+    """sqrt(mean over corners of the squared 2D distance), in the unit of the input (paper 5.2, Table 5).
+
+    Parameters
+    ----------
+    corners, others : (..., 2), the same shape; mm at the patient plane wherever it is reported.
+
+    Raises
+    ------
+    SpinestiffError : shapes differ, no corner at all, or a value that is not finite.
+    """
+    a, b = np.asarray(corners, dtype=float), np.asarray(others, dtype=float)
+    if a.shape != b.shape or a.ndim < 1 or a.shape[-1] != 2:
+        raise SpinestiffError(f"RMSE of corners of shape {a.shape} and {b.shape}; wanted the same shape (..., 2)")
+    if a.size == 0:
+        raise SpinestiffError("RMSE of no corners at all; wanted at least one")
+    squared = np.sum((a - b) ** 2, axis=-1)
+    if not np.isfinite(squared).all():
+        raise SpinestiffError("RMSE of corners that are not finite")
+    return float(np.sqrt(np.mean(squared)))

@@ -5,22 +5,17 @@ Unit and axes are never guessed: what is stated has to agree with the size of th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from spinestiff.anatomy.axes import DIRECTIONS, MM, Unit
 from spinestiff.anatomy.importing.reading import read_surface
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import SubjectError, TorsoError
 
-Unit = Literal["mm", "cm", "m"]
-Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
-MM: Mapping[Unit, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-DIRECTIONS = ("left", "up", "front")
 # Shares of the body height that a scan with some of the trunk on it may extend: from a part of the back to a whole body
 # with its arms spread.
 EXTENTS = {"up": (0.15, 1.1), "left": (0.10, 1.1), "front": (0.02, 0.5)}
@@ -54,26 +49,6 @@ class SkinScan:
         object.__setattr__(self, "points", read_only("scan points", self.points, (None, 3), TorsoError))
         shape = (len(self.points), 3)
         object.__setattr__(self, "normals", read_only("scan normals", self.normals, shape, TorsoError))
-
-
-def body_axes(left: Axis, up: Axis, front: Axis) -> Floats:
-    """(3, 3) body_from_scan: rows are the scan's axes that run to the body's left, up and front.
-
-    Raises
-    ------
-    SubjectError : an axis twice, or the axes of a mirror image.
-    """
-    named = dict(zip(DIRECTIONS, (left, up, front)))
-    said = ", ".join(f"{what} {axis}" for what, axis in named.items())
-    matrix = np.zeros((3, 3))
-    for row, axis in enumerate(named.values()):
-        matrix[row, "xyz".index(axis[1])] = 1.0 if axis[0] == "+" else -1.0
-    determinant = round(float(np.linalg.det(matrix)))
-    if determinant == 0:
-        raise SubjectError(f"found {said}, wanted each of x, y and z once")
-    if determinant < 0:
-        raise SubjectError(f"found {said}, which shows the body in a mirror; turn one of the signs round")
-    return matrix
 
 
 def read_scan(path: Path, unit: Unit, body_from_scan: Floats, height_cm: float) -> SkinScan:

@@ -10,12 +10,12 @@ import numpy as np
 from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
 from spinestiff.anatomy.torso import TorsoState
 from spinestiff.arrays import Floats
+from spinestiff.curves.tilts import CobbChange, SpineTilts, cobb_change, tilts
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.fit import fit_stiffness
 from spinestiff.estimation.objective import Target, make_target, residuals
-from spinestiff.imaging.features import state_features, target_features, vertebra_rows
+from spinestiff.imaging.features import rmse, state_features, target_features, vertebra_rows
 from spinestiff.mechanics.equilibrium import Equilibrium
-from spinestiff.study.metrics import CobbChange, SpineTilts, cobb_change, rmse, tilts
 from spinestiff.study.trials import PushSet, PushTrial
 
 Observer = Callable[[str], None]

@@ -18,8 +18,8 @@ from spinestiff.imaging.image_quality import ImageQuality, image_quality
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.tracking import support_motion
 from spinestiff.imaging.tracking.quality import error_of
-from spinestiff.study.records import PushRecord, Role
 from spinestiff.study.trials import TrackedFrame, usable_corners
+from spinestiff.subject.records import PushRecord, Role
 
 BLURRED = 0.75
 """Sharpness below which a frame is left out. Drawn vertebrae that moved by 1, 2 and 4 mm have 0.91, 0.72 and 0.52."""

@@ -13,7 +13,7 @@ from spinestiff.anatomy.files import write_torso
 from spinestiff.anatomy.importing import ImportedTorso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import TorsoError
-from spinestiff.study.results import write_json
+from spinestiff.files import write_json
 
 SCHEMA_VERSION = 1
 
@@ -25,7 +25,7 @@ def write_imported(found: ImportedTorso, folder: Path) -> None:
     ------
     TorsoError : the folder holds something, or can't be written; then nothing is left there.
     """
-    from spinestiff.study.torso_picture import draw_torso
+    from spinestiff.study.report.torso_picture import draw_torso
 
     draft = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.tmp")
     try:

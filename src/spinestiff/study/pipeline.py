@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from spinestiff.anatomy.axes import body_axes
 from spinestiff.anatomy.files import read_torso, write_torso
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.template import template_torso
@@ -22,28 +23,16 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.fit import FitStep, StiffnessFit, fit_stiffness
 from spinestiff.estimation.uncertainty import joint_region_outline
+from spinestiff.files import file_digest, inputs_digest, read_json, write_json
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking import support_motion, track
 from spinestiff.mechanics.loads import three_point_reactions
 from spinestiff.personalise.image_terms import PediclePoints
-from spinestiff.personalise.scan import SkinScan, body_axes, read_scan
+from spinestiff.personalise.scan import SkinScan, read_scan
 from spinestiff.personalise.scanned_skin import ScanFit
 from spinestiff.personalise.shape import Personalised, personalise
 from spinestiff.personalise.skin import TrunkSize
-from spinestiff.study.records import SUBJECT_FILE, SubjectRecord
-from spinestiff.study.results import (
-    StepRecord,
-    changed_inputs,
-    file_digest,
-    inputs_digest,
-    is_current,
-    read_json,
-    record_step,
-    step_digest,
-    write_json,
-)
-from spinestiff.study.subject import image_corners, image_pedicles, image_supports, push_corners, read_push, read_rest
 from spinestiff.study.trials import PushSet
 from spinestiff.study.visit import (
     Observer,
@@ -54,6 +43,9 @@ from spinestiff.study.visit import (
     plain_stiffness,
     support_warnings,
 )
+from spinestiff.subject.folder import image_corners, image_pedicles, image_supports, push_corners, read_push, read_rest
+from spinestiff.subject.records import SUBJECT_FILE, SubjectRecord
+from spinestiff.subject.run_record import StepRecord, changed_inputs, is_current, record_step, step_digest
 
 SCHEMA_VERSION = 1
 # Where a fit starts: the geometric means of Table 4. From the default ratios it gets to the same place in more steps.
@@ -245,7 +237,7 @@ def personalise_step(visit: Visit, say: Observer) -> None:
     visit.subject.results.mkdir(exist_ok=True)
     write_torso(visit.file("torso.npz"), shaped.torso)
     if shaped.scan is not None:
-        from spinestiff.study.torso_picture import draw_scan
+        from spinestiff.study.report.torso_picture import draw_scan
 
         draw_scan(shaped.torso, shaped.scan.points, visit.file("skin_scan.png"))
     write_json(visit.file("personalised.json"), _personalised_record(shaped, provenance))
@@ -313,14 +305,14 @@ def assess_step(visit: Visit, say: Observer) -> None:
 
 def report_step(visit: Visit, say: Observer) -> None:
     """Write ``report.html`` and ``view.html``."""
-    from spinestiff.study.report import write_report
+    from spinestiff.study.report.page import write_report
 
     write_report(visit, say)
 
 
 def view_step(visit: Visit, say: Observer) -> None:
     """Write ``view.html``."""
-    from spinestiff.study.viewer.files import write_view
+    from spinestiff.study.report.viewer.files import write_view
 
     write_view(visit, say)
 

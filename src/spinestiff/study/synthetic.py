@@ -17,7 +17,9 @@ from spinestiff.anatomy.stiffness import RATIO_BOUNDS, stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
+from spinestiff.curves.tilts import cobb_angle, cobb_change, tilts
 from spinestiff.errors import SubjectError
+from spinestiff.files import read_json, write_json
 from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
@@ -27,11 +29,9 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.shape import place_vertebrae
-from spinestiff.study.metrics import cobb_angle, cobb_change, tilts
-from spinestiff.study.records import Annotation, ImageAnnotation, PushRecord, Role, SubjectRecord
-from spinestiff.study.results import read_json, write_json
 from spinestiff.study.spines import VertebraPoses, curved_spine, real_spine
-from spinestiff.study.subject import write_annotation, write_subject
+from spinestiff.subject.folder import write_annotation, write_subject
+from spinestiff.subject.records import Annotation, ImageAnnotation, PushRecord, Role, SubjectRecord
 
 Observer = Callable[[str], None]
 

@@ -16,7 +16,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.pose import ViewPose, align_view
-from spinestiff.study.records import PushRecord
+from spinestiff.subject.records import PushRecord
 
 # Corners tracked worse than this, by about 1.2 mm, count as lost; better ones weigh by their quality.
 LOWEST_QUALITY = 0.02

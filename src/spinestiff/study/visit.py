@@ -12,18 +12,18 @@ from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.stiffness import NMM_PER_NM, StiffnessRatios, stiffness_ratios
 from spinestiff.anatomy.template import MESHES
 from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.curves.cobb import DEFINITIONS, CobbReading, Definition, read_cobb_of_view
+from spinestiff.curves.tilts import CobbChange, cobb_change, tilts
 from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.estimation.fit import METHODS
 from spinestiff.estimation.intervals import offset_from
+from spinestiff.files import read_json
 from spinestiff.imaging.features import ORIENTATIONS, VertebraCorners, picture_axes
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.equilibrium import Equilibrium
 from spinestiff.study.assessment import FrameAssessment, assess
-from spinestiff.study.cobb import DEFINITIONS, CobbReading, Definition, read_cobb_of_view
-from spinestiff.study.metrics import CobbChange, cobb_change, tilts
-from spinestiff.study.results import read_json
-from spinestiff.study.subject import Subject, image_corners, read_rest, read_subject
 from spinestiff.study.trials import PushSet, TrackedFrame, TrackedPush, push_set, usable_corners
+from spinestiff.subject.folder import Subject, image_corners, read_rest, read_subject
 
 Observer = Callable[[str], None]
 # A reaction that pulls on its support by more than this, N, says that the person would have left it.

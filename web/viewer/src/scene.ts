@@ -1,4 +1,4 @@
-// The scene as study/viewer/scene.py packs it, unpacked into typed arrays.
+// The scene as study/report/viewer/scene.py packs it, unpacked into typed arrays.
 
 export interface Packed {
   type: "float32" | "int16" | "uint16" | "uint32";

@@ -1,0 +1,159 @@
+"""Files: JSON read strictly, everything written whole or not at all, and digests of what is in them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import secrets
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NoReturn
+
+from spinestiff.errors import SpinestiffError, SubjectError
+
+LARGEST_JSON = 10_000_000
+"""Bytes. A subject's files are a few kilobytes; anything larger is another file or an accident."""
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file.
+
+    Raises
+    ------
+    SubjectError : no such file, over 10 MB, not UTF-8, not JSON, a key given twice, a number that is not finite.
+    """
+    return parse_json(read_text(path), path.name)
+
+
+def read_text(path: Path, largest: int = LARGEST_JSON) -> str:
+    """A text file of at most ``largest`` bytes, not yet parsed. Raises SubjectError as ``read_json`` does."""
+    if not path.is_file():
+        raise SubjectError(f"{path}: no such file")
+    try:
+        size = path.stat().st_size
+        if size > largest:
+            raise SubjectError(f"{path}: {size} bytes, wanted at most {largest}; is this the right file?")
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise SubjectError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+    except OSError as error:
+        raise SubjectError(f"{path}: can't be read ({error.strerror})") from None
+
+
+def parse_json(text: str, name: str) -> Any:
+    """JSON text with what the standard lets pass refused: a key twice in an object, NaN, numbers out of range."""
+
+    def refuse(constant: str) -> NoReturn:
+        raise SubjectError(f"{name}: found {constant}, wanted a finite number")
+
+    def number(literal: str) -> float:
+        value = float(literal)
+        return value if math.isfinite(value) else refuse(literal)
+
+    def keys_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        content = dict(pairs)
+        if len(content) < len(pairs):
+            keys = [key for key, _ in pairs]
+            twice = next(key for key in keys if keys.count(key) > 1)
+            raise SubjectError(f"{name}: key '{twice}' is given twice in one object; keep one")
+        return content
+
+    try:
+        return json.loads(text, object_pairs_hook=keys_once, parse_constant=refuse, parse_float=number)
+    except json.JSONDecodeError as error:
+        where = f"line {error.lineno}, column {error.colno}"
+        raise SubjectError(f"{name}: not JSON at {where}: {error.msg}") from None
+    except RecursionError:
+        raise SubjectError(f"{name}: nested too deeply") from None
+    except ValueError:
+        # Python's own limit on the digits of an integer.
+        raise SubjectError(f"{name}: holds a number with too many digits") from None
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write ``data`` as JSON: whole or not at all, so that an interrupted run leaves the old file.
+
+    Keys are sorted; NumPy arrays and numbers are written as lists and numbers.
+
+    Raises
+    ------
+    SpinestiffError : a number that is not finite, or a type that JSON lacks.
+    SubjectError : the file can't be written.
+    """
+    try:
+        text = json_text(data)
+    except (ValueError, TypeError) as error:
+        raise SpinestiffError(f"{path.name} is not written: {error}") from None
+    write_text(path, text + "\n")
+
+
+def json_text(data: Any) -> str:
+    """``data`` as JSON, the same text from the same data. Raises ValueError or TypeError for what JSON lacks."""
+    return json.dumps(data, sort_keys=True, indent=1, allow_nan=False, ensure_ascii=False, default=_plain)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file as UTF-8, whole or not at all. Raises SubjectError if it can't be written."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all, so that an interrupted run leaves the old one.
+
+    Raises
+    ------
+    SubjectError : the file can't be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _replace(path, content)
+    except OSError as error:
+        raise SubjectError(f"{path}: can't be written ({error.strerror})") from None
+
+
+def _replace(path: Path, content: bytes) -> None:
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        with temporary.open("xb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} has no JSON form")
+
+
+def inputs_digest(folder: Path, paths: Iterable[Path]) -> dict[str, str]:
+    """``file_digest`` of every path, by path relative to ``folder``, sorted."""
+    return dict(sorted((_relative(folder, path), file_digest(path)) for path in paths))
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file's bytes; of a folder, of its files' digests in the order of their names.
+
+    A folder's files aren't named anywhere: exported radiographs are named after patients.
+
+    Raises
+    ------
+    SubjectError : something can't be read.
+    """
+    if path.is_dir():
+        inside = "".join(file_digest(file) for file in sorted(path.rglob("*")) if not file.is_dir())
+        return hashlib.sha256(inside.encode()).hexdigest()
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise SubjectError(f"{path}: can't be read ({error.strerror})") from None
+
+
+def _relative(folder: Path, file: Path) -> str:
+    return Path(os.path.relpath(file, folder)).as_posix()

@@ -1,0 +1,351 @@
+"""One page about a visit for people: what was found, how sure it is, and the pictures to judge it by.
+
+``results/report.html`` is self-contained (it asks nothing of any other file or host); its pictures lie beside it as PNG
+in ``results/figures``, its 3D torso as a page of its own, ``results/view.html``. The same results give the same bytes.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from spinestiff import __version__
+from spinestiff.anatomy.files import read_torso
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats
+from spinestiff.curves.tilts import cobb_change, tilts
+from spinestiff.errors import SubjectError
+from spinestiff.files import read_json, write_bytes, write_text
+from spinestiff.imaging.features import picture_axes, silhouette_shares, state_features, target_features, vertebra_rows
+from spinestiff.imaging.projection import XRayView
+from spinestiff.imaging.radiograph import Radiograph
+from spinestiff.study.predictions import Prediction, predict
+from spinestiff.study.report.content import (
+    MODELS,
+    certainty_content,
+    comparison_content,
+    fitted_names,
+    fixed,
+    geometry_content,
+    listed,
+    millimetre_rows,
+    number,
+    prediction_content,
+    reaction_rows,
+    result_content,
+    subject_content,
+    support_rows,
+)
+from spinestiff.study.report.figures import (
+    CurveChange,
+    Overlay,
+    Panel,
+    RatioMap,
+    TiltChange,
+    as_png,
+    as_svg,
+    draw_curve_changes,
+    draw_overlay,
+    draw_ratio_map,
+    draw_tilt_changes,
+)
+from spinestiff.study.report.viewer.files import scene_of
+from spinestiff.study.report.viewer.page import component, page_environment, script_hash, view_page
+from spinestiff.study.trials import PushSet, PushTrial
+from spinestiff.study.visit import Observer, Visit, estimated_ratios, load_pushes, read_truth
+from spinestiff.subject.folder import image_corners, read_push, read_rest
+from spinestiff.subject.records import PushRecord
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure as it stands in the report and beside it as a file.
+
+    Attributes
+    ----------
+    file : name of the PNG.
+    source : data URI.
+    alt, caption : in words.
+    """
+
+    file: str
+    source: str
+    alt: str
+    caption: str
+
+
+def write_report(visit: Visit, say: Observer) -> None:
+    """Write ``report.html``, ``view.html`` and ``figures/*.png`` into ``results/`` of a visit that has been assessed.
+
+    Raises
+    ------
+    SubjectError : a result of an earlier step is missing or belongs to another version of it.
+    """
+    try:
+        pictures, page, view = _compose(visit, say)
+    except (KeyError, TypeError, IndexError) as error:
+        raise SubjectError(
+            f"{visit.subject.results}: results lack what the report needs ({error}); run spinestiff run --redo"
+        ) from None
+    folder = visit.file("figures")
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("[0-9][0-9]-*.png"):
+        if old.name not in pictures:
+            old.unlink()
+    for name, content in pictures.items():
+        write_bytes(folder / name, content)
+    write_text(visit.file("view.html"), view)
+    write_text(visit.file("report.html"), page)
+    say(f"{visit.file('report.html')} and {len(pictures)} figures")
+
+
+def _compose(visit: Visit, say: Observer) -> tuple[dict[str, bytes], str, str]:
+    """Pictures by file name, the report's page and the viewer's."""
+    names = ("estimate", "assessment", "personalised", "tracked")
+    estimate, assessment, personalised, tracked = (read_json(visit.file(f"{name}.json")) for name in names)
+    # What is quick comes first: results of another version are refused before anything is solved.
+    page = {
+        "subject": subject_content(visit),
+        "result": result_content(visit, estimate),
+        "comparison": comparison_content(assessment),
+        "prediction": prediction_content(assessment),
+        "certainty": certainty_content(visit, estimate),
+        "reactions": reaction_rows(estimate["reactions_n"]),
+        "reaction_push": estimate["reactions_n"]["push"],
+        "supports": support_rows(tracked),
+        "geometry": geometry_content(personalised, estimate),
+        "millimetres": millimetre_rows(personalised, tracked),
+        "cost": estimate["cost"],
+        "training": {key: fixed(value, 2) for key, value in estimate["training_rmse_mm"].items()},
+        "version": __version__,
+    }
+    torso = read_torso(visit.file("torso.npz"))
+    pushes = load_pushes(visit, torso)
+    predictions = predict(pushes, estimated_ratios(visit, torso), say)
+    say("drawing")
+    region = _region_picture(visit, estimate)
+    scene = scene_of(visit, pushes, predictions)
+    album = _Album()
+    page |= {
+        "held_out": [album.add(*_frame_picture(visit, torso, p)) for p in _of_role(predictions, "validation")],
+        "rest": [album.add(*_rest_picture(visit, torso, view, personalised)) for view in personalised["views"]],
+        "curves": album.add(*_curve_picture(pushes, predictions)),
+        "region": None if region is None else album.add(*region),
+        "levels": album.add(*_tilt_picture(visit, pushes, predictions)),
+        "scene": component(scene),
+        "script_hash": script_hash(),
+    }
+    return album.files, page_environment().get_template("report.html.j2").render(page), view_page(scene)
+
+
+class _Album:
+    """Collects pictures in the order in which they are drawn."""
+
+    def __init__(self) -> None:
+        self.files: dict[str, bytes] = {}
+
+    def add(self, name: str, figure: Figure, alt: str, caption: str) -> Picture:
+        file = f"{len(self.files) + 1:02d}-{name}.png"
+        content = self.files[file] = as_png(figure)
+        kind = "image/png"
+        # Lines stay sharp at any zoom; radiographs would only grow.
+        if not any(axis.images for axis in figure.axes):
+            kind, content = "image/svg+xml", as_svg(figure)
+        return Picture(file, f"data:{kind};base64,{base64.b64encode(content).decode()}", alt, caption)
+
+
+# Pictures
+
+
+def _of_role(predictions: Sequence[Prediction], *roles: str) -> list[Prediction]:
+    return [p for p in predictions if p.item.role in roles]
+
+
+def _frame_picture(visit: Visit, torso: TorsoModel, prediction: Prediction) -> tuple[str, Figure, str, str]:
+    item, target = prediction.item, prediction.target
+    view = item.trial.view
+    push = visit.subject.push(item.push)
+    errors = {name: prediction.rmse(torso, name) for name in prediction.states}
+    panels = tuple(
+        Panel(title, _pixels(view, prediction.boxes(torso, name)), errors[name])
+        for name, title in MODELS.items()
+        if name in errors
+    )
+    frame = next(f for f in read_push(visit.subject, push) if f.frame == item.frame)
+    names = item.trial.corners.vertebrae
+    overlay = _overlay(frame, view, names, target.z, panels, _arrow(torso, view, push, item))
+    found = listed(f"{MODELS[name].lower()} {error:.1f} mm" for name, error in errors.items())
+    where = f"push “{item.push}”, frame {item.frame}, {item.force_n:.0f} N from the patient’s {push.side}"
+    alt = f"Radiograph of {where}, with measured and simulated vertebra boxes. RMSE: {found}."
+    caption = f"Held-out frame, not used by the estimate: {where}. Vertebrae as measured (blue) and simulated (orange)."
+    return f"{item.push}-frame-{item.frame}", draw_overlay(overlay), alt, caption
+
+
+def _rest_picture(
+    visit: Visit, torso: TorsoModel, name: str, personalised: Mapping[str, Any]
+) -> tuple[str, Figure, str, str]:
+    picture = read_rest(visit.subject, name)  # type: ignore[arg-type]
+    corners = image_corners(visit.subject, f"rest/{name}", picture.view)
+    entry = personalised["views"][name]
+    view = XRayView(**{**entry, "shape": tuple(entry["shape"])})
+    shares = silhouette_shares(torso, view, torso.rest_pose)
+    seen = state_features(torso, view, torso.rest_pose, shares).z[vertebra_rows(torso, corners)]
+    error = float(personalised["rmse_mm"][name])
+    panel = Panel(f"Rest, {name}", _pixels(view, seen), error)
+    overlay = _overlay(picture, view, corners.vertebrae, target_features(torso, view, corners), (panel,), None)
+    alt = f"{name.capitalize()} radiograph at rest with measured and modelled vertebra boxes, RMSE {error:.1f} mm."
+    return f"rest-{name}", draw_overlay(overlay), alt, f"{name.capitalize()} view at rest: the fitted geometry."
+
+
+def _overlay(
+    frame: Radiograph,
+    view: XRayView,
+    names: tuple[str, ...],
+    measured: Floats,
+    panels: tuple[Panel, ...],
+    arrow: tuple[float, float, str] | None,
+) -> Overlay:
+    first, _ = picture_axes(view)
+    letters = ("L", "R") if _is_frontal(view) else ("A", "P")
+    sides = letters if first[0] < 0.0 else letters[::-1]
+    column, row = (float(v) for v in view.pixel_spacing / view.magnification)
+    return Overlay(frame.pixels, names, _pixels(view, measured), panels, (column, row), sides, arrow)
+
+
+def _is_frontal(view: XRayView) -> bool:
+    return bool(abs(view.normal[2]) > abs(view.normal[0]))
+
+
+def _pixels(view: XRayView, plane_mm: Floats) -> Floats:
+    return np.asarray(view.pixels(view.from_patient_plane(plane_mm)))
+
+
+def _arrow(torso: TorsoModel, view: XRayView, push: PushRecord, item: PushTrial) -> tuple[float, float, str]:
+    """Pushed height (row), direction along the columns and force."""
+    load = item.trial.load
+    share = np.linalg.norm(load.forces, axis=1) / load.size
+    place = share @ load.points.positions(torso.rest_pose)
+    there, onward = view.pixels(view.project(np.stack([place, place + [10.0 * push.sign, 0.0, 0.0]])))
+    return float(there[1]), float(np.sign(onward[0] - there[0])), f"{item.force_n:.0f} N"
+
+
+def _curve_picture(pushes: PushSet, predictions: Sequence[Prediction]) -> tuple[str, Figure, str, str]:
+    changes = []
+    for push in pushes.problems:
+        measured: dict[str, list[tuple[float, float]]] = {"training": [], "validation": [], "unused": []}
+        for item in (t for t in pushes.trials if t.push == push):
+            measured[item.role].append((item.force_n, _measured_change(pushes, item)))
+        simulated: dict[str, list[tuple[float, float]]] = {"default": [(0.0, 0.0)], "fit": [(0.0, 0.0)]}
+        for p in (p for p in predictions if p.item.push == push):
+            for name in simulated:
+                if name in p.states:
+                    simulated[name].append((p.item.force_n, _simulated_change(pushes, p, name)))
+        changes.append(CurveChange(push, _sorted_points(measured), _sorted_points(simulated)))
+    words = [
+        f"push {c.push}: measured {rows[-1, 1]:+.1f} degrees at {rows[-1, 0]:.0f} N"
+        for c in changes
+        for rows in [np.vstack(list(c.measured.values()))]
+        for rows in [rows[np.argsort(rows[:, 0])]]
+    ]
+    alt = "Change of the Cobb angle against force, measured and simulated; " + listed(words) + "."
+    caption = (
+        "Change of the Cobb angle (tilt form) against force. Left-convex counts as positive. "
+        "Frames that the estimate did not use test it."
+    )
+    return "force-and-curve", draw_curve_changes(changes), alt, caption
+
+
+def _sorted_points(groups: Mapping[str, list[tuple[float, float]]]) -> dict[str, Floats]:
+    return {name: np.array(sorted(points)) for name, points in groups.items() if points}
+
+
+def _measured_change(pushes: PushSet, item: PushTrial) -> float:
+    reference = pushes.reference(item.push)
+    common = _common(reference, item)
+    before, after = (tilts(common, t.trial.corners.selected(common).corners, t.trial.view) for t in (reference, item))
+    return cobb_change(before, after).tilt
+
+
+def _simulated_change(pushes: PushSet, prediction: Prediction, name: str) -> float:
+    torso, item, target = pushes.torso, prediction.item, prediction.target
+    common = _common(pushes.reference(item.push), item)
+    rows = vertebra_rows(torso, item.trial.corners.selected(common))
+    view = item.trial.view
+    spines = [
+        tilts(common, state_features(torso, view, state, target.shares).z[rows], view)
+        for state in (torso.rest_pose, prediction.states[name])
+    ]
+    return cobb_change(*spines).tilt
+
+
+def _common(reference: PushTrial, item: PushTrial) -> tuple[str, ...]:
+    return tuple(v for v in item.trial.corners.vertebrae if v in reference.trial.corners.vertebrae)
+
+
+def _tilt_picture(visit: Visit, pushes: PushSet, predictions: Sequence[Prediction]) -> tuple[str, Figure, str, str]:
+    changes = []
+    for p in _of_role(predictions, "training", "validation"):
+        torso, item = pushes.torso, p.item
+        reference = pushes.reference(item.push)
+        common = _common(reference, item)
+        view = item.trial.view
+
+        def tilt(z: Floats, names: tuple[str, ...] = common, view: XRayView = view) -> Floats:
+            return np.degrees(tilts(names, z, view, "midline").superior)
+
+        before, after = (target_features(torso, view, t.trial.corners.selected(common)) for t in (reference, item))
+        rows = vertebra_rows(torso, item.trial.corners.selected(common))
+        seen = {name: state_features(torso, view, s, p.target.shares).z[rows] for name, s in p.states.items()}
+        start = tilt(seen["rest"])
+        role = "held out" if item.role == "validation" else "training"
+        title = f"“{item.push}”, {item.force_n:.0f} N ({role})"
+        simulated: dict[str, Floats] = {name: tilt(seen[name]) - start for name in ("default", "fit") if name in seen}
+        level = _row_of_level(visit.subject.push(item.push).level, common)
+        changes.append(TiltChange(title, common, tilt(after) - tilt(before), simulated, level))
+    worst = max(changes, key=lambda c: float(np.abs(c.measured).max()))
+    most = int(np.argmax(np.abs(worst.measured)))
+    alt = (
+        f"Change of tilt of each vertebra, measured and simulated, in {len(changes)} frames; the largest measured is "
+        f"{worst.measured[most]:+.1f} degrees at {worst.vertebrae[most]} ({worst.title})."
+    )
+    caption = (
+        "Change of each vertebra’s tilt in the frontal plane; above zero the patient’s left side rises. "
+        "The grey band marks the vertebra of the pushed rib."
+    )
+    return "tilt-by-level", draw_tilt_changes(changes), alt, caption
+
+
+def _row_of_level(level: float, names: tuple[str, ...]) -> float | None:
+    lower, upper = f"T{math.floor(level)}", f"T{min(math.ceil(level), 12)}"
+    if lower not in names or upper not in names:
+        return None
+    share = level - math.floor(level)
+    return (1.0 - share) * names.index(lower) + share * names.index(upper)
+
+
+def _region_picture(visit: Visit, estimate: Mapping[str, Any]) -> tuple[str, Figure, str, str] | None:
+    names = fitted_names(estimate)
+    if len(names) != 2:
+        return None
+    values = [estimate["ratios"][name]["value"] for name in names]
+    path = [[step["ratios"][name] for name in names] for step in estimate["history"] if step["accepted"]]
+    truth = read_truth(visit.truth) if visit.truth else {}
+    region = np.array(estimate["joint_region"] or np.empty((0, 2)))
+    known = np.array([truth[name] for name in names]) if all(name in truth for name in names) else None
+    low, high = estimate["bounds"]
+    shown = (names[0].replace("_", " "), names[1].replace("_", " "))
+    figure = draw_ratio_map(
+        RatioMap(shown, np.array(values), region, np.array(path).reshape(-1, 2), (low, high), known)
+    )
+    alt = (
+        f"Joint 95 % region of the two ratios around the estimate {number(values[0])} and {number(values[1])}, "
+        f"and the fit’s {len(path)} accepted steps from the start."
+    )
+    caption = "Both ratios on logarithmic axes: the fit’s accepted steps (left) and the joint 95 % region (right)."
+    return "joint-region", figure, alt, caption

@@ -1,0 +1,56 @@
+"""Viewer files: the page of a visit as far as it has come, and of a torso file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from spinestiff.anatomy.files import read_torso
+from spinestiff.anatomy.template import template_torso
+from spinestiff.files import write_text
+from spinestiff.study.predictions import Observer, Prediction, predict
+from spinestiff.study.report.viewer.page import view_page
+from spinestiff.study.report.viewer.scene import Scene, visit_scene
+from spinestiff.study.trials import PushSet
+from spinestiff.study.visit import Visit, estimated_ratios, load_pushes
+
+
+def scene_of(visit: Visit, pushes: PushSet, predictions: tuple[Prediction, ...]) -> Scene:
+    """The scene of a visit with an estimate, from trials and predictions that are at hand."""
+    record = visit.subject.record
+    return visit_scene(record.id, pushes, predictions, {p.id: (p.side, p.level) for p in record.pushes})
+
+
+def write_view(visit: Visit, say: Observer) -> None:
+    """Write ``results/view.html`` of a visit with an estimate; every frame is solved with both stiffnesses.
+
+    Raises
+    ------
+    SpinestiffError : a result of an earlier step is missing or belongs to another version of it.
+    """
+    torso = read_torso(visit.file("torso.npz"))
+    pushes = load_pushes(visit, torso)
+    predictions = predict(pushes, estimated_ratios(visit, torso), say)
+    write_text(visit.file("view.html"), view_page(scene_of(visit, pushes, predictions)))
+
+
+def write_rest_view(visit: Visit, path: Path) -> str:
+    """Write the torso of a visit without an estimate, at rest: the subject's own, or else the template.
+
+    Returns
+    -------
+    What it shows and what to run for more, in words.
+    """
+    folder = visit.subject.folder
+    if visit.file("torso.npz").is_file():
+        torso, shown = read_torso(visit.file("torso.npz")), "the subject’s torso at rest"
+    else:
+        torso, shown = template_torso(visit.subject.record.height_cm), "the template at the subject’s height, at rest"
+    note = f"No estimate yet: this is {shown}. For pushes and measured vertebrae: spinestiff run {folder.name}"
+    write_text(path, view_page(Scene(visit.subject.record.id, torso, note=note)))
+    return f"no estimate yet: shows {shown}; for pushes and measured vertebrae: spinestiff run {folder}"
+
+
+def write_torso_view(torso_file: Path, path: Path) -> None:
+    """Write the page of a torso file alone, at rest. Raises TorsoError."""
+    torso = read_torso(torso_file)
+    write_text(path, view_page(Scene(torso_file.name, torso)))

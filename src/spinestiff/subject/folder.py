@@ -1,0 +1,352 @@
+"""The subject folder: what is in it, read, written and checked (format: docs/subject-folder.md).
+
+``read_subject`` checks everything that can be told without opening a radiograph; the functions that open one check the
+rest (``check_frames``, ``image_corners``). Each refusal is one line: file, field, found, wanted.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.arrays import Floats
+from spinestiff.errors import SubjectError
+from spinestiff.files import write_json
+from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
+from spinestiff.subject.records import (
+    ANNOTATION_FILE,
+    FURTHER_FRAME,
+    LATERAL,
+    REST_IMAGES,
+    SCHEMA_VERSION,
+    SUBJECT_FILE,
+    USUAL_LIMIT_N,
+    Annotation,
+    ImageAnnotation,
+    PushRecord,
+    SubjectRecord,
+    read_record,
+)
+from spinestiff.subject.run_record import RESULTS
+
+if TYPE_CHECKING:
+    from spinestiff.imaging.projection import XRayView
+    from spinestiff.imaging.radiograph import Radiograph
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A subject folder, checked. Radiographs are read by ``read_rest`` and ``read_push``.
+
+    Attributes
+    ----------
+    folder : the subject folder.
+    record : ``subject.json``.
+    annotation : ``annotation.json``.
+    warnings : what is allowed but unusual, a line each.
+    """
+
+    folder: Path
+    record: SubjectRecord
+    annotation: Annotation
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def results(self) -> Path:
+        """Where results go."""
+        return self.folder / RESULTS
+
+    @property
+    def pushes(self) -> tuple[PushRecord, ...]:
+        return self.record.pushes
+
+    def push(self, push_id: str) -> PushRecord:
+        """The push of that id."""
+        for push in self.pushes:
+            if push.id == push_id:
+                return push
+        known = ", ".join(push.id for push in self.pushes)
+        raise SubjectError(f"{self.folder / SUBJECT_FILE}: no push '{push_id}'; there are {known}")
+
+    def image_path(self, image: str) -> Path:
+        """File (or folder of frames) of an image by its name in the annotation."""
+        if image in REST_IMAGES:
+            return self.folder / REST_IMAGES[image]
+        return self.folder / self.push(image.split("/")[1]).frames
+
+    @property
+    def rest_views(self) -> tuple[Literal["frontal", "lateral"], ...]:
+        """The rest radiographs there are; a lateral one may be missing."""
+        return ("frontal", "lateral") if LATERAL in self.annotation.images else ("frontal",)
+
+    @property
+    def inputs(self) -> tuple[Path, ...]:
+        """Every input file or folder of the subject."""
+        images = (*(f"rest/{view}" for view in self.rest_views), *(push.image for push in self.pushes))
+        files = (self.folder / SUBJECT_FILE, self.folder / ANNOTATION_FILE)
+        own = (path for path in (self.torso_path, self.scan_path) if path is not None)
+        return (*files, *(self.image_path(image) for image in images), *own)
+
+    @property
+    def torso_path(self) -> Path | None:
+        """The torso of the subject's own bones, if there is one."""
+        return None if self.record.torso is None else self.folder / self.record.torso
+
+    @property
+    def scan_path(self) -> Path | None:
+        """The surface scan of the trunk, if there is one."""
+        return None if self.record.skin_scan is None else self.folder / self.record.skin_scan.file
+
+
+def read_subject(folder: str | Path) -> Subject:
+    """Read and check a subject folder; radiographs only for being there.
+
+    Raises
+    ------
+    SubjectError : anything missing, unknown, out of range or contradictory.
+    """
+    bare = read_unannotated(folder)
+    subject = replace(bare, annotation=read_annotation(bare.folder / ANNOTATION_FILE))
+    folder = subject.folder
+    _check_images(subject)
+    for image in subject.annotation.images:
+        check_radiograph_path(subject, image)
+    own = (
+        (subject.torso_path, "torso", "the torso.npz of spinestiff torso import"),
+        (subject.scan_path, "scan", "the skin scan that subject.json names"),
+    )
+    for file, kind, what in own:
+        if file is None:
+            continue
+        if not file.is_file():
+            raise SubjectError(f"{file}: no such file; wanted {what}")
+        if not file.resolve().is_relative_to(folder.resolve()):
+            raise SubjectError(f"{file}: leads out of the subject folder; copy the {kind} into it")
+    return subject
+
+
+def read_unannotated(folder: str | Path) -> Subject:
+    """A subject as far as ``subject.json`` tells, its annotation still empty: what annotation starts from.
+
+    Raises
+    ------
+    SubjectError : no such folder, or ``subject.json`` is missing or wrong.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise SubjectError(f"{folder}: no such folder; wanted a subject folder with {SUBJECT_FILE}")
+    if not (folder / SUBJECT_FILE).is_file():
+        raise SubjectError(
+            f"{folder / SUBJECT_FILE}: no such file; write one with the person, the pushes and their forces, as "
+            "docs/subject-folder.md shows"
+        )
+    record = read_record(folder / SUBJECT_FILE, SubjectRecord)
+    return Subject(folder, record, Annotation(schema_version=SCHEMA_VERSION, images={}), _unusual(record))
+
+
+def check_radiograph_path(subject: Subject, image: str) -> None:
+    """Raise SubjectError unless the radiograph of an image is there, inside the subject folder."""
+    path = subject.image_path(image)
+    if not path.exists():
+        raise SubjectError(f"{path}: no such file; wanted the radiograph of {image}")
+    if not path.resolve().is_relative_to(subject.folder.resolve()):
+        raise SubjectError(f"{path}: leads out of the subject folder; copy the radiograph into it")
+
+
+def write_subject(folder: str | Path, record: SubjectRecord) -> None:
+    """Write ``subject.json``."""
+    write_json(
+        Path(folder) / SUBJECT_FILE,
+        record.model_dump(mode="json", exclude_none=True, exclude={"trunk"} if not record.trunk else None),
+    )
+
+
+def read_annotation(path: str | Path) -> Annotation:
+    """Read and check ``annotation.json``.
+
+    Raises
+    ------
+    SubjectError : no annotation, fewer than 8 vertebrae in an image, corners out of order (image and vertebra named).
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise SubjectError(f"{path}: no annotation; mark the vertebra corners with spinestiff annotate")
+    return read_record(path, Annotation)
+
+
+def write_annotation(folder: str | Path, annotation: Annotation) -> None:
+    """Write ``annotation.json``."""
+    images = {name: image.model_dump(mode="json", exclude_defaults=True) for name, image in annotation.images.items()}
+    write_json(Path(folder) / ANNOTATION_FILE, {"schema_version": SCHEMA_VERSION, "images": images})
+
+
+def read_rest(subject: Subject, which: Literal["frontal", "lateral"]) -> Radiograph:
+    """The rest radiograph of one view.
+
+    Raises
+    ------
+    SubjectError : the file holds more than one frame.
+    RadiographError : see ``read_radiographs``.
+    """
+    path = subject.image_path(f"rest/{which}")
+    frames = _read_images(subject, f"rest/{which}", which)
+    if len(frames) != 1:
+        raise SubjectError(f"{path}: found {len(frames)} frames, wanted one rest radiograph")
+    return frames[0]
+
+
+def read_push(subject: Subject, push: PushRecord) -> tuple[Radiograph, ...]:
+    """The radiographs of a push, one a frame in the order of its forces.
+
+    Raises
+    ------
+    SubjectError : the number of frames is not that of the forces.
+    RadiographError : see ``read_radiographs``.
+    """
+    frames = _read_images(subject, push.image, "frontal")
+    check_frames(subject, push, len(frames))
+    return frames
+
+
+def check_frames(subject: Subject, push: PushRecord, found: int) -> None:
+    """Raise SubjectError unless a push has as many frames as forces."""
+    if found != len(push.forces_n):
+        raise SubjectError(
+            f"{subject.folder / SUBJECT_FILE}: push '{push.id}' has {len(push.forces_n)} forces_n, but "
+            f"{push.frames} holds {found} frames; wanted one force a frame"
+        )
+
+
+def image_corners(subject: Subject, image: str, view: XRayView) -> VertebraCorners:
+    """Annotated corners of an image in mm on the detector.
+
+    Raises
+    ------
+    SubjectError : the image has no annotation, a corner lies outside it, left and right (anterior and posterior) or
+        head and foot are swapped for this view.
+    """
+    where, annotated = _annotated(subject, image)
+    names, pixels = tuple(annotated.vertebrae), annotated.pixels()
+    rows, columns = view.shape
+    for name, quad in zip(names, pixels):
+        if (quad < -0.5).any() or (quad > np.array([columns, rows]) - 0.5).any():
+            raise SubjectError(f"{where}.{name}: a corner lies outside the image of {columns} columns, {rows} rows")
+    corners = view.from_pixels(pixels)
+    first, up = picture_axes(view)
+    for name, quad in zip(names, corners):
+        if (quad[0] + quad[1] - quad[2] - quad[3]) @ up <= 0.0:
+            raise SubjectError(f"{where}.{name}: the superior corners lie below the inferior ones; check their order")
+        if (quad[0] + quad[3] - quad[1] - quad[2]) @ first <= 0.0:
+            raise SubjectError(
+                f"{where}.{name}: corners are mirrored for this view (patient's left, in a lateral view anterior, "
+                "comes first); check their order and the orientation of the image"
+            )
+    return VertebraCorners(names, corners)
+
+
+def push_corners(subject: Subject, push: PushRecord, view: XRayView) -> Mapping[int, VertebraCorners]:
+    """Annotated corners of a push by frame (0-based), the first among them, in mm on the detector.
+
+    Raises
+    ------
+    SubjectError : as ``image_corners``.
+    """
+    names = {frame: push.frame_image(frame) for frame in range(len(push.forces_n))}
+    return {
+        frame: image_corners(subject, name, view)
+        for frame, name in names.items()
+        if frame == 0 or name in subject.annotation.images
+    }
+
+
+def image_pedicles(subject: Subject, image: str, view: XRayView) -> tuple[tuple[str, ...], Floats]:
+    """Names and marked pedicles (Nv, 2, 2), left and right, in mm on the detector of ``view``; none if none are given.
+
+    Raises
+    ------
+    SubjectError : a left pedicle lies on the right of the patient in this view.
+    """
+    where, annotated = _annotated(subject, image)
+    names = tuple(sorted(annotated.pedicles, key=VERTEBRAE.index))
+    points = np.array([annotated.pedicles[name] for name in names], dtype=float).reshape(-1, 2, 2)
+    points = view.from_pixels(points)
+    first, _ = picture_axes(view)
+    for name, (left, right) in zip(names, points):
+        if view_kind(view) == "frontal" and (left - right) @ first <= 0.0:
+            raise SubjectError(f"{where}.pedicles.{name}: the left one lies right of the right one; check their order")
+    return names, points
+
+
+def image_supports(subject: Subject, image: str) -> Mapping[str, Floats]:
+    """Annotated support points (n, 2) in pixels (column, row), by "pelvis" and "shoulder"; empty if none are given."""
+    _, annotated = _annotated(subject, image)
+    return {name: np.array(points) for name, points in annotated.supports.items()}
+
+
+def _annotated(subject: Subject, image: str) -> tuple[str, ImageAnnotation]:
+    where = f"{subject.folder / ANNOTATION_FILE}: images.{image}"
+    if image not in subject.annotation.images:
+        raise SubjectError(f"{where}: missing; wanted the vertebra corners of this image")
+    return where, subject.annotation.images[image]
+
+
+def _read_images(subject: Subject, image: str, which: Literal["frontal", "lateral"]) -> tuple[Radiograph, ...]:
+    from spinestiff.imaging.radiograph import read_radiographs
+    from spinestiff.subject.geometry import image_geometry
+
+    path = subject.image_path(image)
+    try:
+        geometry = image_geometry(subject.record, subject.annotation, image)
+    except SubjectError as problem:
+        raise SubjectError(f"{subject.folder / SUBJECT_FILE}: {problem}") from None
+    frames = read_radiographs(path, geometry=geometry)
+    for frame in frames:
+        if view_kind(frame.view) != which:
+            raise SubjectError(f"{path}: a {view_kind(frame.view)} radiograph, wanted a {which} one")
+    return frames
+
+
+def annotatable(record: SubjectRecord) -> tuple[str, ...]:
+    """Names of the images that an annotation needs: the rest radiographs and the first frame of each push."""
+    return (*REST_IMAGES, *(push.image for push in record.pushes))
+
+
+def check_image_name(subject: Subject, name: str) -> None:
+    """Raise SubjectError unless an annotation of this subject may have an image, or a push's frame, of that name."""
+    path, needed = subject.folder / ANNOTATION_FILE, annotatable(subject.record)
+    found = re.fullmatch(FURTHER_FRAME, name)
+    if found is not None and found["push"] in needed:
+        count = len(subject.push(found["push"].removeprefix("push/")).forces_n)
+        if int(found["frame"]) >= count:
+            raise SubjectError(f"{path}: images.{name}: the push has {count} frames, counted from 0")
+    elif name not in needed:
+        raise SubjectError(
+            f"{path}: images.{name}: unknown image; wanted {', '.join(needed)} (push/<id>/<frame> for frames after "
+            "the first)"
+        )
+
+
+def _check_images(subject: Subject) -> None:
+    path, images = subject.folder / ANNOTATION_FILE, subject.annotation.images
+    for name in images:
+        check_image_name(subject, name)
+    for name in annotatable(subject.record):
+        # Without a lateral radiograph the sagittal shape is the template's; one that is there has to be annotated.
+        if name == LATERAL and not subject.image_path(name).exists():
+            continue
+        if name not in images:
+            raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
+
+
+def _unusual(record: SubjectRecord) -> tuple[str, ...]:
+    return tuple(
+        f"push '{push.id}' reaches {max(push.forces_n):g} N; above {USUAL_LIMIT_N:g} N nobody was measured so far"
+        for push in record.pushes
+        if max(push.forces_n) > USUAL_LIMIT_N
+    )

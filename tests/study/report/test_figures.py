@@ -1,0 +1,160 @@
+"""Pictures: they show what they are given, in the right place, and the same each time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+
+from spinestiff.errors import SpinestiffError
+from spinestiff.study.report.figures import (
+    FIT,
+    MEASURED,
+    MEASURED_ON_DARK,
+    SIMULATED_ON_DARK,
+    CurveChange,
+    Overlay,
+    Panel,
+    RatioMap,
+    TiltChange,
+    as_png,
+    as_svg,
+    draw_curve_changes,
+    draw_overlay,
+    draw_ratio_map,
+    draw_tilt_changes,
+)
+
+NAMES = ("T10", "T11", "T12")
+
+
+def boxes(column: float) -> np.ndarray:
+    square = np.array([[-20.0, -10.0], [20.0, -10.0], [20.0, 10.0], [-20.0, 10.0]])
+    return square + np.array([[column, 150.0], [column, 180.0], [column, 210.0]])[:, None]
+
+
+@pytest.fixture
+def overlay() -> Overlay:
+    pixels = np.random.default_rng(0).random((400, 300))
+    panels = (Panel("Default stiffness", boxes(170.0), 7.25), Panel("Estimated stiffness", boxes(152.0), None))
+    return Overlay(pixels, NAMES, boxes(150.0), panels, (0.5, 0.5), ("R", "L"), (180.0, 1.0, "60 N"))
+
+
+@pytest.fixture
+def ratio_map() -> RatioMap:
+    angle = np.linspace(0.0, 2.0 * np.pi, 40)
+    region = np.exp(np.log([0.2, 0.05]) + 0.2 * np.stack([np.cos(angle), np.sin(angle)], 1))
+    path = np.array([[1.0, 1.0], [0.3, 0.1], [0.2, 0.05]])
+    return RatioMap(("bending", "tissue"), np.array([0.2, 0.05]), region, path, (0.005, 5.0), np.array([0.22, 0.06]))
+
+
+def lines(axis, colour: str) -> list[np.ndarray]:
+    return [line.get_xydata() for line in axis.lines if to_hex(line.get_color()) == colour.lower()]
+
+
+def test_overlay_draws_measured_and_simulated_boxes_where_they_are(overlay: Overlay) -> None:
+    figure = draw_overlay(overlay)
+    assert len(figure.axes) == 2
+    for axis, panel in zip(figure.axes, overlay.panels):
+        for colour, wanted in ((MEASURED_ON_DARK, overlay.measured), (SIMULATED_ON_DARK, panel.boxes)):
+            drawn = lines(axis, colour)
+            assert len(drawn) == 3
+            np.testing.assert_array_equal([line[:4] for line in drawn], wanted)
+        image = axis.images[0]
+        left, right, top, bottom = overlay.crop
+        # A pixel's centre has whole coordinates.
+        assert image.get_extent() == [left - 0.5, right + 0.5, bottom + 0.5, top - 0.5]
+        np.testing.assert_array_equal(image.get_array(), overlay.pixels[top : bottom + 1, left : right + 1])
+    titles = [axis.get_title() for axis in figure.axes]
+    assert titles == ["Default stiffness\nRMSE 7.2 mm", "Estimated stiffness\nno prediction"]
+
+
+def test_crop_holds_every_box_and_stays_inside_the_picture(overlay: Overlay) -> None:
+    left, right, top, bottom = overlay.crop
+    # At 0.5 mm a pixel: 150 mm about the boxes' middle (column 160), and 18 mm above and below them.
+    assert (left, right, top, bottom) == (10, 299, 104, 256)
+    moved = replace(overlay, measured=boxes(150.0) + [0.0, 170.0])
+    assert moved.crop[3] == 399
+
+
+def test_names_stand_on_the_side_that_the_push_leaves_free(overlay: Overlay) -> None:
+    def place(direction: float) -> float:
+        axis = draw_overlay(replace(overlay, arrow=(180.0, direction, "60 N"))).axes[0]
+        return next(t.get_position()[0] for t in axis.texts if t.get_text() == "T11")
+
+    assert place(1.0) > 250.0 and place(-1.0) < 50.0
+
+
+def test_panel_of_other_vertebrae_is_refused(overlay: Overlay) -> None:
+    with pytest.raises(SpinestiffError, match="panel 'odd' has 2 boxes, wanted 3"):
+        replace(overlay, panels=(Panel("odd", boxes(150.0)[:2], 1.0),))
+
+
+def test_flat_picture_is_drawn(overlay: Overlay) -> None:
+    assert as_png(draw_overlay(replace(overlay, pixels=np.zeros((400, 300))))).startswith(b"\x89PNG")
+
+
+def test_curves_show_all_points_by_role() -> None:
+    measured = {"training": np.array([[20.0, -3.0], [40.0, -6.5]]), "validation": np.array([[60.0, -9.0]])}
+    simulated = {"fit": np.array([[0.0, 0.0], [60.0, -9.5]]), "default": np.array([[0.0, 0.0], [60.0, -1.0]])}
+    figure = draw_curve_changes([CurveChange("a", measured, simulated), CurveChange("b", measured, {})])
+    first, second = figure.axes
+    by_mark = {line.get_marker(): line.get_xydata() for line in first.lines}
+    np.testing.assert_array_equal(by_mark["o"], measured["training"])
+    np.testing.assert_array_equal(by_mark["D"], measured["validation"])
+    np.testing.assert_array_equal(lines(first, FIT)[0], simulated["fit"])
+    assert lines(second, FIT) == []
+
+
+def test_tilts_run_from_head_to_foot() -> None:
+    change = TiltChange("x", NAMES, np.array([-1.0, 0.0, 2.0]), {"fit": np.array([-0.9, 0.1, 1.8])}, 0.5)
+    figure = draw_tilt_changes([change] * 5, columns=4)
+    assert sum(axis.get_visible() for axis in figure.axes) == 5
+    axis = figure.axes[0]
+    low, high = axis.get_ylim()
+    assert low > high  # the first vertebra is on top
+    assert [label.get_text() for label in axis.get_yticklabels()] == list(NAMES)
+    np.testing.assert_array_equal(lines(axis, MEASURED)[0], [[-1.0, 0.0], [0.0, 1.0], [2.0, 2.0]])
+
+
+def test_ratio_map_shows_estimate_truth_and_path(ratio_map: RatioMap) -> None:
+    whole, near = draw_ratio_map(ratio_map).axes
+    for axis in (whole, near):
+        marks = {line.get_marker(): line.get_xydata() for line in axis.lines}
+        np.testing.assert_array_equal(marks["o"], [[0.2, 0.05]])
+        np.testing.assert_array_equal(marks["*"], [[0.22, 0.06]])
+        assert axis.get_xscale() == axis.get_yscale() == "log"
+    assert any(len(line.get_xydata()) == 3 for line in whole.lines)
+    assert whole.get_xlim()[1] > 1.0 > near.get_xlim()[1]
+
+
+def test_ratio_map_ends_at_the_bounds_of_the_fit(ratio_map: RatioMap) -> None:
+    huge = np.exp(20.0 * np.log(ratio_map.region))
+    for axis in draw_ratio_map(replace(ratio_map, region=huge)).axes:
+        assert axis.get_xlim()[0] >= 0.8 * 0.005 and axis.get_xlim()[1] <= 5.0 / 0.8
+
+
+def test_ratio_map_without_region_or_truth(ratio_map: RatioMap) -> None:
+    bare = replace(ratio_map, region=np.empty((0, 2)), truth=None)
+    assert not draw_ratio_map(bare).axes[1].patches
+
+
+def test_files_are_the_same_each_time_and_hold_no_date(ratio_map: RatioMap) -> None:
+    first, second = (as_svg(draw_ratio_map(ratio_map)) for _ in range(2))
+    assert first == second
+    assert ElementTree.fromstring(first).tag.endswith("svg")
+    assert b"date" not in first.lower().split(b"<g")[0]
+    pictures = [as_png(draw_ratio_map(ratio_map)) for _ in range(2)]
+    assert pictures[0] == pictures[1]
+    assert b"tEXt" not in pictures[0] and b"tIME" not in pictures[0]
+
+
+def test_no_global_state_is_left() -> None:
+    from matplotlib import rcParams
+
+    before = dict(rcParams)
+    as_svg(draw_tilt_changes([TiltChange("x", NAMES, np.zeros(3), {})]))
+    assert dict(rcParams) == before

@@ -1,0 +1,539 @@
+"""The report: complete, self-contained, safe against names from files, and the same each time."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from canaries import infest, traces
+from chromium import Tab, browser
+from spinestiff.anatomy.files import write_torso
+from spinestiff.anatomy.stiffness import stiffness_ratios
+from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.torso import TorsoState
+from spinestiff.errors import SubjectError
+from spinestiff.files import write_json
+from spinestiff.imaging.features import silhouette_shares, state_features
+from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
+from spinestiff.imaging.radiograph import write_radiographs
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import rib_push
+from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.study.report import page as report
+from spinestiff.study.report.content import MISSING, _strip, fixed, number
+from spinestiff.study.report.page import write_report
+from spinestiff.study.report.viewer.page import script_hash
+from spinestiff.study.visit import Visit, open_visit
+from spinestiff.subject.folder import write_annotation, write_subject
+from spinestiff.subject.records import Annotation, ImageAnnotation, PushRecord, SubjectRecord
+
+TRUE = {"lateral_bending": 0.22, "tissue": 0.045}
+ESTIMATE = {"lateral_bending": 0.2, "tissue": 0.05}
+SEEN = slice(2, 16)
+VIEWER = Path(report.__file__).with_name("viewer").joinpath("viewer.js").read_text(encoding="utf-8")
+PUSHES = {
+    "main": (8.0, (0.0, 30.0, 60.0), ("unused", "training", "validation")),
+    "second": (5.5, (0.0, 50.0), ("unused", "validation")),
+}
+SECTIONS = (
+    "result",
+    "pictures",
+    "torso",
+    "force",
+    "certainty",
+    "prediction",
+    "levels",
+    "supports",
+    "geometry",
+    "computation",
+)
+
+
+def make_visit(folder: Path, side: int = 256, seed: int = 1) -> Visit:
+    """A subject folder as the steps before the report leave it, from the engine itself and noise for radiographs."""
+    random = np.random.default_rng(seed)
+    torso = template_torso(157.0, "coarse")
+    middle = torso.rest_pose.bone_positions[torso.vertebra_bones][[0, -1]].mean(0) * [0.0, 1.0, 0.0]
+    size = {"shape": (side, side), "pixel": 0.417 * 1024 / side, "centre": middle}
+    views = {"frontal": frontal_view(**size), "lateral": lateral_view(**size)}
+    problem = EquilibriumProblem(torso, three_point_supports(torso, "left"))
+    ratios = stiffness_ratios(TRUE, torso.joints.kinds)
+    images, records, tracked = {}, [], {}
+
+    def corners(view: XRayView, state: TorsoState) -> np.ndarray:
+        shares = silhouette_shares(torso, view, torso.rest_pose)
+        seen = state_features(torso, view, state, shares).corners[SEEN]
+        return view.pixels(seen + random.normal(0.0, 0.4, seen.shape))
+
+    def annotated(found: np.ndarray) -> ImageAnnotation:
+        return ImageAnnotation.model_validate({"vertebrae": dict(zip(torso.vertebrae[SEEN], found.round(3).tolist()))})
+
+    def radiographs(path: Path, view: XRayView, count: int) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        smooth = np.cumsum(np.cumsum(random.standard_normal((count, side, side)), 1), 2)
+        grey = (smooth - smooth.min()) / np.ptp(smooth) * 6e4
+        write_radiographs(path, grey.astype(np.uint16), view, description=path.stem)
+
+    for name, view in views.items():
+        radiographs(folder / "rest" / f"{name}.dcm", view, 1)
+        images[f"rest/{name}"] = annotated(corners(view, torso.rest_pose))
+    for name, (level, forces, roles) in PUSHES.items():
+        radiographs(folder / "pushes" / f"{name}.dcm", views["frontal"], len(forces))
+        frames, state = [], torso.rest_pose
+        for force in forces:
+            state = problem.solve(rib_push(torso, "left", level, force), ratios, state).require().state
+            frames.append(
+                {
+                    "force_n": force,
+                    "corners_px": corners(views["frontal"], state),
+                    "quality": np.full((14, 4), 0.9),
+                    "dropped": "",
+                    "support_motion_mm": {"pelvis": 0.1 + 0.01 * force, "shoulder": 0.2},
+                }
+            )
+        images[f"push/{name}"] = annotated(frames[0]["corners_px"])
+        records.append(
+            PushRecord(
+                id=name, side="left", level=level, d21_mm=400.0, d31_mm=200.0, frames=f"pushes/{name}.dcm",
+                forces_n=forces, roles=roles,
+            )
+        )  # fmt: skip
+        tracked[name] = {
+            "view": view_record(views["frontal"]),
+            "millimetres": {"pixel spacing": "DICOM ImagerPixelSpacing, at the detector", "orientation": "DICOM L\\F"},
+            "vertebrae": list(torso.vertebrae[SEEN]),
+            "frames": frames,
+        }
+    subject = SubjectRecord(schema_version=1, id="made-up-1", age=13.0, sex="female", height_cm=157.0, pushes=records)
+    write_subject(folder, subject)
+    write_annotation(folder, Annotation(schema_version=1, images=images))
+    results = folder / "results"
+    write_json(results / "tracked.json", {"schema_version": 1, "pushes": tracked})
+    write_torso(results / "torso.npz", torso)
+    write_json(results / "personalised.json", personalised_record(views, torso.vertebrae))
+    write_json(results / "estimate.json", estimate_record())
+    write_json(results / "assessment.json", assessment_record())
+    return open_visit(folder)
+
+
+def view_record(view: XRayView) -> dict:
+    keys = ("source", "detector_origin", "detector_axes", "pixel_spacing", "source_to_patient")
+    return {"shape": list(view.shape), **{key: getattr(view, key) for key in keys}}
+
+
+def personalised_record(views: dict[str, XRayView], names: tuple[str, ...]) -> dict:
+    source = {"pixel spacing": "DICOM ImagerPixelSpacing, at the detector", "orientation": "DICOM"}
+    return {
+        "schema_version": 1,
+        "rmse_mm": {"frontal": 1.31, "lateral": 1.64},
+        "vertebra_rmse_mm": {view: dict.fromkeys(names[SEEN], 1.2) | {"T7": 2.5} for view in views},
+        "prior_only": ["T1", "T2", "L5"],
+        "mesh": {"path": "rebuilt", "nodes": 6115, "smallest_j": 1.0, "smallest_dihedral_deg": 7.4},
+        "poses": {view: {"shift_mm": [1.2, -3.4], "roll_deg": 0.51} for view in views},
+        "views": {name: view_record(view) for name, view in views.items()},
+        "millimetres": dict.fromkeys(views, source),
+    }
+
+
+def estimate_record() -> dict:
+    angle = np.linspace(0.0, 2.0 * np.pi, 60)
+    region = np.exp(np.log(list(ESTIMATE.values())) + np.stack([0.15 * np.cos(angle), 0.4 * np.sin(angle - 0.5)], 1))
+    steps = ([1.0, 1.0], [0.4, 0.3], [0.22, 0.08], [0.9, 0.9], [0.2, 0.05])
+    return {
+        "schema_version": 1,
+        "status": "CONVERGED",
+        "status_text": "converged",
+        "ratios": {
+            "lateral_bending": {"value": 0.2, "interval95": [0.173, 0.231], "at_bound": False},
+            "tissue": {"value": 0.05, "interval95": [0.034, 0.074], "at_bound": False},
+        },
+        "plain": {
+            "lateral_bending_thoracic_nm_per_rad": 30.8,
+            "lateral_bending_lumbar_nm_per_rad": 29.8,
+            "tissue_young_kpa": 50.0,
+        },
+        "covariance_log": [[0.005, -0.002], [-0.002, 0.03]],
+        "correlation": -0.42,
+        "condition": 18.0,
+        "parameters": ["lateral_bending", "tissue"],
+        "joint_region_size": 6.5,
+        "joint_region": region,
+        "training_rmse_mm": {"default": 7.31, "fit": 1.12},
+        "reactions_n": {
+            "push": "push 'main' frame 1", "f3": 30.0, "shoulder": 14.6, "pelvis": 15.4, "eq2_shoulder": 15.0,
+            "eq1_pelvis": 15.0,
+        },
+        "history": [
+            {"ratios": dict(zip(ESTIMATE, step)), "loss": 10.0 / (i + 1), "rmse_mm": 5.0 / (i + 1), "accepted": i != 3}
+            for i, step in enumerate(steps)
+        ],
+        "method": "lm",
+        "orientation": "procrustes",
+        "bounds": [0.005, 5.0],
+        "poses": {name: {"shift_mm": [0.4, 1.0], "roll_deg": -0.3, "rms_mm": 1.0} for name in PUSHES},
+        "cost": {"equilibria": 9, "newton_iterations": 40, "factorisations": 61, "seconds": 12.3},
+        "warnings": ["push 'main' frame 1: the back wall pulls at 2 points"],
+    }  # fmt: skip
+
+
+def assessment_record() -> list[dict]:
+    def change(size: float) -> dict:
+        levels = {"levels": ["T5", "T11"], "tilt_levels": ["T6", "T12"]}
+        return {"signed": size, "fixed_levels": 0.9 * size, "tilt": 1.1 * size, **levels}
+
+    errors = {"rest": 14.0, "default": 9.0, "fit": 1.5, "extrapolation": 2.0, "single_ratio": 1.9, "truth": None}
+    cobb = {"measured": change(-14.2), "default": change(-3.0), "fit": change(-13.1)}
+    return [
+        {"push": "main", "frame": 2, "force_n": 60.0, "rmse_mm": errors, "cobb_change_deg": cobb},
+        {"push": "second", "frame": 1, "force_n": 50.0, "rmse_mm": {**errors, "fit": None}, "cobb_change_deg": cobb},
+    ]
+
+
+class Page(HTMLParser):
+    """What a page holds: tags, ids, headings, addresses, texts; complains about tags that don't close."""
+
+    VOID = frozenset({"meta", "link", "img", "br", "input"})
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str, str]] = []
+        self.headings: list[str] = []
+        self.text: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open, f"left open: {self.open}"
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += [(tag, name, value or "") for name, value in attrs]
+        if tag not in self.VOID:
+            self.open.append(tag)
+        if re.fullmatch("h[1-6]", tag):
+            self.headings.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] not in ("style", "script"):
+            self.text.append(data)
+
+    def all(self, tag: str, name: str) -> list[str]:
+        return [value for t, n, value in self.attributes if t == tag and n == name]
+
+    @property
+    def words(self) -> str:
+        return " ".join(" ".join(self.text).split())
+
+
+def written(visit: Visit) -> str:
+    write_report(visit, lambda line: None)
+    return visit.file("report.html").read_text(encoding="utf-8")
+
+
+def changed(visit: Visit, folder: Path, name: str, change) -> Visit:
+    """A copy of the visit with one result file changed by ``change(content)``."""
+    shutil.copytree(visit.subject.folder, folder)
+    path = folder / "results" / name
+    content = json.loads(path.read_text(encoding="utf-8"))
+    change(content)
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return open_visit(folder)
+
+
+@pytest.fixture(scope="module")
+def visit(tmp_path_factory: pytest.TempPathFactory) -> Visit:
+    made = make_visit(tmp_path_factory.mktemp("visit"))
+    for seed, path in enumerate(sorted(made.subject.folder.rglob("*.dcm"))):
+        infest(path, np.random.default_rng(seed), 60)
+    return made
+
+
+@pytest.fixture(scope="module")
+def drawn() -> dict[str, list]:
+    """What the figures were asked to show while ``html`` was made, by drawing function."""
+    return {}
+
+
+@pytest.fixture(scope="module")
+def html(visit: Visit, drawn: dict[str, list]) -> str:
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("draw_overlay", "draw_curve_changes", "draw_tilt_changes", "draw_ratio_map"):
+            real = getattr(report, name)
+
+            def noted(content, name=name, real=real):
+                drawn.setdefault(name, []).append(content)
+                return real(content)
+
+            patch.setattr(report, name, noted)
+        return written(visit)
+
+
+@pytest.fixture(scope="module")
+def page(html: str) -> Page:
+    return Page(html)
+
+
+def test_nothing_of_a_patient_is_in_it(visit: Visit, html: str) -> None:
+    """The radiographs are full of canaries; the report, its pictures and the view show the radiographs."""
+    assert (visit.subject.results / "view.html").is_file()
+    assert not traces(visit.subject.results, html)
+    assert traces(visit.subject.folder / "rest")
+
+
+def test_every_section_is_there_and_linked(page: Page) -> None:
+    assert tuple(page.all("section", "id")) == SECTIONS
+    assert tuple(link.removeprefix("#") for link in page.all("a", "href")) == SECTIONS
+    assert page.headings[0] == "h1" and page.headings.count("h1") == 1
+    # No level is jumped over.
+    levels = [int(tag[1]) for tag in page.headings]
+    assert all(b <= a + 1 for a, b in zip(levels, levels[1:]))
+
+
+def test_nothing_is_asked_of_another_host(html: str, page: Page) -> None:
+    # The viewer's script has a test of its own; the policy names it by its hash.
+    assert html.count(VIEWER) == 1
+    rest = html.replace(VIEWER, "")
+    assert not re.search(r"https?://|@import|url\(|javascript:", rest, re.IGNORECASE)
+    assert re.findall(r"<script[^>]*>", html) == ['<script type="application/json" data-role="scene">', "<script>"]
+    assert all(source.startswith("data:image/") for source in page.all("img", "src"))
+    assert all(link.startswith("#") for link in page.all("a", "href"))
+    assert page.all("link", "href") == ["data:,"]
+    assert not {"iframe", "object", "embed", "form", "base"} & set(page.tags)
+    policy = page.all("meta", "content")[0]
+    assert policy.startswith(
+        f"default-src 'none'; script-src {script_hash()}; img-src data:; style-src 'unsafe-inline'; "
+    )
+    assert not [name for _, name, _ in page.attributes if name.startswith("on")]
+
+
+def test_every_picture_is_described_and_lies_beside_the_page(visit: Visit, page: Page) -> None:
+    alts = page.all("img", "alt")
+    assert len(alts) == page.tags.count("img") == 7
+    assert all(len(alt) > 40 for alt in alts)
+    files = sorted(path.name for path in visit.file("figures").iterdir())
+    assert len(files) == 7
+    assert all(f"figures/{name}" in page.words for name in files)
+    for path in visit.file("figures").iterdir():
+        assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_boxes_lie_on_the_corners_that_were_tracked(visit: Visit, html: str, drawn: dict[str, list]) -> None:
+    assert html
+    overlay = drawn["draw_overlay"][0]
+    tracked = json.loads(visit.file("tracked.json").read_text(encoding="utf-8"))["pushes"]["main"]
+    corners = np.array(tracked["frames"][2]["corners_px"])
+    assert overlay.vertebrae == tuple(tracked["vertebrae"])
+    # A box has the model's size and stands on the middle of its corners.
+    np.testing.assert_allclose(overlay.measured.mean(1), corners.mean(1), atol=1e-6)
+    np.testing.assert_allclose(overlay.measured, corners, atol=4.0)
+    rest, default, fit = overlay.panels
+    assert rest.rmse_mm > default.rmse_mm > 3.0 * fit.rmse_mm
+    for panel in overlay.panels:
+        apart = (panel.boxes - overlay.measured) * overlay.mm_per_pixel
+        assert np.sqrt(np.mean(np.sum(apart**2, axis=-1))) == pytest.approx(panel.rmse_mm, rel=1e-6)
+    # A push from the patient's left, who faces the tube: from the picture's right edge to its left.
+    assert overlay.sides == ("R", "L") and overlay.arrow[1] == -1.0 and overlay.arrow[2] == "60 N"
+    frontal, lateral = drawn["draw_overlay"][2:]
+    assert frontal.sides == ("R", "L") and lateral.sides == ("P", "A") and lateral.arrow is None
+
+
+def test_curves_and_tilts_agree_with_the_pushes(html: str, drawn: dict[str, list]) -> None:
+    assert html
+    main, second = drawn["draw_curve_changes"][0]
+    assert (main.push, second.push) == ("main", "second")
+    assert main.measured["training"][:, 0].tolist() == [30.0] and main.measured["validation"][:, 0].tolist() == [60.0]
+    # Pushed from the left the spine becomes right-convex, and the measured spine follows the estimate.
+    measured = main.measured["validation"][0, 1]
+    fit, default = (main.simulated[name][-1, 1] for name in ("fit", "default"))
+    assert measured < 0.0 and fit < 0.0 and abs(fit - measured) < abs(default - measured)
+    assert main.simulated["fit"][0].tolist() == [0.0, 0.0] and len(main.simulated["fit"]) == 3
+    tilts = drawn["draw_tilt_changes"][0]
+    titles = ["“main”, 30 N (training)", "“main”, 60 N (held out)", "“second”, 50 N (held out)"]
+    assert [t.title for t in tilts] == titles
+    # T8 is the sixth of T3 to L4; above the push the left side sinks, below it rises.
+    assert tilts[1].level == 5.0 and tilts[2].level == 2.5
+    assert tilts[1].simulated["fit"][0] < 0.0 < tilts[1].simulated["fit"][-1]
+    np.testing.assert_allclose(tilts[1].measured, tilts[1].simulated["fit"], atol=3.0)
+    path = drawn["draw_ratio_map"][0].path
+    assert path.tolist() == [[1.0, 1.0], [0.4, 0.3], [0.22, 0.08], [0.2, 0.05]]
+
+
+def test_numbers_stand_in_the_text(page: Page) -> None:
+    words = page.words
+    for expected in (
+        "made-up-1", "0.200", "0.173 to 0.231", "0.0500", "30.8 N m/rad", "26.6 to 35.6 N m/rad", "50.0 kPa",
+        "34.0 to 74.0 kPa", "incremental about the standing posture, net of gravity and muscle tone",
+        "Not for diagnosis", "the back wall pulls at 2 points", "1.3 to 1.8 N m per degree", "T1, T2 and L5", "−0.42",
+        "−14.2° ", "−15.6° (T6–T12)", "9 equilibria",
+    ):  # fmt: skip
+        assert expected in words, expected
+    assert not re.search(r"\b([nN]a[nN]|None|inf|Infinity|[uU]ndefined)\b", words)
+
+
+def test_missing_values_say_so(page: Page) -> None:
+    # The second push has no prediction by the fit.
+    row = page.words.split("Model, estimated stiffness")[1]
+    assert row.split()[:4] == ["1.50", "not", "available", "Training"]
+
+
+HOSTILE = "<script>alert('x')</script><img src=x onerror=alert(1)>\" onmouseover=\"x"
+
+
+@pytest.fixture(scope="module")
+def odd_html(visit: Visit, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A report of results that are doubtful, beaten by a simpler predictor, beside a truth, and full of bad names."""
+    folder = tmp_path_factory.mktemp("odd")
+
+    def doubtful(content: dict) -> None:
+        content["status"], content["status_text"] = "NOT_IDENTIFIABLE", "these radiographs can't tell " + HOSTILE
+        content["ratios"]["tissue"]["interval95"] = [None, 5.0]
+        content["joint_region"] = content["correlation"] = content["condition"] = None
+        content["warnings"] = [HOSTILE]
+        content["reactions_n"]["push"] = HOSTILE
+
+    def beaten(content: list) -> None:
+        for frame in content:
+            frame["rmse_mm"] |= {"truth": 0.5, "extrapolation": 1.0, "fit": 2.5}
+        content[0]["rmse_mm"]["single_ratio"] = 1.0004
+
+    def named(content: dict) -> None:
+        content["pushes"]["main"]["millimetres"] = {HOSTILE: HOSTILE}
+
+    found = changed(visit, folder / "one", "estimate.json", doubtful)
+    found = changed(found, folder / "two", "assessment.json", beaten)
+    found = changed(found, folder / "three", "tracked.json", named)
+    write_json(folder / "truth.json", {"ratios": TRUE})
+    write_json(found.file("comparison.json"), {"truth": TRUE, "inside": True})
+    return written(Visit(found.subject, found.settings, folder / "truth.json"))
+
+
+def test_best_predictor_is_marked_and_an_oracle_never_is(odd_html: str) -> None:
+    assert re.findall(r'class="best">([^<]*)<', odd_html) == ["1.00", "1.00", "1.00"]
+    assert "0.50" in Page(odd_html).words
+
+
+def test_a_better_simple_predictor_is_owned_up_to(odd_html: str, page: Page) -> None:
+    simple = "A simpler predictor does better: “No model: training motion scaled by force”, 1.00 mm."
+    assert simple in Page(odd_html).words
+    assert "A simpler predictor" not in page.words
+
+
+def test_open_intervals_and_doubt_are_shown(odd_html: str) -> None:
+    words = Page(odd_html).words
+    assert "≤ 0.005 to ≥ 5" in words
+    assert "not identifiable" in words and "These radiographs can't tell" in words
+    assert "condition number not available" in words
+
+
+def test_names_from_files_are_escaped(odd_html: str) -> None:
+    found = Page(odd_html)
+    assert found.tags.count("script") == odd_html.count("<script") == 2
+    assert found.words.count(HOSTILE) == 5
+    assert not [name for _, name, _ in found.attributes if name.startswith("on")]
+    assert len(found.all("img", "src")) == 7
+
+
+def test_truth_is_compared_when_known(odd_html: str, page: Page) -> None:
+    words = Page(odd_html).words
+    assert "Synthetic subject with known truth" in words and "truth 0.220" in words and "truth 0.0450" in words
+    assert "The 95 % joint region holds the true ratios" in words
+    assert "truth" not in page.words.replace("without knowledge of the truth", "")
+
+
+def test_same_results_give_the_same_bytes(visit: Visit, html: str, tmp_path: Path) -> None:
+    pictures = {path.name: path.read_bytes() for path in visit.file("figures").iterdir()}
+    shutil.copytree(visit.subject.folder, tmp_path / "copy")
+    again = open_visit(tmp_path / "copy")
+    stale = again.file("figures") / "09-of-an-earlier-run.png"
+    stale.write_bytes(b"old")
+    assert written(again) == html
+    assert {path.name: path.read_bytes() for path in again.file("figures").iterdir()} == pictures
+    assert not list(again.subject.results.glob(".*"))
+
+
+def test_results_of_another_version_are_refused(visit: Visit, tmp_path: Path) -> None:
+    copy = changed(visit, tmp_path / "copy", "estimate.json", lambda content: content.pop("plain"))
+    before = copy.file("report.html").read_bytes()
+    with pytest.raises(SubjectError, match=r"results lack what the report needs \('plain'\)"):
+        write_report(copy, lambda line: None)
+    assert copy.file("report.html").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.2, "0.200"), (0.04567, "0.0457"), (1234.5, "1234"), (-3.0, "−3.00"), (0.0, "0"), (None, MISSING)],
+)
+def test_number(value: float | None, text: str) -> None:
+    assert number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(3.04, "+3.0"), (-0.04, "0.0"), (-1.26, "−1.3"), (np.inf, MISSING), (np.nan, MISSING)]
+)
+def test_fixed(value: float | None, text: str) -> None:
+    assert fixed(value, 1, sign=True) == text
+
+
+@pytest.mark.skipif(browser() is None, reason="no Chromium to open the report in")
+def test_a_browser_shows_it_without_complaint(visit: Visit, html: str, tmp_path: Path) -> None:
+    flags = [
+        "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
+        "--disable-background-networking", "--disable-component-update", "--enable-logging=stderr", "--v=0",
+    ]  # fmt: skip
+
+    def shown(page: Path) -> tuple[str, str]:
+        command = [str(browser()), *flags, f"--user-data-dir={tmp_path / page.stem}", "--dump-dom", page.as_uri()]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+        return done.stdout, "\n".join(line for line in done.stderr.splitlines() if "CONSOLE" in line)
+
+    dom, complaints = shown(visit.file("report.html"))
+    assert complaints == ""
+    assert dom.count("<section") == len(SECTIONS)
+    # The policy is in force: what it forbids is complained about.
+    bad = tmp_path / "bad.html"
+    bad.write_text(html.replace("</main>", "<script>document.title = 'ran'</script></main>"), encoding="utf-8")
+    dom, complaints = shown(bad)
+    assert "Content Security Policy" in complaints and "<title>ran" not in dom
+
+
+@pytest.mark.skipif(browser() is None or sys.platform == "win32", reason="no Chromium to drive by a pipe")
+def test_the_torso_is_drawn_where_it_is_reached_and_on_paper(visit: Visit, html: str, tmp_path: Path) -> None:
+    page, viewer = visit.file("report.html"), "document.querySelector('[data-viewer]')"
+    assert html
+    with Tab(tmp_path / "profile") as tab:
+        tab.open(page)
+        # Not before it is near: a report is read from its top.
+        assert tab.run(f"{viewer}.dataset.state ?? 'waiting'") == "waiting"
+        assert tab.pdf().startswith(b"%PDF")
+        assert tab.run(f"{viewer}.dataset.state") == "drawn"
+        printed = tab.run(f"{viewer}.querySelector('[data-role=printed]').textContent")
+        assert printed.startswith("Push main, 60 N; frame 2, held out; Estimated stiffness.")
+        tab.open(page)
+        tab.run("document.querySelector('#torso').scrollIntoView()")
+        tab.until(f"{viewer}.dataset.state === 'drawn'", 60.0)
+        assert tab.complaints == []
+        assert {address for address in tab.requests if not address.startswith("data:")} == {page.as_uri()}
+    # The same picture as a page of its own.
+    assert f"Torso of {visit.subject.record.id}" in visit.file("view.html").read_text(encoding="utf-8")
+
+
+def test_published_ratios_stand_only_beside_the_ratio_they_are_of():
+    """The group that takes the sternal joints along is no group of the published subjects."""
+    entry = {"value": 0.1, "interval95": [0.05, 0.2]}
+    own, published = (_strip(name, entry, (0.005, 5.0), None) for name in ("lateral_bending", "intervertebral_bending"))
+    assert own["band"] is None
+    # 0.01 to 0.63 on a logarithmic axis of three decades.
+    assert published["band"] == pytest.approx((10.03, 70.01), abs=0.01)
+    assert own["value"] == published["value"]

@@ -1,0 +1,476 @@
+"""The subject folder: the documented example, and one clear line for everything that can be wrong with it."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spinestiff.anatomy.template import template_torso
+from spinestiff.errors import SubjectError, TorsoError
+from spinestiff.imaging.projection import frontal_view, lateral_view, placed_view
+from spinestiff.imaging.radiograph import write_radiographs
+from spinestiff.study.pipeline import subject_template
+from spinestiff.subject.folder import (
+    check_frames,
+    image_corners,
+    image_pedicles,
+    image_supports,
+    push_corners,
+    read_annotation,
+    read_push,
+    read_rest,
+    read_subject,
+    write_annotation,
+    write_subject,
+)
+from spinestiff.subject.records import Annotation, ImageAnnotation, SubjectRecord
+
+DOCUMENT = (Path(__file__).parents[2] / "docs/subject-folder.md").read_text(encoding="utf-8")
+SUBJECT, ANNOTATION = (json.loads(block) for block in re.findall(r"```json\n(.*?)```", DOCUMENT, re.S))
+FRONTAL, LATERAL = frontal_view(), lateral_view()
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """The documented example; radiographs are only there, not readable."""
+    return lay_out(tmp_path / "03")
+
+
+def lay_out(folder, subject=SUBJECT, annotation=ANNOTATION):
+    for name in ("rest/frontal.dcm", "rest/lateral.dcm", "pushes/right-8.dcm"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(b"")
+    (folder / "subject.json").write_text(json.dumps(subject))
+    (folder / "annotation.json").write_text(json.dumps(annotation))
+    return folder
+
+
+def changed(content, path, value):
+    """A copy of nested JSON with the entry at ``path`` replaced, or removed if ``value`` is ``...``."""
+    content = copy.deepcopy(content)
+    inner = content
+    for key in path[:-1]:
+        inner = inner[key]
+    if value is ...:
+        del inner[path[-1]]
+    else:
+        inner[path[-1]] = value
+    return content
+
+
+def refusal(folder):
+    with pytest.raises(SubjectError) as caught:
+        read_subject(folder)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def test_the_documented_example_is_read(folder):
+    subject = read_subject(folder)
+    assert subject.record.height_cm == 152
+    assert subject.warnings == ()
+    (push,) = subject.pushes
+    assert (push.side, push.sign, push.level, push.frames_of("training")) == ("right", 1, 8.5, (1, 2))
+    assert subject.image_path("push/right-8") == folder / "pushes/right-8.dcm"
+    assert set(image_supports(subject, "push/right-8")) == {"pelvis", "shoulder"}
+    assert image_supports(subject, "rest/frontal") == {}
+    assert len(subject.inputs) == 5
+
+
+def test_the_documented_python_runs(folder, monkeypatch, capsys):
+    (code,) = re.findall(r"```python\n(.*?)```", DOCUMENT, re.S)
+    monkeypatch.chdir(folder.parent)
+    exec(code, {})
+    assert "right-8 right" in capsys.readouterr().out
+
+
+def test_every_key_is_documented():
+    from spinestiff.subject.records import PushRecord, XRayRecord
+
+    for record in (SubjectRecord, PushRecord, XRayRecord):
+        for key in record.model_fields:
+            assert f"| `{key}`" in DOCUMENT, key
+
+
+def test_written_records_read_back_the_same(folder, tmp_path):
+    subject = read_subject(folder)
+    again = lay_out(tmp_path / "again")
+    write_subject(again, subject.record)
+    write_annotation(again, subject.annotation)
+    back = read_subject(again)
+    assert (back.record, back.annotation) == (subject.record, subject.annotation)
+
+
+def test_records_take_lists_but_no_other_types():
+    image = ImageAnnotation.model_validate(ANNOTATION["images"]["rest/frontal"])
+    assert image.pixels().shape == (8, 4, 2)
+    with pytest.raises(ValueError, match="height_cm"):
+        SubjectRecord.model_validate({**SUBJECT, "height_cm": "152"})
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        (["colour"], "red", ["colour: unknown key"]),
+        (["pushes", 0, "sied"], "left", ["pushes[0].sied: unknown key"]),
+        (["xray", "sid"], 1500, ["xray.sid: unknown key"]),
+        (["schema_version"], 2, ["schema_version: found 2, wanted 1"]),
+        (["age"], ..., ["age: missing"]),
+        (["sex"], "f", ["sex: found 'f'", "'female' or 'male'"]),
+        (["id"], "../x", ["id: found '../x'"]),
+        (["height_cm"], 119.9, ["height_cm: found 119.9", "120"]),
+        (["height_cm"], 1.55, ["height_cm: found 1.55"]),
+        (["height_cm"], 201, ["height_cm: found 201", "200"]),
+        (["height_cm"], "152", ["height_cm: found '152'", "number"]),
+        (["height_cm"], True, ["height_cm: found True"]),
+        (["pushes"], [], ["pushes: found []", "at least 1"]),
+        (["pushes", 0, "side"], "rigth", ["pushes[0].side: found 'rigth'", "'left' or 'right'"]),
+        (["pushes", 0, "level"], 13, ["pushes[0].level: found 13"]),
+        (["pushes", 0, "d21_mm"], 1200, ["pushes[0].d21_mm: found 1200", "1000"]),
+        (["pushes", 0, "d31_mm"], 0, ["pushes[0].d31_mm: found 0", "30"]),
+        (["pushes", 0, "d31_mm"], -220, ["pushes[0].d31_mm: found -220"]),
+        (["pushes", 0, "d31_mm"], 395, ["d31_mm 395 is not below d21_mm 395"]),
+        (["pushes", 0, "d31_mm"], 400, ["d31_mm 400 is not below d21_mm 395", "Eqs. 1-2"]),
+        (["pushes", 0, "forces_n"], [0, 20, 41], ["3 forces_n and 4 roles"]),
+        (["pushes", 0, "forces_n", 2], -41, ["pushes[0].forces_n", "frame 2 has -41 N", "magnitudes", "side"]),
+        (["pushes", 0, "forces_n", 3], 501, ["frame 3 has 501 N", "500"]),
+        (["pushes", 0, "forces_n"], [0, 0, 0, 0], ["pushes[0]", "zero", "nothing to identify"]),
+        (["pushes", 0, "forces_n"], [0, 0, 0, 9], ["training forces are zero", "nothing to identify"]),
+        (["pushes", 0, "roles"], ["unused"] * 3 + ["validation"], ["role training", "at least one"]),
+        (["pushes", 0, "roles", 1], "train", ["pushes[0].roles[1]: found 'train'", "'training'"]),
+        (["pushes", 0, "frames"], "../04/pushes/a.dcm", ["pushes[0].frames", "inside the subject folder"]),
+        (["pushes", 0, "frames"], "/data/a.dcm", ["pushes[0].frames", "inside the subject folder"]),
+        (["pushes", 0, "frames"], "C:\\a.dcm", ["pushes[0].frames", "inside the subject folder"]),
+        (["pushes", 0, "frames"], "pushes\\..\\..\\a.dcm", ["pushes[0].frames", "inside the subject folder"]),
+        (["pushes", 0, "frames"], " ", ["pushes[0].frames", "inside the subject folder"]),
+        (["pushes", 0, "frames"], "pushes/lost.dcm", ["lost.dcm: no such file", "push/right-8"]),
+    ],
+)
+def test_subject_file_refusals(folder, path, value, words):
+    lay_out(folder, subject=changed(SUBJECT, path, value))
+    message = refusal(folder)
+    for word in ("subject" if "no such file" not in message else "", *words):
+        assert word in message
+
+
+def test_ids_are_unique_on_any_file_system(folder):
+    twice = [SUBJECT["pushes"][0], {**SUBJECT["pushes"][0], "id": "Right-8"}]
+    lay_out(folder, subject={**SUBJECT, "pushes": twice})
+    assert "pushes[1].id: 'Right-8' is used twice" in refusal(folder)
+
+
+def test_more_force_than_anybody_measured_is_a_warning(folder):
+    lay_out(folder, subject=changed(SUBJECT, ["pushes", 0, "forces_n", 3], 120))
+    (warning,) = read_subject(folder).warnings
+    assert "120 N" in warning
+    assert "114 N" in warning
+
+
+def test_several_complaints_are_counted(folder):
+    lay_out(folder, subject={**SUBJECT, "age": -1, "sex": "x", "colour": 1})
+    assert refusal(folder).endswith("(and 2 more)")
+
+
+@pytest.mark.parametrize("name", ["subject.json", "annotation.json"])
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("{", "not JSON at line 1"),
+        ('{"schema_version": 1, "schema_version": 1}', "'schema_version' is given twice"),
+        ('{"age": NaN}', "found NaN"),
+        ('{"age": -Infinity}', "found -Infinity"),
+        ('{"age": 1e999}', "found 1e999"),
+        ('{"age": ' + "9" * 5000 + "}", "too many digits"),
+        ("[" * 100_000, "nested too deeply"),
+        ("[]", "found []"),
+        ("", "not JSON"),
+        (" " * 10_000_001, "10000001 bytes"),
+    ],
+)
+def test_broken_json_is_one_line(folder, name, text, word):
+    (folder / name).write_text(text)
+    message = refusal(folder)
+    assert word in message
+    assert name in message
+
+
+def test_text_that_is_not_utf8_is_refused_and_a_byte_order_mark_is_not(folder):
+    (folder / "subject.json").write_bytes(b'{"id": "\xff"}')
+    assert "not UTF-8" in refusal(folder)
+    (folder / "subject.json").write_text(json.dumps(SUBJECT), encoding="utf-8-sig")
+    assert read_subject(folder).record.id == "03"
+
+
+def test_what_is_missing_is_named(folder):
+    assert "no such folder" in refusal(folder / "nowhere")
+    (folder / "rest/lateral.dcm").unlink()
+    assert "lateral.dcm: no such file" in refusal(folder)
+    (folder / "annotation.json").unlink()
+    assert "no annotation" in refusal(folder)
+    (folder / "subject.json").unlink()
+    assert "subject.json: no such file" in refusal(folder)
+
+
+def test_a_link_out_of_the_folder_is_refused(folder):
+    outside = folder.parent / "elsewhere.dcm"
+    outside.write_bytes(b"")
+    (folder / "pushes/right-8.dcm").unlink()
+    (folder / "pushes/right-8.dcm").symlink_to(outside)
+    assert "leads out of the subject folder" in refusal(folder)
+
+
+# Annotation
+
+IMAGE = ("images", "rest/frontal", "vertebrae")
+FIRST, SECOND = (ANNOTATION["images"]["rest/frontal"]["vertebrae"][name] for name in ("T5", "T6"))
+
+
+def reordered(order):
+    return changed(
+        ANNOTATION, [*IMAGE, "T7"], [ANNOTATION["images"]["rest/frontal"]["vertebrae"]["T7"][i] for i in order]
+    )
+
+
+@pytest.mark.parametrize(
+    ("annotation", "words"),
+    [
+        (changed(ANNOTATION, [*IMAGE, "T7"], ...), ["rest/frontal", "7 vertebrae", "at least 8"]),
+        (changed(ANNOTATION, ["images", "rest/lateral"], ...), ["images.rest/lateral: missing"]),
+        (changed(ANNOTATION, ["images", "push/right-8"], ...), ["images.push/right-8: missing"]),
+        (
+            changed(ANNOTATION, ["images", "push/right-9"], ANNOTATION["images"]["push/right-8"]),
+            ["images.push/right-9: unknown image"],
+        ),
+        (changed(ANNOTATION, [*IMAGE, "C7"], FIRST), ["rest/frontal.vertebrae.C7", "'T1'"]),
+        (changed(ANNOTATION, [*IMAGE, "T7"], FIRST[:3]), ["rest/frontal.vertebrae.T7"]),
+        (changed(ANNOTATION, [*IMAGE, "T7", 0], [1, 2, 3]), ["rest/frontal.vertebrae.T7[0]"]),
+        (changed(ANNOTATION, [*IMAGE, "T7", 0], ["1", 2]), ["rest/frontal.vertebrae.T7[0][0]: found '1'"]),
+        (changed(ANNOTATION, ["schema_version"], 3), ["schema_version: found 3"]),
+        (changed(ANNOTATION, ["images", "rest/frontal", "notes"], ""), ["rest/frontal.notes: unknown key"]),
+        (reordered([0, 1, 3, 2]), ["rest/frontal", "T7", "no convex quadrilateral"]),
+        (changed(ANNOTATION, [*IMAGE, "T7"], [[500, 340]] * 4), ["rest/frontal", "T7", "no convex"]),
+        (reordered([1, 0, 3, 2]), ["rest/frontal", "T7", "mirrored"]),
+        (reordered([2, 3, 0, 1]), ["rest/frontal", "T7", "superior corners lie below"]),
+        (
+            changed(changed(ANNOTATION, [*IMAGE, "T5"], SECOND), [*IMAGE, "T6"], FIRST),
+            ["rest/frontal", "T6", "does not lie below T5"],
+        ),
+        (
+            changed(ANNOTATION, ["images", "rest/frontal", "supports"], {"pelvis": [[400, 700]]}),
+            ["rest/frontal has supports"],
+        ),
+        (changed(ANNOTATION, ["images", "push/right-8", "supports", "hip"], [[1, 2]]), ["supports.hip"]),
+        (changed(ANNOTATION, ["images", "push/right-8", "supports", "pelvis"], []), ["supports.pelvis"]),
+    ],
+)
+def test_annotation_refusals(folder, annotation, words):
+    lay_out(folder, annotation=annotation)
+    message = refusal(folder)
+    for word in ("annotation.json", *words):
+        assert word in message
+
+
+FURTHER = {"vertebrae": {"T8": ANNOTATION["images"]["push/right-8"]["vertebrae"]["T8"]}}
+
+
+def test_further_frames_of_a_push(folder):
+    """One vertebra corrected in the third frame; the first stays what a push needs."""
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", "push/right-8/2"], FURTHER))
+    subject = read_subject(folder)
+    (push,) = subject.pushes
+    assert subject.image_path("push/right-8/2") == subject.image_path("push/right-8")
+    corners = push_corners(subject, push, FRONTAL)
+    assert list(corners) == [0, 2]
+    assert (len(corners[0].vertebrae), corners[2].vertebrae) == (8, ("T8",))
+    write_annotation(folder, subject.annotation)
+    assert read_subject(folder).annotation == subject.annotation
+
+
+@pytest.mark.parametrize(
+    ("name", "image", "words"),
+    [
+        ("push/right-8/4", FURTHER, "push/right-8/4: the push has 4 frames, counted from 0"),
+        ("push/right-8/0", FURTHER, "push/right-8/0"),
+        ("push/right-8/02", FURTHER, "push/right-8/02"),
+        ("push/left-8/2", FURTHER, "images.push/left-8/2: unknown image"),
+        ("push/right-8/2", {"vertebrae": {}}, "found no vertebra, wanted at least one"),
+        ("push/right-8/2", {**FURTHER, "supports": {"pelvis": [[1, 2]]}}, "wanted them in the push's first frame"),
+        (
+            "push/right-8/2",
+            {"vertebrae": {"T8": FURTHER["vertebrae"]["T8"][::-1]}},
+            "T8: the superior corners",
+        ),
+    ],
+)
+def test_further_frames_that_are_refused(folder, name, image, words):
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", name], image))
+    with pytest.raises(SubjectError, match=re.escape(words)):
+        subject = read_subject(folder)
+        push_corners(subject, subject.pushes[0], FRONTAL)
+
+
+def test_vertebrae_may_be_written_in_any_order(folder):
+    shuffled = dict(reversed(ANNOTATION["images"]["rest/frontal"]["vertebrae"].items()))
+    lay_out(folder, annotation=changed(ANNOTATION, IMAGE, shuffled))
+    assert tuple(read_annotation(folder / "annotation.json").images["rest/frontal"].vertebrae)[:2] == ("T5", "T6")
+
+
+def test_corners_become_millimetres_on_the_detector(folder):
+    corners = image_corners(read_subject(folder), "rest/frontal", FRONTAL)
+    assert corners.vertebrae[0] == "T5"
+    np.testing.assert_allclose(corners.corners[0], np.array(FIRST) * 0.417)
+    assert image_corners(read_subject(folder), "rest/lateral", LATERAL).vertebrae[-1] == "T12"
+
+
+def test_the_trunk_by_tape(folder):
+    assert read_subject(folder).record.trunk == {}
+    size = {"breadth_mm": 245, "depth_mm": 172.5}
+    lay_out(folder, subject=changed(SUBJECT, ["trunk"], {"T9": size}))
+    record = read_subject(folder).record
+    assert record.trunk["T9"].depth_mm == 172.5
+    write_subject(folder, record)
+    assert read_subject(folder).record == record
+    lay_out(folder, subject=changed(SUBJECT, ["trunk"], {"T9": {**size, "breadth_mm": 24.5}}))
+    assert "trunk.T9.breadth_mm: found 24.5, wanted greater than or equal to 100" in refusal(folder)
+
+
+def test_the_skin_scan(folder):
+    assert read_subject(folder).scan_path is None
+    scan = {"file": "scan.stl", "unit": "cm", "axes": {"left": "+x", "up": "+z", "front": "-y"}}
+    lay_out(folder, subject=changed(SUBJECT, ["skin_scan"], scan))
+    assert "scan.stl: no such file; wanted the skin scan" in refusal(folder)
+    (folder / "scan.stl").write_bytes(b"solid")
+    subject = read_subject(folder)
+    assert subject.scan_path == folder / "scan.stl"
+    assert subject.scan_path in subject.inputs
+    write_subject(folder, subject.record)
+    assert read_subject(folder).record == subject.record
+    wrong = {
+        "skin_scan.unit: found 'inch', wanted 'mm', 'cm' or 'm'": {**scan, "unit": "inch"},
+        "skin_scan.unit: missing": {key: value for key, value in scan.items() if key != "unit"},
+        "skin_scan.file: found '../scan.stl', wanted a path inside the subject folder": {**scan, "file": "../scan.stl"},
+        "in a mirror": {**scan, "axes": {"left": "+x", "up": "+z", "front": "+y"}},
+        "skin_scan.axes.front: missing": {**scan, "axes": {"left": "+x", "up": "+z"}},
+    }
+    for line, record in wrong.items():
+        lay_out(folder, subject=changed(SUBJECT, ["skin_scan"], record))
+        assert line in refusal(folder)
+    outside = folder.parent / "elsewhere.stl"
+    outside.write_bytes(b"solid")
+    (folder / "link.stl").symlink_to(outside)
+    lay_out(folder, subject=changed(SUBJECT, ["skin_scan"], {**scan, "file": "link.stl"}))
+    assert "leads out of the subject folder; copy the scan into it" in refusal(folder)
+
+
+PEDICLES = {"T6": [[523, 312], [502, 312.5]], "T5": [[522, 280], [503, 280]]}
+
+
+def test_pedicles_become_millimetres_on_the_detector(folder):
+    assert image_pedicles(read_subject(folder), "rest/frontal", FRONTAL)[0] == ()
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", "rest/frontal", "pedicles"], PEDICLES))
+    names, points = image_pedicles(read_subject(folder), "rest/frontal", FRONTAL)
+    assert names == ("T5", "T6")
+    np.testing.assert_allclose(points[0], np.array(PEDICLES["T5"]) * 0.417)
+
+
+def test_pedicles_out_of_place_are_refused(folder):
+    swapped = {"T5": PEDICLES["T5"][::-1]}
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", "rest/frontal", "pedicles"], swapped))
+    with pytest.raises(SubjectError, match=r"rest/frontal.pedicles.T5: the left one lies right of the right one"):
+        image_pedicles(read_subject(folder), "rest/frontal", FRONTAL)
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", "push/right-8", "pedicles"], PEDICLES))
+    assert "push/right-8 has pedicles; wanted them in rest images only" in refusal(folder)
+    one = {"T5": PEDICLES["T5"][:1]}
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", "rest/frontal", "pedicles"], one))
+    assert "rest/frontal.pedicles.T5" in refusal(folder)
+
+
+def test_the_lateral_radiograph_may_be_missing(folder):
+    """Neither radiograph nor annotation: the frontal one is used alone. One of the two without the other is refused."""
+    assert read_subject(folder).rest_views == ("frontal", "lateral")
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", "rest/lateral"], ...))
+    assert "images.rest/lateral: missing" in refusal(folder)
+    (folder / "rest/lateral.dcm").unlink()
+    subject = read_subject(folder)
+    assert subject.rest_views == ("frontal",)
+    assert folder / "rest/lateral.dcm" not in subject.inputs
+    assert folder / "rest/frontal.dcm" in subject.inputs
+
+
+def test_corners_are_checked_against_the_view(folder):
+    subject = read_subject(folder)
+    common = {"sid": 1500.0, "source_to_patient": 1340.0, "shape": (1024, 1024), "pixel": 0.417, "centre": (0, 0, 0)}
+    x, y, z = np.eye(3)
+    with pytest.raises(SubjectError, match=r"rest/frontal.T5: corners are mirrored"):
+        image_corners(subject, "rest/frontal", placed_view(-x, -y, z, **common))
+    with pytest.raises(SubjectError, match=r"rest/frontal.T5: the superior corners lie below"):
+        image_corners(subject, "rest/frontal", placed_view(-x, y, z, **common))
+    with pytest.raises(SubjectError, match=r"rest/frontal.T10: a corner lies outside the image of 1024 columns"):
+        image_corners(subject, "rest/frontal", frontal_view(shape=(460, 1024)))
+    with pytest.raises(SubjectError, match=r"images.push/left: missing"):
+        image_corners(subject, "push/left", FRONTAL)
+
+
+# Radiographs
+
+
+@pytest.fixture
+def imaged(folder):
+    """The example with small radiographs: a frontal, a lateral and four frames of a push."""
+    front, side = frontal_view(shape=(40, 30)), lateral_view(shape=(40, 30))
+    grey = np.arange(4 * 40 * 30, dtype=np.uint16).reshape(4, 40, 30)
+    write_radiographs(folder / "rest/frontal.dcm", grey[:1], front)
+    write_radiographs(folder / "rest/lateral.dcm", grey[:1], side)
+    write_radiographs(folder / "pushes/right-8.dcm", grey, front)
+    return folder
+
+
+def test_radiographs_are_read(imaged):
+    subject = read_subject(imaged)
+    assert read_rest(subject, "frontal").pixels.shape == (40, 30)
+    assert read_rest(subject, "lateral").view.detector_axes[0] @ [0, 0, 1] > 0.9
+    assert len(read_push(subject, subject.push("right-8"))) == 4
+    with pytest.raises(SubjectError, match=r"no push 'left'; there are right-8"):
+        subject.push("left")
+
+
+def test_frames_and_forces_are_counted(imaged):
+    grey = np.arange(3 * 40 * 30, dtype=np.uint16).reshape(3, 40, 30)
+    write_radiographs(imaged / "pushes/right-8.dcm", grey, frontal_view(shape=(40, 30)))
+    subject = read_subject(imaged)
+    with pytest.raises(SubjectError, match=r"push 'right-8' has 4 forces_n, but pushes/right-8.dcm holds 3 frames"):
+        read_push(subject, subject.pushes[0])
+    check_frames(subject, subject.pushes[0], 4)
+    write_radiographs(imaged / "rest/frontal.dcm", grey, frontal_view(shape=(40, 30)))
+    with pytest.raises(SubjectError, match="found 3 frames, wanted one rest radiograph"):
+        read_rest(subject, "frontal")
+
+
+def test_a_lateral_in_the_place_of_a_frontal_is_refused(imaged):
+    (imaged / "rest/frontal.dcm").write_bytes((imaged / "rest/lateral.dcm").read_bytes())
+    with pytest.raises(SubjectError, match="a lateral radiograph, wanted a frontal one"):
+        read_rest(read_subject(imaged), "frontal")
+
+
+def test_annotation_needs_no_file_to_be_built(tmp_path):
+    images = {name: ImageAnnotation.model_validate(image) for name, image in ANNOTATION["images"].items()}
+    write_annotation(tmp_path, Annotation(schema_version=1, images=images))
+    assert read_annotation(tmp_path / "annotation.json").images == images
+
+
+def test_a_mass_makes_the_template_the_subjects_own(folder):
+    record = read_subject(folder).record
+    plain = subject_template(record, "coarse")
+    np.testing.assert_array_equal(plain.tissue.rest_positions, template_torso(152.0).tissue.rest_positions)
+    own = subject_template(record.model_copy(update={"mass_kg": 50.0}), "coarse")
+    wanted = template_torso(152.0, age_years=record.age, sex=record.sex, mass_kg=50.0)
+    np.testing.assert_array_equal(own.tissue.rest_positions, wanted.tissue.rest_positions)
+    assert own.tissue.corner_volumes().sum() > 1.1 * plain.tissue.corner_volumes().sum()
+    with pytest.raises(TorsoError, match="age 6 years; wanted 8 to 100"):
+        subject_template(record.model_copy(update={"mass_kg": 50.0, "age": 6.0}), "coarse")

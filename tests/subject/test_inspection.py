@@ -1,0 +1,239 @@
+"""What ``spinestiff inspect`` tells: of files, of folders, of subjects; never of the patient."""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pydicom
+import pytest
+
+from spinestiff.app import cli
+from spinestiff.errors import SubjectError
+from spinestiff.imaging.projection import frontal_view, lateral_view
+from spinestiff.imaging.radiograph import write_radiographs
+from spinestiff.subject.folder import read_push, read_rest, read_subject
+from spinestiff.subject.inspection import inspect
+from spinestiff.subject.records import SubjectRecord
+
+DOCUMENT = (Path(__file__).parents[2] / "docs/subject-folder.md").read_text(encoding="utf-8")
+SUBJECT, ANNOTATION = (json.loads(block) for block in re.findall(r"```json\n(.*?)```", DOCUMENT, re.S))
+CANARY = "SECRETCANARY"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """The documented subject with large enough radiographs for its corners."""
+    front, side = frontal_view(shape=(800, 800)), lateral_view(shape=(800, 800))
+    grey = np.zeros((4, 800, 800), np.uint16)
+    for name, pixels, view in (("rest/frontal", grey[:1], front), ("rest/lateral", grey[:1], side),
+                               ("pushes/right-8", grey, front)):  # fmt: skip
+        path = tmp_path / "03" / f"{name}.dcm"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_radiographs(path, pixels, view, description=name, frame_time_ms=250.0)
+    write(tmp_path / "03", SUBJECT, ANNOTATION)
+    return tmp_path / "03"
+
+
+def write(folder, subject=None, annotation=None):
+    for name, content in (("subject.json", subject), ("annotation.json", annotation)):
+        if content is not None:
+            (folder / name).write_text(json.dumps(content))
+
+
+def without(path, *keywords, **values):
+    dataset = pydicom.dcmread(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for keyword in keywords:
+            delattr(dataset, keyword)
+        for keyword, value in values.items():
+            setattr(dataset, keyword, value)
+        dataset.save_as(path)
+
+
+def scaled(**scales):
+    return {**SUBJECT, "xray": {**SUBJECT["xray"], "scale": {key.replace("__", "/"): s for key, s in scales.items()}}}
+
+
+OBJECT = {"object_mm": 25.0, "object_px": [[100, 200], [160, 280]]}
+
+
+def test_an_object_sets_the_scale_of_its_image(folder):
+    without(folder / "rest/frontal.dcm", "ImagerPixelSpacing")
+    write(folder, scaled(rest__frontal=OBJECT))
+    picture = read_rest(read_subject(folder), "frontal")
+    np.testing.assert_allclose(picture.view.pixel_spacing, 0.25 * 1500.0 / 1340.0)
+    source = picture.provenance["pixel spacing"]
+    assert source == "calibration object of 25 mm over 100.0 pixels at the patient plane, times the magnification"
+    write(folder, scaled(rest__frontal={**OBJECT, "plane": "detector"}))
+    np.testing.assert_allclose(read_rest(read_subject(folder), "frontal").view.pixel_spacing, 0.25)
+
+
+def test_a_vertebra_sets_the_scale_of_its_image(folder):
+    without(folder / "pushes/right-8.dcm", "ImagerPixelSpacing")
+    write(folder, scaled(**{"push__right-8": {"vertebra": "T12", "width_mm": 30.0}}))
+    subject = read_subject(folder)
+    for picture in read_push(subject, subject.pushes[0]):
+        np.testing.assert_allclose(picture.view.pixel_spacing, 30.0 / 49.0 * 1500.0 / 1340.0)
+        assert picture.provenance["pixel spacing"].startswith("vertebra T12 of 30 mm over 49.0 pixels")
+
+
+def test_a_vertebra_that_contradicts_the_file_is_refused(folder):
+    true = 49 * 0.417 * 1340.0 / 1500.0
+    write(folder, scaled(rest__frontal={"vertebra": "T12", "width_mm": 1.09 * true}))
+    read_rest(read_subject(folder), "frontal")
+    write(folder, scaled(rest__frontal={"vertebra": "T12", "width_mm": 1.2 * true}))
+    (one, *_) = inspect(folder)
+    assert one.status == "refused" and "makes the vertebra T12 18.25 mm long" in one.reason
+
+
+@pytest.mark.parametrize(
+    ("scale", "message"),
+    [
+        ({"rest/frontal": {"object_mm": 25.0}}, "wanted object_mm, object_px and perhaps plane; or vertebra and width"),
+        ({"rest/frontal": {**OBJECT, "vertebra": "L1", "width_mm": 40}}, "wanted object_mm, object_px"),
+        ({"rest/frontal": {"vertebra": "L1", "width_mm": 40, "plane": "patient"}}, "wanted object_mm, object_px"),
+        ({"rest/front": OBJECT}, "xray.scale.'rest/front': unknown image; wanted one of rest/frontal"),
+        ({"rest/frontal": {**OBJECT, "object_mm": 2}}, "greater than or equal to 5"),
+    ],
+)
+def test_a_scale_that_says_too_little_or_too_much_is_refused(folder, scale, message):
+    write(folder, {**SUBJECT, "xray": {"scale": scale}})
+    with pytest.raises(SubjectError, match=re.escape(message)):
+        read_subject(folder)
+
+
+def test_a_vertebra_without_corners_sets_no_scale(folder):
+    write(folder, scaled(rest__frontal={"vertebra": "L5", "width_mm": 45}))
+    with pytest.raises(SubjectError, match=r"xray.scale.rest/frontal: L5 is not annotated in this image"):
+        read_rest(read_subject(folder), "frontal")
+    assert inspect(folder)[0].reason.startswith("xray.scale.rest/frontal: L5")
+
+
+def test_records_without_a_scale_are_written_without(folder):
+    record = SubjectRecord.model_validate_json(json.dumps(SUBJECT))
+    assert "scale" not in record.model_dump(exclude_none=True)["xray"]
+
+
+# Inspection
+
+
+def test_a_whole_subject_is_seen(folder):
+    found = {one.image: one for one in inspect(folder)}
+    assert list(found) == ["rest/frontal", "rest/lateral", "push/right-8"]
+    assert {one.status for one in found.values()} == {"ok"}
+    push = found["push/right-8"].seen
+    assert (push["frames"], push["rows"], push["bits"], push["modality"]) == (4, 800, 16, "RF")
+    assert push["times_s"] == [0.0, 0.25, 0.5, 0.75]
+    assert push["pixel_mm_at_patient"] == pytest.approx([0.417 * 1340 / 1500] * 2, abs=1e-6)
+    assert found["rest/lateral"].seen["view"] == "lateral"
+
+
+def test_what_a_fit_lacks_is_listed(folder):
+    (folder / "annotation.json").unlink()
+    (folder / "rest/lateral.dcm").unlink()
+    without(folder / "rest/frontal.dcm", "ImagerPixelSpacing", "PatientOrientation")
+    rest, push = inspect(folder)
+    assert rest.status == push.status == "incomplete"
+    assert [line.split(";")[0] for line in rest.missing] == [
+        "no ImagerPixelSpacing", "no PatientOrientation", "no corners of rest/frontal in annotation.json",
+    ]  # fmt: skip
+    assert rest.seen["pixel_mm_at_detector"] is None and rest.seen["source_detector_mm"] == 1500.0
+
+
+def test_what_does_not_fit_the_subject_is_refused(folder):
+    (folder / "rest/lateral.dcm").write_bytes((folder / "rest/frontal.dcm").read_bytes())
+    write_radiographs(folder / "pushes/right-8.dcm", np.zeros((2, 800, 800), np.uint16), frontal_view(shape=(800, 800)))
+    (folder / "rest/frontal.dcm").unlink()
+    reasons = {one.image: one.reason for one in inspect(folder)}
+    assert reasons == {
+        "rest/frontal": "frontal.dcm: no such file",
+        "rest/lateral": "lateral.dcm: a frontal radiograph, wanted a lateral one",
+        "push/right-8": "right-8.dcm: 2 frames, but subject.json has 4 forces_n",
+    }
+
+
+def test_a_folder_is_a_sequence_or_single_files(tmp_path):
+    view = frontal_view(shape=(20, 20))
+    for i, name in enumerate("ab"):
+        pixels = np.full((1, 20, 20), i, np.uint16)
+        write_radiographs(tmp_path / f"{name}.dcm", pixels, view, instance_number=2 - i, description=name,
+                          acquisition_time=f"12000{i}")  # fmt: skip
+    (series,) = inspect(tmp_path)
+    assert (series.image, series.seen["frames"], series.seen["files"]) == (tmp_path.name, 2, 2)
+    assert series.seen["times_s"] == [0.0, 1.0]
+    assert series.warnings == (f"{tmp_path.name}: acquisition times and instance numbers disagree; ordered by time",)
+    without(tmp_path / "b.dcm", AcquisitionTime="120000", InstanceNumber=2)
+    a, b = inspect(tmp_path)
+    assert (a.image, b.image, a.status) == ("a.dcm", "b.dcm", "ok")
+    assert a.warnings[0].startswith("not one sequence: ") and "the same acquisition time" in a.warnings[0]
+    (tmp_path / "b.dcm").write_bytes(b"no")
+    assert [one.status for one in inspect(tmp_path)] == ["ok", "refused"]
+
+
+# The command
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    def call(*arguments):
+        monkeypatch.setattr("sys.argv", ["spinestiff", "inspect", *map(str, arguments)])
+        try:
+            cli.main()
+            status = 0
+        except SystemExit as end:
+            status = end.code or 0
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return call
+
+
+def test_the_command_tells_what_it_sees(run, folder):
+    status, out, err = run(folder)
+    assert (status, err) == (0, "")
+    assert out.count(": ok\n") == 3
+    assert "  pixel pitch  0.417 x 0.417 mm at the detector, 0.3725 x 0.3725 mm at the patient (DICOM Imager" in out
+    assert "  orientation  lateral, columns grow to A, rows to F (DICOM PatientOrientation A\\F), beam to L" in out
+    assert "  times        4 frames in 0.75 s" in out
+    status, out, _ = run(folder, "--json")
+    records = json.loads(out)
+    assert status == 0 and [one["status"] for one in records] == ["ok"] * 3
+    assert records[2]["seen"]["sources"]["pixel spacing"] == "DICOM ImagerPixelSpacing, at the detector"
+
+
+@pytest.mark.parametrize("option", [(), ("--json",)])
+def test_the_command_refuses_with_one_line_and_status_2(run, folder, option):
+    path = folder / "rest/frontal.dcm"
+    without(path, Modality="CT")
+    status, out, err = run(path, *option)
+    assert status == 2
+    assert err.startswith("spinestiff: frontal.dcm: modality CT is no projection radiograph; wanted one of CR, DX, RF")
+    assert err.count("\n") == 1
+    assert out == "" if not option else json.loads(out)[0]["status"] == "refused"
+    status, out, _ = run(folder, *option)
+    assert status == 2
+    assert out.count("refused") >= 1 and out.count("right-8") >= 1
+    assert run(folder / "nothing", *option)[0] == 2
+
+
+def test_nothing_of_the_patient_is_told(run, folder):
+    hidden = {"PatientName": CANARY, "PatientID": CANARY, "StudyDescription": CANARY, "InstitutionName": CANARY,
+              "PatientBirthDate": "19870605", "StudyDate": "20240102", "AcquisitionDate": "20240103",
+              "AcquisitionTime": "131415", "AccessionNumber": CANARY, "ProtocolName": CANARY}  # fmt: skip
+    path = folder / "rest/frontal.dcm"
+    without(path, **hidden)
+    uid = str(pydicom.dcmread(path).SOPInstanceUID)
+    for broken in ({}, {"ViewPosition": CANARY}, {"PatientOrientation": [CANARY, "F"]},
+                   {"PixelSpacingCalibrationType": CANARY}, {"Modality": CANARY}):  # fmt: skip
+        without(path, **broken)
+        for option in ((), ("--json",)):
+            _, out, err = run(path, *option)
+            told = out + err
+            assert told
+            for secret in (CANARY, CANARY[:6], "19870605", "20240102", "20240103", "131415", uid):
+                assert secret not in told
