@@ -34,15 +34,13 @@ class Finished:
 
 @dataclass(frozen=True)
 class Viewed:
-    """What the viewer shows of the finished subject, and what it was made from."""
+    """What the viewer shows of the finished subject, and what the models made of its frames."""
 
-    pushes: object
-    ratios: object
-    predictions: tuple
+    predictions: object
     scene: object
 
 
-def stub_report(visit, say):
+def stub_report(visit, predictions, say):
     """Stands in for the report, which has tests of its own and takes longer than all other steps."""
     say("writing")
     for name in ("report.html", "view.html"):
@@ -74,7 +72,7 @@ def cheap_recipe():
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory, few_frames, cheap_recipe):
     """The finished subject; shared, so only to be read (``subject`` is a copy to change)."""
-    from spinestiff.study import pipeline
+    from spinestiff.study import runner, steps
     from spinestiff.study.synthetic import synthesise
     from spinestiff.study.visit import open_visit
 
@@ -89,12 +87,12 @@ def finished(tmp_path_factory, few_frames, cheap_recipe):
         fits.append(fit_stiffness(*args, **kwargs))
         return fits[-1]
 
-    fit_stiffness = pipeline.fit_stiffness
+    fit_stiffness = steps.fit_stiffness
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pipeline, "fit_stiffness", fit_and_keep)
+        patch.setattr(steps, "fit_stiffness", fit_and_keep)
         patch.setattr("spinestiff.study.report.page.write_report", stub_report)
-        ran = pipeline.run_steps(open_visit(folder, truth=truth), observer=lines.append)
-    assert ran == list(pipeline.STEPS)
+        ran = runner.run_steps(open_visit(folder, truth=truth), observer=lines.append)
+    assert ran == list(runner.STEPS)
     return Finished(folder, truth, fits[0], tuple(lines))
 
 
@@ -113,14 +111,10 @@ def no_report(monkeypatch):
 @pytest.fixture(scope="session")
 def viewed(finished):
     """The finished subject's trials with what default and estimated stiffness make of them, and its viewer's scene."""
-    from spinestiff.anatomy.files import read_torso
-    from spinestiff.study.predictions import predict
     from spinestiff.study.report.viewer.files import scene_of
-    from spinestiff.study.visit import estimated_ratios, load_pushes, open_visit
+    from spinestiff.study.steps import stored_predictions
+    from spinestiff.study.visit import open_visit
 
     visit = open_visit(finished.folder)
-    torso = read_torso(visit.file("torso.npz"))
-    pushes = load_pushes(visit, torso)
-    ratios = estimated_ratios(visit, torso)
-    predictions = predict(pushes, ratios, lambda line: None)
-    return Viewed(pushes, ratios, predictions, scene_of(visit, pushes, predictions))
+    predictions = stored_predictions(visit)
+    return Viewed(predictions, scene_of(visit, predictions))

@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # the same list for editors and type checkers; a test compare
     from spinestiff.mechanics.equilibrium import EquilibriumProblem as EquilibriumProblem
     from spinestiff.mechanics.loads import rib_push as rib_push
     from spinestiff.mechanics.supports import three_point_supports as three_point_supports
-    from spinestiff.study.pipeline import run_steps as run_steps
+    from spinestiff.study.runner import run_steps as run_steps
     from spinestiff.study.synthetic import Recipe as Recipe
     from spinestiff.study.synthetic import synthesise as synthesise
     from spinestiff.study.visit import open_visit as open_visit
@@ -49,7 +49,7 @@ _MODULES = {
     "mechanics.loads": ("rib_push",),
     "mechanics.supports": ("three_point_supports",),
     "curves.tilts": ("cobb_angle", "cobb_change"),
-    "study.pipeline": ("run_steps",),
+    "study.runner": ("run_steps",),
     "study.visit": ("open_visit",),
     "subject.folder": ("read_subject",),
     "study.synthetic": ("Recipe", "synthesise"),

@@ -12,9 +12,9 @@ from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.tracking import Observer, track
-from spinestiff.study.visit import load_tracked, open_visit
-from spinestiff.subject.folder import push_corners
-from spinestiff.subject.run_record import RESULTS, changed_inputs
+from spinestiff.subject.folder import push_corners, read_subject
+from spinestiff.subject.outcomes import Tracked
+from spinestiff.subject.run_record import changed_inputs, read_outcome
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,17 @@ class Follower:
 
     def _stored(self, image: str) -> Following:
         folder = self.session.subject.folder
-        if not (folder / RESULTS / "tracked.json").is_file() or changed_inputs(folder, "track"):
-            return Following()
         try:
-            tracked = load_tracked(open_visit(folder))[image.removeprefix("push/")]
-        except (SpinestiffError, KeyError):
+            subject = read_subject(folder)
+            if changed_inputs(subject, "track"):
+                return Following()
+            pushes = read_outcome(subject, Tracked).pushes
+        except SpinestiffError:
             return Following()
-        frames = tuple(frame.corners for frame in tracked.frames)
+        tracked = pushes.get(image.removeprefix("push/"))
+        if tracked is None:
+            return Following()
+        frames = tuple(tracked.corners(frame) for frame in range(len(tracked.frames)))
         return Following("done", len(frames), len(frames), frames=frames)
 
     def start(self, image: str) -> Following:

@@ -152,7 +152,10 @@ def frames(
     visit = open_visit(folder)
     with progress(quiet=json) as say:
         records = select_frames(visit, say, write)
-    show_json(records) if json else show_frames(records, visit.file("frames.png"), write)
+    if json:
+        show_json([frame.model_dump(mode="json") for frame in records])
+    else:
+        show_frames(records, visit.file("frames.png"), write)
 
 
 @app.command()
@@ -208,7 +211,7 @@ def run(
     redo: Force = False,
 ) -> None:
     """All steps: track, personalise, estimate, assess, report. Only what changed is redone."""
-    from spinestiff.study.pipeline import STEPS
+    from spinestiff.study.runner import STEPS
 
     visit = _steps(folder, STEPS, redo, mesh=mesh, method=method, orientation=orientation, truth=truth)
     _summary(visit)
@@ -228,7 +231,7 @@ def demo(
 ) -> None:
     """A synthetic subject from radiographs to report, compared with its truth."""
     from spinestiff.app.progress import progress
-    from spinestiff.study.pipeline import STEPS
+    from spinestiff.study.runner import STEPS
     from spinestiff.study.synthetic import made_by, synthesise, truth_path
 
     recipe = _recipe(seed, height, cobb, curve, force, ratios, spine, spine_id)
@@ -358,7 +361,7 @@ def _torso_page(torso: Path, out: Path | None) -> Path:
 
 def _steps(folder: Path, steps: tuple[str, ...], redo: bool, truth: Path | None = None, **settings: Any) -> Any:
     from spinestiff.app.progress import progress
-    from spinestiff.study.pipeline import run_steps
+    from spinestiff.study.runner import run_steps
     from spinestiff.study.visit import Settings, open_visit
 
     visit = open_visit(folder, Settings(**settings), truth)
@@ -371,23 +374,34 @@ def _steps(folder: Path, steps: tuple[str, ...], redo: bool, truth: Path | None 
 
 def _assess(visit: Any) -> None:
     from spinestiff.app import tables
-    from spinestiff.files import read_json
-    from spinestiff.study.visit import truth_in_region
+    from spinestiff.subject.outcomes import Assessment, Comparison
+    from spinestiff.subject.run_record import read_outcome
 
-    tables.show(tables.assessment_table(read_json(visit.file("assessment.json"))))
-    inside = truth_in_region(visit)
+    assessment = read_outcome(visit.subject, Assessment)
+    tables.show(tables.assessment_table(assessment.frames))
+    for note in assessment.notes:
+        typer.echo(f"note: {note}")
+    inside = read_outcome(visit.subject, Comparison).inside if visit.truth else None
     if inside is not None:
         typer.echo(f"true ratios inside the joint 95 % region: {'yes' if inside else 'no'}")
 
 
 def _print_estimate(visit: Any) -> None:
     from spinestiff.app import tables
-    from spinestiff.files import read_json
+    from spinestiff.subject.outcomes import Estimate
+    from spinestiff.subject.run_record import read_outcome
 
-    estimate = read_json(visit.file("estimate.json"))
+    estimate = read_outcome(visit.subject, Estimate)
+    for check in estimate.failed:
+        typer.echo(f"DOUBTFUL: {check.text}")
     tables.show(tables.estimate_table(estimate))
-    for warning in estimate["warnings"]:
-        typer.echo(f"warning: {warning}")
+    if estimate.fit_status != "CONVERGED":
+        typer.echo(f"fit: {estimate.fit_status_text}")
+    for check in estimate.checks:
+        if check.passed is None:
+            typer.echo(f"check not possible: {check.text}")
+    for note in estimate.notes:
+        typer.echo(f"note: {note}")
 
 
 def _summary(visit: Any) -> None:

@@ -62,9 +62,10 @@ def _side(name: str | None) -> Side | None:
 def _of_folder(
     folder: Path, definition: Definition, as_json: bool, noise_px: float | None, picture: Path | None
 ) -> int:
-    from spinestiff.study.visit import cobb_frames, cobb_rows, open_visit
+    from spinestiff.curves.pushes import cobb_frames, cobb_rows
+    from spinestiff.subject.folder import read_subject
 
-    frames = cobb_frames(open_visit(folder), definition, noise_px)
+    frames = cobb_frames(read_subject(folder), definition, noise_px)
     _draw([frame.reading for frame in frames], picture)
     if as_json:
         tables.show_json([frame.as_dict() for frame in frames])

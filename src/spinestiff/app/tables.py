@@ -6,14 +6,17 @@ import importlib.metadata
 import json
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from spinestiff.study.wording import badge, estimated, interval
+
 if TYPE_CHECKING:
+    from spinestiff.subject.outcomes import Estimate, FrameProposal, HeldOutFrame
     from spinestiff.verification.outcome import Check
 
 LIBRARIES = (
@@ -30,6 +33,11 @@ LIBRARIES = (
     "scikit-image",
     "matplotlib",
 )
+PLAIN = {
+    "lateral_bending_thoracic": "thoracic level, lateral bending",
+    "lateral_bending_lumbar": "lumbar level, lateral bending",
+    "tissue_young": "tissue, Young's modulus",
+}
 EXTRAS = {
     "python-gdcm": "JPEG Lossless radiographs (extra [dicom])",
 }
@@ -59,24 +67,22 @@ def _number(value: float | None, digits: int = 2) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-def estimate_table(record: dict[str, Any]) -> Table:
-    """The ratios of ``estimate.json``, in plain units below."""
-    table = _table(f"Estimate: {record['status_text']}", "ratio", "value", "95 % interval", "at bound")
-    for name, entry in record["ratios"].items():
-        low, high = entry["interval95"]
-        span = "not available" if low is None or high is None else f"{low:.3g} to {high:.3g}"
-        table.add_row(escape(name), f"{entry['value']:.4g}", span, "yes" if entry["at_bound"] else "no")
-    plain = record["plain"]
+def estimate_table(estimate: Estimate) -> Table:
+    """The ratios of ``estimate.json`` with their intervals, in plain units below."""
+    table = _table(f"Estimate: {badge(estimate)}", "ratio", "value", "95 % interval", "", "at bound")
+    for name in estimate.parameters:
+        ratio = estimate.ratios[name]
+        at_bound = "yes" if ratio.at_bound else "no"
+        table.add_row(escape(name), estimated(ratio), interval(ratio), ratio.determined, at_bound)
     table.add_section()
-    table.add_row(
-        "thoracic level, lateral bending", f"{plain['lateral_bending_thoracic_nm_per_rad']:.1f} N m/rad", "", ""
-    )
-    table.add_row("lumbar level, lateral bending", f"{plain['lateral_bending_lumbar_nm_per_rad']:.1f} N m/rad", "", "")
-    table.add_row("tissue, Young's modulus", f"{plain['tissue_young_kpa']:.1f} kPa", "", "")
+    for name, title in PLAIN.items():
+        found = estimate.plain[name]
+        span = "" if found.ratio is None else f"{interval(found)} {found.unit}"
+        table.add_row(title, f"{estimated(found)} {found.unit}", span, "", "")
     return table
 
 
-def assessment_table(records: Sequence[dict[str, Any]]) -> Table:
+def assessment_table(frames: Sequence[HeldOutFrame]) -> Table:
     """RMSE of every held-out frame by predictor, and the change of the Cobb angle (tilt form)."""
     names = ("rest", "default", "fit", "extrapolation", "single_ratio", "truth")
     table = _table(
@@ -87,42 +93,41 @@ def assessment_table(records: Sequence[dict[str, Any]]) -> Table:
         "measured",
         "fitted",
     )
-    for record in records:
-        errors = [_number(record["rmse_mm"][name]) for name in names]
-        tilt = [(record["cobb_change_deg"].get(key) or {}).get("tilt") for key in ("measured", "fit")]
+    for frame in frames:
+        changes = [frame.cobb_change_deg.get(key) for key in ("measured", "fit")]
         table.add_row(
-            escape(f"{record['push']} {record['frame']}"),
-            f"{record['force_n']:.0f}",
-            *errors,
-            *[_number(t, 1) for t in tilt],
+            escape(f"{frame.push} {frame.frame}"),
+            f"{frame.force_n:.0f}",
+            *[_number(frame.rmse_mm[name]) for name in names],
+            *[_number(None if change is None else change.tilt, 1) for change in changes],
         )
     return table
 
 
-def frames_table(records: Sequence[dict[str, Any]]) -> Table:
+def frames_table(frames: Sequence[FrameProposal]) -> Table:
     """Every frame's quality and support motion, its role in ``subject.json`` and the proposed one."""
     table = _table(
         "Frames: quality, motion of supports since the first frame, roles",
         "push", "frame", "force N", "sharpness", "contrast/noise", "vertebrae", "tracking mm",
         "pelvis", "shoulder", "role", "proposed",
     )  # fmt: skip
-    for record in records:
+    for frame in frames:
         table.add_row(
-            escape(f"{record['push']} ({record['side']}, rib {record['level']:g})"),
-            str(record["frame"]),
-            f"{record['force_n']:.0f}",
-            _number(record["sharpness"]),
-            _number(record["contrast_to_noise"], 1),
-            str(record["vertebrae"]),
-            _number(record["tracking_mm"]),
-            *[_motion(record["supports"].get(name)) for name in ("pelvis", "shoulder")],
-            record["role"],
-            record["proposed"],
+            escape(f"{frame.push} ({frame.side}, rib {frame.level:g})"),
+            str(frame.frame),
+            f"{frame.force_n:.0f}",
+            _number(frame.sharpness),
+            _number(frame.contrast_to_noise, 1),
+            str(frame.vertebrae),
+            _number(frame.tracking_mm),
+            *[_motion(frame.supports.get(name)) for name in ("pelvis", "shoulder")],
+            frame.role,
+            frame.proposed,
         )
     return table
 
 
-def _motion(support: dict[str, float | None] | None) -> str:
+def _motion(support: Mapping[Any, float | None] | None) -> str:
     if support is None:
         return "not seen"
     turn = support["degrees"]

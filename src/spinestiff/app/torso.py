@@ -130,13 +130,12 @@ def _torso(file: Path | None, **template: Any) -> Any:
 
 def _personalised(folder: Path) -> Path:
     """The torso file of a subject folder; refused where what it was made from has changed since."""
-    from spinestiff.study.visit import open_visit
-    from spinestiff.subject.run_record import changed_inputs
+    from spinestiff.subject.folder import read_subject
+    from spinestiff.subject.run_record import changed_inputs, result_path
 
-    path = open_visit(folder).file("torso.npz")
-    if not path.exists():
-        raise TorsoError(f"{path}: no such file; run spinestiff personalise first")
-    if changed := changed_inputs(folder, "personalise"):
+    subject = read_subject(folder)
+    path = result_path(subject, "torso.npz", "personalise")
+    if changed := changed_inputs(subject, "personalise"):
         raise TorsoError(f"{path}: was made before {changed[0]} changed; run spinestiff personalise again")
     return path
 

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import SpinestiffError
-from spinestiff.imaging.features import picture_axes, view_kind
+from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 
 if TYPE_CHECKING:
     from spinestiff.imaging.projection import XRayView
@@ -102,7 +102,8 @@ class CobbChange:
     signed : difference of the two signed largest angles (the paper's). It jumps when another curve becomes largest.
     fixed_levels : change of the angle between the end vertebrae of the rest pose.
     tilt : the largest difference between two vertebrae of the change of tilt. Smooth.
-    rest, pushed : the two angles behind ``signed``; ``rest`` names the fixed levels.
+    rest, pushed : the two angles behind ``signed``.
+    levels : upper and lower end vertebra of ``fixed_levels``: those of the rest pose, or given ones.
     tilt_levels : upper and lower vertebra behind ``tilt``.
     """
 
@@ -111,6 +112,7 @@ class CobbChange:
     tilt: float
     rest: CobbAngle
     pushed: CobbAngle
+    levels: tuple[str, str]
     tilt_levels: tuple[str, str]
 
 
@@ -169,26 +171,52 @@ def cobb_angle(spine: SpineTilts) -> CobbAngle:
     return CobbAngle(float(np.degrees(angles[best])), *names)
 
 
-def cobb_change(rest: SpineTilts, pushed: SpineTilts) -> CobbChange:
+def cobb_change(rest: SpineTilts, pushed: SpineTilts, levels: tuple[str, str] | None = None) -> CobbChange:
     """Change of the Cobb angle from ``rest`` to ``pushed`` in its three forms, over the vertebrae that both have.
+
+    Parameters
+    ----------
+    levels : upper and lower end vertebra of ``fixed_levels``; left out, those of the largest angle of ``rest``.
 
     Raises
     ------
-    SpinestiffError : fewer than two vertebrae in common.
+    SpinestiffError : fewer than two vertebrae in common, or ``levels`` are not among them.
     """
     common = tuple(name for name in rest.vertebrae if name in pushed.vertebrae)
     rest, pushed = rest.selected(common), pushed.selected(common)
     before, after = cobb_angle(rest), cobb_angle(pushed)
+    fixed = levels or (before.upper, before.lower)
     turned = SpineTilts(common, _wrapped(pushed.superior - rest.superior), _wrapped(pushed.inferior - rest.inferior))
     largest = cobb_angle(turned)
     return CobbChange(
         signed=after.degrees - before.degrees,
-        fixed_levels=pushed.cobb_degrees(before.upper, before.lower) - before.degrees,
+        fixed_levels=pushed.cobb_degrees(*fixed) - rest.cobb_degrees(*fixed),
         tilt=largest.degrees,
         rest=before,
         pushed=after,
+        levels=fixed,
         tilt_levels=(largest.upper, largest.lower),
     )
+
+
+def change_between(
+    view: XRayView, rest: VertebraCorners, pushed: VertebraCorners, method: EndplateMethod = "endplates"
+) -> CobbChange | None:
+    """The measured change of the Cobb angle between two pictures of one view.
+
+    Parameters
+    ----------
+    rest, pushed : corners on the detector or at the patient plane.
+
+    Returns
+    -------
+    None with fewer than two vertebrae in both.
+    """
+    common = tuple(name for name in rest.vertebrae if name in pushed.vertebrae)
+    if len(common) < 2:
+        return None
+    before, after = (tilts(common, corners.selected(common).corners, view, method) for corners in (rest, pushed))
+    return cobb_change(before, after)
 
 
 def _direction(leftward: Floats) -> Floats:

@@ -2,109 +2,65 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
-from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
-from spinestiff.anatomy.torso import TorsoState
+from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.arrays import Floats
-from spinestiff.curves.tilts import CobbChange, SpineTilts, cobb_change, tilts
+from spinestiff.curves.tilts import CobbChange
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.fit import fit_stiffness
-from spinestiff.estimation.objective import Target, make_target, residuals
-from spinestiff.imaging.features import rmse, state_features, target_features, vertebra_rows
-from spinestiff.mechanics.equilibrium import Equilibrium
+from spinestiff.imaging.features import rmse, target_features
+from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.trials import PushSet, PushTrial
+from spinestiff.subject.outcomes import CobbChangeRecord, HeldOutFrame
 
-Observer = Callable[[str], None]
 BASELINES = ("rest", "default", "fit", "extrapolation", "single_ratio", "truth")
+COBB_MODELS = ("default", "fit", "truth")
 
 
-@dataclass(frozen=True)
-class FrameAssessment:
-    """One held-out frame.
+def assess(predictions: Predictions) -> tuple[HeldOutFrame, ...]:
+    """Every held-out frame's error by predictor, and its change of the Cobb angle, measured and simulated.
 
-    Attributes
-    ----------
-    push, frame, force_n : which.
-    rmse_mm : by predictor (``BASELINES``), corner RMSE at the patient plane; None where it makes no prediction.
-    cobb_change_deg : "measured", "default", "fit" (and "truth" where known): change from the unloaded frame.
-    states : simulated states by predictor, for pictures.
+    Raises
+    ------
+    EquilibriumError : the estimate has no equilibrium in a held-out frame.
     """
-
-    push: str
-    frame: int
-    force_n: float
-    rmse_mm: Mapping[str, float | None]
-    cobb_change_deg: Mapping[str, CobbChange | None]
-    states: Mapping[str, TorsoState]
-
-    def as_record(self) -> dict[str, object]:
-        """As written to ``assessment.json``."""
-        cobb = {
-            name: None
-            if change is None
-            else {
-                "signed": round(change.signed, 3),
-                "fixed_levels": round(change.fixed_levels, 3),
-                "tilt": round(change.tilt, 3),
-                "levels": [change.rest.upper, change.rest.lower],
-                "tilt_levels": list(change.tilt_levels),
-            }
-            for name, change in self.cobb_change_deg.items()
-        }
-        errors = {name: None if value is None else round(value, 4) for name, value in self.rmse_mm.items()}
-        return {
-            "push": self.push,
-            "frame": self.frame,
-            "force_n": self.force_n,
-            "rmse_mm": errors,
-            "cobb_change_deg": cobb,
-        }
+    return tuple(_held_out(predictions, found) for found in predictions.of_role("validation"))
 
 
-def assess(
-    pushes: PushSet,
-    ratios: StiffnessRatios,
-    truth: Mapping[str, float] | None = None,
-    observer: Observer | None = None,
-) -> tuple[FrameAssessment, ...]:
-    """Predict every validation frame and compare with what was measured.
+def _held_out(predictions: Predictions, found: Prediction) -> HeldOutFrame:
+    torso, item = predictions.pushes.torso, found.item
+    if "fit" not in found.solved:
+        raise EquilibriumError(f"{item.trial.label}: no prediction by the estimate; see the messages of this step")
+    errors: dict[str, float | None] = dict.fromkeys(BASELINES)
+    errors |= {name: round(found.rmse(torso, name), 4) for name in found.solved}
+    outside = extrapolated(predictions.pushes, item)
+    if outside is not None:
+        names, features = outside
+        rows = [item.trial.corners.vertebrae.index(n) for n in names]
+        errors["extrapolation"] = round(rmse(features, found.target.z[rows]), 4)
+    changes = {"measured": predictions.measured_change(item)}
+    changes |= {name: predictions.simulated_change(found, name) for name in COBB_MODELS if name in found.solved}
+    return HeldOutFrame(
+        push=item.push,
+        frame=item.frame,
+        force_n=item.force_n,
+        rmse_mm=errors,
+        cobb_change_deg={name: None if change is None else change_record(change) for name, change in changes.items()},
+    )
 
-    Parameters
-    ----------
-    pushes : all trials of the subject.
-    ratios : the estimate.
-    truth : true ratios of a synthetic subject (the "oracle": truth on the estimator's own mesh and geometry).
-    """
-    say = observer or (lambda line: None)
-    kinds = pushes.torso.joints.kinds
-    models: dict[str, StiffnessRatios | None] = {"default": None, "fit": ratios}
-    say("fitting the one-ratio baseline")
-    single = single_ratio(pushes, float(np.exp(np.mean(np.log(ratios.values)))))
-    if single is not None:
-        models["single_ratio"] = single
-    if truth is not None:
-        models["truth"] = stiffness_ratios(truth, kinds)
-    frames = []
-    last: dict[tuple[str, str], TorsoState] = {}
-    for item in pushes.of_role("validation"):
-        say(f"push '{item.push}' frame {item.frame}: predicting {item.force_n:.0f} N")
-        states = {"rest": pushes.torso.rest_pose}
-        starts = {}
-        for name, model in models.items():
-            found = _predict(pushes, item, model, last.get((name, item.push)))
-            if found.converged:
-                states[name] = last[(name, item.push)] = found.state
-                starts[name] = _start(pushes, item.push, model)
-            elif name == "fit":
-                raise EquilibriumError(f"{item.trial.label}: no prediction by the estimate: {found.status.value}")
-            else:
-                say(f"{item.trial.label}: no prediction by '{name}': {found.status.value}")
-        frames.append(_compare(pushes, item, states, starts))
-    return tuple(frames)
+
+def change_record(change: CobbChange) -> CobbChangeRecord:
+    """A change of the Cobb angle as it is written."""
+    return CobbChangeRecord(
+        signed=round(change.signed, 3),
+        fixed_levels=round(change.fixed_levels, 3),
+        tilt=round(change.tilt, 3),
+        levels=change.levels,
+        tilt_levels=change.tilt_levels,
+    )
 
 
 def single_ratio(pushes: PushSet, start: float = 1.0) -> StiffnessRatios | None:
@@ -116,6 +72,7 @@ def single_ratio(pushes: PushSet, start: float = 1.0) -> StiffnessRatios | None:
             [t.trial for t in training],
             ("everything",),
             start={"everything": start},
+            orientation=pushes.orientation,
             intervals="linear",
         )
     except (FitError, EquilibriumError):
@@ -168,62 +125,5 @@ def _signed(item: PushTrial, reference: PushTrial) -> float:
 
 
 def _measured(pushes: PushSet, item: PushTrial) -> dict[str, Floats]:
-    features = target_features(pushes.torso, item.trial.view, item.trial.corners)
+    features = target_features(pushes.torso, item.trial.view, item.trial.corners, pushes.orientation)
     return dict(zip(item.trial.corners.vertebrae, features))
-
-
-def _predict(pushes: PushSet, item: PushTrial, model: StiffnessRatios | None, start: TorsoState | None) -> Equilibrium:
-    return pushes.problems[item.push].solve(item.trial.load, model, start)
-
-
-def _start(pushes: PushSet, push: str, model: StiffnessRatios | None) -> TorsoState:
-    """What a model makes of the frame that changes are measured from: at rest, unless even that one is loaded."""
-    reference = pushes.reference(push)
-    if reference.force_n == 0.0:
-        return pushes.torso.rest_pose
-    return _predict(pushes, reference, model, None).require().state
-
-
-def _compare(
-    pushes: PushSet, item: PushTrial, states: Mapping[str, TorsoState], starts: Mapping[str, TorsoState]
-) -> FrameAssessment:
-    target = make_target(pushes.torso, item.trial)
-    errors: dict[str, float | None] = dict.fromkeys(BASELINES)
-    for name, state in states.items():
-        errors[name] = residuals(pushes.torso, target, state).rmse
-    outside = extrapolated(pushes, item)
-    if outside is not None:
-        names, features = outside
-        rows = [item.trial.corners.vertebrae.index(n) for n in names]
-        errors["extrapolation"] = rmse(features, target.z[rows])
-    reference = pushes.reference(item.push)
-    common = tuple(v for v in item.trial.corners.vertebrae if v in reference.trial.corners.vertebrae)
-    changes: dict[str, CobbChange | None] = {"measured": _measured_change(pushes, reference, item, common)}
-    for name in ("default", "fit", "truth"):
-        if name in states:
-            before = _simulated_tilts(pushes, target, starts[name], common)
-            changes[name] = cobb_change(before, _simulated_tilts(pushes, target, states[name], common))
-        elif name != "truth":
-            changes[name] = None
-    return FrameAssessment(item.push, item.frame, item.force_n, errors, changes, dict(states))
-
-
-def _measured_change(
-    pushes: PushSet, reference: PushTrial, item: PushTrial, common: tuple[str, ...]
-) -> CobbChange | None:
-    """From placed boxes, as the simulated change is: the corners' own endplates carry the annotation's noise twice."""
-    if len(common) < 2:
-        return None
-    view = item.trial.view
-    before, after = (
-        tilts(common, target_features(pushes.torso, view, t.trial.corners.selected(common)), view)
-        for t in (reference, item)
-    )
-    return cobb_change(before, after)
-
-
-def _simulated_tilts(pushes: PushSet, target: Target, state: TorsoState, common: tuple[str, ...]) -> SpineTilts:
-    view = target.trial.view
-    seen = state_features(pushes.torso, view, state, target.shares)
-    rows = vertebra_rows(pushes.torso, target.trial.corners.selected(common))
-    return tilts(common, seen.z[rows], view)

@@ -17,8 +17,8 @@ from spinestiff.estimation.objective import FEWEST_VERTEBRAE
 from spinestiff.imaging.image_quality import ImageQuality, image_quality
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.tracking import support_motion
-from spinestiff.imaging.tracking.quality import error_of
-from spinestiff.study.trials import TrackedFrame, usable_corners
+from spinestiff.imaging.tracking.quality import error_of, usable_corners
+from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord, Role
 
 BLURRED = 0.75
@@ -96,7 +96,7 @@ class Proposal:
 
 
 def frame_qualities(
-    push: PushRecord, frames: Sequence[Radiograph], tracked: Sequence[TrackedFrame], points: Mapping[str, Floats]
+    push: PushRecord, frames: Sequence[Radiograph], tracked: TrackedPush, points: Mapping[str, Floats]
 ) -> tuple[FrameQuality, ...]:
     """What can be measured about the frames of a push.
 
@@ -104,14 +104,14 @@ def frame_qualities(
     ----------
     push : its record.
     frames : its F radiographs.
-    tracked : F entries of ``tracked.json``.
+    tracked : its F frames as tracked.
     points : (n, 2) pixels in the first frame, of pelvis and shoulder.
 
     Raises
     ------
     TrackingError : as ``support_motion``.
     """
-    corners = [usable_corners(entry.corners) for entry in tracked]
+    corners = [usable_corners(tracked.corners(i)) for i in range(len(tracked.frames))]
     images = image_quality(frames, corners)
     motions = _motions(frames, points)
     return tuple(
@@ -119,7 +119,7 @@ def frame_qualities(
             push.id, i, force, images[i], len(corners[i]),
             float(np.median(error_of(corners[i].quality))) if len(corners[i]) else np.inf, motions[i], entry.dropped,
         )
-        for i, (force, entry) in enumerate(zip(push.forces_n, tracked, strict=True))
+        for i, (force, entry) in enumerate(zip(push.forces_n, tracked.frames, strict=True))
     )  # fmt: skip
 
 

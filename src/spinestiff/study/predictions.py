@@ -1,19 +1,55 @@
-"""Every frame of a visit as default and estimated stiffness make it: equilibria beside what was measured."""
+"""Every frame of a visit as the models make it: equilibria beside what was measured, each solved once and stored."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
 
 from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
+from spinestiff.curves.tilts import CobbChange, change_between, cobb_change, tilts
+from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.estimation.objective import Target, make_target, residuals
-from spinestiff.imaging.features import state_features
-from spinestiff.mechanics.supports import Reaction
+from spinestiff.files import write_bytes
+from spinestiff.imaging.features import state_features, vertebra_rows
+from spinestiff.mechanics.equilibrium import Equilibrium
 from spinestiff.study.trials import PushSet, PushTrial
 
 Observer = Callable[[str], None]
+REST = "rest"
+STATES_SCHEMA = "spinestiff-states-1"
+_FIELDS = ("bone_positions", "bone_rotations", "tissue_positions")
+
+
+@dataclass(frozen=True)
+class Solved:
+    """An equilibrium as later steps need it.
+
+    Attributes
+    ----------
+    state : where everything is.
+    reactions : (R, 3) N, what held bones and then the supports' springs exert, in the order of the solve's reactions.
+    """
+
+    state: TorsoState
+    reactions: Floats
+
+    @classmethod
+    def of(cls, equilibrium: Equilibrium) -> Solved:
+        """From what a solve gave."""
+        forces = np.array([reaction.force for reaction in equilibrium.reactions]).reshape(-1, 3)
+        return cls(equilibrium.state, forces)
+
+
+Key = tuple[str, int, str]
+"""Push, frame and model: "default", "fit", "single_ratio" or "truth"."""
 
 
 @dataclass(frozen=True)
@@ -24,45 +60,159 @@ class Prediction:
     ----------
     item : the frame.
     target : its measured features.
-    states : "rest", "default", "fit" where an equilibrium was found.
-    reactions : what the supports exert in the "default" and "fit" states.
+    solved : by model, where an equilibrium was found; "rest" is the torso at rest, without reactions.
     """
 
     item: PushTrial
     target: Target
-    states: Mapping[str, TorsoState]
-    reactions: Mapping[str, tuple[Reaction, ...]]
+    solved: Mapping[str, Solved]
+
+    @property
+    def states(self) -> dict[str, TorsoState]:
+        """State by model, "rest" among them."""
+        return {name: found.state for name, found in self.solved.items()}
 
     def boxes(self, torso: TorsoModel, name: str) -> Floats:
         """(Nv, 4, 2) mm at the patient plane, simulated boxes of the measured vertebrae."""
         target = self.target
-        seen = state_features(torso, target.trial.view, self.states[name], target.shares, used=target.used)
-        return seen.z[target.rows]
+        state, view = self.solved[name].state, target.trial.view
+        return state_features(torso, view, state, target.shares, target.orientation, target.used).z[target.rows]
 
     def rmse(self, torso: TorsoModel, name: str) -> float:
         """Corner RMSE of a model, mm at the patient plane."""
-        return residuals(torso, self.target, self.states[name]).rmse
+        return residuals(torso, self.target, self.solved[name].state).rmse
 
 
-def predict(pushes: PushSet, ratios: StiffnessRatios, say: Observer) -> tuple[Prediction, ...]:
-    """Every frame under force, in the order of the trials; each push is solved from its least force up.
+@dataclass(frozen=True)
+class Predictions:
+    """What the models make of every frame under force, in the order of the trials."""
+
+    pushes: PushSet
+    frames: tuple[Prediction, ...]
+
+    def of_role(self, *roles: str) -> tuple[Prediction, ...]:
+        return tuple(frame for frame in self.frames if frame.item.role in roles)
+
+    def before(self, item: PushTrial, name: str) -> TorsoState | None:
+        """What a model makes of the frame that changes are measured from: at rest, unless even that one is loaded."""
+        reference = self.pushes.reference(item.push)
+        if reference.force_n == 0.0:
+            return self.pushes.torso.rest_pose
+        found = next(p for p in self.frames if p.item.push == item.push and p.item.frame == reference.frame)
+        return found.states.get(name)
+
+    def measured_change(self, item: PushTrial) -> CobbChange | None:
+        """The measured change of the Cobb angle from the push's least force."""
+        reference = self.pushes.reference(item.push)
+        return change_between(item.trial.view, reference.trial.corners, item.trial.corners)
+
+    def simulated_change(self, prediction: Prediction, name: str) -> CobbChange | None:
+        """The same of a model, of the corners that the picture would show, between the end vertebrae measured."""
+        measured, after = self.measured_change(prediction.item), prediction.states.get(name)
+        before = self.before(prediction.item, name)
+        if measured is None or before is None or after is None:
+            return None
+        torso, item, target = self.pushes.torso, prediction.item, prediction.target
+        reference = self.pushes.reference(item.push)
+        common = tuple(v for v in reference.trial.corners.vertebrae if v in item.trial.corners.vertebrae)
+        rows = vertebra_rows(torso, item.trial.corners.selected(common))
+        rest, pushed = (
+            tilts(common, state_features(torso, item.trial.view, state, target.shares).corners[rows], item.trial.view)
+            for state in (before, after)
+        )
+        return cobb_change(rest, pushed, measured.levels)
+
+
+def predict(
+    pushes: PushSet,
+    models: Mapping[str, StiffnessRatios | None],
+    known: Mapping[Key, Solved],
+    say: Observer,
+    everywhere: Sequence[str] = ("default", "fit"),
+) -> Predictions:
+    """Every frame under force by every model; each push is solved from its least force up.
 
     Parameters
     ----------
-    pushes : the trials.
-    ratios : the estimate ("fit"); "default" has default stiffness.
+    models : by name; None = default stiffness.
+    known : what is solved already.
+    everywhere : models of all frames; the others predict the frames held out only.
     """
-    loaded = [t for t in pushes.trials if t.force_n > 0.0]
-    done = []
+    solved = dict(known)
     last: dict[tuple[str, str], TorsoState] = {}
-    for item in sorted(loaded, key=lambda t: (t.push, t.force_n)):
-        say(f"push '{item.push}' frame {item.frame}: {item.force_n:.0f} N")
-        states, reactions = {"rest": pushes.torso.rest_pose}, {}
-        for name, model in (("default", None), ("fit", ratios)):
-            found = pushes.problems[item.push].solve(item.trial.load, model, last.get((name, item.push)))
-            if found.converged:
-                states[name] = last[(name, item.push)] = found.state
-                reactions[name] = found.reactions
-        done.append(Prediction(item, make_target(pushes.torso, item.trial), states, reactions))
-    order = {(t.push, t.frame): i for i, t in enumerate(pushes.trials)}
-    return tuple(sorted(done, key=lambda p: order[(p.item.push, p.item.frame)]))
+    for item in sorted((t for t in pushes.trials if t.force_n > 0.0), key=lambda t: (t.push, t.force_n)):
+        for name, model in models.items():
+            key = (item.push, item.frame, name)
+            if name not in everywhere and item.role != "validation":
+                continue
+            if key not in solved:
+                say(f"push '{item.push}' frame {item.frame}: {name} at {item.force_n:.0f} N")
+                solution = pushes.problems[item.push].solve(item.trial.load, model, last.get((item.push, name)))
+                if not solution.converged:
+                    say(f"{item.trial.label}: no prediction by '{name}': {solution.status.value}")
+                    continue
+                solved[key] = Solved.of(solution)
+            last[item.push, name] = solved[key].state
+    return predictions_of(pushes, solved)
+
+
+def predictions_of(pushes: PushSet, solved: Mapping[Key, Solved]) -> Predictions:
+    """Every frame under force with the equilibria that are known for it."""
+    frames = []
+    for item in (t for t in pushes.trials if t.force_n > 0.0):
+        own = {name: found for (push, frame, name), found in solved.items() if (push, frame) == (item.push, item.frame)}
+        at_rest = Solved(pushes.torso.rest_pose, np.zeros((0, 3)))
+        target = make_target(pushes.torso, item.trial, pushes.orientation)
+        frames.append(Prediction(item, target, {REST: at_rest, **own}))
+    return Predictions(pushes, tuple(frames))
+
+
+def stored(predictions: Predictions) -> dict[Key, Solved]:
+    """All that was solved, by push, frame and model."""
+    return {
+        (p.item.push, p.item.frame, name): found
+        for p in predictions.frames
+        for name, found in p.solved.items()
+        if name != REST
+    }
+
+
+def write_solved(path: Path, solved: Mapping[Key, Solved]) -> None:
+    """Write equilibria; the same ones give the same bytes. Raises SubjectError if the file can't be written."""
+    keys = sorted(solved)
+    arrays = {"keys": np.array(json.dumps({"schema": STATES_SCHEMA, "keys": keys}))}
+    for number, key in enumerate(keys):
+        arrays |= {f"{number}_{name}": getattr(solved[key].state, name) for name in _FIELDS}
+        arrays[f"{number}_reactions"] = solved[key].reactions
+    content = BytesIO()
+    np.savez_compressed(content, **arrays)  # type: ignore[arg-type]
+    write_bytes(path, content.getvalue())
+
+
+def read_solved(path: Path) -> dict[Key, Solved]:
+    """Equilibria that ``write_solved`` wrote.
+
+    Raises
+    ------
+    SubjectError : no such file, or not one of these.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as found:
+            header = json.loads(str(found["keys"]))
+            if header["schema"] != STATES_SCHEMA:
+                raise SubjectError(f"{path}: schema '{header['schema']}', wanted '{STATES_SCHEMA}'; run spinestiff run")
+            return {
+                (push, frame, model): Solved(
+                    TorsoState(**{name: found[f"{number}_{name}"] for name in _FIELDS}), found[f"{number}_reactions"]
+                )
+                for number, (push, frame, model) in enumerate(header["keys"])
+            }
+    except (OSError, BadZipFile, EOFError, KeyError, ValueError, TypeError, SpinestiffError) as error:
+        raise SubjectError(
+            f"{path}: holds no equilibria ({' '.join(str(error).split())}); run spinestiff run"
+        ) from None
+
+
+def of_equilibria(items: Iterable[PushTrial], equilibria: Iterable[Equilibrium], name: str) -> dict[Key, Solved]:
+    """Equilibria of a fit by push, frame and model; none where the fit had none."""
+    return {(item.push, item.frame, name): Solved.of(found) for item, found in zip(items, equilibria)}

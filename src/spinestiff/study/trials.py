@@ -3,41 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import dataclass
 
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import SubjectError
 from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Trial
-from spinestiff.imaging.features import VertebraCorners
-from spinestiff.imaging.projection import XRayView
+from spinestiff.imaging.features import Orientation
+from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.pose import ViewPose, align_view
+from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord
-
-# Corners tracked worse than this, by about 1.2 mm, count as lost; better ones weigh by their quality.
-LOWEST_QUALITY = 0.02
-# Fewer usable corners leave a vertebra's orientation to chance.
-FEWEST_CORNERS = 3
-
-
-@dataclass(frozen=True)
-class TrackedFrame:
-    """One frame of a push: its corners, and why it must not be used ("frame 2: the pelvis moved ..."), if so."""
-
-    corners: VertebraCorners
-    dropped: str = ""
-
-
-@dataclass(frozen=True)
-class TrackedPush:
-    """A push as tracked: nominal view and one entry a frame."""
-
-    view: XRayView
-    frames: tuple[TrackedFrame, ...]
 
 
 @dataclass(frozen=True)
@@ -68,6 +46,7 @@ class PushSet:
     trials : every usable frame, the unloaded first ones included.
     poses : push id -> how the patient stood.
     warnings : what was dropped, and why.
+    orientation : of a vertebra in the picture, for all that is made of the trials.
     """
 
     torso: TorsoModel
@@ -75,6 +54,7 @@ class PushSet:
     trials: tuple[PushTrial, ...]
     poses: Mapping[str, ViewPose]
     warnings: tuple[str, ...]
+    orientation: Orientation = "procrustes"
 
     def of_role(self, role: str) -> tuple[PushTrial, ...]:
         return tuple(trial for trial in self.trials if trial.role == role)
@@ -93,6 +73,7 @@ def push_set(
     torso: TorsoModel,
     pushes: Sequence[PushRecord],
     tracked: Mapping[str, TrackedPush],
+    orientation: Orientation = "procrustes",
 ) -> PushSet:
     """Trials of all pushes; each push's view is moved to meet its usable frame of least force.
 
@@ -107,7 +88,13 @@ def push_set(
         if push.side not in by_side:
             by_side[push.side] = EquilibriumProblem(torso, three_point_supports(torso, push.side))
         problems[push.id] = by_side[push.side]
-        corners = [usable_corners(frame.corners) for frame in found.frames]
+        if len(found.frames) != len(push.forces_n):
+            raise SubjectError(
+                f"push '{push.id}': {len(found.frames)} tracked frames for {len(push.forces_n)} forces_n; "
+                "run spinestiff track again"
+            )
+        tracked_corners = [found.corners(i) for i in range(len(found.frames))]
+        corners = [usable_corners(frame) for frame in tracked_corners]
         usable = [
             i for i, frame in enumerate(found.frames) if not frame.dropped and len(corners[i]) >= FEWEST_VERTEBRAE
         ]
@@ -119,7 +106,7 @@ def push_set(
                 f"push '{push.id}': its least force is {push.forces_n[least]:g} N, so that where the patient stood "
                 "is read under load; record a frame without force"
             )
-        view, poses[push.id] = align_view(torso, torso.rest_pose, found.view, corners[least])
+        view, poses[push.id] = align_view(torso, torso.rest_pose, found.view.view(), corners[least])
         for index, (frame, force, role) in enumerate(zip(found.frames, push.forces_n, push.roles)):
             label = f"push '{push.id}' frame {index}"
             if frame.dropped and role != "unused":
@@ -130,7 +117,7 @@ def push_set(
             # Seen unloaded in the same sequence, vertebrae are compared by how far they moved from there.
             unloaded = corners[least] if push.forces_n[least] == 0.0 and index != least else None
             trial = Trial(load, corners[index], view, label, push.id, unloaded)
-            lost = len(frame.corners) - len(trial.corners)
+            lost = len(found.vertebrae) - len(trial.corners)
             if index not in usable:
                 left = len(trial.corners)
                 warnings.append(f"{label}: dropped, {left or 'no'} vertebrae are left (wanted {FEWEST_VERTEBRAE})")
@@ -140,12 +127,4 @@ def push_set(
             trials.append(PushTrial(push.id, index, force, role, trial))
     if not any(t.role == "training" and t.force_n > 0.0 for t in trials):
         raise SubjectError("no training frame is left after tracking; see the messages of the tracking step")
-    return PushSet(torso, problems, tuple(trials), poses, tuple(warnings))
-
-
-def usable_corners(corners: VertebraCorners) -> VertebraCorners:
-    """The vertebrae with enough well-tracked corners; worse corners get quality 0."""
-    quality = np.where(corners.quality >= LOWEST_QUALITY, corners.quality, 0.0)
-    keep = np.flatnonzero((quality > 0.0).sum(1) >= FEWEST_CORNERS)
-    names = tuple(corners.vertebrae[i] for i in keep)
-    return replace(corners, vertebrae=names, corners=corners.corners[keep], quality=quality[keep])
+    return PushSet(torso, problems, tuple(trials), poses, tuple(warnings), orientation)

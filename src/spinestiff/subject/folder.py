@@ -24,6 +24,7 @@ from spinestiff.subject.records import (
     FURTHER_FRAME,
     LATERAL,
     REST_IMAGES,
+    RESULTS,
     SCHEMA_VERSION,
     SUBJECT_FILE,
     USUAL_LIMIT_N,
@@ -33,7 +34,6 @@ from spinestiff.subject.records import (
     SubjectRecord,
     read_record,
 )
-from spinestiff.subject.run_record import RESULTS
 
 if TYPE_CHECKING:
     from spinestiff.imaging.projection import XRayView

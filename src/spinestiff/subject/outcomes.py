@@ -1,14 +1,47 @@
-"""What the steps find, as files in ``results/``: their schemas, written and read in one place."""
+"""What the steps find, as files in ``results/``: their schemas. ``run_record`` writes and reads them."""
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from collections.abc import Mapping, Sequence
+from math import inf, isfinite, log
+from typing import Annotated, ClassVar, Final, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from spinestiff.imaging.features import Orientation, VertebraCorners
+from spinestiff.imaging.projection import XRayView
+from spinestiff.subject.records import Role, VertebraName
+
+OUTCOME_VERSION: Final = 2
+"""Of every file below. 1 were files without schemas."""
+DETERMINED, WEAKLY_DETERMINED = 2.0, 10.0
+"""Factors either way of the value: an interval within the first determines it, one within the second does so weakly."""
+
+Determination = Literal["determined", "weakly determined", "not determined"]
+Pair = tuple[float, float]
+Vector = tuple[float, float, float]
 
 
 class Outcome(BaseModel):
     """What every record of a result is: frozen, without unknown keys, without NaN."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class OutcomeFile(Outcome):
+    """A record that is a file of its own in ``results/``.
+
+    Attributes
+    ----------
+    FILE : its name. STEP : the step that writes it.
+    schema_version : of this form.
+    """
+
+    FILE: ClassVar[str]
+    STEP: ClassVar[str]
+    schema_version: Literal[2] = OUTCOME_VERSION
 
 
 class Check(Outcome):
@@ -27,3 +60,465 @@ class Check(Outcome):
     limit: float | None
     passed: bool | None
     text: str
+
+
+class ViewRecord(Outcome):
+    """An X-ray view: see ``imaging.projection.XRayView``, whose fields these are."""
+
+    source: Vector
+    detector_origin: Vector
+    detector_axes: tuple[Vector, Vector]
+    pixel_spacing: Pair
+    shape: tuple[int, int]
+    source_to_patient: float
+
+    @classmethod
+    def of(cls, view: XRayView) -> Self:
+        """The record of a view."""
+        arrays = ("source", "detector_origin", "detector_axes", "pixel_spacing")
+        return cls(
+            **{name: getattr(view, name).tolist() for name in arrays},
+            shape=view.shape,
+            source_to_patient=view.source_to_patient,
+        )
+
+    def view(self) -> XRayView:
+        """The view itself. Raises RadiographError if its geometry is impossible."""
+        return XRayView(
+            np.array(self.source),
+            np.array(self.detector_origin),
+            np.array(self.detector_axes),
+            np.array(self.pixel_spacing),
+            self.shape,
+            self.source_to_patient,
+        )
+
+
+class PoseRecord(Outcome):
+    """How the patient stood in a picture against its nominal view (``personalise.pose.ViewPose``).
+
+    Attributes
+    ----------
+    shift_mm : across and along the picture, at the patient plane. roll_deg, yaw_deg : turns.
+    rms_mm : what remains between simulated and measured corners, at the patient plane.
+    """
+
+    shift_mm: Pair
+    roll_deg: float
+    yaw_deg: float
+    rms_mm: float
+
+
+class TrackedFrame(Outcome):
+    """One frame of a push.
+
+    Attributes
+    ----------
+    force_n : magnitude.
+    corners_px : (Nv, 4, 2) column, row. quality : (Nv, 4), from 0 to 1.
+    dropped : why it must not be used ("frame 2: the pelvis moved ..."), or empty.
+    support_motion_mm : by support, since the push's first frame.
+    """
+
+    force_n: float
+    corners_px: tuple[tuple[Pair, Pair, Pair, Pair], ...]
+    quality: tuple[tuple[float, float, float, float], ...]
+    dropped: str = ""
+    support_motion_mm: dict[str, float] = {}
+
+
+class TrackedPush(Outcome):
+    """A push as tracked.
+
+    Attributes
+    ----------
+    view : nominal, of its frames. millimetres : where they come from.
+    vertebrae : (Nv,) names, head to foot.
+    annotated_frames : those whose corners a person set.
+    frames : one a radiograph.
+    """
+
+    view: ViewRecord
+    millimetres: dict[str, str] = {}
+    vertebrae: tuple[VertebraName, ...]
+    annotated_frames: tuple[int, ...] = ()
+    frames: tuple[TrackedFrame, ...]
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        for index, frame in enumerate(self.frames):
+            for what, found in (("corners_px", frame.corners_px), ("quality", frame.quality)):
+                if len(found) != len(self.vertebrae):
+                    raise ValueError(f"frames[{index}].{what}: {len(found)} for {len(self.vertebrae)} vertebrae")
+        if not self.frames:
+            raise ValueError("frames: found none, wanted one a radiograph")
+        return self
+
+    @classmethod
+    def of(
+        cls,
+        view: XRayView,
+        forces_n: Sequence[float],
+        tracked: Sequence[VertebraCorners],
+        dropped: Sequence[str] = (),
+        motions: Sequence[Mapping[str, float]] = (),
+        **said: object,
+    ) -> Self:
+        """The record of a push from its frames' corners on the detector, mm.
+
+        Parameters
+        ----------
+        dropped, motions : a frame each; left out = none dropped, none seen.
+        said : ``millimetres`` and ``annotated_frames``.
+        """
+        frames = [
+            {
+                "force_n": force,
+                "corners_px": view.pixels(corners.corners).round(3).tolist(),
+                "quality": corners.quality.round(3).tolist(),
+                "dropped": dropped[i] if dropped else "",
+                "support_motion_mm": dict(motions[i]) if motions else {},
+            }
+            for i, (force, corners) in enumerate(zip(forces_n, tracked, strict=True))
+        ]
+        return cls.model_validate(
+            {"view": ViewRecord.of(view), "vertebrae": tracked[0].vertebrae, "frames": frames, **said}
+        )
+
+    def corners(self, frame: int) -> VertebraCorners:
+        """The corners of a frame in mm on the detector, with their quality."""
+        found = self.frames[frame]
+        return VertebraCorners(
+            self.vertebrae, self.view.view().from_pixels(np.array(found.corners_px)), np.array(found.quality)
+        )
+
+
+class Tracked(OutcomeFile):
+    """``tracked.json``: the vertebra corners of every frame, by push."""
+
+    FILE: ClassVar[str] = "tracked.json"
+    STEP: ClassVar[str] = "track"
+    pushes: dict[str, TrackedPush]
+
+
+class FrameProposal(Outcome):
+    """What a frame is good for (``spinestiff frames``), and the role that is proposed beside the one it has."""
+
+    push: str
+    side: Literal["left", "right"]
+    level: float
+    frame: int
+    force_n: float
+    sharpness: float | None
+    contrast_to_noise: float | None
+    saturated: float | None
+    vertebrae: int
+    tracking_mm: float | None
+    supports: dict[str, dict[Literal["mm", "degrees"], float | None]]
+    role: Role
+    proposed: Role
+    reason: str
+
+
+class FrameProposals(OutcomeFile):
+    """``frames.json``: every frame's quality and proposed role."""
+
+    FILE: ClassVar[str] = "frames.json"
+    STEP: ClassVar[str] = "frames"
+    frames: tuple[FrameProposal, ...]
+
+
+class VertebraFitRecord(Outcome):
+    """How well a vertebra fits a rest radiograph (``personalise.fitness.VertebraFit``)."""
+
+    rmse_mm: float
+    centre_mm: float
+    angle_deg: float
+    wrong_corners: int
+
+
+class MeshRecord(Outcome):
+    """The subject's tissue mesh: how it came about, its size and its worst element."""
+
+    path: Literal["kept", "rebuilt", "finer"]
+    nodes: int
+    smallest_j: float
+    smallest_dihedral_deg: float
+
+
+class ScanRecord(Outcome):
+    """How the skin fits its scan (``personalise.scanned_skin.ScanFit``); distances as median and 95th percentile."""
+
+    covered: float
+    used: float
+    before_mm: Pair
+    after_mm: Pair
+    left_to_template: tuple[str, ...]
+    held_mm: float
+    yaw_deg: float
+    tilt_deg: float
+    turned_round: bool
+
+
+class GeometryRecord(OutcomeFile):
+    """``personalised.json``: how the subject's geometry was found and how well it fits; the torso is ``torso.npz``.
+
+    Attributes
+    ----------
+    rmse_mm, poses, views, millimetres, fits : by view, "frontal" and "lateral"; ``fits`` by vertebra.
+    prior_only : vertebrae that no radiograph shows. carried : vertebra -> motions that the prior determines more.
+    length_scale : the spine's length over the template's at the given height.
+    size_scale : vertebra -> width, height and depth over the template's at the given height.
+    corner_sd_mm : of annotated corners along one axis.
+    covariance : (V, 6, 6V) rows of the covariance of (dt mm, dw rad), vertebra by vertebra.
+    """
+
+    FILE: ClassVar[str] = "personalised.json"
+    STEP: ClassVar[str] = "personalise"
+    rmse_mm: dict[str, float]
+    poses: dict[str, PoseRecord]
+    views: dict[str, ViewRecord]
+    millimetres: dict[str, dict[str, str]]
+    fits: dict[str, dict[VertebraName, VertebraFitRecord]]
+    prior_only: tuple[str, ...]
+    carried: dict[str, tuple[str, ...]]
+    length_scale: float
+    size_scale: dict[str, Vector]
+    corner_sd_mm: float
+    covariance: tuple[tuple[tuple[float, ...], ...], ...]
+    mesh: MeshRecord
+    skin_scan: ScanRecord | None
+    warnings: tuple[str, ...]
+
+
+class Quantity(Outcome):
+    """A number with its 95 % interval.
+
+    Attributes
+    ----------
+    value : the estimate.
+    low, high : ends of the interval; None = none was found.
+    open_low, open_high : the end is the fit's bound; what lies beyond is possible, too.
+    """
+
+    value: float
+    low: float | None
+    high: float | None
+    open_low: bool = False
+    open_high: bool = False
+
+    def scaled(self, factor: float) -> Quantity:
+        """The same in another unit, or of what is in proportion to it."""
+        ends = [None if end is None else end * factor for end in (self.low, self.high)]
+        return Quantity(
+            value=self.value * factor, low=ends[0], high=ends[1], open_low=self.open_low, open_high=self.open_high
+        )
+
+    @property
+    def sd_log(self) -> float:
+        """A fourth of the interval's width in log; infinite without two closed ends."""
+        if self.low is None or self.high is None or self.low <= 0.0 or self.open_low or self.open_high:
+            return inf
+        return 0.25 * log(self.high / self.low)
+
+    @property
+    def determination(self) -> Determination:
+        """How far the data determine the value: by the interval's width in log, with an open end weakly at best."""
+        if self.low is None or self.high is None or self.low <= 0.0 or (self.open_low and self.open_high):
+            return "not determined"
+        if 2.0 * self.sd_log <= log(DETERMINED):
+            return "determined"
+        return "weakly determined" if 0.5 * log(self.high / self.low) <= log(WEAKLY_DETERMINED) else "not determined"
+
+
+class RatioEstimate(Quantity):
+    """An estimated ratio; ``at_bound``: the value itself lies at the fit's bound."""
+
+    at_bound: bool
+    determined: Determination
+
+    @classmethod
+    def of(cls, value: float, ends: Pair, opens: tuple[bool, bool], at_bound: bool) -> Self:
+        """From the ends of its interval; what is not finite counts as not found."""
+        low, high = (float(end) if isfinite(end) else None for end in ends)
+        quantity = Quantity(value=value, low=low, high=high, open_low=opens[0], open_high=opens[1])
+        return cls(**quantity.model_dump(), at_bound=at_bound, determined=quantity.determination)
+
+
+class PlainStiffness(Quantity):
+    """A stiffness in plain units. Its interval is that of the one ratio that scales it as a whole; without one, none.
+
+    Attributes
+    ----------
+    unit : "N m/rad" or "kPa".
+    ratio : the estimated ratio that scales it, or None.
+    """
+
+    unit: str
+    ratio: str | None
+
+
+class Reactions(Outcome):
+    """Forces at the supports under the largest training push, N, above 0 against the push, beside Eqs. 1-2."""
+
+    push: str
+    f3: float
+    shoulder: float
+    pelvis: float
+    eq2_shoulder: float
+    eq1_pelvis: float
+
+
+class FitStepRecord(Outcome):
+    """One evaluation of the fit; without an equilibrium there is no loss."""
+
+    ratios: dict[str, float]
+    loss: float | None
+    rmse_mm: float | None
+    accepted: bool
+
+
+class CostRecord(Outcome):
+    """What the fit took."""
+
+    equilibria: int
+    newton_iterations: int
+    factorisations: int
+    seconds: float
+
+
+class TrainingError(Outcome):
+    """Corner RMSE over the training frames, mm at the patient plane."""
+
+    default: float | None
+    fit: float
+
+
+class Estimate(OutcomeFile):
+    """``estimate.json``: the stiffness and how well it is known.
+
+    Attributes
+    ----------
+    status : DOUBTFUL if a check failed, else ``fit_status``.
+    fit_status, fit_status_text : how the search ended, and what that means.
+    determined : the least of the ratios' determinations.
+    checks : whether the result can be right.
+    ratios : by name, in the order of ``parameters``.
+    plain : in plain units, by "lateral_bending_thoracic", "lateral_bending_lumbar", "tissue_young".
+    covariance_log : (P, P) of the log ratios; None = not finite. correlation : of the first and the last.
+    region : outline of the 95 % joint region of two ratios, (n, 2), not cut at the bounds; None = not drawn.
+    region_size : its squared Mahalanobis radius.
+    poses : by push.
+    notes : what a reader must know that is no sign of a mistake.
+    """
+
+    FILE: ClassVar[str] = "estimate.json"
+    STEP: ClassVar[str] = "estimate"
+    status: Literal["DOUBTFUL", "CONVERGED", "AT_BOUND", "NOT_IDENTIFIABLE"]
+    fit_status: Literal["CONVERGED", "AT_BOUND", "NOT_IDENTIFIABLE"]
+    fit_status_text: str
+    determined: Determination
+    checks: tuple[Check, ...]
+    parameters: tuple[str, ...]
+    ratios: dict[str, RatioEstimate]
+    plain: dict[str, PlainStiffness]
+    covariance_log: tuple[tuple[float | None, ...], ...]
+    correlation: float | None
+    condition: float | None
+    region: tuple[Pair, ...] | None
+    region_size: float | None
+    training_rmse_mm: TrainingError
+    reactions_n: Reactions
+    history: tuple[FitStepRecord, ...]
+    method: str
+    orientation: Orientation
+    bounds: Pair
+    poses: dict[str, PoseRecord]
+    cost: CostRecord
+    notes: tuple[str, ...]
+
+    @model_validator(mode="after")
+    def _names_agree(self) -> Self:
+        if set(self.parameters) != set(self.ratios):
+            raise ValueError(f"parameters {', '.join(self.parameters)} but ratios {', '.join(self.ratios)}")
+        return self
+
+    @property
+    def failed(self) -> tuple[Check, ...]:
+        """The checks that failed."""
+        return tuple(check for check in self.checks if check.passed is False)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Ratio by name, in the order of the fit."""
+        return {name: self.ratios[name].value for name in self.parameters}
+
+
+class CobbChangeRecord(Outcome):
+    """Change of the Cobb angle from the push's least force (``curves.tilts.CobbChange``), degrees.
+
+    Attributes
+    ----------
+    signed, fixed_levels, tilt : its three forms.
+    levels : end vertebrae of ``fixed_levels``. tilt_levels : those of ``tilt``.
+    """
+
+    signed: float
+    fixed_levels: float
+    tilt: float
+    levels: tuple[str, str]
+    tilt_levels: tuple[str, str]
+
+
+class HeldOutFrame(Outcome):
+    """A frame that the estimate has not seen.
+
+    Attributes
+    ----------
+    rmse_mm : by predictor, corner RMSE at the patient plane; None where it makes no prediction.
+    cobb_change_deg : "measured" and by predictor.
+    """
+
+    push: str
+    frame: int
+    force_n: float
+    rmse_mm: dict[str, float | None]
+    cobb_change_deg: dict[str, CobbChangeRecord | None]
+
+
+class Assessment(OutcomeFile):
+    """``assessment.json``: how well the held-out frames are predicted; ``notes`` on the supports in all frames."""
+
+    FILE: ClassVar[str] = "assessment.json"
+    STEP: ClassVar[str] = "assess"
+    frames: tuple[HeldOutFrame, ...]
+    notes: tuple[str, ...] = ()
+
+
+class Comparison(OutcomeFile):
+    """``comparison.json``: the estimate beside known true ratios.
+
+    Attributes
+    ----------
+    truth : ratio by name.
+    distance2 : squared length of the estimate's error in the measure of its joint region; None = not known.
+    inside : ``distance2`` is at most ``region_size``.
+    """
+
+    FILE: ClassVar[str] = "comparison.json"
+    STEP: ClassVar[str] = "assess"
+    truth: dict[str, Annotated[float, Field(gt=0.0)]]
+    region_size: float | None
+    distance2: float | None
+    inside: bool | None
+
+
+def finite(value: float) -> float | None:
+    """``value``, or None where it is not finite: JSON has no infinity."""
+    return float(value) if np.isfinite(value) else None
+
+
+def nested(array: ArrayLike) -> object:
+    """An array as nested lists, what is not finite as None."""
+    values = np.asarray(array, dtype=float)
+    return finite(float(values)) if values.ndim == 0 else [nested(part) for part in values]

@@ -22,6 +22,8 @@ from spinestiff.files import parse_json, read_text
 SCHEMA_VERSION: Final = 1
 SUBJECT_FILE = "subject.json"
 ANNOTATION_FILE = "annotation.json"
+RESULTS = "results"
+"""Folder of what is made from the others."""
 REST_IMAGES = {"rest/frontal": "rest/frontal.dcm", "rest/lateral": "rest/lateral.dcm"}
 LATERAL = "rest/lateral"
 FEWEST_VERTEBRAE = 8

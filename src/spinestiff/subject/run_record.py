@@ -1,19 +1,56 @@
-"""The record of a run, ``results/run.json``: what each step was made from, so that only what changed is redone."""
+"""The record of a run, ``results/run.json``, and the results that it vouches for: written and read in one place.
+
+A step is redone only when something that it was made from changed. Of ``subject.json`` and ``annotation.json`` only the
+part counts that a step uses: a height is no reason to track anew. A result is read only if it is as its step left it.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, Literal, TypeVar
+
+from pydantic import Field, ValidationError
 
 from spinestiff import __version__
 from spinestiff.errors import SubjectError
-from spinestiff.files import file_digest, json_text, read_json, write_json
+from spinestiff.files import file_digest, json_text, parse_json, read_text, write_json
+from spinestiff.subject.folder import Subject
+from spinestiff.subject.outcomes import Outcome, OutcomeFile
+from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE, complaint_of
 
-RESULTS = "results"
-RUN_SCHEMA = 1
+RUN_FILE = "run.json"
+RUN_SCHEMA: Final = 2
+
+F = TypeVar("F", bound=OutcomeFile)
+
+
+class StepRecord(Outcome):
+    """How one step came about.
+
+    Attributes
+    ----------
+    digest : of all that it depends on.
+    inputs : SHA-256 by path relative to the subject folder, or by the name of a part (``PARTS``).
+    settings : what the step was asked.
+    seconds : wall-clock time.
+    outputs : SHA-256 by path relative to the subject folder.
+    """
+
+    digest: str
+    inputs: dict[str, str] = Field(default_factory=dict)
+    settings: dict[str, Any] = Field(default_factory=dict)
+    seconds: float = 0.0
+    outputs: dict[str, str] = Field(default_factory=dict)
+
+
+class RunRecord(Outcome):
+    """``run.json``: every step that ran, and the version of this program that ran last."""
+
+    schema_version: Literal[2] = RUN_SCHEMA
+    version: str
+    steps: dict[str, StepRecord] = Field(default_factory=dict)
 
 
 def package_version() -> str:
@@ -21,65 +58,133 @@ def package_version() -> str:
     return __version__
 
 
+def _pushes(subject: Subject, *fields: str) -> object:
+    return [push.model_dump(mode="json", include=set(fields)) for push in subject.pushes]
+
+
+def _images(subject: Subject, kind: str) -> object:
+    images = subject.annotation.images
+    return {name: image.model_dump(mode="json") for name, image in images.items() if name.startswith(kind)}
+
+
+PARTS: Mapping[str, Callable[[Subject], object]] = {
+    f"{SUBJECT_FILE}: X-ray geometry": lambda s: s.record.xray.model_dump(mode="json"),
+    f"{SUBJECT_FILE}: frames and forces": lambda s: _pushes(s, "id", "frames", "forces_n"),
+    f"{SUBJECT_FILE}: pushes": lambda s: _pushes(s, "id", "frames", "forces_n", "side", "level", "d21_mm", "d31_mm"),
+    f"{SUBJECT_FILE}: roles": lambda s: _pushes(s, "id", "roles"),
+    f"{SUBJECT_FILE}: body": lambda s: s.record.model_dump(mode="json", exclude={"pushes", "xray", "id"}),
+    f"{ANNOTATION_FILE}: rest": lambda s: _images(s, "rest/"),
+    f"{ANNOTATION_FILE}: pushes": lambda s: _images(s, "push/"),
+}
+"""What of the two files a step may depend on, by name."""
+
+
+def input_digest(subject: Subject, name: str) -> str:
+    """SHA-256 of an input: a part of ``PARTS``, else a file or folder relative to the subject folder.
+
+    Raises
+    ------
+    SubjectError : something can't be read.
+    """
+    if name in PARTS:
+        return hashlib.sha256(json_text(PARTS[name](subject)).encode()).hexdigest()
+    return file_digest(subject.folder / name)
+
+
 def step_digest(inputs: Mapping[str, str], settings: Mapping[str, Any]) -> str:
-    """One hash of all that a step depends on: its input files' hashes, its settings and this program's version."""
+    """One hash of all that a step depends on: its inputs' hashes, its settings and this program's version."""
     parts = {"inputs": dict(inputs), "settings": dict(settings), "version": package_version()}
     return hashlib.sha256(json_text(parts).encode()).hexdigest()
 
 
-@dataclass(frozen=True)
-class StepRecord:
-    """How one step of the pipeline came about.
-
-    Attributes
-    ----------
-    digest : from ``step_digest``.
-    inputs : SHA-256 by path relative to the subject folder.
-    settings : what the step was asked.
-    seconds : wall-clock time.
-    outputs : SHA-256 by path relative to the subject folder.
-    """
-
-    digest: str
-    inputs: Mapping[str, str] = field(default_factory=dict)
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    seconds: float = 0.0
-    outputs: Mapping[str, str] = field(default_factory=dict)
+def step_record(subject: Subject, inputs: Iterable[str], settings: Mapping[str, Any]) -> StepRecord:
+    """The record of a step that is about to run. Raises SubjectError if an input can't be read."""
+    hashes = {name: input_digest(subject, name) for name in sorted(inputs)}
+    return StepRecord(digest=step_digest(hashes, settings), inputs=hashes, settings=dict(settings))
 
 
-def record_step(folder: Path, step: str, record: StepRecord) -> None:
-    """Write a step into the folder's ``results/run.json`` beside the other steps."""
-    steps = {**_recorded_steps(folder), step: asdict(record)}
-    write_json(_run_file(folder), {"schema_version": RUN_SCHEMA, "version": package_version(), "steps": steps})
+def record_step(subject: Subject, step: str, record: StepRecord, outputs: Iterable[Path], seconds: float = 0.0) -> None:
+    """Write a step into ``run.json`` beside the other steps, with the hashes of what it has just written."""
+    made = {path.relative_to(subject.folder).as_posix(): file_digest(path) for path in outputs}
+    done = record.model_copy(update={"outputs": made, "seconds": round(seconds, 3)})
+    run = RunRecord(version=package_version(), steps={**recorded_steps(subject), step: done})
+    write_json(subject.results / RUN_FILE, run.model_dump(mode="json"))
 
 
-def is_current(folder: Path, step: str, digest: str) -> bool:
-    """Whether the step was made from just this (``step_digest``) and its outputs are still as it left them."""
-    recorded = _recorded_steps(folder).get(step)
-    if not isinstance(recorded, dict) or recorded.get("digest") != digest:
-        return False
-    outputs = recorded.get("outputs", {})
-    return all((folder / name).is_file() and file_digest(folder / name) == sha for name, sha in outputs.items())
-
-
-def changed_inputs(folder: Path, step: str) -> tuple[str, ...]:
-    """Inputs of a recorded step that have changed or gone since it ran, by path relative to ``folder``."""
-    recorded = _recorded_steps(folder).get(step)
-    inputs = recorded.get("inputs", {}) if isinstance(recorded, dict) else {}
-    return tuple(
-        name for name, sha in inputs.items() if not (folder / name).exists() or file_digest(folder / name) != sha
-    )
-
-
-def _run_file(folder: Path) -> Path:
-    return folder / RESULTS / "run.json"
-
-
-def _recorded_steps(folder: Path) -> dict[str, Any]:
-    # A damaged record only means that the steps are redone.
-    try:
-        run = read_json(_run_file(folder))
-    except SubjectError:
+def recorded_steps(subject: Subject) -> dict[str, StepRecord]:
+    """The steps of ``run.json``; none if it is missing, damaged or of another version, so that they are redone."""
+    path = subject.results / RUN_FILE
+    if not path.is_file():
         return {}
-    known = isinstance(run, dict) and run.get("schema_version") == RUN_SCHEMA and isinstance(run.get("steps"), dict)
-    return run["steps"] if known else {}
+    try:
+        return RunRecord.model_validate(parse_json(read_text(path), str(path))).steps
+    except (SubjectError, ValidationError):
+        return {}
+
+
+def is_current(subject: Subject, step: str, record: StepRecord) -> bool:
+    """Whether the step was made from just this and its outputs are still as it left them."""
+    recorded = recorded_steps(subject).get(step)
+    return recorded is not None and recorded.digest == record.digest and not changed_outputs(subject, step)
+
+
+def changed_inputs(subject: Subject, step: str) -> tuple[str, ...]:
+    """Inputs of a recorded step that have changed or gone since it ran, by name."""
+    recorded = recorded_steps(subject).get(step)
+    return () if recorded is None else _changed(subject, recorded.inputs)
+
+
+def changed_outputs(subject: Subject, step: str) -> tuple[str, ...]:
+    """Outputs of a recorded step that have changed or gone since it ran, by path relative to the subject folder."""
+    recorded = recorded_steps(subject).get(step)
+    return () if recorded is None else _changed(subject, recorded.outputs)
+
+
+def _changed(subject: Subject, hashes: Mapping[str, str]) -> tuple[str, ...]:
+    there = {name: name in PARTS or (subject.folder / name).exists() for name in hashes}
+    return tuple(name for name, sha in hashes.items() if not there[name] or input_digest(subject, name) != sha)
+
+
+def result_path(subject: Subject, name: str, step: str) -> Path:
+    """The path of a result that is as its step left it.
+
+    Raises
+    ------
+    SubjectError : there is none, or it is not what the step wrote: edited, truncated, copied from elsewhere.
+    """
+    path = subject.results / name
+    again = f"spinestiff {step} {subject.folder}"
+    if not path.is_file():
+        raise SubjectError(f"{path}: no such file; run the step that makes it first ({again})")
+    recorded = recorded_steps(subject).get(step)
+    key = path.relative_to(subject.folder).as_posix()
+    if recorded is None or key not in recorded.outputs:
+        raise SubjectError(f"{path}: {subject.results / RUN_FILE} does not say how it was made; run {again} again")
+    if file_digest(path) != recorded.outputs[key]:
+        raise SubjectError(f"{path}: was changed after spinestiff {step} had written it; run {again} again")
+    return path
+
+
+def write_outcome(subject: Subject, outcome: OutcomeFile) -> None:
+    """Write a result into the subject's ``results/``; whole or not at all."""
+    write_json(subject.results / outcome.FILE, outcome.model_dump(mode="json"))
+
+
+def read_outcome(subject: Subject, kind: type[F]) -> F:
+    """A result of the subject.
+
+    Raises
+    ------
+    SubjectError : see ``result_path``; or it is of another version of this program, or no such result at all.
+    """
+    path = result_path(subject, kind.FILE, kind.STEP)
+    again = f"run spinestiff {kind.STEP} {subject.folder} again"
+    content = parse_json(read_text(path), str(path))
+    version = content.get("schema_version") if isinstance(content, dict) else None
+    wanted = kind.model_fields["schema_version"].default
+    if version != wanted:
+        raise SubjectError(f"{path}: found schema_version {version!r}, wanted {wanted}; {again}")
+    try:
+        return kind.model_validate(content)
+    except ValidationError as error:
+        raise SubjectError(f"{path}: {complaint_of(error)}; {again}") from None

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from spinestiff.arrays import Floats
+from spinestiff.imaging.features import VertebraCorners
 
 # Correlation with the annotated frame up to which a patch counts as lost.
 FOUND = 0.25
@@ -14,6 +15,10 @@ FOUND = 0.25
 HALVING_MM = 0.17
 # Below this a corner is doubtful (0.26 mm predicted): most errors above 0.5 mm are, few others (docs/tracking.md).
 DOUBTED_QUALITY = 0.3
+# Corners tracked worse than this, by about 1.2 mm, count as lost; better ones weigh by their quality.
+LOWEST_QUALITY = 0.02
+# Fewer usable corners leave a vertebra's orientation to chance.
+FEWEST_CORNERS = 3
 # Error by the evidence: fitted on sequences of known truth (benchmarks/tracking.py --calibrate).
 WEIGHTS = np.array([0.319, 0.109, 0.237])
 WEIGHTS.setflags(write=False)
@@ -56,3 +61,11 @@ def error_of(quality: Floats) -> Floats:
     """Predicted errors in mm of qualities; inverse of ``quality_of``, infinite for 0."""
     with np.errstate(divide="ignore"):
         return np.asarray(HALVING_MM * np.sqrt(1.0 / np.asarray(quality, dtype=float) - 1.0))
+
+
+def usable_corners(corners: VertebraCorners) -> VertebraCorners:
+    """The vertebrae with enough well-tracked corners; worse corners get quality 0."""
+    quality = np.where(corners.quality >= LOWEST_QUALITY, corners.quality, 0.0)
+    keep = np.flatnonzero((quality > 0.0).sum(1) >= FEWEST_CORNERS)
+    names = tuple(corners.vertebrae[i] for i in keep)
+    return replace(corners, vertebrae=names, corners=corners.corners[keep], quality=quality[keep])

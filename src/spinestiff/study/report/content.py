@@ -1,18 +1,31 @@
-"""What the report says: numbers as people read them, and the rows of its tables, from the files of results."""
+"""What the report says: numbers as people read them, and the rows of its tables, from the results."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from spinestiff.curves.tilts import cobb_angle, tilts
-from spinestiff.study.visit import Visit, read_truth, truth_in_region
-from spinestiff.subject.folder import image_corners, read_rest
+from spinestiff.curves.pushes import rest_reading
+from spinestiff.study.plain import BENDING
+from spinestiff.study.truth import read_truth
+from spinestiff.study.visit import Visit
+from spinestiff.study.wording import MISSING, badge, estimated, fixed, interval, listed, number
+from spinestiff.subject.outcomes import (
+    Assessment,
+    Check,
+    Comparison,
+    Determination,
+    Estimate,
+    GeometryRecord,
+    HeldOutFrame,
+    PoseRecord,
+    RatioEstimate,
+    Reactions,
+    Tracked,
+)
 
-MISSING = "not available"
 # Secant lateral-bending stiffness of cadaver thoracic segments at 7.5 N m (Wilke et al. 2017), N m/degree.
 BENDING_BAND = (1.3, 1.8)
 # Range of the ratio in the seven subjects of the method's first study. Its tissue ratios are left out: they belong to
@@ -31,12 +44,10 @@ RATIO_TITLES = {
     "separation": "Axial stiffness of the spine",
     "everything": "All stiffnesses together",
 }
-BENDING = ("lateral_bending", "intervertebral_bending", "everything")  # ratios that scale a level's lateral bending
-# Plain quantity -> the ratios that scale it as a whole, its name and unit.
-PLAIN = {
-    "lateral_bending_thoracic_nm_per_rad": (BENDING, "per thoracic level", "N m/rad"),
-    "lateral_bending_lumbar_nm_per_rad": (BENDING, "per lumbar level", "N m/rad"),
-    "tissue_young_kpa": (("tissue", "everything"), "Young’s modulus", "kPa"),
+PLAIN_TITLES = {
+    "lateral_bending_thoracic": "per thoracic level",
+    "lateral_bending_lumbar": "per lumbar level",
+    "tissue_young": "Young’s modulus",
 }
 PREDICTORS = {
     "rest": "No motion: the rest pose",
@@ -49,41 +60,11 @@ PREDICTORS = {
 ORACLE = "truth"
 EQUAL_MM = 0.1  # mean errors that differ by less are called equal
 MODELS = {"rest": "Rest pose, no motion", "default": "Default stiffness", "fit": "Estimated stiffness"}
-STATUS_TITLES = {"CONVERGED": "converged", "AT_BOUND": "at a bound", "NOT_IDENTIFIABLE": "not identifiable"}
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number with so many significant digits, without an exponent; "not available" for none."""
-    if value is None or not math.isfinite(value):
-        return MISSING
-    if value == 0.0:
-        return "0"
-    decimals = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
-    return f"{value:.{decimals}f}".replace("-", "−")
-
-
-def fixed(value: float | None, decimals: int = 1, sign: bool = False) -> str:
-    """A number with so many decimals; "not available" for none."""
-    if value is None or not math.isfinite(value):
-        return MISSING
-    # Plus zero: no sign before a rounded zero.
-    rounded = round(value, decimals) + 0.0
-    return f"{rounded:{'+' if sign and rounded else ''}.{decimals}f}".replace("-", "−")
-
-
-def interval(ends: Sequence[float | None], bounds: Sequence[float], scale: float = 1.0) -> str:
-    """A 95 % interval; an end that is open or lies at the fit's bound says so."""
-    low, high = ends
-    below, above = low is None or low <= bounds[0] * 1.001, high is None or high >= bounds[1] * 0.999
-    first = f"≤ {number(scale * bounds[0], 1)}" if below or low is None else number(scale * low)
-    last = f"≥ {number(scale * bounds[1], 1)}" if above or high is None else number(scale * high)
-    return f"{first} to {last}"
-
-
-def listed(parts: Iterable[str]) -> str:
-    """Words as a list: a, b and c."""
-    parts = list(parts)
-    return ", ".join(parts[:-1]) + " and " + parts[-1] if len(parts) > 1 else "".join(parts)
+DETERMINATIONS: dict[Determination, str] = {
+    "determined": "The radiographs determine every ratio within a factor of 2 either way (95 %).",
+    "weakly determined": "The radiographs tell at least one ratio only within a factor of up to 10, or from one side.",
+    "not determined": "The radiographs do not determine at least one ratio; its interval says what they allow.",
+}
 
 
 def ratio_title(name: str) -> str:
@@ -94,10 +75,12 @@ def ratio_title(name: str) -> str:
 def subject_content(visit: Visit) -> dict[str, Any]:
     """Who was radiographed, and the curve at rest."""
     record = visit.subject.record
-    rest = read_rest(visit.subject, "frontal")
-    corners = image_corners(visit.subject, "rest/frontal", rest.view)
-    angle = cobb_angle(tilts(corners.vertebrae, corners.corners, rest.view))
-    curve = f"{fixed(abs(angle.degrees))}° between {angle.upper} and {angle.lower}, {angle.convexity}-convex"
+    curve = rest_reading(visit.subject).largest
+    shown = MISSING
+    if curve is not None:
+        angle = curve.angle
+        size = f"{fixed(abs(angle.degrees))}° ± {fixed(curve.half_width_deg)}°"
+        shown = f"{size} between {angle.upper} and {angle.lower}, {angle.convexity}-convex"
     largest = max(max(push.forces_n) for push in visit.subject.pushes)
     return {
         "id": record.id,
@@ -106,71 +89,72 @@ def subject_content(visit: Visit) -> dict[str, Any]:
             "Age": f"{record.age:g} years",
             "Sex": record.sex,
             "Height": f"{record.height_cm:g} cm",
-            "Cobb angle at rest": curve,
+            "Cobb angle at rest": shown,
             "Largest push": f"{largest:.0f} N",
         },
     }
 
 
-def result_content(visit: Visit, estimate: Mapping[str, Any]) -> dict[str, Any]:
-    """Status, ratios with intervals and in plain units, plausibility and warnings."""
-    bounds, plain = estimate["bounds"], estimate["plain"]
+def result_content(visit: Visit, estimate: Estimate, assessment: Assessment) -> dict[str, Any]:
+    """Whether the result can be right, ratios with intervals and in plain units, plausibility and notes."""
     truth = read_truth(visit.truth) if visit.truth else {}
     ratios = []
-    for name in fitted_names(estimate):
-        entry = estimate["ratios"][name]
+    for name in estimate.parameters:
+        ratio = estimate.ratios[name]
         ratios.append(
             {
                 "title": ratio_title(name),
-                "value": number(entry["value"]),
-                "percent": number(100.0 * entry["value"], 2),
-                "interval": interval(entry["interval95"], bounds),
-                "at_bound": entry["at_bound"],
+                "value": estimated(ratio),
+                "percent": number(100.0 * ratio.value, 2),
+                "interval": interval(ratio),
+                "determined": ratio.determined,
+                "at_bound": ratio.at_bound,
                 "truth": number(truth[name]) if name in truth else "",
                 "plain": [
                     {
                         "title": title,
-                        "value": f"{number(plain[key])} {unit}",
-                        "interval": interval(entry["interval95"], bounds, plain[key] / entry["value"]) + f" {unit}",
+                        "value": f"{estimated(estimate.plain[key])} {estimate.plain[key].unit}",
+                        "interval": f"{interval(estimate.plain[key])} {estimate.plain[key].unit}",
                     }
-                    for key, (names, title, unit) in PLAIN.items()
-                    if name in names
+                    for key, title in PLAIN_TITLES.items()
+                    if estimate.plain[key].ratio == name
                 ],
-                "strip": _strip(name, entry, bounds, truth.get(name)),
+                "strip": _strip(name, ratio, estimate.bounds, truth.get(name)),
                 "published": PUBLISHED.get(name),
             }
         )
     return {
-        "status": STATUS_TITLES.get(estimate["status"], estimate["status"].lower().replace("_", " ")),
-        "good": estimate["status"] == "CONVERGED",
-        "identified": estimate["status"] != "NOT_IDENTIFIABLE",
-        "status_text": estimate["status_text"],
+        "doubtful": estimate.status == "DOUBTFUL",
+        "badge": badge(estimate),
+        "good": estimate.status == "CONVERGED" and estimate.determined == "determined",
+        "badge_text": DETERMINATIONS[estimate.determined],
+        "fit_text": "" if estimate.fit_status == "CONVERGED" else estimate.fit_status_text,
+        "failed": [check.text for check in estimate.failed],
         "ratios": ratios,
         "bending": _bending_line(estimate),
-        "warnings": list(dict.fromkeys(estimate["warnings"])),
+        "notes": list(dict.fromkeys((*estimate.notes, *assessment.notes))),
     }
 
 
-def fitted_names(estimate: Mapping[str, Any]) -> list[str]:
-    """The fitted ratios in the order of the fit."""
-    # A file's keys are sorted.
-    return list(estimate.get("parameters") or estimate["ratios"])
+def check_rows(checks: Sequence[Check]) -> list[dict[str, str]]:
+    """Every check with its outcome."""
+    outcome = {True: "passed", False: "FAILED", None: "not possible"}
+    return [{"name": check.name, "outcome": outcome[check.passed], "text": check.text} for check in checks]
 
 
-def _strip(name: str, entry: Mapping[str, Any], bounds: Sequence[float], truth: float | None) -> dict[str, Any]:
+def _strip(name: str, ratio: RatioEstimate, bounds: Sequence[float], truth: float | None) -> dict[str, Any]:
     """Places on a logarithmic axis over the fit's bounds, in percent of its width."""
     low, high = np.log(bounds[0]), np.log(bounds[1])
 
     def place(value: float) -> float:
         return round(float(np.clip((np.log(value) - low) / (high - low), 0.0, 1.0)) * 100.0, 2)
 
-    start, end = entry["interval95"]
     band = PUBLISHED.get(name)
     ticks = [v for v in (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0) if bounds[0] <= v <= bounds[1]]
     return {
-        "value": place(entry["value"]),
-        "start": place(bounds[0] if start is None else start),
-        "end": place(bounds[1] if end is None else end),
+        "value": place(ratio.value),
+        "start": place(bounds[0] if ratio.low is None else ratio.low),
+        "end": place(bounds[1] if ratio.high is None else ratio.high),
         "ticks": [(place(v), f"{v:g}") for v in ticks],
         "one": place(1.0),
         "band": None if band is None else (place(band[0]), place(band[1])),
@@ -178,16 +162,14 @@ def _strip(name: str, entry: Mapping[str, Any], bounds: Sequence[float], truth: 
     }
 
 
-def _bending_line(estimate: Mapping[str, Any]) -> dict[str, Any] | None:
+def _bending_line(estimate: Estimate) -> dict[str, Any] | None:
     """The bending stiffness of a level beside cadaver segments."""
-    value = estimate["plain"].get("lateral_bending_thoracic_nm_per_rad")
-    name = next((name for name in BENDING if name in estimate["ratios"]), None)
-    if value is None or name is None:
+    found = estimate.plain["lateral_bending_thoracic"]
+    if found.ratio not in BENDING:
         return None
     low, high = (float(np.degrees(edge)) for edge in BENDING_BAND)
-    entry = estimate["ratios"][name]
-    first, last = (bound if end is None else end for end, bound in zip(entry["interval95"], estimate["bounds"]))
-    overlap = first * value / entry["value"] <= high and last * value / entry["value"] >= low
+    value = found.value
+    overlap = (found.low is None or found.low <= high) and (found.high is None or found.high >= low)
     if value < low:
         verdict = f"about {number(0.5 * (low + high) / value, 2)} times softer than"
     elif value > high:
@@ -195,7 +177,7 @@ def _bending_line(estimate: Mapping[str, Any]) -> dict[str, Any] | None:
     else:
         verdict = "within the range of"
     return {
-        "value": number(value),
+        "value": estimated(found),
         "per_degree": number(value * np.pi / 180.0, 2),
         "band": f"{BENDING_BAND[0]:g} to {BENDING_BAND[1]:g}",
         "band_rad": f"{low:.0f} to {high:.0f}",
@@ -204,23 +186,24 @@ def _bending_line(estimate: Mapping[str, Any]) -> dict[str, Any] | None:
     }
 
 
-def certainty_content(visit: Visit, estimate: Mapping[str, Any]) -> dict[str, Any]:
+def certainty_content(estimate: Estimate, comparison: Comparison | None) -> dict[str, Any]:
     """How the fit went, and whether the joint region holds the truth where that is known."""
-    contains = truth_in_region(visit) if visit.truth else None
+    contains = None if comparison is None else comparison.inside
     return {
-        "correlation": fixed(estimate["correlation"], 2),
-        "condition": number(estimate["condition"], 2),
-        "steps": sum(bool(step["accepted"]) for step in estimate["history"]),
-        "evaluations": len(estimate["history"]),
+        "correlation": fixed(estimate.correlation, 2),
+        "condition": number(estimate.condition, 2),
+        "steps": sum(step.accepted for step in estimate.history),
+        "evaluations": len(estimate.history),
+        "fit": estimate.fit_status_text,
         "truth": "" if contains is None else "holds" if contains else "does not hold",
     }
 
 
-def comparison_content(assessment: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def comparison_content(assessment: Assessment) -> dict[str, Any]:
     """Mean errors over the held-out frames, and what the estimate is worth beside the best simpler predictor."""
     means = {}
     for name in PREDICTORS:
-        values = [frame["rmse_mm"].get(name) for frame in assessment]
+        values = [frame.rmse_mm.get(name) for frame in assessment.frames]
         if values and all(value is not None for value in values):
             means[name] = float(np.mean([value for value in values if value is not None]))
     rivals = {name: value for name, value in means.items() if name not in ("fit", ORACLE)}
@@ -230,7 +213,7 @@ def comparison_content(assessment: Sequence[Mapping[str, Any]]) -> dict[str, Any
         difference = means["fit"] - rivals[best]
         verdict = "equal" if abs(difference) < EQUAL_MM else "worse" if difference > 0.0 else "better"
     return {
-        "frames": len(assessment),
+        "frames": len(assessment.frames),
         "fit": fixed(means["fit"], 2) if "fit" in means else "",
         "default": fixed(means["default"], 2) if "default" in means else "",
         "verdict": verdict,
@@ -239,25 +222,29 @@ def comparison_content(assessment: Sequence[Mapping[str, Any]]) -> dict[str, Any
     }
 
 
-def prediction_content(assessment: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def prediction_content(assessment: Assessment) -> dict[str, Any]:
     """Tables of the held-out frames: corner errors by predictor, and Cobb angles."""
-    shown = [name for name in PREDICTORS if any(frame["rmse_mm"].get(name) is not None for frame in assessment)]
+    frames = assessment.frames
+    shown = [name for name in PREDICTORS if any(frame.rmse_mm.get(name) is not None for frame in frames)]
     rows = [
         {
             "title": PREDICTORS[name],
             "fit": name == "fit",
             "cells": [
-                {"text": fixed(frame["rmse_mm"].get(name), 2), "best": name in _best(frame["rmse_mm"])}
-                for frame in assessment
+                {"text": fixed(frame.rmse_mm.get(name), 2), "best": name in _best(frame.rmse_mm)} for frame in frames
             ],
         }
         for name in shown
     ]
     return {
-        "frames": [f"“{f['push']}”, frame {f['frame']}, {f['force_n']:.0f} N" for f in assessment],
+        "frames": [_frame_title(frame) for frame in frames],
         "rows": rows,
-        "cobb": [_cobb_rows(frame) for frame in assessment],
+        "cobb": [_cobb_rows(frame) for frame in frames],
     }
+
+
+def _frame_title(frame: HeldOutFrame) -> str:
+    return f"“{frame.push}”, frame {frame.frame}, {frame.force_n:.0f} N"
 
 
 def _best(errors: Mapping[str, float | None]) -> list[str]:
@@ -266,44 +253,43 @@ def _best(errors: Mapping[str, float | None]) -> list[str]:
     return [name for name, value in known.items() if value == min(known.values())]
 
 
-def _cobb_rows(frame: Mapping[str, Any]) -> dict[str, Any]:
+def _cobb_rows(frame: HeldOutFrame) -> dict[str, Any]:
     rows = []
     for name, title in {"measured": "Measured", **MODELS, "truth": "True ratios"}.items():
-        if name not in frame["cobb_change_deg"]:
+        if name not in frame.cobb_change_deg:
             continue
-        change = frame["cobb_change_deg"][name]
+        change = frame.cobb_change_deg[name]
         if change is None:
             rows.append({"title": title, "cells": [MISSING] * 3})
             continue
         cells = [
-            f"{fixed(change['signed'], 1, True)}°",
-            f"{fixed(change['fixed_levels'], 1, True)}° ({'–'.join(change['levels'])})",
-            f"{fixed(change['tilt'], 1, True)}° ({'–'.join(change['tilt_levels'])})",
+            f"{fixed(change.signed, 1, True)}°",
+            f"{fixed(change.fixed_levels, 1, True)}° ({'–'.join(change.levels)})",
+            f"{fixed(change.tilt, 1, True)}° ({'–'.join(change.tilt_levels)})",
         ]
         rows.append({"title": title, "cells": cells})
-    return {"title": f"“{frame['push']}”, frame {frame['frame']}, {frame['force_n']:.0f} N", "rows": rows}
+    return {"title": _frame_title(frame), "rows": rows}
 
 
-def reaction_rows(found: Mapping[str, Any]) -> list[dict[str, str]]:
+def reaction_rows(found: Reactions) -> list[dict[str, str]]:
     """Forces at the supports in the model beside Eqs. 1-2."""
     return [
-        {"title": "Push on the ribs (F3)", "model": fixed(found["f3"]), "balance": fixed(found["f3"])},
-        {"title": "Shoulder (F1)", "model": fixed(found["shoulder"]), "balance": fixed(found["eq2_shoulder"])},
-        {"title": "Pelvis (F2)", "model": fixed(found["pelvis"]), "balance": fixed(found["eq1_pelvis"])},
+        {"title": "Push on the ribs (F3)", "model": fixed(found.f3), "balance": fixed(found.f3)},
+        {"title": "Shoulder (F1)", "model": fixed(found.shoulder), "balance": fixed(found.eq2_shoulder)},
+        {"title": "Pelvis (F2)", "model": fixed(found.pelvis), "balance": fixed(found.eq1_pelvis)},
     ]
 
 
-def support_rows(tracked: Mapping[str, Any]) -> list[dict[str, str]]:
+def support_rows(tracked: Tracked) -> list[dict[str, str]]:
     """Largest motion of each support, and what was dropped, by push."""
     rows = []
-    for name, push in tracked["pushes"].items():
-        frames = push["frames"]
+    for name, push in tracked.pushes.items():
         largest = {}
         for support in ("pelvis", "shoulder"):
-            seen = [f["support_motion_mm"][support] for f in frames if support in f["support_motion_mm"]]
+            seen = [f.support_motion_mm[support] for f in push.frames if support in f.support_motion_mm]
             largest[support] = f"{fixed(max(seen))} mm" if seen else "not marked"
-        dropped = [f"frame {i}" for i, frame in enumerate(frames) if frame["dropped"]]
-        rows.append({"push": name, **largest, "dropped": listed(dropped) or "none", "frames": str(len(frames))})
+        dropped = [f"frame {i}" for i, frame in enumerate(push.frames) if frame.dropped]
+        rows.append({"push": name, **largest, "dropped": listed(dropped) or "none", "frames": str(len(push.frames))})
     return rows
 
 
@@ -314,37 +300,35 @@ MESH_PATHS = {
 }
 
 
-def geometry_content(personalised: Mapping[str, Any], estimate: Mapping[str, Any]) -> dict[str, Any]:
+def geometry_content(geometry: GeometryRecord, estimate: Estimate) -> dict[str, Any]:
     """How well the rest shape meets each picture, where the patient stood, and what no picture shows."""
     rows = []
-    for view, error in personalised["rmse_mm"].items():
-        pose, each = personalised["poses"][view], personalised["vertebra_rmse_mm"][view]
-        worst = max(each, key=lambda name: each[name]) if each else ""
-        largest = f"{worst}, {fixed(each[worst])} mm" if worst else MISSING
-        rows.append({"title": f"Rest, {view}", "rmse": fixed(error, 2), "worst": largest, **_pose(pose)})
-    for push, pose in estimate["poses"].items():
+    for view, error in geometry.rmse_mm.items():
+        each = geometry.fits[view]
+        worst = max(each.items(), key=lambda entry: entry[1].rmse_mm, default=None)
+        largest = MISSING if worst is None else f"{worst[0]}, {fixed(worst[1].rmse_mm)} mm"
+        rows.append(
+            {"title": f"Rest, {view}", "rmse": fixed(error, 2), "worst": largest, **_pose(geometry.poses[view])}
+        )
+    for push, pose in estimate.poses.items():
         title = f"Push “{push}”, least force"
-        rows.append({"title": title, "rmse": fixed(pose["rms_mm"], 2), "worst": "", **_pose(pose)})
-    mesh = personalised["mesh"]
+        rows.append({"title": title, "rmse": fixed(pose.rms_mm, 2), "worst": "", **_pose(pose)})
     return {
         "rows": rows,
-        "prior_only": listed(personalised["prior_only"]),
-        "mesh": f"{MESH_PATHS[mesh['path']]}, {mesh['nodes']} nodes",
+        "prior_only": listed(geometry.prior_only),
+        "mesh": f"{MESH_PATHS[geometry.mesh.path]}, {geometry.mesh.nodes} nodes",
     }
 
 
-def _pose(pose: Mapping[str, Any]) -> dict[str, str]:
-    across, along = pose["shift_mm"]
-    return {
-        "shift": f"{fixed(across, 1, True)} / {fixed(along, 1, True)}",
-        "roll": f"{fixed(pose['roll_deg'], 2, True)}°",
-    }
+def _pose(pose: PoseRecord) -> dict[str, str]:
+    across, along = pose.shift_mm
+    return {"shift": f"{fixed(across, 1, True)} / {fixed(along, 1, True)}", "roll": f"{fixed(pose.roll_deg, 2, True)}°"}
 
 
-def millimetre_rows(personalised: Mapping[str, Any], tracked: Mapping[str, Any]) -> dict[str, Any]:
+def millimetre_rows(geometry: GeometryRecord, tracked: Tracked) -> dict[str, Any]:
     """Where scale and directions came from; images that say the same share a column."""
-    images = {f"rest, {view}": found for view, found in personalised["millimetres"].items()}
-    images |= {f"push “{push}”": entry["millimetres"] for push, entry in tracked["pushes"].items()}
+    images = {f"rest, {view}": found for view, found in geometry.millimetres.items()}
+    images |= {f"push “{push}”": entry.millimetres for push, entry in tracked.pushes.items()}
     groups: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for image, found in images.items():
         groups.setdefault(tuple(sorted(found.items())), []).append(image)

@@ -163,6 +163,7 @@ class RatioMap:
     region : (n, 2) edge of the 95 % joint region; empty = not available.
     path : (n, 2) accepted steps from the start to the estimate.
     bounds : what the fit was allowed; the axes end there.
+    intervals : (2,) ends of each ratio's 95 % interval; None = none was found.
     truth : (2,) true ratios, where known.
     """
 
@@ -171,6 +172,7 @@ class RatioMap:
     region: Floats
     path: Floats
     bounds: tuple[float, float]
+    intervals: tuple[tuple[float | None, float | None], ...] = ()
     truth: Floats | None = None
 
 
@@ -374,6 +376,12 @@ def _draw_region(axis: Axes, ratios: RatioMap) -> None:
     if len(ratios.region):
         axis.fill(*ratios.region.T, facecolor=FIT, alpha=0.18, linewidth=0)
         axis.plot(*np.vstack([ratios.region, ratios.region[:1]]).T, color=FIT, linewidth=1.6, label="95 % joint region")
+    for which, (low, high) in enumerate(ratios.intervals):
+        if low is not None and high is not None:
+            bar = np.tile(ratios.estimate[:, None], 2)
+            bar[which] = low, high
+            label = "95 % interval of each" if which == 0 else None
+            axis.plot(*bar, color=FIT, linewidth=3.0, solid_capstyle="butt", label=label, zorder=4)
     axis.plot(*ratios.estimate, marker="o", markersize=8, color=FIT, linestyle="none", label="estimate", zorder=5)
     if ratios.truth is not None:
         axis.plot(*ratios.truth, marker="*", markersize=13, color=TRUTH, linestyle="none", label="truth", zorder=6)
@@ -385,7 +393,7 @@ def _zoom(axis: Axes, points: Floats, bounds: tuple[float, float]) -> None:
     low, high = points.min(0), points.max(0)
     # At least a factor of 1.3 to each side of the middle, so that a tiny region is seen as tiny.
     middle, half = 0.5 * (low + high), np.maximum(0.62 * (high - low), np.log(1.3))
-    limits = np.clip(np.exp([middle - half, middle + half]), 0.85 * bounds[0], bounds[1] / 0.85)
+    limits = np.clip(np.exp([middle - half, middle + half]), *bounds)
     axis.set_xlim(*limits[:, 0])
     axis.set_ylim(*limits[:, 1])
 

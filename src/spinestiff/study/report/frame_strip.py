@@ -11,9 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from spinestiff.imaging.radiograph import Radiograph
+from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.study.frame_selection import FrameQuality, Proposal
 from spinestiff.study.report.figures import MEASURED_ON_DARK, PERCENTILES, STYLE
-from spinestiff.study.trials import TrackedFrame, usable_corners
+from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord
 
 COLOURS = {"training": "#0072B2", "validation": "#D55E00", "unused": "#8A8A8A"}
@@ -28,7 +29,7 @@ class Row:
 
     push: PushRecord
     frames: Sequence[Radiograph]
-    tracked: Sequence[TrackedFrame]
+    tracked: TrackedPush
     proposals: Sequence[Proposal]
 
 
@@ -54,7 +55,7 @@ def draw_strip(rows: Sequence[Row]) -> Figure:
 def _crop(row: Row) -> tuple[int, int, int, int]:
     """First and last column and row that hold all corners of all frames, and a margin."""
     view = row.frames[0].view
-    corners = [usable_corners(entry.corners).corners for entry in row.tracked]
+    corners = [usable_corners(row.tracked.corners(i)).corners for i in range(len(row.frames))]
     points = view.pixels(np.concatenate([found.reshape(-1, 2) for found in corners]))
     margin = np.array(MARGIN_MM) * view.magnification / view.pixel_spacing
     last = np.array(view.shape[::-1]) - 1
@@ -80,7 +81,7 @@ def _draw(axis: Axes, row: Row, index: int, crop: tuple[int, int, int, int]) -> 
         picture, cmap="gray", vmin=black, vmax=max(white, black + 1e-6), aspect=_ratio(frame),
         extent=(left - 0.5, right + 0.5, bottom + 0.5, top - 0.5), interpolation="bilinear",
     )  # fmt: skip
-    for quad in frame.view.pixels(usable_corners(row.tracked[index].corners).corners):
+    for quad in frame.view.pixels(usable_corners(row.tracked.corners(index)).corners):
         closed = np.concatenate([quad, quad[:1]])
         axis.plot(closed[:, 0], closed[:, 1], color=MEASURED_ON_DARK, linewidth=0.9)
     axis.set_xlim(left - 0.5, right + 0.5)

@@ -10,32 +10,26 @@ import base64
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from spinestiff import __version__
-from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
-from spinestiff.curves.tilts import cobb_change, tilts
-from spinestiff.errors import SubjectError
-from spinestiff.files import read_json, write_bytes, write_text
+from spinestiff.curves.tilts import tilts
+from spinestiff.files import write_bytes, write_text
 from spinestiff.imaging.features import picture_axes, silhouette_shares, state_features, target_features, vertebra_rows
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
-from spinestiff.study.predictions import Prediction, predict
+from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.report.content import (
     MODELS,
     certainty_content,
+    check_rows,
     comparison_content,
-    fitted_names,
-    fixed,
     geometry_content,
-    listed,
     millimetre_rows,
-    number,
     prediction_content,
     reaction_rows,
     result_content,
@@ -57,10 +51,14 @@ from spinestiff.study.report.figures import (
 )
 from spinestiff.study.report.viewer.files import scene_of
 from spinestiff.study.report.viewer.page import component, page_environment, script_hash, view_page
-from spinestiff.study.trials import PushSet, PushTrial
-from spinestiff.study.visit import Observer, Visit, estimated_ratios, load_pushes, read_truth
+from spinestiff.study.trials import PushTrial
+from spinestiff.study.truth import read_truth
+from spinestiff.study.visit import Observer, Visit
+from spinestiff.study.wording import fixed, listed, number
 from spinestiff.subject.folder import image_corners, read_push, read_rest
+from spinestiff.subject.outcomes import Assessment, Comparison, Estimate, GeometryRecord, Tracked
 from spinestiff.subject.records import PushRecord
+from spinestiff.subject.run_record import read_outcome
 
 
 @dataclass(frozen=True)
@@ -80,19 +78,14 @@ class Picture:
     caption: str
 
 
-def write_report(visit: Visit, say: Observer) -> None:
+def write_report(visit: Visit, predictions: Predictions, say: Observer) -> None:
     """Write ``report.html``, ``view.html`` and ``figures/*.png`` into ``results/`` of a visit that has been assessed.
 
     Raises
     ------
-    SubjectError : a result of an earlier step is missing or belongs to another version of it.
+    SubjectError : a result of an earlier step is missing, or is not as it was written.
     """
-    try:
-        pictures, page, view = _compose(visit, say)
-    except (KeyError, TypeError, IndexError) as error:
-        raise SubjectError(
-            f"{visit.subject.results}: results lack what the report needs ({error}); run spinestiff run --redo"
-        ) from None
+    pictures, page, view = _compose(visit, predictions, say)
     folder = visit.file("figures")
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("[0-9][0-9]-*.png"):
@@ -105,42 +98,43 @@ def write_report(visit: Visit, say: Observer) -> None:
     say(f"{visit.file('report.html')} and {len(pictures)} figures")
 
 
-def _compose(visit: Visit, say: Observer) -> tuple[dict[str, bytes], str, str]:
+def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dict[str, bytes], str, str]:
     """Pictures by file name, the report's page and the viewer's."""
-    names = ("estimate", "assessment", "personalised", "tracked")
-    estimate, assessment, personalised, tracked = (read_json(visit.file(f"{name}.json")) for name in names)
-    # What is quick comes first: results of another version are refused before anything is solved.
+    subject, torso = visit.subject, predictions.pushes.torso
+    estimate, assessment = read_outcome(subject, Estimate), read_outcome(subject, Assessment)
+    geometry, tracked = read_outcome(subject, GeometryRecord), read_outcome(subject, Tracked)
+    say("drawing")
+    comparison = None if visit.truth is None else read_outcome(subject, Comparison)
+    region = _region_picture(visit, estimate)
+    scene = scene_of(visit, predictions)
+    album, films = _Album(), {push.id: read_push(subject, push) for push in subject.pushes}
     page = {
         "subject": subject_content(visit),
-        "result": result_content(visit, estimate),
+        "result": result_content(visit, estimate, assessment),
+        "checks": check_rows(estimate.checks),
         "comparison": comparison_content(assessment),
         "prediction": prediction_content(assessment),
-        "certainty": certainty_content(visit, estimate),
-        "reactions": reaction_rows(estimate["reactions_n"]),
-        "reaction_push": estimate["reactions_n"]["push"],
+        "certainty": certainty_content(estimate, comparison),
+        "reactions": reaction_rows(estimate.reactions_n),
+        "reaction_push": estimate.reactions_n.push,
         "supports": support_rows(tracked),
-        "geometry": geometry_content(personalised, estimate),
-        "millimetres": millimetre_rows(personalised, tracked),
-        "cost": estimate["cost"],
-        "training": {key: fixed(value, 2) for key, value in estimate["training_rmse_mm"].items()},
+        "geometry": geometry_content(geometry, estimate),
+        "millimetres": millimetre_rows(geometry, tracked),
+        "cost": estimate.cost,
+        "training": {
+            "default": fixed(estimate.training_rmse_mm.default, 2), "fit": fixed(estimate.training_rmse_mm.fit, 2)
+        },
         "version": __version__,
-    }
-    torso = read_torso(visit.file("torso.npz"))
-    pushes = load_pushes(visit, torso)
-    predictions = predict(pushes, estimated_ratios(visit, torso), say)
-    say("drawing")
-    region = _region_picture(visit, estimate)
-    scene = scene_of(visit, pushes, predictions)
-    album = _Album()
-    page |= {
-        "held_out": [album.add(*_frame_picture(visit, torso, p)) for p in _of_role(predictions, "validation")],
-        "rest": [album.add(*_rest_picture(visit, torso, view, personalised)) for view in personalised["views"]],
-        "curves": album.add(*_curve_picture(pushes, predictions)),
+        "held_out": [
+            album.add(*_frame_picture(visit, torso, p, films[p.item.push])) for p in predictions.of_role("validation")
+        ],
+        "rest": [album.add(*_rest_picture(visit, torso, view, geometry)) for view in geometry.views],
+        "curves": album.add(*_curve_picture(predictions)),
         "region": None if region is None else album.add(*region),
-        "levels": album.add(*_tilt_picture(visit, pushes, predictions)),
+        "levels": album.add(*_tilt_picture(visit, predictions)),
         "scene": component(scene),
         "script_hash": script_hash(),
-    }
+    }  # fmt: skip
     return album.files, page_environment().get_template("report.html.j2").render(page), view_page(scene)
 
 
@@ -163,21 +157,19 @@ class _Album:
 # Pictures
 
 
-def _of_role(predictions: Sequence[Prediction], *roles: str) -> list[Prediction]:
-    return [p for p in predictions if p.item.role in roles]
-
-
-def _frame_picture(visit: Visit, torso: TorsoModel, prediction: Prediction) -> tuple[str, Figure, str, str]:
+def _frame_picture(
+    visit: Visit, torso: TorsoModel, prediction: Prediction, film: Sequence[Radiograph]
+) -> tuple[str, Figure, str, str]:
     item, target = prediction.item, prediction.target
     view = item.trial.view
     push = visit.subject.push(item.push)
-    errors = {name: prediction.rmse(torso, name) for name in prediction.states}
+    errors = {name: prediction.rmse(torso, name) for name in MODELS if name in prediction.solved}
     panels = tuple(
         Panel(title, _pixels(view, prediction.boxes(torso, name)), errors[name])
         for name, title in MODELS.items()
         if name in errors
     )
-    frame = next(f for f in read_push(visit.subject, push) if f.frame == item.frame)
+    frame = next(f for f in film if f.frame == item.frame)
     names = item.trial.corners.vertebrae
     overlay = _overlay(frame, view, names, target.z, panels, _arrow(torso, view, push, item))
     found = listed(f"{MODELS[name].lower()} {error:.1f} mm" for name, error in errors.items())
@@ -187,16 +179,13 @@ def _frame_picture(visit: Visit, torso: TorsoModel, prediction: Prediction) -> t
     return f"{item.push}-frame-{item.frame}", draw_overlay(overlay), alt, caption
 
 
-def _rest_picture(
-    visit: Visit, torso: TorsoModel, name: str, personalised: Mapping[str, Any]
-) -> tuple[str, Figure, str, str]:
+def _rest_picture(visit: Visit, torso: TorsoModel, name: str, geometry: GeometryRecord) -> tuple[str, Figure, str, str]:
     picture = read_rest(visit.subject, name)  # type: ignore[arg-type]
     corners = image_corners(visit.subject, f"rest/{name}", picture.view)
-    entry = personalised["views"][name]
-    view = XRayView(**{**entry, "shape": tuple(entry["shape"])})
+    view = geometry.views[name].view()
     shares = silhouette_shares(torso, view, torso.rest_pose)
     seen = state_features(torso, view, torso.rest_pose, shares).z[vertebra_rows(torso, corners)]
-    error = float(personalised["rmse_mm"][name])
+    error = geometry.rmse_mm[name]
     panel = Panel(f"Rest, {name}", _pixels(view, seen), error)
     overlay = _overlay(picture, view, corners.vertebrae, target_features(torso, view, corners), (panel,), None)
     alt = f"{name.capitalize()} radiograph at rest with measured and modelled vertebra boxes, RMSE {error:.1f} mm."
@@ -235,17 +224,21 @@ def _arrow(torso: TorsoModel, view: XRayView, push: PushRecord, item: PushTrial)
     return float(there[1]), float(np.sign(onward[0] - there[0])), f"{item.force_n:.0f} N"
 
 
-def _curve_picture(pushes: PushSet, predictions: Sequence[Prediction]) -> tuple[str, Figure, str, str]:
-    changes = []
+def _curve_picture(predictions: Predictions) -> tuple[str, Figure, str, str]:
+    pushes, changes = predictions.pushes, []
     for push in pushes.problems:
         measured: dict[str, list[tuple[float, float]]] = {"training": [], "validation": [], "unused": []}
         for item in (t for t in pushes.trials if t.push == push):
-            measured[item.role].append((item.force_n, _measured_change(pushes, item)))
-        simulated: dict[str, list[tuple[float, float]]] = {"default": [(0.0, 0.0)], "fit": [(0.0, 0.0)]}
-        for p in (p for p in predictions if p.item.push == push):
-            for name in simulated:
-                if name in p.states:
-                    simulated[name].append((p.item.force_n, _simulated_change(pushes, p, name)))
+            change = predictions.measured_change(item)
+            if change is not None:
+                measured[item.role].append((item.force_n, change.tilt))
+        start = pushes.reference(push).force_n
+        simulated: dict[str, list[tuple[float, float]]] = {"default": [(start, 0.0)], "fit": [(start, 0.0)]}
+        for p in (p for p in predictions.frames if p.item.push == push and p.item.force_n > start):
+            for name, points in simulated.items():
+                change = predictions.simulated_change(p, name)
+                if change is not None:
+                    points.append((p.item.force_n, change.tilt))
         changes.append(CurveChange(push, _sorted_points(measured), _sorted_points(simulated)))
     words = [
         f"push {c.push}: measured {rows[-1, 1]:+.1f} degrees at {rows[-1, 0]:.0f} N"
@@ -265,47 +258,30 @@ def _sorted_points(groups: Mapping[str, list[tuple[float, float]]]) -> dict[str,
     return {name: np.array(sorted(points)) for name, points in groups.items() if points}
 
 
-def _measured_change(pushes: PushSet, item: PushTrial) -> float:
-    reference = pushes.reference(item.push)
-    common = _common(reference, item)
-    before, after = (tilts(common, t.trial.corners.selected(common).corners, t.trial.view) for t in (reference, item))
-    return cobb_change(before, after).tilt
-
-
-def _simulated_change(pushes: PushSet, prediction: Prediction, name: str) -> float:
-    torso, item, target = pushes.torso, prediction.item, prediction.target
-    common = _common(pushes.reference(item.push), item)
-    rows = vertebra_rows(torso, item.trial.corners.selected(common))
-    view = item.trial.view
-    spines = [
-        tilts(common, state_features(torso, view, state, target.shares).z[rows], view)
-        for state in (torso.rest_pose, prediction.states[name])
-    ]
-    return cobb_change(*spines).tilt
-
-
-def _common(reference: PushTrial, item: PushTrial) -> tuple[str, ...]:
-    return tuple(v for v in item.trial.corners.vertebrae if v in reference.trial.corners.vertebrae)
-
-
-def _tilt_picture(visit: Visit, pushes: PushSet, predictions: Sequence[Prediction]) -> tuple[str, Figure, str, str]:
-    changes = []
-    for p in _of_role(predictions, "training", "validation"):
-        torso, item = pushes.torso, p.item
-        reference = pushes.reference(item.push)
-        common = _common(reference, item)
-        view = item.trial.view
+def _tilt_picture(visit: Visit, predictions: Predictions) -> tuple[str, Figure, str, str]:
+    changes, pushes = [], predictions.pushes
+    torso, orientation = pushes.torso, pushes.orientation
+    for p in predictions.of_role("training", "validation"):
+        item, view = p.item, p.item.trial.view
+        reference = pushes.reference(item.push).trial.corners
+        common = tuple(v for v in item.trial.corners.vertebrae if v in reference.vertebrae)
 
         def tilt(z: Floats, names: tuple[str, ...] = common, view: XRayView = view) -> Floats:
             return np.degrees(tilts(names, z, view, "midline").superior)
 
-        before, after = (target_features(torso, view, t.trial.corners.selected(common)) for t in (reference, item))
+        before, after = (
+            target_features(torso, view, corners.selected(common), orientation)
+            for corners in (reference, item.trial.corners)
+        )
         rows = vertebra_rows(torso, item.trial.corners.selected(common))
-        seen = {name: state_features(torso, view, s, p.target.shares).z[rows] for name, s in p.states.items()}
-        start = tilt(seen["rest"])
+        simulated: dict[str, Floats] = {}
+        for name in ("default", "fit"):
+            start, state = predictions.before(item, name), p.states.get(name)
+            if start is not None and state is not None:
+                placed = [state_features(torso, view, s, p.target.shares, orientation).z[rows] for s in (start, state)]
+                simulated[name] = tilt(placed[1]) - tilt(placed[0])
         role = "held out" if item.role == "validation" else "training"
         title = f"“{item.push}”, {item.force_n:.0f} N ({role})"
-        simulated: dict[str, Floats] = {name: tilt(seen[name]) - start for name in ("default", "fit") if name in seen}
         level = _row_of_level(visit.subject.push(item.push).level, common)
         changes.append(TiltChange(title, common, tilt(after) - tilt(before), simulated, level))
     worst = max(changes, key=lambda c: float(np.abs(c.measured).max()))
@@ -329,23 +305,27 @@ def _row_of_level(level: float, names: tuple[str, ...]) -> float | None:
     return (1.0 - share) * names.index(lower) + share * names.index(upper)
 
 
-def _region_picture(visit: Visit, estimate: Mapping[str, Any]) -> tuple[str, Figure, str, str] | None:
-    names = fitted_names(estimate)
+def _region_picture(visit: Visit, estimate: Estimate) -> tuple[str, Figure, str, str] | None:
+    names = estimate.parameters
     if len(names) != 2:
         return None
-    values = [estimate["ratios"][name]["value"] for name in names]
-    path = [[step["ratios"][name] for name in names] for step in estimate["history"] if step["accepted"]]
+    values = list(estimate.values.values())
+    path = [[step.ratios[name] for name in names] for step in estimate.history if step.accepted]
     truth = read_truth(visit.truth) if visit.truth else {}
-    region = np.array(estimate["joint_region"] or np.empty((0, 2)))
+    region = np.array(estimate.region or np.empty((0, 2)))
     known = np.array([truth[name] for name in names]) if all(name in truth for name in names) else None
-    low, high = estimate["bounds"]
     shown = (names[0].replace("_", " "), names[1].replace("_", " "))
+    ends = tuple((estimate.ratios[name].low, estimate.ratios[name].high) for name in names)
     figure = draw_ratio_map(
-        RatioMap(shown, np.array(values), region, np.array(path).reshape(-1, 2), (low, high), known)
+        RatioMap(shown, np.array(values), region, np.array(path).reshape(-1, 2), estimate.bounds, ends, known)
     )
     alt = (
-        f"Joint 95 % region of the two ratios around the estimate {number(values[0])} and {number(values[1])}, "
-        f"and the fit’s {len(path)} accepted steps from the start."
+        f"Joint 95 % region of the two ratios around the estimate {number(values[0], 2)} and {number(values[1], 2)}, "
+        f"with the 95 % interval of each, and the fit’s {len(path)} accepted steps from the start."
     )
-    caption = "Both ratios on logarithmic axes: the fit’s accepted steps (left) and the joint 95 % region (right)."
+    caption = (
+        "Both ratios on logarithmic axes: the fit’s accepted steps (left) and the joint 95 % region (right). The bars "
+        "are the 95 % intervals of each ratio alone; the region holds both at once and is wider. It ends where the "
+        "axes end: these are the bounds of the fit."
+    )
     return "joint-region", figure, alt, caption

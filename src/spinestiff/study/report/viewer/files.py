@@ -7,30 +7,21 @@ from pathlib import Path
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.template import template_torso
 from spinestiff.files import write_text
-from spinestiff.study.predictions import Observer, Prediction, predict
+from spinestiff.study.predictions import Predictions
 from spinestiff.study.report.viewer.page import view_page
 from spinestiff.study.report.viewer.scene import Scene, visit_scene
-from spinestiff.study.trials import PushSet
-from spinestiff.study.visit import Visit, estimated_ratios, load_pushes
+from spinestiff.study.visit import Visit
 
 
-def scene_of(visit: Visit, pushes: PushSet, predictions: tuple[Prediction, ...]) -> Scene:
-    """The scene of a visit with an estimate, from trials and predictions that are at hand."""
+def scene_of(visit: Visit, predictions: Predictions) -> Scene:
+    """The scene of a visit with an estimate, with default and estimated stiffness in every frame."""
     record = visit.subject.record
-    return visit_scene(record.id, pushes, predictions, {p.id: (p.side, p.level) for p in record.pushes})
+    return visit_scene(record.id, predictions, {p.id: (p.side, p.level) for p in record.pushes})
 
 
-def write_view(visit: Visit, say: Observer) -> None:
-    """Write ``results/view.html`` of a visit with an estimate; every frame is solved with both stiffnesses.
-
-    Raises
-    ------
-    SpinestiffError : a result of an earlier step is missing or belongs to another version of it.
-    """
-    torso = read_torso(visit.file("torso.npz"))
-    pushes = load_pushes(visit, torso)
-    predictions = predict(pushes, estimated_ratios(visit, torso), say)
-    write_text(visit.file("view.html"), view_page(scene_of(visit, pushes, predictions)))
+def write_view(visit: Visit, predictions: Predictions) -> None:
+    """Write ``results/view.html`` of a visit with an estimate. Raises SubjectError if it can't be written."""
+    write_text(visit.file("view.html"), view_page(scene_of(visit, predictions)))
 
 
 def write_rest_view(visit: Visit, path: Path) -> str:
@@ -42,7 +33,7 @@ def write_rest_view(visit: Visit, path: Path) -> str:
     """
     folder = visit.subject.folder
     if visit.file("torso.npz").is_file():
-        torso, shown = read_torso(visit.file("torso.npz")), "the subject’s torso at rest"
+        torso, shown = visit.torso(), "the subject’s torso at rest"
     else:
         torso, shown = template_torso(visit.subject.record.height_cm), "the template at the subject’s height, at rest"
     note = f"No estimate yet: this is {shown}. For pushes and measured vertebrae: spinestiff run {folder.name}"

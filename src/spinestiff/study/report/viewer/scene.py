@@ -21,7 +21,7 @@ from spinestiff.estimation.objective import make_target
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.supports import Supports
-from spinestiff.study.predictions import Prediction
+from spinestiff.study.predictions import REST, Prediction, Predictions, Solved
 from spinestiff.study.trials import PushSet, PushTrial
 
 SCENE_VERSION = 1
@@ -119,36 +119,32 @@ class Scene:
     note: str = ""
 
 
-def visit_scene(
-    title: str, pushes: PushSet, predictions: Sequence[Prediction], levels: Mapping[str, tuple[str, float]]
-) -> Scene:
+def visit_scene(title: str, predictions: Predictions, levels: Mapping[str, tuple[str, float]]) -> Scene:
     """The scene of a visit with an estimate.
 
     Parameters
     ----------
-    pushes, predictions : the trials, and what ``predict`` made of those under force.
+    predictions : what the models make of the frames under force.
     levels : push id -> pushed side and rib level.
     """
-    made = {(p.item.push, p.item.frame): p for p in predictions}
+    pushes = predictions.pushes
+    made = {(p.item.push, p.item.frame): p for p in predictions.frames}
     scenes = []
     for push, problem in pushes.problems.items():
         trials = sorted((t for t in pushes.trials if t.push == push), key=lambda t: (t.force_n, t.frame))
         supports = _supports(pushes.torso, problem.supports)
         frames, steps = [], {name: [] for name in MODELS}  # type: ignore[var-annotated]
         if trials[0].force_n > 0.0:
-            start = _at_rest(pushes.torso, trials[0], len(supports))
+            start = _at_rest(pushes, trials[0], len(supports))
             for name in MODELS:
                 steps[name].append(Step(0.0, None, start.state, start.vertebrae, start.boxes, start.reactions))
         for trial in trials:
             prediction = made.get((push, trial.frame))
             if prediction is None:
-                resting = Prediction(
-                    trial, make_target(pushes.torso, trial.trial), {"rest": pushes.torso.rest_pose}, {}
-                )
-                found = {name: _at_rest(pushes.torso, trial, len(supports)) for name in MODELS}
-                frames.append(_frame(pushes.torso, resting, dict.fromkeys(MODELS, "rest")))
+                found = {name: _at_rest(pushes, trial, len(supports)) for name in MODELS}
+                frames.append(_frame(pushes.torso, _resting(pushes, trial), dict.fromkeys(MODELS, REST)))
             else:
-                known = [name for name in MODELS if name in prediction.states]
+                known = [name for name in MODELS if name in prediction.solved]
                 found = {name: _step(pushes.torso, prediction, name, supports) for name in known}
                 frames.append(_frame(pushes.torso, prediction, {name: name for name in known}))
             for name, step in found.items():
@@ -177,21 +173,25 @@ def _supports(torso: TorsoModel, supports: Supports) -> tuple[Support, ...]:
     )
 
 
-def _at_rest(torso: TorsoModel, trial: PushTrial, supports: int) -> Step:
-    target = make_target(torso, trial.trial)
-    boxes = Prediction(trial, target, {"rest": torso.rest_pose}, {}).boxes(torso, "rest")
-    names, frame = trial.trial.corners.vertebrae, trial.frame
-    return Step(0.0, frame, torso.rest_pose, names, boxes, np.zeros((supports, 3)))
+def _resting(pushes: PushSet, trial: PushTrial) -> Prediction:
+    """A frame without force, as the torso at rest makes it."""
+    at_rest = Solved(pushes.torso.rest_pose, np.zeros((0, 3)))
+    return Prediction(trial, make_target(pushes.torso, trial.trial, pushes.orientation), {REST: at_rest})
+
+
+def _at_rest(pushes: PushSet, trial: PushTrial, supports: int) -> Step:
+    torso, names = pushes.torso, trial.trial.corners.vertebrae
+    boxes = _resting(pushes, trial).boxes(torso, REST)
+    return Step(0.0, trial.frame, torso.rest_pose, names, boxes, np.zeros((supports, 3)))
 
 
 def _step(torso: TorsoModel, prediction: Prediction, name: str, supports: Sequence[Support]) -> Step:
     item = prediction.item
-    # In the order of the supports; a bone may touch the wall at two points, under one name.
-    exerted = prediction.reactions[name]
-    assert [r.name for r in exerted] == [support.name for support in supports]
-    forces = np.array([r.force for r in exerted]).reshape(-1, 3)
-    names = item.trial.corners.vertebrae
-    return Step(item.force_n, item.frame, prediction.states[name], names, prediction.boxes(torso, name), forces)
+    solved, names = prediction.solved[name], item.trial.corners.vertebrae
+    # Both lists: held bones, then springs.
+    assert len(solved.reactions) == len(supports)
+    boxes = prediction.boxes(torso, name)
+    return Step(item.force_n, item.frame, solved.state, names, boxes, solved.reactions)
 
 
 def _frame(torso: TorsoModel, prediction: Prediction, states: Mapping[str, str]) -> Frame:

@@ -1,0 +1,82 @@
+"""Cobb angles of a subject's own images: at rest, and in every frame of its pushes with the change since its start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from spinestiff.curves.cobb import DEFINITIONS, CobbReading, Definition, read_cobb_of_view
+from spinestiff.curves.tilts import CobbChange, change_between
+from spinestiff.imaging.features import VertebraCorners, picture_axes
+from spinestiff.imaging.projection import XRayView
+from spinestiff.imaging.tracking.quality import usable_corners
+from spinestiff.subject.folder import Subject, image_corners, read_rest
+from spinestiff.subject.outcomes import Tracked
+from spinestiff.subject.run_record import read_outcome
+
+
+@dataclass(frozen=True)
+class CobbFrame:
+    """One frontal image of a subject with its Cobb angles; of a push's frames the change from its least force."""
+
+    reading: CobbReading
+    change: CobbChange | None = None
+
+    def as_dict(self) -> dict[str, object]:
+        """JSON of the frame: that of the reading and "change_deg" with the three forms of the change."""
+        c = self.change
+        forms = None if c is None else {"signed": c.signed, "fixed_levels": c.fixed_levels, "tilt": c.tilt}
+        return {**self.reading.as_dict(), "change_deg": forms}
+
+
+def rest_reading(subject: Subject, definition: Definition = "endplate", noise_px: float | None = None) -> CobbReading:
+    """The Cobb angles of the annotated frontal rest image. Raises SubjectError as ``image_corners`` does."""
+    rest = read_rest(subject, "frontal")
+    corners = image_corners(subject, "rest/frontal", rest.view)
+    return _reading("rest/frontal", corners, rest.view, definition, noise_px)
+
+
+def cobb_frames(
+    subject: Subject, definition: Definition = "endplate", noise_px: float | None = None
+) -> list[CobbFrame]:
+    """The annotated rest image and, once they are tracked, all frames of the pushes.
+
+    Parameters
+    ----------
+    definition : "endplate" or "midline".
+    noise_px : standard deviation of each corner's coordinates; None = 2 % of the vertebrae's width.
+    """
+    frames = [CobbFrame(rest_reading(subject, definition, noise_px))]
+    if not (subject.results / Tracked.FILE).exists():
+        return frames
+    for push, found in read_outcome(subject, Tracked).pushes.items():
+        forces, view = subject.push(push).forces_n, found.view.view()
+        usable = [usable_corners(found.corners(i)) for i in range(len(found.frames))]
+        least = usable[int(np.argmin(forces))]
+        for index, force in enumerate(forces):
+            change = change_between(view, least, usable[index], DEFINITIONS[definition])
+            name = f"{push} frame {index}, {force:.0f} N"
+            frames.append(CobbFrame(_reading(name, usable[index], view, definition, noise_px), change))
+    return frames
+
+
+def cobb_rows(frames: Sequence[CobbFrame]) -> list[tuple[str, str, str, str, str]]:
+    """Image, Cobb angle with its levels, and the three forms of its change from the push's least force."""
+    rows = []
+    for frame in frames:
+        largest, c = frame.reading.largest, frame.change
+        forms = ["", "", ""] if c is None else [f"{value:+.1f}" for value in (c.signed, c.fixed_levels, c.tilt)]
+        rows.append((frame.reading.image, str(largest.angle if largest else "-"), forms[0], forms[1], forms[2]))
+    return rows
+
+
+def _reading(
+    image: str, corners: VertebraCorners, view: XRayView, definition: Definition, noise_px: float | None
+) -> CobbReading:
+    left, up = picture_axes(view)
+    noise = None if noise_px is None else noise_px * float(view.pixel_spacing.mean())
+    return read_cobb_of_view(
+        image, corners.vertebrae, corners.corners @ np.stack([left, up], axis=1), definition, noise
+    )

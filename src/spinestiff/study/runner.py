@@ -1,0 +1,200 @@
+"""The steps from a subject folder to its results, in order; each is redone only when what it was made from changed.
+
+``track`` -> ``personalise`` -> ``estimate`` -> ``assess`` -> ``report``. Results go to ``results/`` in the folder.
+``view``, the 3D page alone, needs no report; the report brings it along. ``frames`` needs the tracking alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from spinestiff.errors import SubjectError
+from spinestiff.files import file_digest
+from spinestiff.study import steps as step_functions
+from spinestiff.study.visit import Observer, Visit
+from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
+from spinestiff.subject.run_record import (
+    StepRecord,
+    changed_inputs,
+    changed_outputs,
+    is_current,
+    record_step,
+    recorded_steps,
+    result_path,
+    step_record,
+)
+
+STEPS = ("track", "personalise", "estimate", "assess", "report")
+PUSHES, ROLES = f"{SUBJECT_FILE}: pushes", f"{SUBJECT_FILE}: roles"
+XRAY, FORCES, BODY = (f"{SUBJECT_FILE}: {part}" for part in ("X-ray geometry", "frames and forces", "body"))
+REST_MARKS, PUSH_MARKS = f"{ANNOTATION_FILE}: rest", f"{ANNOTATION_FILE}: pushes"
+SHAPE = ("torso.npz", "personalised.json")
+MADE_BY = {
+    "tracked.json": "track",
+    "torso.npz": "personalise",
+    "personalised.json": "personalise",
+    "estimate.json": "estimate",
+    "training.npz": "estimate",
+    "assessment.json": "assess",
+    "predictions.npz": "assess",
+}
+"""Results that later steps read, and the step that makes them."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step: what it is made from and what it makes.
+
+    Attributes
+    ----------
+    run : does it.
+    parts : of ``subject.json`` and ``annotation.json`` (``subject.run_record.PARTS``).
+    images : of "rest" and "push", whose radiographs it reads.
+    results : of earlier steps, by file name. outputs : file names.
+    settings : what of the visit's settings it follows.
+    """
+
+    run: Callable[[Visit, Observer], None]
+    parts: tuple[str, ...]
+    images: tuple[str, ...]
+    results: tuple[str, ...]
+    outputs: Callable[[Visit], tuple[str, ...]]
+    settings: Callable[[Visit], dict[str, Any]] = lambda visit: {}
+
+    def inputs(self, visit: Visit) -> list[str]:
+        """Names of all inputs, relative to the subject folder."""
+        subject = visit.subject
+        names = [*self.parts, *(f"{RESULTS}/{name}" for name in self.results)]
+        paths = [subject.image_path(f"rest/{view}") for view in subject.rest_views if "rest" in self.images]
+        paths += [subject.image_path(push.image) for push in subject.pushes if "push" in self.images]
+        if BODY in self.parts:
+            paths += [path for path in (subject.torso_path, subject.scan_path) if path is not None]
+        return [*names, *(path.relative_to(subject.folder).as_posix() for path in paths)]
+
+
+def _truth(visit: Visit) -> dict[str, Any]:
+    return {"truth": None if visit.truth is None else file_digest(visit.truth)}
+
+
+ALL_STEPS: Mapping[str, Step] = {
+    "track": Step(
+        step_functions.track_step, (XRAY, FORCES, PUSH_MARKS), ("push",), (), lambda visit: ("tracked.json",)
+    ),
+    "frames": Step(
+        step_functions.frames_step,
+        (XRAY, PUSHES, ROLES, PUSH_MARKS),
+        ("push",),
+        ("tracked.json",),
+        lambda visit: ("frames.json", "frames.png"),
+    ),
+    "personalise": Step(
+        step_functions.personalise_step,
+        (XRAY, BODY, REST_MARKS),
+        ("rest",),
+        (),
+        lambda visit: (*SHAPE, *(("skin_scan.png",) if visit.subject.scan_path else ())),
+        lambda visit: {"mesh": visit.settings.mesh},
+    ),
+    "estimate": Step(
+        step_functions.estimate_step,
+        (PUSHES, ROLES),
+        (),
+        ("tracked.json", *SHAPE),
+        lambda visit: ("estimate.json", "training.npz"),
+        lambda visit: {
+            "method": visit.settings.method,
+            "orientation": visit.settings.orientation,
+            "parameters": list(visit.settings.parameters),
+        },
+    ),
+    "assess": Step(
+        step_functions.assess_step,
+        (PUSHES, ROLES),
+        (),
+        ("tracked.json", *SHAPE, "estimate.json", "training.npz"),
+        lambda visit: ("assessment.json", "predictions.npz", *(("comparison.json",) if visit.truth else ())),
+        _truth,
+    ),
+    "report": Step(
+        step_functions.report_step,
+        (PUSHES, ROLES, BODY, XRAY, REST_MARKS, PUSH_MARKS),
+        ("rest", "push"),
+        ("tracked.json", *SHAPE, "estimate.json", "assessment.json", "predictions.npz"),
+        lambda visit: ("report.html", "view.html"),
+        _truth,
+    ),
+    "view": Step(
+        step_functions.view_step,
+        (PUSHES, ROLES),
+        (),
+        ("tracked.json", *SHAPE, "estimate.json", "predictions.npz"),
+        lambda visit: ("view.html",),
+    ),
+}
+"""Every step, in the order in which they run."""
+
+
+def run_steps(
+    visit: Visit, steps: tuple[str, ...] = STEPS, observer: Observer | None = None, force: bool = False
+) -> list[str]:
+    """Run the steps in order, leaving out those that are current; returns the names of those that ran.
+
+    A visit without a truth file leaves what was compared with a truth as it is.
+
+    Raises
+    ------
+    SpinestiffError : the first step that fails; what was written before stays.
+    """
+    say = observer or (lambda line: None)
+    if "estimate" in steps and not any(push.frames_of("training") for push in visit.subject.pushes):
+        path = visit.subject.folder / SUBJECT_FILE
+        raise SubjectError(f"{path}: no frame has the role training; spinestiff frames proposes roles")
+    ran = []
+    for name, step in ALL_STEPS.items():
+        if name not in steps:
+            continue
+        for result in step.results:
+            _refuse_stale(visit, result)
+        record = step_record(visit.subject, step.inputs(visit), step.settings(visit))
+        if not force and is_current(visit.subject, name, _as_compared(visit, name, record)):
+            say(f"{name}: up to date")
+            continue
+        for changed in changed_outputs(visit.subject, name):
+            say(f"{name}: {changed} is not as it was written; made again")
+        # The report writes the view on its way.
+        view = ALL_STEPS["view"]
+        along = step_record(visit.subject, view.inputs(visit), view.settings(visit)) if name == "report" else None
+        began = time.perf_counter()
+        step.run(visit, lambda line, name=name: say(f"{name}: {line}"))  # type: ignore[misc]
+        _record(visit, name, record, time.perf_counter() - began)
+        if along is not None:
+            _record(visit, "view", along)
+        ran.append(name)
+    return ran
+
+
+def _record(visit: Visit, name: str, record: StepRecord, seconds: float = 0.0) -> None:
+    outputs = [visit.file(output) for output in ALL_STEPS[name].outputs(visit)]
+    record_step(visit.subject, name, record, outputs, seconds)
+
+
+def _as_compared(visit: Visit, name: str, record: StepRecord) -> StepRecord:
+    """The record with the truth that the step knew last, where the visit names none and the step would follow it."""
+    last = recorded_steps(visit.subject).get(name)
+    if visit.truth is not None or last is None or "truth" not in record.settings:
+        return record
+    return step_record(visit.subject, record.inputs, {"truth": last.settings.get("truth")})
+
+
+def _refuse_stale(visit: Visit, result: str) -> None:
+    """Raise SubjectError unless a result of an earlier step is there, as written, and made from what is there now."""
+    step = MADE_BY[result]
+    path = result_path(visit.subject, result, step)
+    changed = changed_inputs(visit.subject, step)
+    if changed:
+        raise SubjectError(
+            f"{path}: was made before {changed[0]} changed; run spinestiff {step} again, or spinestiff run"
+        )

@@ -1,0 +1,45 @@
+"""What the reactions and the pelvis of an equilibrium say against the supports as they were modelled."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.arrays import Floats
+from spinestiff.mechanics.supports import Supports
+
+PULLING_LIMIT_N = 2.0
+"""A reaction that pulls on its support by more says that the person would have left it."""
+OBLIQUITY_LIMIT_DEG = 3.0
+
+
+def support_notes(torso: TorsoModel, supports: Supports, state: TorsoState, forces: Floats, side: str) -> list[str]:
+    """Where a support pulls, and how far the pelvis turned, if beyond the limits.
+
+    Parameters
+    ----------
+    forces : (S, 3) N, what the springs of ``supports`` exert, in their order.
+    side : from which the push came.
+    """
+    found = []
+    push = 1.0 if side == "right" else -1.0
+    for name, force in zip(supports.names, forces):
+        # The shoulder's wall pushes back against the force; a support can't pull.
+        if name.startswith("shoulder") and push * force[0] > PULLING_LIMIT_N:
+            found.append(f"the shoulder's support pulls with {push * force[0]:.1f} N")
+    pulling = [
+        (name.removeprefix("wall_"), -force[2])
+        for name, force in zip(supports.names, forces)
+        if name.startswith("wall") and force[2] < -PULLING_LIMIT_N
+    ]
+    if pulling:
+        bone, most = max(pulling, key=lambda entry: entry[1])
+        points = "1 point" if len(pulling) == 1 else f"{len(pulling)} points"
+        worst = f"most at {bone}, {most:.1f} N"
+        found.append(f"the back wall pulls at {points} ({worst}): the back would have left the wall there")
+    pelvis = torso.bone("pelvis")
+    turn = state.bone_rotations[pelvis] @ torso.rest_pose.bone_rotations[pelvis].T
+    obliquity = float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0])))
+    if abs(obliquity) > OBLIQUITY_LIMIT_DEG:
+        found.append(f"the pelvis tilts by {obliquity:+.1f} degrees (limit {OBLIQUITY_LIMIT_DEG:g})")
+    return found

@@ -1,0 +1,55 @@
+"""The truth of a synthetic subject, and how far an estimate lies from it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from spinestiff.anatomy.stiffness import stiffness_ratios
+from spinestiff.errors import EquilibriumError, SubjectError
+from spinestiff.estimation.intervals import offset_from
+from spinestiff.files import read_json
+from spinestiff.study.trials import PushSet
+from spinestiff.subject.outcomes import Comparison, Estimate
+
+
+def read_truth(path: Path) -> dict[str, float]:
+    """True ratios of a synthetic subject's truth file. Raises SubjectError."""
+    record = read_json(path)
+    try:
+        return {str(name): float(value) for name, value in record["ratios"].items()}
+    except (KeyError, TypeError, AttributeError, ValueError):
+        raise SubjectError(f"{path}: holds no true ratios; wanted the truth file of a synthetic subject") from None
+
+
+def compare_with_truth(estimate: Estimate, pushes: PushSet, truth: Path) -> Comparison:
+    """How far the estimate lies from known true ratios, in the measure of its joint region.
+
+    The offset is found on the model, as the intervals' ends are (estimation/intervals.py).
+
+    Raises
+    ------
+    SubjectError : the truth lacks a ratio that was estimated.
+    """
+    true_ratios, size = read_truth(truth), estimate.region_size
+    lacking = [name for name in estimate.parameters if name not in true_ratios]
+    if lacking:
+        raise SubjectError(f"{truth}: holds no true ratio of {lacking[0]}, which was estimated")
+    unknown = Comparison(truth=true_ratios, region_size=size, distance2=None, inside=None)
+    covariance = estimate.covariance_log
+    if size is None or any(value is None for row in covariance for value in row):
+        return unknown
+    training = pushes.training
+    try:
+        offset = offset_from(
+            [pushes.problems[t.push] for t in training],
+            [t.trial for t in training],
+            stiffness_ratios(estimate.values, pushes.torso.joints.kinds),
+            true_ratios,
+            estimate.orientation,
+        )
+    except EquilibriumError:
+        return unknown
+    distance2 = float(offset @ np.linalg.solve(np.array(covariance, dtype=float), offset))
+    return unknown.model_copy(update={"distance2": distance2, "inside": bool(distance2 <= size)})
