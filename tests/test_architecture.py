@@ -46,7 +46,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "jpeg_ls": ("imaging/dicom/decoding.py",),
     "openjpeg": ("imaging/dicom/decoding.py",),
     "cv2": ("imaging/*",),
-    "skimage": ("imaging/*",),
+    "skimage": ("imaging/*", "estimation/intervals.py"),
     "numba": ("mechanics/*", "imaging/synthetic/path_length.py", "imaging/synthetic/texture.py"),
     "rslab": ("mechanics/factor.py",),
     "matplotlib": (

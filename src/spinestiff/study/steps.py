@@ -15,7 +15,6 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.fit import FitStep, StiffnessFit, fit_stiffness
-from spinestiff.estimation.uncertainty import joint_region_outline
 from spinestiff.files import write_bytes
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
@@ -366,7 +365,6 @@ def _estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry:
     }
     spread = [ratio.determined for ratio in ratios.values()]
     failed = any(check.passed is False for check in checks)
-    outlined = len(fit.names) == 2 and np.isfinite(fit.uncertainty.covariance).all()
     return Estimate(
         status="DOUBTFUL" if failed else fit.status.name,  # type: ignore[arg-type]
         fit_status=fit.status.name,  # type: ignore[arg-type]
@@ -379,7 +377,7 @@ def _estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry:
         covariance_log=nested(fit.uncertainty.covariance),  # type: ignore[arg-type]
         correlation=finite(float(fit.correlation[0, -1])) if len(fit.names) > 1 else None,
         condition=finite(fit.condition),
-        region=joint_region_outline(fit).tolist() if outlined else None,  # type: ignore[arg-type]
+        region=None if fit.intervals.region is None else np.exp(fit.intervals.region).tolist(),
         region_size=finite(fit.uncertainty.region_size),
         training_rmse_mm=TrainingError(default=finite(fit.default_rmse_mm), fit=fit.rmse_mm),
         reactions_n=_reactions(visit, pushes, fit),
