@@ -80,22 +80,31 @@ def linear_intervals(log_ratios: Floats, spread: Uncertainty, limits: tuple[floa
 def inverted_intervals(
     trial_set: TrialSet, point: Evaluation, slope: Slope, spread: Uncertainty, limits: tuple[float, float]
 ) -> Intervals:
-    """Ends solved for on the model; where an equilibrium fails, the linear end stays."""
+    """Ends solved for on the model.
+
+    Where one can't be reached, as where another ratio meets its bound on the way, the joint region's end is taken,
+    which lies further out; without a region the linear end stays.
+    """
     linear = linear_intervals(point.log_ratios, spread, limits)
     if not np.isfinite(spread.covariance).all():
         return linear
     inversion = _Inversion(trial_set, point, slope, limits)
-    ends = {"low": linear.low.copy(), "high": linear.high.copy()}
-    opens = {"low": linear.open_low.copy(), "high": linear.open_high.copy()}
     sd = np.sqrt(np.diag(spread.covariance))
-    for i in range(len(sd)):
-        for side, sign in (("low", -1.0), ("high", 1.0)):
-            wanted = sign * spread.half_width[i] * spread.covariance[:, i] / sd[i] ** 2
-            found = inversion.end(wanted, i)
-            if found is not None:
-                ends[side][i], opens[side][i] = found
+    found = {
+        (i, sign): inversion.end(sign * spread.half_width[i] * spread.covariance[:, i] / sd[i] ** 2, i)
+        for i in range(len(sd))
+        for sign in (-1.0, 1.0)
+    }
     region = joint_region(point.log_ratios, spread, inversion.visited, limits)
-    return Intervals(ends["low"], ends["high"], opens["low"], opens["high"], region)
+    ends = {-1.0: linear.low.copy(), 1.0: linear.high.copy()}
+    opens = {-1.0: linear.open_low.copy(), 1.0: linear.open_high.copy()}
+    for (i, sign), end in found.items():
+        if end is None and region is not None:
+            outermost = float(np.clip(sign * (sign * region[:, i]).max(), *limits))
+            end = outermost, outermost in limits
+        if end is not None:
+            ends[sign][i], opens[sign][i] = end
+    return Intervals(ends[-1.0], ends[1.0], opens[-1.0], opens[1.0], region)
 
 
 @dataclass(frozen=True)
