@@ -381,7 +381,8 @@ def _draw_region(axis: Axes, ratios: RatioMap) -> None:
             bar = np.tile(ratios.estimate[:, None], 2)
             bar[which] = low, high
             label = "95 % interval of each" if which == 0 else None
-            axis.plot(*bar, color=FIT, linewidth=2.2, marker="|" if which == 0 else "_", markersize=12, label=label, zorder=4)
+            mark = "|" if which == 0 else "_"
+            axis.plot(*bar, color=FIT, linewidth=2.2, marker=mark, markersize=12, label=label, zorder=4)
     axis.plot(*ratios.estimate, marker="o", markersize=8, color=FIT, linestyle="none", label="estimate", zorder=5)
     if ratios.truth is not None:
         axis.plot(*ratios.truth, marker="*", markersize=13, color=TRUTH, linestyle="none", label="truth", zorder=6)
