@@ -109,7 +109,7 @@ def test_another_number_of_frames_is_refused(coded, syntax, count, offsets):
     dataset.save_as(path)
     wanted = f"{count} are declared"
     if count == 1 and not offsets:  # all fragments are one frame's
-        wanted = "goes on behind its end|holds 69.. bytes for 1440"
+        wanted = "goes on behind its end|holds more than the 1440 pixels declared"
     with pytest.raises(RadiographError, match=wanted):
         read_radiographs(path)
 
@@ -147,6 +147,59 @@ def test_every_cut_of_a_stream_is_seen(coded, syntax):
         late = "a coded frame is cut short; copy" if end > len(stream) - 100 else "a coded frame"
         with pytest.raises(RadiographError, match=late):
             stream_header(stream[:end])
+
+
+CODED = ["JPEG2000Lossless", "JPEGLSLossless", "JPEGBaseline8Bit", "RLELossless"]
+FILLERS = [b"\xff", b"\0" * 3, b"\xff" * 40, b"\0" * 5000, b"\0\xff" * 20]
+
+
+def refilled(path: Path, parts: list[bytes], pieces: int, offsets: bool, frames: int) -> None:
+    dataset = pydicom.dcmread(path)
+    dataset.NumberOfFrames = frames
+    dataset.PixelData = encapsulate(parts, fragments_per_frame=pieces, has_bot=offsets)
+    dataset.save_as(path)
+
+
+def frames_of(path: Path, count: int) -> list[bytes]:
+    return list(generate_frames(pydicom.dcmread(path).PixelData, number_of_frames=count))
+
+
+@pytest.mark.parametrize("filler", FILLERS)
+@pytest.mark.parametrize(("pieces", "offsets"), [(1, False), (2, False), (2, True)])
+@pytest.mark.parametrize("syntax", CODED)
+def test_filler_behind_the_end_of_a_frame_is_passed_by(coded, syntax, pieces, offsets, filler):
+    path, _ = coded(syntax, 8)
+    sound = [radiograph.pixels for radiograph in read_radiographs(path)]
+    parts = frames_of(path, 3)
+    if syntax == "RLELossless":
+        pieces = 1  # no other is allowed
+    refilled(path, [part + filler for part in parts], pieces, offsets, 3)
+    np.testing.assert_array_equal([radiograph.pixels for radiograph in read_radiographs(path)], sound)
+
+
+@pytest.mark.parametrize("syntax", CODED)
+def test_a_cine_of_96_frames_with_filler_is_read(coded, syntax):
+    path, _ = coded(syntax, 8)
+    first = read_radiographs(path)[0].pixels
+    parts = [frames_of(path, 3)[0] + b"\xff" * (i % 13) for i in range(96)]
+    refilled(path, parts, 1 if syntax == "RLELossless" else 3, False, 96)
+    read = read_radiographs(path)
+    assert len(read) == 96
+    assert all((radiograph.pixels == first).all() for radiograph in read)
+
+
+@pytest.mark.parametrize("filler", FILLERS[:4])
+@pytest.mark.parametrize("syntax", CODED)
+def test_filler_hides_no_cut_of_a_frame(coded, syntax, filler):
+    path, _ = coded(syntax, 8)
+    parts = frames_of(path, 3)
+    whole = len(parts[1].rstrip(b"\0"))
+    for cut in (3, 20, whole // 2):
+        refilled(path, [parts[0], parts[1][: whole - cut] + filler, parts[2]], 1, False, 3)
+        if syntax == "RLELossless" and len(filler) <= cut == 3:
+            continue  # runs have no end mark: what takes the place of the rest to the byte can't be told from it
+        with pytest.raises(RadiographError, match=r"^a\.dcm: a coded frame (is cut short|holds)"):
+            read_radiographs(path)
 
 
 def test_twelve_bit_jpeg_says_so(coded):

@@ -84,12 +84,18 @@ def check_native(layout: Layout, there: int) -> None:
         raise RadiographError(f"{there} bytes of pixels, but {count} are declared; export it again")
 
 
-def check_coded(layout: Layout, tags: Tags, frames: list[bytes]) -> None:
-    """Raise RadiographError unless each coded frame is whole and of the declared size, depth and coding."""
+def checked_frames(layout: Layout, tags: Tags, frames: list[bytes]) -> list[bytes]:
+    """Coded frames without filler behind their ends.
+
+    Raises
+    ------
+    RadiographError : a frame that is not whole, or not of the declared size, depth and coding.
+    """
     if len(frames) != layout.frames:
         raise RadiographError(f"{len(frames)} coded frames, but {layout.frames} are declared; export it again")
     if tags.syntax == RLE:
-        return  # its size shows only in decoding, which stops at the declared one
+        return frames  # their size shows only in decoding, which stops at the declared one
+    streams = []
     for frame in frames:
         header = stream_header(frame)
         if (header.rows, header.columns) != (layout.rows, layout.columns):
@@ -98,6 +104,8 @@ def check_coded(layout: Layout, tags: Tags, frames: list[bytes]) -> None:
         if header.components != 1:
             raise RadiographError(f"a coded frame has {header.components} colours; export the original, no screenshot")
         _check_coding(layout, tags, header)
+        streams.append(frame[: header.length])
+    return streams
 
 
 def _check_coding(layout: Layout, tags: Tags, header: StreamHeader) -> None:
