@@ -70,7 +70,7 @@ def coded_frames(dataset: Dataset, count: int) -> list[bytes]:
 
     Parameters
     ----------
-    count : of the frames that are declared; as many fragments are a frame each.
+    count : of the frames that are declared.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def coded_frames(dataset: Dataset, count: int) -> list[bytes]:
     if count == 1:
         return [b"".join(fragments)]
     starts = [i for i, fragment in enumerate(fragments) if starts_stream(fragment)]
-    if len(fragments) == count or not starts or starts[0]:
+    if not starts or starts[0]:
         return fragments
     return [b"".join(fragments[first:end]) for first, end in zip(starts, [*starts[1:], len(fragments)])]
 
