@@ -88,7 +88,7 @@ def test_a_vertebra_that_contradicts_the_file_is_refused(folder):
     read_rest(read_subject(folder), "frontal")
     write(folder, scaled(rest__frontal={"vertebra": "T12", "width_mm": 1.2 * true}))
     (one, *_) = inspect(folder)
-    assert one.status == "refused" and "makes the vertebra T12 18.25 mm long" in one.reason
+    assert one.status == "refused" and "found 18.25 mm for the vertebra T12, wanted 21.9042 mm" in one.reason
 
 
 @pytest.mark.parametrize(
