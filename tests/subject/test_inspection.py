@@ -152,8 +152,8 @@ def test_what_does_not_fit_the_subject_is_refused(folder):
     reasons = {one.image: one.reason for one in inspect(folder)}
     assert reasons == {
         "rest/frontal": "frontal.dcm: no such file",
-        "rest/lateral": "lateral.dcm: a frontal radiograph, wanted a lateral one",
-        "push/right-8": "right-8.dcm: 2 frames, but subject.json has 4 forces_n",
+        "rest/lateral": "lateral.dcm: found a frontal radiograph, wanted a lateral one",
+        "push/right-8": "right-8.dcm: found 2 frames, wanted 4, one for each of forces_n in subject.json",
     }
 
 
@@ -212,7 +212,7 @@ def test_the_command_refuses_with_one_line_and_status_2(run, folder, option):
     without(path, Modality="CT")
     status, out, err = run(path, *option)
     assert status == 2
-    assert err.startswith("spinestiff: frontal.dcm: modality CT is no projection radiograph; wanted one of CR, DX, RF")
+    assert err.startswith("spinestiff: frontal.dcm: Modality: found CT, wanted a projection radiograph (CR, DX, RF")
     assert err.count("\n") == 1
     assert out == "" if not option else json.loads(out)[0]["status"] == "refused"
     status, out, _ = run(folder, *option)

@@ -108,7 +108,7 @@ REFUSED = {
         {"PixelAspectRatio": ["4", "5"], **NO_SPACING}, Geometry(imager_pixel_mm=0.4),
         "PixelAspectRatio: found 0.8, .* wanted square ones for the given imager_pixel_mm 0.4",
     ),
-    "three numbers": ({"ImagerPixelSpacing": ["0.4", "0.4", "0.4"]}, None, "ImagerPixelSpacing isn't two numbers"),
+    "three numbers": ({"ImagerPixelSpacing": ["0.4", "0.4", "0.4"]}, None, "ImagerPixelSpacing: found 3 values"),
     "scale against file": ({}, Geometry(scale=Scale(10.0, ENDS)), "found 8.576 mm for the object, wanted 10 mm as"),
     "short scale": (
         NO_SPACING, Geometry(scale=Scale(5.0, ((2.0, 3.0), (20.0, 3.0)))), "found 18 pixels over the object, wanted 20",

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinestiff.errors import RadiographError
+from spinestiff.imaging.dicom.files import named
 from spinestiff.imaging.dicom.layout import (
     JPEG_2000,
     JPEG_BASELINE,
@@ -43,7 +44,8 @@ def decoded(dataset: Dataset, tags: Tags, layout: Layout) -> NDArray[Any]:
     shape = (layout.frames, layout.rows, layout.columns)
     if tags.syntax in NATIVE:
         check_native(layout, len(dataset.PixelData))
-        pixels = np.asarray(dataset.pixel_array)
+        with named("PixelData"):
+            pixels = np.asarray(dataset.pixel_array)
     else:
         frames = checked_frames(layout, tags, coded_frames(dataset, layout.frames))
         try:
@@ -52,10 +54,10 @@ def decoded(dataset: Dataset, tags: Tags, layout: Layout) -> NDArray[Any]:
             raise
         except Exception:  # codecs have no error of their own
             raise RadiographError(
-                f"its pixels ({tags.syntax_name}) can't be decoded; copy it again, or export it uncompressed"
+                f"PixelData: {tags.syntax_name} pixels that can't be decoded; copy it again, or export it uncompressed"
             ) from None
     if pixels.size != np.prod(shape):
-        raise RadiographError(f"decoded to {pixels.size} pixels instead of {np.prod(shape)}; export it uncompressed")
+        raise RadiographError(f"PixelData: found {pixels.size} pixels, wanted {np.prod(shape)}; export it uncompressed")
     # What lies above the stored bits (old overlays) goes; the sign comes back by the same shift.
     unused = pixels.dtype.itemsize * 8 - layout.stored
     pixels = pixels.reshape(shape)

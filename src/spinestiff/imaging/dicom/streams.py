@@ -49,7 +49,7 @@ def stream_header(frame: bytes) -> StreamHeader:
     try:
         return _jpeg(frame) if frame[:2] == _START else _jpeg_2000(frame)
     except (struct.error, IndexError):
-        raise RadiographError("a coded frame is cut short; copy the file again") from None
+        raise RadiographError("PixelData: a coded frame is cut short; copy the file again") from None
 
 
 def _jpeg(frame: bytes) -> StreamHeader:
@@ -59,18 +59,18 @@ def _jpeg(frame: bytes) -> StreamHeader:
         while frame[at : at + 2] == b"\xff\xff":  # fill bytes
             at += 1
         if frame[at] != 0xFF:
-            raise RadiographError("a coded frame has a damaged header; copy the file again")
+            raise RadiographError("PixelData: a coded frame has a damaged header; copy the file again")
         marker, length = frame[at + 1], struct.unpack(">H", frame[at + 2 : at + 4])[0]
         if marker in _CODINGS:
             if found is not None:
-                raise RadiographError("a coded frame has two sizes in its header; export it uncompressed")
+                raise RadiographError("PixelData: a coded frame has two sizes in its header; export it uncompressed")
             precision, rows, columns, components = struct.unpack(">BHHB", frame[at + 4 : at + 10])
             found = _CODINGS[marker], rows, columns, components, precision
         elif 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            raise RadiographError("progressive or arithmetic JPEG is no DICOM; export it uncompressed")
+            raise RadiographError("PixelData: progressive or arithmetic JPEG is no DICOM; export it uncompressed")
         at += 2 + length
     if found is None:
-        raise RadiographError("a coded frame has no size in its header; export it uncompressed")
+        raise RadiographError("PixelData: a coded frame has no size in its header; export it uncompressed")
     # No coding lets these two bytes occur inside a scan.
     return StreamHeader(*found, _length(frame, frame.find(_END, at)))
 
@@ -78,13 +78,13 @@ def _jpeg(frame: bytes) -> StreamHeader:
 def _jpeg_2000(frame: bytes) -> StreamHeader:
     start = frame.find(_START_2000)
     if start < 0:
-        raise RadiographError("a coded frame has no known header; export it uncompressed")
+        raise RadiographError("PixelData: a coded frame has no known header; export it uncompressed")
     right, bottom, left, top = struct.unpack(">4I", frame[start + 8 : start + 24])
     components, depth = struct.unpack(">HB", frame[start + 40 : start + 43])
     at = start + 2
     while (marker := struct.unpack(">H", frame[at : at + 2])[0]) != _START_OF_TILE:
         if marker >> 8 != 0xFF:
-            raise RadiographError("a coded frame has a damaged header; copy the file again")
+            raise RadiographError("PixelData: a coded frame has a damaged header; copy the file again")
         at += 2 + struct.unpack(">H", frame[at + 2 : at + 4])[0]
     while struct.unpack(">H", frame[at : at + 2])[0] == _START_OF_TILE:
         length = struct.unpack(">I", frame[at + 6 : at + 10])[0]
@@ -98,8 +98,8 @@ def _jpeg_2000(frame: bytes) -> StreamHeader:
 
 def _length(frame: bytes, end: int) -> int:
     if end < 0:
-        raise RadiographError("a coded frame is cut short; copy the file again")
+        raise RadiographError("PixelData: a coded frame is cut short; copy the file again")
     behind = len(frame[end + 2 :].strip(FILLER))
     if behind:
-        raise RadiographError(f"a coded frame goes on behind its end for {behind} bytes; export it again")
+        raise RadiographError(f"PixelData: a coded frame goes on behind its end for {behind} bytes; export it again")
     return end + 2
