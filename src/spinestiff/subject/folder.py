@@ -345,7 +345,8 @@ def _check_images(subject: Subject) -> None:
         check_image_name(subject, name)
     for name in annotatable(subject.record):
         # Without a lateral radiograph the sagittal shape is the template's; one that is there has to be annotated.
-        if name == LATERAL and not subject.image_path(name).exists() and not subject.image_path(name).is_symlink():
+        picture = subject.image_path(name)
+        if name == LATERAL and not picture.exists() and not picture.is_symlink():
             continue
         if name not in images:
             raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from spinestiff.errors import RadiographError, SpinestiffError
+from spinestiff.errors import RadiographError, SpinestiffError, SubjectError
 from spinestiff.files import listed, regular_file
 from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.dicom.reading import Scan, read_scan
@@ -75,11 +75,16 @@ def inspect(path: Path) -> tuple[Inspection, ...]:
         return (_image(path, path.name, Geometry()),)
     found: list[Inspection] = []
     for folder in _folders(path):
-        if folder.is_symlink() and folder != path:
+        name = folder.relative_to(path).as_posix()
+        if folder != path and folder.is_symlink():
             reason = f"{folder.name}: found a link to a folder, which is not followed; name that folder itself"
-            found.append(Inspection(folder.relative_to(path).as_posix(), reason))
-        elif folder == path or any(not inner.is_dir() for inner in _visible(folder)):
+            found.append(Inspection(name, reason))
+        elif (folder / SUBJECT_FILE).is_file():
+            found += _subject_inside(folder, name)
+        elif any(not inner.is_dir() for inner in _visible(folder)):
             found += _folder(folder, path)
+    if not found:
+        raise RadiographError(f"{path.name}: found no radiographs in this folder or those in it, wanted some")
     return tuple(found)
 
 
@@ -88,19 +93,27 @@ def _visible(folder: Path) -> list[Path]:
 
 
 def _folders(top: Path) -> list[Path]:
-    """A folder and those in it, links to folders among them but not what they lead to, in the order of their paths."""
+    """A folder and those in it, links to folders among them but not what they lead to, in the order of their paths;
+    nothing of what is in subject folders.
+    """
     found, todo = [top], [(top, 0)]
     while todo:
         folder, depth = todo.pop()
-        inner = [path for path in _visible(folder) if path.is_dir()]
+        inner = [] if (folder / SUBJECT_FILE).is_file() else [path for path in _visible(folder) if path.is_dir()]
         found += inner
         todo += [(path, depth + 1) for path in inner if not path.is_symlink()]
-        if len(found) > MOST_FOLDERS or (inner and depth == MOST_DEPTH):
-            raise RadiographError(
-                f"{top.name}: found more than {MOST_FOLDERS} folders in it, or folders more than {MOST_DEPTH} deep; "
-                "name one of those inside"
-            )
+        many = f"more than {MOST_FOLDERS} folders" if len(found) > MOST_FOLDERS else ""
+        if many or (inner and depth == MOST_DEPTH):
+            words = many or f"folders more than {MOST_DEPTH} deep"
+            raise RadiographError(f"{top.name}: found {words} in it, wanted fewer; name one of those inside")
     return sorted(found)
+
+
+def _subject_inside(folder: Path, name: str) -> tuple[Inspection, ...]:
+    try:
+        return tuple(replace(one, image=f"{name}/{one.image}") for one in _subject(folder))
+    except SubjectError as problem:
+        return (Inspection(name, str(problem)),)
 
 
 def _image(path: Path, name: str, given: Geometry, within: Path | None = None) -> Inspection:
