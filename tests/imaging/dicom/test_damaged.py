@@ -193,6 +193,16 @@ def test_a_damaged_element_is_named(tmp_path, file, keyword, vr, content, messag
     assert "SECRET" not in str(refusal.value)
 
 
+@pytest.mark.parametrize("keyword", ["WindowCenter", "ModalityLUTSequence", "Laterality"])
+def test_a_damaged_item_inside_an_element_is_named(file, keyword):
+    dataset, item = pydicom.dcmread(file()), Dataset()
+    element("Rows", "??", b"\x01\x02")(item)
+    dataset.pop(keyword, None)
+    dataset.add_new(keyword, "SQ", Sequence([item]))
+    with pytest.raises(RadiographError, match=f"^{keyword}: found bytes that can't be read"):
+        read_tags(dataset)
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [

@@ -166,8 +166,9 @@ def read_tags(dataset: Dataset) -> Tags:
 
 def code(dataset: Dataset, keyword: str) -> str:
     """A coded word of the file, fit to be shown: "?" for one that is not known, "" for none."""
-    word = str(_value(dataset, keyword) or "").strip()
-    return coded_word(word)
+    value = _value(dataset, keyword)
+    with named(keyword):
+        return coded_word(str(value or "").strip())
 
 
 def coded_word(word: str) -> str:
@@ -224,16 +225,19 @@ def _absent(value: Any) -> bool:
     return value is None or (hasattr(value, "__len__") and not len(value)) or not str(value).strip()
 
 
-def _values(value: Any) -> list[Any]:
-    """The values of an element of any number of them."""
-    if _absent(value):
-        return []
-    return list(value) if isinstance(value, Sequence) and not isinstance(value, (str, bytes)) else [value]
+def _values(keyword: str, value: Any) -> list[Any]:
+    """The values of an element of any number of them; items are parsed, so that they may be at fault."""
+    with named(keyword):
+        if _absent(value):
+            return []
+        return list(value) if isinstance(value, Sequence) and not isinstance(value, (str, bytes)) else [value]
 
 
 def _number(dataset: Dataset, keyword: str, default: float | None = None) -> float | None:
     value = _value(dataset, keyword)
-    return default if _absent(value) else _as_number(keyword, value)
+    with named(keyword):
+        absent = _absent(value)
+    return default if absent else _as_number(keyword, value)
 
 
 def _integer(dataset: Dataset, keyword: str, default: int | None = None) -> int:
@@ -248,7 +252,7 @@ def _integer(dataset: Dataset, keyword: str, default: int | None = None) -> int:
 
 
 def _two(dataset: Dataset, keyword: str) -> tuple[float, float] | None:
-    values = _values(_value(dataset, keyword))
+    values = _values(keyword, _value(dataset, keyword))
     if not values:
         return None
     if len(values) != 2:
@@ -274,7 +278,7 @@ def _window(dataset: Dataset) -> tuple[float, float] | None:
     """Centre and width of the first window."""
     both: list[float] = []
     for keyword in ("WindowCenter", "WindowWidth"):
-        values = _values(_value(dataset, keyword))
+        values = _values(keyword, _value(dataset, keyword))
         if not values:
             return None
         both.append(_as_number(keyword, values[0]))
@@ -282,11 +286,11 @@ def _window(dataset: Dataset) -> tuple[float, float] | None:
 
 
 def _table(dataset: Dataset, keyword: str) -> Table | None:
-    items = _values(_value(dataset, keyword))
+    items = _values(keyword, _value(dataset, keyword))
     if not items:
         return None
     with named(keyword):
-        descriptor, data = _values(items[0].get("LUTDescriptor")), items[0].get("LUTData")
+        descriptor, data = _values("LUTDescriptor", items[0].get("LUTDescriptor")), items[0].get("LUTData")
     if _absent(data) or len(descriptor) != 3:
         raise RadiographError(f"{keyword}: found no table, wanted LUTDescriptor and LUTData; export it again")
     count, first, bits = (int(_as_number(keyword, value)) for value in descriptor)
@@ -299,7 +303,7 @@ def _table(dataset: Dataset, keyword: str) -> Table | None:
         values = values[:count] if narrow else values
     else:
         with named(keyword):
-            values = np.asarray(_values(data), dtype=np.int64) % 65536
+            values = np.asarray(_values(keyword, data), dtype=np.int64) % 65536
     if len(values) != count:
         raise RadiographError(f"{keyword}: found {len(values)} entries, wanted {count} as declared; export it again")
     if first >= 32768 and _integer(dataset, "PixelRepresentation", 0):
@@ -308,7 +312,7 @@ def _table(dataset: Dataset, keyword: str) -> Table | None:
 
 
 def _orientation(dataset: Dataset) -> tuple[str, str] | None:
-    values = _values(_value(dataset, "PatientOrientation"))
+    values = _values("PatientOrientation", _value(dataset, "PatientOrientation"))
     if len(values) != 2:
         return None
     column, row = (str(part).strip()[:1] for part in values)
@@ -321,7 +325,7 @@ def _direction(letter: str) -> str:
 
 def _view_position(dataset: Dataset) -> str:
     word = code(dataset, "ViewPosition")
-    items = _values(_value(dataset, "ViewCodeSequence"))
+    items = _values("ViewCodeSequence", _value(dataset, "ViewCodeSequence"))
     with named("ViewCodeSequence"):
         coded = _VIEW_CODES.get(str(items[0].get("CodeValue", "")), "") if items else ""
     if word in _VIEW_CODES.values() and coded and word != coded:
@@ -333,7 +337,7 @@ def _frame_times(dataset: Dataset, frames: int) -> tuple[float | None, ...]:
     """Seconds since the first frame."""
     if not 1 < frames <= 100_000:
         return (0.0,)
-    increments = _values(_value(dataset, "FrameTimeVector"))
+    increments = _values("FrameTimeVector", _value(dataset, "FrameTimeVector"))
     if len(increments) > 1:
         if len(increments) != frames:
             raise RadiographError(
