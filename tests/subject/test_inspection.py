@@ -234,6 +234,16 @@ def test_links_and_pipes_in_a_folder_are_named_and_not_followed(tmp_path):
     assert [one.image for one in inspect(top / "b")] == ["secret.dcm"]
 
 
+def test_the_folder_one_is_in_has_its_name(tmp_path, monkeypatch):
+    top = tmp_path / "disc"
+    picture(top / "a.dcm", 0)
+    picture(top / "b.dcm", 1)
+    (top / "inner").mkdir()
+    for place, path in ((top, "."), (top / "inner", "..")):
+        monkeypatch.chdir(place)
+        assert [one.image for one in inspect(Path(path))] == ["disc"]
+
+
 def test_too_many_or_too_deep_folders_are_refused_in_one_line(tmp_path):
     deep = tmp_path / "disc"
     picture(deep / "/".join("12345678") / "a.dcm")

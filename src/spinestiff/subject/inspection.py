@@ -69,6 +69,8 @@ def inspect(path: Path) -> tuple[Inspection, ...]:
     RadiographError : no such file or folder, no files in it, or more folders than are inspected.
     SubjectError : a subject folder whose subject.json or annotation.json can't be used.
     """
+    if path.name in ("", ".."):  # the folder one is in, or above it
+        path = path.resolve()
     if (path / SUBJECT_FILE).is_file():
         return _subject(path)
     if not path.is_dir():
