@@ -222,7 +222,7 @@ def test_a_link_out_of_the_folder_is_refused(folder):
     outside.write_bytes(b"")
     (folder / "pushes/right-8.dcm").unlink()
     (folder / "pushes/right-8.dcm").symlink_to(outside)
-    assert "leads out of the subject folder" in refusal(folder)
+    assert "leads out of the folder" in refusal(folder)
 
 
 # Annotation

@@ -17,7 +17,7 @@ import numpy as np
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
-from spinestiff.files import write_json
+from spinestiff.files import regular_file, regular_files, write_json
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.subject.records import (
     ANNOTATION_FILE,
@@ -151,12 +151,19 @@ def read_unannotated(folder: str | Path) -> Subject:
 
 
 def check_radiograph_path(subject: Subject, image: str) -> None:
-    """Raise SubjectError unless the radiograph of an image is there, inside the subject folder."""
-    path = subject.image_path(image)
-    if not path.exists():
+    """Raise SubjectError unless the radiograph of an image, or all that is in its folder, is regular files inside the
+    subject folder, none larger than is read. Nothing is opened.
+    """
+    from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_HEADER_BYTES
+
+    path, most = subject.image_path(image), MOST_BYTES + MOST_HEADER_BYTES
+    if not path.exists() and not path.is_symlink():
         raise SubjectError(f"{path}: no such file; wanted the radiograph of {image}")
-    if not path.resolve().is_relative_to(subject.folder.resolve()):
-        raise SubjectError(f"{path}: leads out of the subject folder; copy the radiograph into it")
+    if not path.is_dir():
+        regular_file(path, SubjectError, within=subject.folder, cap_bytes=most)
+        return
+    for _ in regular_files(path, SubjectError, within=subject.folder, cap_bytes=most):
+        pass
 
 
 def write_subject(folder: str | Path, record: SubjectRecord) -> None:
@@ -305,7 +312,7 @@ def _read_images(subject: Subject, image: str, which: Literal["frontal", "latera
         geometry = image_geometry(subject.record, subject.annotation, image)
     except SubjectError as problem:
         raise SubjectError(f"{subject.folder / SUBJECT_FILE}: {problem}") from None
-    frames = read_radiographs(path, geometry=geometry)
+    frames = read_radiographs(path, geometry=geometry, within=subject.folder)
     for frame in frames:
         if view_kind(frame.view) != which:
             raise SubjectError(f"{path}: a {view_kind(frame.view)} radiograph, wanted a {which} one")
@@ -338,7 +345,8 @@ def _check_images(subject: Subject) -> None:
         check_image_name(subject, name)
     for name in annotatable(subject.record):
         # Without a lateral radiograph the sagittal shape is the template's; one that is there has to be annotated.
-        if name == LATERAL and not subject.image_path(name).exists():
+        picture = subject.image_path(name)
+        if name == LATERAL and not picture.exists() and not picture.is_symlink():
             continue
         if name not in images:
             raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
