@@ -141,7 +141,8 @@ def _shifted(v: MeasuredVertebra, by: Floats) -> MeasuredVertebra:
 def _measured(
     surfaces: Mapping[str, Surface], dense: Mapping[str, Floats], notes: list[str]
 ) -> dict[str, MeasuredVertebra]:
-    middles = np.array([surfaces[name][0].mean(0) for name in VERTEBRAE])
+    # Of volume: the vertices' mean lies where the mesh is dense.
+    middles = np.array([centroid(surfaces[name]) for name in VERTEBRAE])
     # Ends: as their neighbours; within, from the vertebra two below to that two above.
     spans = [(max(i - 2, 0), min(i + 2, len(VERTEBRAE) - 1)) for i in range(len(VERTEBRAE))]
     ups = [middles[a] - middles[b] for a, b in spans]
