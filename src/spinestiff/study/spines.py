@@ -22,6 +22,7 @@ CURVES = {
     "lumbar": ((0.24, 0.20, 1.0),),
     "double": ((0.68, 0.17, 1.0), (0.26, 0.17, -0.8)),
 }
+LARGEST_COBB_DEG = 60.0
 # Vertebrae turn towards the convexity, about a third of the coronal tilt's size at the apex (Easwar et al. 2011 report
 # the coupling, its size varies).
 AXIAL_COUPLING = 0.3
@@ -46,8 +47,8 @@ def curved_spine(torso: TorsoModel, cobb_deg: float, curve: str) -> VertebraPose
     """
     if curve not in CURVES:
         raise SubjectError(f"unknown curve '{curve}'; wanted one of {', '.join(CURVES)}")
-    if not abs(cobb_deg) <= 60.0:
-        raise SubjectError(f"Cobb angle {cobb_deg} degrees; wanted at most 60 to either side")
+    if not abs(cobb_deg) <= LARGEST_COBB_DEG:
+        raise SubjectError(f"Cobb angle {cobb_deg} degrees; wanted at most {LARGEST_COBB_DEG:g} to either side")
     positions, rotations = rest_vertebrae(torso)
     height = positions[:, 1] - positions[-1, 1]
     share = height / height[0]
