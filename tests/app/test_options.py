@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+from typing import Annotated, get_args, get_type_hints
+
 import pytest
-import typer
 
 from spinestiff.app.cli import app
 from spinestiff.app.options import within
 from spinestiff.errors import OptionError
 
+ANNOTATED = Annotated[int, 0].__class__
 
-def numbers():
+
+def numbers(typed=app, words=()):
     """(words of the command, option) of every option that takes a float."""
     found = []
-
-    def walk(command, words):
-        for name, inner in getattr(command, "commands", {}).items():
-            walk(inner, (*words, name))
-        found.extend((words, p.opts[0]) for p in command.params if p.type.name == "float")
-
-    walk(typer.main.get_command(app), ())
+    for group in typed.registered_groups:
+        found += numbers(group.typer_instance, (*words, group.name))
+    for command in typed.registered_commands:
+        name = command.name or command.callback.__name__
+        for parameter, hint in get_type_hints(command.callback, include_extras=True).items():
+            inner, *extras = get_args(hint) if hint.__class__ is ANNOTATED else (hint,)
+            if float in (inner, *get_args(inner)):
+                declared = [word for extra in extras for word in extra.param_decls or ()]
+                found.append(((*words, name), declared[0] if declared else "--" + parameter.replace("_", "-")))
     return found
 
 

@@ -65,6 +65,18 @@ class MeshedTissue:
     volume_share: float
 
 
+def refuse_unknown_mesher(name: str) -> None:
+    """Whether it can be used here is left to ``find_mesher``.
+
+    Raises
+    ------
+    TorsoError : neither "mmg" nor offered by an installed package.
+    """
+    offered = [entry.name for entry in entry_points(group=GROUP)]
+    if name != DEFAULT_MESHER and name not in offered:
+        raise TorsoError(f"no mesher '{name}'; installed: {', '.join([DEFAULT_MESHER, *sorted(offered)])}")
+
+
 def find_mesher(name: str) -> Mesher:
     """A mesher by name: "mmg", or one that an installed package offers in the group ``spinestiff.meshers``.
 
@@ -72,6 +84,7 @@ def find_mesher(name: str) -> Mesher:
     ------
     TorsoError : unknown, or what it needs is not installed.
     """
+    refuse_unknown_mesher(name)
     offered = {entry.name: entry for entry in entry_points(group=GROUP)}
     if name in offered:
         try:
@@ -79,8 +92,6 @@ def find_mesher(name: str) -> Mesher:
         except Exception as error:  # somebody else's package
             raise TorsoError(f"mesher '{name}' can't be loaded ({' '.join(str(error).split())[:120]})") from None
         return loaded
-    if name != DEFAULT_MESHER:
-        raise TorsoError(f"no mesher '{name}'; installed: {', '.join([DEFAULT_MESHER, *sorted(offered)])}")
     if find_spec("mmgpy") is None:
         raise TorsoError(NO_MMG)
     return mmg
