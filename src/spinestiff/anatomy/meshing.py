@@ -22,6 +22,7 @@ from spinestiff.anatomy.template.surfaces import Surface, signed_volume
 from spinestiff.anatomy.torso import TET10_EDGES
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import TorsoError
+from spinestiff.words import counted
 
 GROUP = "spinestiff.meshers"
 NO_MMG = 'meshing needs MMG; install it with pip install "spinestiff[mesh]"'
@@ -199,7 +200,8 @@ def mesh_tissue(
     if counts.min() < 3:
         few = BONES[int(np.argmin(counts))]
         raise TorsoError(
-            f"{few} has {int(counts.min())} nodes of the mesh in it, wanted 3 or more; use a smaller --spacing"
+            f"{few} has {counted(int(counts.min()), 'node')} of the mesh in it, wanted 3 or more; "
+            "use a smaller --spacing"
         )
     return MeshedTissue(nodes, elements, bones, mesher, angle, share)
 

@@ -32,9 +32,9 @@ from spinestiff.errors import TorsoError
 
 MEETING_MM = 8.0  # bones nearer than this meet there; farther ones are joined at the end of the one
 FAR_MM = 40.0  # of a 157 cm body: a rib's head this far from its vertebra belongs to another
-# A rib without its cartilage ends as far from the sternum as the template's cartilage spans, a whole one no farther than
-# it is short. A fifth more is taken and CUT_MM: the template's own spans differ by up to 8 mm (ribs 1 to 4), else 12 to
-# 16 %, over its bodies (ages, sexes, curves) of one length of the spine.
+# A rib without its cartilage ends as far from the sternum as the template's cartilage spans, a whole one no farther
+# than it is short. A fifth more is taken and CUT_MM: the template's own spans differ by up to 8 mm (ribs 1 to 4), else
+# 12 to 16 %, over its bodies (ages, sexes, curves) of one length of the spine.
 RIB_VARIATION = 1.2
 CUT_MM = 20.0  # of a 157 cm body: where bone passes into cartilage is no sharp end
 NECK_MM = 13.2  # along a floating rib from its head, the point that stands for the costotransverse joint

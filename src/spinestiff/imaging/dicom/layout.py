@@ -8,6 +8,7 @@ from spinestiff.errors import RadiographError
 from spinestiff.imaging.dicom.files import MOST_BYTES
 from spinestiff.imaging.dicom.streams import StreamHeader, stream_header
 from spinestiff.imaging.dicom.tags import Tags
+from spinestiff.words import counted
 
 MODALITIES = ("CR", "DX", "RF", "XA", "SC", "OT")
 MOST_PIXELS_A_SIDE = 8192
@@ -87,7 +88,9 @@ def check_native(layout: Layout, there: int) -> None:
 def check_coded(layout: Layout, tags: Tags, frames: list[bytes]) -> None:
     """Raise RadiographError unless each coded frame is whole and of the declared size, depth and coding."""
     if len(frames) != layout.frames:
-        raise RadiographError(f"{len(frames)} coded frames, but {layout.frames} are declared; export it again")
+        raise RadiographError(
+            f"{counted(len(frames), 'coded frame')}, but {layout.frames} are declared; export it again"
+        )
     if tags.syntax == RLE:
         return  # its size shows only in decoding, which stops at the declared one
     for frame in frames:

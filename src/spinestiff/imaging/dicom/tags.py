@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinestiff.errors import RadiographError
+from spinestiff.words import counted
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset
@@ -270,7 +271,7 @@ def _table(dataset: Dataset, keyword: str) -> Table | None:
     else:
         values = np.asarray(data, dtype=np.int64) % 65536
     if len(values) != count:
-        raise RadiographError(f"{keyword} holds {len(values)} entries, but {count} are declared")
+        raise RadiographError(f"{keyword} holds {counted(len(values), 'entry', 'entries')}, but {count} are declared")
     if first >= 32768 and _integer(dataset, "PixelRepresentation", 0):
         first -= 65536
     return Table(first, values.astype(np.uint16))
@@ -304,7 +305,9 @@ def _frame_times(dataset: Dataset, frames: int) -> tuple[float | None, ...]:
     increments = _value(dataset, "FrameTimeVector")
     if not _absent(increments) and not isinstance(increments, (str, bytes, float, int)):
         if len(increments) != frames:
-            raise RadiographError(f"FrameTimeVector has {len(increments)} entries for {frames} frames")
+            raise RadiographError(
+                f"FrameTimeVector has {counted(len(increments), 'entry', 'entries')} for {counted(frames, 'frame')}"
+            )
         steps = [_as_number("FrameTimeVector", step) for step in increments]
         steps[0] = 0.0
     else:
