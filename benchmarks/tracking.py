@@ -34,6 +34,7 @@ from spinestiff.imaging.tracking.following import follow
 from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.pictures import Pictures, as_bytes, matched, sampled
 from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY, WEIGHTS
+from spinestiff.words import counted
 
 Found = dict[str, Any]
 RESULTS = Path(__file__).parent / "results" / "tracking.json"
@@ -235,7 +236,7 @@ def _line(row: Found) -> str:
 
 def _pooled_line(name: str, group: Found) -> str:
     return (
-        f"{name:32s} {group['sequences']} sequences, {group['corners']} corners | all {group['median_mm']} p95 "
+        f"{name:32s} {counted(group['sequences'], 'sequence')}, {counted(group['corners'], 'corner')} | all {group['median_mm']} p95 "
         f"{group['p95_mm']}, angle at most {group['worst_angle_median_deg']} | large flagged {group['large_flagged']}/"
         f"{group['large']}, good {group['good_flagged']}/{group['good']}, hidden {group['hidden_flagged']}/"
         f"{group['hidden']}"
