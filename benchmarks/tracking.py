@@ -236,8 +236,9 @@ def _line(row: Found) -> str:
 
 def _pooled_line(name: str, group: Found) -> str:
     return (
-        f"{name:32s} {counted(group['sequences'], 'sequence')}, {counted(group['corners'], 'corner')} | all {group['median_mm']} p95 "
-        f"{group['p95_mm']}, angle at most {group['worst_angle_median_deg']} | large flagged {group['large_flagged']}/"
+        f"{name:32s} {counted(group['sequences'], 'sequence')}, {counted(group['corners'], 'corner')} | "
+        f"all {group['median_mm']} p95 {group['p95_mm']}, angle at most {group['worst_angle_median_deg']} | "
+        f"large flagged {group['large_flagged']}/"
         f"{group['large']}, good {group['good_flagged']}/{group['good']}, hidden {group['hidden_flagged']}/"
         f"{group['hidden']}"
     )

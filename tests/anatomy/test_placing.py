@@ -106,7 +106,7 @@ def test_where_a_mesh_is_dense_changes_no_measurement(template_bones, placed):
 
 
 def test_a_real_vertebra_dense_on_one_side_stands_as_before(shared_bones):
-    """Its right transverse process alone once leant it by 36 degrees: the vertices' mean had moved to where the mesh is dense."""
+    """Its right transverse process alone leans it by 36 degrees where up is told by means of vertices."""
     files, scale = find_files(shared_bones), 1000.0 * axes_matrix("ASR")
     bones = {}
     for name in VERTEBRAE:
