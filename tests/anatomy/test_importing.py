@@ -33,8 +33,8 @@ def mmg_installed():
 
 @pytest.fixture
 def no_mesher(monkeypatch):
-    """For what is refused before anything is meshed."""
-    monkeypatch.setattr("spinestiff.anatomy.importing.find_mesher", lambda name: None)
+    """MMG is not installed: what is wrong with the bones is told all the same."""
+    monkeypatch.setattr(meshing, "find_spec", lambda name: None)
 
 
 def refusal(folder, **options) -> str:
@@ -98,10 +98,14 @@ def test_what_the_user_says_wrongly_is_refused(bone_folder):
     assert "body height 400 cm" in refusal(bone_folder, height_cm=400.0)
 
 
-def test_unknown_meshers_and_missing_extras_are_said_before_any_work(bone_folder, monkeypatch):
-    assert "no mesher 'gmsh'; installed: mmg" in refusal(bone_folder, mesher="gmsh")
-    monkeypatch.setitem(__import__("sys").modules, "mmgpy", None)
-    assert refusal(bone_folder) == 'meshing needs MMG; install it with pip install "spinestiff[mesh]"'
+def test_an_unknown_mesher_is_said_before_any_work_a_missing_one_after_the_bones(bone_folder, no_mesher):
+    told = []
+    assert "no mesher 'gmsh'; installed: mmg" in refusal(bone_folder, mesher="gmsh", observer=told.append)
+    assert told == []
+    assert refusal(bone_folder, observer=told.append) == (
+        'meshing needs MMG; install it with pip install "spinestiff[mesh]"'
+    )
+    assert [line.split(":")[0] for line in told] == ["read", "axes", "repair", "joints", "skin"]
 
 
 def test_a_bone_outside_the_skin_is_named(template, template_bones):

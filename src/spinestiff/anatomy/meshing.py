@@ -22,6 +22,7 @@ from spinestiff.anatomy.template.surfaces import Surface, signed_volume
 from spinestiff.anatomy.torso import TET10_EDGES
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import TorsoError
+from spinestiff.words import counted
 
 GROUP = "spinestiff.meshers"
 NO_MMG = 'meshing needs MMG; install it with pip install "spinestiff[mesh]"'
@@ -65,6 +66,18 @@ class MeshedTissue:
     volume_share: float
 
 
+def refuse_unknown_mesher(name: str) -> None:
+    """Whether it can be used here is left to ``find_mesher``.
+
+    Raises
+    ------
+    TorsoError : neither "mmg" nor offered by an installed package.
+    """
+    offered = [entry.name for entry in entry_points(group=GROUP)]
+    if name != DEFAULT_MESHER and name not in offered:
+        raise TorsoError(f"no mesher '{name}'; installed: {', '.join([DEFAULT_MESHER, *sorted(offered)])}")
+
+
 def find_mesher(name: str) -> Mesher:
     """A mesher by name: "mmg", or one that an installed package offers in the group ``spinestiff.meshers``.
 
@@ -72,6 +85,7 @@ def find_mesher(name: str) -> Mesher:
     ------
     TorsoError : unknown, or what it needs is not installed.
     """
+    refuse_unknown_mesher(name)
     offered = {entry.name: entry for entry in entry_points(group=GROUP)}
     if name in offered:
         try:
@@ -79,8 +93,6 @@ def find_mesher(name: str) -> Mesher:
         except Exception as error:  # somebody else's package
             raise TorsoError(f"mesher '{name}' can't be loaded ({' '.join(str(error).split())[:120]})") from None
         return loaded
-    if name != DEFAULT_MESHER:
-        raise TorsoError(f"no mesher '{name}'; installed: {', '.join([DEFAULT_MESHER, *sorted(offered)])}")
     if find_spec("mmgpy") is None:
         raise TorsoError(NO_MMG)
     return mmg
@@ -188,7 +200,8 @@ def mesh_tissue(
     if counts.min() < 3:
         few = BONES[int(np.argmin(counts))]
         raise TorsoError(
-            f"{few} has {int(counts.min())} nodes of the mesh in it, wanted 3 or more; use a smaller --spacing"
+            f"{few} has {counted(int(counts.min()), 'node')} of the mesh in it, wanted 3 or more; "
+            "use a smaller --spacing"
         )
     return MeshedTissue(nodes, elements, bones, mesher, angle, share)
 

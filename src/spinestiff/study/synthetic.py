@@ -40,6 +40,7 @@ BENDING_RANGE, TISSUE_RANGE = (0.05, 0.63), (0.01, 0.15)
 ANNOTATION_SD_MM = 0.3  # of a hand-set corner, at the patient plane
 STANDING_SD_MM, STANDING_SD_RAD = 4.0, 0.012  # how differently a patient stands from one exposure to the next
 DETECTOR_WIDTH_MM = 427.0
+LARGEST_FORCE_N = 500.0  # that the gauge shows
 SHARES = {"main": (0.0, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0), "second": (0.0, 1 / 3, 2 / 3, 1.0)}
 ROLES: dict[str, tuple[Role, ...]] = {
     "main": ("unused", "unused", "training", "unused", "training", "unused", "validation"),
@@ -82,8 +83,8 @@ class Recipe:
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise SubjectError(f"seed {self.seed}; wanted 0 or more")
-        if not 0.0 < self.force_n <= 500.0:
-            raise SubjectError(f"force {self.force_n} N; wanted above 0 and at most 500 (the gauge's limit)")
+        if not 0.0 < self.force_n <= LARGEST_FORCE_N:
+            raise SubjectError(f"force {self.force_n} N; wanted above 0 and at most {LARGEST_FORCE_N:g}")
         low, high = RATIO_BOUNDS
         for value in self.ratios or ():
             if not low <= value <= high:

@@ -34,6 +34,7 @@ from spinestiff.subject.records import (
     SubjectRecord,
     read_record,
 )
+from spinestiff.words import counted
 
 if TYPE_CHECKING:
     from spinestiff.imaging.projection import XRayView
@@ -331,7 +332,7 @@ def check_image_name(subject: Subject, name: str) -> None:
     if found is not None and found["push"] in needed:
         count = len(subject.push(found["push"].removeprefix("push/")).forces_n)
         if int(found["frame"]) >= count:
-            raise SubjectError(f"{path}: images.{name}: the push has {count} frames, counted from 0")
+            raise SubjectError(f"{path}: images.{name}: the push has {counted(count, 'frame')}, counted from 0")
     elif name not in needed:
         raise SubjectError(
             f"{path}: images.{name}: unknown image; wanted {', '.join(needed)} (push/<id>/<frame> for frames after "

@@ -18,6 +18,7 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
 from spinestiff.files import parse_json, read_text
+from spinestiff.words import counted
 
 SCHEMA_VERSION: Final = 1
 SUBJECT_FILE = "subject.json"
@@ -335,7 +336,8 @@ class Annotation(_Record):
             further = re.fullmatch(FURTHER_FRAME, name)
             if further is None and len(image.vertebrae) < FEWEST_VERTEBRAE:
                 raise ValueError(
-                    f"{name}.vertebrae: found {len(image.vertebrae)} vertebrae, wanted at least {FEWEST_VERTEBRAE}"
+                    f"{name}.vertebrae: found {counted(len(image.vertebrae), 'vertebra', 'vertebrae')}, wanted at "
+                    f"least {FEWEST_VERTEBRAE}"
                 )
             if further is not None and image.supports:
                 raise ValueError(f"{name} has supports; wanted them in the push's first frame, {further['push']}")

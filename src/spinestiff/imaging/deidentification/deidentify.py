@@ -24,6 +24,7 @@ from spinestiff.imaging.deidentification.pseudonyms import Key, moment
 from spinestiff.imaging.dicom.decoding import coded_frames
 from spinestiff.imaging.dicom.files import MOST_BYTES, quiet
 from spinestiff.imaging.dicom.layout import MODALITIES
+from spinestiff.words import counted
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset
@@ -194,7 +195,9 @@ def _add_pixels(new: Dataset, old: Dataset) -> NDArray[Any]:
     if syntax in _CODED:
         coded = [without_comments(frame) for frame in coded_frames(old, count)]
         if len(coded) != count:
-            raise RadiographError(f"{len(coded)} coded frames, but {count} are declared; copy the file again")
+            raise RadiographError(
+                f"{counted(len(coded), 'coded frame')}, but {count} are declared; copy the file again"
+            )
         if any((stream.rows, stream.columns, stream.components) != (*shape[1:], 1) for stream in coded):
             raise RadiographError("a coded frame has another size than the file declares; export it uncompressed")
         new.PixelData = encapsulate([stream.content for stream in coded])
