@@ -114,7 +114,7 @@ def spoiled(at, quad):
         (spoiled(5, [*SPINE.corners[5][:3], SPINE.corners[5].mean(0) + [20, 0]]), "T6: the corners make no vertebra"),
         (spoiled(16, SPINE.corners[15] + [3.0, -1.0]), "no repair is safe.*L5 lies over L4 by"),
         (spoiled(16, SPINE.corners[15]), "lie at the same height"),
-        (spoiled(16, SPINE.corners[0] - [0.0, 300.0]), "T1 and T2 are then .* times as far apart"),
+        (spoiled(16, SPINE.corners[0] - [0.0, 300.0]), "no repair is safe.* but T1 lies .* level distances above where its neighbours foretell"),
         (ImageCorners("a", ("T8",), SPINE.corners[:1]), "only T8; a curve needs at least two vertebrae"),
         (replace(SPINE, image="rest/lateral"), "a lateral image"),
     ],
@@ -127,9 +127,9 @@ def test_a_repaired_vertebra_must_look_like_its_neighbours():
     corners = SPINE.corners.copy()
     middle = corners[4].mean(0)
     corners[4] = (middle + (corners[4] - middle) * [1.8, 0.9])[[1, 0, 3, 2]]
-    refused(changed(corners), "T5 is then 1.8 times as wide as its neighbours")
+    refused(changed(corners), "T5 is 1.8 times as wide as its neighbours foretell")
     corners[4] = SPINE.corners[4][[1, 0, 3, 2]] + [[0, -20], [0, 25], [0, -20], [0, 15]]
-    refused(changed(corners), "T5 is then wedged by")
+    refused(changed(corners), "T5 is wedged by")
 
 
 def test_a_vertebra_labelled_twice_is_warned_of():
@@ -138,6 +138,68 @@ def test_a_vertebra_labelled_twice_is_warned_of():
     found = in_order(changed(corners))
     assert found.repairs == ()
     assert "L5 lies over L4" in found.warnings[0] and "labelled twice" in found.warnings[0]
+
+
+SMALL = image([-6, -6, -3, -9, -7, -5, -2, -8, -11, -13, -19, -10, -13, -11, -12, -4, 2], width=14.0, height=10.0)
+
+
+@pytest.mark.parametrize("at", [0, 2, 3, 8, 15, 16])
+@pytest.mark.parametrize("aside", [-30.0, 30.0])
+def test_a_vertebra_out_of_place_changes_no_sound_one(at, aside):
+    """Its neighbours' own corners stand across the bent line of middles; the vertebra itself is named, nothing turned."""
+    corners = SMALL.corners.copy()
+    corners[at] += [aside, 0.0]
+    refused(replace(SMALL, corners=corners), f"^{VERTEBRAE[at]} lies .* widths beside its neighbours' line; correct its")
+
+
+def test_a_vertebra_somewhat_out_of_place_is_warned_of():
+    corners = SPINE.corners.copy()
+    corners[3] += [60.0, 0.0]
+    found = in_order(changed(corners))
+    assert np.array_equal(found.corners, corners)
+    (warning,) = found.warnings
+    assert warning.startswith("T4 lies 0.50 widths beside its neighbours' line") and "look at its corners" in warning
+
+
+def test_a_vertebra_that_is_turned_in_place_is_named():
+    corners = SPINE.corners.copy()
+    for degrees, words in ((25.0, None), (40.0, "^T9 is turned by .* degrees against its neighbours")):
+        turn = np.radians(degrees)
+        rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        middle = SPINE.corners[8].mean(axis=0)
+        corners[8] = middle + (SPINE.corners[8] - middle) @ rotation
+        if words:
+            refused(changed(corners), words)
+        else:
+            assert in_order(changed(corners)).warnings[0].startswith("T9 is turned by")
+
+
+def test_a_vertebra_in_another_unit_is_named():
+    corners = SPINE.corners.copy()
+    corners[7] = 0.417 * corners[7]
+    refused(changed(corners), "T8 ")
+    corners = SPINE.corners.copy()
+    corners[7] = corners[7].mean(axis=0) + 0.417 * (corners[7] - corners[7].mean(axis=0))
+    refused(changed(corners), "^T8 is 0.42 times as wide as its neighbours foretell; correct its corners")
+
+
+@pytest.mark.parametrize("pair", [(3, 4), (2, 11), (0, 16)])
+def test_two_levels_exchanged_are_renamed(pair):
+    corners = SPINE.corners.copy()
+    corners[list(pair)] = corners[list(reversed(pair))]
+    found = in_order(changed(corners))
+    assert np.array_equal(found.corners, SPINE.corners) and "levels renamed" in found.repairs[0]
+
+
+def test_corners_that_might_have_been_begun_at_either_are_refused():
+    """A square vertebra turned by half a quarter: both readings are as odd."""
+    corners = SPINE.corners.copy()
+    middle = corners[8].mean(axis=0)
+    across = SPINE.corners[7][1] - SPINE.corners[7][0] + SPINE.corners[9][1] - SPINE.corners[9][0]
+    lean = np.arctan2(across[1], across[0]) + np.radians(45.0 + np.array([-135.0, -45.0, 45.0, 135.0]))
+    square = middle + 60.0 * np.stack([np.cos(lean), np.sin(lean)], axis=-1)
+    corners[8] = square[[1, 0, 3, 2]]
+    refused(changed(corners), "T9: its corners are out of order, and which is which can't be told")
 
 
 def test_missing_levels_are_named():

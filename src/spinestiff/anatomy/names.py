@@ -45,3 +45,8 @@ def _joints() -> tuple[JointName, ...]:
 JOINTS = _joints()
 JOINT_INDEX = {str(joint): i for i, joint in enumerate(JOINTS)}
 INTERVERTEBRAL = ("thoracic", "lumbar")
+
+
+def vertebrae_counted(count: int) -> str:
+    """In words: "1 vertebra", "7 vertebrae"."""
+    return f"{count} {'vertebra' if count == 1 else 'vertebrae'}"

@@ -12,7 +12,7 @@ from threading import RLock
 import numpy as np
 from pydantic import ValidationError
 
-from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.names import VERTEBRAE, vertebrae_counted
 from spinestiff.annotate.draft import DRAFT_FILE, Draft, DraftImage, read_draft
 from spinestiff.curves.cobb import CobbReading, read_cobb
 from spinestiff.curves.corner_files import ImageCorners, Side
@@ -203,7 +203,7 @@ class AnnotationSession:
             if not image.vertebrae:
                 lines.append(f"{name}: no vertebra marked yet")
             elif len(image.vertebrae) < FEWEST_VERTEBRAE:
-                lines.append(f"{name}: {len(image.vertebrae)} vertebrae, wanted at least {FEWEST_VERTEBRAE}")
+                lines.append(f"{name}: {vertebrae_counted(len(image.vertebrae))}, wanted at least {FEWEST_VERTEBRAE}")
             elif problem:
                 lines.append(f"{name}: {problem}")
         for name in sorted(set(marks) - set(self.images)):

@@ -87,7 +87,7 @@ def oddities(corners: Floats, places: Sequence[int]) -> tuple[Oddity, ...]:
             where = "below" if down > 0.0 else "above"
             values |= {
                 "sideways": (aside / spread, f"lies {abs(aside):.2f} widths beside its neighbours' line"),
-                "along": (down / spread, f"lies {abs(down):.2f} level distances {where} its place between its neighbours"),
+                "along": (down / spread, f"lies {abs(down):.2f} level distances {where} where its neighbours foretell"),
                 "turned": (turned / spread, f"is turned by {abs(turned):.0f} degrees against its neighbours"),
             }
         found += [Oddity(i, name, abs(value) / ODDEST[name], words) for name, (value, words) in values.items()]
@@ -111,13 +111,13 @@ class QuarterTurns:
 def quarter_turns(corners: Floats, places: Sequence[int], given: Sequence[bool]) -> QuarterTurns:
     """The most plausible top-left corner of each vertebra, its neighbours' tilts and the spine's axis considered.
 
-    Of all 4^V choices that with the least sum over vertebrae of (angle between own and spine's axis / 42 deg)^2, at most
-    2, and 1 where corners are changed, and over neighbours of (difference in tilt / 33 deg)^2. As the sum runs over a
-    chain, its minimum, and that with one vertebra's choice held, follow exactly from one sweep each way.
+    Of all 4^V choices that with the least sum over vertebrae of (angle between own and spine's axis / 42 deg)^2, 2 at
+    most, and 1 where corners are changed, and over neighbours of (difference in tilt / 33 deg)^2. As the sum runs over
+    a chain, its minimum, and that with one vertebra's choice held, follow exactly from one sweep each way.
 
     Parameters
     ----------
-    corners : each vertebra's clockwise and convex, begun at any corner.
+    corners : of two vertebrae or more, each clockwise and convex, begun at any corner.
     given : (V,) whether a vertebra's corners are in the order in which they were given; changing others counts nothing.
     """
     quarters = 0.5 * np.pi * np.arange(4)
