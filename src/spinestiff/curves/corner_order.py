@@ -17,13 +17,10 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.curves.corner_files import CORNERS, ImageCorners
 from spinestiff.errors import SubjectError
-from spinestiff.imaging.spine_shape import Measure, Oddity, cross, oddities, quarter_turns, sizes, spine_axes
+from spinestiff.imaging.spine_shape import CLEARLY, Measure, Oddity, cross, oddities, quarter_turns, sizes, spine_axes
 
 OVERLAP = 0.15
 """Of the mean height by which two neighbours may lie over one another: 0.05 in all but one of a thousand."""
-CLEARLY = 4.0
-"""By how much the next best order of a repaired vertebra's corners must be odder: by two changes of tilt beside it that
-are 1.4 times the largest of sound spines. Where a quarter turn is undone it is 9 or more."""
 BEYOND = 1.5
 """Over the oddest of the sound spines: corners beyond that are no vertebra's."""
 STOPPING: tuple[Measure, ...] = ("sideways", "turned", "wide", "wedged")

@@ -35,6 +35,10 @@ MOST_OF_A_LEAN = 2.0
 CHANGED = 1.0
 """What changing a vertebra's corners counts: as much as one step as large as the largest of the sound spines."""
 
+CLEARLY = 4.0
+"""By how much the next best order of a vertebra's corners must be odder for its own to be known: by two steps in tilt
+that are 1.4 times the largest of sound spines. Beside neighbours that are in order it is 9 and more."""
+
 
 @dataclass(frozen=True)
 class Oddity:

@@ -18,7 +18,7 @@ from spinestiff.anatomy.names import VERTEBRAE, vertebrae_counted
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
 from spinestiff.files import parse_json, read_text
-from spinestiff.imaging.spine_shape import across, cross, quarter_turns
+from spinestiff.imaging.spine_shape import CLEARLY, across, cross, quarter_turns
 
 SCHEMA_VERSION: Final = 1
 SUBJECT_FILE = "subject.json"
@@ -385,10 +385,11 @@ def _check_quads(names: tuple[str, ...], quads: Floats) -> None:
 
 
 def _quarter_turns(names: tuple[str, ...], clockwise: Floats) -> np.ndarray:
-    """(V,) quarter turns by which corners (V, 4, 2) are off; one vertebra alone has nothing to be compared with."""
+    """(V,) quarter turns by which corners (V, 4, 2) are clearly off; 0 where nothing near tells."""
     if len(names) < 2:
         return np.zeros(len(names), dtype=int)
-    return quarter_turns(clockwise, [VERTEBRAE.index(name) for name in names], [True] * len(names)).turns
+    found = quarter_turns(clockwise, [VERTEBRAE.index(name) for name in names], [True] * len(names))
+    return np.where(found.ahead < CLEARLY, 0, found.turns)
 
 
 def _check_turned(where: str, image: ImageAnnotation, first: ImageAnnotation) -> None:
