@@ -114,7 +114,10 @@ def spoiled(at, quad):
         (spoiled(5, [*SPINE.corners[5][:3], SPINE.corners[5].mean(0) + [20, 0]]), "T6: the corners make no vertebra"),
         (spoiled(16, SPINE.corners[15] + [3.0, -1.0]), "no repair is safe.*L5 lies over L4 by"),
         (spoiled(16, SPINE.corners[15]), "lie at the same height"),
-        (spoiled(16, SPINE.corners[0] - [0.0, 300.0]), "no repair is safe.* but T1 lies .* level distances above where its neighbours foretell"),
+        (
+            spoiled(16, SPINE.corners[0] - [0.0, 300.0]),
+            "no repair is safe.* but T1 lies .* level distances above where its neighbours foretell",
+        ),
         (ImageCorners("a", ("T8",), SPINE.corners[:1]), "only T8; a curve needs at least two vertebrae"),
         (replace(SPINE, image="rest/lateral"), "a lateral image"),
     ],
@@ -146,10 +149,12 @@ SMALL = image([-6, -6, -3, -9, -7, -5, -2, -8, -11, -13, -19, -10, -13, -11, -12
 @pytest.mark.parametrize("at", [0, 2, 3, 8, 15, 16])
 @pytest.mark.parametrize("aside", [-30.0, 30.0])
 def test_a_vertebra_out_of_place_changes_no_sound_one(at, aside):
-    """Its neighbours' own corners stand across the bent line of middles; the vertebra itself is named, nothing turned."""
+    """Neighbours stand across the bent line of middles; the vertebra itself is named, and nothing is turned."""
     corners = SMALL.corners.copy()
     corners[at] += [aside, 0.0]
-    refused(replace(SMALL, corners=corners), f"^{VERTEBRAE[at]} lies .* widths beside its neighbours' line; correct its")
+    refused(
+        replace(SMALL, corners=corners), f"^{VERTEBRAE[at]} lies .* widths beside its neighbours' line; correct its"
+    )
 
 
 def test_a_vertebra_somewhat_out_of_place_is_warned_of():
@@ -189,6 +194,18 @@ def test_two_levels_exchanged_are_renamed(pair):
     corners[list(pair)] = corners[list(reversed(pair))]
     found = in_order(changed(corners))
     assert np.array_equal(found.corners, SPINE.corners) and "levels renamed" in found.repairs[0]
+
+
+def test_half_a_turn_of_a_wedged_vertebra_is_refused():
+    """Its corners' names, or the vertebra itself: which endplate is the upper one can't be told."""
+    for wedge, repaired in ((1.5, True), (3.5, False)):
+        spine = image(TILTS, wedge=wedge)
+        corners = spine.corners.copy()
+        corners[8] = corners[8, [2, 3, 0, 1]]
+        if repaired:
+            assert np.array_equal(in_order(replace(spine, corners=corners)).corners, spine.corners)
+        else:
+            refused(replace(spine, corners=corners), "T9: half a turn off, and as it is wedged by 7 degrees")
 
 
 def test_corners_that_might_have_been_begun_at_either_are_refused():

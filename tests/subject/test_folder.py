@@ -316,7 +316,7 @@ def test_further_frames_that_are_refused(folder, name, image, words):
 
 
 def tilted(image, degrees, shift, only=None):
-    """The example's corners of an image: every vertebra tilted in place, those of ``only`` begun ``shift`` corners on."""
+    """The example with an image's vertebrae tilted in place, and all, or ``only`` one, begun ``shift`` corners on."""
     turn = np.radians(degrees)
     rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     vertebrae = {}
@@ -331,7 +331,7 @@ def tilted(image, degrees, shift, only=None):
 @pytest.mark.parametrize("degrees", [-12.0, 0.0, 12.0])
 @pytest.mark.parametrize("shift", [1, 3])
 def test_corners_begun_at_the_wrong_one_are_refused(folder, image, degrees, shift):
-    """Of every vertebra or of one, at rest and under a push; with the tilt, "superior" may well lie above "inferior"."""
+    """Of every vertebra or of one, at rest and under a push; tilted, "superior" may well lie above "inferior"."""
     lay_out(folder, annotation=tilted(image, degrees, 0))
     read_subject(folder)
     for only in (None, "T5", "T9"):
@@ -465,7 +465,7 @@ def test_corners_are_checked_against_the_view(folder):
         image_corners(subject, "rest/frontal", placed_view(-x, -y, z, **common))
     with pytest.raises(SubjectError, match=r"rest/frontal.T5: the superior corners lie below"):
         image_corners(subject, "rest/frontal", placed_view(-x, y, z, **common))
-    with pytest.raises(SubjectError, match=r"annotation.json: images.rest/frontal.vertebrae.T10: found a corner at .*, wanted it in the image of 1024 col"):
+    with pytest.raises(SubjectError, match=r"vertebrae.T10: found a corner at .*, wanted it in the image of 1024"):
         image_corners(subject, "rest/frontal", frontal_view(shape=(460, 1024)))
     with pytest.raises(SubjectError, match=r"images.push/left: missing"):
         image_corners(subject, "push/left", FRONTAL)

@@ -1,7 +1,7 @@
 """How odd is a row of vertebrae, and how must each vertebra's corners be turned to make it least odd?
 
-Every measure compares a vertebra with what its neighbours foretell, in units of the oddest vertebra of 451 labelled
-spines (7,667 vertebrae). docs/cobb.md has the measures, the limits and how often sound and spoiled spines exceed them.
+Every measure compares a vertebra with what its neighbours foretell, in units of the oddest vertebra of 452 labelled
+spines (7,684 vertebrae). docs/cobb.md has the measures, the limits and how often sound and spoiled spines exceed them.
 All corners are (V, 4, 2), clockwise from the top left as seen, rows growing downwards; ``places`` (V,) are the
 vertebrae's places in ``anatomy.names.VERTEBRAE``, increasing.
 """
@@ -19,7 +19,7 @@ from spinestiff.arrays import Floats
 Measure = Literal["sideways", "along", "turned", "wide", "high", "wedged"]
 ODDEST: dict[Measure, float] = {
     "sideways": 0.28,  # widths
-    "along": 0.26,  # distances between neighbouring levels
+    "along": 0.30,  # distances between neighbouring levels
     "turned": 13.0,  # degrees
     "wide": 0.35,  # natural logarithm of the ratio
     "high": 0.9,  # natural logarithm of the ratio; one L5 is lower still
@@ -66,9 +66,7 @@ def oddities(corners: Floats, places: Sequence[int]) -> tuple[Oddity, ...]:
     by which a difference is divided. Heights are compared with the neighbours' mean. Wedging needs no neighbour.
     """
     at = np.asarray(places, dtype=float)
-    middles, tilts, widths, heights = corners.mean(axis=1), _tilts(corners), *sizes(corners)
-    top, bottom = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 3]
-    wedges = np.degrees(np.arctan2(cross(top, bottom), np.einsum("ij,ij->i", top, bottom)))
+    middles, tilts, (widths, heights), wedges = corners.mean(axis=1), _tilts(corners), sizes(corners), wedging(corners)
     found = []
     for i in range(len(corners)):
         near = [j for j in (i - 2, i - 1, i + 1, i + 2) if 0 <= j < len(corners)]
@@ -156,6 +154,12 @@ def sizes(corners: Floats) -> tuple[Floats, Floats]:
     """(V,) width and height of each vertebra, between the middles of its sides."""
     down = 0.5 * (corners[:, 2] + corners[:, 3] - corners[:, 0] - corners[:, 1])
     return np.hypot(*across(corners).T), np.hypot(*down.T)
+
+
+def wedging(corners: Floats) -> Floats:
+    """(...) degrees from the upper to the lower endplate, clockwise as seen, of corners (..., 4, 2)."""
+    top, bottom = corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 3, :]
+    return np.asarray(np.degrees(np.arctan2(cross(top, bottom), np.sum(top * bottom, axis=-1))))
 
 
 def across(corners: Floats) -> Floats:

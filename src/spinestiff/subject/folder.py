@@ -234,7 +234,9 @@ def image_corners(subject: Subject, image: str, view: XRayView) -> VertebraCorne
     where, annotated = _annotated(subject, image)
     names, pixels = tuple(annotated.vertebrae), annotated.pixels()
     for name, quad in zip(names, pixels):
-        _check_inside(f"{where}.vertebrae.{name}", "corner", quad, view, "leave out a vertebra that is not wholly in it")
+        _check_inside(
+            f"{where}.vertebrae.{name}", "corner", quad, view, "leave out a vertebra that is not wholly in it"
+        )
     corners = view.from_pixels(pixels)
     first, up = picture_axes(view)
     for name, quad in zip(names, corners):
@@ -284,13 +286,13 @@ def image_pedicles(subject: Subject, image: str, view: XRayView) -> tuple[tuple[
 
 
 def _check_inside(where: str, what: str, points: Floats, view: XRayView, advice: str) -> None:
-    """Raise SubjectError unless all of points (n, 2), column and row, lie in the picture, to the pixels' outer edges."""
+    """Raise SubjectError unless points (n, 2), column and row, lie in the picture, up to its pixels' outer edges."""
     rows, columns = view.shape
     for column, row in points:
         if not (-0.5 <= column <= columns - 0.5 and -0.5 <= row <= rows - 0.5):
             raise SubjectError(
-                f"{where}: found a {what} at column {column:g}, row {row:g}, wanted it in the image of {columns} columns "
-                f"and {rows} rows; {advice}"
+                f"{where}: found a {what} at column {column:g}, row {row:g}, wanted it in the image of {columns} "
+                f"columns and {rows} rows; {advice}"
             )
 
 
