@@ -22,10 +22,10 @@ ODDEST: dict[Measure, float] = {
     "along": 0.30,  # distances between neighbouring levels
     "turned": 13.0,  # degrees
     "wide": 0.35,  # natural logarithm of the ratio
-    "high": 0.9,  # natural logarithm of the ratio; one L5 is lower still
+    "high": 0.9,  # natural logarithm of the ratio; one L5 lies far beyond
     "wedged": 29.0,  # degrees
 }
-"""The largest value of each measure among the labelled spines: what no vertebra of a sound spine exceeds."""
+"""The largest value of each measure among the sound spines, rounded; of the heights the largest but one."""
 ODDEST_STEP_DEG = 33.0
 """Largest difference in tilt of two neighbouring levels among them."""
 ODDEST_LEAN_DEG = 42.0
