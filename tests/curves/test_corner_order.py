@@ -205,7 +205,22 @@ def test_half_a_turn_of_a_wedged_vertebra_is_refused():
         if repaired:
             assert np.array_equal(in_order(replace(spine, corners=corners)).corners, spine.corners)
         else:
-            refused(replace(spine, corners=corners), "T9: half a turn off, and as it is wedged by 7 degrees")
+            words = "T9 may as well be turned itself, by 180 degrees, its tilt 7 degrees off"
+            refused(replace(spine, corners=corners), words)
+
+
+def test_a_quarter_turn_of_an_oblique_square_is_refused():
+    """As wide as high and not quite rectangular: turned back it would fit in as well, and lie differently."""
+    spine = image(TILTS, width=84.0, height=80.0)
+    for oblique, repaired in ((0.0, True), (8.0, False)):
+        corners = spine.corners.copy()
+        corners[8, :2] += [oblique, 0.0]
+        quad = corners[8].copy()
+        corners[8] = quad[[1, 2, 3, 0]]
+        if repaired:
+            assert np.array_equal(in_order(replace(spine, corners=corners)).corners, spine.corners)
+        else:
+            refused(replace(spine, corners=corners), "T9 may as well be turned itself, by 90 degrees")
 
 
 def test_corners_that_might_have_been_begun_at_either_are_refused():

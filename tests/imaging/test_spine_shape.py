@@ -50,8 +50,10 @@ def test_measures_are_the_fault_over_the_forecasts_uncertainty(row, weights):
         spoiled[row] = quad
         assert measured(spoiled, row, measure) == pytest.approx(value / spread), measure
     taller = straight.copy()
-    taller[row] = straight[row].mean(0) + (straight[row] - straight[row].mean(0)) * [1.0, 1.5]
-    assert measured(taller, row, "high") == pytest.approx(np.log(1.5))
+    for at, by in ((row, 1.5), (row + 1, 2.0)):
+        taller[at] = straight[at].mean(0) + (straight[at] - straight[at].mean(0)) * [1.0, by]
+    neighbours = min(row, 2) + 2
+    assert measured(taller, row, "high") == pytest.approx(abs(np.log(1.5) - np.log(2.0) / neighbours))
     wedged = boxes([0.0] * 9, wedge=4.0)
     assert measured(wedged, row, "wedged") == pytest.approx(8.0)
 

@@ -21,12 +21,12 @@ from spinestiff.imaging.spine_shape import (
     CLEARLY,
     Measure,
     Oddity,
+    across,
     cross,
     oddities,
     quarter_turns,
     sizes,
     spine_axes,
-    wedging,
 )
 
 OVERLAP = 0.15
@@ -34,13 +34,11 @@ OVERLAP = 0.15
 REPAIRED = 0.5
 """Of the oddest of the sound spines: how far a vertebra whose corners were changed may be from what its neighbours
 foretell. By each measure 99 of 100 sound vertebrae are nearer; one that was itself turned by 90 degrees seldom is."""
-HALF_TURN_WEDGE_DEG = 4.5
-"""Of a vertebra of median width that may stand on its head: what corner noise of 2 % of that width makes of parallel
-endplates in 19 of 20 cases. Whether a vertebra or only its corners' names are half a turn off decides which endplate
-is which; below this, the difference is noise."""
+NOISE_DEG = (3.2, 2.2)
+"""Of an endplate's tilt and of that of the line across, for a vertebra of median width: what corner noise of 2 % of that
+width makes of them in 19 of 20 cases."""
 BEYOND = 1.5
 """Over the oddest of the sound spines: corners beyond that are no vertebra's."""
-HALF_TURN = [2, 3, 0, 1]
 STOPPING: tuple[Measure, ...] = ("sideways", "turned", "wide", "wedged")
 """Measures for which an image in order is refused. Heights vary by more, and a level named twice or left out, which the
 places along the spine show, changes no angle between the others: both are warned of."""
@@ -81,12 +79,14 @@ def in_order(image: ImageCorners) -> OrderedCorners:
     places = [VERTEBRAE.index(level) for level in levels]
     _refuse_turned(levels, corners)
     corners, renamed = _stacked(levels, corners)
-    corners, turned = _rounded(levels, corners)
+    named = corners
+    corners, turned = _rounded(levels, named)
     repairs, over = (*renamed, *turned.values()), _overlaps(levels, corners)
     odd = oddities(corners, places)
     if repairs:
         # A vertebra whose corners were put in order has to fit in well: the first that does not is the one to name.
         misfits = [f"{levels[o.row]} {o.words}" for o in odd if o.row in turned and o.ratio > REPAIRED]
+        misfits += [doubt for row in turned for doubt in _turned_itself(levels, named, corners, row)]
         doubts = over + misfits + _outstanding(levels, corners, [o for o in odd if o.ratio > 1.0])
         if doubts:
             raise SubjectError(f"corners out of order, and no repair is safe: {'; '.join(repairs)}; but {doubts[0]}")
@@ -163,19 +163,50 @@ def _rounded(levels: tuple[str, ...], corners: Floats) -> tuple[Floats, dict[int
             f"wanted {', '.join(CORNERS)} as seen in the image"
         )
     ordered = np.take_along_axis(corners, orders[:, :, None], axis=1)
-    repairs, (widths, _) = {}, sizes(ordered)
+    repairs = {}
     for i in faulty:
         if best.ahead[i] < CLEARLY:
             raise SubjectError(f"{levels[i]}: its corners are out of order, and which is which can't be told")
-        wedge = float(abs(wedging(ordered[i])))
-        if orders[i].tolist() == HALF_TURN and wedge * widths[i] > HALF_TURN_WEDGE_DEG * np.median(widths):
-            raise SubjectError(
-                f"{levels[i]}: half a turn off, and as it is wedged by {wedge:.0f} degrees it can't be told whether "
-                "its corners or only their names have to be turned"
-            )
         named = ", ".join(f"{CORNERS[old]} is {CORNERS[new]}" for new, old in enumerate(orders[i]) if new != old)
         repairs[i] = f"{levels[i]} corners were out of order: what was named {named}"
     return ordered, repairs
+
+
+def _turned_itself(levels: tuple[str, ...], named: Floats, ordered: Floats, row: int) -> list[str]:
+    """The doubt, if there is one, whether a vertebra was put in turned rather than its corners begun at another.
+
+    Both explanations keep the neighbours' tilts. They differ by how far the vertebra is from a rectangle: where that is
+    more than corner noise, and turned back it would fit in as well, there is no telling which is right.
+    """
+    if not _clockwise_and_convex(named[row]):
+        return []
+    quarters = next(k for k in range(4) if np.array_equal(np.roll(named[row], -k, axis=0), ordered[row]))
+    middle, out = named[row].mean(axis=0), named[row] - named[row].mean(axis=0)
+    for _ in range(quarters):
+        out = np.stack([-out[:, 1], out[:, 0]], axis=1)
+    back = ordered.copy()
+    back[row] = middle + out
+    widths, _ = sizes(ordered)
+    scale = float(np.median(widths) / widths[row])
+    endplates, line = NOISE_DEG
+    off = [_between(_lines(back[row])[i], _lines(ordered[row])[i]) for i in range(3)]
+    places = [VERTEBRAE.index(level) for level in levels]
+    fits = all(o.ratio <= REPAIRED for o in oddities(back, places) if o.row == row)
+    if not fits or (max(off[:2]) <= endplates * scale and off[2] <= line * scale):
+        return []
+    # 270 degrees one way are 90 the other way.
+    degrees = 180 if quarters == 2 else 90
+    return [f"{levels[row]} may as well be turned itself, by {degrees} degrees, its tilt {max(off):.0f} degrees off"]
+
+
+def _lines(quad: Floats) -> Floats:
+    """(3, 2) along the upper and the lower endplate, and across between the middles of the sides."""
+    return np.array([quad[1] - quad[0], quad[2] - quad[3], across(quad)])
+
+
+def _between(a: Floats, b: Floats) -> float:
+    """Degrees between two directions."""
+    return float(np.degrees(np.abs(np.arctan2(cross(a, b), a @ b))))
 
 
 def _clockwise_and_convex(quads: Floats) -> np.ndarray:
