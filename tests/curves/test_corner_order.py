@@ -135,6 +135,21 @@ def test_a_repaired_vertebra_must_look_like_its_neighbours():
     refused(changed(corners), "T5 is wedged by")
 
 
+def test_a_repaired_vertebra_must_be_nearer_than_the_oddest_sound_one():
+    """1.4 times as wide as foretold: let pass in order, and too odd for one whose corners were mirrored."""
+    for factor, repaired in ((1.2, True), (1.4, False)):
+        corners = SPINE.corners.copy()
+        side = 0.5 * (factor - 1.0) * (corners[4, 1] - corners[4, 0])
+        corners[4] += np.array([-side, side, side, -side])
+        assert in_order(changed(corners)).warnings == ()
+        mirrored = corners.copy()
+        mirrored[4] = corners[4, [1, 0, 3, 2]]
+        if repaired:
+            assert np.array_equal(in_order(changed(mirrored)).corners, corners)
+        else:
+            refused(changed(mirrored), "no repair is safe.* but T5 is 1.4 times as wide as its neighbours foretell")
+
+
 def test_a_vertebra_labelled_twice_is_warned_of():
     corners = SPINE.corners.copy()
     corners[16] = corners[15] + [2.0, 1.0]
@@ -211,14 +226,14 @@ def test_half_a_turn_of_a_wedged_vertebra_is_refused():
 
 def test_a_quarter_turn_of_an_oblique_square_is_refused():
     """As wide as high and not quite rectangular: turned back it would fit in as well, and lie differently."""
-    spine = image(TILTS, width=84.0, height=80.0)
-    for oblique, repaired in ((0.0, True), (8.0, False)):
-        corners = spine.corners.copy()
-        corners[8, :2] += [oblique, 0.0]
-        quad = corners[8].copy()
-        corners[8] = quad[[1, 2, 3, 0]]
+    for width, oblique, repaired in ((84.0, 0.0, True), (84.0, 8.0, False), (120.0, 8.0, True)):
+        spine = image(TILTS, width=width, height=80.0)
+        wanted = spine.corners.copy()
+        wanted[8, :2] += [oblique, 0.0]
+        corners = wanted.copy()
+        corners[8] = wanted[8, [1, 2, 3, 0]]
         if repaired:
-            assert np.array_equal(in_order(replace(spine, corners=corners)).corners, spine.corners)
+            assert np.array_equal(in_order(replace(spine, corners=corners)).corners, wanted)
         else:
             refused(replace(spine, corners=corners), "T9 may as well be turned itself, by 90 degrees")
 

@@ -35,8 +35,8 @@ REPAIRED = 0.5
 """Of the oddest of the sound spines: how far a vertebra whose corners were changed may be from what its neighbours
 foretell. By each measure 99 of 100 sound vertebrae are nearer; one that was itself turned by 90 degrees seldom is."""
 NOISE_DEG = (3.2, 2.2)
-"""Of an endplate's tilt and of that of the line across, for a vertebra of median width: what corner noise of 2 % of that
-width makes of them in 19 of 20 cases."""
+"""Of an endplate's tilt and of that of the line across, for a vertebra of median width: what corner noise of 2 % of
+that width makes of them in 19 of 20 cases."""
 BEYOND = 1.5
 """Over the oddest of the sound spines: corners beyond that are no vertebra's."""
 STOPPING: tuple[Measure, ...] = ("sideways", "turned", "wide", "wedged")
