@@ -37,7 +37,7 @@ CHANGED = 1.0
 
 CLEARLY = 4.0
 """By how much the next best order of a vertebra's corners must be odder for its own to be known: by two steps in tilt
-that are 1.4 times the largest of sound spines. Beside neighbours that are in order it is 9 and more."""
+that are 1.4 times the largest of sound spines. The least of any vertebra in the 452 sound spines is 5.9."""
 
 
 @dataclass(frozen=True)
