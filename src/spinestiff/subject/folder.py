@@ -241,10 +241,10 @@ def image_corners(subject: Subject, image: str, view: XRayView) -> VertebraCorne
     """
     where, annotated = _annotated(subject, image)
     names, pixels = tuple(annotated.vertebrae), annotated.pixels()
-    rows, columns = view.shape
     for name, quad in zip(names, pixels):
-        if (quad < -0.5).any() or (quad > np.array([columns, rows]) - 0.5).any():
-            raise SubjectError(f"{where}.{name}: a corner lies outside the image of {columns} columns, {rows} rows")
+        _check_inside(
+            f"{where}.vertebrae.{name}", "corner", quad, view, "leave out a vertebra that is not wholly in it"
+        )
     corners = view.from_pixels(pixels)
     first, up = picture_axes(view)
     for name, quad in zip(names, corners):
@@ -278,17 +278,30 @@ def image_pedicles(subject: Subject, image: str, view: XRayView) -> tuple[tuple[
 
     Raises
     ------
-    SubjectError : a left pedicle lies on the right of the patient in this view.
+    SubjectError : a pedicle lies outside the image, or a left one on the right of the patient in this view.
     """
     where, annotated = _annotated(subject, image)
     names = tuple(sorted(annotated.pedicles, key=VERTEBRAE.index))
     points = np.array([annotated.pedicles[name] for name in names], dtype=float).reshape(-1, 2, 2)
+    for name, pair in zip(names, points):
+        _check_inside(f"{where}.pedicles.{name}", "pedicle", pair, view, "leave out pedicles that can't be seen")
     points = view.from_pixels(points)
     first, _ = picture_axes(view)
     for name, (left, right) in zip(names, points):
         if view_kind(view) == "frontal" and (left - right) @ first <= 0.0:
             raise SubjectError(f"{where}.pedicles.{name}: the left one lies right of the right one; check their order")
     return names, points
+
+
+def _check_inside(where: str, what: str, points: Floats, view: XRayView, advice: str) -> None:
+    """Raise SubjectError unless points (n, 2), column and row, lie in the picture, up to its pixels' outer edges."""
+    rows, columns = view.shape
+    for column, row in points:
+        if not (-0.5 <= column <= columns - 0.5 and -0.5 <= row <= rows - 0.5):
+            raise SubjectError(
+                f"{where}: found a {what} at column {column:g}, row {row:g}, wanted it in the image of {columns} "
+                f"columns and {rows} rows; {advice}"
+            )
 
 
 def image_supports(subject: Subject, image: str) -> Mapping[str, Floats]:
