@@ -234,14 +234,12 @@ def test_a_skin_of_few_large_triangles_is_rounded_and_meshed(bone_folder, meshes
 
 
 def test_the_gate_refuses_a_mesher_that_gives_flat_elements(monkeypatch, template_bones):
-    skin = ball(np.array([0.0, 150.0, 0.0]), 420.0, 20, 30)
+    skin = ball(np.array([0.0, 130.0, 16.0]), np.array([270.0, 400.0, 200.0]), 20, 30)
     assert all(enclosed(skin, vertices).all() for vertices, _ in template_bones.values())
     told = []
-    monkeypatch.setattr(meshing, "TRIES", 2)
-    monkeypatch.setattr(meshing, "VOLUME_TOLERANCE", 0.2)
     monkeypatch.setattr(meshing, "find_mesher", lambda name: lambda points, tetrahedra, required: (points, tetrahedra))
     with pytest.raises(TorsoError, match=r"no mesh with dihedral angles above 5 degrees in 2 tries \(last: smallest"):
-        meshing.mesh_tissue(template_bones, skin, 60.0, observer=told.append)
+        meshing.mesh_tissue(template_bones, skin, 60.0, observer=told.append, tried_shares=(1.0, 0.95))
     assert len(told) == 2
 
     def mover(points, tetrahedra, required):
@@ -249,7 +247,7 @@ def test_the_gate_refuses_a_mesher_that_gives_flat_elements(monkeypatch, templat
 
     monkeypatch.setattr(meshing, "find_mesher", lambda name: mover)
     with pytest.raises(TorsoError, match="the mesher moved points of the bones"):
-        meshing.mesh_tissue(template_bones, skin, 60.0)
+        meshing.mesh_tissue(template_bones, skin, 60.0, tried_shares=(1.0,))
 
 
 def test_a_plug_in_is_found_by_its_entry_point(monkeypatch):

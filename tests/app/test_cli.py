@@ -544,7 +544,6 @@ def test_an_absurd_force_ends_with_3_and_keeps_the_estimate(spinestiff, subject,
 
 
 def test_the_systems_own_refusals_are_one_line(spinestiff, subject, monkeypatch):
-    from spinestiff.study import steps
 
     def full(*args):
         raise OSError(28, "No space left on device", "tracked.json")
@@ -554,7 +553,6 @@ def test_the_systems_own_refusals_are_one_line(spinestiff, subject, monkeypatch)
 
 
 def test_an_interruption_is_one_line(spinestiff, subject, monkeypatch):
-    from spinestiff.study import steps
 
     def interrupted(*args):
         raise KeyboardInterrupt

@@ -185,7 +185,7 @@ def test_open_ends_are_warned_of(spine, trials) -> None:
 
 @pytest.mark.slow
 def test_eqs_8_10_on_the_template_torso() -> None:
-    """The real engine on the coarse template: adjoint is forward, and the ratios come back from two radiographs."""
+    """The real engine on the coarse template: adjoint is forward. That ratios come back is examples/02's test."""
     torso = template_torso(157.0)
     problem = EquilibriumProblem(torso, three_point_supports(torso, "right"))
     view = frontal_view(centre=torso.rest_pose.bone_positions[torso.vertebra_bones].mean(0))
@@ -201,9 +201,6 @@ def test_eqs_8_10_on_the_template_torso() -> None:
     forward, adjoint = trial_set.slope(point).jacobian.T @ point.values, trial_set.gradient(point)
     assert np.abs(adjoint).min() > 1.0
     assert np.allclose(adjoint, forward, rtol=1e-10)
-    fit = fit_stiffness(problem, data, intervals="linear")
-    assert fit.status.usable
-    assert fit.ratios.values == pytest.approx(truth.values, rel=1e-4)
 
 
 class CurvedValley:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pydicom
 import pytest
+from spinestiff.study.pipeline import STEPS, run_steps
 
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.names import VERTEBRAE
@@ -15,7 +16,6 @@ from spinestiff.errors import EquilibriumError, FitError, RadiographError, Subje
 from spinestiff.estimation.fit import FitStatus
 from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.study import pipeline
-from spinestiff.study.pipeline import STEPS, run_steps
 from spinestiff.study.visit import Settings, load_pushes, load_tracked, open_visit
 from spinestiff.subject.run_record import package_version
 

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from spinestiff.study.pipeline import run_steps
 
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.rotation import exp_so3
@@ -16,7 +17,6 @@ from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
 from spinestiff.mechanics.equilibrium import Equilibrium, SolveStatus
 from spinestiff.mechanics.supports import Reaction
-from spinestiff.study.pipeline import run_steps
 from spinestiff.study.visit import (
     Settings,
     cobb_frames,
