@@ -28,11 +28,13 @@ from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking import support_motion, track
 from spinestiff.mechanics.loads import three_point_reactions
+from spinestiff.personalise.fitness import VertebraFit
 from spinestiff.personalise.image_terms import PediclePoints
 from spinestiff.personalise.scan import SkinScan, read_scan
 from spinestiff.personalise.scanned_skin import ScanFit
 from spinestiff.personalise.shape import Personalised, personalise
 from spinestiff.personalise.skin import TrunkSize
+from spinestiff.study.judgement import RestShape, failed, judge
 from spinestiff.study.trials import PushSet
 from spinestiff.study.visit import (
     Observer,
@@ -43,7 +45,16 @@ from spinestiff.study.visit import (
     plain_stiffness,
     support_warnings,
 )
-from spinestiff.subject.folder import image_corners, image_pedicles, image_supports, push_corners, read_push, read_rest
+from spinestiff.subject.folder import (
+    image_corners,
+    image_pedicles,
+    image_supports,
+    push_corners,
+    read_identities,
+    read_push,
+    read_rest,
+)
+from spinestiff.subject.outcomes import Check
 from spinestiff.subject.records import SUBJECT_FILE, SubjectRecord
 from spinestiff.subject.run_record import StepRecord, changed_inputs, is_current, record_step, step_digest
 
@@ -51,6 +62,8 @@ SCHEMA_VERSION = 1
 # Where a fit starts: the geometric means of Table 4. From the default ratios it gets to the same place in more steps.
 USUAL_RATIOS = {"lateral_bending": 0.07, "intervertebral_bending": 0.07, "tissue": 0.04}
 OWN_HEIGHT = 0.1  # share by which an own torso's height may differ from the subject's
+# Stands for how the fit ended where a check failed: no number is to be read before what the checks say.
+DOUBTFUL = "DOUBTFUL"
 STEPS = ("track", "personalise", "estimate", "assess", "report")
 ALL_STEPS = (*STEPS, "view")
 
@@ -290,7 +303,10 @@ def estimate_step(visit: Visit, say: Observer) -> None:
     fit = fit_training(visit, pushes, say)
     if not fit.status.usable:
         raise FitError(f"no estimate: {fit.status.value}")
-    write_json(visit.file("estimate.json"), _estimate_record(visit, pushes, fit))
+    checks = judge(visit.subject.record, _rest_shape(visit), pushes, fit, read_identities(visit.subject))
+    for check in failed(checks):
+        say(f"doubtful: {check.name}: {check.text}")
+    write_json(visit.file("estimate.json"), _estimate_record(visit, pushes, fit, checks))
 
 
 def assess_step(visit: Visit, say: Observer) -> None:
@@ -354,7 +370,14 @@ def fit_training(visit: Visit, pushes: PushSet, say: Observer) -> StiffnessFit:
         return fit(None)
 
 
-def _estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit) -> dict[str, Any]:
+def _rest_shape(visit: Visit) -> RestShape:
+    record = read_json(visit.file("personalised.json"))
+    fits = {view: {v: VertebraFit(**fit) for v, fit in seen.items()} for view, seen in record["vertebra_fit"].items()}
+    sizes = np.array(list(record["size_scale"].values()))
+    return RestShape(record["corner_sd_mm"], record["length_scale"], sizes, fits)
+
+
+def _estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, checks: tuple[Check, ...]) -> dict[str, Any]:
     training = pushes.training
     last = int(np.argmax([t.force_n for t in training]))
     item, equilibrium = training[last], fit.equilibria[last]
@@ -371,8 +394,9 @@ def _estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit) -> dict[s
     )
     return {
         "schema_version": SCHEMA_VERSION,
-        "status": fit.status.name,
-        "status_text": fit.status.value,
+        "status": DOUBTFUL if failed(checks) else fit.status.name,
+        "status_text": "; ".join(f"{check.name}: {check.text}" for check in failed(checks)) or fit.status.value,
+        "checks": [check.model_dump() for check in checks],
         "ratios": {
             name: {
                 "value": value,
