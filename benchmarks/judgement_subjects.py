@@ -1,10 +1,10 @@
-"""Sound subjects for ``judgement.py``, by corners alone: bodies, curves, stances, annotators and tracks as they scatter.
+"""Sound subjects for ``judgement.py``, by corners alone: bodies, curves, stances, annotators and tracks that scatter.
 
-The truth is a torso of its own: a body of 10 to 16 years with its own kyphosis and lordosis, a curve of 5 to 45 degrees, a
-spine up to 7 % longer or shorter than usual at that height and vertebrae of their own widths, heights and depths. Its
-equilibria under two pushes are solved at ratios drawn from the range of the paper's Table 4 and projected. The estimator
-starts from the template and is told height, forces, level and nominal views only; it gets corners as an annotator marks
-them and as the tracker follows them. What the subject is not told:
+The truth is a torso of its own: a body of 10 to 16 years with its own kyphosis and lordosis, a curve of 5 to 45
+degrees, a spine up to 7 % longer or shorter than usual at that height, and vertebrae of their own widths, heights and
+depths. Its equilibria under two pushes are solved at ratios drawn from the range of the paper's Table 4 and projected.
+The estimator starts from the template and is told height, forces, level and nominal views only; it gets corners as an
+annotator marks them and as the tracker follows them. What it is not told:
 
     stance      each exposure: shift, roll and yaw; distance to the source; between the rest pictures and a push
                 also a change of posture (the spine sways by a smooth curve)
@@ -46,7 +46,6 @@ from spinestiff.study.spines import CURVES, curved_spine
 from spinestiff.study.synthetic import BENDING_RANGE, TISSUE_RANGE
 from spinestiff.study.trials import PushSet, TrackedFrame, TrackedPush, push_set
 from spinestiff.subject.records import PushRecord, Role
-
 
 
 def _proxy(content: dict[Any, Any]) -> MappingProxyType[Any, Any]:

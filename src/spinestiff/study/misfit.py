@@ -6,7 +6,7 @@ the patient stood.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,8 +85,8 @@ def moved(points: Floats, goal: Floats, scaled: bool = False) -> Floats:
 def strays(difference: Floats, rows: Ints) -> Floats:
     """(n,) mm: how far each vertebra's corners differ otherwise than those of its neighbours, as root mean square.
 
-    The median of the nearest vertebrae stands for the neighbours, so that a stray one does not speak against the others,
-    and what varies slowly along the spine (stance, another posture) is not one vertebra's.
+    The median of the nearest vertebrae stands for the neighbours, so that a stray one does not speak against the
+    others, and what varies slowly along the spine (stance, another posture) is not one vertebra's.
     """
     result = np.zeros(len(rows))
     for i, row in enumerate(rows):
@@ -104,8 +104,16 @@ def rms(difference: Floats) -> float:
 
 @dataclass(frozen=True)
 class Explanation:
-    """A mistake that would explain a difference: what it is, and the mm (RMS) that would remain without it."""
+    """A mistake that would explain a difference.
 
+    Attributes
+    ----------
+    kind : "vertebra", "mirror", "scale", "levels" or "load".
+    text : what it is.
+    left_mm : what would remain of the difference without it (RMS).
+    """
+
+    kind: str
     text: str
     left_mm: float
 
@@ -116,11 +124,13 @@ def explanations(found: Spines, loaded: Iterable[tuple[str, Spines]]) -> list[Ex
     Parameters
     ----------
     found : the torso and the unloaded frame.
-    loaded : other frames of the push with their labels.
+    loaded : the torso and other frames of the push, by their label.
     """
-    tried = [_one_vertebra(found), _mirrored(found), _scaled(found)]
-    tried += [_renamed(found, step) for step in (-1, 1)]
-    tried += [Explanation(f"the rest picture shows {label}", rms(other.difference)) for label, other in loaded]
+    tried = [_one_vertebra(found), _mirrored(found), _scaled(found), _renamed(found, -1), _renamed(found, 1)]
+    tried += [
+        Explanation("load", f"a rest picture under load, as in {label}", rms(other.difference))
+        for label, other in loaded
+    ]
     return sorted((one for one in tried if one is not None), key=lambda one: one.left_mm)
 
 
@@ -129,24 +139,25 @@ def _one_vertebra(found: Spines) -> Explanation | None:
         return None
     worst = int(np.argmax(strays(found.difference, found.rows)))
     others = np.delete(np.arange(len(found.rows)), worst)
-    model = found.model[found.rows]
-    left = rms(found.seen[others] - moved(model[others], found.seen[others]))
-    return Explanation(f"the corners of {found.vertebrae[worst]} alone are wrong", left)
+    model = found.model[found.rows[others]]
+    left = rms(found.seen[others] - moved(model, found.seen[others]))
+    return Explanation("vertebra", f"wrong corners of {found.vertebrae[worst]}", left)
 
 
 def _mirrored(found: Spines) -> Explanation:
     seen = found.seen - 2.0 * (found.seen @ found.left)[..., None] * found.left
     seen = seen[:, _MIRRORED]
     left = rms(seen - moved(found.model[found.rows], seen))
-    return Explanation("the rest picture or that of the push is mirrored", left)
+    return Explanation("mirror", "a mirrored picture, at rest or of the push", left)
 
 
 def _scaled(found: Spines) -> Explanation:
-    model = found.model[found.rows]
-    size = abs(_similarity(model, found.seen))
-    left = rms(found.seen - moved(model, found.seen, scaled=True)) / size
-    text = f"the push is seen {size:.2f} times as large as the rest pictures (pixel spacing, distances)"
-    return Explanation(text, left)
+    """The size is that of the whole spine: boxes are placed at the model's own size."""
+    model, seen = found.model[found.rows].mean(1), found.seen.mean(1)
+    size = abs(_similarity(model, seen))
+    left = rms(seen - moved(model, seen, scaled=True)) / size
+    text = f"pixel spacing or distances, the push being {size:.2f} times as large as the rest pictures"
+    return Explanation("scale", text, left)
 
 
 def _renamed(found: Spines, step: int) -> Explanation | None:
@@ -156,8 +167,9 @@ def _renamed(found: Spines, step: int) -> Explanation | None:
     if inside.sum() < FEWEST_VERTEBRAE:
         return None
     left = rms(found.seen[inside] - moved(found.model[rows[inside]], found.seen[inside]))
-    where = "low" if step < 0 else "high"
-    return Explanation(f"the levels of the push are named one too {where} (or those of rest the other way)", left)
+    where, other, example = ("down", "up", "T8 as T9") if step < 0 else ("up", "down", "T9 as T8")
+    text = f"levels of the push named one too far {where} ({example}), or one too far {other} at rest"
+    return Explanation("levels", text, left)
 
 
 def _similarity(points: Floats, goal: Floats) -> complex:
@@ -168,8 +180,3 @@ def _similarity(points: Floats, goal: Floats) -> complex:
 
 def _complex(points: Floats) -> np.ndarray:
     return np.asarray(points[..., 0] + 1j * points[..., 1])
-
-
-def common(items: Sequence[str]) -> str:
-    """A list in words: "a, b and c"."""
-    return " and ".join(filter(None, [", ".join(items[:-1]), *items[-1:]]))
