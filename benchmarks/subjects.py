@@ -22,11 +22,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from spinestiff.study.pipeline import run_steps
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
 from spinestiff.files import read_json
-from spinestiff.study.pipeline import run_steps
 from spinestiff.study.spines import real_spine
 from spinestiff.study.synthetic import Recipe, made_by, synthesise, truth_path
 from spinestiff.study.visit import open_visit, truth_in_region

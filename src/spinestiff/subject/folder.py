@@ -37,6 +37,7 @@ from spinestiff.subject.records import (
 from spinestiff.words import counted
 
 if TYPE_CHECKING:
+    from spinestiff.imaging.dicom.identity import Identity
     from spinestiff.imaging.projection import XRayView
     from spinestiff.imaging.radiograph import Radiograph
 
@@ -220,6 +221,21 @@ def read_push(subject: Subject, push: PushRecord) -> tuple[Radiograph, ...]:
     frames = _read_images(subject, push.image, "frontal")
     check_frames(subject, push, len(frames))
     return frames
+
+
+def read_identities(subject: Subject) -> dict[str, Identity]:
+    """Whose radiographs the rest images and the pushes' first files are, by image; to be compared, never written.
+
+    Raises
+    ------
+    RadiographError : a file that can't be read.
+    """
+    from spinestiff.imaging.dicom.identity import read_identity
+    from spinestiff.imaging.radiograph import candidates
+
+    images = (*(f"rest/{view}" for view in subject.rest_views), *(push.image for push in subject.pushes))
+    paths = {image: subject.image_path(image) for image in images}
+    return {image: read_identity(candidates(path)[0] if path.is_dir() else path) for image, path in paths.items()}
 
 
 def check_frames(subject: Subject, push: PushRecord, found: int) -> None:

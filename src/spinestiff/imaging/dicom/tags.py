@@ -373,6 +373,29 @@ def _clock(dataset: Dataset) -> float | None:
     return 86400.0 * day + 3600.0 * hours + 60.0 * minutes + seconds
 
 
+def identity_tags(dataset: Dataset) -> tuple[tuple[str, str], int | None, bool]:
+    """For ``identity.Identity``: hashes of the patient's number and of name with birth date, the day, whether the
+    patient was taken out."""
+    name, birth = (str(dataset.get(keyword) or "").strip() for keyword in ("PatientName", "PatientBirthDate"))
+    person = _hash(f"{name.casefold()}\0{birth}") if name and birth else ""
+    removed = str(dataset.get("PatientIdentityRemoved") or "").strip().upper() == "YES"
+    return (_hashed(dataset, "PatientID"), person), _day(dataset), removed
+
+
+def _day(dataset: Dataset) -> int | None:
+    for keyword in ("AcquisitionDateTime", "AcquisitionDate", "ContentDate", "SeriesDate", "StudyDate"):
+        text = str(dataset.get(keyword) or "").replace(".", "").strip()
+        try:
+            return datetime.date.fromisoformat(text[:8]).toordinal()
+        except ValueError:
+            continue
+    return None
+
+
 def _hashed(dataset: Dataset, keyword: str) -> str:
     value = str(_own(dataset, keyword) or "").strip()
-    return hashlib.sha256(value.encode("utf-8", "replace")).hexdigest() if value else ""
+    return _hash(value) if value else ""
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8", "replace")).hexdigest()
