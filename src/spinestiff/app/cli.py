@@ -409,7 +409,7 @@ def _print_estimate(visit: Any) -> None:
         typer.echo(f"fit: {estimate.fit_status_text}")
     for check in estimate.checks:
         if check.passed is None:
-            typer.echo(f"check not possible: {check.text}")
+            typer.echo(f"{check.name}: {check.text}")
     for note in estimate.notes:
         typer.echo(f"note: {note}")
 
