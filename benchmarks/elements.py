@@ -28,9 +28,10 @@ import rslab
 import scipy.sparse as sp
 
 from spinestiff.anatomy.points import rotation_second_derivative
+from spinestiff.anatomy.state import TorsoState, retract
 from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TET10_EDGES, TissueMesh, TorsoModel, TorsoState, retract
+from spinestiff.anatomy.torso import TET10_EDGES, TissueMesh, TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.mechanics import tissue as law
 from spinestiff.mechanics.loads import LoadCase, rib_push

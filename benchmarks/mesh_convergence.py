@@ -36,9 +36,10 @@ from typing import Any
 import numpy as np
 from elements import Form, VolumeAveraged, linear_torso
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import DEFAULT_YOUNG_MPA, StiffnessRatios, stiffness_ratios
 from spinestiff.anatomy.template.assemble import assemble, build_skeleton
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.tilts import cobb_change, tilts
 from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view

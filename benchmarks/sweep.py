@@ -37,8 +37,8 @@ import numpy as np
 from calibrate_tissue import SUBJECTS, Body
 from scipy.stats import qmc
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, StiffnessRatios, stiffness_ratios
-from spinestiff.anatomy.torso import TorsoState
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.factor import Factor
 from spinestiff.mechanics.loads import LoadCase, rib_push

@@ -25,6 +25,7 @@ from calibrate_tissue import SUBJECTS, TARGET_N_PER_DEG, Body, Row
 from spinestiff.anatomy.names import BONE_INDEX, INTERVERTEBRAL, JOINTS, RIBS, THORACIC, VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import log_so3
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import (
     DEFAULT_YOUNG_MPA,
     ParameterGroup,
@@ -33,7 +34,7 @@ from spinestiff.anatomy.stiffness import (
     stiffness_ratios,
 )
 from spinestiff.anatomy.template import MESHES, template_torso
-from spinestiff.anatomy.torso import TissueMesh, TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TissueMesh, TorsoModel
 from spinestiff.imaging.features import rmse
 from spinestiff.mechanics.contact import solve_with_contact
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem

@@ -324,7 +324,7 @@ FAULTS = (
     ),
     Fault(
         "state: turned from the wrong side",
-        "anatomy/torso.py",
+        "anatomy/state.py",
         "exp_so3(bones[:, 3:]) @ state.bone_rotations",
         "state.bone_rotations @ exp_so3(bones[:, 3:])",
         CHECKS,

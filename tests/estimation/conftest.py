@@ -9,8 +9,9 @@ import pytest
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones, rotation_second_derivative
+from spinestiff.anatomy.state import TorsoState, retract
 from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
-from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel, TorsoState, joint_frames, retract
+from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel, joint_frames
 from spinestiff.estimation.objective import Trial
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view

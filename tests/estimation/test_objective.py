@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.stiffness import stiffness_ratios
-from spinestiff.anatomy.torso import retract
 from spinestiff.errors import FitError
 from spinestiff.estimation.objective import Trial, make_target, push_height_change, residuals, root_mean_square
 from spinestiff.imaging.features import VertebraCorners

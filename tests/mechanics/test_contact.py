@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import retract
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.contact import solve_with_contact, switched
 from spinestiff.mechanics.equilibrium import EquilibriumProblem

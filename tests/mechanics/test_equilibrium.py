@@ -9,8 +9,8 @@ import pytest
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import exp_so3
+from spinestiff.anatomy.state import TorsoState, retract
 from spinestiff.anatomy.stiffness import stiffness_ratios
-from spinestiff.anatomy.torso import TorsoState, retract
 from spinestiff.errors import EquilibriumError, TorsoError
 from spinestiff.mechanics.equilibrium import EquilibriumProblem, SolveStatus
 from spinestiff.mechanics.loads import LoadCase, no_load

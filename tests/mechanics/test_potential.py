@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.stiffness import parameter_group, stiffness_ratios
-from spinestiff.anatomy.torso import retract
 from spinestiff.mechanics import joints as joint_law
 from spinestiff.mechanics import tissue as tissue_law
 from spinestiff.mechanics.loads import LoadCase

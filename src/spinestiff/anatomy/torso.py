@@ -1,11 +1,10 @@
-"""The torso: bones, joints and tissue at rest, and a state of it (paper 3.1).
+"""The torso: bones, joints and tissue at rest (paper 3.1).
 
 Units: mm, N, MPa, rad. World frame, right-handed: x to the patient's left, y superior, z anterior.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -15,7 +14,8 @@ import numpy as np
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.rotation import exp_so3, mean_rotation
+from spinestiff.anatomy.rotation import mean_rotation
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import TorsoError
 
@@ -139,53 +139,6 @@ class BoneSurface:
     def __post_init__(self) -> None:
         object.__setattr__(self, "vertices", read_only("vertices", self.vertices, (None, 3), TorsoError))
         object.__setattr__(self, "faces", read_only("faces", self.faces, (None, 3), TorsoError, np.int64))
-
-
-@dataclass(frozen=True)
-class TorsoState:
-    """Where everything is.
-
-    Attributes
-    ----------
-    bone_positions : (B, 3) mm, world position of each bone's origin.
-    bone_rotations : (B, 3, 3) world_from_bone.
-    tissue_positions : (F, 3) mm, the free nodes.
-    """
-
-    bone_positions: Floats
-    bone_rotations: Floats
-    tissue_positions: Floats
-
-    def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        set_(self, "bone_positions", read_only("bone_positions", self.bone_positions, (None, 3), TorsoError))
-        b = len(self.bone_positions)
-        set_(self, "bone_rotations", read_only("bone_rotations", self.bone_rotations, (b, 3, 3), TorsoError))
-        set_(self, "tissue_positions", read_only("tissue_positions", self.tissue_positions, (None, 3), TorsoError))
-
-    @property
-    def dofs(self) -> int:
-        """6 a bone (dt, dw), then 3 a free node."""
-        return 6 * len(self.bone_positions) + 3 * len(self.tissue_positions)
-
-
-def retract(state: TorsoState, dx: Floats) -> TorsoState:
-    """The state moved by ``dx`` (dofs,): t <- t + dt, R <- exp(dw) R, free nodes x <- x + dx."""
-    b = len(state.bone_positions)
-    bones = dx[: 6 * b].reshape(b, 6)
-    return TorsoState(
-        state.bone_positions + bones[:, :3],
-        exp_so3(bones[:, 3:]) @ state.bone_rotations,
-        state.tissue_positions + dx[6 * b :].reshape(-1, 3),
-    )
-
-
-def state_digest(state: TorsoState) -> str:
-    """SHA-256 of a state's numbers: two states are the same or not."""
-    digest = hashlib.sha256()
-    for array in (state.bone_positions, state.bone_rotations, state.tissue_positions):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
-from spinestiff.anatomy.torso import TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.objective import (

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import FitError
 from spinestiff.imaging.features import (

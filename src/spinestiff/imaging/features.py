@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import RadiographError, SpinestiffError, TrackingError
 from spinestiff.imaging.silhouette import halves, rim_share

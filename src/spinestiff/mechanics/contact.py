@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.anatomy.torso import TorsoState
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem

@@ -8,8 +8,9 @@ import numpy as np
 import scipy.sparse.linalg as spla
 
 from spinestiff.anatomy.names import INTERVERTEBRAL
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import DIRECTIONS
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.mechanics.joints import joint_pose
 from spinestiff.mechanics.potential import ROTATION_LENGTH

@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from spinestiff.anatomy.rotation import cross_matrix
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
-from spinestiff.anatomy.torso import TorsoState
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from spinestiff.anatomy.rotation import log_so3
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState, check_rotations
+from spinestiff.anatomy.torso import TorsoModel, check_rotations
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.factor import Analysis, Factor

@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from spinestiff.anatomy.rotation import cross, cross_matrix, log_so3
-from spinestiff.anatomy.torso import JointTable, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import JointTable
 from spinestiff.arrays import Floats
 
 # Local DoF order of a joint: parent dt, dw, child dt, dw.

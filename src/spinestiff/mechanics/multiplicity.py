@@ -16,8 +16,8 @@ import numpy as np
 import scipy.sparse.linalg as spla
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.anatomy.torso import TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import eigvalsh_tridiagonal
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.anatomy.torso import TorsoState
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics import diagnosis

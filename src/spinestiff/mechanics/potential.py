@@ -1,6 +1,6 @@
 """The total energy (Eq. 3), its gradient and Hessian: the one place where terms are assembled.
 
-Degrees of freedom are 6 a bone (dt, dw), then 3 a free node, as in ``anatomy.torso.retract``. The Hessian is
+Degrees of freedom are 6 a bone (dt, dw), then 3 a free node, as in ``anatomy.state.retract``. The Hessian is
 written into the values of a fixed lower-triangular pattern. An *entity* is a bone (6 DoFs) or a free node (3).
 """
 
@@ -14,8 +14,9 @@ import numpy as np
 
 from spinestiff.anatomy.points import rotation_second_derivative
 from spinestiff.anatomy.rotation import cross
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.mechanics import joints as joint_law
 from spinestiff.mechanics import tissue as tissue_law

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from spinestiff.anatomy.state import TorsoState, state_digest
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
-from spinestiff.anatomy.torso import TorsoState, state_digest
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.factor import Factor

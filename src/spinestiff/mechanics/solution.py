@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from spinestiff.anatomy.torso import TorsoState
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.supports import Reaction

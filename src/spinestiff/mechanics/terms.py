@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones, rotation_second_derivative
-from spinestiff.anatomy.torso import TorsoState
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import TorsoError
 

@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from spinestiff.anatomy.rotation import cross_matrix
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import VertebraCorners, depth_axis, silhouette_pairs, vertebra_rows

@@ -18,8 +18,9 @@ import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import log_so3
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load

@@ -15,8 +15,9 @@ from spinestiff.anatomy.importing.skin import refuse_bones_outside
 from spinestiff.anatomy.meshing import DEFAULT_MESHER, SKIN_SHARE, find_mesher, mesh_tissue
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.rounding import rounded
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.template.surfaces import Surface
-from spinestiff.anatomy.torso import TissueMesh, TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TissueMesh, TorsoModel
 from spinestiff.errors import TorsoError
 
 # mm between corners inside, of a 157 cm body: between the shipped meshes in nodes.

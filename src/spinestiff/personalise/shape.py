@@ -16,7 +16,8 @@ import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import cross_matrix, exp_so3
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError, FitError, TorsoError
 from spinestiff.imaging.features import VertebraCorners, view_kind

@@ -11,8 +11,9 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import CobbChange, change_between, cobb_change, tilts
 from spinestiff.errors import SpinestiffError, SubjectError

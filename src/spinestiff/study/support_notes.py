@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.mechanics.supports import Supports
 from spinestiff.words import counted

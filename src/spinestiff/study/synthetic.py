@@ -14,9 +14,10 @@ from typing import Literal
 import numpy as np
 
 from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, cobb_change, tilts
 from spinestiff.errors import SubjectError

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import TorsoState, retract
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios, parameter_group, stiffness_ratios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState, retract
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.evaluation import TrialSet

@@ -9,7 +9,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from spinestiff.anatomy.rotation import exp_so3, log_so3
-from spinestiff.anatomy.torso import TorsoModel, TorsoState, retract
+from spinestiff.anatomy.state import TorsoState, retract
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.mechanics.joints import joint_hessians
 from spinestiff.mechanics.loads import LoadCase

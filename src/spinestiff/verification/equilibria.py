@@ -11,8 +11,9 @@ import scipy.sparse.linalg as spla
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import exp_so3, log_so3
+from spinestiff.anatomy.state import TorsoState, retract
 from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState, retract
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem, SolveStatus

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 
 Complexes = NDArray[np.complexfloating]

@@ -18,9 +18,10 @@ from spinestiff.anatomy.meshing import DEFAULT_MESHER, SKIN_SHARE, MeshedTissue,
 from spinestiff.anatomy.names import BONE_INDEX, BONES, JOINTS
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rounding import rounded
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import DEFAULT_POISSON, DEFAULT_YOUNG_MPA, KINDS, joint_stiffness, lame_parameters
 from spinestiff.anatomy.template.surfaces import Surface, joined, signed_volume
-from spinestiff.anatomy.torso import BoneSurface, JointTable, TissueMesh, TorsoModel, TorsoState, joint_frames
+from spinestiff.anatomy.torso import BoneSurface, JointTable, TissueMesh, TorsoModel, joint_frames
 from spinestiff.arrays import Floats
 from spinestiff.errors import TorsoError
 

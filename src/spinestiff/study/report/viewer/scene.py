@@ -15,7 +15,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from spinestiff.anatomy.names import RIBS, VERTEBRAE
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.estimation.objective import make_target
 from spinestiff.imaging.projection import XRayView
