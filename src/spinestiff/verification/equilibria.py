@@ -160,7 +160,7 @@ def _newton_order(problem: EquilibriumProblem, found: Equilibrium, load: LoadCas
     for halving in range(0, 13, 2):
         # From 0.2 mm down to where rounding begins: a slightly wrong tangent shows only near the solution.
         state = retract(found.state, 0.2 * 0.5**halving * away)
-        gradient, _ = problem.free_gradient(state, stiffness, terms)
+        gradient = problem.free(problem.potential.gradient(state, stiffness, terms))
         after = retract(state, -problem.factorise(state, stiffness, terms).solve(gradient))
         turned = 30.0 * np.linalg.norm(after.bone_rotations - found.state.bone_rotations)
         left.append(float(np.linalg.norm(_places(after) - _places(found.state)) + turned))
