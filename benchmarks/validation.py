@@ -39,7 +39,7 @@ from spinestiff.imaging.features import rmse
 from spinestiff.mechanics.contact import solve_with_contact
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push, three_point_reactions
-from spinestiff.mechanics.supports import Supports, three_point_supports
+from spinestiff.mechanics.supports import SupportKind, Supports, three_point_supports
 from spinestiff.mechanics.terms import PointSprings
 
 Found = dict[str, Any]
@@ -451,7 +451,8 @@ def response(mesh: str) -> Found:
 def _response(body: Body, solved: Equilibrium) -> Found:
     sign = 1.0 if body.side == "right" else -1.0
     load, state, torso = body.load(), solved.state, body.torso
-    shoulder, pelvis = (next(r for r in solved.reactions if r.name.startswith(n)) for n in ("shoulder", "pelvis"))
+    shoulder = next(r for r in solved.reactions if r.kind is SupportKind.SHOULDER)
+    pelvis = next(r for r in solved.reactions if r.name == "pelvis")
     weights = np.abs(load.forces[:, 0]) / load.size
     distances = []
     for pose in (torso.rest_pose, state):
@@ -461,7 +462,7 @@ def _response(body: Body, solved: Equilibrium) -> Found:
         distances.append(three_point_reactions(load.size, at - hip, at - rib))
     turned = state.bone_rotations @ np.swapaxes(torso.rest_pose.bone_rotations, 1, 2)
     yaw = np.degrees(np.arctan2(turned[:, 0, 2], turned[:, 2, 2]))
-    wall = [r.force[2] for r in solved.reactions if r.name.startswith("wall")]
+    wall = [r.force[2] for r in solved.reactions if r.kind is SupportKind.WALL]
     change = body.change(state).tilt
     return {
         "tilt_deg": round(change, 2),

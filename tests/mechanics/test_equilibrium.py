@@ -15,7 +15,8 @@ from spinestiff.errors import EquilibriumError, TorsoError
 from spinestiff.mechanics.equilibrium import EquilibriumProblem, SolveStatus
 from spinestiff.mechanics.loads import LoadCase, no_load
 from spinestiff.mechanics.newton import Point, Run
-from spinestiff.mechanics.terms import BoneBlocks
+from spinestiff.mechanics.supports import SupportKind
+from spinestiff.mechanics.terms import TermBlocks
 from spinestiff.verification.blocks import holds
 from spinestiff.verification.equilibria import out_of_balance, toy_load, toy_supports
 from spinestiff.verification.models import make_torso, shaken, toy_torso
@@ -82,8 +83,10 @@ def test_loads_and_reactions_balance_in_force_and_moment(problem, soft):
 def test_reactions_are_named_and_summed_by_name(problem, soft):
     found = problem.solve(toy_load(), soft)
     assert [r.name for r in found.reactions] == ["bone2", "side"]
-    assert found.reaction("side") == pytest.approx(found.reactions[1].force)
-    with pytest.raises(EquilibriumError, match="no support 'nothing'; there are bone2, side"):
+    assert [r.kind for r in found.reactions] == [SupportKind.HELD, SupportKind.SPRING]
+    for what in ("side", SupportKind.SPRING):
+        assert found.reaction(what) == pytest.approx(found.reactions[1].force)
+    with pytest.raises(EquilibriumError, match="no support 'nothing'; there are held, spring, bone2, side"):
         found.reaction("nothing")
     # The side spring pulls along its own direction alone.
     assert np.cross(found.reactions[1].force, [0.8, 0.0, 0.6]) == pytest.approx(np.zeros(3), abs=1e-12)
@@ -288,7 +291,7 @@ class _NoNumber:
     def blocks(self, state):
         gradient = np.zeros((1, 6))
         gradient[0, 5] = np.nan
-        return BoneBlocks(np.array([0]), gradient, np.zeros((1, 6, 6)))
+        return TermBlocks(np.array([0]), gradient, np.zeros((1, 6, 6)))
 
 
 def test_what_is_no_number_is_no_equilibrium(problem):
@@ -358,7 +361,7 @@ class _Pull:
         gradient, hessian = np.zeros((1, 6)), np.zeros((1, 6, 6))
         gradient[0, 0] = self.k * (state.bone_positions[self.bone, 0] - self.place)
         hessian[0, 0, 0] = self.k
-        return BoneBlocks(np.array([self.bone]), gradient, hessian)
+        return TermBlocks(np.array([self.bone]), gradient, hessian)
 
 
 def test_terms_from_outside_take_part_and_do_not_change_the_problem_they_came_from(torso, problem, soft):

@@ -5,7 +5,7 @@ Units: mm, N, MPa, rad. World frame, right-handed: x to the patient's left, y su
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -197,6 +197,11 @@ class TorsoModel:
     def vertebra_bones(self) -> Ints:
         """(V,) bone indices of the vertebrae."""
         return np.array([self.bone(name) for name in self.vertebrae], dtype=np.int64)
+
+    def joints_among(self, bones: Iterable[str]) -> np.ndarray:
+        """(J,) bool, the joints between two of the named ``bones``; e.g. those of some levels of the spine."""
+        chosen = [self.bone(name) for name in bones]
+        return np.isin(self.joints.parent, chosen) & np.isin(self.joints.child, chosen)
 
     @property
     def tied_nodes(self) -> PointsOnBones:

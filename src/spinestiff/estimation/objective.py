@@ -220,7 +220,13 @@ def push_height_change(load: LoadCase, state: TorsoState) -> LoadCase:
     Points at different heights share the push by the lever rule, so a higher resultant moves force from the lower to
     the upper one. A single point has nothing to share with: the force rises on its bone, which adds a moment; it
     is made of a couple of forces 1 mm above and at the point.
+
+    Raises
+    ------
+    FitError : the load acts on tissue nodes, too, which have no such height.
     """
+    if len(load.nodes):
+        raise FitError("the height of a push is that of points on bones, but the load acts on tissue nodes, too")
     places = load.points.positions(state)
     heights = places[:, 1]
     spread = heights - heights.mean() if len(heights) else heights

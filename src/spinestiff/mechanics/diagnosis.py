@@ -13,18 +13,18 @@ from spinestiff.anatomy.stiffness import DIRECTIONS
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
+from spinestiff.mechanics.assembly import ROTATION_LENGTH, Stiffness
 from spinestiff.mechanics.joints import joint_pose
-from spinestiff.mechanics.potential import ROTATION_LENGTH, Stiffness
 from spinestiff.mechanics.solution import Equilibrium, SolveStatus
 from spinestiff.mechanics.system import System
-from spinestiff.mechanics.terms import BoneTerm
+from spinestiff.mechanics.terms import Term
 from spinestiff.mechanics.tissue import QUADRATURE, rest_jacobians
 
 JOINT_AXES = ("x", "y", "z", "alpha", "beta", "gamma")
 CLINICAL = {column: name.replace("_", " ") for name, column in DIRECTIONS.items()}
 
 
-def fault_of(system: System, found: Equilibrium, stiffness: Stiffness, terms: Sequence[BoneTerm]) -> str:
+def fault_of(system: System, found: Equilibrium, stiffness: Stiffness, terms: Sequence[Term]) -> str:
     """What is at fault where a solve ended as ``found``, in one line; empty where it converged.
 
     An inverted start: its worst element. A saddle: the softest motion. Else residual, element and joint (``at_fault``).

@@ -20,10 +20,10 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
+from spinestiff.mechanics.assembly import ROTATION_LENGTH
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.newton import Run
-from spinestiff.mechanics.potential import ROTATION_LENGTH
 from spinestiff.mechanics.sensitivity import Linearisation
 from spinestiff.mechanics.solution import SolveStatus
 

@@ -24,10 +24,10 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
+from spinestiff.mechanics.assembly import ROTATION_LENGTH
 from spinestiff.mechanics.factor import Factor, symmetric_product
 from spinestiff.mechanics.kinematics import Frame, FrameFactor
 from spinestiff.mechanics.loads import LoadCase
-from spinestiff.mechanics.potential import ROTATION_LENGTH
 from spinestiff.mechanics.solution import Equilibrium, NewtonStep, Observer, SolveStatus
 from spinestiff.mechanics.system import System
 from spinestiff.mechanics.terms import PredictedSprings

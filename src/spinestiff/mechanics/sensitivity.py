@@ -12,8 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from spinestiff.anatomy.state import TorsoState, state_digest
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
 from spinestiff.arrays import Floats
@@ -23,7 +21,7 @@ from spinestiff.mechanics.kinematics import FrameFactor
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.solution import Equilibrium
 from spinestiff.mechanics.system import System
-from spinestiff.mechanics.terms import BoneTerm
+from spinestiff.mechanics.terms import Term
 
 # Above this relative residual a derivative is as wrong as the state (measured: error ~ residual).
 LARGEST_RELATIVE_RESIDUAL = 1e-8
@@ -92,12 +90,9 @@ class Linearisation:
         products = self._system.potential.ratio_products
         return -products(self._state, self._stiffness, groups, self.solve(gradient))
 
-    def load_derivative(self, change: BoneTerm) -> Floats:
+    def load_derivative(self, change: Term) -> Floats:
         """(dofs,) d x / d s for a load that grows as load + s * ``change``."""
-        blocks = change.blocks(self._state)
-        rhs = np.zeros(self._system.potential.dofs)
-        np.add.at(rhs[: 6 * self._system.potential.bones].reshape(-1, 6), blocks.bone, -blocks.gradient)
-        return self.solve(rhs)
+        return -self.solve(self._system.potential.term_gradient(change, self._state))
 
     def belongs_to(self, state: TorsoState) -> bool:
         """Whether this is the linearisation at ``state``."""

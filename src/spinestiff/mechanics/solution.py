@@ -11,7 +11,7 @@ import numpy as np
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
-from spinestiff.mechanics.supports import Reaction
+from spinestiff.mechanics.supports import Reaction, SupportKind
 
 
 class SolveStatus(enum.Enum):
@@ -94,13 +94,14 @@ class Equilibrium:
             raise EquilibriumError(f"{self.status.value} (residual {self.residual_norm:.2e} N; {self.fault})")
         return self
 
-    def reaction(self, name: str) -> Floats:
-        """(3,) N, the summed force of all supports whose name starts with ``name``; EquilibriumError if none does."""
-        forces = [r.force for r in self.reactions if r.name.startswith(name)]
-        if not forces:
-            known = ", ".join(dict.fromkeys(r.name for r in self.reactions))
-            raise EquilibriumError(f"no support '{name}'; there are {known}")
-        return np.sum(forces, axis=0)
+    def reaction(self, what: str | SupportKind) -> Floats:
+        """(3,) N, summed force of the supports of a kind, or else of that name; EquilibriumError if there is none."""
+        own = [r for r in self.reactions if r.kind == what] or [r for r in self.reactions if r.name == what]
+        if not own:
+            kinds = dict.fromkeys(str(r.kind) for r in self.reactions)
+            known = ", ".join([*kinds, *dict.fromkeys(r.name for r in self.reactions)])
+            raise EquilibriumError(f"no support '{what}'; there are {known}")
+        return np.sum([r.force for r in own], axis=0)
 
 
 # Sees every iteration of a solve; a true answer cancels it.

@@ -15,14 +15,15 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
+from spinestiff.mechanics.assembly import ROTATION_LENGTH, Law, Stiffness
 from spinestiff.mechanics.factor import Analysis, Factor
 from spinestiff.mechanics.kinematics import Kinematics
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.mechanisms import require_no_mechanism
 from spinestiff.mechanics.multilevel import MANY_DOFS, TWO_LEVEL, TwoLevelAnalysis, corner_prolongation
-from spinestiff.mechanics.potential import ROTATION_LENGTH, Potential, Stiffness
-from spinestiff.mechanics.supports import Reaction, Supports
-from spinestiff.mechanics.terms import BoneTerm
+from spinestiff.mechanics.potential import Potential
+from spinestiff.mechanics.supports import Reaction, SupportKind, Supports
+from spinestiff.mechanics.terms import Term
 
 RELATIVE_TOLERANCE = 1e-10
 ABSOLUTE_TOLERANCE = 1e-8  # N
@@ -34,9 +35,10 @@ class System:
     Parameters
     ----------
     torso, supports : what is solved.
-    terms : further energies of bones, e.g. image terms (``mechanics.terms.BoneTerm``).
+    terms : further energies of single bones and nodes, e.g. image terms (``mechanics.terms.Term``).
     backend : sparse solver, see ``mechanics.factor.Analysis``, or "two-level" (``mechanics.multilevel``), which is also
         taken where none is named and there are more than 80,000 unknowns.
+    laws : further energies that couple bones or nodes (``mechanics.assembly.Law``).
 
     Attributes
     ----------
@@ -46,12 +48,17 @@ class System:
     """
 
     def __init__(
-        self, torso: TorsoModel, supports: Supports, terms: Sequence[BoneTerm] = (), backend: str | None = None
+        self,
+        torso: TorsoModel,
+        supports: Supports,
+        terms: Sequence[Term] = (),
+        backend: str | None = None,
+        laws: Sequence[Law] = (),
     ) -> None:
         self.torso = torso
         self.supports = supports
         self.terms = tuple(terms)
-        self.potential = Potential(torso)
+        self.potential = Potential(torso, laws)
         self.kinematics = Kinematics(torso, supports)
         scale = np.ones(self.potential.dofs)
         scale[: 6 * self.potential.bones].reshape(-1, 6)[:, 3:] /= ROTATION_LENGTH
@@ -76,7 +83,7 @@ class System:
         """The linear solver in use."""
         return self._analysis.backend
 
-    def with_terms(self, terms: Sequence[BoneTerm]) -> Self:
+    def with_terms(self, terms: Sequence[Term]) -> Self:
         """The same with other ``terms``; shares pattern and analysis."""
         other = copy.copy(self)
         other.terms = tuple(terms)
@@ -96,7 +103,7 @@ class System:
         other.supports = supports
         return other
 
-    def all_terms(self, load: LoadCase) -> tuple[BoneTerm, ...]:
+    def all_terms(self, load: LoadCase) -> tuple[Term, ...]:
         """The load, the supports' springs and the further terms."""
         return (load, self.supports.springs, *self.terms)
 
@@ -114,7 +121,7 @@ class System:
         return values
 
     def factorise(
-        self, state: TorsoState, stiffness: Stiffness, terms: Sequence[BoneTerm], project: bool = False
+        self, state: TorsoState, stiffness: Stiffness, terms: Sequence[Term], project: bool = False
     ) -> Factor:
         """The tangent stiffness with held DoFs replaced by the identity, factorised."""
         return self.numeric_factor(self.potential.hessian(state, stiffness, terms, project))
@@ -143,8 +150,10 @@ class System:
         held = np.where(self.supports.held, gradient[: 6 * self.potential.bones].reshape(-1, 6), 0.0)
         for bone in np.flatnonzero(self.supports.held.any(1)):
             name = self.torso.bone_names[bone]
-            reactions.append(Reaction(name, state.bone_positions[bone], held[bone, :3], held[bone, 3:]))
+            force, moment = held[bone, :3], held[bone, 3:]
+            reactions.append(Reaction(name, SupportKind.HELD, state.bone_positions[bone], force, moment))
         springs = self.supports.springs
         places, forces = springs.points.positions(state), springs.forces(state)
-        reactions += [Reaction(n, p, f, np.zeros(3)) for n, p, f in zip(self.supports.names, places, forces)]
+        names, kinds = self.supports.names, self.supports.kinds
+        reactions += [Reaction(*own, np.zeros(3)) for own in zip(names, kinds, places, forces)]
         return tuple(reactions)

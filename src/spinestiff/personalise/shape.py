@@ -24,7 +24,7 @@ from spinestiff.imaging.features import VertebraCorners, view_kind
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load
-from spinestiff.mechanics.terms import BoneTerm, PointSprings
+from spinestiff.mechanics.terms import PointSprings, Term
 from spinestiff.personalise.adjustment import WRONG_WEIGHT, Adjusted, adjust
 from spinestiff.personalise.fitness import VertebraFit, check_pictures, vertebra_fits
 from spinestiff.personalise.image_terms import (
@@ -467,7 +467,7 @@ def _pulled(
     return state
 
 
-def _relaxed(problem: EquilibriumProblem, terms: Sequence[BoneTerm], start: TorsoState) -> TorsoState:
+def _relaxed(problem: EquilibriumProblem, terms: Sequence[Term], start: TorsoState) -> TorsoState:
     ratios = regulariser(problem.torso)
     found = problem.with_terms(terms).solve(no_load(), ratios, start, tolerance=SHAPE_TOLERANCE)
     if not found.converged:

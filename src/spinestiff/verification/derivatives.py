@@ -183,10 +183,12 @@ class _GroupOracle:
         self._group, self._ratios = group, ratios
         self._whole = EnergyOracle(torso, state, ratios)
         mesh = torso.tissue
+        inside = group.elements_of(len(mesh.elements))
+        mu, lambda_ = group.mu * inside * mesh.lame_mu, group.lambda_ * inside * mesh.lame_lambda
         kept = replace(
             torso,
             joints=replace(torso.joints, stiffness=np.where(group.joints, torso.joints.stiffness, 0.0)),
-            tissue=replace(mesh, lame_mu=group.mu * mesh.lame_mu, lame_lambda=group.lambda_ * mesh.lame_lambda),
+            tissue=replace(mesh, lame_mu=mu, lame_lambda=lambda_),
         )
         self._own = EnergyOracle(kept, state, ratios)
 
