@@ -26,7 +26,7 @@ from spinestiff.estimation.objective import (
     root_mean_square,
 )
 from spinestiff.estimation.uncertainty import Nuisance, ResidualLayout, UncertaintySettings
-from spinestiff.imaging.features import Orientation
+from spinestiff.imaging.features import FEATURE_COUNT, Orientation
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 
 if TYPE_CHECKING:
@@ -204,7 +204,7 @@ class TrialSet:
         torso, target = self.problems[i].torso, self.targets[i]
         motion = part.values - residuals(torso, target, torso.rest_pose).values
         height = 1.0 - 2.0 * target.rows / max(len(torso.vertebrae) - 1, 1)
-        return motion, motion * np.repeat(height, 8)
+        return motion, motion * np.repeat(height, FEATURE_COUNT)
 
     def _picture_shifts(self, pushes: Sequence[str], sd: float) -> list[Nuisance]:
         """The patient stands a little elsewhere in each radiograph than at rest."""

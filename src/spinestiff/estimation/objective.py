@@ -12,6 +12,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import FitError
 from spinestiff.imaging.features import (
+    FEATURE_SHAPE,
     Orientation,
     VertebraCorners,
     near_square,
@@ -168,7 +169,7 @@ def make_target(torso: TorsoModel, trial: Trial, orientation: Orientation = "pro
         trial,
         read_only("rows", rows, (None,), FitError, np.int64),
         read_only("bones", torso.vertebra_bones[rows], (None,), FitError, np.int64),
-        read_only("targets", z, (len(rows), 4, 2), FitError),
+        read_only("targets", z, (len(rows), *FEATURE_SHAPE), FitError),
         read_only("weights", weights, (len(rows),), FitError),
         shares,
         used,
@@ -189,7 +190,7 @@ def _rest_misfit(
         still = state_features(torso, trial.view, torso.rest_pose, shares, orientation, used).z[rows]
         places = [trial.corners.vertebrae.index(name) for name in seen.vertebrae]
         misfit[places] = still - target_features(torso, trial.view, seen, orientation)
-    return read_only("misfit at rest", misfit, (len(misfit), 4, 2), FitError)
+    return read_only("misfit at rest", misfit, (len(misfit), *FEATURE_SHAPE), FitError)
 
 
 def residuals(torso: TorsoModel, target: Target, state: TorsoState) -> Residuals:

@@ -31,6 +31,7 @@ from scipy.stats import t as student
 
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import FitError
+from spinestiff.imaging.features import FEATURE_SHAPE
 
 # What is averaged over: correlation length along the spine in vertebrae, and whether errors vary smoothly.
 CORRELATIONS = (
@@ -109,7 +110,7 @@ class ResidualLayout:
         set_ = object.__setattr__
         set_(self, "vertebra", read_only("vertebra", self.vertebra, (None,), FitError, np.int64))
         set_(self, "trial", read_only("trial", self.trial, (len(self.vertebra),), FitError, np.int64))
-        set_(self, "arms", read_only("arms", self.arms, (len(self.vertebra), 4, 2), FitError))
+        set_(self, "arms", read_only("arms", self.arms, (len(self.vertebra), *FEATURE_SHAPE), FitError))
 
     def channels(self, values: Floats) -> Floats:
         """Shifts along u and v and turn of each vertebra in each trial, (3, T, V, k) mm, from values (8 m, k).
@@ -122,7 +123,7 @@ class ResidualLayout:
         shift = np.zeros((2, len(self.vertebra), 4, 2))
         shift[0, :, :, 0] = shift[1, :, :, 1] = 0.5
         basis = np.stack([*shift, turn])
-        blocks = values.reshape(len(self.vertebra), 4, 2, -1)
+        blocks = values.reshape(len(self.vertebra), *FEATURE_SHAPE, -1)
         rows = np.unique(self.vertebra, return_inverse=True)[1]
         filled = np.zeros((3, int(self.trial.max()) + 1, int(rows.max()) + 1, blocks.shape[-1]))
         filled[:, self.trial, rows] = np.einsum("cmki,mkip->cmp", basis, blocks)
