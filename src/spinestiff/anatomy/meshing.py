@@ -20,7 +20,7 @@ from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.solids import dense_points, enclosed
 from spinestiff.anatomy.template.surfaces import Surface, signed_volume
 from spinestiff.anatomy.torso import TET10_EDGES
-from spinestiff.arrays import Floats, Ints
+from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.errors import TorsoError
 from spinestiff.words import counted
 
@@ -49,8 +49,8 @@ Mesher = Callable[[Floats, Ints, Ints], tuple[Floats, Ints]]
 Observer = Callable[[str], None]
 
 
-@dataclass(frozen=True)
-class MeshedTissue:
+@dataclass(frozen=True, repr=False)
+class MeshedTissue(ShortRepr):
     """Tissue between skin and bones.
 
     Attributes

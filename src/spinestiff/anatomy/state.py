@@ -6,17 +6,18 @@ Units: mm, rad. World frame, right-handed: x to the patient's left, y superior, 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from spinestiff.anatomy.rotation import exp_so3
-from spinestiff.arrays import Floats, read_only
+from spinestiff.arrays import Floats, ShortRepr, read_only
 from spinestiff.errors import TorsoError
 
 
-@dataclass(frozen=True)
-class TorsoState:
+@dataclass(frozen=True, repr=False)
+class TorsoState(ShortRepr):
     """Where everything is.
 
     Attributes
@@ -41,6 +42,10 @@ class TorsoState:
     def dofs(self) -> int:
         """6 a bone (dt, dw), then 3 a free node."""
         return 6 * len(self.bone_positions) + 3 * len(self.tissue_positions)
+
+    def _facts(self) -> Iterator[str]:
+        yield f"{len(self.bone_positions)} bones"
+        yield f"{len(self.tissue_positions)} free nodes"
 
 
 def retract(state: TorsoState, dx: Floats) -> TorsoState:

@@ -5,13 +5,13 @@ The only place that holds literature values of stiffness. Units inside: N/mm, N 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from spinestiff.anatomy.names import INTERVERTEBRAL, JOINTS
-from spinestiff.arrays import Floats, read_only
+from spinestiff.arrays import Floats, ShortRepr, read_only
 from spinestiff.errors import TorsoError
 
 # Paper Table 1, in its units: kN/m = N/mm for translation (x, y, z); its "N/rad" for rotation (alpha, beta, gamma)
@@ -67,8 +67,8 @@ def lame_parameters(young: float, poisson: float) -> tuple[float, float]:
     return young / (2.0 * (1.0 + poisson)), young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
 
 
-@dataclass(frozen=True)
-class ParameterGroup:
+@dataclass(frozen=True, repr=False)
+class ParameterGroup(ShortRepr):
     """The stiffnesses that one ratio scales.
 
     Attributes
@@ -146,8 +146,8 @@ def parameter_group(name: str, kinds: tuple[str, ...]) -> ParameterGroup:
     return ParameterGroup(name, mask, mu, lambda_)
 
 
-@dataclass(frozen=True)
-class StiffnessRatios:
+@dataclass(frozen=True, repr=False)
+class StiffnessRatios(ShortRepr):
     """Ratios xi of stiffness over default (paper 3.1: k = xi * k_default); what is not named stays at 1.
 
     Attributes
@@ -197,6 +197,9 @@ class StiffnessRatios:
             for modulus, belongs in zip(scaled, (group.mu, group.lambda_)):
                 modulus[inside & belongs] *= value
         return scaled
+
+    def _facts(self) -> Iterator[str]:
+        yield from (f"{name}={value:.4g}" for name, value in self.as_dict().items())
 
 
 def stiffness_ratios(ratios: Mapping[str, float], kinds: tuple[str, ...] = KINDS) -> StiffnessRatios:

@@ -5,7 +5,7 @@ Units: mm, N, MPa, rad. World frame, right-handed: x to the patient's left, y su
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -16,15 +16,15 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import mean_rotation
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.arrays import Floats, Ints, read_only
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import TorsoError
 
 # Node order of a ten-node tetrahedron: four corners, then the middles of these edges (VTK's and meshio's order).
 TET10_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 
 
-@dataclass(frozen=True)
-class JointTable:
+@dataclass(frozen=True, repr=False)
+class JointTable(ShortRepr):
     """Compliant joints; each has a frame on its parent and one on its child that coincide at rest.
 
     Attributes
@@ -69,8 +69,8 @@ class JointTable:
         return len(self.names)
 
 
-@dataclass(frozen=True)
-class TissueMesh:
+@dataclass(frozen=True, repr=False)
+class TissueMesh(ShortRepr):
     """Soft tissue as tetrahedra whose nodes in or on bones are tied to them.
 
     Attributes
@@ -129,8 +129,8 @@ class TissueMesh:
         return faces[np.sort(first[count == 1])]
 
 
-@dataclass(frozen=True)
-class BoneSurface:
+@dataclass(frozen=True, repr=False)
+class BoneSurface(ShortRepr):
     """A closed triangle surface in its bone's frame: vertices (n, 3) mm, faces (m, 3) outward."""
 
     vertices: Floats
@@ -141,8 +141,8 @@ class BoneSurface:
         object.__setattr__(self, "faces", read_only("faces", self.faces, (None, 3), TorsoError, np.int64))
 
 
-@dataclass(frozen=True)
-class TorsoModel:
+@dataclass(frozen=True, repr=False)
+class TorsoModel(ShortRepr):
     """A torso at rest, free of stress.
 
     Attributes
@@ -259,6 +259,13 @@ class TorsoModel:
             landmarks={k: PointsOnBones(p.bone, factor * p.offset) for k, p in self.landmarks.items()},
             height_cm=factor * self.height_cm,
         )
+
+    def _facts(self) -> Iterator[str]:
+        yield f"{self.height_cm:.4g} cm"
+        yield f"{len(self.bone_names)} bones"
+        yield f"{len(self.joints)} joints"
+        yield f"{len(self.tissue.rest_positions)} tissue nodes"
+        yield f"{len(self.tissue.elements)} elements of {self.tissue.elements.shape[1]} nodes"
 
 
 def joint_frames(state: TorsoState, parent: Ints, child: Ints, centre: Floats, axes: Floats) -> dict[str, Any]:

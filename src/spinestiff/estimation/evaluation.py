@@ -15,7 +15,7 @@ import numpy as np
 
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.objective import (
     Residuals,
@@ -78,8 +78,8 @@ class FitCost:
     seconds: float = 0.0
 
 
-@dataclass(frozen=True)
-class Evaluation:
+@dataclass(frozen=True, repr=False)
+class Evaluation(ShortRepr):
     """All trials in equilibrium at one set of log ratios."""
 
     log_ratios: Floats
@@ -99,8 +99,8 @@ class Evaluation:
         return root_mean_square(self.residuals)
 
 
-@dataclass(frozen=True)
-class Slope:
+@dataclass(frozen=True, repr=False)
+class Slope(ShortRepr):
     """First order around a point.
 
     Attributes

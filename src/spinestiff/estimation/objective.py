@@ -9,7 +9,7 @@ import numpy as np
 
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.arrays import Floats, Ints, read_only
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import FitError
 from spinestiff.imaging.features import (
     FEATURE_SHAPE,
@@ -30,8 +30,8 @@ from spinestiff.words import counted
 FEWEST_VERTEBRAE = 3
 
 
-@dataclass(frozen=True)
-class Trial:
+@dataclass(frozen=True, repr=False)
+class Trial(ShortRepr):
     """One radiograph under a known load (a term of Eq. 8).
 
     Attributes
@@ -59,8 +59,8 @@ class Trial:
             object.__setattr__(self, "push", self.label)
 
 
-@dataclass(frozen=True)
-class Target:
+@dataclass(frozen=True, repr=False)
+class Target(ShortRepr):
     """What a trial's radiograph asks of a state; constant during a fit.
 
     Attributes
@@ -87,8 +87,8 @@ class Target:
     rest_misfit: Floats
 
 
-@dataclass(frozen=True)
-class Residuals:
+@dataclass(frozen=True, repr=False)
+class Residuals(ShortRepr):
     """Simulated minus measured features of one trial in one state.
 
     Attributes

@@ -29,7 +29,7 @@ import numpy as np
 from scipy.stats import f as fisher
 from scipy.stats import t as student
 
-from spinestiff.arrays import Floats, Ints, read_only
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import FitError
 from spinestiff.imaging.features import FEATURE_SHAPE
 
@@ -75,8 +75,8 @@ class UncertaintySettings:
             raise FitError("force_sd, push_height_sd_mm, picture_shift_sd_mm and motion_sd: wanted >= 0")
 
 
-@dataclass(frozen=True)
-class Nuisance:
+@dataclass(frozen=True, repr=False)
+class Nuisance(ShortRepr):
     """An input that is not quite known.
 
     Attributes
@@ -91,8 +91,8 @@ class Nuisance:
     sd: float
 
 
-@dataclass(frozen=True)
-class ResidualLayout:
+@dataclass(frozen=True, repr=False)
+class ResidualLayout(ShortRepr):
     """What each block of eight residuals (four corners, u and v) belongs to.
 
     Attributes
@@ -135,8 +135,8 @@ class ResidualLayout:
         return np.asarray(np.unique(self.vertebra), dtype=np.int64)
 
 
-@dataclass(frozen=True)
-class Uncertainty:
+@dataclass(frozen=True, repr=False)
+class Uncertainty(ShortRepr):
     """Distribution of the estimated log ratios: normal with a covariance that is itself estimated.
 
     Attributes

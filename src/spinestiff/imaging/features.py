@@ -21,7 +21,7 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.arrays import Floats, Ints, read_only
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import RadiographError, SpinestiffError, TrackingError
 from spinestiff.imaging.silhouette import halves, rim_share
 from spinestiff.words import counted
@@ -46,8 +46,8 @@ _LEVEL = np.array([0, 0, 1, 1])
 _SIDE = np.array([0, 1, 1, 0])
 
 
-@dataclass(frozen=True)
-class VertebraCorners:
+@dataclass(frozen=True, repr=False)
+class VertebraCorners(ShortRepr):
     """Corners of the vertebrae visible in one radiograph.
 
     Attributes
@@ -99,8 +99,8 @@ class VertebraCorners:
         return VertebraCorners(chosen, self.corners[which], self.quality[which])
 
 
-@dataclass(frozen=True)
-class Features:
+@dataclass(frozen=True, repr=False)
+class Features(ShortRepr):
     """Features of a state, V vertebrae of the torso.
 
     Attributes
@@ -278,8 +278,8 @@ def check_corners(seen: Floats, boxes: Floats, corners: VertebraCorners) -> None
             )
 
 
-@dataclass(frozen=True)
-class PlacedBoxes:
+@dataclass(frozen=True, repr=False)
+class PlacedBoxes(ShortRepr):
     """Reference boxes placed on corners.
 
     Attributes

@@ -14,15 +14,15 @@ import numpy as np
 
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.arrays import Floats, read_only
+from spinestiff.arrays import Floats, ShortRepr, read_only
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.supports import SupportKind, Supports
 
 
-@dataclass(frozen=True)
-class ContactEquilibrium:
+@dataclass(frozen=True, repr=False)
+class ContactEquilibrium(ShortRepr):
     """An equilibrium with one-sided supports.
 
     Attributes

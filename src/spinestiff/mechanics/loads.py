@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from spinestiff.anatomy.names import RIBS
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.arrays import Floats, Ints, read_only
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import TorsoError
 from spinestiff.mechanics.terms import TermBlocks, point_blocks
 
@@ -18,8 +19,8 @@ from spinestiff.mechanics.terms import TermBlocks, point_blocks
 PUSH_DIRECTION = {"right": 1.0, "left": -1.0}
 
 
-@dataclass(frozen=True)
-class LoadCase:
+@dataclass(frozen=True, repr=False)
+class LoadCase(ShortRepr):
     """Dead forces at material points of bones and at tissue nodes; E_ext = -f . x (paper 3.1).
 
     Attributes
@@ -71,6 +72,11 @@ class LoadCase:
         on_bones = point_blocks(self.points, state, -self.forces, None)
         curved = np.zeros((len(self.nodes), 3, 3))
         return replace(on_bones, node=self.nodes, node_gradient=-self.node_forces, node_hessian=curved)
+
+    def _facts(self) -> Iterator[str]:
+        if self.label:
+            yield repr(self.label)
+        yield f"{self.size:.6g} N at {len(self.points)} points and {len(self.nodes)} tissue nodes"
 
 
 def tissue_load(torso: TorsoModel, nodes: Ints, forces: Floats, label: str = "") -> LoadCase:

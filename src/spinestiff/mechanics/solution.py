@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.supports import Reaction, SupportKind
 
@@ -52,8 +52,8 @@ class NewtonStep:
     projected: bool
 
 
-@dataclass(frozen=True)
-class Equilibrium:
+@dataclass(frozen=True, repr=False)
+class Equilibrium(ShortRepr):
     """The result of a solve; plain data.
 
     Attributes
@@ -102,6 +102,14 @@ class Equilibrium:
             known = ", ".join([*kinds, *dict.fromkeys(r.name for r in self.reactions)])
             raise EquilibriumError(f"no support '{what}'; there are {known}")
         return np.sum([r.force for r in own], axis=0)
+
+    def _facts(self) -> Iterator[str]:
+        yield self.status.name
+        yield f"energy {self.energy:.6g} N mm"
+        yield f"residual {self.residual_norm:.1e} N"
+        yield f"{self.iterations} iterations"
+        if self.fault:
+            yield self.fault
 
 
 # Sees every iteration of a solve; a true answer cancels it.

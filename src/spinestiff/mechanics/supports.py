@@ -9,7 +9,7 @@ import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.arrays import Floats, read_only
+from spinestiff.arrays import Floats, ShortRepr, read_only
 from spinestiff.errors import TorsoError
 from spinestiff.mechanics.terms import PointSprings
 
@@ -28,8 +28,8 @@ class SupportKind(enum.StrEnum):
 SPRING_STIFFNESS: dict[SupportKind, float] = {SupportKind.SHOULDER: 1e3, SupportKind.WALL: 1e2}
 
 
-@dataclass(frozen=True)
-class Supports:
+@dataclass(frozen=True, repr=False)
+class Supports(ShortRepr):
     """Held degrees of freedom and springs to the ground.
 
     Attributes

@@ -6,14 +6,14 @@ The unknowns are those of ``anatomy.state.retract``; held ones are equations, to
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Self
 
 import numpy as np
 
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.assembly import ROTATION_LENGTH, Law, Stiffness
 from spinestiff.mechanics.factor import Analysis, Factor
@@ -29,7 +29,7 @@ RELATIVE_TOLERANCE = 1e-10
 ABSOLUTE_TOLERANCE = 1e-8  # N
 
 
-class System:
+class System(ShortRepr):
     """The equations of a torso on its supports: pattern, symbolic analysis and constant data are built once.
 
     Parameters
@@ -157,3 +157,11 @@ class System:
         names, kinds = self.supports.names, self.supports.kinds
         reactions += [Reaction(*own, np.zeros(3)) for own in zip(names, kinds, places, forces)]
         return tuple(reactions)
+
+    def _facts(self) -> Iterator[str]:
+        yield f"{self.potential.bones} bones"
+        yield f"{self.potential.dofs} unknowns"
+        yield f"{len(self.held)} held"
+        yield f"{len(self.supports.names)} springs"
+        yield f"{len(self.terms)} further terms"
+        yield self.backend

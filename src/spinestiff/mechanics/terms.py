@@ -12,12 +12,12 @@ import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones, rotation_second_derivative
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.arrays import Floats, Ints, read_only
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import TorsoError
 
 
-@dataclass(frozen=True)
-class TermBlocks:
+@dataclass(frozen=True, repr=False)
+class TermBlocks(ShortRepr):
     """Derivatives of a term, one block a point.
 
     Attributes
@@ -55,8 +55,8 @@ def point_blocks(points: PointsOnBones, state: TorsoState, gradient: Floats, hes
     return TermBlocks(points.bone, np.einsum("pij,pi->pj", jacobian, gradient), blocks)
 
 
-@dataclass(frozen=True)
-class PointSprings:
+@dataclass(frozen=True, repr=False)
+class PointSprings(ShortRepr):
     """Springs from points on bones to fixed places: E = sum k (n . (x - x0))^2 / 2.
 
     Attributes
@@ -102,8 +102,8 @@ class PointSprings:
         return self.extension(state) + np.einsum("si,sij,sj->s", self.directions, self.points.jacobian(state), rows)
 
 
-@dataclass(frozen=True)
-class PredictedSprings:
+@dataclass(frozen=True, repr=False)
+class PredictedSprings(ShortRepr):
     """Springs whose force turns with their points as if they were extended by ``extension`` (S,) mm.
 
     Their energy and gradient are those of ``springs``; in the Hessian, k d^2 x times the force is taken with the

@@ -18,7 +18,7 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import cross_matrix, exp_so3
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError, FitError, TorsoError
 from spinestiff.imaging.features import VertebraCorners, view_kind
 from spinestiff.imaging.projection import XRayView
@@ -77,8 +77,8 @@ Observer = Callable[[str], None]
 MOTIONS = ("sideways", "height", "front to back", "sagittal tilt", "axial rotation", "coronal tilt")
 
 
-@dataclass(frozen=True)
-class Personalised:
+@dataclass(frozen=True, repr=False)
+class Personalised(ShortRepr):
     """A torso shaped to a subject.
 
     Attributes

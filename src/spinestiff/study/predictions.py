@@ -14,7 +14,7 @@ import numpy as np
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.curves.tilts import CobbChange, change_between, cobb_change, tilts
 from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.estimation.objective import Target, make_target, residuals
@@ -29,8 +29,8 @@ STATES_SCHEMA = "spinestiff-states-1"
 _FIELDS = ("bone_positions", "bone_rotations", "tissue_positions")
 
 
-@dataclass(frozen=True)
-class Solved:
+@dataclass(frozen=True, repr=False)
+class Solved(ShortRepr):
     """An equilibrium as later steps need it.
 
     Attributes

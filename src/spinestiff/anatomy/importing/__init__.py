@@ -22,7 +22,7 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import DEFAULT_POISSON, DEFAULT_YOUNG_MPA, KINDS, joint_stiffness, lame_parameters
 from spinestiff.anatomy.template.surfaces import Surface, joined, signed_volume
 from spinestiff.anatomy.torso import BoneSurface, JointTable, TissueMesh, TorsoModel, joint_frames
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import TorsoError
 
 __all__ = ["DEFAULT_SPACING_MM", "ImportedTorso", "import_torso"]
@@ -33,8 +33,8 @@ HEIGHTS_CM = (90.0, 230.0)
 Observer = Callable[[str], None]
 
 
-@dataclass(frozen=True)
-class ImportedTorso:
+@dataclass(frozen=True, repr=False)
+class ImportedTorso(ShortRepr):
     """A torso of one's own bones and how it came about.
 
     Attributes
