@@ -24,8 +24,8 @@ from spinestiff.mechanics.assembly import ROTATION_LENGTH
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.newton import Run
+from spinestiff.mechanics.result import SolveStatus
 from spinestiff.mechanics.sensitivity import Linearisation
-from spinestiff.mechanics.solution import SolveStatus
 
 # Two states are one equilibrium if no bone is farther apart (mm, turns at 30 mm). A residual of 1e-8 N leaves less.
 SAME_MM = 1e-3

@@ -23,6 +23,7 @@ MODULES = sorted(SOURCE.rglob("*.py"))
 LAYERS = {
     "errors": 0,
     "words": 0,
+    "observer": 0,
     "arrays": 1,
     "files": 1,
     "anatomy": 2,

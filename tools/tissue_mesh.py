@@ -18,8 +18,8 @@ from scipy.spatial import Delaunay, cKDTree
 from spinestiff.anatomy.meshing import BURIED, GAP, farthest_points
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.template.assemble import Skeleton
-from spinestiff.anatomy.template.skin import Skin
 from spinestiff.anatomy.template.surfaces import Surface, inside, signed_volume
+from spinestiff.anatomy.template.trunk_skin import Skin
 from spinestiff.anatomy.torso import TET10_EDGES
 
 WANTED_ANGLE = 16.0

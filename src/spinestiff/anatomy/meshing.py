@@ -22,6 +22,7 @@ from spinestiff.anatomy.template.surfaces import Surface, signed_volume
 from spinestiff.anatomy.torso import TET10_EDGES
 from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.errors import TorsoError
+from spinestiff.observer import Observer
 from spinestiff.words import counted
 
 GROUP = "spinestiff.meshers"
@@ -46,7 +47,6 @@ _FACES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]  # of a tetrahedron, outwa
 # Takes corner points (n, 3) mm, tetrahedra (t, 4) that fill the torso and the numbers of points that must stay; gives
 # better points and tetrahedra with about the same boundary.
 Mesher = Callable[[Floats, Ints, Ints], tuple[Floats, Ints]]
-Observer = Callable[[str], None]
 
 
 @dataclass(frozen=True, repr=False)

@@ -65,7 +65,7 @@ class FitStep:
     damping: float
 
 
-Observer = Callable[[FitStep], None]
+OnFitStep = Callable[[FitStep], None]
 
 
 @dataclass
@@ -126,7 +126,7 @@ class TrialSet:
         trials: Sequence[Trial],
         groups: tuple[ParameterGroup, ...],
         orientation: Orientation,
-        observer: Observer | None,
+        observer: OnFitStep | None,
     ) -> None:
         self.problems, self.trials, self.groups = tuple(problems), tuple(trials), groups
         self.targets = tuple(make_target(p.torso, t, orientation) for p, t in zip(problems, trials))

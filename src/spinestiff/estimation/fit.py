@@ -20,7 +20,7 @@ from spinestiff.estimation.evaluation import (
     Evaluation,
     FitCost,
     FitStep,
-    Observer,
+    OnFitStep,
     TrialSet,
 )
 from spinestiff.estimation.intervals import Intervals, inverted_intervals, linear_intervals
@@ -37,7 +37,7 @@ __all__ = [
     "FitStep",
     "IntervalKind",
     "Method",
-    "Observer",
+    "OnFitStep",
     "StiffnessFit",
     "fit_stiffness",
 ]
@@ -136,7 +136,7 @@ def fit_stiffness(
     start: Mapping[str, float] | None = None,
     bounds: tuple[float, float] = RATIO_BOUNDS,
     orientation: Orientation = "procrustes",
-    observer: Observer | None = None,
+    observer: OnFitStep | None = None,
     max_iterations: int = 80,
     uncertainty: UncertaintySettings | None = None,
     intervals: IntervalKind = "inverted",

@@ -15,7 +15,7 @@ from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.assembly import ROTATION_LENGTH, Stiffness
 from spinestiff.mechanics.joints import joint_pose
-from spinestiff.mechanics.solution import Equilibrium, SolveStatus
+from spinestiff.mechanics.result import Equilibrium, SolveStatus
 from spinestiff.mechanics.system import System
 from spinestiff.mechanics.terms import Term
 from spinestiff.mechanics.tissue import QUADRATURE, rest_jacobians

@@ -14,11 +14,11 @@ from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.diagnosis import fault_of
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.newton import Run
+from spinestiff.mechanics.result import Equilibrium, NewtonStep, OnNewtonStep, SolveStatus
 from spinestiff.mechanics.sensitivity import Linearisation
-from spinestiff.mechanics.solution import Equilibrium, NewtonStep, Observer, SolveStatus
 from spinestiff.mechanics.system import System
 
-__all__ = ["Equilibrium", "EquilibriumProblem", "NewtonStep", "Observer", "SolveStatus"]
+__all__ = ["Equilibrium", "EquilibriumProblem", "NewtonStep", "OnNewtonStep", "SolveStatus"]
 
 MAX_ITERATIONS = 60
 
@@ -31,7 +31,7 @@ class EquilibriumProblem(System):
         load: LoadCase,
         ratios: StiffnessRatios | None = None,
         start: TorsoState | Linearisation | None = None,
-        observer: Observer | None = None,
+        observer: OnNewtonStep | None = None,
         max_iterations: int = MAX_ITERATIONS,
         tolerance: float | None = None,
     ) -> Equilibrium:
@@ -62,7 +62,7 @@ class EquilibriumProblem(System):
         load: LoadCase,
         ratios: StiffnessRatios | None = None,
         start: TorsoState | Linearisation | None = None,
-        observer: Observer | None = None,
+        observer: OnNewtonStep | None = None,
     ) -> tuple[Equilibrium, Linearisation]:
         """``solve`` and ``linearise`` at once: one factorisation fewer, or what tells that it can be spared.
 

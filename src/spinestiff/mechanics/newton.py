@@ -28,7 +28,7 @@ from spinestiff.mechanics.assembly import ROTATION_LENGTH
 from spinestiff.mechanics.factor import Factor, symmetric_product
 from spinestiff.mechanics.kinematics import Frame, FrameFactor
 from spinestiff.mechanics.loads import LoadCase
-from spinestiff.mechanics.solution import Equilibrium, NewtonStep, Observer, SolveStatus
+from spinestiff.mechanics.result import Equilibrium, NewtonStep, OnNewtonStep, SolveStatus
 from spinestiff.mechanics.system import System
 from spinestiff.mechanics.terms import PredictedSprings
 
@@ -58,7 +58,7 @@ class Run:
         self,
         system: System,
         ratios: StiffnessRatios | None,
-        observer: Observer | None,
+        observer: OnNewtonStep | None,
         max_iterations: int,
         tolerance: float | None,
         always_factorise: bool = False,

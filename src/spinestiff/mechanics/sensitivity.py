@@ -19,7 +19,7 @@ from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.factor import Factor
 from spinestiff.mechanics.kinematics import FrameFactor
 from spinestiff.mechanics.loads import LoadCase
-from spinestiff.mechanics.solution import Equilibrium
+from spinestiff.mechanics.result import Equilibrium
 from spinestiff.mechanics.system import System
 from spinestiff.mechanics.terms import Term
 

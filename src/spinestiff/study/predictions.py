@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -21,9 +21,9 @@ from spinestiff.estimation.objective import Target, make_target, residuals
 from spinestiff.files import write_bytes
 from spinestiff.imaging.features import state_features, vertebra_rows
 from spinestiff.mechanics.equilibrium import Equilibrium
+from spinestiff.observer import Observer
 from spinestiff.study.trials import PushSet, PushTrial
 
-Observer = Callable[[str], None]
 REST = "rest"
 STATES_SCHEMA = "spinestiff-states-1"
 _FIELDS = ("bone_positions", "bone_rotations", "tissue_positions")

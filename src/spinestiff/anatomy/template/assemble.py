@@ -22,8 +22,8 @@ from spinestiff.anatomy.template.girdle import (
 from spinestiff.anatomy.template.pelvis import pelvis_surface
 from spinestiff.anatomy.template.proportions import REFERENCE, Proportions
 from spinestiff.anatomy.template.ribs import LeftRib, left_ribs, rib_surface
-from spinestiff.anatomy.template.skin import COVER, Skin, build_skin, covering, fitted_skin
 from spinestiff.anatomy.template.surfaces import Surface, meet, mirrored, signed_volume, tangents
+from spinestiff.anatomy.template.trunk_skin import COVER, Skin, build_skin, covering, fitted_skin
 from spinestiff.anatomy.template.vertebrae import Spine, build_spine, vertebra_boxes, vertebra_surface
 from spinestiff.anatomy.torso import BoneSurface, JointTable, TissueMesh, TorsoModel, joint_frames
 from spinestiff.arrays import Floats, Ints

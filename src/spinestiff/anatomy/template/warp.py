@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.template.assemble import Skeleton
-from spinestiff.anatomy.template.skin import Skin
+from spinestiff.anatomy.template.trunk_skin import Skin
 from spinestiff.anatomy.torso import TET10_EDGES, TissueMesh
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import TorsoError

@@ -21,7 +21,7 @@ from spinestiff.words import counted
 if TYPE_CHECKING:
     from spinestiff.imaging.radiograph import Radiograph
 
-Observer = Callable[[int, int], None]
+OnFrame = Callable[[int, int], None]
 
 # Two tracks weigh alike once both are predicted to be off by less.
 SMALLEST_MM = 0.02
@@ -30,7 +30,7 @@ SMALLEST_MM = 0.02
 def track(
     frames: Sequence[Radiograph],
     annotated: Mapping[int, VertebraCorners],
-    observer: Observer | None = None,
+    observer: OnFrame | None = None,
 ) -> tuple[VertebraCorners, ...]:
     """Corners in every frame, followed from the annotated ones forwards and backwards (paper 2.2).
 

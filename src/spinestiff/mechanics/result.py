@@ -113,4 +113,4 @@ class Equilibrium(ShortRepr):
 
 
 # Sees every iteration of a solve; a true answer cancels it.
-Observer = Callable[[NewtonStep], object]
+OnNewtonStep = Callable[[NewtonStep], object]
