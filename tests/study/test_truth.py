@@ -10,9 +10,9 @@ from spinestiff.study.pipeline import run_steps
 
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.rotation import exp_so3
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TorsoState
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
 from spinestiff.mechanics.equilibrium import Equilibrium, SolveStatus
