@@ -7,7 +7,6 @@ import json
 import math
 import os
 import secrets
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -131,11 +130,6 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} has no JSON form")
 
 
-def inputs_digest(folder: Path, paths: Iterable[Path]) -> dict[str, str]:
-    """``file_digest`` of every path, by path relative to ``folder``, sorted."""
-    return dict(sorted((_relative(folder, path), file_digest(path)) for path in paths))
-
-
 def file_digest(path: Path) -> str:
     """SHA-256 of a file's bytes; of a folder, of its files' digests in the order of their names.
 
@@ -154,6 +148,3 @@ def file_digest(path: Path) -> str:
     except OSError as error:
         raise SubjectError(f"{path}: can't be read ({error.strerror})") from None
 
-
-def _relative(folder: Path, file: Path) -> str:
-    return Path(os.path.relpath(file, folder)).as_posix()

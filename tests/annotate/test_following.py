@@ -14,7 +14,7 @@ from spinestiff.annotate import following
 from spinestiff.annotate.draft import Draft, DraftImage
 from spinestiff.annotate.following import Follower, following_record
 from spinestiff.errors import SubjectError, TrackingError
-from spinestiff.study.pipeline import run_steps
+from spinestiff.study.runner import run_steps
 from spinestiff.study.visit import open_visit
 from unannotated import drawn
 

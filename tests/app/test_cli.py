@@ -168,7 +168,7 @@ def test_without_truth_there_is_none_in_the_assessment(spinestiff, subject, monk
 
 
 def test_redo_reaches_the_step(spinestiff, subject, finished, monkeypatch):
-    from spinestiff.study import pipeline
+    from spinestiff.study import steps
 
     asked = []
 
@@ -176,7 +176,7 @@ def test_redo_reaches_the_step(spinestiff, subject, finished, monkeypatch):
         asked.append((method, orientation))
         return finished.fit
 
-    monkeypatch.setattr(pipeline, "fit_stiffness", fit)
+    monkeypatch.setattr(steps, "fit_stiffness", fit)
     assert spinestiff("estimate", subject).status == 0
     assert asked == []
     assert spinestiff("estimate", subject, "--redo").status == 0
@@ -517,12 +517,12 @@ def test_steps_ask_for_those_before(spinestiff, subject):
 
 @pytest.mark.parametrize("error", [FitError("no minimum here"), EquilibriumError("no\nequilibrium here")])
 def test_a_failed_computation_ends_with_3_and_keeps_the_estimate(spinestiff, subject, monkeypatch, error):
-    from spinestiff.study import pipeline
+    from spinestiff.study import steps
 
     def fails(*args, **kwargs):
         raise error
 
-    monkeypatch.setattr(pipeline, "fit_stiffness", fails)
+    monkeypatch.setattr(steps, "fit_stiffness", fails)
     before = digests(subject)
     refused(spinestiff("estimate", subject, "--redo"), " here$", 3)
     assert digests(subject) == before
@@ -544,7 +544,7 @@ def test_an_absurd_force_ends_with_3_and_keeps_the_estimate(spinestiff, subject,
 
 
 def test_the_systems_own_refusals_are_one_line(spinestiff, subject, monkeypatch):
-    from spinestiff.study import pipeline
+    from spinestiff.study import steps
 
     def full(*args):
         raise OSError(28, "No space left on device", "tracked.json")
@@ -554,7 +554,7 @@ def test_the_systems_own_refusals_are_one_line(spinestiff, subject, monkeypatch)
 
 
 def test_an_interruption_is_one_line(spinestiff, subject, monkeypatch):
-    from spinestiff.study import pipeline
+    from spinestiff.study import steps
 
     def interrupted(*args):
         raise KeyboardInterrupt

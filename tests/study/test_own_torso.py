@@ -11,7 +11,7 @@ import pytest
 from spinestiff.anatomy.files import read_torso, write_torso
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SubjectError
-from spinestiff.study.pipeline import starting_torso
+from spinestiff.study.steps import starting_torso
 from spinestiff.study.visit import open_visit
 from spinestiff.subject.folder import read_subject
 

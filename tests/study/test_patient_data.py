@@ -16,7 +16,7 @@ from spinestiff.errors import RadiographError
 from spinestiff.files import read_json, write_json
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.radiograph import Geometry, read_radiographs, write_radiographs
-from spinestiff.study.pipeline import run_steps
+from spinestiff.study.runner import run_steps
 from spinestiff.study.visit import open_visit
 
 

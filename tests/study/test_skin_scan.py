@@ -11,7 +11,7 @@ import trimesh
 from spinestiff.anatomy.files import read_torso
 from spinestiff.errors import SubjectError
 from spinestiff.personalise.skin_surface import skin_surface
-from spinestiff.study.pipeline import run_steps
+from spinestiff.study.runner import run_steps
 from spinestiff.study.visit import open_visit
 
 AXES = {"left": "+x", "up": "+z", "front": "-y"}
