@@ -138,7 +138,8 @@ def with_change(subject, what, value):
     elif where == "push":
         record["pushes"][0][name] = value
     else:
-        images[name] = {"vertebrae": {"T8": QUAD}}
+        quads = {f"T{i}": [[x, y + 20.0 * i] for x, y in QUAD] for i in range(1, 13)}
+        images[name] = {"vertebrae": quads}
     return Subject(
         subject.folder,
         SubjectRecord.model_validate(record),

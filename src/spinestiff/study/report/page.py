@@ -52,11 +52,11 @@ from spinestiff.study.report.figures import (
 from spinestiff.study.report.viewer.files import scene_of
 from spinestiff.study.report.viewer.page import component, page_environment, script_hash, view_page
 from spinestiff.study.trials import PushTrial
-from spinestiff.study.truth import read_truth
+from spinestiff.study.truth import known_comparison, read_truth
 from spinestiff.study.visit import Observer, Visit
 from spinestiff.study.wording import fixed, listed, number
 from spinestiff.subject.folder import image_corners, read_push, read_rest
-from spinestiff.subject.outcomes import Assessment, Comparison, Estimate, GeometryRecord, Tracked
+from spinestiff.subject.outcomes import Assessment, Estimate, GeometryRecord, Tracked
 from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import read_outcome
 
@@ -104,7 +104,7 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
     estimate, assessment = read_outcome(subject, Estimate), read_outcome(subject, Assessment)
     geometry, tracked = read_outcome(subject, GeometryRecord), read_outcome(subject, Tracked)
     say("drawing")
-    comparison = None if visit.truth is None else read_outcome(subject, Comparison)
+    comparison = None if visit.truth is None else known_comparison(subject, visit.truth)
     region = _region_picture(visit, estimate)
     scene = scene_of(visit, predictions)
     album, films = _Album(), {push.id: read_push(subject, push) for push in subject.pushes}
