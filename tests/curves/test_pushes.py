@@ -82,7 +82,7 @@ def test_json_of_a_frame_names_its_levels(finished):
 
 def test_the_rest_image_needs_no_tracking(finished):
     subject = read_subject(finished.folder)
-    assert rest_reading(subject) == cobb_frames(subject)[0].reading
+    assert rest_reading(subject).as_dict() == cobb_frames(subject)[0].reading.as_dict()
 
 
 def test_a_tracking_that_is_not_as_it_was_written_is_refused(subject):

@@ -113,10 +113,11 @@ def test_the_estimate(finished):
     assert record.fit_status_text == fit.status.value
     assert record.parameters == fit.names == ("lateral_bending", "tissue")
     assert record.values == fit.ratios.as_dict()
-    for name, entry in record.ratios.items():
+    for row, (name, entry) in enumerate(record.ratios.items()):
         assert entry.low < entry.value == fit.ratios.as_dict()[name] < entry.high
         assert (entry.low, entry.high) == fit.intervals95[name]
-        assert (entry.at_bound, entry.open_low, entry.open_high) == (False, False, False)
+        assert entry.at_bound is False
+        assert (entry.open_low, entry.open_high) == (fit.intervals.open_low[row], fit.intervals.open_high[row])
         assert entry.determined == entry.determination
     assert record.correlation == pytest.approx(fit.correlation[0, 1])
     assert -1.0 <= record.correlation <= 1.0

@@ -209,6 +209,8 @@ def read_solved(path: Path) -> dict[Key, Solved]:
                 )
                 for number, (push, frame, model) in enumerate(header["keys"])
             }
+    except SubjectError:
+        raise
     except (OSError, BadZipFile, zlib.error, EOFError, KeyError, ValueError, TypeError, SpinestiffError) as error:
         raise SubjectError(
             f"{path}: holds no equilibria ({' '.join(str(error).split())}); run spinestiff run"
