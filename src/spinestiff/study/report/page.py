@@ -224,7 +224,8 @@ def _arrow(torso: TorsoModel, view: XRayView, push: PushRecord, item: PushTrial)
     return float(there[1]), float(np.sign(onward[0] - there[0])), f"{item.force_n:.0f} N"
 
 
-def _curve_picture(predictions: Predictions) -> tuple[str, Figure, str, str]:
+def curve_changes(predictions: Predictions) -> list[CurveChange]:
+    """Change of the Cobb angle against force, of every push: measured by role, and as the models make it."""
     pushes, changes = predictions.pushes, []
     for push in pushes.problems:
         measured: dict[str, list[tuple[float, float]]] = {"training": [], "validation": [], "unused": []}
@@ -240,6 +241,11 @@ def _curve_picture(predictions: Predictions) -> tuple[str, Figure, str, str]:
                 if change is not None:
                     points.append((p.item.force_n, change.tilt))
         changes.append(CurveChange(push, _sorted_points(measured), _sorted_points(simulated)))
+    return changes
+
+
+def _curve_picture(predictions: Predictions) -> tuple[str, Figure, str, str]:
+    changes = curve_changes(predictions)
     words = [
         f"push {c.push}: measured {rows[-1, 1]:+.1f} degrees at {rows[-1, 0]:.0f} N"
         for c in changes
