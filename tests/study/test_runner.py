@@ -251,6 +251,14 @@ def test_a_lost_or_damaged_result_is_made_again(subject, dry, name, redone, how)
     assert len([line for line in lines if "made again" in line]) == 1
 
 
+@pytest.mark.parametrize("text", ["", "{}", "null", "[]", '{"schema_version": 99}'])
+def test_whatever_was_done_to_a_result_it_is_made_again(subject, dry, text):
+    (subject / "results" / "estimate.json").write_text(text)
+    lines = []
+    assert dry(opened(subject), observer=lines.append) == AFTER["estimate"]
+    assert lines[2:3] == ["estimate: results/estimate.json is not as it was written; made again"]
+
+
 @pytest.mark.parametrize("text", ["{}", "null", "[]", "{", '{"schema_version": 99, "version": "1", "steps": {}}'])
 def test_a_damaged_record_redoes_all(subject, dry, text):
     (subject / "results" / "run.json").write_text(text)
