@@ -1,15 +1,16 @@
 """What an equilibrium costs, in units of one numeric factorisation of the default model's own tangent.
 
 ``python benchmarks/equilibrium.py [--mesh coarse --mesh fine | --spacing 17 --spacing 12.6]
-[--solver direct|two-level] [--repeats 3] [--json] [--write]``: a row a mesh with ``nodes``, ``factorisation_cpu_s``
-(absolute), ``linear_factorisation`` (linear tetrahedra, same nodes) and, as multiples of the former, CPU time of
+[--solver direct|two-level] [--repeats 3] [--json] [--write]``: a row a mesh, with ``--json`` one list of them and
+nothing else, with ``nodes``, ``factorisation_cpu_s`` (absolute), ``linear_factorisation`` (linear tetrahedra, same
+nodes) and, as multiples of the former, CPU time of
 
     rest                from rest at default stiffness, 60 N
     soft                from rest at bending 0.10, tissue 0.01
     warm                the soft state solved again after the tissue ratio grew by 5 %, on the last tangent's factor
     warm_with_gradient  the same with the true tangent at the new state and the adjoint gradient of two ratios
     adjoint, forward6   given the tangent: gradient of two ratios; forward sensitivities of six
-    fit                 two ratios from two frames (20 and 40 N); ``--fit`` only
+    fit                 two ratios from two frames (20 and 40 N)
 
 ``other`` is the share of a soft solve that is not factorising. All are CPU seconds of the whole process (all threads),
 the median of the repeats. ``rest_cpu_s`` and ``soft_cpu_s`` are the same in seconds, ``peak_gb`` the process's peak
@@ -67,7 +68,7 @@ def factorisation(torso: TorsoModel, repeats: int) -> float:
     return cpu_seconds(lambda: problem.numeric_factor(values), max(repeats, 3))
 
 
-def measure(torso: TorsoModel, solver: str | None, repeats: int, fit: bool) -> dict[str, Any]:
+def measure(torso: TorsoModel, solver: str | None, repeats: int) -> dict[str, Any]:
     """One row of the table."""
     problem = EquilibriumProblem(torso, three_point_supports(torso, "left"), backend=solver)
     load = rib_push(torso, "left", 8.0, 60.0)
@@ -93,9 +94,8 @@ def measure(torso: TorsoModel, solver: str | None, repeats: int, fit: bool) -> d
         "warm_with_gradient": cpu_seconds(warm_with_gradient, repeats),
         "adjoint": cpu_seconds(lambda: tangent.adjoint(weights, stiffer.groups), repeats),
         "forward6": cpu_seconds(lambda: tangent.forward(six), repeats),
+        "fit": cpu_seconds(lambda: two_frame_fit(problem, torso, soft), 1),
     }
-    if fit:
-        costs["fit"] = cpu_seconds(lambda: two_frame_fit(problem, torso, soft), 1)
     found = problem.solve(load, soft)
     return {
         "nodes": len(torso.tissue.rest_positions),
@@ -148,13 +148,12 @@ def slopes(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--json", action="store_true", help="print one list of all rows, and nothing else")
     parser.add_argument("--write", action="store_true", help="merge the rows into benchmarks/results/equilibrium.json")
     parser.add_argument("--mesh", action="append", choices=("coarse", "fine"), default=[])
     parser.add_argument("--spacing", action="append", type=float, default=[], help="mm between nodes inside")
     parser.add_argument("--solver", choices=("direct", "two-level"), help="default: by the number of unknowns")
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--fit", action="store_true")
     arguments = parser.parse_args()
     torsos = [template_torso(157.0, mesh) for mesh in arguments.mesh]
     if arguments.spacing:
@@ -165,8 +164,9 @@ def main() -> None:
     solver = default_backend() if arguments.solver == "direct" else arguments.solver
     rows = []
     for torso in torsos:
-        rows.append(measure(torso, solver, arguments.repeats, arguments.fit))
-        print(json.dumps(rows[-1], indent=1 if arguments.json else None), flush=True)
+        rows.append(measure(torso, solver, arguments.repeats))
+        if not arguments.json:
+            print(json.dumps(rows[-1]), flush=True)
     if arguments.write:
         old = json.loads(RESULTS.read_text(encoding="utf-8"))["rows"] if RESULTS.exists() else []
         new = {(row["nodes"], row["solver"]) for row in rows}
@@ -177,7 +177,7 @@ def main() -> None:
         date = datetime.datetime.now(datetime.UTC).date().isoformat()
         result = {"date": date, "slopes": slopes(rows), "rows": rows}
         RESULTS.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    print(json.dumps(slopes(rows)))
+    print(json.dumps(rows, indent=1) if arguments.json else json.dumps(slopes(rows)))
 
 
 if __name__ == "__main__":

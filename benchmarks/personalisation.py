@@ -14,7 +14,9 @@ Pedicles: where the table has them in the vertebra's own frame. Both views are o
 over each endplate's rim finds how deep the silhouette's corner lies. The fit sees noisy corners, views and body height,
 nothing else.
 A spine with a point missing or far off the others' line, with bodies that overlap or with a gap as tall as a body is
-skipped and named. ``known`` takes every subject, the other scenarios every ninth (``EVERY``; ``--all``: every one).
+skipped and named, as ``spinestiff synth --spine-id`` refuses it. ``known`` takes every subject, the other scenarios
+every ninth (``EVERY``; ``--all``: every one). Synthetic curves are no spines: they are summed up by themselves, in
+``curves``.
 
 Scenarios:
 
@@ -65,8 +67,10 @@ from spinestiff.personalise.shape import personalise
 from spinestiff.study.spines import (
     AXIAL_COUPLING,
     CURVES,
+    body_heights,
     curved_spine,
     real_spine,
+    refuse_spacing,
     rest_vertebrae,
     smoothed,
     torso_from_lps,
@@ -82,8 +86,6 @@ WEDGE_SD = 0.04  # of anterior over posterior height
 PLACE_SD_MM = 10.0  # of the pelvis in the room
 NOISE_MM, MORE_NOISE_MM = 0.5, 1.5
 YAW_DEG, SHIFT_MM, DISTANCE = 5.0, 10.0, 0.03
-# Distance of neighbouring bodies over their mean height: below, they overlap; above, the disc is as tall as a body.
-SPACING = (1.0, 2.2)
 HIDDEN = ("T1", "T2", "T3", "T4")
 WRONG_MM = 15.0
 # Rows 0, 16, ... were looked at: they showed that silhouettes have to follow the shape; rows 8, 24, ... too: that round
@@ -258,15 +260,7 @@ def _subject(
     base = positions[-1] + random.normal(0.0, PLACE_SD_MM, 3)
     placed = base + longer * (positions - positions[-1])
     boxes = own_boxes(random, longer * height / 157.0)
-    apart = np.linalg.norm(np.diff(placed, axis=0), axis=1)
-    tall = np.mean(boxes[:, 0] - boxes[:, 1], axis=(1, 2))[:, 1]
-    share = apart / (0.5 * (tall[1:] + tall[:-1]))
-    for worst in (int(np.argmin(share)), int(np.argmax(share))):
-        if not SPACING[0] <= share[worst] <= SPACING[1]:
-            raise SpinestiffError(
-                f"{VERTEBRAE[worst]} and {VERTEBRAE[worst + 1]} lie {share[worst]:.2f} of their heights apart "
-                f"(wanted {SPACING[0]} to {SPACING[1]}): they overlap, or a level is missing"
-            )
+    refuse_spacing(placed, body_heights(boxes.reshape(17, 8, 3)))
     return Truth(name, height, placed, rotations, boxes, own_pedicles(random, boxes, offsets))
 
 
@@ -469,8 +463,8 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {**result, "failed": failed} if failed else result
 
 
-def cohort(table: Path, limit: int | None) -> tuple[list[Truth], dict[str, str]]:
-    """Subjects, and by name why a spine of the table is none."""
+def cohort(table: Path, limit: int | None) -> tuple[list[Truth], list[Truth], dict[str, str]]:
+    """Spines, synthetic curves, and by name why a spine of the table is none."""
     offsets = pedicle_offsets(table)
     with table.open(newline="", encoding="utf-8-sig") as file:
         ids = list(dict.fromkeys(row["id"] for row in csv.DictReader(file)))
@@ -480,11 +474,12 @@ def cohort(table: Path, limit: int | None) -> tuple[list[Truth], dict[str, str]]
             subjects.append(ct_subject(table, spine, offsets, number))
         except SpinestiffError as error:
             skipped[spine] = str(error).removeprefix(f"{table}: ")
+    curves = []
     angles = (10.0, -15.0, 20.0, -25.0, 30.0, -35.0, 40.0, -45.0)
     kinds = tuple(CURVES) * 2
     for number, (angle, curve) in enumerate(list(zip(angles, kinds))[: None if limit is None else max(limit // 4, 1)]):
-        subjects.append(scoliosis_subject(angle, curve, offsets, number))
-    return subjects, skipped
+        curves.append(scoliosis_subject(angle, curve, offsets, number))
+    return subjects, curves, skipped
 
 
 def read_log(path: Path | None) -> dict[tuple[str, str], dict[str, Any]]:
@@ -518,7 +513,8 @@ def main() -> None:
     ]
     if "fresh" in scenarios and arguments.radiographs is None:
         parser.error("the scenario fresh needs --radiographs")
-    subjects, skipped = cohort(arguments.spines, arguments.subjects)
+    spines, curves, skipped = cohort(arguments.spines, arguments.subjects)
+    synthetic = {truth.name for truth in curves}
     fresh: list[Truth] = []
     if "fresh" in scenarios:
         fresh, left_out = fresh_cohort(arguments.radiographs, pedicle_offsets(arguments.spines))
@@ -528,7 +524,7 @@ def main() -> None:
     with ProcessPoolExecutor(arguments.jobs) as pool:
         for scenario in scenarios:
             step = 1 if arguments.all else EVERY.get(scenario, 1)
-            drawn = fresh if scenario == "fresh" else subjects
+            drawn = fresh if scenario == "fresh" else [*spines, *curves]
             tasks = [(scenario, truth, number) for number, truth in enumerate(drawn)][::step]
             todo = [task for task in tasks if (scenario, task[1].name) not in known]
             for row in pool.map(_task, todo) if arguments.jobs > 1 else map(_task, todo):
@@ -537,7 +533,10 @@ def main() -> None:
                     with arguments.log.open("a", encoding="utf-8") as log:
                         print(json.dumps({"scenario": scenario, **row}), file=log)
             rows = [known[scenario, truth.name] for _, truth, _ in tasks]
-            results[scenario] = summary(rows)
+            curved = [row for row in rows if row["subject"] in synthetic]
+            results[scenario] = summary([row for row in rows if row["subject"] not in synthetic])
+            if curved:
+                results[scenario]["curves"] = summary(curved)
             if not arguments.json:
                 print(scenario, json.dumps(results[scenario]), flush=True)
     if arguments.json:

@@ -34,6 +34,7 @@ from spinestiff.imaging.tracking.following import follow
 from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.pictures import Pictures, as_bytes, matched, sampled
 from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY, WEIGHTS
+from spinestiff.words import counted
 
 Found = dict[str, Any]
 RESULTS = Path(__file__).parent / "results" / "tracking.json"
@@ -233,6 +234,16 @@ def _line(row: Found) -> str:
     )
 
 
+def _pooled_line(name: str, group: Found) -> str:
+    return (
+        f"{name:32s} {counted(group['sequences'], 'sequence')}, {counted(group['corners'], 'corner')} | "
+        f"all {group['median_mm']} p95 {group['p95_mm']}, angle at most {group['worst_angle_median_deg']} | "
+        f"large flagged {group['large_flagged']}/"
+        f"{group['large']}, good {group['good_flagged']}/{group['good']}, hidden {group['hidden_flagged']}/"
+        f"{group['hidden']}"
+    )
+
+
 # Calibration of the predicted error
 
 
@@ -308,7 +319,7 @@ def main() -> None:
     )
     parser.add_argument("--cache", type=Path, help="folder for rendered sequences")
     parser.add_argument("--calibrate", action="store_true")
-    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--json", action="store_true", help="print all figures as JSON instead of a line each")
     parser.add_argument("--write", action="store_true")
     arguments = parser.parse_args()
     # Told before the modelled sequences take their minutes.
@@ -317,6 +328,9 @@ def main() -> None:
     found = calibrate(arguments) if arguments.calibrate else measure(arguments)
     if arguments.json or arguments.calibrate:
         print(json.dumps(found, indent=1))
+    else:
+        for name, group in found["pooled"].items():
+            print(_pooled_line(name, group))
     if arguments.write and not arguments.calibrate:
         RESULTS.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 

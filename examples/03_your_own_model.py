@@ -11,15 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.optimize import minimize
 
-from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.stiffness import ParameterGroup, lame_parameters
-from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel, TorsoState, joint_frames
-from spinestiff.mechanics.differentiable import DifferentiableEquilibrium, Pose
-from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.mechanics.loads import LoadCase
-from spinestiff.mechanics.mechanisms import require_no_mechanism
-from spinestiff.mechanics.supports import Supports
-from spinestiff.mechanics.terms import PointSprings
+import spinestiff as ss
 
 # Mesh: a beam of 30 x 120 x 30 mm in cubes of six tetrahedra, one for each order in which to walk along the axes.
 cells, size = np.array([4, 12, 4]), np.array([30.0, 120.0, 30.0])
@@ -34,21 +26,21 @@ elements[inside_out] = elements[inside_out][:, [0, 1, 3, 2]]
 origins, half = np.array([[0.0, 20.0, 0.0], [0.0, 60.0, 0.0], [0.0, 100.0, 0.0]]), np.array([8.0, 10.0, 8.0])
 inside = (np.abs(nodes[:, None] - origins) <= half + 1e-9).all(2)
 bone_of_node = np.where(inside.any(1), inside.argmax(1), -1)
-rest = TorsoState(origins, np.broadcast_to(np.eye(3), (3, 3, 3)), nodes[bone_of_node < 0])
+rest = ss.TorsoState(origins, np.broadcast_to(np.eye(3), (3, 3, 3)), nodes[bone_of_node < 0])
 
 # Joints: halfway between the blocks, N/mm along and N mm/rad about x, y, z.
 parent, child = np.array([0, 1]), np.array([1, 2])
-frames = joint_frames(
+frames = ss.joint_frames(
     rest, parent, child, 0.5 * (origins[parent] + origins[child]), np.broadcast_to(np.eye(3), (2, 3, 3))
 )
 stiffness = np.tile([200.0, 200.0, 200.0, 8e3, 8e3, 8e3], (2, 1))
-joints = JointTable(("lower", "upper"), ("mine", "mine"), parent, child, stiffness=stiffness, **frames)
-mu, lambda_ = (np.full(len(elements), value) for value in lame_parameters(young=0.02, poisson=0.45))  # MPa
-body = TorsoModel(
+joints = ss.JointTable(("lower", "upper"), ("mine", "mine"), parent, child, stiffness=stiffness, **frames)
+mu, lambda_ = (np.full(len(elements), value) for value in ss.lame_parameters(young=0.02, poisson=0.45))  # MPa
+body = ss.TorsoModel(
     bone_names=("base", "middle", "top"),
     rest_pose=rest,
     joints=joints,
-    tissue=TissueMesh(nodes, elements, bone_of_node, mu, lambda_),
+    tissue=ss.TissueMesh(nodes, elements, bone_of_node, mu, lambda_),
     vertebra_boxes=np.empty((0, 8, 3)),
     bone_surfaces=(),
     landmarks={},
@@ -59,17 +51,17 @@ body = TorsoModel(
 # Supports: the base is held, and a thread of 0.5 N/mm keeps the top block from swinging forward.
 held = np.zeros((3, 6), dtype=bool)
 held[0] = True
-eye = PointsOnBones(np.array([2]), np.array([[0.0, 10.0, 0.0]]))
-thread = PointSprings(eye, eye.positions(rest), np.array([[0.0, 0.0, 1.0]]), np.array([0.5]))
-problem = EquilibriumProblem(body, Supports(held, thread, ("thread",)))
-require_no_mechanism(body, problem.supports)
+eye = ss.PointsOnBones(np.array([2]), np.array([[0.0, 10.0, 0.0]]))
+thread = ss.PointSprings(eye, eye.positions(rest), np.array([[0.0, 0.0, 1.0]]), np.array([0.5]))
+problem = ss.EquilibriumProblem(body, ss.Supports(held, thread, ("thread",)))
+ss.require_no_mechanism(body, problem.supports)
 
 # Load: 25 N to the side on the front of the top block, so that the beam bends and twists.
-load = LoadCase(PointsOnBones(np.array([2]), np.array([[0.0, 10.0, 8.0]])), np.array([[25.0, 0.0, 0.0]]))
+load = ss.LoadCase(ss.PointsOnBones(np.array([2]), np.array([[0.0, 10.0, 8.0]])), np.array([[25.0, 0.0, 0.0]]))
 
 # Parameters: the logarithm of one ratio for each joint.
-groups = [ParameterGroup(name, np.arange(2)[:, None] == [row] * 6) for row, name in enumerate(joints.names)]
-model = DifferentiableEquilibrium(problem, load, groups)
+groups = [ss.ParameterGroup(name, np.arange(2)[:, None] == [row] * 6) for row, name in enumerate(joints.names)]
+model = ss.DifferentiableEquilibrium(problem, load, groups)
 
 # Loss: markers on the corners of the two upper blocks, against where a body with these ratios shows them.
 truth = {"lower": 2.0, "upper": 0.4}
@@ -77,7 +69,7 @@ offsets = half * (2.0 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0)
 bone, offset = np.repeat([1, 2], 8), np.tile(offsets, (2, 1))
 
 
-def markers(pose: Pose) -> np.ndarray:
+def markers(pose: ss.Pose) -> np.ndarray:
     return pose.positions[bone] + np.einsum("pij,pj->pi", pose.rotations[bone], offset)
 
 
@@ -88,7 +80,7 @@ def loss(log_ratios: np.ndarray) -> tuple[float, np.ndarray]:
     """Half the sum of squared marker errors, mm^2, and its gradient: one solve with the tangent's factor."""
     solution = model.solve(log_ratios)
     error = markers(solution.pose) - measured
-    slope = Pose(*(np.zeros_like(values) for values in solution.pose))
+    slope = ss.Pose(*(np.zeros_like(values) for values in solution.pose))
     np.add.at(slope.positions, bone, error)
     np.add.at(slope.rotations, bone, error[:, :, None] * offset[:, None, :])
     return 0.5 * float(np.sum(error**2)), solution.vjp(slope)

@@ -18,8 +18,6 @@ import pytest
 from canaries import infest
 
 TRUTH = {"lateral_bending": 0.2, "tissue": 0.05}
-SHARES = {"main": (0.0, 0.5, 0.75, 1.0), "second": (0.0, 1.0)}
-ROLES = {"main": ("unused", "training", "training", "validation"), "second": ("unused", "validation")}
 
 
 @dataclass(frozen=True)
@@ -49,29 +47,25 @@ def stub_report(visit, predictions, say):
 
 
 @pytest.fixture(scope="session")
-def few_frames():
-    """Pushes of four and two frames, for as long as the fixture's user lives."""
-    from spinestiff.study import synthetic
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(synthetic, "SHARES", SHARES)
-        patch.setattr(synthetic, "ROLES", ROLES)
-        yield
-
-
-@pytest.fixture(scope="session")
 def cheap_recipe():
     from spinestiff.imaging.synthetic.acquisition import Acquisition
-    from spinestiff.study.synthetic import Recipe
+    from spinestiff.study.synthetic import Recipe, SyntheticPush
 
-    one_ray = Acquisition(samples=1)
+    main = SyntheticPush("main", 8.0, (0.0, 0.5, 0.75, 1.0), ("unused", "training", "training", "validation"))
+    second = SyntheticPush("second", 6.0, (0.0, 1.0), ("unused", "validation"))
     return Recipe(
-        seed=3, force_n=30.0, ratios=tuple(TRUTH.values()), shape=(512, 512), mesh="coarse", acquisition=one_ray
+        seed=3,
+        force_n=30.0,
+        ratios=tuple(TRUTH.values()),
+        shape=(512, 512),
+        mesh="coarse",
+        pushes=(main, second),
+        acquisition=Acquisition(samples=1),
     )
 
 
 @pytest.fixture(scope="session")
-def finished(tmp_path_factory, few_frames, cheap_recipe):
+def finished(tmp_path_factory, cheap_recipe):
     """The finished subject; shared, so only to be read (``subject`` is a copy to change)."""
     from spinestiff.study import runner, steps
     from spinestiff.study.synthetic import synthesise

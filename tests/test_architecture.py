@@ -22,6 +22,7 @@ MODULES = sorted(SOURCE.rglob("*.py"))
 # A package may import from packages of a lower layer, never from its own layer's neighbours.
 LAYERS = {
     "errors": 0,
+    "words": 0,
     "arrays": 1,
     "files": 1,
     "anatomy": 2,
@@ -46,7 +47,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "jpeg_ls": ("imaging/dicom/decoding.py",),
     "openjpeg": ("imaging/dicom/decoding.py",),
     "cv2": ("imaging/*",),
-    "skimage": ("imaging/*",),
+    "skimage": ("imaging/*", "estimation/intervals.py"),
     "numba": ("mechanics/*", "imaging/synthetic/path_length.py", "imaging/synthetic/texture.py"),
     "rslab": ("mechanics/factor.py",),
     "matplotlib": (
@@ -256,7 +257,7 @@ def test_public_names_exist_and_are_the_typed_ones() -> None:
         for alias in node.names
     }
     assert {name for _, name in typed} == names
-    assert 10 < len(names) < 30
+    assert 10 < len(names) < 60
     for module, name in typed:
         assert getattr(top, name) is getattr(importlib.import_module(module), name)
 
@@ -292,7 +293,8 @@ def test_names_say_what_a_thing_is(path: Path) -> None:
 
 
 def test_files_name_nothing_outside_the_project() -> None:
-    files = [path for path in ROOT.iterdir() if path.is_file()]
+    # In a linked working tree .git is a file, and says where the other tree is.
+    files = [path for path in ROOT.iterdir() if path.is_file() and path.name != ".git"]
     files += [path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.is_file()]
     files = [path for path in files if path.suffix in TEXT and not LITTER & set(path.parts)]
     assert len(files) > 20

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import re
 from pathlib import Path
 
 import pytest
+
+import spinestiff
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -36,6 +39,28 @@ def test_every_python_block_is_collected() -> None:
     for path in DOCUMENTS:
         marked = len(re.findall(r"```\s*(?:python|py|pycon)\b", path.read_text(encoding="utf-8"), re.IGNORECASE))
         assert marked == BLOCKS.get(path.name, 0), f"{path.name}: a block of Python that is not executed"
+
+
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+
+@pytest.mark.parametrize("path", [*DOCUMENTS, *EXAMPLES], ids=lambda path: path.name)
+def test_examples_and_documents_import_public_names_alone(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    for source in [text] if path.suffix == ".py" else blocks(path):
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.Import):
+                assert not [alias.name for alias in node.names if alias.name.startswith("spinestiff.")]
+            elif isinstance(node, ast.ImportFrom):
+                assert not str(node.module).startswith("spinestiff."), node.module
+    hidden = [name for name in re.findall(r"\bss\.(\w+)", text) if name not in dir(spinestiff)]
+    assert not hidden, f"no public names: {hidden}"
+
+
+def test_the_page_of_public_names_has_them_all() -> None:
+    page = (ROOT / "docs" / "public-names.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)
+    assert sorted(listed) == sorted(set(dir(spinestiff)) - {"__version__"})
 
 
 def write_documented_subject(folder: Path) -> None:

@@ -1,7 +1,7 @@
 """Stiffness of spine and torso from radiographs taken under measured pushes.
 
-The public names. Each is imported from its module at first use, so that ``import spinestiff`` and
-``spinestiff --help`` stay quick.
+The public names, as docs/public-names.md lists them. Each is imported from its module at first use, so that
+``import spinestiff`` and ``spinestiff --help`` stay quick.
 """
 
 from __future__ import annotations
@@ -12,12 +12,22 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:  # the same list for editors and type checkers; a test compares the two
+    from spinestiff.anatomy.export import export_torso as export_torso
+    from spinestiff.anatomy.importing import import_torso as import_torso
+    from spinestiff.anatomy.points import PointsOnBones as PointsOnBones
+    from spinestiff.anatomy.stiffness import ParameterGroup as ParameterGroup
+    from spinestiff.anatomy.stiffness import lame_parameters as lame_parameters
     from spinestiff.anatomy.stiffness import stiffness_ratios as stiffness_ratios
     from spinestiff.anatomy.template import template_torso as template_torso
+    from spinestiff.anatomy.torso import JointTable as JointTable
+    from spinestiff.anatomy.torso import TissueMesh as TissueMesh
     from spinestiff.anatomy.torso import TorsoModel as TorsoModel
     from spinestiff.anatomy.torso import TorsoState as TorsoState
-    from spinestiff.curves.tilts import cobb_angle as cobb_angle
-    from spinestiff.curves.tilts import cobb_change as cobb_change
+    from spinestiff.anatomy.torso import joint_frames as joint_frames
+    from spinestiff.curves.cobb import read_cobb as read_cobb
+    from spinestiff.curves.corner_files import read_corner_file as read_corner_file
+    from spinestiff.curves.corner_files import read_corners as read_corners
+    from spinestiff.curves.corner_files import write_corners as write_corners
     from spinestiff.errors import SpinestiffError as SpinestiffError
     from spinestiff.estimation.fit import fit_stiffness as fit_stiffness
     from spinestiff.estimation.objective import Trial as Trial
@@ -27,32 +37,58 @@ if TYPE_CHECKING:  # the same list for editors and type checkers; a test compare
     from spinestiff.imaging.features import state_features as state_features
     from spinestiff.imaging.projection import frontal_view as frontal_view
     from spinestiff.imaging.projection import lateral_view as lateral_view
+    from spinestiff.imaging.synthetic.acquisition import Acquisition as Acquisition
+    from spinestiff.imaging.synthetic.acquisition import acquire as acquire
+    from spinestiff.imaging.synthetic.breathing import Breathing as Breathing
+    from spinestiff.imaging.synthetic.collimation import Collimation as Collimation
+    from spinestiff.imaging.synthetic.detector import Exposure as Exposure
+    from spinestiff.mechanics.differentiable import DifferentiableEquilibrium as DifferentiableEquilibrium
+    from spinestiff.mechanics.differentiable import Pose as Pose
     from spinestiff.mechanics.equilibrium import EquilibriumProblem as EquilibriumProblem
+    from spinestiff.mechanics.loads import LoadCase as LoadCase
     from spinestiff.mechanics.loads import rib_push as rib_push
+    from spinestiff.mechanics.mechanisms import require_no_mechanism as require_no_mechanism
+    from spinestiff.mechanics.supports import Supports as Supports
     from spinestiff.mechanics.supports import three_point_supports as three_point_supports
+    from spinestiff.mechanics.terms import PointSprings as PointSprings
     from spinestiff.study.runner import run_steps as run_steps
     from spinestiff.study.synthetic import Recipe as Recipe
+    from spinestiff.study.synthetic import SyntheticPush as SyntheticPush
     from spinestiff.study.synthetic import synthesise as synthesise
     from spinestiff.study.visit import open_visit as open_visit
+    from spinestiff.subject.folder import image_corners as image_corners
+    from spinestiff.subject.folder import image_supports as image_supports
+    from spinestiff.subject.folder import read_push as read_push
     from spinestiff.subject.folder import read_subject as read_subject
 
 _MODULES = {
-    "anatomy.stiffness": ("stiffness_ratios",),
     "anatomy.template": ("template_torso",),
-    "anatomy.torso": ("TorsoModel", "TorsoState"),
-    "errors": ("SpinestiffError",),
-    "estimation.fit": ("fit_stiffness",),
-    "estimation.objective": ("Trial",),
-    "imaging.features": ("VertebraCorners", "rmse", "silhouette_shares", "state_features"),
-    "imaging.projection": ("frontal_view", "lateral_view"),
+    "anatomy.importing": ("import_torso",),
+    "anatomy.export": ("export_torso",),
+    "anatomy.torso": ("TorsoModel", "TorsoState", "JointTable", "joint_frames", "TissueMesh"),
+    "anatomy.points": ("PointsOnBones",),
+    "anatomy.stiffness": ("stiffness_ratios", "ParameterGroup", "lame_parameters"),
     "mechanics.equilibrium": ("EquilibriumProblem",),
-    "mechanics.loads": ("rib_push",),
-    "mechanics.supports": ("three_point_supports",),
-    "curves.tilts": ("cobb_angle", "cobb_change"),
-    "study.runner": ("run_steps",),
+    "mechanics.loads": ("LoadCase", "rib_push"),
+    "mechanics.supports": ("Supports", "three_point_supports"),
+    "mechanics.terms": ("PointSprings",),
+    "mechanics.mechanisms": ("require_no_mechanism",),
+    "mechanics.differentiable": ("DifferentiableEquilibrium", "Pose"),
+    "imaging.projection": ("frontal_view", "lateral_view"),
+    "imaging.features": ("VertebraCorners", "silhouette_shares", "state_features", "rmse"),
+    "imaging.synthetic.acquisition": ("acquire", "Acquisition"),
+    "imaging.synthetic.detector": ("Exposure",),
+    "imaging.synthetic.breathing": ("Breathing",),
+    "imaging.synthetic.collimation": ("Collimation",),
+    "estimation.objective": ("Trial",),
+    "estimation.fit": ("fit_stiffness",),
+    "curves.cobb": ("read_cobb",),
+    "curves.corner_files": ("read_corner_file", "read_corners", "write_corners"),
+    "subject.folder": ("read_subject", "read_push", "image_corners", "image_supports"),
     "study.visit": ("open_visit",),
-    "subject.folder": ("read_subject",),
-    "study.synthetic": ("Recipe", "synthesise"),
+    "study.runner": ("run_steps",),
+    "study.synthetic": ("Recipe", "SyntheticPush", "synthesise"),
+    "errors": ("SpinestiffError",),
 }
 _HOMES = {name: f"spinestiff.{module}" for module, names in _MODULES.items() for name in names}
 

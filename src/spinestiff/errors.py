@@ -13,6 +13,10 @@ class SpinestiffError(Exception):
     exit_status = 2
 
 
+class OptionError(SpinestiffError):
+    """An option of a command is no value that the command takes."""
+
+
 class SubjectError(SpinestiffError):
     """A subject folder, or a file in it, can't be used."""
 

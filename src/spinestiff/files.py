@@ -1,12 +1,15 @@
-"""Files: JSON read strictly, everything written whole or not at all, and digests of what is in them."""
+"""Files: pipes, devices and links told from them, JSON read strictly, everything written whole, digests."""
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import math
 import os
 import secrets
+import stat
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -14,6 +17,14 @@ from spinestiff.errors import SpinestiffError, SubjectError
 
 LARGEST_JSON = 10_000_000
 """Bytes. A subject's files are a few kilobytes; anything larger is another file or an accident."""
+
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a named pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
 
 
 def read_json(path: Path) -> Any:
@@ -148,3 +159,98 @@ def file_digest(path: Path) -> str:
     except OSError as error:
         raise SubjectError(f"{path}: can't be read ({error.strerror})") from None
 
+
+def regular_file(
+    path: Path,
+    error: type[SpinestiffError],
+    *,
+    within: Path | None = None,
+    cap_bytes: int | None = None,
+    name: str | None = None,
+) -> os.stat_result:
+    """What the file system says of a regular file; the file itself is not opened, so that a named pipe can't block.
+
+    Parameters
+    ----------
+    path : of the file; links are followed.
+    error : raised with one line that starts with the name.
+    within : folder that the file has to lie in, links followed; None leaves its place open.
+    cap_bytes : largest size.
+    name : of the file in messages, if not the whole path.
+
+    Raises
+    ------
+    error : no such file; a link to itself or to nothing; outside ``within``; a folder, named pipe, socket or device;
+        a folder on the way that can't be entered; more bytes than ``cap_bytes``.
+    """
+    named = str(path) if name is None else name
+    found = _status(path, error, named)
+    if within is not None:
+        check_within(path, within, error, name=named)
+    if not stat.S_ISREG(found.st_mode):
+        kind = next((words for is_kind, words in _KINDS if is_kind(found.st_mode)), "no regular file")
+        raise error(f"{named}: found {kind}, wanted a file")
+    if cap_bytes is not None and found.st_size > cap_bytes:
+        raise error(f"{named}: {found.st_size / 2**20:.1f} MB; at most {cap_bytes / 2**20:g} MB are read")
+    return found
+
+
+def check_within(path: Path, within: Path, error: type[SpinestiffError], *, name: str | None = None) -> None:
+    """Raise ``error`` unless a path that exists lies in the folder ``within``, links followed."""
+    if not path.resolve().is_relative_to(within.resolve()):
+        folder = within.name or str(within)
+        raise error(f"{path if name is None else name}: leads out of the folder {folder}; copy the file into it")
+
+
+def regular_files(
+    folder: Path, error: type[SpinestiffError], *, within: Path | None = None, cap_bytes: int | None = None
+) -> Iterator[Path]:
+    """Every file of a folder and the folders in it, in the order of their paths, each checked by ``regular_file``.
+
+    Links to folders are refused, so that a link to a folder around it can't make this endless.
+
+    Raises
+    ------
+    error : as ``regular_file``, for the folder itself and whatever is in it; a folder that can't be listed.
+    """
+    found = _status(folder, error, str(folder))
+    if not stat.S_ISDIR(found.st_mode):
+        raise error(f"{folder}: found no folder, wanted a folder of files")
+    if within is not None:
+        check_within(folder, within, error)
+    for path in listed(folder, error):
+        if path.is_dir():
+            if path.is_symlink():
+                raise error(f"{path}: found a link to a folder, wanted files and folders; copy the folder here")
+            yield from regular_files(path, error, within=within, cap_bytes=cap_bytes)
+        else:
+            regular_file(path, error, within=within, cap_bytes=cap_bytes)
+            yield path
+
+
+def listed(folder: Path, error: type[SpinestiffError], *, name: str | None = None) -> list[Path]:
+    """What is in a folder, by name.
+
+    Raises
+    ------
+    error : the folder can't be listed.
+    """
+    try:
+        return sorted(folder.iterdir())
+    except OSError as problem:
+        raise error(f"{folder if name is None else name}: can't be listed ({problem.strerror})") from None
+
+
+def _status(path: Path, error: type[SpinestiffError], named: str) -> os.stat_result:
+    try:
+        return path.stat()
+    except FileNotFoundError:
+        if path.is_symlink():
+            raise error(f"{named}: a link to a file that is not there; copy the file itself here") from None
+        raise error(f"{named}: no such file") from None
+    except ValueError:  # a zero byte in the name
+        raise error(f"{named!r}: no name of a file") from None
+    except OSError as problem:
+        if problem.errno == errno.ELOOP:
+            raise error(f"{named}: a link that leads to itself; copy the file itself here") from None
+        raise error(f"{named}: can't be opened ({problem.strerror})") from None

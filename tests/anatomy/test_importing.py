@@ -33,8 +33,8 @@ def mmg_installed():
 
 @pytest.fixture
 def no_mesher(monkeypatch):
-    """For what is refused before anything is meshed."""
-    monkeypatch.setattr("spinestiff.anatomy.importing.find_mesher", lambda name: None)
+    """MMG is not installed: what is wrong with the bones is told all the same."""
+    monkeypatch.setattr(meshing, "find_spec", lambda name: None)
 
 
 def refusal(folder, **options) -> str:
@@ -98,10 +98,14 @@ def test_what_the_user_says_wrongly_is_refused(bone_folder):
     assert "body height 400 cm" in refusal(bone_folder, height_cm=400.0)
 
 
-def test_unknown_meshers_and_missing_extras_are_said_before_any_work(bone_folder, monkeypatch):
-    assert "no mesher 'gmsh'; installed: mmg" in refusal(bone_folder, mesher="gmsh")
-    monkeypatch.setitem(__import__("sys").modules, "mmgpy", None)
-    assert refusal(bone_folder) == 'meshing needs MMG; install it with pip install "spinestiff[mesh]"'
+def test_an_unknown_mesher_is_said_before_any_work_a_missing_one_after_the_bones(bone_folder, no_mesher):
+    told = []
+    assert "no mesher 'gmsh'; installed: mmg" in refusal(bone_folder, mesher="gmsh", observer=told.append)
+    assert told == []
+    assert refusal(bone_folder, observer=told.append) == (
+        'meshing needs MMG; install it with pip install "spinestiff[mesh]"'
+    )
+    assert [line.split(":")[0] for line in told] == ["read", "axes", "repair", "joints", "skin"]
 
 
 def test_a_bone_outside_the_skin_is_named(template, template_bones):
@@ -230,14 +234,12 @@ def test_a_skin_of_few_large_triangles_is_rounded_and_meshed(bone_folder, meshes
 
 
 def test_the_gate_refuses_a_mesher_that_gives_flat_elements(monkeypatch, template_bones):
-    skin = ball(np.array([0.0, 150.0, 0.0]), 420.0, 20, 30)
+    skin = ball(np.array([0.0, 130.0, 16.0]), np.array([270.0, 400.0, 200.0]), 20, 30)
     assert all(enclosed(skin, vertices).all() for vertices, _ in template_bones.values())
     told = []
-    monkeypatch.setattr(meshing, "TRIES", 2)
-    monkeypatch.setattr(meshing, "VOLUME_TOLERANCE", 0.2)
     monkeypatch.setattr(meshing, "find_mesher", lambda name: lambda points, tetrahedra, required: (points, tetrahedra))
     with pytest.raises(TorsoError, match=r"no mesh with dihedral angles above 5 degrees in 2 tries \(last: smallest"):
-        meshing.mesh_tissue(template_bones, skin, 60.0, observer=told.append)
+        meshing.mesh_tissue(template_bones, skin, 60.0, observer=told.append, tried_shares=(1.0, 0.95))
     assert len(told) == 2
 
     def mover(points, tetrahedra, required):
@@ -245,7 +247,7 @@ def test_the_gate_refuses_a_mesher_that_gives_flat_elements(monkeypatch, templat
 
     monkeypatch.setattr(meshing, "find_mesher", lambda name: mover)
     with pytest.raises(TorsoError, match="the mesher moved points of the bones"):
-        meshing.mesh_tissue(template_bones, skin, 60.0)
+        meshing.mesh_tissue(template_bones, skin, 60.0, tried_shares=(1.0,))
 
 
 def test_a_plug_in_is_found_by_its_entry_point(monkeypatch):

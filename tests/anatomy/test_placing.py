@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 
-from spinestiff.anatomy.importing.placing import cut_below, place_joints, rearmost
+from spinestiff.anatomy.importing.naming import find_files
+from spinestiff.anatomy.importing.orienting import axes_matrix
+from spinestiff.anatomy.importing.placing import _measured, cut_below, place_joints, rearmost, template_column_mm
+from spinestiff.anatomy.importing.reading import read_surface
 from spinestiff.anatomy.importing.repairing import edges_of, repaired
 from spinestiff.anatomy.importing.tubes import centreline, fitted_sphere
 from spinestiff.anatomy.importing.vertebra import measure_vertebra, median_plane
@@ -13,7 +17,10 @@ from spinestiff.anatomy.names import JOINTS, SIDES, VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.solids import dense_points
-from spinestiff.anatomy.template.surfaces import ball, joined, signed_volume, tube
+from spinestiff.anatomy.template.assemble import centroid
+from spinestiff.anatomy.template.ribs import left_ribs
+from spinestiff.anatomy.template.surfaces import ball, joined, resampled, signed_volume, tube
+from spinestiff.anatomy.template.vertebrae import build_spine
 from spinestiff.errors import TorsoError
 
 SHIFT = np.array([12.0, -300.0, 44.0])
@@ -57,8 +64,6 @@ def test_humeral_heads_and_length(placed, template):
     skeleton, _ = placed
     heads = template.landmarks["humerus_head"].positions(template.rest_pose)
     assert np.abs(skeleton.humerus_heads - heads).max() < 3.0
-    from spinestiff.anatomy.importing.placing import template_column_mm
-
     assert skeleton.column_mm == pytest.approx(template_column_mm(), rel=0.01)
 
 
@@ -71,6 +76,47 @@ def test_a_turned_and_tilted_vertebra_is_found_as_it_stands(template, template_b
     found = measure_vertebra("T8", moved, np.array([0.0, 1.0, 0.0]), dense_points(moved, 2.5))
     assert found.centre == pytest.approx(centre, abs=2.0)
     assert turned_deg(found.axes[None], (turn @ template.rest_pose.bone_rotations[i])[None])[0] < 2.0
+
+
+def with_dense_end(surface, axis, side, share=0.1, rounds=4):
+    """The same surface, its triangles at one end along an axis split in four, ``rounds`` times."""
+    vertices, faces = surface
+    low, high = vertices[:, axis].min(), vertices[:, axis].max()
+    for _ in range(rounds):
+        place = (vertices[faces].mean(1)[:, axis] - low) / (high - low)
+        chosen = np.flatnonzero(place > 1.0 - share if side > 0 else place < share)
+        vertices, faces = trimesh.remesh.subdivide(vertices, faces, face_index=chosen)
+    return vertices, faces
+
+
+def test_where_a_mesh_is_dense_changes_no_measurement(template_bones, placed):
+    """L3 and L5 at opposite ends of their transverse processes, T1 at its spinous process."""
+    dense = {
+        "L3": with_dense_end(template_bones["L3"], 0, -1.0),
+        "L5": with_dense_end(template_bones["L5"], 0, 1.0),
+        "T1": with_dense_end(template_bones["T1"], 2, -1.0, 0.12),
+    }
+    for name, surface in dense.items():
+        assert signed_volume(surface) == pytest.approx(signed_volume(template_bones[name]))
+        assert np.linalg.norm(surface[0].mean(0) - template_bones[name][0].mean(0)) > 20.0
+    found, origin = place_joints(template_bones | dense)
+    assert origin == pytest.approx(placed[1] - SHIFT, abs=0.2)
+    for name in VERTEBRAE:
+        assert turned_deg(found.vertebrae[name].axes[None], placed[0].vertebrae[name].axes[None])[0] < 0.5, name
+
+
+def test_a_real_vertebra_dense_on_one_side_stands_as_before(shared_bones):
+    """Its right transverse process alone leans it by 36 degrees where up is told by means of vertices."""
+    files, scale = find_files(shared_bones), 1000.0 * axes_matrix("ASR")
+    bones = {}
+    for name in VERTEBRAE:
+        vertices, faces = read_surface(files.bones[name][0])
+        bones[name] = repaired(name, (vertices @ scale.T, faces))[0]
+    up = centroid(bones["L3"]) - centroid(bones["L5"])
+    before = measure_vertebra("L5", bones["L5"], up, dense_points(bones["L5"], 2.5))
+    bones["L5"] = with_dense_end(bones["L5"], 0, -1.0, rounds=5)
+    found = _measured(bones, {name: dense_points(surface, 2.5) for name, surface in bones.items()}, [])
+    assert turned_deg(found["L5"].axes[None], before.axes[None])[0] < 0.5
 
 
 def test_the_median_plane_of_a_vertebra_turned_about_its_axis(template, template_bones):
@@ -159,3 +205,36 @@ def test_a_rib_without_cartilage_ends_in_its_joint(template_bones):
     j = [str(joint) for joint in JOINTS].index("sternum-R5_L")
     assert np.linalg.norm(skeleton.centres[j] + origin - curve[33]) < 4.0
     assert any(note.startswith("R5_L ends") and "from sternum" in note for note in skeleton.notes)
+
+
+def cut_short(surface, share):
+    """A left rib's tube from its head along a share of its length."""
+    curve = centreline("R5_L", surface)
+    curve = curve if curve[0, 2] < curve[-1, 2] else curve[::-1]
+    whole = resampled(curve, 401)
+    return tube(resampled(whole[: int(401 * share)], 30), np.array([3.0, 5.0]), np.array([0.0, 1.0, 0.0]))
+
+
+def test_ribs_that_end_where_their_cartilage_begins_are_taken(template_bones):
+    ribs = left_ribs(build_spine())
+    bones = {f"R{i + 1}_L": cut_short(template_bones[f"R{i + 1}_L"], ribs[i].bony) for i in range(10)}
+    skeleton, _ = place_joints(template_bones | bones)
+    ends = {note.split()[0]: float(note.split()[2]) for note in skeleton.notes if "from sternum" in note}
+    assert {f"R{i}_L" for i in range(3, 11)} <= set(ends)
+    assert ends["R10_L"] > 100.0
+
+
+def test_a_rib_too_short_for_its_cartilage_is_refused(template_bones):
+    short = template_bones | {"R5_L": cut_short(template_bones["R5_L"], 0.55)}
+    with pytest.raises(TorsoError, match=r"^R5_L ends 1\d\d mm from sternum; wanted at most 8\d mm; is it whole"):
+        place_joints(short)
+
+
+def test_a_whole_rib_that_misses_the_sternum_is_refused(template_bones):
+    """Turned about its head; its cartilage is there, so nothing can lie between."""
+    vertices, faces = template_bones["R8_L"]
+    ends = centreline("R8_L", (vertices, faces))[[0, -1]]
+    head = ends[np.argmin(ends[:, 2])]
+    turned = (vertices - head) @ exp_so3(np.array([0.0, 0.9, 0.0])).T + head
+    with pytest.raises(TorsoError, match=r"^R8_L ends 10\d mm from sternum; wanted at most 8\d mm"):
+        place_joints(template_bones | {"R8_L": (turned, faces)})

@@ -64,6 +64,31 @@ def test_what_is_no_mesh_is_refused_in_a_line(tmp_path, kind, content):
     refusal(tmp_path, f"bone.{kind}", content)
 
 
+NAME = "Wirbelkörper".encode("latin-1")
+
+
+@pytest.mark.parametrize("kind", ["stl", "ascii.stl", "obj", "ply"])
+def test_text_of_any_encoding_in_a_file_is_passed_by(tmp_path, meshes, kind):
+    if kind == "ascii.stl":
+        lines = [b"solid " + NAME]
+        for corners in VERTICES[FACES]:
+            lines += [b"facet normal 0 0 0", b"outer loop"]
+            lines += ["vertex {} {} {}".format(*map(float, corner)).encode() for corner in corners]
+            lines += [b"endloop", b"endfacet"]
+        content = b"\n".join([*lines, b"endsolid " + NAME, b""])
+    else:
+        content = getattr(meshes, kind)(VERTICES, FACES)
+        if kind == "stl":
+            content = NAME.ljust(80) + content[80:]
+        elif kind == "obj":
+            content = b"# " + NAME + b"\no " + NAME + b"\n" + content
+        else:
+            content = content.replace(b"\nelement vertex", b"\ncomment " + NAME + b"\nelement vertex", 1)
+    assert NAME in content
+    vertices, faces = read(tmp_path, f"bone.{kind}", content)
+    assert signed_volume((vertices, faces)) == pytest.approx(VOLUME, rel=1e-5)
+
+
 @pytest.mark.parametrize("kind", ["stl", "obj", "ply"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e9])
 def test_numbers_that_are_none_are_refused(tmp_path, meshes, kind, bad):

@@ -259,6 +259,7 @@ def test_mesh_fills_the_skin_and_its_tied_nodes_lie_in_their_bones(torso, skelet
     assert share[True] > share[False] - 0.12
 
 
+@pytest.mark.parametrize("given", BODIES, indirect=True, scope="module")
 def test_a_free_body_has_six_motions_without_energy(torso):
     potential = Potential(torso)
     pattern = potential.pattern
@@ -371,7 +372,7 @@ def test_flat_and_inverted_elements_are_refused():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(16))
+@pytest.mark.parametrize("seed", range(8))
 def test_bodies_drawn_at_random_are_sound(seed):
     random = np.random.default_rng(seed)
     sex, age = ("female", "male")[seed % 2], float(random.uniform(8.0, 22.0))

@@ -186,7 +186,7 @@ def test_a_missing_or_outer_radiograph_is_refused(unannotated, tmp_path):
     with pytest.raises(SubjectError, match="wanted the radiograph of rest/frontal"):
         AnnotationSession(unannotated)
     frontal.symlink_to(outside)
-    with pytest.raises(SubjectError, match="leads out of the subject folder"):
+    with pytest.raises(SubjectError, match="leads out of the folder"):
         AnnotationSession(unannotated)
 
 

@@ -416,7 +416,7 @@ def test_bad_folders_are_refused_at_once(spinestiff, subject, case, command):
         (("synth", "new", "--ratios", "0.1,0.1,0.1"), "wanted two numbers"),
         (("synth", "new", "--ratios", "0.1,0"), "stiffness ratio 0.0; wanted"),
         (("synth", "new", "--ratios", "nan,0.1"), "stiffness ratio nan"),
-        (("synth", "new", "--force", "0"), "force 0.0 N"),
+        (("synth", "new", "--force", "0"), "--force 0: wanted above 0 and at most 500 N"),
         (("synth", "new", "--seed", "-3"), "seed -3"),
         (("synth", "new", "--spine", "t.csv"), "--spine and --spine-id belong together"),
         (("demo", "--out", "new", "--spine-id", "a"), "--spine and --spine-id belong together"),
@@ -433,8 +433,8 @@ def test_bad_arguments_are_refused_at_once(spinestiff, tmp_path, monkeypatch, ar
     ("arguments", "words"),
     [
         (("--curve", "zigzag"), "unknown curve 'zigzag'; wanted one of"),
-        (("--cobb", "90"), "Cobb angle 90.0 degrees"),
-        (("--height", "90"), "body height 90 cm"),
+        (("--cobb", "90"), "--cobb 90: wanted -60 to 60 degrees"),
+        (("--height", "90"), "--height 90: wanted 120 to 200 cm"),
         (("--spine", "none.csv", "--spine-id", "a"), r"none\.csv: no such file"),
     ],
 )

@@ -97,7 +97,7 @@ def test_markups_and_annotations_are_read(cobb, tmp_path):
     ("arguments", "words"),
     [
         (("--definition", "cobb"), "--definition cobb: wanted endplate or midline"),
-        (("--noise-px", "0"), "--noise-px 0: wanted pixels above 0"),
+        (("--noise-px", "0"), "--noise-px 0: wanted above 0 and at most 1000 pixels"),
         (("--noise-px", "nan"), "--noise-px nan: wanted"),
         (("--patient-left", "up"), "--patient-left up: wanted left or right"),
         (("--picture", "out.svg"), "wanted a name that ends in .png"),

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spine_images import LABELLED, image, labelled_csv
+from spine_images import LABELLED, image, labelled_csv, labelled_images
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.curves.cobb import CobbReading, read_cobb, read_cobb_of_view, spine_curves
 from spinestiff.curves.corner_files import UnreadableImage, read_corner_file
@@ -245,3 +245,28 @@ def test_labelled_radiographs(tmp_path):
     corner = [c - (x[..., (k + 2) % 4] - x[..., k]) * (y[..., (k + 1) % 4] - y[..., k]) for k, c in enumerate(corner)]
     sound = (np.array(corner) > 0).all((0, 2)) & (np.diff(y.mean(-1), axis=1) > 0).all(1)
     assert [reading.status == "ok" for reading in found] == sound.tolist()
+
+
+@pytest.mark.skipif(not LABELLED.is_dir(), reason="the labelled scoliosis radiographs are not here")
+@pytest.mark.parametrize("kind", ["displaced", "turned"])
+def test_a_spoiled_radiograph_is_not_repaired_to_something_else(kind):
+    """One vertebra of each radiograph moved by up to three widths, or turned by 90 degrees: right, noise or refused."""
+    rng = np.random.default_rng(0)
+    status: Counter[str] = Counter()
+    for spine in labelled_images()[0][:480:3]:
+        sound = read_cobb(spine, "midline")
+        if sound.status != "ok":
+            continue
+        at, corners = rng.integers(17), spine.corners.copy()
+        middle, quad = corners[at].mean(axis=0), corners[at]
+        width = np.hypot(*(quad[1] - quad[0]))
+        if kind == "displaced":
+            corners[at] = quad + rng.uniform(0.3, 3.0) * width * np.array([1.0, 0.0]) * rng.choice([-1.0, 1.0])
+        else:
+            corners[at] = middle + (quad - middle) @ [[0.0, 1.0], [-1.0, 0.0]]
+        found = read_cobb(replace(spine, corners=corners), "midline")
+        status[found.status] += 1
+        if found.status == "repaired":
+            off = abs(abs(found.largest.angle.degrees) - abs(sound.largest.angle.degrees))
+            assert off <= found.largest.half_width_deg, (spine.image, VERTEBRAE[at])
+    assert status["refused"] > 100

@@ -15,7 +15,6 @@ from spinestiff.estimation import search as searching
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fit import FitStatus, fit_stiffness
 from spinestiff.estimation.objective import Trial
-from spinestiff.estimation.uncertainty import joint_region_contains
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -35,8 +34,9 @@ def test_eq_8_ratios_are_recovered_without_noise(spine, trials, method, truth) -
     for name, value in truth.items():
         assert fit.ratios.as_dict()[name] == pytest.approx(value, rel=1e-4)
     assert fit.rmse_mm < 1e-3 < fit.default_rmse_mm
-    assert joint_region_contains(fit, truth)
-    assert not joint_region_contains(fit, {"lateral_bending": 1.0, "tissue": 1.0})
+    spread, values = fit.uncertainty, np.log(fit.ratios.values)
+    assert spread.distance2(np.log(list(truth.values())) - values) <= spread.region_size
+    assert spread.distance2(-values) > spread.region_size
 
 
 def test_both_methods_reach_one_optimum_and_lm_is_cheaper(spine, trials) -> None:
@@ -185,7 +185,7 @@ def test_open_ends_are_warned_of(spine, trials) -> None:
 
 @pytest.mark.slow
 def test_eqs_8_10_on_the_template_torso() -> None:
-    """The real engine on the coarse template: adjoint is forward, and the ratios come back from two radiographs."""
+    """The real engine on the coarse template: adjoint is forward. That ratios come back is examples/02's test."""
     torso = template_torso(157.0)
     problem = EquilibriumProblem(torso, three_point_supports(torso, "right"))
     view = frontal_view(centre=torso.rest_pose.bone_positions[torso.vertebra_bones].mean(0))
@@ -201,9 +201,6 @@ def test_eqs_8_10_on_the_template_torso() -> None:
     forward, adjoint = trial_set.slope(point).jacobian.T @ point.values, trial_set.gradient(point)
     assert np.abs(adjoint).min() > 1.0
     assert np.allclose(adjoint, forward, rtol=1e-10)
-    fit = fit_stiffness(problem, data, intervals="linear")
-    assert fit.status.usable
-    assert fit.ratios.values == pytest.approx(truth.values, rel=1e-4)
 
 
 class CurvedValley:

@@ -11,7 +11,7 @@ from scipy.optimize import fsolve
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fit import fit_stiffness
-from spinestiff.estimation.intervals import estimator_offset, inverted_intervals, linear_intervals
+from spinestiff.estimation.intervals import estimator_offset, inverted_intervals, joint_region, linear_intervals
 from spinestiff.estimation.uncertainty import Uncertainty, UncertaintySettings
 
 TRUTH = {"lateral_bending": 0.1, "tissue": 0.03}
@@ -105,6 +105,59 @@ def test_what_saturates_is_open() -> None:
     assert found.open_low.tolist() == [True, False]
     assert found.low[0] == LIMITS[0]
     assert not found.open_high.any()
-    # The other ratio can't be followed to where that one meets its bound.
-    assert found.high[1] == linear_intervals(point.log_ratios, spread, LIMITS).high[1]
+    # The other ratio can't be followed to where that one meets its bound; the joint region says how far it may go.
+    assert found.region is not None
+    assert found.high[1] == found.region[:, 1].max() != linear_intervals(point.log_ratios, spread, LIMITS).high[1]
     assert valley.solves < 60
+
+
+def outline_misses(region: np.ndarray, valley: Valley, point, slope, spread: Uncertainty) -> np.ndarray:
+    """(n,) how far h at each place of an outline is from the edge of the joint region, in shares of its radius."""
+    offsets = np.array([estimator_offset(point, slope, valley.solve(q)) for q in region])
+    sizes = np.sqrt([spread.distance2(offset) for offset in offsets])
+    return sizes / np.sqrt(spread.region_size) - 1.0
+
+
+@pytest.mark.parametrize("bend", [0.1, -0.2, 0.5])
+def test_the_joint_region_follows_the_valley(bend: float) -> None:
+    """Its edge is where h has the region's size; the ellipse at the estimate misses that by far more."""
+    found, valley, point, slope, spread = ends(bend, 0.4)
+    assert found.region is not None
+    ellipse = joint_region(point.log_ratios, spread, (), LIMITS)
+    assert ellipse is not None
+    bent, straight = (np.abs(outline_misses(r, valley, point, slope, spread)) for r in (found.region, ellipse))
+    assert np.median(bent) < 0.25 * np.median(straight)
+    assert np.median(bent) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("bend", "sd", "saturation"), [(0.0, 0.4, 0.7), (0.2, 0.4, 0.7), (-0.2, 0.1, 0.7), (0.1, 0.8, 1.75)]
+)
+def test_region_and_intervals_agree(bend: float, sd: float, saturation: float) -> None:
+    """The region holds each end, and is wider by little more than the two quantiles differ."""
+    found, _, point, _, spread = ends(bend, sd, saturation)
+    assert found.region is not None
+    wider = np.sqrt(spread.region_size) / (spread.half_width / np.sqrt(np.diag(spread.covariance)))
+    for end, outermost, is_open in (
+        (found.low, found.region.min(0), found.open_low),
+        (found.high, found.region.max(0), found.open_high),
+    ):
+        ratio = (outermost - point.log_ratios) / (end - point.log_ratios)
+        assert (ratio > 0.98).all()
+        assert (ratio < 1.8 * wider)[~is_open].all()
+
+
+def test_without_ends_the_joint_region_is_chi_square() -> None:
+    covariance = np.array([[0.04, -0.05], [-0.05, 0.09]])
+    spread = Uncertainty(covariance, np.full(2, 1e7), {}, 400.0, 0.0)
+    assert spread.region_size == pytest.approx(5.991, abs=1e-3)
+    outline = joint_region(np.log([0.1, 0.01]), spread, (), LIMITS)
+    assert outline is not None
+    offsets = outline - np.log([0.1, 0.01])
+    assert [spread.distance2(row) for row in offsets] == pytest.approx([5.991] * len(offsets), abs=1e-3)
+    assert Uncertainty(covariance, np.full(2, 5.0), {}, 400.0, 0.0).region_size > 10.0
+    for other in (
+        Uncertainty(np.eye(3), np.full(3, 50.0), {}, 1.0, 0.0),
+        Uncertainty(np.full((2, 2), np.inf), np.full(2, 4.0), {}, np.inf, 0.0),
+    ):
+        assert joint_region(np.zeros(len(other.covariance)), other, (), LIMITS) is None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -15,8 +13,6 @@ from spinestiff.estimation.uncertainty import (
     ResidualLayout,
     UncertaintySettings,
     estimator_uncertainty,
-    joint_region_contains,
-    joint_region_outline,
     with_nuisances,
 )
 
@@ -159,35 +155,7 @@ def test_a_ratio_without_effect_has_no_interval() -> None:
     assert np.isinf(high).all()
 
 
-def fake_fit(covariance: np.ndarray, dof: float) -> SimpleNamespace:
-    jacobian = np.linalg.cholesky(np.linalg.inv(covariance)).T
-    spread = estimator_uncertainty(toy_jacobian(), np.zeros(2 * V * 8), LAYOUT)
-    spread = spread.__class__(covariance, np.full(2, dof), {}, float(np.linalg.cond(jacobian) ** 2), 0.0)
-    ratios = SimpleNamespace(values=np.array([0.1, 0.01]))
-    return SimpleNamespace(bounds=(1e-9, 1e9), ratios=ratios, names=("lateral_bending", "tissue"), uncertainty=spread)
-
-
-def test_joint_region_is_chi_square_for_many_degrees_of_freedom() -> None:
-    covariance = np.array([[0.04, -0.05], [-0.05, 0.09]])
-    fit = fake_fit(covariance, 1e7)
-    assert fit.uncertainty.region_size == pytest.approx(5.991, abs=1e-3)
-    outline = joint_region_outline(fit)
-    offsets = np.log(outline) - np.log([0.1, 0.01])
-    size = np.einsum("ni,ij,nj->n", offsets, np.linalg.inv(covariance), offsets)
-    assert size == pytest.approx(np.full(100, 5.991), abs=1e-3)
-    for factor, inside in ((0.99, True), (1.01, False)):
-        for row in offsets[::10]:
-            values = np.array([0.1, 0.01]) * np.exp(factor * row)
-            assert joint_region_contains(fit, dict(zip(fit.names, values))) is inside
-    assert fake_fit(covariance, 5.0).uncertainty.region_size > 10.0
-
-
 def test_bad_requests_are_refused() -> None:
-    fit = fake_fit(np.eye(2), 10.0)
-    with pytest.raises(FitError, match="truth lacks 'tissue'"):
-        joint_region_contains(fit, {"lateral_bending": 1.0})
-    with pytest.raises(FitError, match="not fitted"):
-        joint_region_outline(fit, ("tissue", "thoracic"))
     with pytest.raises(FitError, match="corner_sd_mm"):
         UncertaintySettings(corner_sd_mm=0.0)
     with pytest.raises(FitError, match=">= 0"):

@@ -374,7 +374,7 @@ def test_frames_that_belong_to_no_sequence():
         track([Frame(np.ones(SHAPE, dtype=np.float32)), frames[1]], {0: first})
     with pytest.raises(TrackingError, match="no annotated frame to track from"):
         track(frames, {})
-    with pytest.raises(TrackingError, match="frame 2 is annotated, but there are 2 frames"):
+    with pytest.raises(TrackingError, match="frame 2 is annotated, but the sequence has 2 frames"):
         track(frames, {0: first, 2: first})
     with pytest.raises(TrackingError, match="no annotated vertebra was found"):
         track([frames[0], Frame(np.ones(SHAPE, dtype=np.float32))], {0: first})

@@ -171,6 +171,31 @@ def test_a_point_far_off_the_line_is_refused(torso, tmp_path):
         real_spine(torso, write_table(tmp_path / "spines.csv", rows), "a")
 
 
+@pytest.mark.parametrize(
+    ("up_mm", "words"),
+    [
+        (
+            35.0,
+            r"T12 and L1 lie [67]\d mm apart; wanted 2\d to [56]\d mm, 1 to 2\.2 of their height; is a level missing",
+        ),
+        (
+            -20.0,
+            r"T12 and L1 lie 1\d mm apart; wanted 2\d to [56]\d mm, 1 to 2\.2 of their height; do they overlap, or",
+        ),
+    ],
+)
+def test_levels_too_far_apart_or_in_each_other_are_refused_by_name(torso, tmp_path, up_mm, words):
+    """Everything from T12 upwards is moved; smoothed, the gap would seem to be a neighbour's that strays."""
+    rows = lps_table(torso, rest_vertebrae(torso))
+    for row in rows:
+        if row[1].startswith("T"):
+            row[5] = f"{float(row[5]) + up_mm:.3f}"
+    table = write_table(tmp_path / "spines.csv", rows)
+    with pytest.raises(SubjectError, match=f"spine 'a': {words}") as caught:
+        real_spine(torso, table, "a")
+    assert str(caught.value).startswith(f"{table}: ")
+
+
 def test_files_that_are_no_table_are_refused(torso, tmp_path):
     with pytest.raises(SubjectError, match="no such file"):
         real_spine(torso, tmp_path / "none.csv", "a")
@@ -180,6 +205,28 @@ def test_files_that_are_no_table_are_refused(torso, tmp_path):
     picture.write_bytes(b"\x00\xff\xd8\xfe")
     with pytest.raises(SubjectError, match="not UTF-8"):
         real_spine(torso, picture, "a")
+
+
+@pytest.mark.skipif(not MEASURED.is_file(), reason="the table of measured spines (shared/data/ct_spines) is not here")
+def test_of_the_measured_spines_those_with_a_gap_or_a_stray_point_are_refused(torso):
+    with MEASURED.open(newline="", encoding="utf-8") as file:
+        ids = list(dict.fromkeys(row["id"] for row in csv.DictReader(file)))
+    refused = {}
+    for name in ids:
+        try:
+            real_spine(torso, MEASURED, name)
+        except SubjectError as error:
+            refused[name] = str(error).removeprefix(f"{MEASURED}: spine '{name}': ")
+    gaps = {name: text.split(" lie ")[0] for name, text in refused.items() if " mm apart; " in text}
+    assert gaps == {
+        "5mmFflb3esYK": "T2 and T3",
+        "72PbvI2oElrX": "T12 and L1",
+        "D4dXQUj3dyMy": "T12 and L1",
+        "L150kaW3wToW": "T12 and L1",
+        "aMCHApVy6tuw": "T12 and L1",
+        "i5FG8DBxwsBz": "T12 and L1",
+    }
+    assert set(refused) - set(gaps) == {"59a7IebdZp3u", "5ToT2KEY6ufV", "bPA1XnT4q7rh"}
 
 
 @pytest.mark.skipif(not MEASURED.is_file(), reason="the table of measured spines (shared/data/ct_spines) is not here")

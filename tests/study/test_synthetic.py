@@ -10,12 +10,22 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.names import VERTEBRAE
-from spinestiff.errors import EquilibriumError, SubjectError
+from spinestiff.errors import EquilibriumError, SpinestiffError, SubjectError
 from spinestiff.files import file_digest
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.study import synthetic
-from spinestiff.study.synthetic import BENDING_RANGE, TISSUE_RANGE, Recipe, made_by, synthesise, truth_path
+from spinestiff.study.synthetic import (
+    BENDING_RANGE,
+    TISSUE_RANGE,
+    Recipe,
+    SyntheticPush,
+    made_by,
+    synthesise,
+    truth_path,
+)
 from spinestiff.subject.folder import image_corners, image_supports, read_push, read_rest, read_subject
+
+PUSH = SyntheticPush("main", 8.0, (0.0, 1.0), ("unused", "training"))
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -28,7 +38,7 @@ def tiny(cheap_recipe):
 
 
 @pytest.fixture(scope="module")
-def twins(tmp_path_factory, few_frames, tiny):
+def twins(tmp_path_factory, tiny):
     folders = []
     for name, seed in (("a", 5), ("b", 5), ("c", 6)):
         folders.append(tmp_path_factory.mktemp("twins") / name)
@@ -135,7 +145,7 @@ def test_made_by_tells_the_same_recipe_from_another(twins, tiny, tmp_path):
         made_by(tmp_path, recipe)
 
 
-def test_a_push_that_cannot_be_carried_leaves_nothing_behind(tmp_path, few_frames, tiny, monkeypatch):
+def test_a_push_that_cannot_be_carried_leaves_nothing_behind(tmp_path, tiny, monkeypatch):
     def limited(self, load, *args, solve=EquilibriumProblem.solve, **kwargs):
         return solve(self, load, *args, **{**kwargs, **({"max_iterations": 2} if load.size > 200.0 else {})})
 
@@ -162,6 +172,8 @@ def test_the_truth_of_the_folder_one_stands_in_has_a_name(tmp_path, monkeypatch)
         ({"force_n": 501.0}, "force 501.0 N"),
         ({"force_n": float("nan")}, "force nan N"),
         ({"seed": -1}, "seed -1; wanted 0 or more"),
+        ({"pushes": ()}, "pushes none; wanted at least one"),
+        ({"pushes": (PUSH, PUSH)}, "pushes main, main; wanted at least one, each with an id of its own"),
     ],
 )
 def test_impossible_recipes_are_refused(wrong, words):
@@ -169,8 +181,38 @@ def test_impossible_recipes_are_refused(wrong, words):
         Recipe(**wrong)
 
 
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"shares": ()}, r"push 'main': shares \(\); wanted 0 first, then 0 to 1"),
+        ({"shares": (0.1, 1.0)}, "wanted 0 first"),
+        ({"shares": (0.0, 1.1)}, "wanted 0 first, then 0 to 1"),
+        ({"shares": (0.0, float("nan"))}, "wanted 0 first, then 0 to 1"),
+        ({"shares": (0.0, 0.5, 1.0)}, "push 'main': 3 shares and 2 roles; wanted one of each a frame"),
+    ],
+)
+def test_impossible_pushes_are_refused(wrong, words):
+    with pytest.raises(SubjectError, match=words):
+        replace(PUSH, **wrong)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"id": "a/b"}, "push 'a/b' of the recipe: id: found 'a/b'"),
+        ({"level": 0.5}, "push level 0.5; wanted a rib number from 1 to 12"),
+        ({"level": 1.0}, "push 'main' of the recipe: d31_mm"),
+    ],
+)
+def test_a_push_that_no_subject_may_have_leaves_nothing_behind(tmp_path, tiny, wrong, words):
+    with pytest.raises(SpinestiffError, match=words):
+        synthesise(tmp_path / "x", replace(tiny, pushes=(replace(PUSH, **wrong),)))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_recipes_record_names_the_table_without_its_place():
     record = Recipe(spine=(Path("somewhere") / "spines.csv", "a1"), ratios=(0.1, 0.01)).as_record()
     assert record["spine"] == ["spines.csv", "a1"]
     assert record["ratios"] == [0.1, 0.01]
+    assert [push["id"] for push in record["pushes"]] == ["main", "second"]
     assert json.loads(json.dumps(record)) == record

@@ -12,10 +12,10 @@ from spinestiff.errors import SubjectError
 from spinestiff.estimation.fit import fit_stiffness
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
+from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.study.trials import push_set
 from spinestiff.subject.records import PushRecord
 

@@ -221,7 +221,7 @@ def test_a_link_out_of_the_folder_is_refused(folder):
     outside.write_bytes(b"")
     (folder / "pushes/right-8.dcm").unlink()
     (folder / "pushes/right-8.dcm").symlink_to(outside)
-    assert "leads out of the subject folder" in refusal(folder)
+    assert "leads out of the folder" in refusal(folder)
 
 
 # Annotation
@@ -314,6 +314,46 @@ def test_further_frames_that_are_refused(folder, name, image, words):
         push_corners(subject, subject.pushes[0], FRONTAL)
 
 
+def tilted(image, degrees, shift, only=None):
+    """The example with an image's vertebrae tilted in place, and all, or ``only`` one, begun ``shift`` corners on."""
+    turn = np.radians(degrees)
+    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    vertebrae = {}
+    for name, quad in ANNOTATION["images"][image]["vertebrae"].items():
+        points = np.array(quad)
+        points = points.mean(axis=0) + (points - points.mean(axis=0)) @ rotation
+        vertebrae[name] = np.roll(points, -shift if only in (None, name) else 0, axis=0).tolist()
+    return changed(ANNOTATION, ["images", image, "vertebrae"], vertebrae)
+
+
+@pytest.mark.parametrize("image", ["rest/frontal", "rest/lateral", "push/right-8"])
+@pytest.mark.parametrize("degrees", [-12.0, 0.0, 12.0])
+@pytest.mark.parametrize("shift", [1, 3])
+def test_corners_begun_at_the_wrong_one_are_refused(folder, image, degrees, shift):
+    """Of every vertebra or of one, at rest and under a push; tilted, "superior" may well lie above "inferior"."""
+    lay_out(folder, annotation=tilted(image, degrees, 0))
+    read_subject(folder)
+    for only in (None, "T5", "T9"):
+        lay_out(folder, annotation=tilted(image, degrees, shift, only))
+        message = refusal(folder)
+        assert image in message and (only or "T5") in message and "begin at the wrong one" in message
+
+
+@pytest.mark.parametrize("shift", [1, 2, 3])
+def test_a_further_frame_is_compared_with_the_first(folder, shift):
+    """One vertebra alone: only the first frame can tell how it stands."""
+    one = {"vertebrae": {"T8": np.roll(FURTHER["vertebrae"]["T8"], -shift, axis=0).tolist()}}
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", "push/right-8/2"], one))
+    message = refusal(folder)
+    assert "push/right-8/2.vertebrae.T8: turned by" in message and "since the push's first frame" in message
+
+
+def test_one_vertebra_is_one(folder):
+    few = {"T5": FIRST}
+    lay_out(folder, annotation=changed(ANNOTATION, IMAGE, few))
+    assert "found 1 vertebra, wanted at least 8" in refusal(folder)
+
+
 def test_vertebrae_may_be_written_in_any_order(folder):
     shuffled = dict(reversed(ANNOTATION["images"]["rest/frontal"]["vertebrae"].items()))
     lay_out(folder, annotation=changed(ANNOTATION, IMAGE, shuffled))
@@ -389,6 +429,20 @@ def test_pedicles_out_of_place_are_refused(folder):
     assert "rest/frontal.pedicles.T5" in refusal(folder)
 
 
+@pytest.mark.parametrize("place", [[-3.0, 300.0], [1024.0, 300.0], [500.0, -0.6], [500.0, 1023.6]])
+@pytest.mark.parametrize("which", [0, 1])
+def test_pedicles_outside_the_picture_are_refused(folder, place, which):
+    pair = [[521.0, 378.0], [503.0, 378.5]]
+    pair[which] = place
+    lay_out(folder, annotation=changed(ANNOTATION, ["images", "rest/frontal", "pedicles"], {"T8": pair}))
+    words = (
+        f"annotation.json: images.rest/frontal.pedicles.T8: found a pedicle at column {place[0]:g}, row {place[1]:g}, "
+        "wanted it in the image of 1024 columns and 1024 rows"
+    )
+    with pytest.raises(SubjectError, match=re.escape(words)):
+        image_pedicles(read_subject(folder), "rest/frontal", FRONTAL)
+
+
 def test_the_lateral_radiograph_may_be_missing(folder):
     """Neither radiograph nor annotation: the frontal one is used alone. One of the two without the other is refused."""
     assert read_subject(folder).rest_views == ("frontal", "lateral")
@@ -407,7 +461,7 @@ def test_corners_are_checked_against_the_view(folder):
         image_corners(subject, "rest/frontal", placed_view(-x, -y, z, **common))
     with pytest.raises(SubjectError, match=r"rest/frontal.T5: the superior corners lie below"):
         image_corners(subject, "rest/frontal", placed_view(-x, y, z, **common))
-    with pytest.raises(SubjectError, match=r"rest/frontal.T10: a corner lies outside the image of 1024 columns"):
+    with pytest.raises(SubjectError, match=r"vertebrae.T10: found a corner at .*, wanted it in the image of 1024"):
         image_corners(subject, "rest/frontal", frontal_view(shape=(460, 1024)))
     with pytest.raises(SubjectError, match=r"images.push/left: missing"):
         image_corners(subject, "push/left", FRONTAL)

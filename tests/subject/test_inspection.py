@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import warnings
 from pathlib import Path
@@ -12,7 +13,7 @@ import pydicom
 import pytest
 
 from spinestiff.app import cli
-from spinestiff.errors import SubjectError
+from spinestiff.errors import RadiographError, SubjectError
 from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.subject.folder import read_push, read_rest, read_subject
@@ -88,7 +89,7 @@ def test_a_vertebra_that_contradicts_the_file_is_refused(folder):
     read_rest(read_subject(folder), "frontal")
     write(folder, scaled(rest__frontal={"vertebra": "T12", "width_mm": 1.2 * true}))
     (one, *_) = inspect(folder)
-    assert one.status == "refused" and "makes the vertebra T12 18.25 mm long" in one.reason
+    assert one.status == "refused" and "found 18.25 mm for the vertebra T12, wanted 21.9042 mm" in one.reason
 
 
 @pytest.mark.parametrize(
@@ -152,8 +153,8 @@ def test_what_does_not_fit_the_subject_is_refused(folder):
     reasons = {one.image: one.reason for one in inspect(folder)}
     assert reasons == {
         "rest/frontal": "frontal.dcm: no such file",
-        "rest/lateral": "lateral.dcm: a frontal radiograph, wanted a lateral one",
-        "push/right-8": "right-8.dcm: 2 frames, but subject.json has 4 forces_n",
+        "rest/lateral": "lateral.dcm: found a frontal radiograph, wanted a lateral one",
+        "push/right-8": "right-8.dcm: found 2 frames, wanted 4, one for each of forces_n in subject.json",
     }
 
 
@@ -173,6 +174,111 @@ def test_a_folder_is_a_sequence_or_single_files(tmp_path):
     assert a.warnings[0].startswith("not one sequence: ") and "the same acquisition time" in a.warnings[0]
     (tmp_path / "b.dcm").write_bytes(b"no")
     assert [one.status for one in inspect(tmp_path)] == ["ok", "refused"]
+
+
+def picture(path, number=0, shape=(20, 20), **values):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pixels = np.full((1, *shape), number, np.uint16)
+    write_radiographs(path, pixels, frontal_view(shape=shape), instance_number=number, description=str(path),
+                      acquisition_time=f"12000{number}")  # fmt: skip
+    if values:
+        without(path, **values)
+
+
+def test_folders_in_folders_are_found_in_the_order_of_their_paths(tmp_path):
+    top = tmp_path / "disc"
+    for name, number in (("s2/a.dcm", 0), ("s2/b.dcm", 1), ("s10/deep/er/c.dcm", 0), ("z.dcm", 0)):
+        picture(top / name, number)
+    picture(top / "ct" / "1.dcm", Modality="CT")
+    picture(top / "ct" / "2.dcm", Modality="CT")
+    (top / ".hidden").mkdir()
+    (top / "empty").mkdir()
+    (top / ".hidden" / "x.dcm").write_bytes(b"no")
+    found = inspect(top)
+    assert [(one.image, one.status) for one in found] == [
+        ("z.dcm", "ok"), ("ct", "refused"), ("s10/deep/er/c.dcm", "ok"), ("s2", "ok"),
+    ]  # fmt: skip
+    assert found[-1].seen["files"] == 2
+    assert found[1].reason.startswith("ct: Modality: found CT in 2 files, wanted projection radiographs")
+    assert inspect(top) == found
+
+
+def test_a_file_of_a_nested_folder_is_named_with_its_path(tmp_path):
+    picture(tmp_path / "disc" / "a" / "1.dcm")
+    (tmp_path / "disc" / "a" / "2.dcm").write_bytes(b"no")
+    assert [one.image for one in inspect(tmp_path / "disc")] == ["a/1.dcm", "a/2.dcm"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes and links of Unix")
+def test_links_and_pipes_in_a_folder_are_named_and_not_followed(tmp_path):
+    top, outside = tmp_path / "disc", tmp_path / "outside"
+    picture(top / "a" / "1.dcm")
+    picture(outside / "secret.dcm")
+    (top / "a" / "2.dcm").symlink_to(outside / "secret.dcm")
+    (top / "a" / "3.dcm").symlink_to(top / "a" / "3.dcm")
+    os.mkfifo(top / "a" / "4.dcm")
+    (top / "b").symlink_to(outside)
+    (top / "c").mkdir()
+    (top / "c" / "up").symlink_to(top)
+    (top / "c" / "loop").symlink_to(top / "c" / "loop")
+    assert {one.image: one.reason for one in inspect(top)} == {
+        "a/1.dcm": "",
+        "a/2.dcm": "2.dcm: leads out of the folder disc; copy the file into it",
+        "a/3.dcm": "3.dcm: a link that leads to itself; copy the file itself here",
+        "a/4.dcm": "4.dcm: found a named pipe, wanted a file",
+        "b": "b: found a link to a folder, which is not followed; name that folder itself",
+        "c/loop": "loop: a link that leads to itself; copy the file itself here",
+        "c/up": "up: found a link to a folder, which is not followed; name that folder itself",
+    }
+    # Named itself, a link to a folder is that folder.
+    assert [one.image for one in inspect(top / "b")] == ["secret.dcm"]
+
+
+def test_the_folder_one_is_in_has_its_name(tmp_path, monkeypatch):
+    top = tmp_path / "disc"
+    picture(top / "a.dcm", 0)
+    picture(top / "b.dcm", 1)
+    (top / "inner").mkdir()
+    for place, path in ((top, "."), (top / "inner", "..")):
+        monkeypatch.chdir(place)
+        assert [one.image for one in inspect(Path(path))] == ["disc"]
+
+
+def test_too_many_or_too_deep_folders_are_refused_in_one_line(tmp_path):
+    deep = tmp_path / "disc"
+    picture(deep / "/".join("12345678") / "a.dcm")
+    assert [one.image for one in inspect(deep)] == ["1/2/3/4/5/6/7/8/a.dcm"]
+    (deep / "/".join("123456789")).mkdir()
+    with pytest.raises(RadiographError, match=r"^disc: found folders more than 8 deep in it, wanted fewer; name one"):
+        inspect(deep)
+    for i in range(256):
+        (tmp_path / "many" / str(i)).mkdir(parents=True)
+    with pytest.raises(RadiographError, match=r"^many: found more than 256 folders in it, wanted fewer; name one"):
+        inspect(tmp_path / "many")
+
+
+def test_a_folder_without_files_at_all_says_so(tmp_path):
+    (tmp_path / "disc" / "a").mkdir(parents=True)
+    with pytest.raises(RadiographError, match=r"^disc: found no radiographs in this folder or those in it"):
+        inspect(tmp_path / "disc")
+
+
+def test_subjects_in_a_folder_are_inspected_as_subjects(folder):
+    names = ["03/rest/frontal", "03/rest/lateral", "03/push/right-8"]
+    assert [one.image for one in inspect(folder.parent)] == names
+    write(folder, {**SUBJECT, "extra": 1})
+    (one,) = inspect(folder.parent)
+    assert one.image == "03" and "extra" in one.reason
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links of Unix")
+def test_a_lateral_link_to_nothing_is_not_taken_for_none(folder):
+    (folder / "rest/lateral.dcm").unlink()
+    (folder / "rest/lateral.dcm").symlink_to(folder / "gone.dcm")
+    reasons = {one.image: one.reason for one in inspect(folder)}
+    assert reasons["rest/lateral"].startswith("lateral.dcm: a link to a file that is not there")
+    with pytest.raises(SubjectError, match=r"lateral\.dcm: a link to a file that is not there"):
+        read_subject(folder)
 
 
 # The command
@@ -212,7 +318,7 @@ def test_the_command_refuses_with_one_line_and_status_2(run, folder, option):
     without(path, Modality="CT")
     status, out, err = run(path, *option)
     assert status == 2
-    assert err.startswith("spinestiff: frontal.dcm: modality CT is no projection radiograph; wanted one of CR, DX, RF")
+    assert err.startswith("spinestiff: frontal.dcm: Modality: found CT, wanted a projection radiograph (CR, DX, RF")
     assert err.count("\n") == 1
     assert out == "" if not option else json.loads(out)[0]["status"] == "refused"
     status, out, _ = run(folder, *option)

@@ -22,6 +22,7 @@ from spinestiff.anatomy.template.surfaces import Surface, signed_volume
 from spinestiff.anatomy.torso import TET10_EDGES
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import TorsoError
+from spinestiff.words import counted
 
 GROUP = "spinestiff.meshers"
 NO_MMG = 'meshing needs MMG; install it with pip install "spinestiff[mesh]"'
@@ -31,8 +32,9 @@ LEAST_ANGLE_DEG = 5.0
 WANTED_ANGLE_DEG = 10.0
 HAUSDORFF_MM = 3.0  # of the skin from its triangles, where these may change
 EDGE_DEG = 20.0  # between two triangles of the skin: a larger angle is an edge, and stays one
-TRIES = 6
 VOLUME_TOLERANCE = 0.02
+# Spacings to try one after another, as shares of the wanted one: a mesh's quality depends on its size by chance.
+TRIED_SHARES = (1.0, 0.95, 1.04, 0.9, 1.08, 0.86)
 # Distances as shares of the spacing inside: along a bone and on the skin, as in the template's fine mesh.
 BONE_SHARE, SKIN_SHARE = 1.27, 1.1
 BURIED = 0.16  # of the skin's spacing: how deep a bone's points shall lie, so that no facet bares them
@@ -65,6 +67,18 @@ class MeshedTissue:
     volume_share: float
 
 
+def refuse_unknown_mesher(name: str) -> None:
+    """Whether it can be used here is left to ``find_mesher``.
+
+    Raises
+    ------
+    TorsoError : neither "mmg" nor offered by an installed package.
+    """
+    offered = [entry.name for entry in entry_points(group=GROUP)]
+    if name != DEFAULT_MESHER and name not in offered:
+        raise TorsoError(f"no mesher '{name}'; installed: {', '.join([DEFAULT_MESHER, *sorted(offered)])}")
+
+
 def find_mesher(name: str) -> Mesher:
     """A mesher by name: "mmg", or one that an installed package offers in the group ``spinestiff.meshers``.
 
@@ -72,6 +86,7 @@ def find_mesher(name: str) -> Mesher:
     ------
     TorsoError : unknown, or what it needs is not installed.
     """
+    refuse_unknown_mesher(name)
     offered = {entry.name: entry for entry in entry_points(group=GROUP)}
     if name in offered:
         try:
@@ -79,8 +94,6 @@ def find_mesher(name: str) -> Mesher:
         except Exception as error:  # somebody else's package
             raise TorsoError(f"mesher '{name}' can't be loaded ({' '.join(str(error).split())[:120]})") from None
         return loaded
-    if name != DEFAULT_MESHER:
-        raise TorsoError(f"no mesher '{name}'; installed: {', '.join([DEFAULT_MESHER, *sorted(offered)])}")
     if find_spec("mmgpy") is None:
         raise TorsoError(NO_MMG)
     return mmg
@@ -129,6 +142,7 @@ def mesh_tissue(
     spacing: float,
     mesher: str = DEFAULT_MESHER,
     observer: Observer | None = None,
+    tried_shares: tuple[float, ...] = TRIED_SHARES,
 ) -> MeshedTissue:
     """The tissue inside a skin with nodes in all bones.
 
@@ -137,6 +151,7 @@ def mesh_tissue(
     surfaces : of the 49 bones, closed, world mm, inside the skin. skin : closed, world mm.
     spacing : wanted distance of corners inside, mm.
     mesher : name of the mesher. observer : is told each try, in words.
+    tried_shares : spacings to try until a mesh passes, as shares of the wanted one.
 
     Raises
     ------
@@ -148,9 +163,8 @@ def mesh_tissue(
     improve, say = find_mesher(mesher), observer or (lambda line: None)
     best: tuple[float, Floats, Ints, float] | None = None
     failures: list[str] = []
-    for attempt in range(TRIES):
-        # Other sizes: quality depends on them by chance.
-        now = spacing * (1.0, 0.95, 1.04, 0.9, 1.08, 0.86)[attempt]
+    for attempt, size in enumerate(tried_shares):
+        now = spacing * size
         say(f"mesh: try {attempt + 1}, {now:.1f} mm between corners")
         try:
             points, tetrahedra, required = starting_mesh(surfaces, skin, now, seed=attempt)
@@ -179,8 +193,8 @@ def mesh_tissue(
     if best is None or best[0] < LEAST_ANGLE_DEG:
         why = failures[-1] if failures else "nothing tried"
         raise TorsoError(
-            f"no mesh with dihedral angles above {LEAST_ANGLE_DEG:g} degrees in {TRIES} tries (last: {why}); "
-            "try another --spacing, or a smoother skin"
+            f"no mesh with dihedral angles above {LEAST_ANGLE_DEG:g} degrees in {len(tried_shares)} tries "
+            f"(last: {why}); try another --spacing, or a smoother skin"
         )
     angle, points, tetrahedra, share = best
     nodes, elements, bones = tied_quadratic(points, tetrahedra, surfaces, NEAR * spacing)
@@ -188,7 +202,8 @@ def mesh_tissue(
     if counts.min() < 3:
         few = BONES[int(np.argmin(counts))]
         raise TorsoError(
-            f"{few} has {int(counts.min())} nodes of the mesh in it, wanted 3 or more; use a smaller --spacing"
+            f"{few} has {counted(int(counts.min()), 'node')} of the mesh in it, wanted 3 or more; "
+            "use a smaller --spacing"
         )
     return MeshedTissue(nodes, elements, bones, mesher, angle, share)
 

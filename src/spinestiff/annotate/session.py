@@ -43,6 +43,7 @@ from spinestiff.subject.records import (
     ImageAnnotation,
     complaint_of,
 )
+from spinestiff.words import counted
 
 # Images whose frames stay in memory; a push of 1024 x 1024 has a few megabytes a frame.
 KEPT = 3
@@ -203,7 +204,8 @@ class AnnotationSession:
             if not image.vertebrae:
                 lines.append(f"{name}: no vertebra marked yet")
             elif len(image.vertebrae) < FEWEST_VERTEBRAE:
-                lines.append(f"{name}: {len(image.vertebrae)} vertebrae, wanted at least {FEWEST_VERTEBRAE}")
+                found = counted(len(image.vertebrae), "vertebra", "vertebrae")
+                lines.append(f"{name}: {found}, wanted at least {FEWEST_VERTEBRAE}")
             elif problem:
                 lines.append(f"{name}: {problem}")
         for name in sorted(set(marks) - set(self.images)):

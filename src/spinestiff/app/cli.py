@@ -15,6 +15,7 @@ import typer
 
 from spinestiff import __version__
 from spinestiff.app.annotate import annotate_folder, opened
+from spinestiff.app.options import cobb_limits, force_limits, height_limits, noise_limits, within
 from spinestiff.app.torso import torso
 from spinestiff.errors import SpinestiffError, SubjectError
 
@@ -36,10 +37,15 @@ Method = Annotated[str, typer.Option(help="lm (Levenberg-Marquardt) or lbfgsb (t
 Orientation = Annotated[str, typer.Option(help="Vertebra orientation in the image: procrustes or covariance.")]
 Truth = Annotated[Path | None, typer.Option(help="Truth file of a synthetic subject, for comparison only.")]
 Seed = Annotated[int, typer.Option(help="Of everything random.")]
-Height = Annotated[float, typer.Option(help="Body height, cm.")]
-Cobb = Annotated[float, typer.Option(help="Rest curve, degrees; above 0 is convex to the left.")]
+Height = Annotated[float, typer.Option(callback=within("cm", height_limits), help="Body height, cm.")]
+Cobb = Annotated[
+    float,
+    typer.Option(callback=within("degrees", cobb_limits), help="Rest curve, degrees; above 0 is convex to the left."),
+]
 Curve = Annotated[str, typer.Option(help="thoracic, thoracolumbar, lumbar or double.")]
-PushForce = Annotated[float, typer.Option("--force", help="Largest push, N.")]
+PushForce = Annotated[
+    float, typer.Option("--force", callback=within("N", force_limits, above=True), help="Largest push, N.")
+]
 Ratios = Annotated[str | None, typer.Option(help="True ratios BENDING,TISSUE; drawn by the seed if left out.")]
 Spine = Annotated[Path | None, typer.Option(help="Table of real spines, as rest shape instead of --cobb and --curve.")]
 TorsoFile = Annotated[Path | None, typer.Option("--torso", help="A torso file instead of a subject folder.")]
@@ -247,7 +253,11 @@ def cobb(
     definition: Annotated[str, typer.Option(help="endplate or midline.")] = "endplate",
     json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of a table.")] = False,
     noise_px: Annotated[
-        float | None, typer.Option(help="Corner noise (sd), pixels; 2 % of the vertebrae's width if left out.")
+        float | None,
+        typer.Option(
+            callback=within("pixels", noise_limits, above=True),
+            help="Corner noise (sd), pixels; 2 % of the vertebrae's width if left out.",
+        ),
     ] = None,
     patient_left: Annotated[
         str | None,
@@ -399,7 +409,7 @@ def _print_estimate(visit: Any) -> None:
         typer.echo(f"fit: {estimate.fit_status_text}")
     for check in estimate.checks:
         if check.passed is None:
-            typer.echo(f"check not possible: {check.text}")
+            typer.echo(f"{check.name}: {check.text}")
     for note in estimate.notes:
         typer.echo(f"note: {note}")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,8 +29,6 @@ def cobb(
     SubjectError : an unknown option's value, or a folder or file that can't be read.
     """
     chosen = _definition(definition)
-    if noise_px is not None and not (math.isfinite(noise_px) and 0.0 < noise_px <= 1000.0):
-        raise SubjectError(f"--noise-px {noise_px:g}: wanted pixels above 0 and at most 1000")
     side = _side(patient_left)
     # What is neither is looked for as a folder, unless its name ends as a file's of corners does.
     if path.is_file() or path.suffix.lower() in (".csv", ".json"):

@@ -17,6 +17,7 @@ from spinestiff.imaging.deidentification.burned_in import inspection_row, sheet
 from spinestiff.imaging.deidentification.deidentify import NO_DICOM, deidentify
 from spinestiff.imaging.deidentification.pseudonyms import key_of, random_key
 from spinestiff.imaging.dicom.files import MOST_BYTES
+from spinestiff.words import counted
 
 MOST_FILES = 10_000
 ROWS_A_SHEET = 4
@@ -55,7 +56,7 @@ def deidentify_files(
             left_out.update(found.left_out)
             patients.add(found.patient)
             burned_in[found.burned_in] += 1
-    lines = [f"{burned_in.total()} of {len(files)} files written to {out.name}; patients: {len(patients)}"]
+    lines = [f"{burned_in.total()} of {counted(len(files), 'file')} written to {out.name}; patients: {len(patients)}"]
     for why, numbers in refused.items():
         what = "left out" if why == NO_DICOM else "refused"
         lines.append(f"{what}: {why}: number {', '.join(map(str, numbers))} in the order of names")

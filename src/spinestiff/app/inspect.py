@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from spinestiff.errors import RadiographError
+from spinestiff.words import counted
 
 if TYPE_CHECKING:
     from spinestiff.subject.inspection import Inspection
@@ -47,7 +48,7 @@ def _lines(one: Inspection) -> Iterator[str]:
     seen, sources = one.seen, one.seen["sources"]
     yield f"  file         {seen['file']}" + (f" and {seen['files'] - 1} more" if seen["files"] > 1 else "")
     yield f"  modality     {seen['modality']}, {seen['kind']}"
-    frames = f"{seen['frames']} frame" + ("s" if seen["frames"] > 1 else "")
+    frames = counted(seen["frames"], "frame")
     depth = f"{seen['bits']} bit" + (" signed" if seen["signed"] else "")
     yield f"  picture      {frames} of {seen['rows']} x {seen['columns']} (rows x columns), {depth}"
     yield f"  coding       {seen['transfer_syntax']}; {sources['grey values']}"

@@ -7,6 +7,16 @@ from typing import Annotated, Any
 
 import typer
 
+from spinestiff.app.options import (
+    age_limits,
+    height_limits,
+    kyphosis_limits,
+    lordosis_limits,
+    mass_limits,
+    own_height_limits,
+    spacing_limits,
+    within,
+)
 from spinestiff.errors import TorsoError
 
 torso = typer.Typer(
@@ -18,12 +28,27 @@ TorsoFile = Annotated[
     Path | None, typer.Argument(help="Torso file (torso.npz) or personalised subject folder; the template if left out.")
 ]
 # Of the template alone; what is left out is the usual (docs/anatomy.md).
-Height = Annotated[float | None, typer.Option(help="Body height of the template, cm; 157 if left out.")]
-Age = Annotated[float | None, typer.Option(help="Age of the template, years, 8 to 100.")]
+Height = Annotated[
+    float | None,
+    typer.Option(callback=within("cm", height_limits), help="Body height of the template, cm; 157 if left out."),
+]
+Age = Annotated[
+    float | None, typer.Option(callback=within("years", age_limits), help="Age of the template, years, 8 to 100.")
+]
 Sex = Annotated[str | None, typer.Option(help="Sex of the template: female or male.")]
-Mass = Annotated[float | None, typer.Option(help="Body mass of the template, kg.")]
-Kyphosis = Annotated[float | None, typer.Option(help="Kyphosis T1 to T12 of the template, degrees, 20 to 50.")]
-Lordosis = Annotated[float | None, typer.Option(help="Lordosis L1 to S1 of the template, degrees, 35 to 60.")]
+Mass = Annotated[float | None, typer.Option(callback=within("kg", mass_limits), help="Body mass of the template, kg.")]
+Kyphosis = Annotated[
+    float | None,
+    typer.Option(
+        callback=within("degrees", kyphosis_limits), help="Kyphosis T1 to T12 of the template, degrees, 20 to 50."
+    ),
+]
+Lordosis = Annotated[
+    float | None,
+    typer.Option(
+        callback=within("degrees", lordosis_limits), help="Lordosis L1 to S1 of the template, degrees, 35 to 60."
+    ),
+]
 TemplateMesh = Annotated[str | None, typer.Option("--mesh", help="Mesh of the template: coarse or fine.")]
 
 
@@ -37,8 +62,15 @@ def import_(
         str | None, typer.Option(help="Where the files' x, y, z point, e.g. LPS; found if left out.")
     ] = None,
     skin: Annotated[Path | None, typer.Option(help="Closed skin mesh; generated if left out.")] = None,
-    spacing: Annotated[float, typer.Option(help="Distance of the tissue mesh's corners, mm.")] = 28.0,
-    height: Annotated[float | None, typer.Option(help="Body height, cm; from the spine's length if left out.")] = None,
+    spacing: Annotated[
+        float, typer.Option(callback=within("mm", spacing_limits), help="Distance of the tissue mesh's corners, mm.")
+    ] = 28.0,
+    height: Annotated[
+        float | None,
+        typer.Option(
+            callback=within("cm", own_height_limits), help="Body height, cm; from the spine's length if left out."
+        ),
+    ] = None,
     mesher: Annotated[str, typer.Option(help="mmg (extra [mesh]), or an installed plug-in's name.")] = "mmg",
 ) -> None:
     """Make a torso of one's own bone meshes; says unit, axes and repairs, and refuses what it can't trust."""

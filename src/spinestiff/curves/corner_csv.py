@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from spinestiff.errors import SubjectError
+from spinestiff.words import counted
 
 COLUMNS = ("image", "level", "corner", "x", "y")
 # What a spreadsheet takes for the start of a formula (OWASP, "CSV Injection").
@@ -50,7 +51,7 @@ def parse(text: str, name: str) -> Iterator[CsvRow]:
             if not row:
                 continue
             if len(row) != len(COLUMNS):
-                fields = f"{len(row)} fields, wanted {len(COLUMNS)} ({','.join(COLUMNS)})"
+                fields = f"{counted(len(row), 'field')}, wanted {len(COLUMNS)} ({','.join(COLUMNS)})"
                 raise SubjectError(f"{name}: row {reader.line_num}: {fields}")
             image, *rest = (row[i].strip() for i in at)
             yield CsvRow(reader.line_num, image[1:] if _is_guarded(image) else image, *rest)

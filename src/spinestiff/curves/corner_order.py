@@ -1,13 +1,14 @@
 """Are a frontal image's corners in order, from head to foot and round each vertebra? What can safely be put right is.
 
-In order means, as seen in the image: each vertebra's corners run clockwise round a convex quadrilateral that stands
-along the spine, and each vertebra lies below the one above it. A repair must be the only one there is, change few
-vertebrae, and lead to a spine without any doubt; otherwise the image is refused with the reason (docs/cobb.md).
+In order means, as seen in the image: each vertebra's corners run clockwise round a convex quadrilateral from its top
+left, and each vertebra lies below the one above it. Explanations of what is not so are compared by how odd a spine they
+leave (``spine_shape``): one is taken where it is clearly ahead and leaves a spine as sound spines are; otherwise the
+image is refused, with the vertebra that stands out (docs/cobb.md).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,18 +17,31 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.curves.corner_files import CORNERS, ImageCorners
 from spinestiff.errors import SubjectError
+from spinestiff.imaging.spine_shape import (
+    CLEARLY,
+    Measure,
+    Oddity,
+    across,
+    cross,
+    oddities,
+    quarter_turns,
+    sizes,
+    spine_axes,
+)
 
-# The limits below stand beside what 454 labelled spines in order (7,718 vertebrae) show: docs/cobb.md.
-STANDS_ALONG_DEG = 50.0
-"""Between a vertebra's own axis and the spine's: 42 at most. Corners named a quarter turn off lie near 90."""
 OVERLAP = 0.15
 """Of the mean height by which two neighbours may lie over one another: 0.05 in all but one of a thousand."""
-WIDTHS = (1 / 3, 3.0)
-"""Over the median width of the image: 0.55 to 1.9."""
-REPAIRED_WIDTHS, REPAIRED_HEIGHTS, REPAIRED_GAPS = (0.6, 1.6), (0.4, 2.0), (0.5, 1.9)
-"""Of a repaired vertebra over its neighbours' median, and of distances between centres over the image's median."""
-REPAIRED_WEDGE_DEG = 25.0
-"""Between a repaired vertebra's endplates: 29 at most."""
+REPAIRED = 0.5
+"""Of the oddest of the sound spines: how far a vertebra whose corners were changed may be from what its neighbours
+foretell. By each measure 99 of 100 sound vertebrae are nearer; one that was itself turned by 90 degrees seldom is."""
+NOISE_DEG = (3.2, 2.2)
+"""Of an endplate's tilt and of that of the line across, for a vertebra of median width: what corner noise of 2 % of
+that width makes of them in 19 of 20 cases."""
+BEYOND = 1.5
+"""Over the oddest of the sound spines: corners beyond that are no vertebra's."""
+STOPPING: tuple[Measure, ...] = ("sideways", "turned", "wide", "wedged")
+"""Measures for which an image in order is refused. Heights vary by more, and a level named twice or left out, which the
+places along the spine show, changes no angle between the others: both are warned of."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +63,12 @@ class OrderedCorners:
 
 
 def in_order(image: ImageCorners) -> OrderedCorners:
-    """The corners from head to foot, repaired where that is unique and safe.
+    """The corners from head to foot, repaired where one explanation is clearly the most plausible.
 
     Raises
     ------
-    SubjectError : a lateral image, fewer than two vertebrae, or corners out of order beyond a safe repair; says which.
+    SubjectError : a lateral image, fewer than two vertebrae, corners out of order beyond a safe repair, or in order but
+        odder than those of any vertebra; says which.
     """
     if image.lateral:
         raise SubjectError("a lateral image; curves of a scoliosis are read in frontal ones")
@@ -61,16 +76,28 @@ def in_order(image: ImageCorners) -> OrderedCorners:
         raise SubjectError(f"only {image.levels[0]}; a curve needs at least two vertebrae")
     rank = np.argsort([VERTEBRAE.index(level) for level in image.levels])
     levels, corners = tuple(image.levels[i] for i in rank), image.corners[rank]
+    places = [VERTEBRAE.index(level) for level in levels]
     _refuse_turned(levels, corners)
     corners, renamed = _stacked(levels, corners)
-    corners, turned = _rounded(levels, corners)
-    _refuse_odd_widths(levels, corners)
-    repairs, doubts = (*renamed, *turned.values()), _overlaps(levels, corners)
+    named = corners
+    corners, turned = _rounded(levels, named)
+    repairs, over = (*renamed, *turned.values()), _overlaps(levels, corners)
+    odd = oddities(corners, places)
     if repairs:
-        doubts += _misfits(levels, corners, turned) + (_uneven(levels, corners) if renamed else [])
+        # A vertebra whose corners were put in order has to fit in well: the first that does not is the one to name.
+        misfits = [f"{levels[o.row]} {o.words}" for o in odd if o.row in turned and o.ratio > REPAIRED]
+        misfits += [doubt for row in turned for doubt in _turned_itself(levels, named, corners, row)]
+        doubts = over + misfits + _outstanding(levels, corners, [o for o in odd if o.ratio > 1.0])
         if doubts:
             raise SubjectError(f"corners out of order, and no repair is safe: {'; '.join(repairs)}; but {doubts[0]}")
-    return OrderedCorners(levels, corners, repairs, tuple(doubts + _missing(levels)))
+        return OrderedCorners(levels, corners, repairs, tuple(_missing(levels)))
+    stopping = [o for o in odd if o.measure in STOPPING and o.ratio > BEYOND]
+    if stopping:
+        raise SubjectError(f"{_outstanding(levels, corners, stopping)[0]}; correct its corners")
+    # A level that lies over its neighbour is out of its place along the spine, too: said once.
+    left = [o for o in odd if o.ratio > 1.0 and not (over and o.measure == "along")]
+    warnings = over + [f"{words}; look at its corners" for words in _outstanding(levels, corners, left)]
+    return OrderedCorners(levels, corners, (), tuple(warnings + _missing(levels)))
 
 
 def _refuse_turned(levels: tuple[str, ...], corners: Floats) -> None:
@@ -97,7 +124,7 @@ def _refuse_turned(levels: tuple[str, ...], corners: Floats) -> None:
 
 
 def _stacked(levels: tuple[str, ...], corners: Floats) -> tuple[Floats, tuple[str, ...]]:
-    """Corners from top to bottom, so that levels change where just one vertebra was out of place, and what was done."""
+    """Corners from top to bottom, levels renamed where one is out of place or two are exchanged, and what was done."""
     heights = corners.mean(axis=1)[:, 1]
     if (np.diff(heights) > 0.0).all():
         return corners, ()
@@ -107,8 +134,9 @@ def _stacked(levels: tuple[str, ...], corners: Floats) -> tuple[Floats, tuple[st
             raise SubjectError(f"{levels[i]} and {levels[j]} lie at the same height; is one vertebra labelled twice?")
     above = next(i for i in range(len(levels) - 1) if heights[i + 1] < heights[i])
     fault = f"{levels[above + 1]} lies above {levels[above]}"
-    if not any((np.diff(np.delete(heights, i)) > 0.0).all() for i in range(len(levels))):
-        raise SubjectError(f"{fault}, and moving one vertebra puts the levels in no order from head to foot")
+    one_moved = any((np.diff(np.delete(heights, i)) > 0.0).all() for i in range(len(levels)))
+    if not one_moved and (order != np.arange(len(levels))).sum() > 2:
+        raise SubjectError(f"{fault}, and moving or exchanging one pair puts the levels in no order from head to foot")
     first = VERTEBRAE.index(levels[0])
     if VERTEBRAE[first : first + len(levels)] != levels:
         raise SubjectError(f"{fault}, and as levels are missing it can't be told which is which")
@@ -118,106 +146,109 @@ def _stacked(levels: tuple[str, ...], corners: Floats) -> tuple[Floats, tuple[st
 
 def _rounded(levels: tuple[str, ...], corners: Floats) -> tuple[Floats, dict[int, str]]:
     """Corners clockwise from the top left in every vertebra, and what was done to which."""
-    axes = _spine_axes(corners)
-    faulty = np.flatnonzero(~_go_round(corners, axes)).tolist()
-    if not faulty:
-        return corners, {}
-    if 2 * len(faulty) >= len(levels):
+    given = _clockwise_and_convex(corners)
+    found = np.tile(np.arange(4), (len(levels), 1))
+    for i in np.flatnonzero(~given).tolist():
+        out = corners[i] - corners[i].mean(axis=0)
+        found[i] = np.argsort(np.arctan2(out[:, 1], out[:, 0]))
+        if not _clockwise_and_convex(corners[i, found[i]]):
+            raise SubjectError(f"{levels[i]}: the corners make no vertebra in any order")
+    round_each = np.take_along_axis(corners, found[:, :, None], axis=1)
+    best = quarter_turns(round_each, [VERTEBRAE.index(level) for level in levels], given.tolist())
+    orders = np.array([np.roll(order, -turn) for order, turn in zip(found, best.turns)])
+    faulty = np.flatnonzero((orders != np.arange(4)).any(axis=1)).tolist()
+    if faulty and 2 * len(faulty) >= len(levels):
         raise SubjectError(
             f"corners of {len(faulty)} of {len(levels)} vertebrae are out of order ({levels[faulty[0]]} first); "
             f"wanted {', '.join(CORNERS)} as seen in the image"
         )
-    corners, repairs = corners.copy(), {}
+    ordered = np.take_along_axis(corners, orders[:, :, None], axis=1)
+    repairs = {}
     for i in faulty:
-        found = _clockwise(corners[i])
-        choices = [np.roll(found, -k) for k in range(4)]
-        choices = [order for order in choices if _go_round(corners[i, order], axes[i])]
-        if len(choices) != 1:
-            raise SubjectError(f"{levels[i]}: the corners make no vertebra in any order")
-        named = ", ".join(f"{CORNERS[old]} is {CORNERS[new]}" for new, old in enumerate(choices[0]) if new != old)
+        if best.ahead[i] < CLEARLY:
+            raise SubjectError(f"{levels[i]}: its corners are out of order, and which is which can't be told")
+        named = ", ".join(f"{CORNERS[old]} is {CORNERS[new]}" for new, old in enumerate(orders[i]) if new != old)
         repairs[i] = f"{levels[i]} corners were out of order: what was named {named}"
-        corners[i] = corners[i, choices[0]]
-    return corners, repairs
+    return ordered, repairs
 
 
-def _spine_axes(corners: Floats) -> Floats:
-    """(V, 2) from head to foot along the spine at each vertebra, from the two neighbours to either side."""
-    middles = corners.mean(axis=1)
-    each = np.arange(len(middles))
-    return middles[np.minimum(each + 2, each[-1])] - middles[np.maximum(each - 2, 0)]
+def _turned_itself(levels: tuple[str, ...], named: Floats, ordered: Floats, row: int) -> list[str]:
+    """The doubt, if there is one, whether a vertebra was put in turned rather than its corners begun at another.
+
+    Both explanations keep the neighbours' tilts. They differ by how far the vertebra is from a rectangle: where that is
+    more than corner noise, and turned back it would fit in as well, there is no telling which is right.
+    """
+    if not _clockwise_and_convex(named[row]):
+        return []
+    quarters = next(k for k in range(4) if np.array_equal(np.roll(named[row], -k, axis=0), ordered[row]))
+    middle, out = named[row].mean(axis=0), named[row] - named[row].mean(axis=0)
+    for _ in range(quarters):
+        out = np.stack([-out[:, 1], out[:, 0]], axis=1)
+    back = ordered.copy()
+    back[row] = middle + out
+    widths, _ = sizes(ordered)
+    scale = float(np.median(widths) / widths[row])
+    endplates, line = NOISE_DEG
+    off = [_between(_lines(back[row])[i], _lines(ordered[row])[i]) for i in range(3)]
+    places = [VERTEBRAE.index(level) for level in levels]
+    fits = all(o.ratio <= REPAIRED for o in oddities(back, places) if o.row == row)
+    if not fits or (max(off[:2]) <= endplates * scale and off[2] <= line * scale):
+        return []
+    # 270 degrees one way are 90 the other way.
+    degrees = 180 if quarters == 2 else 90
+    return [f"{levels[row]} may as well be turned itself, by {degrees} degrees, its tilt {max(off):.0f} degrees off"]
 
 
-def _go_round(quads: Floats, axes: Floats) -> np.ndarray:
-    """(...) whether quads (..., 4, 2) run clockwise (rows grow downwards), are convex and stand along ``axes``."""
+def _lines(quad: Floats) -> Floats:
+    """(3, 2) along the upper and the lower endplate, and across between the middles of the sides."""
+    return np.array([quad[1] - quad[0], quad[2] - quad[3], across(quad)])
+
+
+def _between(a: Floats, b: Floats) -> float:
+    """Degrees between two directions."""
+    return float(np.degrees(np.abs(np.arctan2(cross(a, b), a @ b))))
+
+
+def _clockwise_and_convex(quads: Floats) -> np.ndarray:
+    """(...) whether quads (..., 4, 2) run clockwise as seen (rows grow downwards) and are convex."""
     edges = np.roll(quads, -1, axis=-2) - quads
-    convex = (_cross(edges, np.roll(edges, -1, axis=-2)) > 0.0).all(axis=-1)
-    across = quads[..., 1, :] + quads[..., 2, :] - quads[..., 0, :] - quads[..., 3, :]
-    angle = np.arctan2(np.sum(across * axes, axis=-1), _cross(across, axes))
-    return np.asarray(convex & (np.abs(angle) < np.radians(STANDS_ALONG_DEG)))
+    return np.asarray((cross(edges, np.roll(edges, -1, axis=-2)) > 0.0).all(axis=-1))
 
 
-def _cross(a: Floats, b: Floats) -> Floats:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+def _outstanding(levels: tuple[str, ...], corners: Floats, odd: Sequence[Oddity]) -> list[str]:
+    """The vertebra behind these oddities, and what is odd about it; empty if there are none.
 
+    A vertebra out of place makes its neighbours odd, too: it is the one without which the others are least odd.
+    """
+    if not odd:
+        return []
+    places = [VERTEBRAE.index(level) for level in levels]
+    rows = sorted({o.row for o in odd})
+    if len(levels) > 3 and len(rows) > 1:
+        measures = {o.measure for o in odd}
 
-def _clockwise(quad: Floats) -> np.ndarray:
-    """(4,) the order in which four points lie clockwise round their middle."""
-    out = quad - quad.mean(axis=0)
-    return np.argsort(np.arctan2(out[:, 1], out[:, 0]))
+        def left(row: int) -> float:
+            rest = oddities(np.delete(corners, row, axis=0), [*places[:row], *places[row + 1 :]])
+            return max(o.ratio for o in rest if o.measure in measures)
 
-
-def _sizes(corners: Floats) -> tuple[Floats, Floats]:
-    """(V,) width and height of each vertebra, between the middles of its sides."""
-    across = 0.5 * (corners[:, 1] + corners[:, 2] - corners[:, 0] - corners[:, 3])
-    down = 0.5 * (corners[:, 2] + corners[:, 3] - corners[:, 0] - corners[:, 1])
-    return np.hypot(*across.T), np.hypot(*down.T)
-
-
-def _refuse_odd_widths(levels: tuple[str, ...], corners: Floats) -> None:
-    widths, _ = _sizes(corners)
-    for level, ratio in zip(levels, widths / np.median(widths)):
-        if not WIDTHS[0] <= ratio <= WIDTHS[1]:
-            raise SubjectError(f"{level} is {ratio:.2g} times as wide as the other vertebrae; correct its corners")
+        worst = min(rows, key=left)
+    else:
+        worst = rows[0]
+    return [f"{levels[worst]} {next(o for o in odd if o.row == worst).words}"]
 
 
 def _overlaps(levels: tuple[str, ...], corners: Floats) -> list[str]:
     """Neighbours that lie over one another: one vertebra labelled twice, as a rule."""
     # The spine's axis, not the line between two middles: of one vertebra labelled twice that points anywhere.
-    axes = _spine_axes(corners)
+    axes = spine_axes(corners)
     down = axes[1:] + axes[:-1]
     down = down / np.hypot(*down.T)[:, None]
     gaps = np.einsum("ij,ij->i", 0.5 * (corners[1:, :2].sum(1) - corners[:-1, 2:].sum(1)), down)
-    _, heights = _sizes(corners)
+    _, heights = sizes(corners)
     over = -gaps / (0.5 * (heights[1:] + heights[:-1]))
     return [
         f"{levels[i + 1]} lies over {levels[i]} by {over[i]:.0%} of their height; is one vertebra labelled twice?"
         for i in np.flatnonzero(over > OVERLAP)
-    ]
-
-
-def _misfits(levels: tuple[str, ...], corners: Floats, repaired: Iterable[int]) -> list[str]:
-    """What of vertebrae whose corners were repaired does not look like their neighbours."""
-    found = []
-    top, bottom = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 3]
-    wedge = np.degrees(np.abs(np.arctan2(_cross(top, bottom), np.einsum("ij,ij->i", top, bottom))))
-    for i in repaired:
-        near = [j for j in (i - 2, i - 1, i + 1, i + 2) if 0 <= j < len(levels)]
-        for sizes, (low, high), what in zip(_sizes(corners), (REPAIRED_WIDTHS, REPAIRED_HEIGHTS), ("wide", "high")):
-            ratio = sizes[i] / np.median(sizes[near])
-            if not low <= ratio <= high:
-                found.append(f"{levels[i]} is then {ratio:.2g} times as {what} as its neighbours")
-        if wedge[i] > REPAIRED_WEDGE_DEG:
-            found.append(f"{levels[i]} is then wedged by {wedge[i]:.0f} degrees")
-    return found
-
-
-def _uneven(levels: tuple[str, ...], corners: Floats) -> list[str]:
-    """Neighbours that are much nearer to or farther from each other than the others."""
-    gaps = np.hypot(*np.diff(corners.mean(axis=1), axis=0).T)
-    ratios = gaps / np.median(gaps)
-    return [
-        f"{levels[i]} and {levels[i + 1]} are then {ratios[i]:.2g} times as far apart as the others"
-        for i in np.flatnonzero((ratios < REPAIRED_GAPS[0]) | (ratios > REPAIRED_GAPS[1]))
     ]
 
 

@@ -22,6 +22,7 @@ from spinestiff.imaging.features import (
 )
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.loads import LoadCase
+from spinestiff.words import counted
 
 # With fewer the fit would rest on a short piece of the spine.
 FEWEST_VERTEBRAE = 3
@@ -153,7 +154,9 @@ def make_target(torso: TorsoModel, trial: Trial, orientation: Orientation = "pro
     """
     corners, name = trial.corners, trial.label or "trial"
     if len(corners) < FEWEST_VERTEBRAE:
-        raise FitError(f"{name} shows {len(corners)} vertebrae; wanted at least {FEWEST_VERTEBRAE}")
+        raise FitError(
+            f"{name} shows {counted(len(corners), 'vertebra', 'vertebrae')}; wanted at least {FEWEST_VERTEBRAE}"
+        )
     z = target_features(torso, trial.view, corners, orientation)
     rows = vertebra_rows(torso, corners)
     used = np.ones((len(torso.vertebrae), 4), dtype=bool)

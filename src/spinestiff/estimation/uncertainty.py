@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.stats import f as fisher
@@ -31,9 +31,6 @@ from scipy.stats import t as student
 
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import FitError
-
-if TYPE_CHECKING:
-    from spinestiff.estimation.fit import StiffnessFit
 
 # What is averaged over: correlation length along the spine in vertebrae, and whether errors vary smoothly.
 CORRELATIONS = (
@@ -306,40 +303,3 @@ def _larger(a: Any, b: Any) -> Floats:
     scale, axes = np.linalg.eigh(0.5 * (inner + inner.T))
     turned = root @ axes
     return np.asarray((turned * np.maximum(scale, 1.0)) @ turned.T)
-
-
-def joint_region_contains(fit: StiffnessFit, truth: dict[str, float]) -> bool:
-    """Whether the 95 % joint region of all fitted ratios holds ``truth`` (name -> ratio)."""
-    missing = [name for name in fit.names if name not in truth]
-    if missing:
-        raise FitError(f"truth lacks '{missing[0]}'; wanted {', '.join(fit.names)}")
-    offset = np.log([truth[name] for name in fit.names]) - np.log(fit.ratios.values)
-    return fit.uncertainty.distance2(offset) <= fit.uncertainty.region_size
-
-
-def joint_region_outline(fit: StiffnessFit, pair: tuple[str, str] | None = None, points: int = 100) -> Floats:
-    """(points, 2) ratios on the edge of the 95 % joint region of two of the fitted ratios, for drawing.
-
-    Cut at the fit's bounds.
-
-    Raises
-    ------
-    FitError : fewer than two ratios, a name that was not fitted, or a covariance that is not finite.
-    """
-    if pair is None:
-        if len(fit.names) < 2:
-            raise FitError("a joint region needs two fitted ratios")
-        pair = (fit.names[0], fit.names[1])
-    unknown = [name for name in pair if name not in fit.names]
-    if unknown:
-        raise FitError(f"'{unknown[0]}' was not fitted; fitted are {', '.join(fit.names)}")
-    rows = [fit.names.index(name) for name in pair]
-    covariance = fit.uncertainty.covariance[np.ix_(rows, rows)]
-    if not np.isfinite(covariance).all():
-        raise FitError("no joint region: the radiographs don't tell the ratios apart")
-    scale, axes = np.linalg.eigh(covariance)
-    size = 2.0 * fisher.ppf(CONFIDENCE, 2, float(fit.uncertainty.dof[rows].min()))
-    angle = np.linspace(0.0, 2.0 * np.pi, points)
-    circle = np.stack([np.cos(angle), np.sin(angle)], 1) * np.sqrt(size * np.maximum(scale, 0.0))
-    outline = np.log(fit.ratios.values[rows]) + circle @ axes.T
-    return np.asarray(np.exp(np.clip(outline, *np.log(fit.bounds))))

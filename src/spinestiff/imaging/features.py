@@ -23,6 +23,7 @@ from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import RadiographError, SpinestiffError, TrackingError
 from spinestiff.imaging.silhouette import halves, rim_share
+from spinestiff.words import counted
 
 if TYPE_CHECKING:
     from spinestiff.imaging.projection import XRayView
@@ -251,7 +252,7 @@ def check_corners(seen: Floats, boxes: Floats, corners: VertebraCorners) -> None
     for name, quad, box, use in zip(corners.vertebrae, seen, boxes, usable):
         if use.sum() < FEWEST_CORNERS:
             raise TrackingError(
-                f"{name} has {use.sum()} usable corners, wanted at least {FEWEST_CORNERS}; leave it out"
+                f"{name} has {counted(int(use.sum()), 'usable corner')}, wanted at least {FEWEST_CORNERS}; leave it out"
             )
         c, r = quad[use] - quad[use].mean(0), box[use] - box[use].mean(0)
         size = np.hypot(np.sum(r * c), np.sum(_cross(r, c))) / np.sum(r * r)
@@ -313,7 +314,9 @@ def place_boxes(
     counts = used.sum(1)
     if len(counts) and counts.min() < FEWEST_CORNERS:
         bad = int(np.argmin(counts))
-        raise TrackingError(f"{_name(names, bad)} has {counts[bad]} usable corners, wanted at least {FEWEST_CORNERS}")
+        raise TrackingError(
+            f"{_name(names, bad)} has {counted(int(counts[bad]), 'usable corner')}, wanted at least {FEWEST_CORNERS}"
+        )
     weights = used / counts[:, None]
     centre = np.einsum("vk,vki->vi", weights, seen)
     middle = np.einsum("vk,vki->vi", weights, boxes)

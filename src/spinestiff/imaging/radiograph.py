@@ -6,7 +6,7 @@ and the image's middle.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -16,13 +16,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from spinestiff.arrays import read_only
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.dicom.files import MOST_BYTES
+from spinestiff.files import listed, regular_file
+from spinestiff.imaging.dicom.files import MOST_BYTES, declared_modality
 from spinestiff.imaging.dicom.greys import DisplayCurve
-from spinestiff.imaging.dicom.layout import MOST_FRAMES
+from spinestiff.imaging.dicom.layout import MODALITIES, MOST_FRAMES
 from spinestiff.imaging.dicom.millimetres import AGREEMENT, Geometry, Scale
 from spinestiff.imaging.dicom.ordering import ordered
 from spinestiff.imaging.dicom.orientation import lps_from_world, world_from_lps
 from spinestiff.imaging.dicom.reading import Scan, read_scan
+from spinestiff.imaging.dicom.tags import coded_word, shown
 from spinestiff.imaging.dicom.writing import write_radiographs
 from spinestiff.imaging.projection import XRayView
 
@@ -30,7 +32,8 @@ __all__ = [
     "Geometry",
     "Radiograph",
     "Scale",
-    "files_of",
+    "candidates",
+    "check_files",
     "in_order",
     "lps_from_world",
     "read_radiographs",
@@ -81,7 +84,11 @@ class Radiograph:
 
 
 def read_radiographs(
-    path: str | Path, *, geometry: Geometry | None = None, centre: ArrayLike = (0.0, 200.0, 0.0)
+    path: str | Path,
+    *,
+    geometry: Geometry | None = None,
+    centre: ArrayLike = (0.0, 200.0, 0.0),
+    within: Path | None = None,
 ) -> tuple[Radiograph, ...]:
     """The frames of a DICOM file, or of a folder of single-frame files, in order of time.
 
@@ -90,12 +97,13 @@ def read_radiographs(
     path : file or folder. In a folder the ``.dcm`` files are taken, or all files if there are none.
     geometry : what the files lack.
     centre : (3,) mm, the world point that the principal ray passes in the patient plane.
+    within : folder that every file has to lie in, links followed.
 
     Raises
     ------
     RadiographError : whatever is wrong with a file, in one line with its name.
     """
-    scans = read_scans(Path(path), geometry or Geometry())
+    scans = read_scans(Path(path), geometry or Geometry(), within)
     if len(scans) == 1:
         return _radiographs(scans[0], centre)
     return tuple(
@@ -113,7 +121,7 @@ def times_of(scans: tuple[Scan, ...]) -> tuple[float | None, ...]:
     return tuple((clock or 0.0) - (clocks[0] or 0.0) for clock in clocks)
 
 
-def read_scans(path: Path, given: Geometry) -> tuple[Scan, ...]:
+def read_scans(path: Path, given: Geometry, within: Path | None = None) -> tuple[Scan, ...]:
     """One file, or the single-frame files of a folder in their order; like ``read_radiographs``, but what the user can
     give may be missing.
 
@@ -122,17 +130,25 @@ def read_scans(path: Path, given: Geometry) -> tuple[Scan, ...]:
     RadiographError : a file that can't be read, files that are no series.
     """
     if not path.is_dir():
-        return (read_scan(path, given),)
-    files = files_of(path)
+        return (read_scan(path, given, within),)
+    files = candidates(path)
+    for file in files:
+        regular_file(file, RadiographError, within=within, name=file.name)
+    check_files(path.name, files)
     scans: list[Scan] = []
     for file in files:
-        scan = read_scan(file, given)
+        scan = read_scan(file, given, within)
         if len(files) > 1 and scan.layout.frames > 1:
             count = scan.layout.frames
-            raise RadiographError(f"{file.name}: {count} frames in a folder of single frames; keep it apart")
+            raise RadiographError(
+                f"{file.name}: found {count} frames, wanted 1, as it lies among {len(files)} files; keep it apart"
+            )
         scans.append(scan)
         if sum(scan.pixels.nbytes for scan in scans) > 2 * MOST_BYTES:
-            raise RadiographError(f"{path.name}: more than {MOST_BYTES // 2**20} MB of pixels")
+            raise RadiographError(
+                f"{path.name}: found more than {MOST_BYTES // 2**20} MB of pixels in {len(files)} files, wanted less; "
+                "crop them, or take fewer"
+            )
     return in_order(path.name, scans)
 
 
@@ -151,22 +167,48 @@ def in_order(folder: str, scans: list[Scan]) -> tuple[Scan, ...]:
     return tuple(scans[i] for i in order)
 
 
-def files_of(folder: Path) -> list[Path]:
-    """The radiographs of a folder: its ``.dcm`` files, or all files if there are none.
+def candidates(folder: Path) -> list[Path]:
+    """What may be the radiographs of a folder, by name: its ``.dcm`` files, or all that is no folder if there are none.
+
+    Hidden files are passed by. Nothing is opened.
 
     Raises
     ------
-    RadiographError : there are none, or more than are read.
+    RadiographError : there are none, or the folder can't be listed.
     """
-    files = sorted(file for file in folder.iterdir() if file.is_file() and not file.name.startswith("."))
-    files = [file for file in files if file.suffix.lower() == ".dcm"] or files
+    inside = [path for path in listed(folder, RadiographError, name=folder.name) if not path.name.startswith(".")]
+    files = [path for path in inside if not path.is_dir()]
+    files = [path for path in files if path.suffix.lower() == ".dcm"] or files
     if not files:
-        raise RadiographError(f"{folder.name}: no radiographs in this folder")
-    if len(files) > MOST_FRAMES:
-        raise RadiographError(f"{folder.name}: {len(files)} files; at most {MOST_FRAMES} are read")
-    if sum(file.stat().st_size for file in files) > MOST_BYTES:
-        raise RadiographError(f"{folder.name}: more than {MOST_BYTES // 2**20} MB of radiographs")
+        deeper = f"but in it the folder {inside[0].name}; name the one that holds them" if inside else "wanted some"
+        raise RadiographError(f"{folder.name}: found no radiographs in this folder, {deeper}")
     return files
+
+
+def check_files(folder: str, files: Sequence[Path]) -> None:
+    """Raise RadiographError unless the regular files of a folder can be radiographs, and no more than are read.
+
+    What they are goes before how many they are: a CT series is a CT series, of whatever size.
+    """
+    told: set[str] = set()
+    for file in files[:MOST_FRAMES]:
+        told |= {coded_word(declared_modality(file))} - {""}
+        if told & set(MODALITIES):
+            break
+    if told and not told & set(MODALITIES):
+        words = ", ".join(shown(word) for word in sorted(told))
+        raise RadiographError(
+            f"{folder}: Modality: found {words} in {len(files)} files, wanted projection radiographs "
+            f"({', '.join(MODALITIES)})"
+        )
+    if len(files) > MOST_FRAMES:
+        raise RadiographError(f"{folder}: found {len(files)} files, wanted at most {MOST_FRAMES}; take fewer")
+    size = sum(file.stat().st_size for file in files)
+    if size > MOST_BYTES:
+        raise RadiographError(
+            f"{folder}: found {size / 2**20:.0f} MB in {len(files)} files, wanted at most "
+            f"{MOST_BYTES // 2**20} MB; take fewer"
+        )
 
 
 def _check_series(scans: list[Scan]) -> None:
@@ -176,17 +218,22 @@ def _check_series(scans: list[Scan]) -> None:
     for scan in scans:
         layout, other = (scan.layout.rows, scan.layout.columns), (first.layout.rows, first.layout.columns)
         if layout != other:
-            raise RadiographError(f"{scan.name}: another size than {first.name} in the same folder")
+            found, wanted = ("{} x {}".format(*size) for size in (layout, other))
+            raise RadiographError(f"{scan.name}: found {found}, wanted {wanted} like {first.name}; keep them apart")
         if scan.tags.patient != first.tags.patient:
-            raise RadiographError(f"{scan.name}: another patient than {first.name} in the same folder")
+            raise RadiographError(f"{scan.name}: found another patient than in {first.name}; keep them apart")
         if scan.directions is not None and first.directions is not None and (
             scan.directions.axes[0] != first.directions.axes[0]
         ).any():  # fmt: skip
-            raise RadiographError(f"{scan.name}: another orientation than {first.name} in the same folder")
+            raise RadiographError(f"{scan.name}: found another orientation than that of {first.name}; keep them apart")
         if not _same_geometry(scan, first):
-            raise RadiographError(f"{scan.name}: another X-ray geometry than {first.name} in the same folder")
+            raise RadiographError(
+                f"{scan.name}: found another X-ray geometry than that of {first.name}; keep them apart"
+            )
         if scan.tags.identity and scan.tags.identity in seen:
-            raise RadiographError(f"{scan.name}: the same image as {seen[scan.tags.identity]}; remove one of them")
+            raise RadiographError(
+                f"{scan.name}: found the same image as {seen[scan.tags.identity]}; remove one of them"
+            )
         seen[scan.tags.identity] = scan.name
 
 

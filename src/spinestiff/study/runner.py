@@ -101,8 +101,8 @@ ALL_STEPS: Mapping[str, Step] = {
     ),
     "estimate": Step(
         step_functions.estimate_step,
-        (PUSHES, ROLES),
-        (),
+        (PUSHES, ROLES, BODY),
+        ("rest", "push"),
         ("tracked.json", *SHAPE),
         lambda visit: ("estimate.json", "training.npz"),
         lambda visit: {

@@ -22,11 +22,14 @@ CURVES = {
     "lumbar": ((0.24, 0.20, 1.0),),
     "double": ((0.68, 0.17, 1.0), (0.26, 0.17, -0.8)),
 }
+LARGEST_COBB_DEG = 60.0
 # Vertebrae turn towards the convexity, about a third of the coronal tilt's size at the apex (Easwar et al. 2011 report
 # the coupling, its size varies).
 AXIAL_COUPLING = 0.3
 SMOOTHING_LEVELS = 3.0
 LARGEST_STRAY_MM = 5.0
+# Distance of neighbouring bodies over their mean height: below, they overlap; above, the disc is as tall as a body.
+SPACING = (1.0, 2.2)
 
 VertebraPoses = tuple[Floats, Floats]
 
@@ -46,8 +49,8 @@ def curved_spine(torso: TorsoModel, cobb_deg: float, curve: str) -> VertebraPose
     """
     if curve not in CURVES:
         raise SubjectError(f"unknown curve '{curve}'; wanted one of {', '.join(CURVES)}")
-    if not abs(cobb_deg) <= 60.0:
-        raise SubjectError(f"Cobb angle {cobb_deg} degrees; wanted at most 60 to either side")
+    if not abs(cobb_deg) <= LARGEST_COBB_DEG:
+        raise SubjectError(f"Cobb angle {cobb_deg} degrees; wanted at most {LARGEST_COBB_DEG:g} to either side")
     positions, rotations = rest_vertebrae(torso)
     height = positions[:, 1] - positions[-1, 1]
     share = height / height[0]
@@ -78,25 +81,61 @@ def real_spine(torso: TorsoModel, table: str | Path, spine_id: str) -> VertebraP
 
     Raises
     ------
-    SubjectError : no such file or spine, a spine without all 17 bodies, or with one far off the others' line.
+    SubjectError : no such file or spine, a spine without all 17 bodies, with neighbours that overlap or lie too far
+        apart, or with a body far off the others' line.
     """
     points = _read_points(Path(table), spine_id)
     rest, _ = rest_vertebrae(torso)
     bodies = np.array([points[level]["body"] for level in VERTEBRAE])
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(bodies, axis=0), axis=1))])
     wanted = float(np.sum(np.linalg.norm(np.diff(rest, axis=0), axis=1)))
+    # As the table has them, before a gap is smoothed over its neighbours and one of these seems to stray.
+    try:
+        refuse_spacing(bodies, body_heights(torso.vertebra_boxes) * arc[-1] / wanted)
+    except SubjectError as error:
+        raise SubjectError(f"{table}: spine '{spine_id}': {error}") from None
     smooth, slope = smoothed(bodies, arc)
     stray = np.linalg.norm(smooth - bodies, axis=1)
     if stray.max() > LARGEST_STRAY_MM:
         worst = int(np.argmax(stray))
         raise SubjectError(
-            f"{table}: spine '{spine_id}': {VERTEBRAE[worst]} lies {stray[worst]:.0f} mm off the others' line "
+            f"{table}: spine '{spine_id}': {VERTEBRAE[worst]} lies {stray[worst]:.1f} mm off the others' line "
             f"(limit {LARGEST_STRAY_MM:g}); a wrong point?"
         )
     centres, up = smooth * wanted / arc[-1], -slope
     axial = _axial_rotation(points)
     frames = _upright(centres, rest)
     return rest[-1] + (centres - centres[-1]) @ frames.T, frames @ _vertebra_frames(up, axial)
+
+
+def body_heights(boxes: Floats) -> Floats:
+    """(V,) mm, mean heights of vertebrae with boxes (V, 8, 3) as ``TorsoModel.vertebra_boxes``."""
+    corners = boxes.reshape(-1, 2, 4, 3)
+    return np.asarray(np.mean(corners[:, 0, :, 1] - corners[:, 1, :, 1], axis=1))
+
+
+def refuse_spacing(centres: Floats, heights: Floats) -> None:
+    """Refuses a spine whose bodies overlap, or in which a level is missing.
+
+    Parameters
+    ----------
+    centres : (17, 3) mm, T1 to L5. heights : (17,) mm, of the bodies.
+
+    Raises
+    ------
+    SubjectError : names the two levels that are farthest from any spine's, how far apart they lie, and what is wanted.
+    """
+    apart = np.linalg.norm(np.diff(centres, axis=0), axis=1)
+    height = 0.5 * (heights[1:] + heights[:-1])
+    low, high = (limit * height for limit in SPACING)
+    worst = int(np.argmax(np.maximum(low / np.maximum(apart, 1e-9), apart / high)))
+    if not low[worst] <= apart[worst] <= high[worst]:
+        cause = "do they overlap" if apart[worst] < low[worst] else "is a level missing"
+        raise SubjectError(
+            f"{VERTEBRAE[worst]} and {VERTEBRAE[worst + 1]} lie {apart[worst]:.0f} mm apart; "
+            f"wanted {low[worst]:.0f} to {high[worst]:.0f} mm, {SPACING[0]:g} to {SPACING[1]:g} of their height; "
+            f"{cause}, or is a point wrong?"
+        )
 
 
 def smoothed(bodies: Floats, arc: Floats) -> tuple[Floats, Floats]:

@@ -15,12 +15,12 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.fit import FitStep, StiffnessFit, fit_stiffness
-from spinestiff.estimation.uncertainty import joint_region_outline
 from spinestiff.files import write_bytes
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking import support_motion, track
 from spinestiff.mechanics.loads import three_point_reactions
+from spinestiff.personalise.fitness import VertebraFit
 from spinestiff.personalise.image_terms import PediclePoints
 from spinestiff.personalise.pose import ViewPose
 from spinestiff.personalise.scan import SkinScan, read_scan
@@ -29,6 +29,7 @@ from spinestiff.personalise.shape import Personalised, personalise
 from spinestiff.personalise.skin import TrunkSize
 from spinestiff.study.assessment import assess, single_ratio
 from spinestiff.study.frame_selection import Proposal, frame_qualities, propose
+from spinestiff.study.judgement import RestShape, failed, judge
 from spinestiff.study.plain import plain_stiffness
 from spinestiff.study.predictions import (
     Predictions,
@@ -43,10 +44,17 @@ from spinestiff.study.support_notes import support_notes
 from spinestiff.study.trials import PushSet
 from spinestiff.study.truth import compare_with_truth, read_truth
 from spinestiff.study.visit import Observer, Visit, load_pushes
-from spinestiff.subject.folder import image_corners, image_pedicles, image_supports, push_corners, read_push, read_rest
+from spinestiff.subject.folder import (
+    image_corners,
+    image_pedicles,
+    image_supports,
+    push_corners,
+    read_identities,
+    read_push,
+    read_rest,
+)
 from spinestiff.subject.outcomes import (
     Assessment,
-    Check,
     Comparison,
     CostRecord,
     Determination,
@@ -362,17 +370,15 @@ def fit_training(visit: Visit, pushes: PushSet, say: Observer) -> StiffnessFit:
 
 
 def _estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry: GeometryRecord) -> Estimate:
-    checks: tuple[Check, ...] = ()
+    checks = judge(visit.subject.record, rest_shape(geometry), pushes, fit, read_identities(visit.subject))
     ends, opens = fit.intervals95, zip(fit.intervals.open_low, fit.intervals.open_high)
     ratios = {
         name: RatioEstimate.of(value, ends[name], (bool(low), bool(high)), fit.at_bound[name])
         for (name, value), (low, high) in zip(fit.ratios.as_dict().items(), opens)
     }
     spread = [ratio.determined for ratio in ratios.values()]
-    failed = any(check.passed is False for check in checks)
-    outlined = len(fit.names) == 2 and np.isfinite(fit.uncertainty.covariance).all()
     return Estimate(
-        status="DOUBTFUL" if failed else fit.status.name,  # type: ignore[arg-type]
+        status="DOUBTFUL" if failed(checks) else fit.status.name,  # type: ignore[arg-type]
         fit_status=fit.status.name,  # type: ignore[arg-type]
         fit_status_text=fit.status.value,
         determined=next(kind for kind in LEAST_FIRST if kind in spread),
@@ -383,7 +389,7 @@ def _estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry:
         covariance_log=nested(fit.uncertainty.covariance),  # type: ignore[arg-type]
         correlation=finite(float(fit.correlation[0, -1])) if len(fit.names) > 1 else None,
         condition=finite(fit.condition),
-        region=joint_region_outline(fit).tolist() if outlined else None,  # type: ignore[arg-type]
+        region=None if fit.intervals.region is None else np.exp(fit.intervals.region).tolist(),
         region_size=finite(fit.uncertainty.region_size),
         training_rmse_mm=TrainingError(default=finite(fit.default_rmse_mm), fit=fit.rmse_mm),
         reactions_n=_reactions(visit, pushes, fit),
@@ -403,6 +409,16 @@ def _estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry:
         ),
         notes=(*visit.subject.warnings, *geometry.warnings, *pushes.warnings, *fit.warnings),
     )
+
+
+def rest_shape(geometry: GeometryRecord) -> RestShape:
+    """What is judged of the geometry found."""
+    fits: dict[str, dict[str, VertebraFit]] = {
+        view: {str(name): VertebraFit(**fit.model_dump()) for name, fit in found.items()}
+        for view, found in geometry.fits.items()
+    }
+    sizes = np.array(list(geometry.size_scale.values()))
+    return RestShape(geometry.corner_sd_mm, geometry.length_scale, sizes, fits)
 
 
 def _reactions(visit: Visit, pushes: PushSet, fit: StiffnessFit) -> Reactions:

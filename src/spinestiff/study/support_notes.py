@@ -7,6 +7,7 @@ import numpy as np
 from spinestiff.anatomy.torso import TorsoModel, TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.mechanics.supports import Supports
+from spinestiff.words import counted
 
 PULLING_LIMIT_N = 2.0
 """A reaction that pulls on its support by more says that the person would have left it."""
@@ -34,7 +35,7 @@ def support_notes(torso: TorsoModel, supports: Supports, state: TorsoState, forc
     ]
     if pulling:
         bone, most = max(pulling, key=lambda entry: entry[1])
-        points = "1 point" if len(pulling) == 1 else f"{len(pulling)} points"
+        points = counted(len(pulling), "point")
         worst = f"most at {bone}, {most:.1f} N"
         found.append(f"the back wall pulls at {points} ({worst}): the back would have left the wall there")
     pelvis = torso.bone("pelvis")

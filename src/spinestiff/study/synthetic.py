@@ -5,6 +5,7 @@ The truth is written beside the folder (``DIR.truth.json``), never into it.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
@@ -31,7 +32,7 @@ from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.shape import place_vertebrae
 from spinestiff.study.spines import VertebraPoses, curved_spine, real_spine
 from spinestiff.subject.folder import write_annotation, write_subject
-from spinestiff.subject.records import Annotation, ImageAnnotation, PushRecord, Role, SubjectRecord
+from spinestiff.subject.records import Annotation, ImageAnnotation, PushRecord, Role, SubjectRecord, parse_record
 
 Observer = Callable[[str], None]
 
@@ -40,11 +41,50 @@ BENDING_RANGE, TISSUE_RANGE = (0.05, 0.63), (0.01, 0.15)
 ANNOTATION_SD_MM = 0.3  # of a hand-set corner, at the patient plane
 STANDING_SD_MM, STANDING_SD_RAD = 4.0, 0.012  # how differently a patient stands from one exposure to the next
 DETECTOR_WIDTH_MM = 427.0
-SHARES = {"main": (0.0, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0), "second": (0.0, 1 / 3, 2 / 3, 1.0)}
-ROLES: dict[str, tuple[Role, ...]] = {
-    "main": ("unused", "unused", "training", "unused", "training", "unused", "validation"),
-    "second": ("unused", "unused", "unused", "validation"),
-}
+LARGEST_FORCE_N = 500.0  # that the gauge shows
+
+
+@dataclass(frozen=True)
+class SyntheticPush:
+    """One push of a synthetic subject, frame by frame.
+
+    Attributes
+    ----------
+    id : name in ``subject.json``.
+    level : rib level of the push point, 1 to 12.
+    shares : force of each frame over the recipe's largest. The first is 0: corners are marked in an unloaded frame.
+    roles : of each frame.
+
+    Raises
+    ------
+    SubjectError : the first share is not 0, one is outside 0 to 1, or shares and roles are not as many.
+    """
+
+    id: str
+    level: float
+    shares: tuple[float, ...]
+    roles: tuple[Role, ...]
+
+    def __post_init__(self) -> None:
+        if not self.shares or self.shares[0] != 0.0 or not all(0.0 <= share <= 1.0 for share in self.shares):
+            raise SubjectError(f"push '{self.id}': shares {self.shares}; wanted 0 first, then 0 to 1")
+        if len(self.roles) != len(self.shares):
+            raise SubjectError(
+                f"push '{self.id}': {len(self.shares)} shares and {len(self.roles)} roles; wanted one of each a frame"
+            )
+
+
+DEFAULT_PUSHES = (
+    SyntheticPush(
+        "main",
+        level=8.0,
+        shares=(0.0, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0),
+        roles=("unused", "unused", "training", "unused", "training", "unused", "validation"),
+    ),
+    SyntheticPush(
+        "second", level=6.0, shares=(0.0, 1 / 3, 2 / 3, 1.0), roles=("unused", "unused", "unused", "validation")
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -58,7 +98,7 @@ class Recipe:
     force_n : largest push.
     ratios : true lateral bending and tissue ratio; drawn from Table 4's range if None.
     spine : table and id of a real spine as rest shape, instead of ``cobb_deg`` and ``curve``.
-    level, second_level : rib levels of the two pushes.
+    pushes : their rib levels, frames and roles; ids differ.
     shape : rows, columns of a radiograph; the detector keeps its width.
     mesh : of the subject's tissue, "coarse" or "fine"; anything but "fine" is no test of an estimate on "coarse".
     acquisition : how the radiographs are taken; four a second (paper 2.1).
@@ -72,8 +112,7 @@ class Recipe:
     force_n: float = 60.0
     ratios: tuple[float, float] | None = None
     spine: tuple[Path, str] | None = None
-    level: float = 8.0
-    second_level: float = 6.0
+    pushes: tuple[SyntheticPush, ...] = DEFAULT_PUSHES
     shape: tuple[int, int] = (1024, 1024)
     mesh: str = "fine"
     acquisition: Acquisition = field(default_factory=Acquisition)
@@ -82,12 +121,15 @@ class Recipe:
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise SubjectError(f"seed {self.seed}; wanted 0 or more")
-        if not 0.0 < self.force_n <= 500.0:
-            raise SubjectError(f"force {self.force_n} N; wanted above 0 and at most 500 (the gauge's limit)")
+        if not 0.0 < self.force_n <= LARGEST_FORCE_N:
+            raise SubjectError(f"force {self.force_n} N; wanted above 0 and at most {LARGEST_FORCE_N:g}")
         low, high = RATIO_BOUNDS
         for value in self.ratios or ():
             if not low <= value <= high:
                 raise SubjectError(f"stiffness ratio {value}; wanted {low} to {high}")
+        ids = [push.id for push in self.pushes]
+        if not ids or len(set(ids)) < len(ids):
+            raise SubjectError(f"pushes {', '.join(ids) or 'none'}; wanted at least one, each with an id of its own")
 
     def as_record(self) -> dict[str, object]:
         """As written into the truth file."""
@@ -98,6 +140,10 @@ class Recipe:
             "ratios": None if self.ratios is None else list(self.ratios),
             "shape": list(self.shape),
             "spine": spine,
+            "pushes": [
+                {"id": push.id, "level": push.level, "shares": list(push.shares), "roles": list(push.roles)}
+                for push in self.pushes
+            ],
             "acquisition": asdict(self.acquisition, dict_factory=_plain),
             "lateral_exposure": asdict(self.lateral_exposure, dict_factory=_plain),
         }
@@ -135,20 +181,20 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     maker = _Acquisition(folder, torso, recipe, random)
     side = maker.pushed_side
     problem = EquilibriumProblem(torso, three_point_supports(torso, side))
-    levels = {"main": recipe.level, "second": recipe.second_level}
     # All equilibria before the first file: a push that the torso can't carry leaves nothing behind.
     states: dict[str, list[TorsoState]] = {}
-    for push_id, level in levels.items():
-        states[push_id], state = [], torso.rest_pose
-        for share in SHARES[push_id]:
-            say(f"push '{push_id}': equilibrium at {share * recipe.force_n:.0f} N")
-            state = problem.solve(rib_push(torso, side, level, share * recipe.force_n), ratios, state).require().state
-            states[push_id].append(state)
+    for push in recipe.pushes:
+        states[push.id], state = [], torso.rest_pose
+        for share in push.shares:
+            force = share * recipe.force_n
+            say(f"push '{push.id}': equilibrium at {force:.0f} N")
+            state = problem.solve(rib_push(torso, side, push.level, force), ratios, state).require().state
+            states[push.id].append(state)
     say("rendering the rest radiographs")
     maker.rest_images()
-    for push_id, level in levels.items():
-        say(f"push '{push_id}': rendering {len(states[push_id])} radiographs")
-        maker.push(push_id, level, states[push_id])
+    for push in recipe.pushes:
+        say(f"push '{push.id}': rendering {len(push.shares)} radiographs")
+        maker.push(push, states[push.id])
     return maker.finish({"lateral_bending": bending, "tissue": tissue})
 
 
@@ -192,7 +238,6 @@ class _Acquisition:
     def __init__(self, folder: Path, torso: TorsoModel, recipe: Recipe, random: np.random.Generator) -> None:
         self.folder, self.torso, self.recipe, self.random = folder, torso, recipe, random
         self.images: dict[str, ImageAnnotation] = {}
-        self.pushes: list[PushRecord] = []
         self.truth: dict[str, object] = {}
         spine = torso.rest_pose.bone_positions[torso.vertebra_bones]
         self.centre = np.array([0.0, 0.5 * (spine[0, 1] + spine[-1, 1]), 0.0])
@@ -200,6 +245,7 @@ class _Acquisition:
         self.rest_cobb = cobb_angle(self._rest_tilts)
         # A push on the convex side straightens the curve.
         self.pushed_side: Literal["left", "right"] = "left" if self.rest_cobb.degrees > 0.0 else "right"
+        self.pushes = tuple(self._push_record(push) for push in recipe.pushes)
 
     def rest_images(self) -> None:
         lateral = replace(self.recipe.acquisition, exposure=self.recipe.lateral_exposure)
@@ -213,28 +259,15 @@ class _Acquisition:
             self._write(path, pixels, view, orientation, f"rest {name}")
             self.images[f"rest/{name}"] = self._annotation(view, supports=False)
 
-    def push(self, push_id: str, level: float, states: list[TorsoState]) -> None:
+    def push(self, push: SyntheticPush, states: list[TorsoState]) -> None:
         view = self._standing(self._nominal(frontal_view))
-        load = rib_push(self.torso, self.pushed_side, level, 1.0)
+        load = rib_push(self.torso, self.pushed_side, push.level, 1.0)
         pixels = self._radiographs(states, view, self.recipe.acquisition, Gauge(load.points, load.forces.sum(axis=0)))
-        path = self.folder / "pushes" / f"{push_id}.dcm"
-        self._write(path, pixels, view, ("L", "F"), f"push {push_id}")
-        self.images[f"push/{push_id}"] = self._annotation(view, supports=True)
-        shoulder, pelvis, rib = self._heights(level)
-        self.pushes.append(
-            PushRecord(
-                id=push_id,
-                side=self.pushed_side,
-                level=level,
-                d21_mm=round(shoulder - pelvis, 1),
-                d31_mm=round(shoulder - rib, 1),
-                frames=f"pushes/{push_id}.dcm",
-                forces_n=tuple(round(share * self.recipe.force_n, 3) for share in SHARES[push_id]),
-                roles=ROLES[push_id],
-            )
-        )
+        path = self.folder / "pushes" / f"{push.id}.dcm"
+        self._write(path, pixels, view, ("L", "F"), f"push {push.id}")
+        self.images[f"push/{push.id}"] = self._annotation(view, supports=True)
         shares = silhouette_shares(self.torso, view, self.torso.rest_pose)
-        self.truth[push_id] = [
+        self.truth[push.id] = [
             {
                 "corners_px": view.pixels(state_features(self.torso, view, state, shares).corners).round(4).tolist(),
                 "cobb_change_deg": _as_dict(cobb_change(self._rest_tilts, self._tilts(state))),
@@ -250,7 +283,7 @@ class _Acquisition:
             age=13.0,
             sex="female",
             height_cm=recipe.height_cm,
-            pushes=tuple(self.pushes),
+            pushes=self.pushes,
         )
         write_subject(self.folder, record)
         write_annotation(self.folder, Annotation(schema_version=1, images=self.images))
@@ -318,6 +351,20 @@ class _Acquisition:
         """Which points (..., 2) pixels lie inside the collimated field, 4 pixels from its edge or more."""
         first, last = self.recipe.acquisition.collimation.field(view)
         return np.asarray(((pixels > first + 4.5) & (pixels < last - 4.5)).all(-1))
+
+    def _push_record(self, push: SyntheticPush) -> PushRecord:
+        shoulder, pelvis, rib = self._heights(push.level)
+        record = {
+            "id": push.id,
+            "side": self.pushed_side,
+            "level": push.level,
+            "d21_mm": round(shoulder - pelvis, 1),
+            "d31_mm": round(shoulder - rib, 1),
+            "frames": f"pushes/{push.id}.dcm",
+            "forces_n": [round(share * self.recipe.force_n, 3) for share in push.shares],
+            "roles": push.roles,
+        }
+        return parse_record(json.dumps(record), f"push '{push.id}' of the recipe", PushRecord)
 
     def _heights(self, level: float) -> tuple[float, float, float]:
         """Heights of the held shoulder, the pelvis and the push point, mm."""

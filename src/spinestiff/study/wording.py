@@ -18,8 +18,8 @@ def number(value: float | None, digits: int = 3) -> str:
         return MISSING
     if value == 0.0:
         return "0"
-    decimals = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
-    return f"{value:.{decimals}f}".replace("-", "−")
+    decimals = digits - 1 - math.floor(math.log10(abs(value)))
+    return f"{round(value, decimals):.{max(decimals, 0)}f}".replace("-", "−")
 
 
 def fixed(value: float | None, decimals: int = 1, sign: bool = False) -> str:
@@ -40,9 +40,27 @@ def interval(quantity: Quantity) -> str:
     """A 95 % interval: "0.06 to 0.34"; an end at the fit's bound is open, "≤ 0.005 to 0.34"."""
     if quantity.low is None and quantity.high is None:
         return MISSING
-    first = MISSING if quantity.low is None else ("≤ " if quantity.open_low else "") + number(quantity.low, 2)
-    last = MISSING if quantity.high is None else ("≥ " if quantity.open_high else "") + number(quantity.high, 2)
+    first = (
+        MISSING
+        if quantity.low is None
+        else "≤ " + _bound(quantity.low)
+        if quantity.open_low
+        else number(quantity.low, 2)
+    )
+    last = (
+        MISSING
+        if quantity.high is None
+        else "≥ " + _bound(quantity.high)
+        if quantity.open_high
+        else number(quantity.high, 2)
+    )
     return f"{first} to {last}"
+
+
+def _bound(value: float) -> str:
+    """A bound of the fit: two digits, without zeros behind them."""
+    text = number(value, 2)
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def badge(estimate: Estimate) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
-from spinestiff.files import write_json
+from spinestiff.files import regular_file, regular_files, write_json
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.subject.records import (
     ANNOTATION_FILE,
@@ -34,8 +34,10 @@ from spinestiff.subject.records import (
     SubjectRecord,
     read_record,
 )
+from spinestiff.words import counted
 
 if TYPE_CHECKING:
+    from spinestiff.imaging.dicom.identity import Identity
     from spinestiff.imaging.projection import XRayView
     from spinestiff.imaging.radiograph import Radiograph
 
@@ -143,12 +145,19 @@ def read_unannotated(folder: str | Path) -> Subject:
 
 
 def check_radiograph_path(subject: Subject, image: str) -> None:
-    """Raise SubjectError unless the radiograph of an image is there, inside the subject folder."""
-    path = subject.image_path(image)
-    if not path.exists():
+    """Raise SubjectError unless the radiograph of an image, or all that is in its folder, is regular files inside the
+    subject folder, none larger than is read. Nothing is opened.
+    """
+    from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_HEADER_BYTES
+
+    path, most = subject.image_path(image), MOST_BYTES + MOST_HEADER_BYTES
+    if not path.exists() and not path.is_symlink():
         raise SubjectError(f"{path}: no such file; wanted the radiograph of {image}")
-    if not path.resolve().is_relative_to(subject.folder.resolve()):
-        raise SubjectError(f"{path}: leads out of the subject folder; copy the radiograph into it")
+    if not path.is_dir():
+        regular_file(path, SubjectError, within=subject.folder, cap_bytes=most)
+        return
+    for _ in regular_files(path, SubjectError, within=subject.folder, cap_bytes=most):
+        pass
 
 
 def write_subject(folder: str | Path, record: SubjectRecord) -> None:
@@ -206,6 +215,21 @@ def read_push(subject: Subject, push: PushRecord) -> tuple[Radiograph, ...]:
     return frames
 
 
+def read_identities(subject: Subject) -> dict[str, Identity]:
+    """Whose radiographs the rest images and the pushes' first files are, by image; to be compared, never written.
+
+    Raises
+    ------
+    RadiographError : a file that can't be read.
+    """
+    from spinestiff.imaging.dicom.identity import read_identity
+    from spinestiff.imaging.radiograph import candidates
+
+    images = (*(f"rest/{view}" for view in subject.rest_views), *(push.image for push in subject.pushes))
+    paths = {image: subject.image_path(image) for image in images}
+    return {image: read_identity(candidates(path)[0] if path.is_dir() else path) for image, path in paths.items()}
+
+
 def check_frames(subject: Subject, push: PushRecord, found: int) -> None:
     """Raise SubjectError unless a push has as many frames as forces."""
     if found != len(push.forces_n):
@@ -225,10 +249,10 @@ def image_corners(subject: Subject, image: str, view: XRayView) -> VertebraCorne
     """
     where, annotated = _annotated(subject, image)
     names, pixels = tuple(annotated.vertebrae), annotated.pixels()
-    rows, columns = view.shape
     for name, quad in zip(names, pixels):
-        if (quad < -0.5).any() or (quad > np.array([columns, rows]) - 0.5).any():
-            raise SubjectError(f"{where}.{name}: a corner lies outside the image of {columns} columns, {rows} rows")
+        _check_inside(
+            f"{where}.vertebrae.{name}", "corner", quad, view, "leave out a vertebra that is not wholly in it"
+        )
     corners = view.from_pixels(pixels)
     first, up = picture_axes(view)
     for name, quad in zip(names, corners):
@@ -262,17 +286,30 @@ def image_pedicles(subject: Subject, image: str, view: XRayView) -> tuple[tuple[
 
     Raises
     ------
-    SubjectError : a left pedicle lies on the right of the patient in this view.
+    SubjectError : a pedicle lies outside the image, or a left one on the right of the patient in this view.
     """
     where, annotated = _annotated(subject, image)
     names = tuple(sorted(annotated.pedicles, key=VERTEBRAE.index))
     points = np.array([annotated.pedicles[name] for name in names], dtype=float).reshape(-1, 2, 2)
+    for name, pair in zip(names, points):
+        _check_inside(f"{where}.pedicles.{name}", "pedicle", pair, view, "leave out pedicles that can't be seen")
     points = view.from_pixels(points)
     first, _ = picture_axes(view)
     for name, (left, right) in zip(names, points):
         if view_kind(view) == "frontal" and (left - right) @ first <= 0.0:
             raise SubjectError(f"{where}.pedicles.{name}: the left one lies right of the right one; check their order")
     return names, points
+
+
+def _check_inside(where: str, what: str, points: Floats, view: XRayView, advice: str) -> None:
+    """Raise SubjectError unless points (n, 2), column and row, lie in the picture, up to its pixels' outer edges."""
+    rows, columns = view.shape
+    for column, row in points:
+        if not (-0.5 <= column <= columns - 0.5 and -0.5 <= row <= rows - 0.5):
+            raise SubjectError(
+                f"{where}: found a {what} at column {column:g}, row {row:g}, wanted it in the image of {columns} "
+                f"columns and {rows} rows; {advice}"
+            )
 
 
 def image_supports(subject: Subject, image: str) -> Mapping[str, Floats]:
@@ -297,7 +334,7 @@ def _read_images(subject: Subject, image: str, which: Literal["frontal", "latera
         geometry = image_geometry(subject.record, subject.annotation, image)
     except SubjectError as problem:
         raise SubjectError(f"{subject.folder / SUBJECT_FILE}: {problem}") from None
-    frames = read_radiographs(path, geometry=geometry)
+    frames = read_radiographs(path, geometry=geometry, within=subject.folder)
     for frame in frames:
         if view_kind(frame.view) != which:
             raise SubjectError(f"{path}: a {view_kind(frame.view)} radiograph, wanted a {which} one")
@@ -316,7 +353,7 @@ def check_image_name(subject: Subject, name: str) -> None:
     if found is not None and found["push"] in needed:
         count = len(subject.push(found["push"].removeprefix("push/")).forces_n)
         if int(found["frame"]) >= count:
-            raise SubjectError(f"{path}: images.{name}: the push has {count} frames, counted from 0")
+            raise SubjectError(f"{path}: images.{name}: the push has {counted(count, 'frame')}, counted from 0")
     elif name not in needed:
         raise SubjectError(
             f"{path}: images.{name}: unknown image; wanted {', '.join(needed)} (push/<id>/<frame> for frames after "
@@ -330,7 +367,8 @@ def _check_images(subject: Subject) -> None:
         check_image_name(subject, name)
     for name in annotatable(subject.record):
         # Without a lateral radiograph the sagittal shape is the template's; one that is there has to be annotated.
-        if name == LATERAL and not subject.image_path(name).exists():
+        picture = subject.image_path(name)
+        if name == LATERAL and not picture.exists() and not picture.is_symlink():
             continue
         if name not in images:
             raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")

@@ -8,10 +8,11 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from spinestiff.errors import RadiographError, SpinestiffError
+from spinestiff.errors import RadiographError, SpinestiffError, SubjectError
+from spinestiff.files import listed, regular_file
 from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.dicom.reading import Scan, read_scan
-from spinestiff.imaging.radiograph import files_of, in_order, read_scans, times_of
+from spinestiff.imaging.radiograph import candidates, check_files, in_order, read_scans, times_of
 from spinestiff.subject.geometry import image_geometry
 from spinestiff.subject.records import (
     ANNOTATION_FILE,
@@ -22,6 +23,10 @@ from spinestiff.subject.records import (
     SubjectRecord,
     read_record,
 )
+
+MOST_FOLDERS = 256
+"""In a folder that is inspected, itself among them."""
+MOST_DEPTH = 8
 
 
 @dataclass(frozen=True)
@@ -54,42 +59,102 @@ class Inspection:
 
 
 def inspect(path: Path) -> tuple[Inspection, ...]:
-    """A file; a subject folder, image by image; or any other folder, as one sequence or file by file.
+    """A file; a subject folder, image by image; or any other folder and those in it, in the order of their paths, each
+    as one sequence or file by file.
+
+    Links to folders, and links that lead out of the folder, are named and not followed.
 
     Raises
     ------
-    RadiographError : no such file or folder, or no files in it.
+    RadiographError : no such file or folder, no files in it, or more folders than are inspected.
     SubjectError : a subject folder whose subject.json or annotation.json can't be used.
     """
+    if path.name in ("", ".."):  # the folder one is in, or above it
+        path = path.resolve()
     if (path / SUBJECT_FILE).is_file():
         return _subject(path)
     if not path.is_dir():
         return (_image(path, path.name, Geometry()),)
-    return _folder(path)
+    found: list[Inspection] = []
+    for folder in _folders(path):
+        name = folder.relative_to(path).as_posix()
+        if folder != path and folder.is_symlink():
+            reason = f"{folder.name}: found a link to a folder, which is not followed; name that folder itself"
+            found.append(Inspection(name, reason))
+        elif (folder / SUBJECT_FILE).is_file():
+            found += _subject_inside(folder, name)
+        elif any(not inner.is_dir() for inner in _visible(folder)):
+            found += _folder(folder, path)
+    if not found:
+        raise RadiographError(f"{path.name}: found no radiographs in this folder or those in it, wanted some")
+    return tuple(found)
 
 
-def _image(path: Path, name: str, given: Geometry) -> Inspection:
+def _visible(folder: Path) -> list[Path]:
+    return [path for path in listed(folder, RadiographError, name=folder.name) if not path.name.startswith(".")]
+
+
+def _folders(top: Path) -> list[Path]:
+    """A folder and those in it, links to folders among them but not what they lead to, in the order of their paths;
+    nothing of what is in subject folders.
+    """
+    found, todo = [top], [(top, 0)]
+    while todo:
+        folder, depth = todo.pop()
+        inner = [] if (folder / SUBJECT_FILE).is_file() else [path for path in _visible(folder) if path.is_dir()]
+        found += inner
+        todo += [(path, depth + 1) for path in inner if not path.is_symlink()]
+        many = f"more than {MOST_FOLDERS} folders" if len(found) > MOST_FOLDERS else ""
+        if many or (inner and depth == MOST_DEPTH):
+            words = many or f"folders more than {MOST_DEPTH} deep"
+            raise RadiographError(f"{top.name}: found {words} in it, wanted fewer; name one of those inside")
+    return sorted(found)
+
+
+def _subject_inside(folder: Path, name: str) -> tuple[Inspection, ...]:
+    try:
+        return tuple(replace(one, image=f"{name}/{one.image}") for one in _subject(folder))
+    except SubjectError as problem:
+        return (Inspection(name, str(problem)),)
+
+
+def _image(path: Path, name: str, given: Geometry, within: Path | None = None) -> Inspection:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            scans = read_scans(path, given)
+            scans = read_scans(path, given, within)
         except RadiographError as problem:
             return Inspection(name, str(problem))
     told = tuple(str(warning.message) for warning in caught)
     return Inspection(name, "", _seen(scans), scans[0].missing, told)
 
 
-def _folder(folder: Path) -> tuple[Inspection, ...]:
+def _folder(folder: Path, top: Path) -> tuple[Inspection, ...]:
+    """The files of one folder in the folder that is inspected."""
+    inside = folder.relative_to(top)
+    name = folder.name if folder == top else inside.as_posix()
     found: list[Inspection] = []
     scans: list[Scan] = []
-    for file in files_of(folder):
+    files: list[Path] = []
+    for file in candidates(folder):
         try:
-            scan = read_scan(file, Geometry())
+            regular_file(file, RadiographError, within=top, name=file.name)
+            files.append(file)
         except RadiographError as problem:
-            found.append(Inspection(file.name, str(problem)))
+            found.append(Inspection((inside / file.name).as_posix(), str(problem)))
+    try:
+        check_files(folder.name, files)
+    except RadiographError as problem:
+        return (*found, Inspection(name, str(problem)))
+    for file in files:
+        one = (inside / file.name).as_posix()
+        try:
+            scan = read_scan(file, Geometry(), top)
+        except RadiographError as problem:
+            found.append(Inspection(one, str(problem)))
         else:
             scans.append(replace(scan, pixels=scan.pixels[:0]))  # 128 files of pixels would fill the memory
-            found.append(Inspection(file.name, "", _seen((scan,)), scan.missing))
+            found.append(Inspection(one, "", _seen((scan,)), scan.missing))
     if len(found) == 1 or len(scans) < len(found) or any(scan.layout.frames > 1 for scan in scans):
         return tuple(found)
     with warnings.catch_warnings(record=True) as caught:
@@ -100,7 +165,7 @@ def _folder(folder: Path) -> tuple[Inspection, ...]:
             alone = f"not one sequence: {problem}"
             return tuple(Inspection(one.image, "", one.seen, one.missing, (alone,)) for one in found)
     told = tuple(str(warning.message) for warning in caught)
-    return (Inspection(folder.name, "", _seen(series), series[0].missing, told),)
+    return (Inspection(name, "", _seen(series), series[0].missing, told),)
 
 
 def _subject(folder: Path) -> tuple[Inspection, ...]:
@@ -112,17 +177,14 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
     paths |= {push.image: folder / push.frames for push in record.pushes}
     found = []
     for name, path in paths.items():
-        if name == LATERAL and not path.exists():
-            continue
-        if not path.resolve().is_relative_to(folder.resolve()):
-            found.append(Inspection(name, f"{path.name}: leads out of the subject folder; copy the radiograph into it"))
+        if name == LATERAL and not path.exists() and not path.is_symlink():
             continue
         try:
             geometry = image_geometry(record, annotation, name)
         except SpinestiffError as problem:
             found.append(Inspection(name, str(problem)))
             continue
-        one = _image(path, name, geometry)
+        one = _image(path, name, geometry, folder)
         found.append(one if one.reason else _fitting(one, name, annotation, forces.get(name, 1)))
     return tuple(found)
 
@@ -131,10 +193,11 @@ def _fitting(one: Inspection, name: str, annotation: Annotation | None, frames: 
     """Held against what the subject folder wants of this image."""
     wanted = "lateral" if name == LATERAL else "frontal"
     if one.seen["view"] not in (None, wanted):
-        return Inspection(name, f"{one.seen['file']}: a {one.seen['view']} radiograph, wanted a {wanted} one", one.seen)
+        reason = f"{one.seen['file']}: found a {one.seen['view']} radiograph, wanted a {wanted} one"
+        return Inspection(name, reason, one.seen)
     if one.seen["frames"] != frames:
-        rest = "wanted one rest radiograph" if name in REST_IMAGES else f"but subject.json has {frames} forces_n"
-        return Inspection(name, f"{one.seen['file']}: {one.seen['frames']} frames, {rest}", one.seen)
+        rest = "1, at rest" if name in REST_IMAGES else f"{frames}, one for each of forces_n in subject.json"
+        return Inspection(name, f"{one.seen['file']}: found {one.seen['frames']} frames, wanted {rest}", one.seen)
     missing = one.missing
     if annotation is None or name not in annotation.images:
         missing += (f"no corners of {name} in {ANNOTATION_FILE}",)

@@ -18,6 +18,8 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
 from spinestiff.files import parse_json, read_text
+from spinestiff.imaging.spine_shape import CLEARLY, across, cross, quarter_turns
+from spinestiff.words import counted
 
 SCHEMA_VERSION: Final = 1
 SUBJECT_FILE = "subject.json"
@@ -31,6 +33,8 @@ GAUGE_LIMIT_N = 500.0
 """What the force gauge of the set-up measures accurately (paper 2.1)."""
 USUAL_LIMIT_N = 114.0
 """The largest force of the paper's measurements (paper 2.1)."""
+MOST_TURNED_DEG = 45.0
+"""Of a vertebra between two frames of a push: half of what corners begun at the wrong one make of it."""
 DISTANCES_MM = (30.0, 1000.0)
 FURTHER_FRAME = r"(?P<push>push/[^/]+)/(?P<frame>[1-9][0-9]{0,3})"
 """Name of an annotated frame of a push after its first, which is push/<id>."""
@@ -335,7 +339,8 @@ class Annotation(_Record):
             further = re.fullmatch(FURTHER_FRAME, name)
             if further is None and len(image.vertebrae) < FEWEST_VERTEBRAE:
                 raise ValueError(
-                    f"{name}.vertebrae: found {len(image.vertebrae)} vertebrae, wanted at least {FEWEST_VERTEBRAE}"
+                    f"{name}.vertebrae: found {counted(len(image.vertebrae), 'vertebra', 'vertebrae')}, wanted at "
+                    f"least {FEWEST_VERTEBRAE}"
                 )
             if further is not None and image.supports:
                 raise ValueError(f"{name} has supports; wanted them in the push's first frame, {further['push']}")
@@ -343,6 +348,8 @@ class Annotation(_Record):
                 raise ValueError(f"{name} has supports; wanted them in push images only, where they can move")
             if image.pedicles and name.startswith("push/"):
                 raise ValueError(f"{name} has pedicles; wanted them in rest images only, where the shape is found")
+            if further is not None and further["push"] in images:
+                _check_turned(name, image, images[further["push"]])
         return images
 
 
@@ -370,9 +377,33 @@ def _check_quads(names: tuple[str, ...], quads: Floats) -> None:
     for i in range(1, len(names)):
         if heights[i] >= heights[i - 1]:
             raise ValueError(f"{names[i]}: does not lie below {names[i - 1]}; wanted the vertebrae from head to foot")
+    for name, turns in zip(names, _quarter_turns(names, quads * [usual, 1.0])):
+        if turns % 2:
+            raise ValueError(f"{name}: the corners begin at the wrong one, a quarter turn off; {_ORDER}")
     for name, quad in zip(names, quads):
         if (quad[0] + quad[1] - quad[2] - quad[3]) @ up <= 0.0:
             raise ValueError(f"{name}: the superior corners lie below the inferior ones; {_ORDER}")
+
+
+def _quarter_turns(names: tuple[str, ...], clockwise: Floats) -> np.ndarray:
+    """(V,) quarter turns by which corners (V, 4, 2) are clearly off; 0 where nothing near tells."""
+    if len(names) < 2:
+        return np.zeros(len(names), dtype=int)
+    found = quarter_turns(clockwise, [VERTEBRAE.index(name) for name in names], [True] * len(names))
+    return np.where(found.ahead < CLEARLY, 0, found.turns)
+
+
+def _check_turned(where: str, image: ImageAnnotation, first: ImageAnnotation) -> None:
+    """Raise ValueError for a vertebra that is turned against the push's first frame as no push turns one."""
+    for name in image.vertebrae:
+        if name in first.vertebrae:
+            before, now = (across(np.array(frame.vertebrae[name])) for frame in (first, image))
+            degrees = float(np.degrees(np.abs(np.arctan2(cross(before, now), before @ now))))
+            if degrees > MOST_TURNED_DEG:
+                raise ValueError(
+                    f"{where}.vertebrae.{name}: turned by {degrees:.0f} degrees since the push's first frame, wanted "
+                    f"at most {MOST_TURNED_DEG:g}; {_ORDER}"
+                )
 
 
 _ORDER = (

@@ -55,13 +55,16 @@ def test_a_falling_slope_turns_what_the_sign_of_the_beam_means(file):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (table("ModalityLUTSequence", np.arange(200), count=100), "holds 200 entries, but 100 are declared"),
+        (table("ModalityLUTSequence", np.arange(200), count=100), "found 200 entries, wanted 100 as declared"),
         (table("VOILUTSequence", np.arange(200), bits=7), "entries of 7 bits"),
-        (lambda d: setattr(d, "ModalityLUTSequence", Sequence([Dataset()])), "no table that can be read"),
-        (lambda d: (table("ModalityLUTSequence", np.arange(256))(d), setattr(d, "RescaleSlope", "2")), "both a modal"),
-        (lambda d: setattr(d, "PixelIntensityRelationshipSign", 3), "Sign 3; wanted 1 or -1"),
-        (lambda d: setattr(d, "RescaleSlope", "65535"), "RescaleSlope 65535 and RescaleIntercept 0 make no grey"),
-        (lambda d: setattr(d, "RescaleIntercept", "1e300"), "make no grey values"),
+        (lambda d: setattr(d, "ModalityLUTSequence", Sequence([Dataset()])), "found no table"),
+        (
+            lambda d: (table("ModalityLUTSequence", np.arange(256))(d), setattr(d, "RescaleSlope", "2")),
+            "found it beside Mod",
+        ),
+        (lambda d: setattr(d, "PixelIntensityRelationshipSign", 3), "Sign: found 3, wanted 1 or -1"),
+        (lambda d: setattr(d, "RescaleSlope", "65535"), "found 65535, 0, wanted grey values up to 1e"),
+        (lambda d: setattr(d, "RescaleIntercept", "1e300"), r"found 1, 1e\+300, wanted grey values up to"),
     ],
 )
 def test_tables_that_do_not_hold_what_they_say_are_refused(file, change, message):

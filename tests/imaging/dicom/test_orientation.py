@@ -47,16 +47,16 @@ def test_the_laterality_of_a_frontal_view_turns_nothing(file):
 @pytest.mark.parametrize(
     ("values", "change", "given", "message"),
     [
-        ({"ViewPosition": "LL"}, None, None, r"ViewPosition LL contradicts a frontal view \(DICOM PatientOrientation"),
-        ({"PatientOrientation": ["A", "F"]}, None, None, "ViewPosition AP contradicts a lateral view"),
-        ({"PatientOrientation": None}, None, "lateral", r"ViewPosition AP contradicts a lateral view \(given view"),
-        ({}, viewed(LEFT_LATERAL), None, "ViewPosition is AP, but ViewCodeSequence means LL"),
-        ({"ImageLaterality": "L", "Laterality": "R"}, None, None, "ImageLaterality is L, but Laterality is R"),
+        ({"ViewPosition": "LL"}, None, None, r"ViewPosition: found LL, wanted one of a frontal view \(DICOM Pat"),
+        ({"PatientOrientation": ["A", "F"]}, None, None, "found AP, wanted one of a lateral view"),
+        ({"PatientOrientation": None}, None, "lateral", r"found AP, wanted one of a lateral view \(given as a"),
+        ({}, viewed(LEFT_LATERAL), None, "found AP, wanted LL as ViewCodeSequence says"),
+        ({"ImageLaterality": "L", "Laterality": "R"}, None, None, "found L, wanted R as in Laterality"),
         (
             {"PatientOrientation": ["A", "F"], "ViewPosition": "LL", "ImageLaterality": "R"}, None, None,
-            "ViewPosition is LL, but laterality is R",
+            "ViewPosition: found LL, wanted RL as the laterality says",
         ),
-        ({"PatientOrientation": ["L", "A"]}, None, None, "not upright"),
+        ({"PatientOrientation": ["L", "A"]}, None, None, r"found L\\A, wanted columns to L, R, A or P"),
     ],
 )  # fmt: skip
 def test_contradictions_are_refused(file, values, change, given, message):

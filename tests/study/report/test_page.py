@@ -27,8 +27,8 @@ from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.study.report import page as report
 from spinestiff.study.predictions import predict, stored, write_solved
+from spinestiff.study.report import page as report
 from spinestiff.study.report.content import _strip
 from spinestiff.study.report.page import write_report
 from spinestiff.study.report.viewer.page import script_hash
@@ -471,7 +471,7 @@ def test_a_better_simple_predictor_is_owned_up_to(odd_html: str, page: Page) -> 
 
 def test_open_intervals_and_doubt_are_shown(odd_html: str) -> None:
     words = Page(odd_html).words
-    assert "0.17 to ≥ 5.0: weakly determined" in words and "≤ 0.0050 to not available: not determined" in words
+    assert "0.17 to ≥ 5: weakly determined" in words and "≤ 0.005 to not available: not determined" in words
     assert "Estimate: doubtful" in words and "These radiographs can't tell" in words
     assert "condition number not available" in words
     # What failed stands before any number.

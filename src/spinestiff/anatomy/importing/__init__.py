@@ -14,7 +14,7 @@ from spinestiff.anatomy.importing.placing import Skeleton, landmarks, place_join
 from spinestiff.anatomy.importing.reading import read_surface
 from spinestiff.anatomy.importing.repairing import repaired
 from spinestiff.anatomy.importing.skin import generated_skin, refuse_bones_outside, section_middle
-from spinestiff.anatomy.meshing import DEFAULT_MESHER, SKIN_SHARE, MeshedTissue, find_mesher, mesh_tissue
+from spinestiff.anatomy.meshing import DEFAULT_MESHER, SKIN_SHARE, MeshedTissue, mesh_tissue, refuse_unknown_mesher
 from spinestiff.anatomy.names import BONE_INDEX, BONES, JOINTS
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rounding import rounded
@@ -76,7 +76,8 @@ def import_torso(
     skin : a closed mesh in the same unit and axes; generated around the bones if left out.
     spacing_mm : wanted distance of the tissue mesh's corners.
     height_cm : body height; estimated from the spine's length if left out.
-    mesher : "mmg" (extra [mesh]), or a plug-in's name.
+    mesher : "mmg" (extra [mesh]), or a plug-in's name. Whether it is installed is asked when all bones and the skin are
+        in order: what they lack is told first.
     observer : is told what is being done, in words.
 
     Raises
@@ -84,7 +85,7 @@ def import_torso(
     TorsoError : in one line, naming the mesh, what can't be used and what to do.
     """
     say = observer or (lambda line: None)
-    find_mesher(mesher)  # before minutes of work
+    refuse_unknown_mesher(mesher)
     files = find_files(Path(folder), None if mapping is None else Path(mapping))
     say(f"read: {sum(map(len, files.bones.values()))} meshes")
     raw = {name: [(path.name, read_surface(path)) for path in files.bones[name]] for name in BONES}

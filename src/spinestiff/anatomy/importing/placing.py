@@ -23,13 +23,20 @@ from spinestiff.anatomy.rotation import mean_rotation
 from spinestiff.anatomy.solids import dense_points, enclosed, exits
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.template.assemble import centroid, frame_along, rearmost
-from spinestiff.anatomy.template.surfaces import Surface, tangents
+from spinestiff.anatomy.template.ribs import left_ribs
+from spinestiff.anatomy.template.surfaces import Surface, arc_length, tangents
+from spinestiff.anatomy.template.vertebrae import build_spine
 from spinestiff.anatomy.torso import TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.errors import TorsoError
 
 MEETING_MM = 8.0  # bones nearer than this meet there; farther ones are joined at the end of the one
 FAR_MM = 40.0  # of a 157 cm body: a rib's head this far from its vertebra belongs to another
+# A rib without its cartilage ends as far from the sternum as the template's cartilage spans, a whole one no farther
+# than it is short. A fifth more is taken and CUT_MM: the template's own spans differ by up to 8 mm (ribs 1 to 4), else
+# 12 to 16 %, over its bodies (ages, sexes, curves) of one length of the spine.
+RIB_VARIATION = 1.2
+CUT_MM = 20.0  # of a 157 cm body: where bone passes into cartilage is no sharp end
 NECK_MM = 13.2  # along a floating rib from its head, the point that stands for the costotransverse joint
 TRANSVERSE_ARC_MM = (10.0, 60.0)  # where along a rib its tubercle is looked for
 MOST_OVERLAP = 0.6  # of neighbouring vertebrae, share of a body's height
@@ -103,14 +110,18 @@ def place_joints(surfaces: Mapping[str, Surface]) -> tuple[Skeleton, Floats]:
             )
         elif joint.kind == "rib_sternum":
             curve = curves[joint.child]
-            centre, note = _meeting(joint.child, curve[-1], "sternum", surfaces["sternum"], dense["sternum"], share)
+            most = _most_cartilage(joint.child, curve, share)
+            centre, note = _meeting(
+                joint.child, curve[-1], "sternum", surfaces["sternum"], dense["sternum"], share, most
+            )
             x = -tangents(curve)[-1]
             notes += [note] if note else []
         elif joint.kind in ("sternum_clavicle", "clavicle_scapula"):
             medial = joint.kind == "sternum_clavicle"
             other = joint.parent if medial else joint.child
             end = clavicles[side][0 if medial else -1]
-            centre, note = _meeting(f"clavicle_{side}", end, other, surfaces[other], dense[other], share)
+            most = FAR_MM * share
+            centre, note = _meeting(f"clavicle_{side}", end, other, surfaces[other], dense[other], share, most)
             x = clavicles[side][-1] - clavicles[side][0]
             notes += [note] if note else []
         elif joint.kind == "scapula_humerus":
@@ -141,7 +152,8 @@ def _shifted(v: MeasuredVertebra, by: Floats) -> MeasuredVertebra:
 def _measured(
     surfaces: Mapping[str, Surface], dense: Mapping[str, Floats], notes: list[str]
 ) -> dict[str, MeasuredVertebra]:
-    middles = np.array([surfaces[name][0].mean(0) for name in VERTEBRAE])
+    # Of volume: the vertices' mean lies where the mesh is dense.
+    middles = np.array([centroid(surfaces[name]) for name in VERTEBRAE])
     # Ends: as their neighbours; within, from the vertebra two below to that two above.
     spans = [(max(i - 2, 0), min(i + 2, len(VERTEBRAE) - 1)) for i in range(len(VERTEBRAE))]
     ups = [middles[a] - middles[b] for a, b in spans]
@@ -223,15 +235,38 @@ def _rib_vertebra(
     return 0.5 * (curve[0] + tubercle), tubercle - curve[0]
 
 
-def _meeting(name: str, end: Floats, other: str, surface: Surface, samples: Floats, share: float) -> tuple[Floats, str]:
+@lru_cache(maxsize=1)
+def _template_ribs() -> tuple[tuple[float, float], ...]:
+    # (mm, mm) of ribs 1 to 10: length with cartilage, and from the end of the bone straight to the sternum.
+    found = []
+    for rib in left_ribs(build_spine())[:10]:
+        length = arc_length(rib.curve)
+        arc = np.linspace(0.0, length, len(rib.curve))
+        bony_end = np.array([np.interp(rib.bony * length, arc, rib.curve[:, i]) for i in range(3)])
+        found.append((length, float(np.linalg.norm(rib.notch - bony_end))))
+    return tuple(found)
+
+
+def _most_cartilage(name: str, curve: Floats, share: float) -> float:
+    # mm, how far from the sternum a rib may end.
+    length, span = _template_ribs()[int(name[1:-2]) - 1]
+    missing = RIB_VARIATION * length * share - arc_length(curve)
+    return max(FAR_MM * share, min((RIB_VARIATION * span + CUT_MM) * share, missing))
+
+
+def _meeting(
+    name: str, end: Floats, other: str, surface: Surface, samples: Floats, share: float, most: float
+) -> tuple[Floats, str]:
     # Where the end of a bone meets another: midway to it, or at the end itself where they touch or are far apart.
     gap, nearest = cKDTree(samples).query(end)
     if enclosed(surface, end[None])[0]:
         return end, ""
     if gap <= MEETING_MM * share:
         return 0.5 * (end + samples[nearest]), ""
-    if not name.startswith("R") and gap > FAR_MM * share:
-        raise TorsoError(f"{name} ends {gap:.0f} mm from {other}; are its name and place right?")
+    if gap > most:
+        raise TorsoError(
+            f"{name} ends {gap:.0f} mm from {other}; wanted at most {most:.0f} mm; is it whole and in place?"
+        )
     return end, f"{name} ends {gap:.0f} mm from {other}: their joint is put at this end"
 
 

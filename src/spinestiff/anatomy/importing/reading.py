@@ -14,6 +14,7 @@ from spinestiff.errors import TorsoError
 SUFFIXES = (".stl", ".obj", ".ply", ".vtp")
 MOST_BYTES = 200_000_000
 MOST_FACES = 2_000_000
+_ASCII = bytes(range(128)) + b"?" * 128
 FARTHEST = 1e7  # of a coordinate, in any unit: beyond it, distances are lost in rounding
 
 
@@ -61,10 +62,23 @@ def _parsed(path: Path, kind: str, content: bytes) -> Surface:
 
     try:
         # From bytes and without a resolver: no material or texture that the file names is looked for.
-        loaded = trimesh.load(io.BytesIO(content), file_type=kind[1:], force="mesh", process=False, skip_materials=True)
+        plain = io.BytesIO(_plain(content, kind))
+        loaded = trimesh.load(plain, file_type=kind[1:], force="mesh", process=False, skip_materials=True)
         vertices = np.asarray(loaded.vertices, dtype=float).reshape(-1, 3)
         faces = np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3)
     except Exception as error:  # a foreign parser on foreign bytes: whatever it raises, the file is at fault
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise TorsoError(f"{path.name} can't be read as {kind[1:].upper()} ({reason})") from None
     return vertices, faces
+
+
+def _plain(content: bytes, kind: str) -> bytes:
+    """A file with its text in ASCII, others' letters as question marks: they stand in names and comments alone, and
+    trimesh reads no other text than UTF-8 without a package that guesses encodings.
+    """
+    end = len(content)
+    if kind == ".stl" and end >= 84 and end == 84 + 50 * int.from_bytes(content[80:84], "little"):
+        end = 80  # binary behind its first line
+    elif kind == ".ply" and b"format binary" in content[:1000]:
+        end = max(content.find(b"end_header"), 0)
+    return content[:end].translate(_ASCII) + content[end:]

@@ -16,6 +16,7 @@ from spinestiff.anatomy.solids import enclosed
 from spinestiff.anatomy.template.surfaces import Surface, signed_volume
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import TorsoError
+from spinestiff.words import counted
 
 MOST_FACES = 12_000  # of a bone, in the torso; finer ones are thinned
 SPECK = 0.02  # share of the bone's size below which a loose piece is dropped
@@ -37,19 +38,19 @@ def repaired(name: str, surface: Surface) -> tuple[Surface, list[str]]:
         notes.append(f"{name}: thinned to {len(surface[1])} triangles")
     surface, dropped = _without_repeats(surface)
     if dropped:
-        notes.append(f"{name}: {dropped} triangle{'s' * (dropped > 1)} without area or there twice left out")
+        notes.append(f"{name}: {counted(dropped, 'triangle')} without area or there twice left out")
     if not len(surface[1]):
         raise TorsoError(f"{name} has no triangle with an area")
     surface, specks = _without_specks(surface)
     if specks:
-        notes.append(f"{name}: {specks} loose speck{'s' * (specks > 1)} left out")
+        notes.append(f"{name}: {counted(specks, 'loose speck')} left out")
     surface, turned = _consistent(surface)
     surface, area, holes = _closed(name, surface)
     if holes:
-        notes.append(f"{name}: {holes} hole{'s' * (holes > 1)} closed ({area:.1f} mm2)")
+        notes.append(f"{name}: {counted(holes, 'hole')} closed ({area:.1f} mm2)")
     surface, inwards, pieces = _outward(surface)
     if turned:
-        notes.append(f"{name}: {turned} triangle{'s' * (turned > 1)} turned round to match the others")
+        notes.append(f"{name}: {counted(turned, 'triangle')} turned round to match the others")
     if inwards:
         which = "it" if inwards == pieces else f"{inwards} of its {pieces} pieces"
         notes.append(f"{name}: {which} faced inwards and was turned")

@@ -13,6 +13,7 @@ from spinestiff.anatomy.template.surfaces import Surface, loft, superellipse
 from spinestiff.anatomy.template.vertebrae import Spine
 from spinestiff.arrays import Floats
 from spinestiff.errors import TorsoError
+from spinestiff.words import counted
 
 COVER = 5.0  # mm of skin and fat over any bone, at least, times the scale of the spine
 # Whose scale a row of the reference skin takes at which height, mm: over the sacral endplate, over the shoulder joint.
@@ -181,4 +182,6 @@ def covering(skin: Skin, bones: Floats, cover: float) -> Skin:
             np.maximum.at(grow[1], rows[ahead], (wanted * (1.0 - share))[ahead])
             np.maximum.at(grow[2], rows[~ahead], (wanted * (1.0 - share))[~ahead])
         skin = replace(skin, half_width=skin.half_width + grow[0], front=skin.front + grow[1], back=skin.back - grow[2])
-    raise TorsoError(f"{int(short.sum())} points of bones stay less than {cover:.1f} mm under the skin of this body")
+    raise TorsoError(
+        f"under the skin of this body, {counted(int(short.sum()), 'point')} of bones less than {cover:.1f} mm deep"
+    )

@@ -21,8 +21,10 @@ from spinestiff.errors import RadiographError
 from spinestiff.imaging.deidentification.allow_list import CLASSES, KEPT, VIEW_CODES, listed, one_of, ruled
 from spinestiff.imaging.deidentification.codestreams import without_comments
 from spinestiff.imaging.deidentification.pseudonyms import Key, moment
+from spinestiff.imaging.dicom.decoding import coded_frames
 from spinestiff.imaging.dicom.files import MOST_BYTES, quiet
 from spinestiff.imaging.dicom.layout import MODALITIES
+from spinestiff.words import counted
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset
@@ -179,7 +181,7 @@ def _identity(old: Dataset) -> str:
 def _add_pixels(new: Dataset, old: Dataset) -> NDArray[Any]:
     """Pixel data with nothing beside the picture; gives its stored values (F, H, W)."""
     from pydicom.dataset import FileMetaDataset
-    from pydicom.encaps import encapsulate, generate_frames
+    from pydicom.encaps import encapsulate
     from pydicom.uid import UID, ExplicitVRLittleEndian
 
     syntax = UID(str(old.file_meta.TransferSyntaxUID))
@@ -191,9 +193,11 @@ def _add_pixels(new: Dataset, old: Dataset) -> NDArray[Any]:
     new.file_meta.TransferSyntaxUID = syntax
     new.add_new("PixelData", old["PixelData"].VR, old.PixelData)
     if syntax in _CODED:
-        coded = [without_comments(frame) for frame in generate_frames(old.PixelData, number_of_frames=count)]
+        coded = [without_comments(frame) for frame in coded_frames(old, count)]
         if len(coded) != count:
-            raise RadiographError(f"{len(coded)} coded frames, but {count} are declared; copy the file again")
+            raise RadiographError(
+                f"{counted(len(coded), 'coded frame')}, but {count} are declared; copy the file again"
+            )
         if any((stream.rows, stream.columns, stream.components) != (*shape[1:], 1) for stream in coded):
             raise RadiographError("a coded frame has another size than the file declares; export it uncompressed")
         new.PixelData = encapsulate([stream.content for stream in coded])

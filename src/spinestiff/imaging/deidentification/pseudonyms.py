@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from spinestiff.errors import RadiographError
+from spinestiff.words import counted
 
 FEWEST_KEY_BYTES, MOST_KEY_BYTES = 16, 4096
 NO_DATE = datetime.date(1900, 1, 1)
@@ -27,7 +28,9 @@ class Key:
 
     def __post_init__(self) -> None:
         if not FEWEST_KEY_BYTES <= len(self.secret) <= MOST_KEY_BYTES:
-            raise RadiographError(f"a key of {len(self.secret)} bytes; wanted {FEWEST_KEY_BYTES} to {MOST_KEY_BYTES}")
+            raise RadiographError(
+                f"a key of {counted(len(self.secret), 'byte')}; wanted {FEWEST_KEY_BYTES} to {MOST_KEY_BYTES}"
+            )
 
     def digest(self, kind: str, value: str) -> bytes:
         """32 bytes that stand for a value of a kind."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinestiff.errors import RadiographError
+from spinestiff.imaging.dicom.files import named
 from spinestiff.imaging.dicom.layout import (
     JPEG_2000,
     JPEG_BASELINE,
@@ -19,11 +21,12 @@ from spinestiff.imaging.dicom.layout import (
     NATIVE,
     RLE,
     Layout,
-    check_coded,
     check_native,
+    checked_frames,
 )
 from spinestiff.imaging.dicom.lossless import decode_lossless
 from spinestiff.imaging.dicom.runlength import decode_rle
+from spinestiff.imaging.dicom.streams import starts_stream
 from spinestiff.imaging.dicom.tags import Tags
 
 if TYPE_CHECKING:
@@ -41,35 +44,57 @@ def decoded(dataset: Dataset, tags: Tags, layout: Layout) -> NDArray[Any]:
     shape = (layout.frames, layout.rows, layout.columns)
     if tags.syntax in NATIVE:
         check_native(layout, len(dataset.PixelData))
-        pixels = np.asarray(dataset.pixel_array)
+        with named("PixelData"):
+            pixels = np.asarray(dataset.pixel_array)
     else:
-        frames = _coded_frames(dataset, layout)
-        check_coded(layout, tags, frames)
+        frames = checked_frames(layout, tags, coded_frames(dataset, layout.frames))
         try:
             pixels = _uncoded(tags.syntax, layout, frames)
         except (RadiographError, MemoryError):
             raise
         except Exception:  # codecs have no error of their own
             raise RadiographError(
-                f"its pixels ({tags.syntax_name}) can't be decoded; copy it again, or export it uncompressed"
+                f"PixelData: {tags.syntax_name} pixels that can't be decoded; copy it again, or export it uncompressed"
             ) from None
     if pixels.size != np.prod(shape):
-        raise RadiographError(f"decoded to {pixels.size} pixels instead of {np.prod(shape)}; export it uncompressed")
+        raise RadiographError(f"PixelData: found {pixels.size} pixels, wanted {np.prod(shape)}; export it uncompressed")
     # What lies above the stored bits (old overlays) goes; the sign comes back by the same shift.
     unused = pixels.dtype.itemsize * 8 - layout.stored
     pixels = pixels.reshape(shape)
     return (pixels << unused) >> unused if unused else pixels
 
 
-def _coded_frames(dataset: Dataset, layout: Layout) -> list[bytes]:
-    from pydicom.encaps import generate_frames
+def coded_frames(dataset: Dataset, count: int) -> list[bytes]:
+    """The coded frames of the pixel data, with what is behind their ends.
 
+    Frames of several fragments are told apart by the table of offsets, or else by how streams start. Their ends would
+    not do: an encoder may put filler behind them.
+
+    Parameters
+    ----------
+    count : of the frames that are declared.
+
+    Raises
+    ------
+    RadiographError : pixel data that are no sequence of fragments.
+    """
+    from pydicom.encaps import generate_fragments, generate_frames, parse_basic_offsets
+
+    buffer = BytesIO(dataset.PixelData)
     try:
-        return list(generate_frames(dataset.PixelData, number_of_frames=layout.frames))
-    except ValueError:
+        if parse_basic_offsets(buffer):
+            return list(generate_frames(dataset.PixelData, number_of_frames=count))
+        fragments = list(generate_fragments(buffer))
+    except (ValueError, struct.error):
         raise RadiographError(
-            f"coded frames that can't be told apart, where {layout.frames} are declared; export it again"
+            f"PixelData: found coded frames that can't be told apart, wanted {count}; export it again"
         ) from None
+    if count == 1:
+        return [b"".join(fragments)]
+    starts = [i for i, fragment in enumerate(fragments) if starts_stream(fragment)]
+    if not starts or starts[0]:
+        return fragments
+    return [b"".join(fragments[first:end]) for first, end in zip(starts, [*starts[1:], len(fragments)])]
 
 
 def _uncoded(syntax: str, layout: Layout, frames: list[bytes]) -> NDArray[Any]:

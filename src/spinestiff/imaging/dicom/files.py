@@ -25,30 +25,42 @@ MOST_BYTES = 512 * 1024**2
 MOST_HEADER_BYTES = 2**20
 _DEFLATED = "1.2.840.10008.1.2.1.99"
 _DIRECTORY = "1.2.840.10008.1.3.10"
+_MODALITY = 0x00080060
 
 
 @contextlib.contextmanager
 def one_clear_line(name: str) -> Iterator[None]:
     """Turn every failure inside into one RadiographError with the file's name.
 
-    pydicom and the codecs raise all sorts, at any access. Their messages may quote patient data, so only the kind of
-    problem is passed on.
+    pydicom and the codecs raise all sorts, at any access. Their messages may quote patient data, so nothing of them is
+    passed on.
     """
     try:
         with quiet():
             yield
     except RadiographError as problem:
         raise type(problem)(f"{name}: {problem}") from None
-    except FileNotFoundError:
-        raise RadiographError(f"{name}: no such file") from None
-    except OSError as problem:
-        reason = problem.strerror or type(problem).__name__
-        raise RadiographError(f"{name}: can't be opened or decoded ({reason})") from None
     except MemoryError:
         raise RadiographError(f"{name}: not enough memory to read it; close other programs or crop it") from None
     except Exception as problem:
-        kind = type(problem).__name__
-        raise RadiographError(f"{name}: damaged or unsupported DICOM ({kind}); export it again, uncompressed") from None
+        if isinstance(problem, OSError) and problem.strerror:
+            raise RadiographError(f"{name}: can't be read ({problem.strerror})") from None
+        raise RadiographError(f"{name}: damaged or unsupported DICOM; export it again, uncompressed") from None
+
+
+@contextlib.contextmanager
+def named(what: str) -> Iterator[None]:
+    """Turn what the DICOM library raises inside into one RadiographError that names the part of the file at fault."""
+    try:
+        yield
+    except (RadiographError, MemoryError):
+        raise
+    except Exception as problem:
+        if isinstance(problem, OSError) and problem.strerror:
+            raise
+        raise RadiographError(
+            f"{what}: found bytes that can't be read, wanted valid DICOM; copy the file again, or export it again"
+        ) from None
 
 
 @contextlib.contextmanager
@@ -68,35 +80,49 @@ def quiet() -> Iterator[None]:
 
 
 def read_dataset(path: Path) -> tuple[Dataset, str]:
-    """The dataset of a file, and the file's SHA-256.
+    """The dataset of a regular file, and the file's SHA-256.
 
     Raises
     ------
-    RadiographError : empty, too large, no DICOM Part 10, a DICOMDIR. Whatever pydicom raises passes: callers read
-        inside ``one_clear_line``.
+    RadiographError : empty, too large, no DICOM Part 10, damaged, a DICOMDIR.
     """
     from pydicom import dcmread
     from pydicom.errors import InvalidDicomError
     from pydicom.filereader import read_file_meta_info
 
     size = path.stat().st_size
+    # A file of no size may still have no end, as those that a system makes up; it is not opened.
+    if not size:
+        raise RadiographError("found an empty file, wanted a DICOM file; copy it again")
     if size > MOST_BYTES + MOST_HEADER_BYTES:
-        raise RadiographError(f"{size / 2**20:.0f} MB; at most {MOST_BYTES // 2**20} MB are read")
-    if not path.is_file():
-        raise RadiographError("no file; wanted a DICOM file or a folder of them")
+        raise RadiographError(f"found {size / 2**20:.0f} MB, wanted at most {MOST_BYTES // 2**20} MB; crop it")
     content = path.read_bytes()
     sha256 = hashlib.sha256(content).hexdigest()
-    if not content:
-        raise RadiographError("the file is empty")
-    try:
-        header = read_file_meta_info(path)
-    except InvalidDicomError:
-        raise RadiographError("no DICOM file (its header is missing); export the radiograph as DICOM Part 10") from None
-    if header.get("MediaStorageSOPClassUID") == _DIRECTORY:
-        raise RadiographError("a DICOMDIR, no radiograph; name the radiograph's own file")
-    if header.get("TransferSyntaxUID") == _DEFLATED:
-        return _inflated(header, content), sha256
-    return dcmread(BytesIO(content)), sha256
+    with named("the file's header"):
+        try:
+            header = read_file_meta_info(path)
+        except InvalidDicomError:
+            raise RadiographError(
+                "no DICOM file (its header is missing); export the radiograph as DICOM Part 10"
+            ) from None
+        kind, syntax = header.get("MediaStorageSOPClassUID"), header.get("TransferSyntaxUID")
+    if kind == _DIRECTORY:
+        raise RadiographError("found a DICOMDIR, wanted a radiograph; name the radiograph's own file")
+    with named("the file's elements"):
+        return (_inflated(header, content) if syntax == _DEFLATED else dcmread(BytesIO(content))), sha256
+
+
+def declared_modality(path: Path) -> str:
+    """Modality as a regular file's first bytes declare it, without reading the rest: a coded word, "" if not told.
+
+    Whatever keeps it from being told is left to ``read_dataset`` to say.
+    """
+    from pydicom.filereader import read_partial
+
+    with contextlib.suppress(Exception), quiet(), path.open("rb") as file:
+        start = BytesIO(file.read(MOST_HEADER_BYTES))
+        return str(read_partial(start, stop_when=lambda tag, vr, length: tag > _MODALITY).get("Modality") or "").strip()
+    return ""
 
 
 def _inflated(header: FileMetaDataset, content: bytes) -> Dataset:
@@ -108,9 +134,9 @@ def _inflated(header: FileMetaDataset, content: bytes) -> Dataset:
     machine = zlib.decompressobj(-zlib.MAX_WBITS)
     inflated = machine.decompress(content[start:], most)
     if machine.unconsumed_tail:
-        raise RadiographError(f"deflated DICOM of more than {most // 2**20} MB; export it uncompressed")
+        raise RadiographError(f"found deflated DICOM of more than {most // 2**20} MB; export it uncompressed")
     if not machine.eof:
-        raise RadiographError("deflated DICOM cut short; copy the file again")
+        raise RadiographError("found deflated DICOM that is cut short; copy the file again")
     dataset = parse(BytesIO(inflated), is_implicit_VR=False, is_little_endian=True)
     dataset.set_original_encoding(False, True)
     dataset.file_meta = header

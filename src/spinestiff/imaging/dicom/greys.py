@@ -35,7 +35,7 @@ class DisplayCurve:
         for key in ("greys", "shown"):
             object.__setattr__(self, key, read_only(key, getattr(self, key), (None,), RadiographError))
         if len(self.greys) != len(self.shown) or len(self.greys) < 2 or (np.diff(self.greys) <= 0.0).any():
-            raise RadiographError("a display window or table has no width")
+            raise RadiographError("the display window or table: found no width, wanted ascending pixel values")
 
     def __call__(self, pixels: ArrayLike) -> NDArray[np.float32]:
         """Pixels as they are shown, 0 to 1."""
@@ -64,7 +64,9 @@ def bone_bright(
         how = tags.photometric + how
     else:
         if tags.beam_sign not in (1.0, -1.0):
-            raise RadiographError(f"PixelIntensityRelationshipSign {tags.beam_sign:g}; wanted 1 or -1")
+            raise RadiographError(
+                f"PixelIntensityRelationshipSign: found {tags.beam_sign:g}, wanted 1 or -1; correct it"
+            )
         # Sign -1: larger stored values mean less beam, which is bone bright whatever the display makes of it.
         inverted = (tags.beam_sign > 0.0) == rising
         how = f"PixelIntensityRelationshipSign {tags.beam_sign:+.0f}" + how
@@ -84,16 +86,18 @@ def _modality(
     table, slope, intercept = tags.modality_table, tags.slope, tags.intercept
     if table is not None:
         if (slope, intercept) != (1.0, 0.0):
-            raise RadiographError("both a modality table and a rescale slope; only one may be meant")
+            raise RadiographError("RescaleSlope: found it beside ModalityLUTSequence, wanted one of them; correct it")
         first, last = (float(_looked_up(table, np.array([end]))[0]) for end in ends)
         return _looked_up(table, stored), (first, last), ", by its modality table"
     if not slope:
-        raise RadiographError("RescaleSlope is 0")
+        raise RadiographError("RescaleSlope: found 0, wanted another number; correct it at the source")
     if (slope, intercept) == (1.0, 0.0):
         return stored.astype(np.float32), (float(ends[0]), float(ends[1])), ""
     first, last = (slope * end + intercept for end in ends)
     if not max(abs(first), abs(last)) <= LARGEST_GREY:
-        raise RadiographError(f"RescaleSlope {slope:g} and RescaleIntercept {intercept:g} make no grey values")
+        raise RadiographError(
+            f"RescaleSlope, RescaleIntercept: found {slope:g}, {intercept:g}, wanted grey values up to {LARGEST_GREY:g}"
+        )
     pixels = np.float32(slope) * stored.astype(np.float32) + np.float32(intercept)
     return pixels, (first, last), f", rescaled by {slope:g} and {intercept:g}"
 

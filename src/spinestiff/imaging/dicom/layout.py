@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from spinestiff.errors import RadiographError
 from spinestiff.imaging.dicom.files import MOST_BYTES
 from spinestiff.imaging.dicom.streams import StreamHeader, stream_header
-from spinestiff.imaging.dicom.tags import Tags
+from spinestiff.imaging.dicom.tags import Tags, shown
 
 MODALITIES = ("CR", "DX", "RF", "XA", "SC", "OT")
 MOST_PIXELS_A_SIDE = 8192
@@ -44,34 +44,55 @@ class Layout:
         return self.rows * self.columns * self.allocated // 8
 
 
+def check_modality(modality: str) -> None:
+    """Raise RadiographError unless a file's Modality (a coded word) is that of a projection radiograph."""
+    if modality not in MODALITIES:
+        raise RadiographError(
+            f"Modality: found {shown(modality)}, wanted a projection radiograph ({', '.join(MODALITIES)})"
+        )
+
+
 def checked_layout(tags: Tags) -> Layout:
     """The layout that a file declares.
 
     Raises
     ------
-    RadiographError : no projection radiograph, colours, sizes outside the caps, bits that contradict each other.
+    RadiographError : colours, sizes outside the caps, bits that contradict each other.
     """
-    if tags.modality not in MODALITIES:
-        named = f"modality {tags.modality}" if tags.modality else "no modality"
-        raise RadiographError(f"{named} is no projection radiograph; wanted one of {', '.join(MODALITIES)}")
-    if tags.samples != 1 or tags.photometric not in ("MONOCHROME1", "MONOCHROME2"):
-        raise RadiographError(f"colour picture ({tags.photometric or 'unknown'}); export the original, no screenshot")
+    if tags.photometric not in ("MONOCHROME1", "MONOCHROME2"):
+        raise RadiographError(
+            f"PhotometricInterpretation: found {shown(tags.photometric)}, wanted MONOCHROME1 or MONOCHROME2; export "
+            "the original, no screenshot"
+        )
+    if tags.samples != 1:
+        raise RadiographError(
+            f"SamplesPerPixel: found {tags.samples}, wanted 1, since PhotometricInterpretation is {tags.photometric}; "
+            "export the original, no screenshot"
+        )
     if tags.syntax not in (*NATIVE, RLE, *_CODINGS):
-        raise RadiographError(f"pixels coded as {tags.syntax_name} can't be decoded; export it uncompressed")
+        raise RadiographError(f"TransferSyntaxUID: found {tags.syntax_name}, which is not read; export it uncompressed")
     layout = Layout(tags.frames, tags.rows, tags.columns, tags.allocated, tags.stored, tags.signed)
     size = f"{layout.frames} frames of {layout.rows} x {layout.columns}"
     if min(layout.frames, layout.rows, layout.columns) < 1:
-        raise RadiographError(f"declares {size}; wanted at least one pixel")
+        raise RadiographError(f"NumberOfFrames, Rows, Columns: found {size}, wanted 1 or more; export it again")
     if max(layout.rows, layout.columns) > MOST_PIXELS_A_SIDE or layout.frames > MOST_FRAMES:
         most = f"{MOST_FRAMES} frames of {MOST_PIXELS_A_SIDE} x {MOST_PIXELS_A_SIDE}"
-        raise RadiographError(f"declares {size}; at most {most}")
+        raise RadiographError(f"NumberOfFrames, Rows, Columns: found {size}, wanted at most {most}; crop it")
     if layout.allocated not in (8, 16) or not 0 < layout.stored <= layout.allocated:
-        raise RadiographError(f"{layout.stored} bits stored in {layout.allocated}; wanted 8 or 16 bits a pixel")
+        raise RadiographError(
+            f"BitsStored, BitsAllocated: found {layout.stored} bits in {layout.allocated}, wanted up to 8 in 8 or up "
+            "to 16 in 16; export it again"
+        )
     if tags.high_bit != layout.stored - 1:
-        raise RadiographError(f"high bit other than the last of {layout.stored} bits stored; export it again")
+        raise RadiographError(
+            f"HighBit: found {tags.high_bit}, wanted {layout.stored - 1} as BitsStored says; export it again"
+        )
     count = layout.frames * layout.frame_bytes
     if count > MOST_BYTES:
-        raise RadiographError(f"declares {size}, {count / 2**20:.0f} MB; at most {MOST_BYTES // 2**20} MB are read")
+        raise RadiographError(
+            f"NumberOfFrames, Rows, Columns: found {size}, {count / 2**20:.0f} MB, wanted at most "
+            f"{MOST_BYTES // 2**20} MB; crop it"
+        )
     return layout
 
 
@@ -79,32 +100,49 @@ def check_native(layout: Layout, there: int) -> None:
     """Raise RadiographError unless uncompressed pixels fill what is declared, up to one byte of padding."""
     count = layout.frames * layout.frame_bytes
     if there < count:
-        raise RadiographError(f"pixel data cut short: {there} of {count} bytes; copy the file again")
+        raise RadiographError(f"PixelData: found {there} bytes, wanted {count}: cut short; copy the file again")
     if there > count + count % 2:
-        raise RadiographError(f"{there} bytes of pixels, but {count} are declared; export it again")
+        raise RadiographError(f"PixelData: found {there} bytes, wanted {count} as declared; export it again")
 
 
-def check_coded(layout: Layout, tags: Tags, frames: list[bytes]) -> None:
-    """Raise RadiographError unless each coded frame is whole and of the declared size, depth and coding."""
+def checked_frames(layout: Layout, tags: Tags, frames: list[bytes]) -> list[bytes]:
+    """Coded frames without filler behind their ends.
+
+    Raises
+    ------
+    RadiographError : a frame that is not whole, or not of the declared size, depth and coding.
+    """
     if len(frames) != layout.frames:
-        raise RadiographError(f"{len(frames)} coded frames, but {layout.frames} are declared; export it again")
+        raise RadiographError(
+            f"PixelData: found {len(frames)} coded frames, wanted {layout.frames} as declared; export it again"
+        )
     if tags.syntax == RLE:
-        return  # its size shows only in decoding, which stops at the declared one
+        return frames  # their size shows only in decoding, which stops at the declared one
+    streams = []
     for frame in frames:
         header = stream_header(frame)
         if (header.rows, header.columns) != (layout.rows, layout.columns):
-            declared = f"{layout.rows} x {layout.columns} is declared"
-            raise RadiographError(f"a coded frame is {header.rows} x {header.columns}, but {declared}")
+            found, declared = f"{header.rows} x {header.columns}", f"{layout.rows} x {layout.columns}"
+            raise RadiographError(f"PixelData: found a coded frame of {found}, wanted {declared}; export it again")
         if header.components != 1:
-            raise RadiographError(f"a coded frame has {header.components} colours; export the original, no screenshot")
+            raise RadiographError(
+                f"PixelData: found a coded frame of {header.components} colours, wanted 1; export the original, no "
+                "screenshot"
+            )
         _check_coding(layout, tags, header)
+        streams.append(frame[: header.length])
+    return streams
 
 
 def _check_coding(layout: Layout, tags: Tags, header: StreamHeader) -> None:
     wanted = _CODINGS[tags.syntax]
     if header.coding != wanted:
-        raise RadiographError(f"a coded frame is {header.coding}, but {tags.syntax_name} is declared; export it again")
+        raise RadiographError(
+            f"PixelData: found a coded frame of {header.coding}, wanted {tags.syntax_name}; export it again"
+        )
     if wanted == "JPEG" and header.precision != 8:
-        raise RadiographError(f"JPEG of {header.precision} bits can't be decoded; export it uncompressed")
+        raise RadiographError(f"PixelData: found JPEG of {header.precision} bits, wanted 8; export it uncompressed")
     if header.precision not in (layout.stored, layout.allocated):
-        raise RadiographError(f"a coded frame has {header.precision} bits a pixel, but {layout.stored} are declared")
+        raise RadiographError(
+            f"PixelData: found a coded frame of {header.precision} bits, wanted {layout.stored}; export it again"
+        )

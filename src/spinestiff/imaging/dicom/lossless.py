@@ -31,7 +31,8 @@ def decode_lossless(syntax: str, layout: Layout, frames: list[bytes]) -> bytes:
     """
     if importlib.util.find_spec("gdcm") is None:
         raise RadiographError(
-            "JPEG Lossless needs GDCM, which is not installed; pip install 'spinestiff[dicom]', or export uncompressed"
+            "PixelData: JPEG Lossless needs GDCM, which is not installed; pip install "
+            "'spinestiff[dicom]', or export it uncompressed"
         )
     request = {
         "syntax": syntax,
@@ -59,10 +60,14 @@ def decode_lossless(syntax: str, layout: Layout, frames: list[bytes]) -> bytes:
             env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
         )
     except subprocess.TimeoutExpired:
-        raise RadiographError(f"JPEG Lossless took more than {MOST_SECONDS} s; export it uncompressed") from None
+        raise RadiographError(
+            f"PixelData: JPEG Lossless took more than {MOST_SECONDS} s; export it uncompressed"
+        ) from None
     wanted = layout.frames * layout.frame_bytes
     if done.returncode or len(done.stdout) != wanted:
-        raise RadiographError("its JPEG Lossless pixels can't be decoded; copy it again, or export it uncompressed")
+        raise RadiographError(
+            "PixelData: JPEG Lossless pixels that can't be decoded; copy it again, or export it uncompressed"
+        )
     return done.stdout
 
 

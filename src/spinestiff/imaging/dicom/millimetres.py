@@ -92,6 +92,8 @@ class Spacing:
 def distances(tags: Tags, given: Geometry) -> Distances:
     """Source to detector and source to patient.
 
+    A 0 in the file counts as unknown; the source says so.
+
     Raises
     ------
     MissingValue : one of them can't be told.
@@ -108,27 +110,31 @@ def distances(tags: Tags, given: Geometry) -> Distances:
         factor, words = factors[0]
         detector = patient[0] * factor, f"source to patient times {words} {factor:.4g}"
     if detector is None or patient is None:
-        lacking = [(keyword, key) for keyword, key, known in (
-            ("DistanceSourceToDetector", "source_detector_mm", detector),
-            ("DistanceSourceToPatient", "source_patient_mm", patient),
+        lacking = [(f"no {keyword}" if tag is None else f"{keyword} is 0", key) for keyword, tag, key, known in (
+            ("DistanceSourceToDetector", tags.source_detector, "xray.source_detector_mm", detector),
+            ("DistanceSourceToPatient", tags.source_patient, "xray.source_patient_mm", patient),
         ) if known is None]  # fmt: skip
-        keywords = " and no ".join(keyword for keyword, _ in lacking)
+        words = " and ".join(words for words, _ in lacking)
         keys = " and ".join(key for _, key in lacking)
-        raise MissingValue(f"no {keywords}; add {keys} to subject.json, as read at the X-ray system")
+        raise MissingValue(f"{words}; add {keys} to subject.json, as read at the X-ray system")
     if patient[0] >= detector[0]:
-        raise RadiographError(f"source to patient {patient[0]:g} mm is not below source to detector {detector[0]:g} mm")
+        raise RadiographError(
+            f"found source to patient {patient[0]:g} mm ({patient[1]}), source to detector {detector[0]:g} mm "
+            f"({detector[1]}), wanted the patient nearer to the source; correct the distances"
+        )
     found = Distances(detector[0], patient[0], (detector[1], patient[1]))
     if found.magnification > LARGEST_MAGNIFICATION:
         raise RadiographError(
-            f"source to detector {found.detector:g} mm over source to patient {found.patient:g} mm magnifies "
-            f"{found.magnification:.3g} times; wanted at most {LARGEST_MAGNIFICATION:g}; correct the distances"
+            f"source to detector {found.detector:g} mm ({detector[1]}) over source to patient {found.patient:g} mm "
+            f"({patient[1]}) magnifies {found.magnification:.3g} times, wanted at most {LARGEST_MAGNIFICATION:g}; "
+            "correct the distances"
         )
     for factor, words in factors:
         most = AGREEMENT if words == _ESTIMATED else AGREEMENT_OF_CALIBRATION
         if abs(factor / found.magnification - 1.0) > most:
             raise RadiographError(
-                f"{words} is {factor:.4g}, but the distances magnify {found.magnification:.4g} times; "
-                "correct what is wrong"
+                f"{words}: found {factor:.4g}, wanted {found.magnification:.4g} as the distances say "
+                f"({found.sources[0]}, {found.sources[1]}); correct what is wrong"
             )
     return found
 
@@ -141,32 +147,43 @@ def _magnifications(tags: Tags) -> list[tuple[float, str]]:
     # Systems write 1 where they don't know: no patient is of no thickness.
     if tags.magnification not in (None, 0.0, 1.0):
         found.append((float(tags.magnification or 0.0), _ESTIMATED))
-    calibrated = _calibrated(tags)
-    if tags.imager_spacing is not None and calibrated is not None:
-        _check_spacing("ImagerPixelSpacing", tags.imager_spacing, tags)
-        _check_spacing("PixelSpacing", calibrated, tags)
-        found.append((tags.imager_spacing[0] / calibrated[0], "ImagerPixelSpacing over calibrated PixelSpacing"))
+    imager, calibrated = _known(tags.imager_spacing), _calibrated(tags)
+    if imager is not None and calibrated is not None:
+        _check_spacing("ImagerPixelSpacing", imager)
+        _check_spacing("PixelSpacing", calibrated)
+        found.append((imager[0] / calibrated[0], "ImagerPixelSpacing over calibrated PixelSpacing"))
     for factor, words in found:
         if not 1.0 - AGREEMENT <= factor <= LARGEST_MAGNIFICATION:
-            raise RadiographError(f"{words} is {factor:.4g}; wanted 1 to {LARGEST_MAGNIFICATION:g}")
+            raise RadiographError(
+                f"{words}: found {factor:.4g}, wanted 1 to {LARGEST_MAGNIFICATION:g}; correct it at the source"
+            )
     return found
 
 
 def _distance(keyword: str, tag: float | None, key: str, given: float | None) -> tuple[float, str] | None:
-    if tag == 0.0:
-        tag = None  # systems write 0 where they don't know
-    if tag is None and given is None:
+    zero = tag == 0.0  # systems write 0 where they don't know
+    if tag is not None and not zero:
+        _check_distance(keyword, tag)
+        if given is not None:
+            _check_agreement(keyword, tag, key, given, AGREEMENT)
+        return tag, f"DICOM {keyword}"
+    if given is None:
         return None
-    if tag is not None and given is not None:
-        _check_agreement(keyword, tag, key, given)
-    value, source = (tag, f"DICOM {keyword}") if tag is not None else (given or 0.0, f"given {key}")
+    _check_distance(f"given {key}", given)
+    return given, f"given {key}" + (f" since {keyword} is 0" if zero else "")
+
+
+def _check_distance(what: str, value: float) -> None:
     if not DISTANCES_MM[0] <= value <= DISTANCES_MM[1]:
-        raise RadiographError(f"{keyword} {value:g} mm; wanted {DISTANCES_MM[0]:g} to {DISTANCES_MM[1]:g} (in mm)")
-    return value, source
+        raise RadiographError(
+            f"{what}: found {value:g} mm, wanted {DISTANCES_MM[0]:g} to {DISTANCES_MM[1]:g} mm; correct it"
+        )
 
 
 def spacing(tags: Tags, given: Geometry, magnification: float | None) -> Spacing:
     """Pixel pitch at the detector.
+
+    A spacing of 0\\0 in the file counts as unknown; the source says so.
 
     Parameters
     ----------
@@ -178,69 +195,125 @@ def spacing(tags: Tags, given: Geometry, magnification: float | None) -> Spacing
     MissingValue : it can't be told.
     RadiographError : it is implausible, or two statements contradict each other.
     """
-    found = _found_spacing(tags, given, magnification)
-    _check_spacing("pixel pitch", (found.row, found.column), tags)
+    shape = _pixel_shape(tags)
+    found = _found_spacing(tags, given, magnification, shape)
+    _check_spacing(_first_words(found), (found.row, found.column))
     if given.imager_pixel_mm is not None:
+        most = AGREEMENT_OF_CALIBRATION if found.source.startswith("DICOM PixelSpacing") else AGREEMENT
         for value in (found.row, found.column):
-            _check_agreement(found.source.split(",")[0], value, "imager_pixel_mm", given.imager_pixel_mm)
+            _check_agreement(_first_words(found), value, "imager_pixel_mm", given.imager_pixel_mm, most)
     if given.scale is not None:
         _check_scale(found, given.scale, magnification)
     extent = max(tags.rows * found.row, tags.columns * found.column)
     if extent > LARGEST_IMAGE_MM:
-        raise RadiographError(f"an image of {extent:.0f} mm; wanted at most {LARGEST_IMAGE_MM:g}; check the pitch")
+        raise RadiographError(
+            f"{_first_words(found)}: found an image of {extent:.0f} mm, wanted at most {LARGEST_IMAGE_MM:g} mm; "
+            "correct the pitch"
+        )
     return found
 
 
-def _found_spacing(tags: Tags, given: Geometry, magnification: float | None) -> Spacing:
-    if tags.imager_spacing is not None:
-        _check_spacing("ImagerPixelSpacing", tags.imager_spacing, tags)
-        return Spacing(*tags.imager_spacing, "DICOM ImagerPixelSpacing, at the detector")
-    calibrated = _calibrated(tags)
+def _found_spacing(
+    tags: Tags, given: Geometry, magnification: float | None, shape: tuple[float, str] | None
+) -> Spacing:
+    imager, calibrated = _known(tags.imager_spacing), _calibrated(tags)
+    if imager is not None:
+        _check_spacing("ImagerPixelSpacing", imager)
+        return Spacing(*imager, "DICOM ImagerPixelSpacing, at the detector")
+    others = _others(tags, calibrated is not None)
+    unused = f"; not used: {', '.join(others)}" if others else ""
     if calibrated is not None:
-        _check_spacing("PixelSpacing", calibrated, tags)
+        _check_spacing("PixelSpacing", calibrated)
         if magnification is None:
             raise MissingValue("PixelSpacing is at the patient, and the magnification is not known; add the distances")
-        words = f"calibrated by {tags.calibration} at the patient plane, times the magnification"
+        words = f"calibrated by {tags.calibration} at the patient plane, times the magnification{unused}"
         return Spacing(calibrated[0] * magnification, calibrated[1] * magnification, f"DICOM PixelSpacing, {words}")
-    aspect = tags.aspect or 1.0
+    aspect, says = shape or (1.0, "")
     if given.imager_pixel_mm is not None:
         if abs(aspect - 1.0) > AGREEMENT:
-            raise RadiographError("PixelAspectRatio says that pixels aren't square, so imager_pixel_mm can't hold; "
-                                  "give a scale in subject.json instead")  # fmt: skip
+            raise RadiographError(
+                f"{says}, pixels {aspect:.4g} times as high as wide, wanted square ones for the given imager_pixel_mm "
+                f"{given.imager_pixel_mm:g}; take it out of subject.json and give a scale"
+            )
         pitch = given.imager_pixel_mm
-        _check_spacing("imager_pixel_mm", (pitch, pitch), tags)
-        return Spacing(pitch, pitch, "given imager_pixel_mm, at the detector")
+        _check_spacing("given imager_pixel_mm", (pitch, pitch))
+        return Spacing(pitch, pitch, f"given imager_pixel_mm, at the detector{unused}")
     if given.scale is not None:
-        return _scaled(given.scale, aspect, magnification, tags)
-    raise MissingValue(f"{_lacking(tags)}; add imager_pixel_mm (pixel pitch at the detector) to subject.json")
+        return _scaled(given.scale, aspect, magnification, tags, unused)
+    words = f"found {' and '.join(others)}, wanted ImagerPixelSpacing" if others else "no ImagerPixelSpacing"
+    raise MissingValue(f"{words}; add xray.imager_pixel_mm (pixel pitch at the detector) to subject.json")
+
+
+def _first_words(found: Spacing) -> str:
+    return found.source.partition(";")[0].partition(",")[0]
+
+
+def _known(pair: tuple[float, float] | None) -> tuple[float, float] | None:
+    """A spacing of the file; None where systems wrote 0 since they didn't know."""
+    return None if pair == (0.0, 0.0) else pair
 
 
 def _calibrated(tags: Tags) -> tuple[float, float] | None:
-    return tags.pixel_spacing if tags.calibration in ("GEOMETRY", "FIDUCIAL") else None
+    return _known(tags.pixel_spacing) if tags.calibration in ("GEOMETRY", "FIDUCIAL") else None
 
 
-def _lacking(tags: Tags) -> str:
-    if tags.pixel_spacing is not None:
-        return "PixelSpacing doesn't say for which plane"
-    if tags.scanned_spacing is not None:
-        return f"no ImagerPixelSpacing (NominalScannedPixelSpacing {tags.scanned_spacing[0]:g} mm is on the film)"
-    return "no ImagerPixelSpacing"
+def _others(tags: Tags, calibrated: bool) -> list[str]:
+    """What the file says about spacing without its being a pitch at the detector, and why it is none."""
+    found = []
+    for keyword, pair, why in (
+        ("ImagerPixelSpacing", tags.imager_spacing, ""),
+        ("PixelSpacing", None if calibrated else tags.pixel_spacing, " of no known plane"),
+        ("NominalScannedPixelSpacing", tags.scanned_spacing, " on the film"),
+    ):
+        if pair is not None:
+            found.append(f"{keyword} {_pair(pair)}{why if _known(pair) else ' (zero)'}")
+    return found
 
 
-def _check_spacing(what: str, pair: tuple[float, float], tags: Tags) -> None:
-    for value in pair:
-        if not PIXEL_MM[0] <= value <= PIXEL_MM[1]:
-            raise RadiographError(f"{what} {value:g} mm; wanted {PIXEL_MM[0]:g} to {PIXEL_MM[1]:g}")
-    ratio = pair[0] / pair[1]
-    if not 1.0 / LARGEST_ASPECT <= ratio <= LARGEST_ASPECT:
-        raise RadiographError(f"{what} {pair[0]:g} x {pair[1]:g} mm: no detector has pixels so far from square")
-    if tags.aspect is not None and abs(tags.aspect / ratio - 1.0) > AGREEMENT:
-        raise RadiographError(f"{what} {pair[0]:g} x {pair[1]:g} mm, but PixelAspectRatio is {tags.aspect:.4g}")
+def _pair(pair: tuple[float, float]) -> str:
+    return "{:g}\\{:g} mm".format(*pair)
 
 
-def _check_agreement(what: str, value: float, key: str, given: float) -> None:
-    if not math.isfinite(given) or abs(value - given) > AGREEMENT * abs(value):
-        raise RadiographError(f"{what} is {value:g} mm, but subject.json gives {key} {given:g} mm; correct that value")
+def _pixel_shape(tags: Tags) -> tuple[float, str] | None:
+    """Height of a pixel over its width as the file says it, and where; None if it doesn't.
+
+    Raises
+    ------
+    RadiographError : a side of 0 or less, or two statements that contradict each other.
+    """
+    shapes = [] if tags.aspect is None else [(tags.aspect, f"PixelAspectRatio: found {tags.aspect:.4g}")]
+    for keyword, pair in (
+        ("ImagerPixelSpacing", tags.imager_spacing),
+        ("PixelSpacing", tags.pixel_spacing),
+        ("NominalScannedPixelSpacing", tags.scanned_spacing),
+    ):
+        if pair is None or _known(pair) is None:
+            continue
+        if min(pair) <= 0.0:
+            raise RadiographError(f"{keyword}: found {_pair(pair)}, wanted two lengths above 0 mm; correct it")
+        shapes.append((pair[0] / pair[1], f"{keyword}: found {_pair(pair)}"))
+    for aspect, says in shapes[1:]:
+        if abs(aspect / shapes[0][0] - 1.0) > AGREEMENT:
+            first = shapes[0][1].replace(": found", "")
+            raise RadiographError(f"{says}, wanted pixels of the same shape as {first} says; correct what is wrong")
+    return shapes[0] if shapes else None
+
+
+def _check_spacing(what: str, pair: tuple[float, float]) -> None:
+    if not all(PIXEL_MM[0] <= value <= PIXEL_MM[1] for value in pair):
+        raise RadiographError(
+            f"{what}: found {_pair(pair)}, wanted {PIXEL_MM[0]:g} to {PIXEL_MM[1]:g} mm; correct it at the source"
+        )
+    if not 1.0 / LARGEST_ASPECT <= pair[0] / pair[1] <= LARGEST_ASPECT:
+        raise RadiographError(f"{what}: found {_pair(pair)}, wanted sides of at most {LARGEST_ASPECT:g} to 1")
+
+
+def _check_agreement(what: str, value: float, key: str, given: float, most: float) -> None:
+    if not math.isfinite(given) or abs(value - given) > most * abs(value):
+        raise RadiographError(
+            f"{what}: found {value:g} mm, wanted {given:g} mm to {100 * most:g} % as xray.{key} of subject.json says; "
+            "correct what is wrong"
+        )
 
 
 def _span(scale: Scale, aspect: float, tags: Tags | None = None) -> float:
@@ -249,19 +322,22 @@ def _span(scale: Scale, aspect: float, tags: Tags | None = None) -> float:
     if tags is not None and not (
         max(c0, c1) <= tags.columns - 0.5 and max(r0, r1) <= tags.rows - 0.5 and min(c0, c1, r0, r1) >= -0.5
     ):
-        raise RadiographError(f"scale: an end of the {scale.what} lies outside the image")
+        raise RadiographError(
+            f"scale: found an end of the {scale.what} outside the image, wanted both in its {tags.columns} columns and "
+            f"{tags.rows} rows"
+        )
     return math.hypot(c1 - c0, aspect * (r1 - r0))
 
 
-def _scaled(scale: Scale, aspect: float, magnification: float | None, tags: Tags) -> Spacing:
+def _scaled(scale: Scale, aspect: float, magnification: float | None, tags: Tags, unused: str) -> Spacing:
     pixels = _span(scale, aspect, tags)
     if not pixels >= FEWEST_PIXELS:
         raise RadiographError(
-            f"scale: the {scale.what} spans {pixels:.3g} pixels; wanted {FEWEST_PIXELS:g} or more, to be within 5 %"
+            f"scale: found {pixels:.3g} pixels over the {scale.what}, wanted {FEWEST_PIXELS:g} or more (5 % of error)"
         )
     column = scale.length_mm / pixels * _to_detector(scale, magnification)
     words = "at the detector" if scale.plane == "detector" else "at the patient plane, times the magnification"
-    source = f"{scale.what} of {scale.length_mm:g} mm over {pixels:.1f} pixels {words}"
+    source = f"{scale.what} of {scale.length_mm:g} mm over {pixels:.1f} pixels {words}{unused}"
     return Spacing(aspect * column, column, source)
 
 
@@ -277,6 +353,6 @@ def _check_scale(found: Spacing, scale: Scale, magnification: float | None) -> N
     length = _span(scale, found.row / found.column) * found.column / _to_detector(scale, magnification)
     if not abs(length - scale.length_mm) <= scale.agreement * scale.length_mm:
         raise RadiographError(
-            f"{found.source.split(',')[0]} makes the {scale.what} {length:.4g} mm long, but subject.json says "
-            f"{scale.length_mm:g} mm; correct what is wrong"
+            f"{_first_words(found)}: found {length:.4g} mm for the {scale.what}, wanted {scale.length_mm:g} "
+            "mm as xray.scale of subject.json says; correct what is wrong"
         )

@@ -78,10 +78,12 @@ def directions(tags: Tags, given: Geometry) -> Directions:
     if towards is not None:
         if (towards in "AP") != frontal:
             raise RadiographError(
-                f"ViewPosition {tags.view_position} contradicts a {shown} view ({source}); correct what is wrong"
+                f"ViewPosition: found {tags.view_position}, wanted one of a {shown} view ({source}); correct either"
             )
         if towards in "LR" and side and side != towards:
-            raise RadiographError(f"ViewPosition is {tags.view_position}, but laterality is {side}; correct either")
+            raise RadiographError(
+                f"ViewPosition: found {tags.view_position}, wanted {side}L as the laterality says; correct either"
+            )
         return Directions(column, row, towards, source, f"DICOM ViewPosition {tags.view_position}")
     if frontal:
         return Directions(column, row, "P", source, "assumed anterior to posterior")
@@ -95,25 +97,31 @@ def _laterality(tags: Tags) -> str:
     sides = {side for side in (tags.image_laterality, tags.laterality) if side in ("L", "R")}
     if len(sides) > 1:
         raise RadiographError(
-            f"ImageLaterality is {tags.image_laterality}, but Laterality is {tags.laterality}; correct one of them"
+            f"ImageLaterality: found {tags.image_laterality}, wanted {tags.laterality} as in Laterality; correct either"
         )
     return sides.pop() if sides else ""
 
 
 def _image_axes(tags: Tags, given: Geometry) -> tuple[str, str, str]:
     if given.view not in (None, "frontal", "lateral"):
-        raise RadiographError(f"view '{given.view}'; wanted frontal or lateral")
+        raise RadiographError(f"the given view: found '{given.view}', wanted frontal or lateral")
     if tags.orientation is None:
         if given.view is None:
             raise MissingValue(
                 "no PatientOrientation; if the image is shown as usual, add xray.orientation 'standard' to subject.json"
             )
         assumed = ("L", "F") if given.view == "frontal" else ("A", "F")
-        return *assumed, f"given view {given.view}, columns taken to grow to {assumed[0]}, rows to {assumed[1]}"
+        words = f"given as a {given.view} view shown as usual"
+        return *assumed, f"{words}, columns taken to grow to {assumed[0]}, rows to {assumed[1]}"
     column, row = tags.orientation
     if column not in tuple("LRAP") or row not in tuple("HF"):
-        raise RadiographError(f"PatientOrientation {column}\\{row}: not upright; columns must go to L, R, A or P")
+        raise RadiographError(
+            f"PatientOrientation: found {column}\\{row}, wanted columns to L, R, A or P and rows to F or H"
+        )
     shown = "frontal" if column in "LR" else "lateral"
     if given.view not in (None, shown):
-        raise RadiographError(f"PatientOrientation {column}\\{row} is {shown}, but subject.json has view {given.view}")
+        raise RadiographError(
+            f"PatientOrientation: found {column}\\{row}, a {shown} view, wanted a {given.view} one; put the "
+            f"{given.view} radiograph in its place"
+        )
     return column, row, f"DICOM PatientOrientation {column}\\{row}"

@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spinestiff.errors import RadiographError
+from spinestiff.files import regular_file
 from spinestiff.imaging.dicom.decoding import decoded
-from spinestiff.imaging.dicom.files import one_clear_line, read_dataset
+from spinestiff.imaging.dicom.files import MOST_BYTES, declared_modality, one_clear_line, read_dataset
 from spinestiff.imaging.dicom.greys import DisplayCurve, bone_bright
-from spinestiff.imaging.dicom.layout import Layout, checked_layout
+from spinestiff.imaging.dicom.layout import Layout, check_modality, checked_layout
 from spinestiff.imaging.dicom.millimetres import Distances, Geometry, Spacing, distances, spacing
 from spinestiff.imaging.dicom.orientation import Directions, directions
-from spinestiff.imaging.dicom.tags import MissingValue, Tags, read_tags
+from spinestiff.imaging.dicom.tags import MissingValue, Tags, code, coded_word, read_tags
 from spinestiff.imaging.projection import XRayView, placed_view
 
 
@@ -75,15 +77,24 @@ class Scan:
         )  # fmt: skip
 
 
-def read_scan(path: Path, given: Geometry) -> Scan:
+def read_scan(path: Path, given: Geometry, within: Path | None = None) -> Scan:
     """A file, wholly read.
+
+    Parameters
+    ----------
+    within : folder that the file has to lie in, links followed.
 
     Raises
     ------
     RadiographError : whatever is wrong with it, in one line with its name.
     """
+    status = regular_file(path, RadiographError, within=within, name=path.name)
     with one_clear_line(path.name):
+        # What is no radiograph is said to be none, not to be too large for one.
+        if status.st_size > MOST_BYTES and (modality := declared_modality(path)):
+            check_modality(coded_word(modality))
         dataset, sha256 = read_dataset(path)
+        check_modality(code(dataset, "Modality"))
         tags = read_tags(dataset)
         layout = checked_layout(tags)
         missing: list[str] = []

@@ -8,6 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinestiff.errors import RadiographError
+from spinestiff.imaging.dicom.streams import FILLER
+
+MOST_TAKEN = 1
+"""Bytes that end a segment and are the same as the filler behind it. Runs have no end mark, so filler could stand for
+pixels that were cut off; a picture seldom ends in two bytes that are the filler's."""
+_NOTHING = b"\x80"
 
 
 def decode_rle(frame: bytes, rows: int, columns: int, width: int) -> NDArray[np.uint8 | np.uint16]:
@@ -18,13 +24,15 @@ def decode_rle(frame: bytes, rows: int, columns: int, width: int) -> NDArray[np.
     RadiographError : another number of segments, or segments that hold more or less than the declared size.
     """
     if len(frame) < 64:
-        raise RadiographError("a coded frame is cut short; copy the file again")
+        raise RadiographError("PixelData: a coded frame is cut short; copy the file again")
     segments, *offsets = struct.unpack("<16I", frame[:64])
     if segments != width:
-        raise RadiographError(f"a coded frame has {segments} bytes a pixel, but {width} are declared")
+        raise RadiographError(
+            f"PixelData: found a coded frame of {segments} bytes a pixel, wanted {width}; export it again"
+        )
     bounds = [*offsets[:segments], len(frame)]
     if bounds[0] < 64 or any(low >= high for low, high in zip(bounds, bounds[1:])):
-        raise RadiographError("a coded frame has segments out of order; copy the file again")
+        raise RadiographError("PixelData: a coded frame has segments out of order; copy the file again")
     # The first segment holds the most significant bytes.
     planes = [_segment(frame[low:high], rows * columns) for low, high in zip(bounds, bounds[1:])]
     pixels = np.stack(planes[::-1], axis=-1).view(f"<u{width}")
@@ -33,10 +41,8 @@ def decode_rle(frame: bytes, rows: int, columns: int, width: int) -> NDArray[np.
 
 def _segment(coded: bytes, count: int) -> NDArray[np.uint8]:
     found = bytearray()
-    at, end = 0, len(coded)
     # A run or a literal of one byte takes two; what takes more is no picture.
-    if end > 2 * count + 2:
-        raise RadiographError(f"a coded frame holds {end} bytes for {count} pixels; export it again")
+    at, end = 0, min(len(coded), 2 * count + 2)
     while len(found) < count and at < end:
         head = coded[at]
         if head < 128:
@@ -48,8 +54,12 @@ def _segment(coded: bytes, count: int) -> NDArray[np.uint8]:
         else:
             at += 1
     if len(found) != count:
-        raise RadiographError(f"a coded frame holds {len(found)} pixels where {count} are declared; export it again")
-    # Padding to an even length; more is another picture's.
-    if end - at > 1:
-        raise RadiographError(f"a coded frame holds more than the {count} pixels declared; export it again")
+        raise RadiographError(f"PixelData: found a coded frame of {len(found)} pixels, wanted {count}; export it again")
+    behind = coded[at:]
+    if behind.strip(FILLER + _NOTHING):
+        raise RadiographError(
+            f"PixelData: found a coded frame of more than {count} pixels, wanted {count}; export it again"
+        )
+    if len(behind) > 1 and at - len(coded[:at].rstrip(behind[:1])) > MOST_TAKEN:
+        raise RadiographError("PixelData: a coded frame is cut short and filled up; copy the file again")
     return np.frombuffer(bytes(found), dtype=np.uint8)

@@ -10,6 +10,7 @@ import datetime
 import hashlib
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinestiff.errors import RadiographError
+from spinestiff.imaging.dicom.files import named
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset
@@ -110,16 +112,16 @@ def read_tags(dataset: Dataset) -> Tags:
 
     modality = code(dataset, "Modality")
     if "PixelData" not in dataset:
-        raise RadiographError("no picture in it (PixelData is missing); is the file complete?")
+        raise RadiographError("PixelData: missing, wanted a picture; copy the file again, or name another")
     frames = _integer(dataset, "NumberOfFrames", 1)
     stored = _integer(dataset, "BitsStored")
     signed = _integer(dataset, "PixelRepresentation", 0)
     if signed not in (0, 1):
-        raise RadiographError(f"PixelRepresentation {signed}; wanted 0 or 1")
-    syntax = UID(str(dataset.file_meta.get("TransferSyntaxUID") or ""))
+        raise RadiographError(f"PixelRepresentation: found {signed}, wanted 0 or 1; export it again")
+    syntax = UID(str(_own(dataset.file_meta, "TransferSyntaxUID") or ""))
     if not syntax:
-        raise RadiographError("its header doesn't say how it is coded (no TransferSyntaxUID); export it again")
-    kind = UID(str(dataset.get("SOPClassUID") or ""))
+        raise RadiographError("TransferSyntaxUID: missing, wanted how the pixels are coded; export it again")
+    kind = UID(str(_own(dataset, "SOPClassUID") or ""))
     instance = _number(dataset, "InstanceNumber")
     return Tags(
         modality=modality,
@@ -164,19 +166,39 @@ def read_tags(dataset: Dataset) -> Tags:
 
 def code(dataset: Dataset, keyword: str) -> str:
     """A coded word of the file, fit to be shown: "?" for one that is not known, "" for none."""
-    word = str(_value(dataset, keyword) or "").strip()
+    value = _value(dataset, keyword)
+    with named(keyword):
+        return coded_word(str(value or "").strip())
+
+
+def coded_word(word: str) -> str:
+    """A word fit to be shown: itself if it is known, "?" if it is not."""
     return word if word in _WORDS or not word else "?"
+
+
+def shown(word: str) -> str:
+    """A coded word as messages have it."""
+    return {"": "none", "?": "an unlisted word"}.get(word, word)
+
+
+def _own(dataset: Dataset, keyword: str) -> Any:
+    """Of the dataset itself, where pydicom parses an element at its first use."""
+    with named(keyword):
+        return dataset.get(keyword)
 
 
 def _value(dataset: Dataset, keyword: str) -> Any:
     """Of the dataset itself, or of the functional groups, where every frame has to have the same."""
     if keyword in dataset:
-        return dataset.get(keyword)
-    found = [_grouped(group, keyword) for group in (dataset.get("SharedFunctionalGroupsSequence") or [])[:1]]
-    found += [_grouped(group, keyword) for group in dataset.get("PerFrameFunctionalGroupsSequence") or []]
+        return _own(dataset, keyword)
+    with named("the frames' functional groups"):
+        found = [_grouped(group, keyword) for group in (dataset.get("SharedFunctionalGroupsSequence") or [])[:1]]
+        found += [_grouped(group, keyword) for group in dataset.get("PerFrameFunctionalGroupsSequence") or []]
     there = [value for value in found if value is not None]
     if any(str(value) != str(there[0]) for value in there[1:]):
-        raise RadiographError(f"{keyword} differs from frame to frame; export the frames as single files")
+        raise RadiographError(
+            f"{keyword}: found values that differ from frame to frame, wanted one; export the frames as single files"
+        )
     return there[0] if there else None
 
 
@@ -195,7 +217,7 @@ def _as_number(keyword: str, value: Any) -> float:
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        raise RadiographError(f"{keyword} is no number")
+        raise RadiographError(f"{keyword}: found no number, wanted one; export it again")
     return number
 
 
@@ -203,28 +225,39 @@ def _absent(value: Any) -> bool:
     return value is None or (hasattr(value, "__len__") and not len(value)) or not str(value).strip()
 
 
+def _values(keyword: str, value: Any) -> list[Any]:
+    """The values of an element of any number of them; items are parsed, so that they may be at fault."""
+    with named(keyword):
+        if _absent(value):
+            return []
+        return list(value) if isinstance(value, Sequence) and not isinstance(value, (str, bytes)) else [value]
+
+
 def _number(dataset: Dataset, keyword: str, default: float | None = None) -> float | None:
     value = _value(dataset, keyword)
-    return default if _absent(value) else _as_number(keyword, value)
+    with named(keyword):
+        absent = _absent(value)
+    return default if absent else _as_number(keyword, value)
 
 
 def _integer(dataset: Dataset, keyword: str, default: int | None = None) -> int:
     value = _number(dataset, keyword)
     if value is None:
         if default is None:
-            raise RadiographError(f"{keyword} is missing")
+            raise RadiographError(f"{keyword}: missing, wanted a number; export it again")
         return default
     if value != int(value):
-        raise RadiographError(f"{keyword} {value:g} is no whole number")
+        raise RadiographError(f"{keyword}: found {value:g}, wanted a whole number; export it again")
     return int(value)
 
 
 def _two(dataset: Dataset, keyword: str) -> tuple[float, float] | None:
-    values = _value(dataset, keyword)
-    if _absent(values):
+    values = _values(keyword, _value(dataset, keyword))
+    if not values:
         return None
-    if isinstance(values, (str, bytes, float, int)) or len(values) != 2:
-        raise RadiographError(f"{keyword} isn't two numbers")
+    if len(values) != 2:
+        count = f"{len(values)} value" + ("s" if len(values) > 1 else "")
+        raise RadiographError(f"{keyword}: found {count}, wanted two numbers; correct it at the source")
     first, second = (_as_number(keyword, value) for value in values)
     return first, second
 
@@ -235,7 +268,9 @@ def _aspect(dataset: Dataset) -> float | None:
     if values is None:
         return None
     if min(values) <= 0.0:
-        raise RadiographError("PixelAspectRatio isn't two numbers above 0")
+        raise RadiographError(
+            "PixelAspectRatio: found {:g}\\{:g}, wanted two numbers above 0; correct it at the source".format(*values)
+        )
     return values[0] / values[1]
 
 
@@ -243,42 +278,42 @@ def _window(dataset: Dataset) -> tuple[float, float] | None:
     """Centre and width of the first window."""
     both: list[float] = []
     for keyword in ("WindowCenter", "WindowWidth"):
-        value = _value(dataset, keyword)
-        if _absent(value):
+        values = _values(keyword, _value(dataset, keyword))
+        if not values:
             return None
-        single = isinstance(value, (str, bytes, float, int))
-        both.append(_as_number(keyword, value if single else value[0]))
+        both.append(_as_number(keyword, values[0]))
     return both[0], both[1]
 
 
 def _table(dataset: Dataset, keyword: str) -> Table | None:
-    items = _value(dataset, keyword)
-    if _absent(items):
+    items = _values(keyword, _value(dataset, keyword))
+    if not items:
         return None
-    item = items[0]
-    descriptor, data = item.get("LUTDescriptor"), item.get("LUTData")
-    if _absent(descriptor) or _absent(data) or len(descriptor) != 3:
-        raise RadiographError(f"{keyword} has no table that can be read")
+    with named(keyword):
+        descriptor, data = _values("LUTDescriptor", items[0].get("LUTDescriptor")), items[0].get("LUTData")
+    if _absent(data) or len(descriptor) != 3:
+        raise RadiographError(f"{keyword}: found no table, wanted LUTDescriptor and LUTData; export it again")
     count, first, bits = (int(_as_number(keyword, value)) for value in descriptor)
     count = count % MOST_TABLE_ENTRIES or MOST_TABLE_ENTRIES
     if not 8 <= bits <= 16:
-        raise RadiographError(f"{keyword} has entries of {bits} bits; wanted 8 to 16")
+        raise RadiographError(f"{keyword}: found entries of {bits} bits, wanted 8 to 16; export it again")
     if isinstance(data, bytes):
         narrow = bits == 8 and len(data) - count in (0, 1)
         values = np.frombuffer(data[: len(data) // 2 * 2], dtype=np.uint8 if narrow else "<u2")
         values = values[:count] if narrow else values
     else:
-        values = np.asarray(data, dtype=np.int64) % 65536
+        with named(keyword):
+            values = np.asarray(_values(keyword, data), dtype=np.int64) % 65536
     if len(values) != count:
-        raise RadiographError(f"{keyword} holds {len(values)} entries, but {count} are declared")
+        raise RadiographError(f"{keyword}: found {len(values)} entries, wanted {count} as declared; export it again")
     if first >= 32768 and _integer(dataset, "PixelRepresentation", 0):
         first -= 65536
     return Table(first, values.astype(np.uint16))
 
 
 def _orientation(dataset: Dataset) -> tuple[str, str] | None:
-    values = _value(dataset, "PatientOrientation")
-    if _absent(values) or isinstance(values, str) or len(values) != 2:
+    values = _values("PatientOrientation", _value(dataset, "PatientOrientation"))
+    if len(values) != 2:
         return None
     column, row = (str(part).strip()[:1] for part in values)
     return (_direction(column), _direction(row)) if column and row else None
@@ -289,22 +324,25 @@ def _direction(letter: str) -> str:
 
 
 def _view_position(dataset: Dataset) -> str:
-    named = code(dataset, "ViewPosition")
-    items = _value(dataset, "ViewCodeSequence")
-    coded = "" if _absent(items) else _VIEW_CODES.get(str(items[0].get("CodeValue", "")), "")
-    if named in _VIEW_CODES.values() and coded and named != coded:
-        raise RadiographError(f"ViewPosition is {named}, but ViewCodeSequence means {coded}; correct it at the source")
-    return named or coded
+    word = code(dataset, "ViewPosition")
+    items = _values("ViewCodeSequence", _value(dataset, "ViewCodeSequence"))
+    with named("ViewCodeSequence"):
+        coded = _VIEW_CODES.get(str(items[0].get("CodeValue", "")), "") if items else ""
+    if word in _VIEW_CODES.values() and coded and word != coded:
+        raise RadiographError(f"ViewPosition: found {word}, wanted {coded} as ViewCodeSequence says; correct either")
+    return word or coded
 
 
 def _frame_times(dataset: Dataset, frames: int) -> tuple[float | None, ...]:
     """Seconds since the first frame."""
     if not 1 < frames <= 100_000:
         return (0.0,)
-    increments = _value(dataset, "FrameTimeVector")
-    if not _absent(increments) and not isinstance(increments, (str, bytes, float, int)):
+    increments = _values("FrameTimeVector", _value(dataset, "FrameTimeVector"))
+    if len(increments) > 1:
         if len(increments) != frames:
-            raise RadiographError(f"FrameTimeVector has {len(increments)} entries for {frames} frames")
+            raise RadiographError(
+                f"FrameTimeVector: found {len(increments)} entries, wanted {frames}, one a frame; export it again"
+            )
         steps = [_as_number("FrameTimeVector", step) for step in increments]
         steps[0] = 0.0
     else:
@@ -313,16 +351,16 @@ def _frame_times(dataset: Dataset, frames: int) -> tuple[float | None, ...]:
             return (None,) * frames
         steps = [0.0] + [step] * (frames - 1)
     if min(steps) < 0.0:
-        raise RadiographError("frame times go backwards")
+        raise RadiographError(f"FrameTime: found {min(steps):g} ms, wanted 0 or more; correct it at the source")
     return tuple(float(t) for t in np.cumsum(steps) / 1000.0)
 
 
 def _clock(dataset: Dataset) -> float | None:
     """Seconds of the acquisition since the year 1, or since midnight without a date; None if the file doesn't tell."""
     # Read by hand: values like 17:58:00 of old systems are worth having, and a bad time is no reason to refuse.
-    moment = str(dataset.get("AcquisitionDateTime") or "")
+    moment = str(_own(dataset, "AcquisitionDateTime") or "")
     date, time = (moment[:8], moment[8:]) if len(moment) > 8 else (
-        str(dataset.get("AcquisitionDate") or ""), str(dataset.get("AcquisitionTime") or "")
+        str(_own(dataset, "AcquisitionDate") or ""), str(_own(dataset, "AcquisitionTime") or "")
     )  # fmt: skip
     found = re.match(r"(\d\d):?(\d\d)?:?(\d\d(?:\.\d+)?)?", time)
     if found is None:
@@ -335,6 +373,29 @@ def _clock(dataset: Dataset) -> float | None:
     return 86400.0 * day + 3600.0 * hours + 60.0 * minutes + seconds
 
 
+def identity_tags(dataset: Dataset) -> tuple[tuple[str, str], int | None, bool]:
+    """For ``identity.Identity``: hashes of the patient's number and of name with birth date, the day, whether the
+    patient was taken out."""
+    name, birth = (str(dataset.get(keyword) or "").strip() for keyword in ("PatientName", "PatientBirthDate"))
+    person = _hash(f"{name.casefold()}\0{birth}") if name and birth else ""
+    removed = str(dataset.get("PatientIdentityRemoved") or "").strip().upper() == "YES"
+    return (_hashed(dataset, "PatientID"), person), _day(dataset), removed
+
+
+def _day(dataset: Dataset) -> int | None:
+    for keyword in ("AcquisitionDateTime", "AcquisitionDate", "ContentDate", "SeriesDate", "StudyDate"):
+        text = str(dataset.get(keyword) or "").replace(".", "").strip()
+        try:
+            return datetime.date.fromisoformat(text[:8]).toordinal()
+        except ValueError:
+            continue
+    return None
+
+
 def _hashed(dataset: Dataset, keyword: str) -> str:
-    value = str(dataset.get(keyword) or "").strip()
-    return hashlib.sha256(value.encode("utf-8", "replace")).hexdigest() if value else ""
+    value = str(_own(dataset, keyword) or "").strip()
+    return _hash(value) if value else ""
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8", "replace")).hexdigest()

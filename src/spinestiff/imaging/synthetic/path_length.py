@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import RadiographError, TorsoError
 from spinestiff.imaging.projection import XRayView
+from spinestiff.words import counted
 
 _GRID = 2.0**36  # of projected vertices, a pixel; differences below 2**17 pixels stay exact in 53 bits
 _FARTHEST_PIXEL = 2.0**16
@@ -83,7 +84,9 @@ def closed_surface(vertices: ArrayLike, faces: ArrayLike) -> Surface:
         _, same = np.unique(points, axis=0, return_inverse=True)
         count = _open_edges(np.asarray(same).reshape(-1)[triangles], len(points))
         if count:
-            raise TorsoError(f"surface is not closed: {count} edges lack a neighbour; close it or leave it out")
+            raise TorsoError(
+                f"surface is not closed: {counted(int(count), 'edge')} without a neighbour; close it or leave it out"
+            )
     return Surface(points, triangles)
 
 

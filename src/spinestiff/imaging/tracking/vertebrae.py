@@ -16,6 +16,7 @@ from spinestiff.imaging.tracking.following import follow
 from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.pictures import Pictures, check_inside, inside
 from spinestiff.imaging.tracking.quality import predicted_error, quality_of
+from spinestiff.words import counted
 
 if TYPE_CHECKING:
     from spinestiff.imaging.radiograph import Radiograph
@@ -59,7 +60,9 @@ def track(
         raise TrackingError("no annotated frame to track from; wanted at least one")
     for frame, corners in annotated.items():
         if not 0 <= frame < len(frames):
-            raise TrackingError(f"frame {frame} is annotated, but there are {len(frames)} frames, counted from 0")
+            raise TrackingError(
+                f"frame {frame} is annotated, but the sequence has {counted(len(frames), 'frame')}, counted from 0"
+            )
         check_inside(view.pixels(corners.corners), shape, frame, corners.vertebrae)
     names = tuple(name for name in VERTEBRAE if any(name in corners.vertebrae for corners in annotated.values()))
     done = {*annotated}

@@ -368,7 +368,7 @@ def draw_ratio_map(ratios: RatioMap) -> Figure:
         for axis in (whole, near):
             _plain_ticks(axis)
         handles, labels = whole.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(handles))
+        figure.legend(handles, labels, loc="outside lower center", ncols=3)
     return figure
 
 
@@ -381,7 +381,8 @@ def _draw_region(axis: Axes, ratios: RatioMap) -> None:
             bar = np.tile(ratios.estimate[:, None], 2)
             bar[which] = low, high
             label = "95 % interval of each" if which == 0 else None
-            axis.plot(*bar, color=FIT, linewidth=3.0, solid_capstyle="butt", label=label, zorder=4)
+            mark = "|" if which == 0 else "_"
+            axis.plot(*bar, color=FIT, linewidth=2.2, marker=mark, markersize=12, label=label, zorder=4)
     axis.plot(*ratios.estimate, marker="o", markersize=8, color=FIT, linestyle="none", label="estimate", zorder=5)
     if ratios.truth is not None:
         axis.plot(*ratios.truth, marker="*", markersize=13, color=TRUTH, linestyle="none", label="truth", zorder=6)

@@ -59,6 +59,7 @@ from spinestiff.subject.folder import image_corners, read_push, read_rest
 from spinestiff.subject.outcomes import Assessment, Estimate, GeometryRecord, Tracked
 from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import read_outcome
+from spinestiff.words import counted
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def write_report(visit: Visit, predictions: Predictions, say: Observer) -> None:
         write_bytes(folder / name, content)
     write_text(visit.file("view.html"), view)
     write_text(visit.file("report.html"), page)
-    say(f"{visit.file('report.html')} and {len(pictures)} figures")
+    say(f"{visit.file('report.html')} and {counted(len(pictures), 'figure')}")
 
 
 def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dict[str, bytes], str, str]:
@@ -293,7 +294,8 @@ def _tilt_picture(visit: Visit, predictions: Predictions) -> tuple[str, Figure, 
     worst = max(changes, key=lambda c: float(np.abs(c.measured).max()))
     most = int(np.argmax(np.abs(worst.measured)))
     alt = (
-        f"Change of tilt of each vertebra, measured and simulated, in {len(changes)} frames; the largest measured is "
+        "Change of tilt of each vertebra, measured and simulated, in "
+        f"{counted(len(changes), 'frame')}; the largest measured is "
         f"{worst.measured[most]:+.1f} degrees at {worst.vertebrae[most]} ({worst.title})."
     )
     caption = (
@@ -333,5 +335,7 @@ def _region_picture(visit: Visit, estimate: Estimate) -> tuple[str, Figure, str,
         "Both ratios on logarithmic axes: the fit’s accepted steps (left) and the joint 95 % region (right). The bars "
         "are the 95 % intervals of each ratio alone; the region holds both at once and is wider. It ends where the "
         "axes end: these are the bounds of the fit."
+        f"Joint 95 % region of the two ratios around the estimate {number(values[0])} and {number(values[1])}, "
+        f"and the fit’s {counted(len(path), 'accepted step')} from the start."
     )
     return "joint-region", figure, alt, caption

@@ -1,0 +1,108 @@
+"""Numbers given as options: refused where they are read, before a command does anything."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import typer
+
+from spinestiff.errors import OptionError
+
+Check = Callable[[typer.CallbackParam, float | None], float | None]
+Limits = Callable[[], tuple[float, float]]
+
+
+def within(unit: str, limits: Limits, above: bool = False) -> Check:
+    """A callback of an option that lets finite numbers within limits pass, and None.
+
+    Parameters
+    ----------
+    unit : of the number, for the message.
+    limits : gives the least and the greatest value; called with the first value, so that help imports nothing heavy.
+    above : the least value itself is refused.
+
+    Raises
+    ------
+    OptionError : no number, not finite, or outside; names option, value and limits.
+    """
+
+    def check(param: typer.CallbackParam, value: float | None) -> float | None:
+        if value is None:
+            return None
+        low, high = limits()
+        # In this form NaN is refused, too.
+        if not low <= value <= high or (above and value == low):
+            wanted = f"above {low:g} and at most {high:g}" if above else f"{low:g} to {high:g}"
+            raise OptionError(f"{param.opts[0]} {value:g}: wanted {wanted} {unit}")
+        return value
+
+    return check
+
+
+def height_limits() -> tuple[float, float]:
+    """cm, of the template."""
+    from spinestiff.anatomy.template.body import HEIGHT_RANGE_CM
+
+    return HEIGHT_RANGE_CM
+
+
+def own_height_limits() -> tuple[float, float]:
+    """cm, of a torso of one's own bones."""
+    from spinestiff.anatomy.importing import HEIGHTS_CM
+
+    return HEIGHTS_CM
+
+
+def age_limits() -> tuple[float, float]:
+    """Years, of the template."""
+    from spinestiff.anatomy.template.body import AGE_RANGE_YEARS
+
+    return AGE_RANGE_YEARS
+
+
+def mass_limits() -> tuple[float, float]:
+    """kg, from the lightest of the smallest to the heaviest of the tallest; narrower at a body's own height."""
+    from spinestiff.anatomy.template.body import BMI_RANGE, HEIGHT_RANGE_CM
+
+    low, high = (index * (0.01 * height) ** 2 for index, height in zip(BMI_RANGE, HEIGHT_RANGE_CM))
+    return low, high
+
+
+def kyphosis_limits() -> tuple[float, float]:
+    """Degrees, of the template."""
+    from spinestiff.anatomy.template.body import KYPHOSIS_RANGE_DEG
+
+    return KYPHOSIS_RANGE_DEG
+
+
+def lordosis_limits() -> tuple[float, float]:
+    """Degrees, of the template."""
+    from spinestiff.anatomy.template.body import LORDOSIS_RANGE_DEG
+
+    return LORDOSIS_RANGE_DEG
+
+
+def spacing_limits() -> tuple[float, float]:
+    """mm, of a tissue mesh's corners."""
+    from spinestiff.anatomy.meshing import SPACINGS_MM
+
+    return SPACINGS_MM
+
+
+def cobb_limits() -> tuple[float, float]:
+    """Degrees, of a synthetic curve."""
+    from spinestiff.study.spines import LARGEST_COBB_DEG
+
+    return -LARGEST_COBB_DEG, LARGEST_COBB_DEG
+
+
+def force_limits() -> tuple[float, float]:
+    """N, of a synthetic push."""
+    from spinestiff.study.synthetic import LARGEST_FORCE_N
+
+    return 0.0, LARGEST_FORCE_N
+
+
+def noise_limits() -> tuple[float, float]:
+    """Pixels, of a corner's noise; above, no vertebra would be told from its neighbours."""
+    return 0.0, 1000.0

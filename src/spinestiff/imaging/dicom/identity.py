@@ -1,0 +1,53 @@
+"""Whose radiograph a file holds and on which day it was taken: hashes and day numbers that stay in this process."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from spinestiff.imaging.dicom.files import one_clear_line, read_dataset
+from spinestiff.imaging.dicom.tags import identity_tags
+
+
+@dataclass(frozen=True)
+class Identity:
+    """A file's patient and day, only to be compared with another file's; never written and never shown.
+
+    Attributes
+    ----------
+    marks : hash of the patient's number, hash of name and date of birth; "" for what the file does not tell.
+    day : of the exposure, counted from the year 1; None if the file does not tell.
+    removed : the file says that its patient was taken out, so that marks and days may be anybody's.
+    """
+
+    marks: tuple[str, str]
+    day: int | None
+    removed: bool
+
+    def __repr__(self) -> str:
+        return "Identity(...)"
+
+    def is_of(self, other: Identity) -> bool | None:
+        """Whether both are of one patient; None if they don't tell."""
+        if self.removed or other.removed:
+            return None
+        pairs = [(a, b) for a, b in zip(self.marks, other.marks) if a and b]
+        return any(a == b for a, b in pairs) if pairs else None
+
+    def days_from(self, other: Identity) -> int | None:
+        """Days between both exposures; None if they don't tell."""
+        if self.removed or other.removed or self.day is None or other.day is None:
+            return None
+        return abs(self.day - other.day)
+
+
+def read_identity(path: Path) -> Identity:
+    """The identity in a file.
+
+    Raises
+    ------
+    RadiographError : the file can't be read; the line holds its name and nothing of the patient.
+    """
+    with one_clear_line(path.name):
+        dataset, _ = read_dataset(path)
+        return Identity(*identity_tags(dataset))

@@ -1,0 +1,29 @@
+"""Counted nouns."""
+
+from __future__ import annotations
+
+import pytest
+
+from spinestiff.subject.records import Annotation
+from spinestiff.words import counted
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((0, "frame"), "0 frames"),
+        ((1, "frame"), "1 frame"),
+        ((2, "coded frame"), "2 coded frames"),
+        ((1, "vertebra", "vertebrae"), "1 vertebra"),
+        ((17, "vertebra", "vertebrae"), "17 vertebrae"),
+    ],
+)
+def test_a_count_and_its_noun_agree(arguments, words):
+    assert counted(*arguments) == words
+
+
+def test_a_message_about_one_vertebra_says_so():
+    square = [[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]]
+    images = {"rest/frontal": {"vertebrae": {"T5": square}}}
+    with pytest.raises(ValueError, match="found 1 vertebra, wanted at least 8"):
+        Annotation.model_validate({"schema_version": 1, "images": images})
