@@ -225,7 +225,8 @@ def test_view_needs_predictions_but_no_report(spinestiff, subject, browsers, tmp
 
 def test_view_of_stale_results_is_refused(spinestiff, subject, browsers):
     edit("subject.json", lambda content: content.update(height_cm=158.0))(subject)
-    refused(spinestiff("view", subject), r"torso\.npz: was made before subject\.json: body changed; run spinestiff personal")
+    words = r"torso\.npz: was made before subject\.json: body changed; run spinestiff personalise again"
+    refused(spinestiff("view", subject), words)
     assert browsers == []
 
 
@@ -525,8 +526,9 @@ def test_a_stale_tracking_is_refused(spinestiff, subject):
 def test_steps_ask_for_those_before(spinestiff, subject):
     for path in (subject / "results").iterdir():
         path.unlink()
-    refused_at_once(spinestiff("estimate", subject), rf"run the step that makes it first \(spinestiff track {subject}\)")
-    refused_at_once(spinestiff("report", subject), rf"run the step that makes it first \(spinestiff track {subject}\)")
+    words = rf"run the step that makes it first \(spinestiff track {subject}\)"
+    refused_at_once(spinestiff("estimate", subject), words)
+    refused_at_once(spinestiff("report", subject), words)
     assert list((subject / "results").iterdir()) == []
 
 

@@ -132,7 +132,7 @@ def test_the_estimate(finished):
     assert record.region_size == fit.uncertainty.region_size
     assert record.orientation == fit.orientation == "procrustes"
     assert set(record.poses) == {"main", "second"}
-    assert {note for note in fit.warnings} <= set(record.notes)
+    assert set(fit.warnings) <= set(record.notes)
 
 
 def test_plain_units_have_the_interval_of_their_ratio(finished):

@@ -208,7 +208,7 @@ def estimate_record() -> Estimate:
         "method": "lm",
         "orientation": "procrustes",
         "bounds": [0.005, 5.0],
-        "poses": dict.fromkeys(PUSHES, {"shift_mm": [0.4, 1.0], "roll_deg": -0.3, "yaw_deg": 0.0, "rms_mm": 1.0}),
+        "poses": {key: {"shift_mm": [0.4, 1.0], "roll_deg": -0.3, "yaw_deg": 0.0, "rms_mm": 1.0} for key in PUSHES},
         "cost": {"equilibria": 9, "newton_iterations": 40, "factorisations": 61, "seconds": 12.3},
         "notes": ["push 'main' frame 1: 1 vertebrae were lost"],
     })  # fmt: skip
