@@ -22,14 +22,16 @@ import time
 from pathlib import Path
 
 import numpy as np
-from spinestiff.study.pipeline import run_steps
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
 from spinestiff.files import read_json
+from spinestiff.study.runner import run_steps
 from spinestiff.study.spines import real_spine
 from spinestiff.study.synthetic import Recipe, made_by, synthesise, truth_path
-from spinestiff.study.visit import open_visit, truth_in_region
+from spinestiff.study.visit import open_visit
+from spinestiff.subject.outcomes import Assessment, Comparison, Estimate, Tracked
+from spinestiff.subject.run_record import read_outcome
 
 RATIOS, FORCE_N = (0.10, 0.01), 60.0
 BASELINES = ("rest", "default", "extrapolation", "single_ratio")
@@ -58,27 +60,37 @@ def run_subject(folder: Path, recipe: Recipe) -> dict[str, object]:
         synthesise(folder, recipe)
     visit = open_visit(folder, truth=truth_path(folder))
     run_steps(visit, ("track", "personalise", "estimate", "assess"))
-    estimate, frames = read_json(visit.file("estimate.json")), read_json(visit.file("assessment.json"))
-    errors = {frame["push"]: frame["rmse_mm"] for frame in frames}
+    estimate, frames = read_outcome(visit.subject, Estimate), read_outcome(visit.subject, Assessment).frames
+    errors = {frame.push: frame.rmse_mm for frame in frames}
     missing = {"main", "second"} - set(errors)
     if missing:
-        raise SpinestiffError(f"no held-out frame of push {sorted(missing)[0]}: {'; '.join(estimate['warnings'])}")
+        raise SpinestiffError(f"no held-out frame of push {sorted(missing)[0]}: {'; '.join(estimate.notes)}")
     second = errors["second"]
     return {
         "subject": folder.name,
         "rest_cobb_deg": round(read_json(truth_path(folder))["rest_cobb_deg"], 1),
-        "vertebrae_seen": len(read_json(visit.file("tracked.json"))["pushes"]["main"]["vertebrae"]),
-        "ratios": {k: [v["value"], *v["interval95"]] for k, v in estimate["ratios"].items()},
+        "vertebrae_seen": len(read_outcome(visit.subject, Tracked).pushes["main"].vertebrae),
+        "ratios": {name: [ratio.value, ratio.low, ratio.high] for name, ratio in estimate.ratios.items()},
         "rmse_mm": errors,
         "tilt_change_deg": {
-            f["push"]: {k: f["cobb_change_deg"][k]["tilt"] for k in ("measured", "fit", "truth")} for f in frames
+            frame.push: {
+                name: None if change is None else change.tilt
+                for name, change in frame.cobb_change_deg.items()
+                if name in ("measured", "fit", "truth")
+            }
+            for frame in frames
         },
-        "near_oracle": all(e["fit"] <= 1.15 * e["truth"] + 0.2 for e in errors.values()),
-        "default_worse": all(e["default"] >= 3.0 * e["truth"] for e in errors.values()),
-        "beats_baselines": all(second["fit"] < second[name] for name in BASELINES),
-        "truth_inside": truth_in_region(visit),
+        "near_oracle": all(_at_most(e["fit"], 1.15, e["truth"], 0.2) for e in errors.values()),
+        "default_worse": all(_at_most(e["truth"], 1.0 / 3.0, e["default"]) for e in errors.values()),
+        "beats_baselines": all(_at_most(second["fit"], 1.0, second[name]) for name in BASELINES),
+        "truth_inside": read_outcome(visit.subject, Comparison).inside,
         "seconds": round(time.perf_counter() - began, 1),
     }
+
+
+def _at_most(error: float | None, factor: float, other: float | None, more: float = 0.0) -> bool:
+    """Whether an error is at most so many times another; not where a predictor made none."""
+    return error is not None and other is not None and error <= factor * other + more
 
 
 def main() -> None:

@@ -37,8 +37,9 @@ class Finished:
 
 @dataclass(frozen=True)
 class Viewed:
-    """What the viewer shows of the finished subject, and what the models made of its frames."""
+    """The finished subject's estimate, what the models made of its frames, and what the viewer shows of them."""
 
+    estimate: object
     predictions: object
     scene: object
 
@@ -143,7 +144,9 @@ def viewed(finished):
     from spinestiff.study.report.viewer.files import scene_of
     from spinestiff.study.steps import stored_predictions
     from spinestiff.study.visit import open_visit
+    from spinestiff.subject.outcomes import Estimate
+    from spinestiff.subject.run_record import read_outcome
 
     visit = open_visit(finished.folder)
     predictions = stored_predictions(visit)
-    return Viewed(predictions, scene_of(visit, predictions))
+    return Viewed(read_outcome(visit.subject, Estimate), predictions, scene_of(visit, predictions))

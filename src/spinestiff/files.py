@@ -9,7 +9,7 @@ import math
 import os
 import secrets
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -141,11 +141,6 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} has no JSON form")
 
 
-def inputs_digest(folder: Path, paths: Iterable[Path]) -> dict[str, str]:
-    """``file_digest`` of every path, by path relative to ``folder``, sorted."""
-    return dict(sorted((_relative(folder, path), file_digest(path)) for path in paths))
-
-
 def file_digest(path: Path) -> str:
     """SHA-256 of a file's bytes; of a folder, of its files' digests in the order of their names.
 
@@ -163,10 +158,6 @@ def file_digest(path: Path) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise SubjectError(f"{path}: can't be read ({error.strerror})") from None
-
-
-def _relative(folder: Path, file: Path) -> str:
-    return Path(os.path.relpath(file, folder)).as_posix()
 
 
 def regular_file(

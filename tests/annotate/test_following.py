@@ -12,7 +12,7 @@ import pytest
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.annotate import following
 from spinestiff.annotate.draft import Draft, DraftImage
-from spinestiff.annotate.following import Follower, following_record
+from spinestiff.annotate.following import Follower, Following, following_record
 from spinestiff.errors import SubjectError, TrackingError
 from spinestiff.study.runner import run_steps
 from spinestiff.study.visit import open_visit
@@ -54,6 +54,26 @@ def test_an_earlier_run_is_shown_until_its_input_changes(annotated):
         np.testing.assert_allclose(list(frame["vertebrae"].values()), kept["corners_px"], atol=0.006)
     annotated.save(Draft(schema_version=1, images={**annotated.marks, PUSH: marked(PUSH, *VERTEBRAE[1:])}), 1)
     assert Follower(annotated).state(PUSH).state == "none"
+
+
+@pytest.mark.parametrize("damage", ["{}", "null", "[]", "", "half", "a digit", "another version"])
+def test_a_damaged_run_is_shown_as_none(annotated, damage):
+    """Not an error: the page offers to track."""
+    run_steps(open_visit(annotated.subject.folder), ("track",))
+    path = annotated.subject.results / "tracked.json"
+    text = path.read_text(encoding="utf-8")
+    changed = {
+        "half": text[: len(text) // 2],
+        "a digit": text.replace("1", "2", 1),
+        "another version": text.replace('"schema_version": 2', '"schema_version": 99'),
+    }
+    assert changed.get(damage, damage) != text
+    path.write_text(changed.get(damage, damage), encoding="utf-8")
+    assert Follower(annotated).state(PUSH) == Following()
+    path.write_text(text, encoding="utf-8")
+    assert Follower(annotated).state(PUSH).state == "done"
+    (annotated.subject.results / "run.json").write_text(damage, encoding="utf-8")
+    assert Follower(annotated).state(PUSH) == Following()
 
 
 def test_every_annotated_frame_is_a_start(annotated, monkeypatch):

@@ -6,7 +6,6 @@ import json
 import re
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pydicom
@@ -17,6 +16,11 @@ from spinestiff.app import cli
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.study import steps
+from spinestiff.study.wording import estimated
+from spinestiff.subject.folder import read_subject
+from spinestiff.subject.outcomes import Assessment, Estimate
+from spinestiff.subject.run_record import read_outcome
 from spinestiff.verification.outcome import Check
 
 COMMANDS = {
@@ -122,11 +126,13 @@ def test_run_on_a_finished_subject_prints_the_result(spinestiff, subject, finish
         f"{step}: up to date" for step in ("track", "personalise", "estimate", "assess", "report")
     ]
     assert digests(subject) == before
+    estimate = read_outcome(read_subject(subject), Estimate)
     for name, value in finished.fit.ratios.as_dict().items():
-        assert re.search(rf"{name} .*{value:.4g}", result.out)
-    warnings = read_json(subject / "results" / "estimate.json")["warnings"]
-    assert warnings
-    assert [f"warning: {text}" in result.out for text in warnings] == [True] * len(warnings)
+        assert re.search(rf"{name} +│ +{estimated(estimate.ratios[name])} ", result.out)
+        assert float(estimated(estimate.ratios[name])) == pytest.approx(value, rel=0.05)
+    notes = (*estimate.notes, *read_outcome(read_subject(subject), Assessment).notes)
+    assert notes
+    assert [f"note: {text}" in result.out for text in notes] == [True] * len(notes)
     assert re.search(r"main 3 .*30 ", result.out)
     assert re.search(r"true ratios inside the joint 95 % region: (yes|no)\n", result.out)
     assert f"report: {subject / 'results' / 'report.html'}" in result.out
@@ -147,29 +153,29 @@ def test_every_step_runs_by_its_own_name(spinestiff, subject, finished, no_repor
 
 
 def test_without_truth_there_is_none_in_the_assessment(spinestiff, subject, monkeypatch):
-    """Predictions are stubbed: what counts is what reaches the file."""
-    from spinestiff.study import assessment
-
-    monkeypatch.setattr(assessment, "single_ratio", lambda *args: None)
-
-    def at_rest(pushes, item, model, start):
-        return SimpleNamespace(converged=True, status=None, state=pushes.torso.rest_pose)
-
-    monkeypatch.setattr(assessment, "_predict", at_rest)
-    result = spinestiff("assess", subject)
+    """The baseline's fit is left out: what counts is what reaches the file."""
+    monkeypatch.setattr(steps, "single_ratio", lambda *args: None)
+    result = spinestiff("assess", subject, "--redo")
     assert result.status == 0
     assert "true ratios inside" not in result.out
-    records = read_json(subject / "results" / "assessment.json")
-    assert len(records) == 2
-    for record in records:
-        assert record["rmse_mm"]["truth"] is None
-        assert record["rmse_mm"]["rest"] > 0.0
-        assert "truth" not in record["cobb_change_deg"]
+    frames = read_outcome(read_subject(subject), Assessment).frames
+    assert len(frames) == 2
+    for frame in frames:
+        assert frame.rmse_mm["truth"] is frame.rmse_mm["single_ratio"] is None
+        assert frame.rmse_mm["rest"] > 0.0
+        assert "truth" not in frame.cobb_change_deg
+    # The comparison was with an earlier estimate.
+    assert not (subject / "results" / "comparison.json").exists()
+
+
+def test_a_report_with_another_truth_asks_for_its_comparison(spinestiff, subject, tmp_path):
+    other = tmp_path / "other.truth.json"
+    write_json(other, {"ratios": {"lateral_bending": 0.3, "tissue": 0.05}})
+    words = f"comparison.json: compares with other true ratios .*; run spinestiff assess {subject} --truth {other}"
+    refused(spinestiff("report", subject, "--truth", other), words)
 
 
 def test_redo_reaches_the_step(spinestiff, subject, finished, monkeypatch):
-    from spinestiff.study import steps
-
     asked = []
 
     def fit(problems, trials, names, method, start, orientation, observer):
@@ -202,9 +208,9 @@ def test_view_opens_what_the_report_left(spinestiff, subject, browsers):
     assert len(browsers) == 1
 
 
-def test_view_needs_an_estimate_but_no_report(spinestiff, subject, browsers, tmp_path):
-    """For real: every frame is solved again, and the page goes where it is wanted as well."""
-    for name in ("view.html", "report.html", "assessment.json"):
+def test_view_needs_predictions_but_no_report(spinestiff, subject, browsers, tmp_path):
+    """For real: the page is made again, and goes where it is wanted as well."""
+    for name in ("view.html", "report.html"):
         (subject / "results" / name).unlink()
     out = tmp_path / "pages" / "girl.html"
     result = spinestiff("view", subject, "--out", out)
@@ -218,8 +224,15 @@ def test_view_needs_an_estimate_but_no_report(spinestiff, subject, browsers, tmp
 
 
 def test_view_of_stale_results_is_refused(spinestiff, subject, browsers):
-    (subject / "results" / "tracked.json").write_text("{}", encoding="utf-8")
-    refused(spinestiff("view", subject), "estimate.json: was made before results/tracked.json changed")
+    edit("subject.json", lambda content: content.update(height_cm=158.0))(subject)
+    words = r"torso\.npz: was made before subject\.json: body changed; run spinestiff personalise again"
+    refused(spinestiff("view", subject), words)
+    assert browsers == []
+
+
+def test_view_of_an_estimate_without_predictions_says_what_to_run(spinestiff, subject, browsers):
+    (subject / "results" / "predictions.npz").unlink()
+    refused(spinestiff("view", subject), rf"predictions\.npz: no such file; .*\(spinestiff assess {subject}\)")
     assert browsers == []
 
 
@@ -504,21 +517,23 @@ def test_bad_radiographs_keep_all_results(spinestiff, subject, spoil, words):
 
 def test_a_stale_tracking_is_refused(spinestiff, subject):
     edit("subject.json", more_forces)(subject)
-    refused(spinestiff("estimate", subject), r"was made before subject\.json changed; run spinestiff track again")
+    refused(
+        spinestiff("estimate", subject),
+        r"was made before subject\.json: frames and forces changed; run spinestiff track again",
+    )
 
 
 def test_steps_ask_for_those_before(spinestiff, subject):
     for path in (subject / "results").iterdir():
         path.unlink()
-    refused_at_once(spinestiff("estimate", subject), r"run the step that makes it first \(spinestiff track\)")
-    refused_at_once(spinestiff("report", subject), r"run the step that makes it first \(spinestiff track\)")
+    words = rf"run the step that makes it first \(spinestiff track {subject}\)"
+    refused_at_once(spinestiff("estimate", subject), words)
+    refused_at_once(spinestiff("report", subject), words)
     assert list((subject / "results").iterdir()) == []
 
 
 @pytest.mark.parametrize("error", [FitError("no minimum here"), EquilibriumError("no\nequilibrium here")])
 def test_a_failed_computation_ends_with_3_and_keeps_the_estimate(spinestiff, subject, monkeypatch, error):
-    from spinestiff.study import steps
-
     def fails(*args, **kwargs):
         raise error
 
@@ -544,18 +559,16 @@ def test_an_absurd_force_ends_with_3_and_keeps_the_estimate(spinestiff, subject,
 
 
 def test_the_systems_own_refusals_are_one_line(spinestiff, subject, monkeypatch):
-
     def full(*args):
         raise OSError(28, "No space left on device", "tracked.json")
 
-    monkeypatch.setattr(pipeline, "_FUNCTIONS", {**pipeline._FUNCTIONS, "track": full})
+    monkeypatch.setattr(steps, "track", full)
     refused(spinestiff("track", subject, "--redo"), r"tracked\.json: No space left on device")
 
 
 def test_an_interruption_is_one_line(spinestiff, subject, monkeypatch):
-
     def interrupted(*args):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(pipeline, "_FUNCTIONS", {**pipeline._FUNCTIONS, "track": interrupted})
+    monkeypatch.setattr(steps, "track", interrupted)
     refused(spinestiff("track", subject, "--redo"), "stopped; results of finished steps are kept", 130)

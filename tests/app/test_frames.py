@@ -11,11 +11,14 @@ from matplotlib.figure import Figure
 from spinestiff.app import frames
 from spinestiff.files import read_json, write_json
 from spinestiff.imaging.image_quality import ImageQuality
+from spinestiff.study import steps
 from spinestiff.study.frame_selection import FrameQuality
+from spinestiff.subject.folder import read_subject
+from spinestiff.subject.outcomes import FrameProposals
+from spinestiff.subject.run_record import read_outcome
 
 
-def test_a_proposal_for_a_subject_without_roles(spinestiff, subject, monkeypatch, capfd):
-    monkeypatch.setattr(frames, "run_steps", lambda *_: None)  # tracking doesn't ask for roles
+def test_a_proposal_for_a_subject_without_roles(spinestiff, subject, capfd):
     path = subject / "subject.json"
     chosen = path.read_text()
     content = read_json(path)
@@ -43,7 +46,9 @@ def test_a_proposal_for_a_subject_without_roles(spinestiff, subject, monkeypatch
     assert cv2.imread(str(subject / "results/frames.png")).shape[0] > 1000
     assert json.loads(path.read_text()) == json.loads(chosen)
     # What people see of the same.
-    frames.show_frames(found, subject / "results/frames.png", written=False)
+    records = read_outcome(read_subject(subject), FrameProposals).frames
+    assert [record.role for record in records] == ["unused"] * 6
+    frames.show_frames(records, subject / "results/frames.png", written=False)
     shown = capfd.readouterr().out
     assert re.fullmatch(r"30 N, sharp, shoulder moved 0\.\d mm: validation, the largest force", found[3]["reason"])
     assert f"push 'main' frame 3: {found[3]['reason']}" in shown
@@ -51,9 +56,8 @@ def test_a_proposal_for_a_subject_without_roles(spinestiff, subject, monkeypatch
 
 
 def test_roles_stay_without_being_asked(spinestiff, subject, monkeypatch):
-    monkeypatch.setattr(frames, "run_steps", lambda *_: None)
-    monkeypatch.setattr(frames, "draw_strip", lambda rows: Figure())
-    monkeypatch.setattr(frames, "frame_qualities", lambda push, *_: [
+    monkeypatch.setattr("spinestiff.study.report.frame_strip.draw_strip", lambda rows: Figure())
+    monkeypatch.setattr(steps, "frame_qualities", lambda push, *_: [
         FrameQuality(push.id, i, force, ImageQuality(1.0, 5.0, 0.0), 14, 0.1, {})
         for i, force in enumerate(push.forces_n)
     ])  # fmt: skip

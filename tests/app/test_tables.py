@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 
 import pytest
@@ -10,21 +9,16 @@ import pytest
 from spinestiff import __version__
 from spinestiff.app import tables
 from spinestiff.mechanics.factor import default_backend
+from spinestiff.subject.outcomes import Estimate, HeldOutFrame, PlainStiffness, RatioEstimate
 from spinestiff.verification.outcome import Check
 
-ESTIMATE = {
-    "status_text": "converged",
-    "ratios": {
-        "lateral_bending": {"value": 0.10234, "interval95": [0.08, 0.131], "at_bound": False},
-        "tissue": {"value": 0.005, "interval95": [None, 0.01], "at_bound": True},
-    },
-    "plain": {
-        "lateral_bending_thoracic_nm_per_rad": 12.34,
-        "lateral_bending_lumbar_nm_per_rad": 20.0,
-        "tissue_young_kpa": 3.21,
-    },
-    "warnings": ["push [main] is unusual"],
+RATIOS = {
+    "lateral_bending": RatioEstimate.of(0.10234, (0.0952, 0.1101), (False, False), False),
+    "tissue": RatioEstimate.of(0.005, (0.005, 0.0123), (True, False), True),
 }
+LEVEL = {**RATIOS["lateral_bending"].scaled(120.0).model_dump(), "unit": "N m/rad", "ratio": "lateral_bending"}
+NONE = {"value": 3.2154, "low": None, "high": None, "unit": "kPa", "ratio": None}
+CHANGE = {"signed": -5.0, "fixed_levels": -5.1, "tilt": -7.04, "levels": ("T5", "T9"), "tilt_levels": ("T6", "L1")}
 ASSESSMENT = {
     "push": "main",
     "frame": 6,
@@ -37,7 +31,7 @@ ASSESSMENT = {
         "single_ratio": 2.0,
         "truth": None,
     },
-    "cobb_change_deg": {"measured": {"signed": -5.0, "fixed_levels": -5.1, "tilt": -7.04}, "fit": None},
+    "cobb_change_deg": {"measured": CHANGE, "fit": None},
 }
 
 
@@ -55,17 +49,33 @@ def row_of(text, start):
     return [cell.strip() for cell in line.strip("│").split("│")]
 
 
+def estimate(**changed):
+    plain = {
+        "lateral_bending_thoracic": PlainStiffness.model_validate(LEVEL),
+        "lateral_bending_lumbar": PlainStiffness.model_validate(LEVEL),
+        "tissue_young": PlainStiffness.model_validate(NONE),
+    }
+    given = {"status": "CONVERGED", "determined": "weakly determined", "parameters": tuple(RATIOS), "ratios": RATIOS}
+    return Estimate.model_construct(**given, plain=plain, **changed)
+
+
 def test_estimate(printed):
-    text = printed(tables.estimate_table(ESTIMATE))
-    assert "Estimate: converged" in text
-    assert row_of(text, "lateral_bending") == ["lateral_bending", "0.1023", "0.08 to 0.131", "no"]
-    assert row_of(text, "tissue  ") == ["tissue", "0.005", "not available", "yes"]
-    assert row_of(text, "thoracic level")[1] == "12.3 N m/rad"
-    assert row_of(text, "tissue, Young")[1] == "3.2 kPa"
+    """Digits as the interval leaves them, open ends as such, and how far each is determined."""
+    text = printed(tables.estimate_table(estimate()))
+    assert "Estimate: weakly determined" in text
+    assert row_of(text, "lateral_bending") == ["lateral_bending", "0.102", "0.095 to 0.11", "determined", "no"]
+    assert row_of(text, "tissue  ") == ["tissue", "0.0050", "≤ 0.005 to 0.012", "weakly determined", "yes"]
+    assert row_of(text, "thoracic level")[1:3] == ["12.3 N m/rad", "11 to 13 N m/rad"]
+    assert row_of(text, "tissue, Young")[1:3] == ["3.2 kPa", ""]
+
+
+def test_a_doubtful_estimate_says_so_above_its_numbers(printed):
+    text = printed(tables.estimate_table(estimate().model_copy(update={"status": "DOUBTFUL"})))
+    assert text.index("Estimate: doubtful") < text.index("lateral_bending")
 
 
 def test_assessment(printed):
-    text = printed(tables.assessment_table([ASSESSMENT]))
+    text = printed(tables.assessment_table([HeldOutFrame.model_validate(ASSESSMENT)]))
     assert row_of(text, "main 6") == ["main 6", "60", "9.00", "7.13", "1.23", "-", "2.00", "-", "-7.0", "-"]
 
 
@@ -104,5 +114,5 @@ def test_doctor(printed, monkeypatch):
 
 
 def test_names_from_files_are_no_markup(printed):
-    record = copy.deepcopy(ASSESSMENT) | {"push": "[red]x[/red]"}
+    record = HeldOutFrame.model_validate({**ASSESSMENT, "push": "[red]x[/red]"})
     assert "[red]x[/red] 6" in printed(tables.assessment_table([record]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from types import SimpleNamespace
+import re
 
 import pytest
 from typer.testing import CliRunner
@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 from spinestiff.anatomy.files import write_torso
 from spinestiff.anatomy.template import template_torso
 from spinestiff.app.cli import app
-from spinestiff.errors import TorsoError
+from spinestiff.errors import SubjectError, TorsoError
+from spinestiff.files import read_json, write_json
 from spinestiff.study.imported import torso_facts
 
 
@@ -23,7 +24,7 @@ def said(*arguments) -> str:
 
 def refusal(*arguments) -> str:
     error = CliRunner().invoke(app, ["torso", *map(str, arguments)]).exception
-    assert isinstance(error, TorsoError) and "\n" not in str(error)
+    assert isinstance(error, (TorsoError, SubjectError)) and "\n" not in str(error)
     return str(error)
 
 
@@ -77,16 +78,19 @@ def test_a_torso_of_its_own_takes_no_sizes(tmp_path):
     assert refusal("show", path, "--height", 157).endswith("has a size and a mesh of its own; leave out --height")
 
 
-def test_a_subject_folder_stands_for_its_torso(tmp_path, monkeypatch):
-    changed = []
-    visit = SimpleNamespace(file=lambda name: tmp_path / "results" / name)
-    monkeypatch.setattr("spinestiff.study.visit.open_visit", lambda folder: visit)
-    monkeypatch.setattr("spinestiff.subject.run_record.changed_inputs", lambda folder, step: changed)
-    assert refusal("show", tmp_path).endswith("torso.npz: no such file; run spinestiff personalise first")
-    (tmp_path / "results").mkdir()
-    write_torso(tmp_path / "results" / "torso.npz", template_torso(150.0))
-    assert "height: 150 cm" in said("show", tmp_path)
-    said("export", tmp_path, "--format", "vtu", "--out", tmp_path / "s.vtu")
+def test_a_subject_folder_stands_for_its_torso(subject, tmp_path):
+    assert "height: 157 cm" in said("show", subject)
+    said("export", subject, "--format", "vtu", "--out", tmp_path / "s.vtu")
     assert (tmp_path / "s.vtu").stat().st_size > 10_000
-    changed.append("subject.json")
-    assert "was made before subject.json changed; run spinestiff personalise again" in refusal("show", tmp_path)
+    record = read_json(subject / "subject.json")
+    write_json(subject / "subject.json", {**record, "height_cm": 158.0})
+    words = r"torso\.npz: was made before subject\.json: body changed; run spinestiff personalise again"
+    assert re.search(words, refusal("show", subject))
+    write_json(subject / "subject.json", record)
+    path = subject / "results" / "torso.npz"
+    write_torso(path, template_torso(150.0))
+    assert "torso.npz: was changed after spinestiff personalise had written it" in refusal("show", subject)
+    path.unlink()
+    assert f"torso.npz: no such file; run the step that makes it first (spinestiff personalise {subject})" in refusal(
+        "show", subject
+    )

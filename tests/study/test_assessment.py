@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from results import tracked_push
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.fit import FitStatus
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
-from spinestiff.mechanics.equilibrium import SolveStatus
 from spinestiff.study import assessment
-from spinestiff.study.assessment import BASELINES, assess, extrapolated, single_ratio
-from spinestiff.study.trials import TrackedFrame, TrackedPush, push_set
+from spinestiff.study.assessment import BASELINES, assess, change_record, extrapolated, single_ratio
+from spinestiff.study.predictions import Solved, predict, predictions_of
+from spinestiff.study.trials import push_set
+from spinestiff.subject.folder import read_subject
+from spinestiff.subject.outcomes import Assessment, CobbChangeRecord
 from spinestiff.subject.records import PushRecord
+from spinestiff.subject.run_record import read_outcome
 
 FORCES = (0.0, 10.0, 20.0, 30.0)
 MOVES = (0.0, 1.0, 3.0, 4.0)  # mm to the patient's left at the patient plane
@@ -64,7 +66,7 @@ def make_set(torso, frames):
         forces_n=FORCES,
         roles=("unused", "training", "training", "validation"),
     )
-    return push_set(torso, [push], {"main": TrackedPush(frontal_view(), tuple(map(TrackedFrame, frames)))})
+    return push_set(torso, [push], {"main": tracked_push(frontal_view(), FORCES, frames)})
 
 
 @pytest.fixture
@@ -72,17 +74,10 @@ def pushes(torso, rest):
     return make_set(torso, [shifted(rest, mm) for mm in MOVES])
 
 
-def failing_but_for_the_fit(pushes, item, model, start):
-    """The estimate predicts the rest pose, no other model finds an equilibrium."""
-    status = SolveStatus.STALLED if model is None else SolveStatus.CONVERGED
-    return SimpleNamespace(converged=model is not None, status=status, state=pushes.torso.rest_pose)
-
-
-@pytest.fixture
-def no_predictions(monkeypatch):
-    """Equilibria cost time and are tested elsewhere."""
-    monkeypatch.setattr(assessment, "single_ratio", lambda *args: None)
-    monkeypatch.setattr(assessment, "_predict", failing_but_for_the_fit)
+def only_the_fit(pushes):
+    """The estimate predicts the rest pose, no other model finds an equilibrium; these are tested elsewhere."""
+    at_rest = Solved(pushes.torso.rest_pose, np.zeros((0, 3)))
+    return predictions_of(pushes, {("main", 3, "fit"): at_rest})
 
 
 def test_extrapolation_is_linear_in_the_force(torso, pushes):
@@ -123,7 +118,7 @@ def test_extrapolation_knows_the_side_that_is_pushed(torso, rest):
     ]
     moves = {"right": (0.0, 1.0, 2.0), "left": (0.0, -2.0, -4.0), "low": (0.0, -1.0)}
     tracked = {
-        name: TrackedPush(frontal_view(), tuple(TrackedFrame(shifted(rest, mm)) for mm in moved))
+        name: tracked_push(frontal_view(), [10.0 * i for i in range(len(moved))], [shifted(rest, mm) for mm in moved])
         for name, moved in moves.items()
     }
 
@@ -148,65 +143,61 @@ def test_without_a_common_vertebra_nothing_is_extrapolated(torso, rest):
     assert extrapolated(found, found.of_role("validation")[0]) is None
 
 
-def test_errors_are_those_at_the_patient_plane(pushes, no_predictions):
-    lines = []
-    (frame,) = assess(pushes, stiffness_ratios({"tissue": 0.1}, pushes.torso.joints.kinds), observer=lines.append)
-    assert any("no prediction by 'default'" in line for line in lines)
+def test_errors_are_those_at_the_patient_plane(pushes):
+    (frame,) = assess(only_the_fit(pushes))
     assert (frame.push, frame.frame, frame.force_n) == ("main", 3, 30.0)
     assert frame.rmse_mm["rest"] == pytest.approx(4.0, abs=1e-6)
     assert frame.rmse_mm["extrapolation"] == pytest.approx(0.2, abs=1e-6)
     assert frame.rmse_mm["fit"] == pytest.approx(frame.rmse_mm["rest"])
     assert [frame.rmse_mm[name] for name in ("default", "single_ratio", "truth")] == [None] * 3
     assert set(frame.rmse_mm) == set(BASELINES)
-    assert frame.cobb_change_deg["default"] is None
+    assert "default" not in frame.cobb_change_deg
     assert frame.cobb_change_deg["fit"].tilt == 0.0
     assert frame.cobb_change_deg["measured"].tilt == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_measured_change_of_curvature_is_the_tilt_of_the_corners(torso, rest, no_predictions):
-    frames = [rest, rest, rest, tilted(rest, "T3", 6.0)]
-    (frame,) = assess(make_set(torso, frames), stiffness_ratios({"tissue": 0.1}, torso.joints.kinds))
-    change = frame.cobb_change_deg["measured"]
+def test_the_measured_change_of_curvature_is_the_tilt_of_the_corners(torso, rest):
+    found = only_the_fit(make_set(torso, [rest, rest, rest, tilted(rest, "T3", 6.0)]))
+    (frame,) = assess(found)
+    change = found.measured_change(found.frames[-1].item)
     # Left side up at the uppermost one, unchanged below: convex to the left, above 0.
     assert change.tilt == pytest.approx(6.0, abs=1e-6)
     assert change.tilt_levels == ("T3", "T4")
-    record = frame.as_record()
-    assert record["cobb_change_deg"]["measured"]["tilt"] == pytest.approx(6.0, abs=1e-3)
-    assert record["cobb_change_deg"]["default"] is None
-    assert json.loads(json.dumps(record, allow_nan=False)) == record
+    assert frame.cobb_change_deg["measured"] == change_record(change)
+    assert frame.cobb_change_deg["measured"].tilt == pytest.approx(change.tilt, abs=5e-4)
+    again = CobbChangeRecord.model_validate_json(frame.cobb_change_deg["measured"].model_dump_json())
+    assert again == frame.cobb_change_deg["measured"]
 
 
-def test_an_estimate_without_a_prediction_is_a_failure(pushes, monkeypatch):
-    monkeypatch.setattr(assessment, "single_ratio", lambda *args: None)
-    stalled = SimpleNamespace(converged=False, status=SolveStatus.STALLED)
-    monkeypatch.setattr(assessment, "_predict", lambda *args: stalled)
-    with pytest.raises(EquilibriumError, match="no prediction by the estimate"):
-        assess(pushes, stiffness_ratios({"tissue": 0.1}, pushes.torso.joints.kinds))
+def test_an_estimate_without_a_prediction_is_a_failure(pushes):
+    with pytest.raises(EquilibriumError, match="push 'main' frame 3: no prediction by the estimate"):
+        assess(predictions_of(pushes, {}))
 
 
-def test_a_prediction_that_is_the_truth_has_no_error(torso, monkeypatch):
+def test_a_prediction_that_is_the_truth_has_no_error(torso):
     """The engine's own state as the measured frame: every model that is right has RMSE 0, the others do not."""
     kinds = torso.joints.kinds
     true, wrong = {"lateral_bending": 0.5, "tissue": 0.3}, {"lateral_bending": 1.5, "tissue": 1.5}
     view = frontal_view()
     shares = silhouette_shares(torso, view, torso.rest_pose)
     rest = VertebraCorners(torso.vertebrae, state_features(torso, view, torso.rest_pose, shares).corners)
-    monkeypatch.setattr(assessment, "single_ratio", lambda *args: None)
     blank = make_set(torso, [rest] * 4)
     (item,) = blank.of_role("validation")
     state = blank.problems["main"].solve(item.trial.load, stiffness_ratios(true, kinds)).require().state
     pushed = VertebraCorners(torso.vertebrae, state_features(torso, view, state, shares).corners)
     lines = []
     found = make_set(torso, [rest, rest, rest, pushed])
-    (frame,) = assess(found, stiffness_ratios(wrong, kinds), true, lines.append)
+    models = {"default": None, "fit": stiffness_ratios(wrong, kinds), "truth": stiffness_ratios(true, kinds)}
+    (frame,) = assess(predict(found, models, {}, lines.append, everywhere=()))
     assert frame.rmse_mm["truth"] < 1e-4
     assert frame.rmse_mm["fit"] > 10.0 * frame.rmse_mm["truth"]
     assert frame.rmse_mm["rest"] > frame.rmse_mm["fit"] > frame.rmse_mm["default"] > 0.0
     changes = frame.cobb_change_deg
-    # Tilts of the picture's corners against tilts of the placed boxes: within a few tenths of a degree.
-    assert changes["truth"].tilt == pytest.approx(changes["measured"].tilt, abs=0.1)
+    # Both are of the picture's corners.
+    assert changes["truth"] == changes["measured"]
+    assert changes["truth"].levels == changes["fit"].levels == changes["measured"].levels
     assert changes["measured"].tilt > changes["default"].tilt > changes["fit"].tilt > 0.0
-    assert lines == ["fitting the one-ratio baseline", "push 'main' frame 3: predicting 30 N"]
+    assert lines == [f"push 'main' frame 3: {name} at 30 N" for name in models]
 
 
 def test_a_failed_baseline_fit_makes_no_prediction(pushes, finished, monkeypatch):
@@ -230,15 +221,13 @@ def test_a_failed_baseline_fit_makes_no_prediction(pushes, finished, monkeypatch
 
 
 def test_what_is_written_of_a_whole_subject(finished):
-    records = json.loads((finished.folder / "results" / "assessment.json").read_text())
-    assert [(r["push"], r["frame"], r["force_n"]) for r in records] == [("main", 3, 30.0), ("second", 1, 30.0)]
-    for record in records:
-        assert set(record) == {"push", "frame", "force_n", "rmse_mm", "cobb_change_deg"}
-        assert set(record["rmse_mm"]) == set(BASELINES)
-        assert set(record["cobb_change_deg"]) == {"measured", "default", "fit", "truth"}
-        for change in record["cobb_change_deg"].values():
-            assert {"signed", "fixed_levels", "tilt"} <= set(change)
-        errors = record["rmse_mm"]
+    frames = read_outcome(read_subject(finished.folder), Assessment).frames
+    assert [(f.push, f.frame, f.force_n) for f in frames] == [("main", 3, 30.0), ("second", 1, 30.0)]
+    for frame in frames:
+        assert set(frame.rmse_mm) == set(BASELINES)
+        assert set(frame.cobb_change_deg) == {"measured", "default", "fit", "truth"}
+        assert all(change is not None for change in frame.cobb_change_deg.values())
+        errors = frame.rmse_mm
         assert 0.0 < errors["fit"] < errors["default"] < errors["rest"]
         assert errors["truth"] < errors["default"]
-        assert record["cobb_change_deg"]["measured"]["tilt"] < 0.0  # pushed from the left
+        assert frame.cobb_change_deg["measured"].tilt < 0.0  # pushed from the left

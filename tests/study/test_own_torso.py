@@ -11,6 +11,7 @@ import pytest
 from spinestiff.anatomy.files import read_torso, write_torso
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SubjectError
+from spinestiff.study.runner import ALL_STEPS
 from spinestiff.study.steps import starting_torso
 from spinestiff.study.visit import open_visit
 from spinestiff.subject.folder import read_subject
@@ -28,7 +29,8 @@ def test_the_own_torso_is_what_is_shaped_and_an_input(subject):
     own = template_torso(0.97 * height)
     write_torso(subject / "torso" / "own.npz", own)
     visit = open_visit(subject)
-    assert subject / "torso" / "own.npz" in visit.subject.inputs
+    assert visit.subject.torso_path == subject / "torso" / "own.npz"
+    assert "torso/own.npz" in ALL_STEPS["personalise"].inputs(visit)
     np.testing.assert_array_equal(starting_torso(visit).vertebra_boxes, own.vertebra_boxes)
 
 

@@ -13,6 +13,9 @@ from spinestiff.errors import SubjectError
 from spinestiff.personalise.skin_surface import skin_surface
 from spinestiff.study.runner import run_steps
 from spinestiff.study.visit import open_visit
+from spinestiff.subject.folder import read_subject
+from spinestiff.subject.outcomes import GeometryRecord
+from spinestiff.subject.run_record import read_outcome
 
 AXES = {"left": "+x", "up": "+z", "front": "-y"}
 
@@ -37,11 +40,11 @@ def test_the_personalise_step_takes_the_scan(subject):
     stated(subject)
     lines = []
     assert run_steps(open_visit(subject), ("personalise",), lines.append) == ["personalise"]
-    found = json.loads((subject / "results" / "personalised.json").read_text())["skin_scan"]
-    assert found["before_mm"]["median"] > 5.0
-    assert found["after_mm"]["median"] < 2.0
-    assert found["covered"] > 0.95
-    assert found["left_to_template"] == []
+    found = read_outcome(read_subject(subject), GeometryRecord).skin_scan
+    assert found.before_mm[0] > 5.0
+    assert found.after_mm[0] < 2.0
+    assert found.covered > 0.95
+    assert found.left_to_template == ()
     assert any("scan to skin" in line for line in lines)
     after = read_torso(subject / "results" / "torso.npz")
     np.testing.assert_allclose(after.rest_pose.bone_positions, before.rest_pose.bone_positions, atol=1e-6)

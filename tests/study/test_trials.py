@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
+from results import tracked_push
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SubjectError
 from spinestiff.estimation.fit import fit_stiffness
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
+from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.study.trials import TrackedFrame, TrackedPush, push_set, usable_corners
+from spinestiff.study.trials import push_set
 from spinestiff.subject.records import PushRecord
 
 STOOD = ((6.0, -4.0), 0.02)
@@ -53,8 +53,9 @@ def replace_record(push, **changed):
     return PushRecord.model_validate({**push.model_dump(), **changed})
 
 
-def tracked(*frames):
-    return TrackedPush(frontal_view(), tuple(f if isinstance(f, TrackedFrame) else TrackedFrame(f) for f in frames))
+def tracked(*frames, dropped=None):
+    """A push of these corners; ``dropped``: why, by frame."""
+    return tracked_push(frontal_view(), [10.0 * index for index in range(len(frames))], frames, dropped)
 
 
 def with_quality(corners, **lost):
@@ -123,13 +124,14 @@ def test_pushes_from_both_sides_and_at_several_sites_are_fitted_together(torso):
     assert fit.ratios.as_dict() == pytest.approx(truth, rel=0.02)
     (item,) = found.of_role("validation")
     predicted = found.problems[item.push].solve(item.trial.load, fit.ratios, fit.equilibria[1].state).require().state
-    assert np.abs(seen(predicted).corners - pictures["left-6"].frames[1].corners.corners).max() < 0.05
-    assert np.abs(seen(torso.rest_pose).corners - pictures["left-6"].frames[1].corners.corners).max() > 2.0
+    wanted = pictures["left-6"].corners(1).corners
+    assert np.abs(seen(predicted).corners - wanted).max() < 0.05
+    assert np.abs(seen(torso.rest_pose).corners - wanted).max() > 2.0
 
 
 def test_a_frame_whose_support_moved_is_left_out_and_named(torso, corners):
     message = "frame 2: the pelvis moved by 3.4 mm (limit 3 mm); the frame is dropped"
-    frames = tracked(corners, corners, TrackedFrame(corners, message), corners)
+    frames = tracked(corners, corners, corners, corners, dropped={2: message})
     roles = ("unused", "training", "validation", "validation")
     found = push_set(torso, [record((0.0, 20.0, 40.0, 50.0), roles)], {"main": frames})
     assert [t.frame for t in found.trials] == [0, 1, 3]
@@ -159,9 +161,9 @@ def test_a_frame_that_lost_all_is_left_out(torso, corners):
 
 
 def test_no_training_frame_left_is_refused(torso, corners):
-    dropped = TrackedFrame(corners, "frame 1: the shoulder moved by 9.0 mm")
+    frames = tracked(corners, corners, corners, dropped={1: "frame 1: the shoulder moved by 9.0 mm"})
     with pytest.raises(SubjectError, match="no training frame is left after tracking"):
-        push_set(torso, [record()], {"main": tracked(corners, dropped, corners)})
+        push_set(torso, [record()], {"main": frames})
 
 
 def test_a_push_without_an_unloaded_frame_is_warned_of(torso, corners):
@@ -176,9 +178,8 @@ def test_a_push_without_an_unloaded_frame_is_warned_of(torso, corners):
 
 def test_the_reference_is_the_least_loaded_frame_that_can_be_used(torso, corners):
     """A first frame that was dropped says nothing about where the patient stood."""
-    dropped = TrackedFrame(corners, "frame 0: the pelvis moved")
-    view = tracked(corners, corners, corners)
-    found = push_set(torso, [record((0.0, 20.0, 40.0))], {"main": replace(view, frames=(dropped, *view.frames[1:]))})
+    frames = tracked(corners, corners, corners, dropped={0: "frame 0: the pelvis moved"})
+    found = push_set(torso, [record((0.0, 20.0, 40.0))], {"main": frames})
     assert found.reference("main").frame == 1
     assert any("least force is 20 N" in w for w in found.warnings)
 

@@ -1,114 +1,246 @@
-"""JSON files are written whole or not at all, and a step is redone only when something it depends on changed."""
+"""A step is redone only when something it depends on changed, and a result is read only as its step left it."""
 
 from __future__ import annotations
 
 import json
 
-import numpy as np
 import pytest
 
+from results import altered, register
 from spinestiff.errors import SpinestiffError, SubjectError
-from spinestiff.files import inputs_digest, read_json, write_json
-from spinestiff.subject.run_record import StepRecord, is_current, record_step, step_digest
+from spinestiff.files import read_json, write_json
+from spinestiff.subject.folder import Subject, read_subject
+from spinestiff.subject.outcomes import Comparison, FrameProposals, Tracked
+from spinestiff.subject.records import Annotation, SubjectRecord
+from spinestiff.subject.run_record import (
+    PARTS,
+    StepRecord,
+    changed_inputs,
+    changed_outputs,
+    input_digest,
+    is_current,
+    read_outcome,
+    record_step,
+    recorded_steps,
+    step_digest,
+    step_record,
+    write_outcome,
+)
+
+PUSH = {"id": "a", "side": "right", "level": 8, "d21_mm": 400, "d31_mm": 200, "frames": "a.dcm", "forces_n": [0, 20]}
+FOUND = Comparison(truth={"tissue": 0.05}, region_size=6.5, distance2=1.25, inside=True)
+DAMAGED = {
+    "empty object": "{}",
+    "null": "null",
+    "list": "[]",
+    "nothing": "",
+    "no text": b"\xff\xfe\x00{",
+}
 
 
-def test_written_json_is_sorted_and_plain(tmp_path):
-    path = tmp_path / "results/estimate.json"
-    write_json(path, {"b": np.array([1.5, 2.0]), "a": {"z": np.float64(0.1), "y": np.int64(3)}, "c": (1, None)})
-    assert read_json(path) == {"a": {"y": 3, "z": 0.1}, "b": [1.5, 2.0], "c": [1, None]}
-    assert list(json.loads(path.read_text())) == ["a", "b", "c"]
+@pytest.fixture
+def bare(tmp_path):
+    """A subject whose files nobody reads: what matters here is the record."""
+    record = SubjectRecord.model_validate(
+        {"schema_version": 1, "id": "x", "age": 13, "sex": "female", "height_cm": 157, "pushes": [PUSH]}
+    )
+    (tmp_path / "a.dcm").write_bytes(b"frames")
+    return Subject(tmp_path, record, Annotation.model_validate({"schema_version": 1, "images": {}}))
 
 
-@pytest.mark.parametrize("bad", [float("nan"), np.array([1.0, np.inf]), {1, 2}, object()])
-def test_what_json_lacks_leaves_the_old_file(tmp_path, bad):
-    path = tmp_path / "a.json"
-    write_json(path, {"old": 1})
-    with pytest.raises(SpinestiffError, match=r"a\.json is not written"):
-        write_json(path, {"new": bad})
-    assert read_json(path) == {"old": 1}
-    assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
+def spoiled(path, damage):
+    path.write_bytes(damage if isinstance(damage, bytes) else damage.encode())
 
 
-def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
-    path = tmp_path / "a.json"
-    write_json(path, {"old": 1})
-
-    def fail(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("spinestiff.files.os.fsync", fail)
-    with pytest.raises(SubjectError, match=r"can't be written \(No space left"):
-        write_json(path, {"new": 1})
-    assert read_json(path) == {"old": 1}
-    assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
-
-
-def test_a_folder_in_the_way_is_one_line(tmp_path):
-    (tmp_path / "results").write_text("a file")
-    with pytest.raises(SubjectError, match="can't be written"):
-        write_json(tmp_path / "results/run.json", {})
-
-
-def test_digests_are_named_relative_to_the_folder(tmp_path):
-    (tmp_path / "pushes/a").mkdir(parents=True)
-    (tmp_path / "pushes/a/Doe^Jane2.dcm").write_bytes(b"two")
-    (tmp_path / "pushes/a/Doe^Jane1.dcm").write_bytes(b"one")
-    (tmp_path / "subject.json").write_bytes(b"")
-
-    def found():
-        return inputs_digest(tmp_path, [tmp_path / "subject.json", tmp_path / "pushes/a"])
-
-    first = found()
-    assert list(first) == ["pushes/a", "subject.json"]
-    assert first["subject.json"] == "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
-    with pytest.raises(SubjectError, match="can't be read"):
-        inputs_digest(tmp_path, [tmp_path / "missing.json"])
-    # A file more, another content and another order are all changes of the folder.
-    (tmp_path / "pushes/a/3.dcm").write_bytes(b"three")
-    second = found()
-    (tmp_path / "pushes/a/3.dcm").write_bytes(b"other")
-    third = found()
-    (tmp_path / "pushes/a/3.dcm").rename(tmp_path / "pushes/a/Z.dcm")
-    assert len({content["pushes/a"] for content in (first, second, third, found())}) == 4
-
-
-def test_a_step_is_current_until_something_changes(tmp_path):
-    inputs, settings = {"subject.json": "00"}, {"method": "lm"}
-    digest = step_digest(inputs, settings)
-    assert not is_current(tmp_path, "estimate", digest)
-    output = tmp_path / "results/estimate.json"
+def test_a_step_is_current_until_something_changes(bare):
+    settings = {"method": "lm"}
+    record = step_record(bare, ["a.dcm"], settings)
+    assert not is_current(bare, "estimate", record)
+    output = bare.results / "estimate.json"
     write_json(output, {"value": 1})
-    record_step(tmp_path, "track", StepRecord("11"))
-    record = StepRecord(digest, inputs, settings, 1.5, inputs_digest(tmp_path, [output]))
-    record_step(tmp_path, "estimate", record)
-    assert is_current(tmp_path, "estimate", digest)
-    assert is_current(tmp_path, "track", "11")
-    assert not is_current(tmp_path, "estimate", "11")
-    run = read_json(tmp_path / "results/run.json")
-    assert run["steps"]["estimate"]["inputs"] == inputs
+    record_step(bare, "track", StepRecord(digest="11"), [])
+    record_step(bare, "estimate", record, [output], 1.5)
+    assert is_current(bare, "estimate", record)
+    assert is_current(bare, "track", StepRecord(digest="11"))
+    assert not is_current(bare, "estimate", StepRecord(digest="11"))
+    run = read_json(bare.results / "run.json")
     assert set(run) == {"schema_version", "version", "steps"}
+    written = run["steps"]["estimate"]
+    assert written["inputs"] == {"a.dcm": input_digest(bare, "a.dcm")}
+    assert set(written["outputs"]) == {"results/estimate.json"}
+    assert (written["settings"], written["seconds"]) == (settings, 1.5)
 
-    assert step_digest(inputs, {"method": "lbfgsb"}) != digest
-    assert step_digest({"subject.json": "01"}, settings) != digest
-    assert step_digest(dict(reversed(inputs.items())), settings) == digest
+    assert step_record(bare, ["a.dcm"], {"method": "lbfgsb"}).digest != record.digest
+    assert step_digest({"a": "1", "b": "2"}, settings) == step_digest({"b": "2", "a": "1"}, settings)
+    assert step_digest({"a": "1", "b": "3"}, settings) != step_digest({"b": "2", "a": "1"}, settings)
     write_json(output, {"value": 2})
-    assert not is_current(tmp_path, "estimate", digest)
+    assert not is_current(bare, "estimate", record)
+    assert changed_outputs(bare, "estimate") == ("results/estimate.json",)
     output.unlink()
-    assert not is_current(tmp_path, "estimate", digest)
+    assert not is_current(bare, "estimate", record)
+    assert changed_inputs(bare, "estimate") == ()
+    (bare.folder / "a.dcm").write_bytes(b"other frames")
+    assert changed_inputs(bare, "estimate") == ("a.dcm",)
+    assert step_record(bare, ["a.dcm"], settings).digest != record.digest
+    (bare.folder / "a.dcm").unlink()
+    assert changed_inputs(bare, "estimate") == ("a.dcm",)
+    with pytest.raises(SubjectError, match="can't be read"):
+        step_record(bare, ["a.dcm"], settings)
 
 
 @pytest.mark.parametrize(
-    "text", ["{", "[]", '{"schema_version": 9, "steps": {}}', '{"schema_version": 1, "steps": []}']
+    "text",
+    [
+        "{",
+        *DAMAGED.values(),
+        '{"schema_version": 9, "version": "1", "steps": {}}',
+        '{"schema_version": 99, "version": "1", "steps": {"track": {"digest": "11"}}}',
+        '{"schema_version": 2, "version": "1", "steps": []}',
+        '{"schema_version": 2, "version": "1", "steps": {"track": {"digest": "11", "hash": "1"}}}',
+        '{"schema_version": 2, "version": "1", "steps": {"track": {"digest": "11", "seconds": NaN}}}',
+        '{"schema_version": 2, "version": "1", "steps": {"track": {"digest": "11", "seconds": 1e999}}}',
+    ],
 )
-def test_a_damaged_record_only_means_redoing(tmp_path, text):
-    (tmp_path / "results").mkdir()
-    (tmp_path / "results/run.json").write_text(text)
-    assert not is_current(tmp_path, "track", "11")
-    record_step(tmp_path, "track", StepRecord("11"))
-    assert is_current(tmp_path, "track", "11")
+def test_a_damaged_record_only_means_redoing(bare, text):
+    bare.results.mkdir()
+    spoiled(bare.results / "run.json", text)
+    assert recorded_steps(bare) == {}
+    assert not is_current(bare, "track", StepRecord(digest="11"))
+    record_step(bare, "track", StepRecord(digest="11"), [])
+    assert is_current(bare, "track", StepRecord(digest="11"))
 
 
 def test_the_version_is_part_of_the_digest(monkeypatch):
     before = step_digest({}, {})
     monkeypatch.setattr("spinestiff.subject.run_record.package_version", lambda: "another")
     assert step_digest({}, {}) != before
+
+
+CHANGES = {
+    "subject.json: X-ray geometry": (("record", "xray"), {"source_detector_mm": 1500.0}),
+    "subject.json: body": (("record", "height_cm"), 158.0),
+    "subject.json: frames and forces": (("push", "forces_n"), (0.0, 21.0)),
+    "subject.json: pushes": (("push", "level"), 8.5),
+    "subject.json: roles": (("push", "roles"), ("unused", "training")),
+    "annotation.json: rest": (("image", "rest/frontal"), None),
+    "annotation.json: pushes": (("image", "push/a"), None),
+}
+TOGETHER = {"subject.json: frames and forces": {"subject.json: frames and forces", "subject.json: pushes"}}
+QUAD = [[12.0, 10.0], [2.0, 10.0], [2.0, 20.0], [12.0, 20.0]]
+
+
+def with_change(subject, what, value):
+    where, name = what
+    record = subject.record.model_dump(mode="json")
+    images = subject.annotation.model_dump(mode="json")["images"]
+    if where == "record":
+        record[name] = value
+    elif where == "push":
+        record["pushes"][0][name] = value
+    else:
+        quads = {f"T{i}": [[x, y + 20.0 * i] for x, y in QUAD] for i in range(1, 13)}
+        images[name] = {"vertebrae": quads}
+    return Subject(
+        subject.folder,
+        SubjectRecord.model_validate(record),
+        Annotation.model_validate({"schema_version": 1, "images": images}),
+    )
+
+
+@pytest.mark.parametrize("part", CHANGES)
+def test_a_change_shows_in_its_part_alone(bare, part):
+    assert set(CHANGES) == set(PARTS)
+    after = with_change(bare, *CHANGES[part])
+    changed = {name for name in PARTS if input_digest(after, name) != input_digest(bare, name)}
+    assert changed == TOGETHER.get(part, {part})
+
+
+def test_a_name_for_the_subject_changes_no_part(bare):
+    after = with_change(bare, ("record", "id"), "another")
+    assert all(input_digest(after, name) == input_digest(bare, name) for name in PARTS)
+
+
+# Results
+
+
+def written(bare):
+    write_outcome(bare, FOUND)
+    register(bare, "assess", Comparison.FILE)
+    return bare.results / Comparison.FILE
+
+
+def test_what_is_written_is_read_back(bare):
+    path = written(bare)
+    assert read_outcome(bare, Comparison) == FOUND
+    assert json.loads(path.read_text())["schema_version"] == 2
+
+
+def refusal(bare, kind=Comparison):
+    with pytest.raises(SubjectError) as caught:
+        read_outcome(bare, kind)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert str(bare.results / kind.FILE) in message and f"spinestiff {kind.STEP} {bare.folder}" in message
+    return message
+
+
+@pytest.mark.parametrize("damage", [*DAMAGED.values(), "half", "a digit", "a space"])
+def test_a_result_that_is_not_as_its_step_left_it_is_refused(bare, damage):
+    path = written(bare)
+    text = path.read_text()
+    changed = {"half": text[: len(text) // 2], "a digit": text.replace("1.25", "1.26"), "a space": text + " "}
+    spoiled(path, changed.get(damage, damage))
+    assert path.read_text(errors="replace") != text
+    assert "was changed after spinestiff assess had written it" in refusal(bare)
+
+
+def test_a_result_of_which_nothing_is_known_is_refused(bare):
+    assert "no such file; run the step that makes it first" in refusal(bare)
+    path = written(bare)
+    (bare.results / "run.json").unlink()
+    assert "run.json does not say how it was made" in refusal(bare)
+    path.unlink()
+    write_json(bare.results / Tracked.FILE, {})
+    register(bare, "assess", Tracked.FILE)
+    # Written by another step than the one that makes it.
+    assert "run.json does not say how it was made" in refusal(bare, Tracked)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ({}, "found schema_version None, wanted 2"),
+        (None, "found schema_version None, wanted 2"),
+        ([], "found schema_version None, wanted 2"),
+        ({"schema_version": 99}, "found schema_version 99, wanted 2"),
+        ({"schema_version": 2}, "truth: missing"),
+        ({**FOUND.model_dump(), "inside": "perhaps"}, "inside: "),
+        ({**FOUND.model_dump(), "outside": True}, "outside: unknown key"),
+        ({**FOUND.model_dump(), "truth": {"tissue": 0.0}}, "truth.tissue: "),
+    ],
+)
+def test_a_result_of_another_form_is_refused(bare, content, words):
+    """Even where ``run.json`` vouches for it: of another version of the program, or made by hand with its hash."""
+    path = written(bare)
+    path.write_text(json.dumps(content))
+    register(bare, "assess", Comparison.FILE)
+    assert words in refusal(bare)
+
+
+def test_a_number_that_is_none_is_refused_by_name(bare):
+    path = written(bare)
+    path.write_text(path.read_text().replace("1.25", "NaN"))
+    register(bare, "assess", Comparison.FILE)
+    with pytest.raises(SpinestiffError, match=r"comparison\.json: found NaN"):
+        read_outcome(bare, Comparison)
+
+
+def test_the_helpers_of_these_tests_vouch_for_what_they_write(subject):
+    """``altered`` leaves what other results' records say as it was."""
+    before = recorded_steps(read_subject(subject))["assess"].outputs
+    after = altered(subject, Comparison, lambda content: content.update(inside=None))
+    assert read_outcome(after, Comparison).inside is None
+    now = recorded_steps(after)["assess"].outputs
+    assert set(now) == set(before)
+    assert {name for name in now if now[name] != before[name]} == {"results/comparison.json"}
+    assert not (after.results / FrameProposals.FILE).exists()

@@ -25,10 +25,13 @@ class CobbFrame:
     change: CobbChange | None = None
 
     def as_dict(self) -> dict[str, object]:
-        """JSON of the frame: that of the reading and "change_deg" with the three forms of the change."""
+        """JSON of the frame: that of the reading and "change_deg", the three forms of the change with their levels."""
         c = self.change
-        forms = None if c is None else {"signed": c.signed, "fixed_levels": c.fixed_levels, "tilt": c.tilt}
-        return {**self.reading.as_dict(), "change_deg": forms}
+        change = None if c is None else {
+            "signed": c.signed, "fixed_levels": c.fixed_levels, "tilt": c.tilt,
+            "levels": list(c.levels), "tilt_levels": list(c.tilt_levels),
+        }  # fmt: skip
+        return {**self.reading.as_dict(), "change_deg": change}
 
 
 def rest_reading(subject: Subject, definition: Definition = "endplate", noise_px: float | None = None) -> CobbReading:

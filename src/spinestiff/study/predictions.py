@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -198,7 +199,8 @@ def read_solved(path: Path) -> dict[Key, Solved]:
     SubjectError : no such file, or not one of these.
     """
     try:
-        with np.load(path, allow_pickle=False) as found:
+        # Opened here: np.load leaves a damaged file open.
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as found:
             header = json.loads(str(found["keys"]))
             if header["schema"] != STATES_SCHEMA:
                 raise SubjectError(f"{path}: schema '{header['schema']}', wanted '{STATES_SCHEMA}'; run spinestiff run")
@@ -208,7 +210,9 @@ def read_solved(path: Path) -> dict[Key, Solved]:
                 )
                 for number, (push, frame, model) in enumerate(header["keys"])
             }
-    except (OSError, BadZipFile, EOFError, KeyError, ValueError, TypeError, SpinestiffError) as error:
+    except SubjectError:
+        raise
+    except (OSError, BadZipFile, zlib.error, EOFError, KeyError, ValueError, TypeError, SpinestiffError) as error:
         raise SubjectError(
             f"{path}: holds no equilibria ({' '.join(str(error).split())}); run spinestiff run"
         ) from None

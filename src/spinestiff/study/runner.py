@@ -25,6 +25,7 @@ from spinestiff.subject.run_record import (
     record_step,
     recorded_steps,
     result_path,
+    step_digest,
     step_record,
 )
 
@@ -139,11 +140,20 @@ ALL_STEPS: Mapping[str, Step] = {
 
 
 def run_steps(
-    visit: Visit, steps: tuple[str, ...] = STEPS, observer: Observer | None = None, force: bool = False
+    visit: Visit,
+    steps: tuple[str, ...] = STEPS,
+    observer: Observer | None = None,
+    force: bool = False,
+    known: Mapping[str, Step] = ALL_STEPS,
 ) -> list[str]:
     """Run the steps in order, leaving out those that are current; returns the names of those that ran.
 
     A visit without a truth file leaves what was compared with a truth as it is.
+
+    Parameters
+    ----------
+    steps : names of those wanted. force : run even what is current.
+    known : every step by name, in the order in which they run.
 
     Raises
     ------
@@ -154,7 +164,7 @@ def run_steps(
         path = visit.subject.folder / SUBJECT_FILE
         raise SubjectError(f"{path}: no frame has the role training; spinestiff frames proposes roles")
     ran = []
-    for name, step in ALL_STEPS.items():
+    for name, step in known.items():
         if name not in steps:
             continue
         for result in step.results:
@@ -166,19 +176,19 @@ def run_steps(
         for changed in changed_outputs(visit.subject, name):
             say(f"{name}: {changed} is not as it was written; made again")
         # The report writes the view on its way.
-        view = ALL_STEPS["view"]
+        view = known["view"]
         along = step_record(visit.subject, view.inputs(visit), view.settings(visit)) if name == "report" else None
         began = time.perf_counter()
         step.run(visit, lambda line, name=name: say(f"{name}: {line}"))  # type: ignore[misc]
-        _record(visit, name, record, time.perf_counter() - began)
+        _record(visit, step, name, record, time.perf_counter() - began)
         if along is not None:
-            _record(visit, "view", along)
+            _record(visit, view, "view", along)
         ran.append(name)
     return ran
 
 
-def _record(visit: Visit, name: str, record: StepRecord, seconds: float = 0.0) -> None:
-    outputs = [visit.file(output) for output in ALL_STEPS[name].outputs(visit)]
+def _record(visit: Visit, step: Step, name: str, record: StepRecord, seconds: float = 0.0) -> None:
+    outputs = [visit.file(output) for output in step.outputs(visit)]
     record_step(visit.subject, name, record, outputs, seconds)
 
 
@@ -187,7 +197,8 @@ def _as_compared(visit: Visit, name: str, record: StepRecord) -> StepRecord:
     last = recorded_steps(visit.subject).get(name)
     if visit.truth is not None or last is None or "truth" not in record.settings:
         return record
-    return step_record(visit.subject, record.inputs, {"truth": last.settings.get("truth")})
+    settings = {**record.settings, "truth": last.settings.get("truth")}
+    return record.model_copy(update={"settings": settings, "digest": step_digest(record.inputs, settings)})
 
 
 def _refuse_stale(visit: Visit, result: str) -> None:

@@ -56,6 +56,7 @@ from spinestiff.subject.folder import (
 )
 from spinestiff.subject.outcomes import (
     Assessment,
+    Comparison,
     CostRecord,
     Determination,
     Estimate,
@@ -291,7 +292,10 @@ def assess_step(visit: Visit, say: Observer) -> None:
     comparison = None if visit.truth is None else compare_with_truth(estimate, pushes, visit.truth)
     write_solved(visit.file("predictions.npz"), stored(predictions))
     write_outcome(subject, assessment)
-    if comparison is not None:
+    if comparison is None:
+        # One of an earlier estimate would be none of this one.
+        visit.file(Comparison.FILE).unlink(missing_ok=True)
+    else:
         write_outcome(subject, comparison)
 
 

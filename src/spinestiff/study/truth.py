@@ -11,7 +11,9 @@ from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.estimation.intervals import offset_from
 from spinestiff.files import read_json
 from spinestiff.study.trials import PushSet
+from spinestiff.subject.folder import Subject
 from spinestiff.subject.outcomes import Comparison, Estimate
+from spinestiff.subject.run_record import read_outcome
 
 
 def read_truth(path: Path) -> dict[str, float]:
@@ -21,6 +23,22 @@ def read_truth(path: Path) -> dict[str, float]:
         return {str(name): float(value) for name, value in record["ratios"].items()}
     except (KeyError, TypeError, AttributeError, ValueError):
         raise SubjectError(f"{path}: holds no true ratios; wanted the truth file of a synthetic subject") from None
+
+
+def known_comparison(subject: Subject, truth: Path) -> Comparison:
+    """What ``assess`` found with this truth.
+
+    Raises
+    ------
+    SubjectError : it was given none, or another.
+    """
+    path, again = subject.results / Comparison.FILE, f"run spinestiff assess {subject.folder} --truth {truth}"
+    if not path.is_file():
+        raise SubjectError(f"{path}: no such file; {again}")
+    comparison = read_outcome(subject, Comparison)
+    if comparison.truth != read_truth(truth):
+        raise SubjectError(f"{path}: compares with other true ratios than those of {truth}; {again}")
+    return comparison
 
 
 def compare_with_truth(estimate: Estimate, pushes: PushSet, truth: Path) -> Comparison:

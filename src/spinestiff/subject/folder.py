@@ -88,14 +88,6 @@ class Subject:
         return ("frontal", "lateral") if LATERAL in self.annotation.images else ("frontal",)
 
     @property
-    def inputs(self) -> tuple[Path, ...]:
-        """Every input file or folder of the subject."""
-        images = (*(f"rest/{view}" for view in self.rest_views), *(push.image for push in self.pushes))
-        files = (self.folder / SUBJECT_FILE, self.folder / ANNOTATION_FILE)
-        own = (path for path in (self.torso_path, self.scan_path) if path is not None)
-        return (*files, *(self.image_path(image) for image in images), *own)
-
-    @property
     def torso_path(self) -> Path | None:
         """The torso of the subject's own bones, if there is one."""
         return None if self.record.torso is None else self.folder / self.record.torso

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import subprocess
@@ -15,25 +14,41 @@ import pytest
 
 from canaries import infest, traces
 from chromium import Tab, browser
+from results import altered, register
 from spinestiff.anatomy.files import write_torso
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SubjectError
 from spinestiff.files import write_json
-from spinestiff.imaging.features import silhouette_shares, state_features
+from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.study.predictions import predict, stored, write_solved
 from spinestiff.study.report import page as report
-from spinestiff.study.report.content import MISSING, _strip, fixed, number
+from spinestiff.study.report.content import _strip
 from spinestiff.study.report.page import write_report
 from spinestiff.study.report.viewer.page import script_hash
-from spinestiff.study.visit import Visit, open_visit
+from spinestiff.study.steps import stored_predictions
+from spinestiff.study.truth import read_truth
+from spinestiff.study.visit import Visit, load_pushes, open_visit
 from spinestiff.subject.folder import write_annotation, write_subject
+from spinestiff.subject.outcomes import (
+    Assessment,
+    Comparison,
+    Estimate,
+    GeometryRecord,
+    OutcomeFile,
+    RatioEstimate,
+    Tracked,
+    TrackedPush,
+    ViewRecord,
+)
 from spinestiff.subject.records import Annotation, ImageAnnotation, PushRecord, SubjectRecord
+from spinestiff.subject.run_record import read_outcome, write_outcome
 
 TRUE = {"lateral_bending": 0.22, "tissue": 0.045}
 ESTIMATE = {"lateral_bending": 0.2, "tissue": 0.05}
@@ -87,85 +102,100 @@ def make_visit(folder: Path, side: int = 256, seed: int = 1) -> Visit:
         images[f"rest/{name}"] = annotated(corners(view, torso.rest_pose))
     for name, (level, forces, roles) in PUSHES.items():
         radiographs(folder / "pushes" / f"{name}.dcm", views["frontal"], len(forces))
-        frames, state = [], torso.rest_pose
+        frames, state, view = [], torso.rest_pose, views["frontal"]
         for force in forces:
             state = problem.solve(rib_push(torso, "left", level, force), ratios, state).require().state
-            frames.append(
-                {
-                    "force_n": force,
-                    "corners_px": corners(views["frontal"], state),
-                    "quality": np.full((14, 4), 0.9),
-                    "dropped": "",
-                    "support_motion_mm": {"pelvis": 0.1 + 0.01 * force, "shoulder": 0.2},
-                }
-            )
-        images[f"push/{name}"] = annotated(frames[0]["corners_px"])
+            frames.append(corners(view, state))
+        images[f"push/{name}"] = annotated(frames[0])
         records.append(
             PushRecord(
                 id=name, side="left", level=level, d21_mm=400.0, d31_mm=200.0, frames=f"pushes/{name}.dcm",
                 forces_n=forces, roles=roles,
             )
         )  # fmt: skip
-        tracked[name] = {
-            "view": view_record(views["frontal"]),
-            "millimetres": {"pixel spacing": "DICOM ImagerPixelSpacing, at the detector", "orientation": "DICOM L\\F"},
-            "vertebrae": list(torso.vertebrae[SEEN]),
-            "frames": frames,
-        }
+        quality = np.full((14, 4), 0.9)
+        tracked[name] = TrackedPush.of(
+            view,
+            forces,
+            [VertebraCorners(torso.vertebrae[SEEN], view.from_pixels(found), quality) for found in frames],
+            motions=[{"pelvis": 0.1 + 0.01 * force, "shoulder": 0.2} for force in forces],
+            millimetres={"pixel spacing": "DICOM ImagerPixelSpacing, at the detector", "orientation": "DICOM L\\F"},
+        )
     subject = SubjectRecord(schema_version=1, id="made-up-1", age=13.0, sex="female", height_cm=157.0, pushes=records)
     write_subject(folder, subject)
     write_annotation(folder, Annotation(schema_version=1, images=images))
-    results = folder / "results"
-    write_json(results / "tracked.json", {"schema_version": 1, "pushes": tracked})
-    write_torso(results / "torso.npz", torso)
-    write_json(results / "personalised.json", personalised_record(views, torso.vertebrae))
-    write_json(results / "estimate.json", estimate_record())
-    write_json(results / "assessment.json", assessment_record())
-    return open_visit(folder)
+    made = open_visit(folder)
+    (folder / "results").mkdir()
+    write_torso(made.file("torso.npz"), torso)
+    register(made.subject, "personalise", "torso.npz")
+    for outcome in (Tracked(pushes=tracked), geometry_record(views, torso.vertebrae), estimate_record()):
+        write_outcome(made.subject, outcome)
+        register(made.subject, outcome.STEP, outcome.FILE)
+    pushes = load_pushes(made, "procrustes")
+    models = {"default": None, "fit": stiffness_ratios(ESTIMATE, torso.joints.kinds)}
+    write_solved(made.file("predictions.npz"), stored(predict(pushes, models, {}, lambda line: None)))
+    write_outcome(made.subject, assessment_record())
+    register(made.subject, "assess", "predictions.npz", Assessment.FILE)
+    return made
 
 
-def view_record(view: XRayView) -> dict:
-    keys = ("source", "detector_origin", "detector_axes", "pixel_spacing", "source_to_patient")
-    return {"shape": list(view.shape), **{key: getattr(view, key) for key in keys}}
-
-
-def personalised_record(views: dict[str, XRayView], names: tuple[str, ...]) -> dict:
+def geometry_record(views: dict[str, XRayView], names: tuple[str, ...]) -> GeometryRecord:
     source = {"pixel spacing": "DICOM ImagerPixelSpacing, at the detector", "orientation": "DICOM"}
-    return {
-        "schema_version": 1,
-        "rmse_mm": {"frontal": 1.31, "lateral": 1.64},
-        "vertebra_rmse_mm": {view: dict.fromkeys(names[SEEN], 1.2) | {"T7": 2.5} for view in views},
-        "prior_only": ["T1", "T2", "L5"],
-        "mesh": {"path": "rebuilt", "nodes": 6115, "smallest_j": 1.0, "smallest_dihedral_deg": 7.4},
-        "poses": {view: {"shift_mm": [1.2, -3.4], "roll_deg": 0.51} for view in views},
-        "views": {name: view_record(view) for name, view in views.items()},
-        "millimetres": dict.fromkeys(views, source),
-    }
+    fit = {"rmse_mm": 1.2, "centre_mm": 0.8, "angle_deg": 1.0, "wrong_corners": 0}
+    pose = {"shift_mm": [1.2, -3.4], "roll_deg": 0.51, "yaw_deg": 0.0, "rms_mm": 1.3}
+    return GeometryRecord.model_validate(
+        {
+            "rmse_mm": {"frontal": 1.31, "lateral": 1.64},
+            "fits": {view: dict.fromkeys(names[SEEN], fit) | {"T7": {**fit, "rmse_mm": 2.5}} for view in views},
+            "prior_only": ["T1", "T2", "L5"],
+            "carried": {},
+            "length_scale": 1.0,
+            "size_scale": dict.fromkeys(names, (1.0, 1.0, 1.0)),
+            "corner_sd_mm": 0.4,
+            "covariance": [],
+            "mesh": {"path": "rebuilt", "nodes": 6115, "smallest_j": 1.0, "smallest_dihedral_deg": 7.4},
+            "poses": dict.fromkeys(views, pose),
+            "views": {name: ViewRecord.of(view) for name, view in views.items()},
+            "millimetres": dict.fromkeys(views, source),
+            "skin_scan": None,
+            "warnings": [],
+        }
+    )
 
 
-def estimate_record() -> dict:
+def estimate_record() -> Estimate:
     angle = np.linspace(0.0, 2.0 * np.pi, 60)
     region = np.exp(np.log(list(ESTIMATE.values())) + np.stack([0.15 * np.cos(angle), 0.4 * np.sin(angle - 0.5)], 1))
     steps = ([1.0, 1.0], [0.4, 0.3], [0.22, 0.08], [0.9, 0.9], [0.2, 0.05])
-    return {
-        "schema_version": 1,
+    bending, tissue = (
+        RatioEstimate.of(value, ends, (False, False), False)
+        for value, ends in ((0.2, (0.173, 0.231)), (0.05, (0.034, 0.074)))
+    )
+
+    def plain(value: float, of: RatioEstimate, unit: str) -> dict:
+        return {
+            "value": value, "low": value * of.low / of.value, "high": value * of.high / of.value, "unit": unit,
+            "ratio": "tissue" if of is tissue else "lateral_bending",
+        }  # fmt: skip
+
+    return Estimate.model_validate({
         "status": "CONVERGED",
-        "status_text": "converged",
-        "ratios": {
-            "lateral_bending": {"value": 0.2, "interval95": [0.173, 0.231], "at_bound": False},
-            "tissue": {"value": 0.05, "interval95": [0.034, 0.074], "at_bound": False},
-        },
+        "fit_status": "CONVERGED",
+        "fit_status_text": "converged",
+        "determined": "determined",
+        "checks": [],
+        "ratios": {"lateral_bending": bending, "tissue": tissue},
         "plain": {
-            "lateral_bending_thoracic_nm_per_rad": 30.8,
-            "lateral_bending_lumbar_nm_per_rad": 29.8,
-            "tissue_young_kpa": 50.0,
+            "lateral_bending_thoracic": plain(30.8, bending, "N m/rad"),
+            "lateral_bending_lumbar": plain(29.8, bending, "N m/rad"),
+            "tissue_young": plain(50.0, tissue, "kPa"),
         },
         "covariance_log": [[0.005, -0.002], [-0.002, 0.03]],
         "correlation": -0.42,
         "condition": 18.0,
         "parameters": ["lateral_bending", "tissue"],
-        "joint_region_size": 6.5,
-        "joint_region": region,
+        "region_size": 6.5,
+        "region": region.tolist(),
         "training_rmse_mm": {"default": 7.31, "fit": 1.12},
         "reactions_n": {
             "push": "push 'main' frame 1", "f3": 30.0, "shoulder": 14.6, "pelvis": 15.4, "eq2_shoulder": 15.0,
@@ -178,23 +208,25 @@ def estimate_record() -> dict:
         "method": "lm",
         "orientation": "procrustes",
         "bounds": [0.005, 5.0],
-        "poses": {name: {"shift_mm": [0.4, 1.0], "roll_deg": -0.3, "rms_mm": 1.0} for name in PUSHES},
+        "poses": {key: {"shift_mm": [0.4, 1.0], "roll_deg": -0.3, "yaw_deg": 0.0, "rms_mm": 1.0} for key in PUSHES},
         "cost": {"equilibria": 9, "newton_iterations": 40, "factorisations": 61, "seconds": 12.3},
-        "warnings": ["push 'main' frame 1: the back wall pulls at 2 points"],
-    }  # fmt: skip
+        "notes": ["push 'main' frame 1: 1 vertebrae were lost"],
+    })  # fmt: skip
 
 
-def assessment_record() -> list[dict]:
+def assessment_record() -> Assessment:
     def change(size: float) -> dict:
         levels = {"levels": ["T5", "T11"], "tilt_levels": ["T6", "T12"]}
         return {"signed": size, "fixed_levels": 0.9 * size, "tilt": 1.1 * size, **levels}
 
     errors = {"rest": 14.0, "default": 9.0, "fit": 1.5, "extrapolation": 2.0, "single_ratio": 1.9, "truth": None}
     cobb = {"measured": change(-14.2), "default": change(-3.0), "fit": change(-13.1)}
-    return [
+    frames = [
         {"push": "main", "frame": 2, "force_n": 60.0, "rmse_mm": errors, "cobb_change_deg": cobb},
         {"push": "second", "frame": 1, "force_n": 50.0, "rmse_mm": {**errors, "fit": None}, "cobb_change_deg": cobb},
     ]
+    notes = ["push 'main' frame 2: the back wall pulls at 2 points"]
+    return Assessment.model_validate({"frames": frames, "notes": notes})
 
 
 class Page(HTMLParser):
@@ -238,17 +270,14 @@ class Page(HTMLParser):
 
 
 def written(visit: Visit) -> str:
-    write_report(visit, lambda line: None)
+    write_report(visit, stored_predictions(visit), lambda line: None)
     return visit.file("report.html").read_text(encoding="utf-8")
 
 
-def changed(visit: Visit, folder: Path, name: str, change) -> Visit:
-    """A copy of the visit with one result file changed by ``change(content)``."""
+def changed(visit: Visit, folder: Path, kind: type[OutcomeFile], change) -> Visit:
+    """A copy of the visit with one result changed by ``change(content)``."""
     shutil.copytree(visit.subject.folder, folder)
-    path = folder / "results" / name
-    content = json.loads(path.read_text(encoding="utf-8"))
-    change(content)
-    path.write_text(json.dumps(content), encoding="utf-8")
+    altered(folder, kind, change)
     return open_visit(folder)
 
 
@@ -277,6 +306,8 @@ def html(visit: Visit, drawn: dict[str, list]) -> str:
                 return real(content)
 
             patch.setattr(report, name, noted)
+        # Everything that is shown was solved by earlier steps.
+        patch.setattr(EquilibriumProblem, "solve", None)
         return written(visit)
 
 
@@ -332,9 +363,9 @@ def test_every_picture_is_described_and_lies_beside_the_page(visit: Visit, page:
 def test_boxes_lie_on_the_corners_that_were_tracked(visit: Visit, html: str, drawn: dict[str, list]) -> None:
     assert html
     overlay = drawn["draw_overlay"][0]
-    tracked = json.loads(visit.file("tracked.json").read_text(encoding="utf-8"))["pushes"]["main"]
-    corners = np.array(tracked["frames"][2]["corners_px"])
-    assert overlay.vertebrae == tuple(tracked["vertebrae"])
+    tracked = read_outcome(visit.subject, Tracked).pushes["main"]
+    corners = np.array(tracked.frames[2].corners_px)
+    assert overlay.vertebrae == tracked.vertebrae
     # A box has the model's size and stands on the middle of its corners.
     np.testing.assert_allclose(overlay.measured.mean(1), corners.mean(1), atol=1e-6)
     np.testing.assert_allclose(overlay.measured, corners, atol=4.0)
@@ -373,8 +404,9 @@ def test_curves_and_tilts_agree_with_the_pushes(html: str, drawn: dict[str, list
 def test_numbers_stand_in_the_text(page: Page) -> None:
     words = page.words
     for expected in (
-        "made-up-1", "0.200", "0.173 to 0.231", "0.0500", "30.8 N m/rad", "26.6 to 35.6 N m/rad", "50.0 kPa",
-        "34.0 to 74.0 kPa", "incremental about the standing posture, net of gravity and muscle tone",
+        "made-up-1", "0.20 times", "0.17 to 0.23: determined", "0.050 times", "31 N m/rad", "27 to 36 N m/rad",
+        "50 kPa", "0.034 to 0.074: determined", "34 to 74 kPa", "Estimate: determined",
+        "1 vertebrae were lost", "incremental about the standing posture, net of gravity and muscle tone",
         "Not for diagnosis", "the back wall pulls at 2 points", "1.3 to 1.8 N m per degree", "T1, T2 and L5", "−0.42",
         "−14.2° ", "−15.6° (T6–T12)", "9 equilibria",
     ):  # fmt: skip
@@ -397,26 +429,33 @@ def odd_html(visit: Visit, tmp_path_factory: pytest.TempPathFactory) -> str:
     folder = tmp_path_factory.mktemp("odd")
 
     def doubtful(content: dict) -> None:
-        content["status"], content["status_text"] = "NOT_IDENTIFIABLE", "these radiographs can't tell " + HOSTILE
-        content["ratios"]["tissue"]["interval95"] = [None, 5.0]
-        content["joint_region"] = content["correlation"] = content["condition"] = None
-        content["warnings"] = [HOSTILE]
+        content["status"], content["fit_status"] = "DOUBTFUL", "NOT_IDENTIFIABLE"
+        content["fit_status_text"] = "these radiographs can't tell " + HOSTILE
+        text = "rest and push do not agree: look for " + HOSTILE
+        content["checks"] = [{"name": HOSTILE, "value": 8.0, "limit": 1.0, "passed": False, "text": text}]
+        content["ratios"]["lateral_bending"] |= {"high": 5.0, "open_high": True, "determined": "weakly determined"}
+        content["ratios"]["tissue"] |= {"low": 0.005, "open_low": True, "high": None, "determined": "not determined"}
+        content["determined"] = "not determined"
+        content["region"] = content["correlation"] = content["condition"] = None
+        content["notes"] = [HOSTILE]
         content["reactions_n"]["push"] = HOSTILE
 
-    def beaten(content: list) -> None:
-        for frame in content:
+    def beaten(content: dict) -> None:
+        for frame in content["frames"]:
             frame["rmse_mm"] |= {"truth": 0.5, "extrapolation": 1.0, "fit": 2.5}
-        content[0]["rmse_mm"]["single_ratio"] = 1.0004
+        content["frames"][0]["rmse_mm"]["single_ratio"] = 1.0004
 
     def named(content: dict) -> None:
         content["pushes"]["main"]["millimetres"] = {HOSTILE: HOSTILE}
 
-    found = changed(visit, folder / "one", "estimate.json", doubtful)
-    found = changed(found, folder / "two", "assessment.json", beaten)
-    found = changed(found, folder / "three", "tracked.json", named)
-    write_json(folder / "truth.json", {"ratios": TRUE})
-    write_json(found.file("comparison.json"), {"truth": TRUE, "inside": True})
-    return written(Visit(found.subject, found.settings, folder / "truth.json"))
+    found = changed(visit, folder / "one", Estimate, doubtful)
+    found = changed(found, folder / "two", Assessment, beaten)
+    found = changed(found, folder / "three", Tracked, named)
+    truth = folder / "truth.json"
+    write_json(truth, {"ratios": TRUE})
+    write_outcome(found.subject, Comparison(truth=read_truth(truth), region_size=6.5, distance2=1.0, inside=True))
+    register(found.subject, "assess", Comparison.FILE)
+    return written(Visit(found.subject, found.settings, truth))
 
 
 def test_best_predictor_is_marked_and_an_oracle_never_is(odd_html: str) -> None:
@@ -432,15 +471,22 @@ def test_a_better_simple_predictor_is_owned_up_to(odd_html: str, page: Page) -> 
 
 def test_open_intervals_and_doubt_are_shown(odd_html: str) -> None:
     words = Page(odd_html).words
-    assert "≤ 0.005 to ≥ 5" in words
-    assert "not identifiable" in words and "These radiographs can't tell" in words
+    assert "0.17 to ≥ 5: weakly determined" in words and "≤ 0.005 to not available: not determined" in words
+    assert "Estimate: doubtful" in words and "These radiographs can't tell" in words
     assert "condition number not available" in words
+    # What failed stands before any number.
+    doubt = words.index("rest and push do not agree")
+    assert words.index("This result is doubtful") < doubt < words.index("times the default stiffness")
+
+
+def test_a_result_that_passed_says_no_doubt(page: Page, html: str) -> None:
+    assert "doubtful" not in page.words and '<span class="status">determined</span>' in html
 
 
 def test_names_from_files_are_escaped(odd_html: str) -> None:
     found = Page(odd_html)
     assert found.tags.count("script") == odd_html.count("<script") == 2
-    assert found.words.count(HOSTILE) == 5
+    assert found.words.count(HOSTILE) == 6
     assert not [name for _, name, _ in found.attributes if name.startswith("on")]
     assert len(found.all("img", "src")) == 7
 
@@ -463,27 +509,19 @@ def test_same_results_give_the_same_bytes(visit: Visit, html: str, tmp_path: Pat
     assert not list(again.subject.results.glob(".*"))
 
 
-def test_results_of_another_version_are_refused(visit: Visit, tmp_path: Path) -> None:
-    copy = changed(visit, tmp_path / "copy", "estimate.json", lambda content: content.pop("plain"))
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda content: content.pop("plain"), "plain: missing"),
+        (lambda content: content.update(schema_version=99), "found schema_version 99, wanted 2"),
+    ],
+)
+def test_results_of_another_version_are_refused(visit: Visit, html: str, tmp_path: Path, change, words: str) -> None:
+    copy = changed(visit, tmp_path / "copy", Estimate, change)
     before = copy.file("report.html").read_bytes()
-    with pytest.raises(SubjectError, match=r"results lack what the report needs \('plain'\)"):
-        write_report(copy, lambda line: None)
+    with pytest.raises(SubjectError, match=rf"estimate\.json: {words}; run spinestiff estimate .* again"):
+        write_report(copy, stored_predictions(visit), lambda line: None)
     assert copy.file("report.html").read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.2, "0.200"), (0.04567, "0.0457"), (1234.5, "1234"), (-3.0, "−3.00"), (0.0, "0"), (None, MISSING)],
-)
-def test_number(value: float | None, text: str) -> None:
-    assert number(value) == text
-
-
-@pytest.mark.parametrize(
-    ("value", "text"), [(3.04, "+3.0"), (-0.04, "0.0"), (-1.26, "−1.3"), (np.inf, MISSING), (np.nan, MISSING)]
-)
-def test_fixed(value: float | None, text: str) -> None:
-    assert fixed(value, 1, sign=True) == text
 
 
 @pytest.mark.skipif(browser() is None, reason="no Chromium to open the report in")
@@ -531,7 +569,7 @@ def test_the_torso_is_drawn_where_it_is_reached_and_on_paper(visit: Visit, html:
 
 def test_published_ratios_stand_only_beside_the_ratio_they_are_of():
     """The group that takes the sternal joints along is no group of the published subjects."""
-    entry = {"value": 0.1, "interval95": [0.05, 0.2]}
+    entry = RatioEstimate.of(0.1, (0.05, 0.2), (False, False), False)
     own, published = (_strip(name, entry, (0.005, 5.0), None) for name in ("lateral_bending", "intervertebral_bending"))
     assert own["band"] is None
     # 0.01 to 0.63 on a logarithmic axis of three decades.

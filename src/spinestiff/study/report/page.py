@@ -53,11 +53,11 @@ from spinestiff.study.report.figures import (
 from spinestiff.study.report.viewer.files import scene_of
 from spinestiff.study.report.viewer.page import component, page_environment, script_hash, view_page
 from spinestiff.study.trials import PushTrial
-from spinestiff.study.truth import read_truth
+from spinestiff.study.truth import known_comparison, read_truth
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import fixed, listed, number
 from spinestiff.subject.folder import image_corners, read_push, read_rest
-from spinestiff.subject.outcomes import Assessment, Comparison, Estimate, GeometryRecord, Tracked
+from spinestiff.subject.outcomes import Assessment, Estimate, GeometryRecord, Tracked
 from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import read_outcome
 from spinestiff.words import counted
@@ -106,7 +106,7 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
     estimate, assessment = read_outcome(subject, Estimate), read_outcome(subject, Assessment)
     geometry, tracked = read_outcome(subject, GeometryRecord), read_outcome(subject, Tracked)
     say("drawing")
-    comparison = None if visit.truth is None else read_outcome(subject, Comparison)
+    comparison = None if visit.truth is None else known_comparison(subject, visit.truth)
     region = _region_picture(visit, estimate)
     scene = scene_of(visit, predictions)
     album, films = _Album(), {push.id: read_push(subject, push) for push in subject.pushes}
@@ -226,7 +226,8 @@ def _arrow(torso: TorsoModel, view: XRayView, push: PushRecord, item: PushTrial)
     return float(there[1]), float(np.sign(onward[0] - there[0])), f"{item.force_n:.0f} N"
 
 
-def _curve_picture(predictions: Predictions) -> tuple[str, Figure, str, str]:
+def curve_changes(predictions: Predictions) -> list[CurveChange]:
+    """Change of the Cobb angle against force, of every push: measured by role, and as the models make it."""
     pushes, changes = predictions.pushes, []
     for push in pushes.problems:
         measured: dict[str, list[tuple[float, float]]] = {"training": [], "validation": [], "unused": []}
@@ -242,6 +243,11 @@ def _curve_picture(predictions: Predictions) -> tuple[str, Figure, str, str]:
                 if change is not None:
                     points.append((p.item.force_n, change.tilt))
         changes.append(CurveChange(push, _sorted_points(measured), _sorted_points(simulated)))
+    return changes
+
+
+def _curve_picture(predictions: Predictions) -> tuple[str, Figure, str, str]:
+    changes = curve_changes(predictions)
     words = [
         f"push {c.push}: measured {rows[-1, 1]:+.1f} degrees at {rows[-1, 0]:.0f} N"
         for c in changes

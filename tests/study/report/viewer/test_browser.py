@@ -291,5 +291,5 @@ def test_without_webgl_the_numbers_remain(viewed, tmp_path):
         assert text(tab, "force-text") == "0 N"
         step = viewed.scene.pushes[0].models["fit"][0]
         np.testing.assert_allclose(
-            bone(tab, "T8")[0], step.state.bone_positions[viewed.pushes.torso.bone("T8")], atol=1e-3
+            bone(tab, "T8")[0], step.state.bone_positions[viewed.predictions.pushes.torso.bone("T8")], atol=1e-3
         )

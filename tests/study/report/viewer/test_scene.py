@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from spinestiff.anatomy.template import template_torso
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.study.report.viewer.scene import Scene, packed, scene_record, skin_faces, unpacked, visit_scene
+from spinestiff.study.steps import estimated_ratios
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +48,10 @@ def close_to(record, state, number):
 
 
 def test_steps_are_the_equilibria(viewed, record):
-    torso = viewed.pushes.torso
+    torso = viewed.predictions.pushes.torso
     close_to(record, (torso, torso.rest_pose), 0)
     found = 0
-    for prediction in viewed.predictions:
+    for prediction in viewed.predictions.frames:
         for model in ("fit", "default"):
             steps = push_of(record, prediction.item.push)["models"][model]
             (step,) = [s for s in steps if s["frame"] == prediction.item.frame]
@@ -67,12 +68,13 @@ def test_steps_are_the_equilibria(viewed, record):
 
 def test_a_step_is_what_a_solve_gives(viewed, record):
     """The way from the force to the picture, once more and on its own."""
-    pushes = viewed.pushes
+    pushes = viewed.predictions.pushes
+    ratios = estimated_ratios(viewed.estimate, pushes)
     push = push_of(record, "main")
     step = push["models"]["fit"][-1]
     assert step["force"] == 30.0
     load = rib_push(pushes.torso, push["side"], push["level"], 30.0)
-    solved = pushes.problems["main"].solve(load, viewed.ratios).require()
+    solved = pushes.problems["main"].solve(load, ratios).require()
     close_to(record, (pushes.torso, solved.state), step["state"])
     # The wall's points of a scapula share its name.
     assert len(solved.reactions) == len(push["supports"]) == 20
@@ -84,7 +86,7 @@ def test_a_step_is_what_a_solve_gives(viewed, record):
 
 
 def test_bones_and_skin_are_the_torsos(viewed, record):
-    torso = viewed.pushes.torso
+    torso = viewed.predictions.pushes.torso
     vertices, faces = unpacked(record["vertices"]), unpacked(record["faces"])
     vertex = face = 0
     for bone, surface, name in zip(record["bones"], torso.bone_surfaces, torso.bone_names):
@@ -104,9 +106,9 @@ def test_bones_and_skin_are_the_torsos(viewed, record):
 
 
 def test_joints_lie_between_their_bones(viewed, record):
-    joints = viewed.pushes.torso.joints
+    joints = viewed.predictions.pushes.torso.joints
     centres = on_bones(record, 0, record["joints"]["bone"], unpacked(record["joints"]["offset"]))
-    rest = viewed.pushes.torso.rest_pose
+    rest = viewed.predictions.pushes.torso.rest_pose
     on_child = rest.bone_positions[joints.child] + np.einsum(
         "jik,jk->ji", rest.bone_rotations[joints.child], joints.child_position
     )
@@ -115,7 +117,7 @@ def test_joints_lie_between_their_bones(viewed, record):
 
 
 def test_arrows_stand_at_the_pushed_points(viewed, record):
-    for prediction in viewed.predictions:
+    for prediction in viewed.predictions.frames:
         item = prediction.item
         load, push = item.trial.load, push_of(record, item.push)
         (step,) = [s for s in push["models"]["fit"] if s["frame"] == item.frame]
@@ -135,7 +137,7 @@ def test_what_is_shown_balances(record):
 
 
 def test_corners_lie_in_the_patient_plane_and_on_their_rays(viewed, record):
-    for item in viewed.pushes.trials:
+    for item in viewed.predictions.pushes.trials:
         push = push_of(record, item.push)
         (frame,) = [f for f in push["frames"] if f["frame"] == item.frame]
         view, q = item.trial.view, np.array(frame["measured"])
@@ -167,9 +169,10 @@ def test_errors_are_those_of_the_outlines_shown(viewed, record):
 
 
 def test_a_push_without_a_frame_at_rest_starts_there_all_the_same(viewed):
-    loaded = tuple(t for t in viewed.pushes.trials if t.force_n > 0.0)
-    pushes = replace(viewed.pushes, trials=loaded)
-    scene = visit_scene("x", pushes, viewed.predictions, {"main": ("right", 8.0), "second": ("right", 6.0)})
+    loaded = tuple(t for t in viewed.predictions.pushes.trials if t.force_n > 0.0)
+    pushes = replace(viewed.predictions.pushes, trials=loaded)
+    levels = {"main": ("right", 8.0), "second": ("right", 6.0)}
+    scene = visit_scene("x", replace(viewed.predictions, pushes=pushes), levels)
     for push in scene.pushes:
         assert push.frames[0].force_n > 0.0
         first = push.models["fit"][0]
@@ -179,24 +182,26 @@ def test_a_push_without_a_frame_at_rest_starts_there_all_the_same(viewed):
 
 def test_a_model_without_an_equilibrium_is_left_out(viewed):
     def without(prediction, name):
-        states = {key: state for key, state in prediction.states.items() if key != name}
-        return replace(prediction, states=states)
+        return replace(prediction, solved={key: found for key, found in prediction.solved.items() if key != name})
+
+    def scene_with(frames):
+        return visit_scene("x", replace(viewed.predictions, frames=tuple(frames)), levels)
 
     levels = {"main": ("right", 8.0), "second": ("right", 6.0)}
-    partly = [without(p, "default") for p in viewed.predictions]
-    scene = visit_scene("x", viewed.pushes, partly, levels)
+    partly = [without(p, "default") for p in viewed.predictions.frames]
+    scene = scene_with(partly)
     assert [list(push.models) for push in scene.pushes] == [["fit"], ["fit"]]
     assert all(set(f.rmse_mm) == {"fit"} for push in scene.pushes for f in push.frames if f.force_n)
-    one = [without(p, "fit") if p.item.frame == 2 else p for p in viewed.predictions]
-    main = visit_scene("x", viewed.pushes, one, levels).pushes[0]
+    one = [without(p, "fit") if p.item.frame == 2 else p for p in viewed.predictions.frames]
+    main = scene_with(one).pushes[0]
     assert [s.frame for s in main.models["fit"]] == [0, 1, 3] and [s.frame for s in main.models["default"]] == [
         0,
         1,
         2,
         3,
     ]
-    none = [without(without(p, "fit"), "default") for p in viewed.predictions]
-    assert visit_scene("x", viewed.pushes, none, levels).pushes == ()
+    none = [without(without(p, "fit"), "default") for p in viewed.predictions.frames]
+    assert scene_with(none).pushes == ()
 
 
 @pytest.mark.parametrize("torso", [template_torso(157.0), replace(template_torso(157.0), bone_surfaces=())])

@@ -1,0 +1,98 @@
+"""Cobb angles of a subject's own images, and one Cobb change wherever it is shown."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from results import altered
+from spinestiff.curves.pushes import cobb_frames, cobb_rows, rest_reading
+from spinestiff.errors import SubjectError
+from spinestiff.study.assessment import change_record
+from spinestiff.study.steps import stored_predictions
+from spinestiff.study.visit import open_visit
+from spinestiff.subject.folder import read_subject
+from spinestiff.subject.outcomes import Assessment, Tracked
+from spinestiff.subject.run_record import read_outcome
+
+
+def test_cobb_rows(finished, subject):
+    rows = cobb_rows(cobb_frames(read_subject(finished.folder)))
+    assert [row[0] for row in rows] == [
+        "rest/frontal",
+        "main frame 0, 0 N",
+        "main frame 1, 15 N",
+        "main frame 2, 22 N",
+        "main frame 3, 30 N",
+        "second frame 0, 0 N",
+        "second frame 1, 30 N",
+    ]
+    assert rows[0][1].startswith("+1")  # a left curve of 12 degrees or a little more
+    assert "convexity left" in rows[0][1]
+    assert rows[0][2:] == ("", "", "")
+    assert rows[1][2:] == ("+0.0", "+0.0", "+0.0")
+    truth = json.loads(finished.truth.read_text())["pushes"]["main"][3]["cobb_change_deg"]
+    signed, fixed, tilt = (float(value) for value in rows[4][2:])
+    assert tilt == pytest.approx(truth["tilt"], abs=2.5)
+    assert tilt < -1.0
+    assert fixed < 0.0
+    assert signed < 0.0
+    (subject / "results" / "tracked.json").unlink()
+    assert cobb_rows(cobb_frames(read_subject(subject))) == rows[:1]
+
+
+def test_the_change_is_that_of_the_assessment(finished):
+    """One frame's measured change, by ``spinestiff cobb`` and in ``assessment.json``: forms and levels."""
+    subject = read_subject(finished.folder)
+    shown = {frame.reading.image: frame for frame in cobb_frames(subject)}
+    for frame in read_outcome(subject, Assessment).frames:
+        change = shown[f"{frame.push} frame {frame.frame}, {frame.force_n:.0f} N"].change
+        assert change_record(change) == frame.cobb_change_deg["measured"]
+        assert np.ptp([change.signed, change.fixed_levels, change.tilt]) > 0.01
+
+
+def test_the_report_s_predictions_have_the_same_change(finished):
+    visit = open_visit(finished.folder)
+    predictions = stored_predictions(visit)
+    written = {(f.push, f.frame): f.cobb_change_deg for f in read_outcome(visit.subject, Assessment).frames}
+    for prediction in predictions.of_role("validation"):
+        records = written[prediction.item.push, prediction.item.frame]
+        assert change_record(predictions.measured_change(prediction.item)) == records["measured"]
+        for name in ("default", "fit", "truth"):
+            change = predictions.simulated_change(prediction, name)
+            assert change_record(change) == records[name]
+            assert change.levels == records["measured"].levels
+
+
+def test_json_of_a_frame_names_its_levels(finished):
+    frames = cobb_frames(read_subject(finished.folder))
+    assert frames[0].as_dict()["change_deg"] is None
+    record = frames[4].as_dict()["change_deg"]
+    change = frames[4].change
+    assert record == {
+        "signed": change.signed,
+        "fixed_levels": change.fixed_levels,
+        "tilt": change.tilt,
+        "levels": list(change.levels),
+        "tilt_levels": list(change.tilt_levels),
+    }
+
+
+def test_the_rest_image_needs_no_tracking(finished):
+    subject = read_subject(finished.folder)
+    assert rest_reading(subject).as_dict() == cobb_frames(subject)[0].reading.as_dict()
+
+
+def test_a_tracking_that_is_not_as_it_was_written_is_refused(subject):
+    path = subject / "results" / Tracked.FILE
+    path.write_text(path.read_text().replace("0", "1", 1))
+    with pytest.raises(SubjectError, match=r"tracked\.json: was changed after spinestiff track had written it"):
+        cobb_frames(read_subject(subject))
+
+
+def test_a_tracking_of_another_push_is_refused(subject):
+    altered(subject, Tracked, lambda content: content["pushes"].update(third=content["pushes"].pop("main")))
+    with pytest.raises(SubjectError, match="no push 'third'"):
+        cobb_frames(read_subject(subject))

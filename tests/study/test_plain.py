@@ -1,0 +1,67 @@
+"""Stiffness in plain units, beside what the torso has and what was estimated."""
+
+from __future__ import annotations
+
+import pytest
+
+from spinestiff.anatomy.stiffness import stiffness_ratios
+from spinestiff.anatomy.template import template_torso
+from spinestiff.study.plain import plain_stiffness
+from spinestiff.subject.outcomes import RatioEstimate
+
+
+@pytest.fixture(scope="module")
+def torso():
+    return template_torso(157.0, "coarse")
+
+
+def estimate(value, low, high, opens=(False, False)):
+    return RatioEstimate.of(value, (low, high), opens, False)
+
+
+def test_plain_units(torso):
+    """Of bending the spine's mean of each part; of tissue E = mu (3 lambda + 2 mu) / (lambda + mu)."""
+    kinds = torso.joints.kinds
+    default = plain_stiffness(torso, stiffness_ratios({}, kinds), {})
+    mu, lam = float(torso.tissue.lame_mu[0]), float(torso.tissue.lame_lambda[0])
+    assert default["tissue_young"].value == pytest.approx(1e3 * mu * (3.0 * lam + 2.0 * mu) / (lam + mu))
+    for part in ("lumbar", "thoracic"):
+        rows = [k == part for k in kinds]
+        wanted = torso.joints.stiffness[rows, 5].mean() / 1e3
+        assert default[f"lateral_bending_{part}"].value == pytest.approx(wanted)
+    softer = plain_stiffness(torso, stiffness_ratios({"lateral_bending": 0.1, "tissue": 0.02}, kinds), {})
+    assert {name: found.unit for name, found in softer.items()} == {
+        "lateral_bending_thoracic": "N m/rad",
+        "lateral_bending_lumbar": "N m/rad",
+        "tissue_young": "kPa",
+    }
+    for name, found in softer.items():
+        assert found.value == pytest.approx(default[name].value * (0.02 if "tissue" in name else 0.1)), name
+        assert (found.low, found.high, found.ratio) == (None, None, None)
+
+
+def test_intervals_are_those_of_the_ratio_that_scales_the_whole(torso):
+    estimates = {"lateral_bending": estimate(0.1, 0.08, 0.15), "tissue": estimate(0.02, 0.005, 0.03, (True, False))}
+    values = {name: found.value for name, found in estimates.items()}
+    found = plain_stiffness(torso, stiffness_ratios(values, torso.joints.kinds), estimates)
+    bending, tissue = found["lateral_bending_thoracic"], found["tissue_young"]
+    assert (bending.low, bending.high) == pytest.approx((0.8 * bending.value, 1.5 * bending.value))
+    assert (bending.ratio, bending.open_low, bending.open_high) == ("lateral_bending", False, False)
+    assert (tissue.low, tissue.high) == pytest.approx((0.25 * tissue.value, 1.5 * tissue.value))
+    assert (tissue.ratio, tissue.open_low, tissue.open_high) == ("tissue", True, False)
+
+
+def test_a_ratio_that_scales_a_part_gives_no_interval(torso):
+    """The shear modulus alone doesn't scale Young's modulus; flexion doesn't scale lateral bending."""
+    estimates = {"tissue_mu": estimate(0.1, 0.05, 0.2), "flexion_extension": estimate(0.1, 0.05, 0.2)}
+    values = {name: found.value for name, found in estimates.items()}
+    found = plain_stiffness(torso, stiffness_ratios(values, torso.joints.kinds), estimates)
+    assert all((plain.ratio, plain.low, plain.high) == (None, None, None) for plain in found.values())
+
+
+def test_one_ratio_for_all_scales_all(torso):
+    estimates = {"everything": estimate(0.5, 0.25, 1.0)}
+    found = plain_stiffness(torso, stiffness_ratios({"everything": 0.5}, torso.joints.kinds), estimates)
+    for plain in found.values():
+        assert plain.ratio == "everything"
+        assert (plain.low, plain.high) == pytest.approx((0.5 * plain.value, 2.0 * plain.value))

@@ -1,0 +1,244 @@
+"""What the models make of every frame: each equilibrium is solved once, from the least force up, and stored."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from results import tracked_push
+from spinestiff.anatomy.stiffness import stiffness_ratios
+from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.torso import TorsoState
+from spinestiff.curves.tilts import change_between
+from spinestiff.errors import SubjectError
+from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
+from spinestiff.imaging.projection import frontal_view
+from spinestiff.mechanics.equilibrium import SolveStatus
+from spinestiff.study.predictions import (
+    REST,
+    STATES_SCHEMA,
+    Solved,
+    of_equilibria,
+    predict,
+    predictions_of,
+    read_solved,
+    stored,
+    write_solved,
+)
+from spinestiff.study.trials import push_set
+from spinestiff.subject.records import PushRecord
+
+ROLES = ("unused", "validation", "training", "unused")
+SOFT = stiffness_ratios({"tissue": 0.1})
+
+
+class Noting:
+    """Stands in for an equilibrium problem: notes what it is asked, and moves all bones by a millimetre per newton."""
+
+    def __init__(self, torso, fails=()):
+        self.torso, self.fails, self.asked = torso, fails, []
+
+    def solve(self, load, model, start):
+        self.asked.append((round(load.size), model, start))
+        rest = self.torso.rest_pose
+        state = TorsoState(rest.bone_positions + load.size, rest.bone_rotations, rest.tissue_positions)
+        converged = (round(load.size), model) not in self.fails
+        status = SolveStatus.CONVERGED if converged else SolveStatus.STALLED
+        reactions = [SimpleNamespace(force=np.full(3, load.size))]
+        return SimpleNamespace(converged=converged, status=status, state=state, reactions=reactions)
+
+
+@pytest.fixture(scope="module")
+def torso():
+    return template_torso(157.0, "coarse")
+
+
+@pytest.fixture(scope="module")
+def rest(torso):
+    view = frontal_view()
+    shares = silhouette_shares(torso, view, torso.rest_pose)
+    seen = state_features(torso, view, torso.rest_pose, shares).corners
+    return VertebraCorners(torso.vertebrae, seen).selected(torso.vertebrae[2:16])
+
+
+def make_set(torso, frames, forces, roles=ROLES):
+    push = PushRecord(
+        id="main", side="right", level=8.0, d21_mm=400.0, d31_mm=200.0, frames="m.dcm", forces_n=forces, roles=roles
+    )
+    return push_set(torso, [push], {"main": tracked_push(frontal_view(), forces, frames)})
+
+
+def noting(pushes, *fails):
+    problem = Noting(pushes.torso, fails)
+    return replace(pushes, problems={"main": problem}), problem
+
+
+def quiet(line):
+    pass
+
+
+def test_every_frame_is_solved_once_from_the_least_force_up(torso, rest):
+    pushes, problem = noting(make_set(torso, [rest] * 4, (0.0, 30.0, 10.0, 20.0)))
+    lines = []
+    found = predict(pushes, {"default": None, "fit": SOFT}, {}, lines.append)
+    assert [(force, model) for force, model, _ in problem.asked] == [
+        (force, model) for force in (10, 20, 30) for model in (None, SOFT)
+    ]
+    # Each model goes on from what it found under the force before.
+    starts = [start for _, model, start in problem.asked if model is SOFT]
+    states = {p.item.force_n: p.states["fit"] for p in found.frames}
+    assert starts[0] is None and starts[1] is states[10.0] and starts[2] is states[20.0]
+    assert [p.item.frame for p in found.frames] == [1, 2, 3]
+    assert set(found.frames[0].states) == {REST, "default", "fit"}
+    assert lines[0] == "push 'main' frame 2: default at 10 N"
+    np.testing.assert_array_equal(found.frames[0].solved["fit"].reactions, np.full((1, 3), 30.0))
+
+
+def test_what_is_known_is_not_solved_again(torso, rest):
+    pushes, problem = noting(make_set(torso, [rest] * 4, (0.0, 30.0, 10.0, 20.0)))
+    known = Solved(torso.rest_pose, np.ones((1, 3)))
+    found = predict(pushes, {"fit": SOFT}, {("main", 2, "fit"): known}, quiet)
+    assert [force for force, _, _ in problem.asked] == [20, 30]
+    # It is where the next one starts, and it is among what is stored.
+    assert problem.asked[0][2] is known.state
+    assert stored(found)["main", 2, "fit"] is known
+    assert set(stored(found)) == {("main", frame, "fit") for frame in (1, 2, 3)}
+    again, problem = noting(pushes)
+    predict(again, {"fit": SOFT}, stored(found), quiet)
+    assert problem.asked == []
+
+
+def test_other_models_predict_the_held_out_frames_alone(torso, rest):
+    pushes, problem = noting(make_set(torso, [rest] * 4, (0.0, 30.0, 10.0, 20.0)))
+    found = predict(pushes, {"fit": SOFT, "truth": None}, {}, quiet)
+    assert [force for force, model, _ in problem.asked if model is None] == [30]
+    assert ["truth" in p.states for p in found.frames] == [True, False, False]
+    assert [p.item.role for p in found.of_role("validation", "training")] == ["validation", "training"]
+
+
+def test_a_model_without_an_equilibrium_is_said_and_left_out(torso, rest):
+    pushes, problem = noting(make_set(torso, [rest] * 4, (0.0, 30.0, 10.0, 20.0)), (20, None))
+    lines = []
+    found = predict(pushes, {"default": None, "fit": SOFT}, {}, lines.append)
+    by_force = {p.item.force_n: p for p in found.frames}
+    assert set(by_force[20.0].states) == {REST, "fit"} and set(by_force[30.0].states) == {REST, "fit", "default"}
+    assert any(line.startswith("push 'main' frame 3: no prediction by 'default': ") for line in lines)
+    # The next force starts from the last one that was found.
+    assert problem.asked[-2][2] is by_force[10.0].states["default"]
+
+
+def test_errors_and_boxes_are_those_of_the_state(torso, rest):
+    """At rest the boxes lie on the corners that were measured; a millimetre aside they are a millimetre off."""
+    pushes = make_set(torso, [rest] * 2, (0.0, 30.0), ("unused", "training"))
+    moved = torso.rest_pose.bone_positions + [1.0, 0.0, 0.0]
+    aside = TorsoState(moved, torso.rest_pose.bone_rotations, torso.rest_pose.tissue_positions)
+    (found,) = predictions_of(pushes, {("main", 1, "fit"): Solved(aside, np.zeros((0, 3)))}).frames
+    assert found.rmse(torso, REST) < 1e-6
+    assert found.rmse(torso, "fit") == pytest.approx(1.0, abs=0.05)
+    assert found.boxes(torso, "fit").shape == (14, 4, 2)
+    apart = found.boxes(torso, "fit") - found.target.z
+    assert np.sqrt(np.mean(np.sum(apart**2, -1))) == pytest.approx(found.rmse(torso, "fit"), rel=1e-6)
+
+
+def test_a_change_is_measured_from_the_least_force(torso, rest):
+    """Where even the least force is none at rest, the models' change starts from what they make of that frame."""
+    bent = VertebraCorners(rest.vertebrae, rest.corners + np.linspace(0.0, 3.0, 14)[:, None, None] ** 2)
+    loaded = make_set(torso, [rest, bent], (5.0, 30.0), ("unused", "training"))
+    start = TorsoState(torso.rest_pose.bone_positions, torso.rest_pose.bone_rotations, torso.rest_pose.tissue_positions)
+    solved = {("main", frame, "fit"): Solved(start, np.zeros((0, 3))) for frame in (0, 1)}
+    found = predictions_of(loaded, solved)
+    last = found.frames[-1]
+    assert found.before(last.item, "fit") is start
+    assert found.before(last.item, "default") is None
+    assert found.simulated_change(last, "default") is None
+    measured = found.measured_change(last.item)
+    trials = {t.frame: t.trial for t in loaded.trials}
+    assert measured == change_between(trials[1].view, trials[0].corners, trials[1].corners)
+    change = found.simulated_change(last, "fit")
+    assert (change.signed, change.fixed_levels, change.tilt) == (0.0, 0.0, 0.0)
+    assert change.levels == measured.levels
+    unloaded = predictions_of(make_set(torso, [rest, bent], (0.0, 30.0), ("unused", "training")), {})
+    assert unloaded.before(unloaded.frames[-1].item, "fit") is torso.rest_pose
+
+
+# Stored
+
+
+@pytest.fixture
+def some(torso):
+    random, rest = np.random.default_rng(1), torso.rest_pose
+    states = [
+        TorsoState(rest.bone_positions + random.normal(size=3), rest.bone_rotations, rest.tissue_positions / 3.0)
+        for _ in range(2)
+    ]
+    return {
+        ("main", 2, "fit"): Solved(states[0], random.normal(size=(20, 3))),
+        ("a, \"b'\n", 0, "default"): Solved(states[1], np.zeros((0, 3))),
+    }
+
+
+def test_equilibria_come_back_bit_for_bit(some, tmp_path):
+    path = tmp_path / "results" / "training.npz"
+    write_solved(path, some)
+    found = read_solved(path)
+    assert set(found) == set(some)
+    for key, solved in some.items():
+        np.testing.assert_array_equal(found[key].reactions, solved.reactions)
+        for name in ("bone_positions", "bone_rotations", "tissue_positions"):
+            np.testing.assert_array_equal(getattr(found[key].state, name), getattr(solved.state, name))
+    before = path.read_bytes()
+    write_solved(path, dict(reversed(found.items())))
+    assert path.read_bytes() == before
+    write_solved(path, {})
+    assert read_solved(path) == {}
+
+
+def test_a_fit_without_default_equilibria_gives_none():
+    assert of_equilibria([SimpleNamespace(push="a", frame=1)], [], "default") == {}
+
+
+def damaged(path, some, how):
+    write_solved(path, some)
+    content = path.read_bytes()
+    if how == "half":
+        path.write_bytes(content[: len(content) // 2])
+    elif how == "bits":
+        # Amid the compressed arrays, where the archive's own list still stands.
+        middle = len(content) // 2
+        path.write_bytes(content[:middle] + bytes(255 - value for value in content[middle : middle + 64])
+                         + content[middle + 64 :])  # fmt: skip
+    elif how == "other arrays":
+        np.savez(path, keys=np.array(json.dumps({"schema": STATES_SCHEMA, "keys": [["main", 1, "fit"]]})))
+    elif how == "another schema":
+        np.savez(path, keys=np.array(json.dumps({"schema": "spinestiff-states-99", "keys": []})))
+    elif how == "no header":
+        np.savez(path, keys=np.array("[]"))
+    elif how == "wrong shapes":
+        arrays = {f"0_{name}": np.zeros(3) for name in ("bone_positions", "bone_rotations", "tissue_positions")}
+        header = {"schema": STATES_SCHEMA, "keys": [["main", 1, "fit"]]}
+        np.savez(path, keys=np.array(json.dumps(header)), **arrays, **{"0_reactions": np.zeros((0, 3))})
+    else:
+        path.write_bytes(how)
+
+
+@pytest.mark.parametrize(
+    "how",
+    ["half", "bits", "other arrays", "another schema", "no header", "wrong shapes", b"", b"PK", b"{}", b"\x93NUMPY"],
+)
+def test_a_file_that_holds_no_equilibria_is_one_line(some, tmp_path, how):
+    path = tmp_path / "training.npz"
+    damaged(path, some, how)
+    with pytest.raises(SubjectError) as caught:
+        read_solved(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ") and message.endswith("; run spinestiff run")
+    assert "\n" not in message and message.count(str(path)) == 1
+
+
+def test_a_missing_file_is_one_line(tmp_path):
+    with pytest.raises(SubjectError, match=r"none\.npz: holds no equilibria"):
+        read_solved(tmp_path / "none.npz")

@@ -1,0 +1,308 @@
+"""The steps: what they write from what earlier ones left, and what a failing one leaves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pydicom
+import pytest
+
+from results import altered
+from spinestiff.anatomy.files import read_torso
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.errors import FitError, SubjectError
+from spinestiff.estimation.fit import FitStatus
+from spinestiff.files import file_digest, read_json, write_json
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.study import steps
+from spinestiff.study.runner import ALL_STEPS, run_steps
+from spinestiff.study.steps import assess_step, stored_predictions, view_step
+from spinestiff.study.visit import Settings, load_pushes, open_visit
+from spinestiff.subject.outcomes import (
+    Assessment,
+    Comparison,
+    Estimate,
+    GeometryRecord,
+    RatioEstimate,
+    Tracked,
+)
+from spinestiff.subject.run_record import read_outcome
+
+
+def digests(folder):
+    return {p.relative_to(folder).as_posix(): file_digest(p) for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def opened(subject, **settings):
+    return open_visit(subject, Settings(**settings), subject.with_name("girl.truth.json"))
+
+
+def annotate_anew(subject):
+    content = read_json(subject / "annotation.json")
+    content["images"]["push/main"]["vertebrae"]["T7"][0][0] += 0.25
+    write_json(subject / "annotation.json", content)
+
+
+def result(finished, kind):
+    return read_outcome(open_visit(finished.folder).subject, kind)
+
+
+@pytest.fixture
+def solved(monkeypatch):
+    """Every equilibrium that is solved while the fixture's user runs: the load's label and the ratios."""
+    asked = []
+
+    def solve(self, load, ratios=None, *args, real=EquilibriumProblem.solve, **kwargs):
+        asked.append((load.label, ratios))
+        return real(self, load, ratios, *args, **kwargs)
+
+    monkeypatch.setattr(EquilibriumProblem, "solve", solve)
+    return asked
+
+
+# What is written
+
+
+def test_tracked_corners_are_where_the_truth_is(finished):
+    truth = read_json(finished.truth)["pushes"]["main"]
+    push = result(finished, Tracked).pushes["main"]
+    assert len(push.frames) == 4
+    view = push.view.view()
+    for index, true in enumerate(truth):
+        assert push.frames[index].dropped == ""
+        found = push.corners(index)
+        rows = [VERTEBRAE.index(v) for v in found.vertebrae]
+        wanted = view.to_patient_plane(view.from_pixels(np.array(true["corners_px"])[rows]))
+        error = view.to_patient_plane(found.corners) - wanted
+        good = found.quality > 0.3
+        assert good.mean() > 0.8
+        # 0.3 mm of annotation in each direction, and the tracking's own.
+        assert np.sqrt(np.mean(np.sum(error**2, -1)[good])) < 1.0
+
+
+def test_the_personalised_torso(finished):
+    record = result(finished, GeometryRecord)
+    assert max(record.rmse_mm.values()) < 0.6
+    assert set(record.poses) == set(record.views) == set(record.millimetres) == {"frontal", "lateral"}
+    assert set(record.fits) == set(record.rmse_mm) == {"frontal", "lateral"}
+    shown = {v for seen in record.fits.values() for v in seen}
+    assert record.prior_only == tuple(v for v in VERTEBRAE if v not in shown)
+    for fits in record.fits.values():
+        assert all(0.0 < fit.rmse_mm < 2.0 for fit in fits.values())
+        assert all(fit.angle_deg < 5.0 and fit.wrong_corners == 0 for fit in fits.values())
+    assert all(0.0 < pose.rms_mm < 1.0 for pose in record.poses.values())
+    # The annotation's 0.3 mm, and what a sized box does not show of a box of another shape.
+    assert 0.2 < record.corner_sd_mm < 0.45
+    assert record.length_scale == pytest.approx(1.0, abs=0.02)
+    assert set(record.size_scale) == set(VERTEBRAE)
+    covariance = np.array(record.covariance).reshape(102, 102)
+    np.testing.assert_allclose(covariance, covariance.T, atol=1e-9)
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+    assert np.array(record.covariance).shape == (17, 6, 102)
+    assert record.mesh.smallest_j > 0.2
+    assert record.mesh.path == "kept"
+    assert (record.warnings == ()) == (record.prior_only == ())
+    assert record.skin_scan is None
+    assert read_torso(finished.folder / "results" / "torso.npz").height_cm == pytest.approx(157.0)
+
+
+def test_the_estimate(finished):
+    record, fit = result(finished, Estimate), finished.fit
+    assert record.fit_status == fit.status.name
+    assert record.fit_status_text == fit.status.value
+    assert record.parameters == fit.names == ("lateral_bending", "tissue")
+    assert record.values == fit.ratios.as_dict()
+    for row, (name, entry) in enumerate(record.ratios.items()):
+        assert entry.low < entry.value == fit.ratios.as_dict()[name] < entry.high
+        assert (entry.low, entry.high) == fit.intervals95[name]
+        assert entry.at_bound is False
+        assert (entry.open_low, entry.open_high) == (fit.intervals.open_low[row], fit.intervals.open_high[row])
+        assert entry.determined == entry.determination
+    assert record.correlation == pytest.approx(fit.correlation[0, 1])
+    assert -1.0 <= record.correlation <= 1.0
+    assert record.condition == fit.condition >= 1.0
+    assert record.training_rmse_mm.model_dump() == {"default": fit.default_rmse_mm, "fit": fit.rmse_mm}
+    assert fit.rmse_mm < 0.6 * fit.default_rmse_mm
+    assert set(record.cost.model_dump()) == {"equilibria", "newton_iterations", "factorisations", "seconds"}
+    assert all(value > 0 for value in record.cost.model_dump().values())
+    assert len(record.history) == len(fit.history)
+    assert np.array(record.covariance_log) == pytest.approx(fit.uncertainty.covariance)
+    assert len(record.region) == 100
+    assert record.region_size == fit.uncertainty.region_size
+    assert record.orientation == fit.orientation == "procrustes"
+    assert set(record.poses) == {"main", "second"}
+    assert set(fit.warnings) <= set(record.notes)
+
+
+def test_plain_units_have_the_interval_of_their_ratio(finished):
+    record = result(finished, Estimate)
+    for name, ratio in (
+        ("lateral_bending_thoracic", "lateral_bending"),
+        ("lateral_bending_lumbar", "lateral_bending"),
+        ("tissue_young", "tissue"),
+    ):
+        plain, of = record.plain[name], record.ratios[ratio]
+        assert plain.ratio == ratio
+        assert plain.low / plain.value == pytest.approx(of.low / of.value)
+        assert plain.high / plain.value == pytest.approx(of.high / of.value)
+
+
+def test_the_least_determined_ratio_says_how_far_all_are(finished):
+    record = result(finished, Estimate)
+    order = steps.LEAST_FIRST
+    assert record.determined == min((r.determined for r in record.ratios.values()), key=order.index)
+    assert record.status == "DOUBTFUL" if record.failed else record.fit_status
+
+
+def test_the_reactions_balance_the_push(finished):
+    """Three points in the frontal plane: shoulder and pelvis carry the push, split as the simple beam says."""
+    reactions = result(finished, Estimate).reactions_n
+    assert reactions.push == "push 'main' frame 2"
+    assert reactions.f3 == 22.5
+    assert reactions.eq2_shoulder + reactions.eq1_pelvis == pytest.approx(22.5)
+    push = open_visit(finished.folder).subject.push("main")
+    assert reactions.eq1_pelvis == pytest.approx(22.5 * push.d31_mm / push.d21_mm)
+    assert reactions.shoulder + reactions.pelvis == pytest.approx(22.5, rel=0.05)
+    assert reactions.shoulder == pytest.approx(reactions.eq2_shoulder, rel=0.35)
+
+
+def test_tracking_again_is_the_same_tracking(subject):
+    """For real: the same folder gives the same bytes, a moved corner gives others."""
+    before = file_digest(subject / "results" / "tracked.json")
+    assert run_steps(opened(subject), ("track",), force=True) == ["track"]
+    assert file_digest(subject / "results" / "tracked.json") == before
+    annotate_anew(subject)
+    assert run_steps(opened(subject), ("track",)) == ["track"]
+    assert file_digest(subject / "results" / "tracked.json") != before
+
+
+def test_a_frame_whose_supports_moved_is_found_and_left_out(subject):
+    """The whole picture of one training frame moved by 9 pixels, 6.7 mm at the patient plane."""
+    path = subject / "pushes" / "main.dcm"
+    dataset = pydicom.dcmread(path)
+    pixels = dataset.pixel_array.copy()
+    pixels[1] = np.roll(pixels[1], 9, axis=1)
+    dataset.PixelData = pixels.tobytes()
+    dataset.save_as(path)
+    lines = []
+    visit = opened(subject)
+    run_steps(visit, ("track",), lines.append)
+    frames = read_outcome(visit.subject, Tracked).pushes["main"].frames
+    assert [bool(frame.dropped) for frame in frames] == [False, True, False, False]
+    assert frames[1].support_motion_mm["shoulder"] == pytest.approx(6.7, abs=1.0)
+    assert max(frames[3].support_motion_mm.values()) < 3.0
+    assert any(line.startswith("track: push 'main': frame 1: the ") for line in lines)
+    pushes = load_pushes(visit, "procrustes")
+    assert [t.frame for t in pushes.of_role("training")] == [2]
+    (warning,) = [w for w in pushes.warnings if "dropped" in w]
+    assert warning.startswith("push 'main' frame 1: the ")
+    assert "mm); the frame is dropped" in warning
+
+
+# Every equilibrium is solved once
+
+
+def test_assess_solves_no_training_frame_again(subject, finished, solved, monkeypatch):
+    """Of default and estimated stiffness only what the fit never saw; the one-ratio baseline is a fit of its own."""
+    monkeypatch.setattr(steps, "single_ratio", lambda *args: None)
+    visit = open_visit(subject)
+    assert run_steps(visit, ("assess",), force=True) == ["assess"]
+    assert sorted((label, ratios is None) for label, ratios in solved) == [
+        (f"push {frame}", default)
+        for frame in ("'main' frame 3", "'second' frame 1")
+        for default in (False, True)
+    ]
+    training = stored_predictions(visit).of_role("training")
+    assert [p.item.frame for p in training] == [1, 2]
+    for prediction, fitted, default in zip(
+        training, finished.fit.equilibria, finished.fit.default_equilibria, strict=True
+    ):
+        np.testing.assert_array_equal(prediction.solved["fit"].state.bone_positions, fitted.state.bone_positions)
+        np.testing.assert_array_equal(prediction.solved["default"].state.bone_positions, default.state.bone_positions)
+        forces = [reaction.force for reaction in fitted.reactions]
+        np.testing.assert_array_equal(prediction.solved["fit"].reactions, forces)
+
+
+def test_the_view_solves_nothing(subject, solved):
+    (subject / "results" / "view.html").unlink()
+    view_step(open_visit(subject), lambda line: None)
+    assert "main: 30 N from the" in (subject / "results" / "view.html").read_text(encoding="utf-8")
+    assert solved == []
+
+
+# What fails, and what is at its limits
+
+
+@pytest.mark.parametrize("status", [FitStatus.ITERATION_LIMIT, FitStatus.STALLED])
+def test_a_fit_without_a_minimum_is_no_estimate(subject, finished, monkeypatch, status):
+    before = digests(subject)
+    monkeypatch.setattr(steps, "fit_stiffness", lambda *args, **kwargs: replace(finished.fit, status=status))
+    with pytest.raises(FitError, match="no estimate: "):
+        run_steps(opened(subject), ("estimate",), force=True)
+    assert digests(subject) == before
+
+
+@pytest.mark.parametrize("status", [FitStatus.AT_BOUND, FitStatus.NOT_IDENTIFIABLE])
+def test_a_fit_at_a_bound_is_written_with_its_status(subject, finished, monkeypatch, status):
+    monkeypatch.setattr(steps, "fit_stiffness", lambda *args, **kwargs: replace(finished.fit, status=status))
+    visit = opened(subject)
+    run_steps(visit, ("estimate",), force=True)
+    estimate = read_outcome(visit.subject, Estimate)
+    assert estimate.fit_status == status.name
+    assert estimate.fit_status_text == status.value
+
+
+def test_what_is_not_finite_is_written_as_null(subject, finished, monkeypatch):
+    spread = replace(finished.fit.uncertainty, covariance=np.full((2, 2), np.inf))
+    intervals = replace(finished.fit.intervals, high=np.full(2, np.inf))
+    broken = replace(finished.fit, uncertainty=spread, intervals=intervals, default_rmse_mm=float("nan"))
+    monkeypatch.setattr(steps, "fit_stiffness", lambda *args, **kwargs: broken)
+    visit = opened(subject)
+    run_steps(visit, ("estimate",), force=True)
+    record = read_outcome(visit.subject, Estimate)
+    assert record.covariance_log == ((None, None), (None, None))
+    assert record.region is None
+    assert record.ratios["tissue"].high is None
+    assert record.ratios["tissue"].determined == record.determined == "not determined"
+    assert record.plain["tissue_young"].high is None
+    assert record.training_rmse_mm.default is None
+    content = read_json(visit.file(Estimate.FILE))
+    assert content["covariance_log"] == [[None, None], [None, None]]
+    assert content["ratios"]["tissue"]["high"] is None
+
+
+def test_open_ends_reach_the_file(subject, finished, monkeypatch):
+    """An end at the fit's bound is open, and what is open at both ends is not determined."""
+    intervals = replace(finished.fit.intervals, open_low=np.array([False, True]), open_high=np.array([True, True]))
+    monkeypatch.setattr(steps, "fit_stiffness", lambda *args, **kwargs: replace(finished.fit, intervals=intervals))
+    visit = opened(subject)
+    run_steps(visit, ("estimate",), force=True)
+    record = read_outcome(visit.subject, Estimate)
+    bending, tissue = (record.ratios[name] for name in ("lateral_bending", "tissue"))
+    assert isinstance(bending, RatioEstimate)
+    assert (bending.open_low, bending.open_high, tissue.open_low, tissue.open_high) == (False, True, True, True)
+    assert tissue.determined == record.determined == "not determined"
+    assert (record.plain["tissue_young"].open_low, record.plain["tissue_young"].open_high) == (True, True)
+
+
+def test_an_estimate_of_another_orientation_is_shown_in_it(subject):
+    """What the fit compared is what assessment, report and viewer compare."""
+    altered(subject, Estimate, lambda content: content.update(orientation="covariance"))
+    assert stored_predictions(open_visit(subject)).pushes.orientation == "covariance"
+
+
+def test_assess_writes_the_comparison(subject, finished):
+    visit = opened(subject)
+    assess_step(visit, lambda line: None)
+    written = Comparison.model_validate(read_json(visit.file(Comparison.FILE)))
+    assert written.inside is (written.distance2 <= written.region_size)
+    assert written.truth == read_json(finished.truth)["ratios"]
+    before = result(finished, Assessment)
+    assert Assessment.model_validate(read_json(visit.file(Assessment.FILE))) == before
+
+
+def test_a_push_that_was_never_tracked_is_refused(subject):
+    altered(subject, Tracked, lambda content: content["pushes"].pop("second"))
+    with pytest.raises(SubjectError, match=r"tracked\.json: no push 'second'; run spinestiff track again"):
+        ALL_STEPS["estimate"].run(open_visit(subject), lambda line: None)

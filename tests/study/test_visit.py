@@ -1,0 +1,69 @@
+"""A visit: what may be asked of the steps, and what earlier ones left for later ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from results import altered
+from spinestiff.anatomy.files import read_torso
+from spinestiff.errors import SubjectError, TorsoError
+from spinestiff.study.steps import estimated_ratios
+from spinestiff.study.visit import Settings, load_pushes, open_visit
+from spinestiff.subject.outcomes import Estimate, Tracked
+from spinestiff.subject.run_record import read_outcome
+
+
+@pytest.mark.parametrize("wrong", [{"mesh": "huge"}, {"method": "guess"}, {"orientation": "upright"}])
+def test_unknown_settings_are_refused(wrong):
+    ((what, value),) = wrong.items()
+    with pytest.raises(SubjectError, match=f"unknown {what} '{value}'; wanted one of "):
+        Settings(**wrong)
+
+
+def test_ratios_are_read_back(finished):
+    visit = open_visit(finished.folder)
+    pushes = load_pushes(visit, "procrustes")
+    ratios = estimated_ratios(read_outcome(visit.subject, Estimate), pushes)
+    assert ratios.as_dict() == finished.fit.ratios.as_dict()
+    torso = read_torso(finished.folder / "results" / "torso.npz")
+    np.testing.assert_array_equal(pushes.torso.rest_pose.bone_positions, torso.rest_pose.bone_positions)
+
+
+@pytest.mark.parametrize("orientation", ["procrustes", "covariance"])
+def test_trials_keep_the_orientation_that_was_asked(finished, orientation):
+    assert load_pushes(open_visit(finished.folder), orientation).orientation == orientation
+
+
+@pytest.mark.parametrize(
+    ("damage", "field"),
+    [
+        (lambda entry: entry.update(frames=[]), "frames: found none"),
+        (lambda entry: entry.pop("view"), r"pushes\.main\.view: missing"),
+        (lambda entry: entry["frames"][1].pop("quality"), r"pushes\.main\.frames\[1\]\.quality: missing"),
+        (lambda entry: entry["frames"][1]["quality"].pop(), r"frames\[1\]\.quality: \d+ for \d+ vertebrae"),
+        (lambda entry: entry["frames"][1].update(corners_px="none"), r"frames\[1\]\.corners_px: "),
+    ],
+)
+def test_a_tracked_file_that_is_not_whole_is_refused(subject, damage, field):
+    altered(subject, Tracked, lambda content: damage(content["pushes"]["main"]))
+    with pytest.raises(SubjectError, match=rf"tracked\.json: .*{field}.*; run spinestiff track {subject} again"):
+        load_pushes(open_visit(subject), "procrustes")
+
+
+def test_a_tracked_file_of_other_frames_is_refused(subject):
+    altered(subject, Tracked, lambda content: content["pushes"]["main"]["frames"].pop())
+    with pytest.raises(SubjectError, match="push 'main': 3 tracked frames for 4 forces_n; run spinestiff track again"):
+        load_pushes(open_visit(subject), "procrustes")
+
+
+def test_a_torso_is_read_only_as_it_was_written(subject):
+    visit = open_visit(subject)
+    path = visit.file("torso.npz")
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(SubjectError, match=rf"torso\.npz: was changed after .*; run spinestiff personalise {subject}"):
+        visit.torso()
+    path.unlink()
+    with pytest.raises((SubjectError, TorsoError), match="no such file; run the step that makes it first"):
+        visit.torso()

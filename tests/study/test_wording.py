@@ -1,0 +1,91 @@
+"""Numbers as people read them, on examples made by hand."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from spinestiff.study.wording import MISSING, badge, estimated, fixed, interval, listed, number
+from spinestiff.subject.outcomes import Quantity
+
+
+def quantity(value, low, high, opens=(False, False)):
+    return Quantity(value=value, low=low, high=high, open_low=opens[0], open_high=opens[1])
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.2, "0.200"), (0.04567, "0.0457"), (1234.5, "1230"), (-3.0, "−3.00"), (0.0, "0"), (None, MISSING),
+        (math.inf, MISSING), (math.nan, MISSING),
+    ],
+)  # fmt: skip
+def test_number(value, text):
+    assert number(value) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [(0.05, "0.050"), (0.234, "0.23"), (5.0, "5.0"), (71.4, "71")])
+def test_number_of_two_digits(value, text):
+    assert number(value, 2) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(3.04, "+3.0"), (-0.04, "0.0"), (-1.26, "−1.3"), (np.inf, MISSING), (np.nan, MISSING)]
+)
+def test_fixed(value, text):
+    assert fixed(value, 1, sign=True) == text
+
+
+@pytest.mark.parametrize(
+    ("of", "text"),
+    [
+        (quantity(0.12, 0.0612, 0.338), "0.061 to 0.34"),
+        (quantity(0.12, 0.005, 0.338, (True, False)), "≤ 0.005 to 0.34"),
+        (quantity(0.12, 0.0612, 5.0, (False, True)), "0.061 to ≥ 5"),
+        (quantity(0.12, 0.005, 5.0, (True, True)), "≤ 0.005 to ≥ 5"),
+        (quantity(0.12, None, 0.338), f"{MISSING} to 0.34"),
+        (quantity(0.12, 0.0612, None), f"0.061 to {MISSING}"),
+        (quantity(0.12, None, None), MISSING),
+        (quantity(30.0, 26.64, 35.61), "27 to 36"),
+    ],
+)
+def test_interval(of, text):
+    assert interval(of) == text
+
+
+@pytest.mark.parametrize(
+    ("of", "text"),
+    [
+        # A standard deviation of 2 %, of 25 %, and none known.
+        (quantity(0.12345, 0.12345 * math.exp(-0.04), 0.12345 * math.exp(0.04)), "0.123"),
+        (quantity(0.12345, 0.12345 * math.exp(-0.5), 0.12345 * math.exp(0.5)), "0.12"),
+        (quantity(0.12345, 0.12, 0.126, (True, False)), "0.12"),
+        (quantity(0.12345, None, 0.13), "0.12"),
+        (quantity(0.12345, None, None), "0.12"),
+    ],
+)
+def test_a_value_has_the_digits_that_its_interval_leaves_it(of, text):
+    assert estimated(of) == text
+
+
+@pytest.mark.parametrize(
+    ("status", "determined", "word"),
+    [
+        ("CONVERGED", "determined", "determined"),
+        ("CONVERGED", "not determined", "not determined"),
+        ("AT_BOUND", "weakly determined", "weakly determined"),
+        ("DOUBTFUL", "determined", "doubtful"),
+    ],
+)
+def test_the_badge_is_never_how_the_search_ended(status, determined, word):
+    assert badge(SimpleNamespace(status=status, determined=determined)) == word
+
+
+@pytest.mark.parametrize(
+    ("parts", "text"), [((), ""), (("a",), "a"), (("a", "b"), "a and b"), (("a", "b", "c"), "a, b and c")]
+)
+def test_listed(parts, text):
+    assert listed(parts) == text
