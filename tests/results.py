@@ -12,7 +12,8 @@ import numpy as np
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
 from spinestiff.subject.folder import Subject, read_subject
-from spinestiff.subject.outcomes import OutcomeFile, TrackedPush, ViewRecord
+from spinestiff.subject.outcome_parts import OutcomeFile, ViewRecord
+from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.run_record import StepRecord, record_step, recorded_steps
 
 

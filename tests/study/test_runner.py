@@ -12,7 +12,7 @@ from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.study.runner import ALL_STEPS, STEPS, run_steps
 from spinestiff.study.visit import Settings, open_visit
 from spinestiff.subject.folder import read_subject
-from spinestiff.subject.outcomes import OUTCOME_VERSION
+from spinestiff.subject.outcome_parts import OUTCOME_VERSION
 from spinestiff.subject.run_record import input_digest, package_version
 
 UP_TO_DATE = [f"{step}: up to date" for step in STEPS]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from spinestiff.study.wording import MISSING, badge, estimated, fixed, interval, listed, number
-from spinestiff.subject.outcomes import Quantity
+from spinestiff.subject.outcome_parts import Quantity
 
 
 def quantity(value, low, high, opens=(False, False)):

@@ -17,6 +17,7 @@ from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.subject import outcomes
 from spinestiff.subject.folder import Subject
+from spinestiff.subject.outcome_parts import OutcomeFile, Quantity, ViewRecord, finite, nested
 from spinestiff.subject.outcomes import (
     Assessment,
     Check,
@@ -24,14 +25,9 @@ from spinestiff.subject.outcomes import (
     Estimate,
     FrameProposals,
     GeometryRecord,
-    OutcomeFile,
-    Quantity,
     RatioEstimate,
     Tracked,
     TrackedPush,
-    ViewRecord,
-    finite,
-    nested,
 )
 from spinestiff.subject.records import Annotation, SubjectRecord
 from spinestiff.subject.run_record import read_outcome, write_outcome

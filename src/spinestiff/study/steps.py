@@ -19,19 +19,13 @@ from spinestiff.files import write_bytes
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking import support_motion, track
-from spinestiff.mechanics.loads import three_point_reactions
 from spinestiff.observer import Observer
-from spinestiff.personalise.fitness import VertebraFit
 from spinestiff.personalise.image_terms import PediclePoints
 from spinestiff.personalise.measured_skin import TrunkSize
-from spinestiff.personalise.pose import ViewPose
 from spinestiff.personalise.scan import SkinScan, read_scan
-from spinestiff.personalise.scanned_skin import ScanFit
-from spinestiff.personalise.shape import Personalised, personalise
+from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess, single_ratio
-from spinestiff.study.frame_selection import Proposal, frame_qualities, propose
-from spinestiff.study.judgement import RestShape, failed, judge
-from spinestiff.study.plain import plain_stiffness
+from spinestiff.study.frame_selection import frame_qualities, propose
 from spinestiff.study.predictions import (
     Predictions,
     of_equilibria,
@@ -45,44 +39,29 @@ from spinestiff.study.support_notes import support_notes
 from spinestiff.study.trials import PushSet
 from spinestiff.study.truth import compare_with_truth, read_truth
 from spinestiff.study.visit import Visit, load_pushes
+from spinestiff.study.written import estimate_record, geometry_record, proposal_record
 from spinestiff.subject.folder import (
     image_corners,
     image_pedicles,
     image_supports,
     push_corners,
-    read_identities,
     read_push,
     read_rest,
 )
 from spinestiff.subject.outcomes import (
     Assessment,
     Comparison,
-    CostRecord,
-    Determination,
     Estimate,
-    FitStepRecord,
-    FrameProposal,
     FrameProposals,
     GeometryRecord,
-    MeshRecord,
-    PoseRecord,
-    RatioEstimate,
-    Reactions,
-    ScanRecord,
     Tracked,
     TrackedPush,
-    TrainingError,
-    VertebraFitRecord,
-    ViewRecord,
-    finite,
-    nested,
 )
-from spinestiff.subject.records import PushRecord, SubjectRecord
+from spinestiff.subject.records import SubjectRecord
 from spinestiff.subject.run_record import read_outcome, result_path, write_outcome
 
 # Where a fit starts: the geometric means of Table 4. From the default ratios it gets to the same place in more steps.
 USUAL_RATIOS = {"lateral_bending": 0.07, "intervertebral_bending": 0.07, "tissue": 0.04}
-LEAST_FIRST: tuple[Determination, ...] = ("not determined", "weakly determined", "determined")
 OWN_HEIGHT = 0.1  # share by which an own torso's height may differ from the subject's
 
 
@@ -133,36 +112,9 @@ def frames_step(visit: Visit, say: Observer) -> None:
     say("drawing")
     rows = [Row(push, frames[i], tracked[push.id], proposals[i]) for i, push in enumerate(subject.pushes)]
     strip = as_png(draw_strip(rows))
-    records = [_proposal_record(proposal, push) for push, found in zip(subject.pushes, proposals) for proposal in found]
+    records = [proposal_record(proposal, push) for push, found in zip(subject.pushes, proposals) for proposal in found]
     write_bytes(visit.file("frames.png"), strip)
     write_outcome(subject, FrameProposals(frames=tuple(records)))
-
-
-def _proposal_record(proposal: Proposal, push: PushRecord) -> FrameProposal:
-    quality = proposal.quality
-    return FrameProposal(
-        push=quality.push,
-        side=push.side,
-        level=push.level,
-        frame=quality.frame,
-        force_n=quality.force_n,
-        sharpness=_rounded(quality.image.sharpness, 3),
-        contrast_to_noise=_rounded(quality.image.contrast_to_noise, 2),
-        saturated=_rounded(quality.image.saturated, 4),
-        vertebrae=quality.vertebrae,
-        tracking_mm=_rounded(quality.tracking_mm, 2),
-        supports={
-            name: {"mm": _rounded(motion.mm, 2), "degrees": _rounded(motion.degrees, 2)}
-            for name, motion in quality.supports.items()
-        },
-        role=push.roles[quality.frame],
-        proposed=proposal.role,
-        reason=proposal.reason,
-    )
-
-
-def _rounded(value: float | None, digits: int) -> float | None:
-    return None if value is None or not np.isfinite(value) else round(float(value), digits)
 
 
 def subject_template(record: SubjectRecord, mesh: str) -> TorsoModel:
@@ -208,7 +160,7 @@ def personalise_step(visit: Visit, say: Observer) -> None:
         from spinestiff.study.report.torso_picture import draw_scan
 
         draw_scan(shaped.torso, shaped.scan.points, visit.file("skin_scan.png"))
-    write_outcome(subject, _geometry_record(shaped, provenance))
+    write_outcome(subject, geometry_record(shaped, provenance))
 
 
 def skin_scan(visit: Visit) -> SkinScan | None:
@@ -258,7 +210,7 @@ def estimate_step(visit: Visit, say: Observer) -> None:
     if not fit.status.usable:
         raise FitError(f"no estimate: {fit.status.value}")
     geometry = read_outcome(visit.subject, GeometryRecord)
-    record = _estimate_record(visit, pushes, fit, geometry)
+    record = estimate_record(visit, pushes, fit, geometry)
     training = pushes.training
     write_solved(
         visit.file("training.npz"),
@@ -368,130 +320,3 @@ def fit_training(visit: Visit, pushes: PushSet, say: Observer) -> StiffnessFit:
     except FitError:
         say("no fit from the usual ratios; starting from the default ones")
         return fit(None)
-
-
-def _estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry: GeometryRecord) -> Estimate:
-    checks = judge(visit.subject.record, rest_shape(geometry), pushes, fit, read_identities(visit.subject))
-    ends, opens = fit.intervals95, zip(fit.intervals.open_low, fit.intervals.open_high)
-    ratios = {
-        name: RatioEstimate.of(value, ends[name], (bool(low), bool(high)), fit.at_bound[name])
-        for (name, value), (low, high) in zip(fit.ratios.as_dict().items(), opens)
-    }
-    spread = [ratio.determined for ratio in ratios.values()]
-    return Estimate(
-        status="DOUBTFUL" if failed(checks) else fit.status.name,  # type: ignore[arg-type]
-        fit_status=fit.status.name,  # type: ignore[arg-type]
-        fit_status_text=fit.status.value,
-        determined=next(kind for kind in LEAST_FIRST if kind in spread),
-        checks=checks,
-        parameters=fit.names,
-        ratios=ratios,
-        plain=plain_stiffness(pushes.torso, fit.ratios, ratios),
-        covariance_log=nested(fit.uncertainty.covariance),  # type: ignore[arg-type]
-        correlation=finite(float(fit.correlation[0, -1])) if len(fit.names) > 1 else None,
-        condition=finite(fit.condition),
-        region=None if fit.intervals.region is None else np.exp(fit.intervals.region).tolist(),
-        region_size=finite(fit.uncertainty.region_size),
-        training_rmse_mm=TrainingError(default=finite(fit.default_rmse_mm), fit=fit.rmse_mm),
-        reactions_n=_reactions(visit, pushes, fit),
-        history=tuple(
-            FitStepRecord(ratios=dict(s.ratios), loss=finite(s.loss), rmse_mm=finite(s.rmse_mm), accepted=s.accepted)
-            for s in fit.history
-        ),
-        method=fit.method,
-        orientation=fit.orientation,
-        bounds=fit.bounds,
-        poses={name: _pose_record(pose) for name, pose in pushes.poses.items()},
-        cost=CostRecord(
-            equilibria=fit.cost.equilibria,
-            newton_iterations=fit.cost.newton_iterations,
-            factorisations=fit.cost.factorisations,
-            seconds=round(fit.cost.seconds, 3),
-        ),
-        notes=(*visit.subject.warnings, *geometry.warnings, *pushes.warnings, *fit.warnings),
-    )
-
-
-def rest_shape(geometry: GeometryRecord) -> RestShape:
-    """What is judged of the geometry found."""
-    fits: dict[str, dict[str, VertebraFit]] = {
-        view: {str(name): VertebraFit(**fit.model_dump()) for name, fit in found.items()}
-        for view, found in geometry.fits.items()
-    }
-    sizes = np.array(list(geometry.size_scale.values()))
-    return RestShape(geometry.corner_sd_mm, geometry.length_scale, sizes, fits)
-
-
-def _reactions(visit: Visit, pushes: PushSet, fit: StiffnessFit) -> Reactions:
-    training = pushes.training
-    last = int(np.argmax([t.force_n for t in training]))
-    item, equilibrium = training[last], fit.equilibria[last]
-    push = visit.subject.push(item.push)
-    f1, f2 = three_point_reactions(item.force_n, push.d21_mm, push.d31_mm)
-    return Reactions(
-        push=item.trial.label,
-        f3=item.force_n,
-        shoulder=-push.sign * float(equilibrium.reaction("shoulder")[0]),
-        pelvis=-push.sign * float(equilibrium.reaction("pelvis")[0]),
-        eq2_shoulder=f1,
-        eq1_pelvis=f2,
-    )
-
-
-def _pose_record(pose: ViewPose) -> PoseRecord:
-    return PoseRecord(
-        shift_mm=tuple(pose.shift.tolist()),
-        roll_deg=float(np.degrees(pose.roll)),
-        yaw_deg=float(np.degrees(pose.yaw)),
-        rms_mm=pose.rms_mm,
-    )
-
-
-def _geometry_record(shaped: Personalised, provenance: Mapping[str, Mapping[str, str]]) -> GeometryRecord:
-    covariance = shaped.covariance
-    return GeometryRecord(
-        rmse_mm=dict(shaped.rmse_mm),
-        poses={name: _pose_record(pose) for name, pose in shaped.poses.items()},
-        views={name: ViewRecord.of(view) for name, view in shaped.views.items()},
-        millimetres={name: dict(found) for name, found in provenance.items()},
-        fits={
-            view: {
-                name: VertebraFitRecord(
-                    rmse_mm=fit.rmse_mm,
-                    centre_mm=fit.centre_mm,
-                    angle_deg=fit.angle_deg,
-                    wrong_corners=fit.wrong_corners,
-                )
-                for name, fit in fits.items()
-            }
-            for view, fits in shaped.fits.items()
-        },  # type: ignore[arg-type]
-        prior_only=shaped.prior_only,
-        carried={name: tuple(motions) for name, motions in shaped.carried.items()},
-        length_scale=shaped.length_scale,
-        size_scale={name: tuple(row) for name, row in zip(shaped.torso.vertebrae, shaped.size_scale.tolist())},
-        corner_sd_mm=shaped.corner_sd_mm,
-        covariance=covariance.reshape(-1, 6, covariance.shape[1]).tolist(),  # type: ignore[arg-type]
-        mesh=MeshRecord(
-            path=shaped.mesh,
-            nodes=len(shaped.torso.tissue.rest_positions),
-            smallest_j=shaped.quality.smallest_j,
-            smallest_dihedral_deg=shaped.quality.smallest_dihedral_deg,
-        ),
-        skin_scan=None if shaped.scan is None else _scan_record(shaped.scan),
-        warnings=shaped.warnings,
-    )
-
-
-def _scan_record(scan: ScanFit) -> ScanRecord:
-    return ScanRecord(
-        covered=scan.covered,
-        used=scan.used,
-        before_mm=scan.before_mm,
-        after_mm=scan.after_mm,
-        left_to_template=scan.left,
-        held_mm=scan.held_mm,
-        yaw_deg=scan.yaw_deg,
-        tilt_deg=scan.tilt_deg,
-        turned_round=scan.turned_round,
-    )

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from spinestiff.subject.outcomes import Estimate, Quantity
+from spinestiff.subject.outcome_parts import Quantity
+from spinestiff.subject.outcomes import Estimate
 
 MISSING = "not available"
 SURE = 0.05

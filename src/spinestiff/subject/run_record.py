@@ -17,7 +17,7 @@ from spinestiff import __version__
 from spinestiff.errors import SubjectError
 from spinestiff.files import file_digest, json_text, parse_json, read_text, write_json
 from spinestiff.subject.folder import Subject
-from spinestiff.subject.outcomes import Outcome, OutcomeFile
+from spinestiff.subject.outcome_parts import Outcome, OutcomeFile
 from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE, complaint_of
 
 RUN_FILE = "run.json"

@@ -36,16 +36,15 @@ from spinestiff.study.steps import stored_predictions
 from spinestiff.study.truth import read_truth
 from spinestiff.study.visit import Visit, load_pushes, open_visit
 from spinestiff.subject.folder import write_annotation, write_subject
+from spinestiff.subject.outcome_parts import OutcomeFile, ViewRecord
 from spinestiff.subject.outcomes import (
     Assessment,
     Comparison,
     Estimate,
     GeometryRecord,
-    OutcomeFile,
     RatioEstimate,
     Tracked,
     TrackedPush,
-    ViewRecord,
 )
 from spinestiff.subject.records import Annotation, ImageAnnotation, PushRecord, SubjectRecord
 from spinestiff.subject.run_record import read_outcome, write_outcome

@@ -12,15 +12,14 @@ from spinestiff.study.plain import BENDING
 from spinestiff.study.truth import read_truth
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import MISSING, badge, estimated, fixed, interval, listed, number
+from spinestiff.subject.outcome_parts import Determination, PoseRecord
 from spinestiff.subject.outcomes import (
     Assessment,
     Check,
     Comparison,
-    Determination,
     Estimate,
     GeometryRecord,
     HeldOutFrame,
-    PoseRecord,
     RatioEstimate,
     Reactions,
     Tracked,

@@ -1,0 +1,193 @@
+"""What the steps found as the results that are written: geometry, estimate and proposals of frames as records."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from spinestiff.estimation.fit import StiffnessFit
+from spinestiff.mechanics.loads import three_point_reactions
+from spinestiff.personalise.fitness import VertebraFit
+from spinestiff.personalise.pose import ViewPose
+from spinestiff.personalise.scanned_skin import ScanFit
+from spinestiff.personalise.shape import Personalised
+from spinestiff.study.frame_selection import Proposal
+from spinestiff.study.judgement import RestShape, failed, judge
+from spinestiff.study.plain import plain_stiffness
+from spinestiff.study.trials import PushSet
+from spinestiff.study.visit import Visit
+from spinestiff.subject.folder import (
+    read_identities,
+)
+from spinestiff.subject.outcome_parts import Determination, PoseRecord, ViewRecord, finite, nested
+from spinestiff.subject.outcomes import (
+    CostRecord,
+    Estimate,
+    FitStepRecord,
+    FrameProposal,
+    GeometryRecord,
+    MeshRecord,
+    RatioEstimate,
+    Reactions,
+    ScanRecord,
+    TrainingError,
+    VertebraFitRecord,
+)
+from spinestiff.subject.records import PushRecord
+
+LEAST_FIRST: tuple[Determination, ...] = ("not determined", "weakly determined", "determined")
+
+
+def proposal_record(proposal: Proposal, push: PushRecord) -> FrameProposal:
+    quality = proposal.quality
+    return FrameProposal(
+        push=quality.push,
+        side=push.side,
+        level=push.level,
+        frame=quality.frame,
+        force_n=quality.force_n,
+        sharpness=_rounded(quality.image.sharpness, 3),
+        contrast_to_noise=_rounded(quality.image.contrast_to_noise, 2),
+        saturated=_rounded(quality.image.saturated, 4),
+        vertebrae=quality.vertebrae,
+        tracking_mm=_rounded(quality.tracking_mm, 2),
+        supports={
+            name: {"mm": _rounded(motion.mm, 2), "degrees": _rounded(motion.degrees, 2)}
+            for name, motion in quality.supports.items()
+        },
+        role=push.roles[quality.frame],
+        proposed=proposal.role,
+        reason=proposal.reason,
+    )
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(float(value), digits)
+
+
+def estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry: GeometryRecord) -> Estimate:
+    checks = judge(visit.subject.record, rest_shape(geometry), pushes, fit, read_identities(visit.subject))
+    ends, opens = fit.intervals95, zip(fit.intervals.open_low, fit.intervals.open_high)
+    ratios = {
+        name: RatioEstimate.of(value, ends[name], (bool(low), bool(high)), fit.at_bound[name])
+        for (name, value), (low, high) in zip(fit.ratios.as_dict().items(), opens)
+    }
+    spread = [ratio.determined for ratio in ratios.values()]
+    return Estimate(
+        status="DOUBTFUL" if failed(checks) else fit.status.name,  # type: ignore[arg-type]
+        fit_status=fit.status.name,  # type: ignore[arg-type]
+        fit_status_text=fit.status.value,
+        determined=next(kind for kind in LEAST_FIRST if kind in spread),
+        checks=checks,
+        parameters=fit.names,
+        ratios=ratios,
+        plain=plain_stiffness(pushes.torso, fit.ratios, ratios),
+        covariance_log=nested(fit.uncertainty.covariance),  # type: ignore[arg-type]
+        correlation=finite(float(fit.correlation[0, -1])) if len(fit.names) > 1 else None,
+        condition=finite(fit.condition),
+        region=None if fit.intervals.region is None else np.exp(fit.intervals.region).tolist(),
+        region_size=finite(fit.uncertainty.region_size),
+        training_rmse_mm=TrainingError(default=finite(fit.default_rmse_mm), fit=fit.rmse_mm),
+        reactions_n=_reactions(visit, pushes, fit),
+        history=tuple(
+            FitStepRecord(ratios=dict(s.ratios), loss=finite(s.loss), rmse_mm=finite(s.rmse_mm), accepted=s.accepted)
+            for s in fit.history
+        ),
+        method=fit.method,
+        orientation=fit.orientation,
+        bounds=fit.bounds,
+        poses={name: _pose_record(pose) for name, pose in pushes.poses.items()},
+        cost=CostRecord(
+            equilibria=fit.cost.equilibria,
+            newton_iterations=fit.cost.newton_iterations,
+            factorisations=fit.cost.factorisations,
+            seconds=round(fit.cost.seconds, 3),
+        ),
+        notes=(*visit.subject.warnings, *geometry.warnings, *pushes.warnings, *fit.warnings),
+    )
+
+
+def rest_shape(geometry: GeometryRecord) -> RestShape:
+    """What is judged of the geometry found."""
+    fits: dict[str, dict[str, VertebraFit]] = {
+        view: {str(name): VertebraFit(**fit.model_dump()) for name, fit in found.items()}
+        for view, found in geometry.fits.items()
+    }
+    sizes = np.array(list(geometry.size_scale.values()))
+    return RestShape(geometry.corner_sd_mm, geometry.length_scale, sizes, fits)
+
+
+def _reactions(visit: Visit, pushes: PushSet, fit: StiffnessFit) -> Reactions:
+    training = pushes.training
+    last = int(np.argmax([t.force_n for t in training]))
+    item, equilibrium = training[last], fit.equilibria[last]
+    push = visit.subject.push(item.push)
+    f1, f2 = three_point_reactions(item.force_n, push.d21_mm, push.d31_mm)
+    return Reactions(
+        push=item.trial.label,
+        f3=item.force_n,
+        shoulder=-push.sign * float(equilibrium.reaction("shoulder")[0]),
+        pelvis=-push.sign * float(equilibrium.reaction("pelvis")[0]),
+        eq2_shoulder=f1,
+        eq1_pelvis=f2,
+    )
+
+
+def _pose_record(pose: ViewPose) -> PoseRecord:
+    return PoseRecord(
+        shift_mm=tuple(pose.shift.tolist()),
+        roll_deg=float(np.degrees(pose.roll)),
+        yaw_deg=float(np.degrees(pose.yaw)),
+        rms_mm=pose.rms_mm,
+    )
+
+
+def geometry_record(shaped: Personalised, provenance: Mapping[str, Mapping[str, str]]) -> GeometryRecord:
+    covariance = shaped.covariance
+    return GeometryRecord(
+        rmse_mm=dict(shaped.rmse_mm),
+        poses={name: _pose_record(pose) for name, pose in shaped.poses.items()},
+        views={name: ViewRecord.of(view) for name, view in shaped.views.items()},
+        millimetres={name: dict(found) for name, found in provenance.items()},
+        fits={
+            view: {
+                name: VertebraFitRecord(
+                    rmse_mm=fit.rmse_mm,
+                    centre_mm=fit.centre_mm,
+                    angle_deg=fit.angle_deg,
+                    wrong_corners=fit.wrong_corners,
+                )
+                for name, fit in fits.items()
+            }
+            for view, fits in shaped.fits.items()
+        },  # type: ignore[arg-type]
+        prior_only=shaped.prior_only,
+        carried={name: tuple(motions) for name, motions in shaped.carried.items()},
+        length_scale=shaped.length_scale,
+        size_scale={name: tuple(row) for name, row in zip(shaped.torso.vertebrae, shaped.size_scale.tolist())},
+        corner_sd_mm=shaped.corner_sd_mm,
+        covariance=covariance.reshape(-1, 6, covariance.shape[1]).tolist(),  # type: ignore[arg-type]
+        mesh=MeshRecord(
+            path=shaped.mesh,
+            nodes=len(shaped.torso.tissue.rest_positions),
+            smallest_j=shaped.quality.smallest_j,
+            smallest_dihedral_deg=shaped.quality.smallest_dihedral_deg,
+        ),
+        skin_scan=None if shaped.scan is None else _scan_record(shaped.scan),
+        warnings=shaped.warnings,
+    )
+
+
+def _scan_record(scan: ScanFit) -> ScanRecord:
+    return ScanRecord(
+        covered=scan.covered,
+        used=scan.used,
+        before_mm=scan.before_mm,
+        after_mm=scan.after_mm,
+        left_to_template=scan.left,
+        held_mm=scan.held_mm,
+        yaw_deg=scan.yaw_deg,
+        tilt_deg=scan.tilt_deg,
+        turned_round=scan.turned_round,
+    )
