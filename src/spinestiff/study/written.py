@@ -17,9 +17,7 @@ from spinestiff.study.judgement import RestShape, failed, judge
 from spinestiff.study.plain import plain_stiffness
 from spinestiff.study.trials import PushSet
 from spinestiff.study.visit import Visit
-from spinestiff.subject.folder import (
-    read_identities,
-)
+from spinestiff.subject.folder import read_identities
 from spinestiff.subject.outcome_parts import Determination, PoseRecord, ViewRecord, finite, nested
 from spinestiff.subject.outcomes import (
     CostRecord,
@@ -40,6 +38,7 @@ LEAST_FIRST: tuple[Determination, ...] = ("not determined", "weakly determined",
 
 
 def proposal_record(proposal: Proposal, push: PushRecord) -> FrameProposal:
+    """A frame as it was judged, with its role in ``subject.json`` and the proposed one."""
     quality = proposal.quality
     return FrameProposal(
         push=quality.push,
@@ -67,6 +66,7 @@ def _rounded(value: float | None, digits: int) -> float | None:
 
 
 def estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry: GeometryRecord) -> Estimate:
+    """The estimate, judged: what the fit found, in plain units too, with every check and note."""
     checks = judge(visit.subject.record, rest_shape(geometry), pushes, fit, read_identities(visit.subject))
     ends, opens = fit.intervals95, zip(fit.intervals.open_low, fit.intervals.open_high)
     ratios = {
@@ -144,6 +144,7 @@ def _pose_record(pose: ViewPose) -> PoseRecord:
 
 
 def geometry_record(shaped: Personalised, provenance: Mapping[str, Mapping[str, str]]) -> GeometryRecord:
+    """The geometry as it was found; ``provenance`` says for each view where its millimetres come from."""
     covariance = shaped.covariance
     return GeometryRecord(
         rmse_mm=dict(shaped.rmse_mm),
