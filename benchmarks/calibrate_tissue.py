@@ -24,9 +24,10 @@ from elements import linear_torso
 from scipy.optimize import brentq
 
 from spinestiff.anatomy.names import RIBS
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import DEFAULT_POISSON, StiffnessRatios, lame_parameters, stiffness_ratios
 from spinestiff.anatomy.template import MESHES, template_torso
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.tilts import CobbChange, SpineTilts, cobb_change, tilts
 from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view

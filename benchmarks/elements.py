@@ -28,9 +28,10 @@ import rslab
 import scipy.sparse as sp
 
 from spinestiff.anatomy.points import rotation_second_derivative
+from spinestiff.anatomy.state import TorsoState, retract
 from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TET10_EDGES, TissueMesh, TorsoModel, TorsoState, retract
+from spinestiff.anatomy.torso import TET10_EDGES, TissueMesh, TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.mechanics import tissue as law
 from spinestiff.mechanics.loads import LoadCase, rib_push
@@ -100,13 +101,14 @@ class VolumeAveraged:
         # Joints, springs and loads come from the package, of the same torso without its tissue.
         self.bare = Potential(replace(torso, tissue=none, rest_pose=bare))
         self.data = law.element_data(mesh)
-        mu, lambda_ = ratios.tissue if ratios else (1.0, 1.0)
-        self.mu = mu * mesh.lame_mu[self.data.number]
+        moduli = mesh.lame_mu, mesh.lame_lambda
+        mu, lambda_ = ratios.scale_tissue(*moduli) if ratios else moduli
+        self.mu = mu[self.data.number]
         self.volume = self.data.weights[:, 0]
         self.node, self.place = np.unique(self.data.elements, return_inverse=True)
         self.place = self.place.reshape(self.data.elements.shape)
         self.node_volume = self._at_nodes(self.volume)
-        stiffness = lambda_ * mesh.lame_lambda[self.data.number]
+        stiffness = lambda_[self.data.number]
         self.lambda_ = self._at_nodes(stiffness * self.volume) / self.node_volume
         self.bones, self.free = len(torso.bone_names), mesh.free_nodes
         self.dofs = 6 * self.bones + 3 * len(self.free)

@@ -27,9 +27,10 @@ from typing import Any, Literal
 import numpy as np
 
 from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.estimation.fit import StiffnessFit, fit_stiffness

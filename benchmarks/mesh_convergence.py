@@ -36,9 +36,10 @@ from typing import Any
 import numpy as np
 from elements import Form, VolumeAveraged, linear_torso
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import DEFAULT_YOUNG_MPA, StiffnessRatios, stiffness_ratios
 from spinestiff.anatomy.template.assemble import assemble, build_skeleton
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.tilts import cobb_change, tilts
 from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
@@ -136,7 +137,7 @@ def step_cpu(problem: EquilibriumProblem, state: TorsoState, ratios: StiffnessRa
     times = []
     for _ in range(3 if problem.potential.dofs < 60_000 else 1):
         marks = [time.process_time()]
-        gradient, _ = problem.free_gradient(state, stiffness, terms)
+        gradient = problem.free(problem.potential.gradient(state, stiffness, terms))
         values = problem.potential.hessian(state, stiffness, terms)
         marks.append(time.process_time())
         factor = problem.numeric_factor(values)

@@ -14,7 +14,7 @@ tenth of the points each state is judged a second time, by the inertia of its tr
 
 Where starts end in different states, the point has several equilibria: it is flagged, with energies and how far they
 are apart. Where a start fails or states differ, the load is raised from zero in small steps until it is reached or the
-branch ends (``mechanics.multiplicity.follow_load``). A point with a failed start is named by that: a limit point or an
+branch ends (``multiplicity.follow_load``). A point with a failed start is named by that: a limit point or an
 inversion at a share of the load, or "missed", an equilibrium that the solver did not find.
 
 With ``--log`` a run that was stopped goes on where it was. The point before the first new one is solved again. Bodies
@@ -35,14 +35,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from calibrate_tissue import SUBJECTS, Body
+from multiplicity import SAME_MM, apart, follow_load
 from scipy.stats import qmc
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, StiffnessRatios, stiffness_ratios
-from spinestiff.anatomy.torso import TorsoState
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.factor import Factor
 from spinestiff.mechanics.loads import LoadCase, rib_push
-from spinestiff.mechanics.multiplicity import SAME_MM, apart, follow_load
 from spinestiff.mechanics.sensitivity import Linearisation
 
 STARTS = ("rest", "warm", "linear")

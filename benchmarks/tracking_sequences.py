@@ -21,9 +21,10 @@ from scipy.interpolate import RBFInterpolator
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.rotation import exp_so3
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.imaging.features import VertebraCorners, box_sizes, silhouette_shares, state_features

@@ -25,6 +25,7 @@ from calibrate_tissue import SUBJECTS, TARGET_N_PER_DEG, Body, Row
 from spinestiff.anatomy.names import BONE_INDEX, INTERVERTEBRAL, JOINTS, RIBS, THORACIC, VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import log_so3
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import (
     DEFAULT_YOUNG_MPA,
     ParameterGroup,
@@ -33,12 +34,12 @@ from spinestiff.anatomy.stiffness import (
     stiffness_ratios,
 )
 from spinestiff.anatomy.template import MESHES, template_torso
-from spinestiff.anatomy.torso import TissueMesh, TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TissueMesh, TorsoModel
 from spinestiff.imaging.features import rmse
 from spinestiff.mechanics.contact import solve_with_contact
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push, three_point_reactions
-from spinestiff.mechanics.supports import Supports, three_point_supports
+from spinestiff.mechanics.supports import SupportKind, Supports, three_point_supports
 from spinestiff.mechanics.terms import PointSprings
 
 Found = dict[str, Any]
@@ -450,7 +451,8 @@ def response(mesh: str) -> Found:
 def _response(body: Body, solved: Equilibrium) -> Found:
     sign = 1.0 if body.side == "right" else -1.0
     load, state, torso = body.load(), solved.state, body.torso
-    shoulder, pelvis = (next(r for r in solved.reactions if r.name.startswith(n)) for n in ("shoulder", "pelvis"))
+    shoulder = next(r for r in solved.reactions if r.kind is SupportKind.SHOULDER)
+    pelvis = next(r for r in solved.reactions if r.name == "pelvis")
     weights = np.abs(load.forces[:, 0]) / load.size
     distances = []
     for pose in (torso.rest_pose, state):
@@ -460,7 +462,7 @@ def _response(body: Body, solved: Equilibrium) -> Found:
         distances.append(three_point_reactions(load.size, at - hip, at - rib))
     turned = state.bone_rotations @ np.swapaxes(torso.rest_pose.bone_rotations, 1, 2)
     yaw = np.degrees(np.arctan2(turned[:, 0, 2], turned[:, 2, 2]))
-    wall = [r.force[2] for r in solved.reactions if r.name.startswith("wall")]
+    wall = [r.force[2] for r in solved.reactions if r.kind is SupportKind.WALL]
     change = body.change(state).tilt
     return {
         "tilt_deg": round(change, 2),

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import os
+import pickle
 import shutil
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     # A process a core: more threads would only stand in each other's way. Read when NumPy and numba are imported.
@@ -17,6 +21,7 @@ import pytest
 
 from canaries import infest
 
+LONGEST_WAIT_S = 900.0
 TRUTH = {"lateral_bending": 0.2, "tissue": 0.05}
 
 
@@ -37,6 +42,32 @@ class Viewed:
     estimate: object
     predictions: object
     scene: object
+
+
+def made_once(temporary: pytest.TempPathFactory, name: str, make: Callable[[Path], Any]) -> Any:
+    """What ``make`` returns for a new folder. Of pytest's processes one makes it; the others wait, and read a copy."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return make(temporary.mktemp(name))
+    folder = temporary.getbasetemp().parent / name
+    done, failed = folder / "made.pickle", folder / "failed"
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        latest = time.monotonic() + LONGEST_WAIT_S
+        while not done.exists():
+            if failed.exists() or time.monotonic() > latest:
+                pytest.fail(f"another process could not make '{name}', which this test needs, too")
+            time.sleep(0.2)
+        return pickle.loads(done.read_bytes())
+    try:
+        made = make(folder)
+        partly = folder / "partly.pickle"
+        partly.write_bytes(pickle.dumps(made))
+        partly.replace(done)
+    except BaseException:
+        failed.touch()
+        raise
+    return made
 
 
 def stub_report(visit, predictions, say):
@@ -66,14 +97,18 @@ def cheap_recipe():
 
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory, cheap_recipe):
-    """The finished subject; shared, so only to be read (``subject`` is a copy to change)."""
+    """The finished subject; shared by all tests, so only to be read (``subject`` is a copy to change)."""
+    return Finished(*made_once(tmp_path_factory, "synthetic", lambda folder: finish(folder / "girl", cheap_recipe)))
+
+
+def finish(folder, recipe):
+    """A subject folder made and taken through all steps: the fields of ``Finished``."""
     from spinestiff.study import runner, steps
     from spinestiff.study.synthetic import synthesise
     from spinestiff.study.visit import open_visit
 
-    folder = tmp_path_factory.mktemp("synthetic") / "girl"
     fits, lines = [], []
-    truth = synthesise(folder, cheap_recipe)
+    truth = synthesise(folder, recipe)
     # Whatever the steps write and say of this subject, none of it may come from a patient's words in DICOM.
     for number, path in enumerate(sorted(folder.rglob("*.dcm"))):
         infest(path, np.random.default_rng(number), 60)
@@ -88,7 +123,7 @@ def finished(tmp_path_factory, cheap_recipe):
         patch.setattr("spinestiff.study.report.page.write_report", stub_report)
         ran = runner.run_steps(open_visit(folder, truth=truth), observer=lines.append)
     assert ran == list(runner.STEPS)
-    return Finished(folder, truth, fits[0], tuple(lines))
+    return folder, truth, fits[0], tuple(lines)
 
 
 @pytest.fixture

@@ -11,11 +11,11 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from improve import dihedral_angles
 from tissue_mesh import Spacing, half_mesh, mirror, quadratic
 
 from spinestiff.anatomy.files import write_torso
 from spinestiff.anatomy.template.assemble import Skeleton, assemble, build_skeleton
+from spinestiff.anatomy.tetrahedra import dihedral_angles
 from spinestiff.anatomy.torso import TorsoModel
 
 SPACINGS = {

@@ -17,16 +17,6 @@ _OTHERS = tuple(tuple(n for n in range(4) if n not in edge) for edge in EDGES)
 Moves = Callable[[int, np.ndarray], "np.ndarray | None"]
 
 
-def dihedral_angles(p: np.ndarray) -> np.ndarray:
-    """(..., 6) degrees of tetrahedra (..., 4, 3)."""
-    angles = []
-    for (i, j), (k, m) in zip(EDGES, _OTHERS):
-        e = p[..., j, :] - p[..., i, :]
-        a, b = np.cross(e, p[..., k, :] - p[..., i, :]), np.cross(e, p[..., m, :] - p[..., i, :])
-        angles.append(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(-1)))
-    return np.rad2deg(np.stack(angles, -1))
-
-
 def volumes(p: np.ndarray) -> np.ndarray:
     """(...,) signed volumes of (..., 4, 3)."""
     a, b, c = (p[..., i, :] - p[..., 0, :] for i in (1, 2, 3))

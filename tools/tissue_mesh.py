@@ -11,15 +11,13 @@ from itertools import combinations
 
 import numpy as np
 from improve import Tetrahedra, quality, volumes
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay, cKDTree
 
-from spinestiff.anatomy.meshing import BURIED, GAP, farthest_points
+from spinestiff.anatomy.meshing import BURIED, GAP, farthest_points, pinched_corners, spread_in_bone, under_surface
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.template.assemble import Skeleton
-from spinestiff.anatomy.template.skin import Skin
 from spinestiff.anatomy.template.surfaces import Surface, inside, signed_volume
+from spinestiff.anatomy.template.trunk_skin import Skin
 from spinestiff.anatomy.torso import TET10_EDGES
 
 WANTED_ANGLE = 16.0
@@ -54,13 +52,7 @@ def bone_samples(
 ) -> np.ndarray:
     """Points inside a bone, spread out, clear of those in other bones and ``buried`` mm under the skin where the bone
     allows; of a bone in the middle plane those with x >= 0."""
-    vertices, faces = surface
-    # Candidates: points a little under the surface and between opposite vertices.
-    corners = vertices[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-12
-    centre = corners.mean(1)
-    candidates = np.vstack([centre - d * normal for d in (1.3, 2.5, 4.0)])
+    candidates = under_surface(surface, (1.3, 2.5, 4.0))
     if middle:
         candidates = candidates[candidates[:, 0] >= -1e-9]
         near = candidates[:, 0] < 0.12 * spacing
@@ -68,21 +60,7 @@ def bone_samples(
         candidates = candidates[near | (candidates[:, 0] > 0.3 * spacing)]
     candidates = candidates[inside(surface, candidates)]
     candidates = np.unique(np.round(candidates, 3), axis=0)
-    deep = skin.depth(candidates) > buried
-    if deep.mean() > 0.6:
-        candidates = candidates[deep]
-    if len(others):
-        distance = cKDTree(others).query(candidates)[0]
-        for clearance in (0.34, 0.28, 0.22, 0.16, 0.1, 0.0):
-            clear = candidates[distance >= clearance * spacing]
-            if (
-                len(clear) > 0.3 * len(candidates)
-                and np.ptp(clear, axis=0).max() > 0.6 * np.ptp(candidates, axis=0).max()
-            ):
-                break
-        candidates = clear
-    first = candidates[[np.argmax(np.linalg.norm(candidates - candidates.mean(0), axis=1))]]
-    return np.vstack([first, farthest_points(candidates, first, spacing, least=2)])
+    return spread_in_bone(candidates, skin.depth(candidates) > buried, spacing, others)
 
 
 Stage = tuple[np.ndarray, int, float]  # candidates, their place, wanted distance
@@ -186,7 +164,7 @@ def _carve(mesh: HalfMesh, skeleton: Skeleton) -> None:
     )
     alive = ~wanted
     while True:
-        pinched = _pinched(mesh.tetrahedra[alive], len(mesh.points))
+        pinched = pinched_corners(mesh.tetrahedra[alive], len(mesh.points))
         back = ~alive & pinched[mesh.tetrahedra].any(1)
         if not back.any():
             break
@@ -216,34 +194,6 @@ def _carve(mesh: HalfMesh, skeleton: Skeleton) -> None:
     number[used] = np.arange(len(used))
     mesh.tetrahedra = number[t]
     mesh.points, mesh.place, mesh.bone = mesh.points[used], mesh.place[used], mesh.bone[used]
-
-
-def _pinched(t: np.ndarray, count: int) -> np.ndarray:
-    # (count,) bool, corners at which the boundary is no simple surface: more than one fan of faces, or none where the
-    # corner is lost.
-    faces, _ = boundary(t)
-    f = len(faces)
-    # A node of the graph is a corner of a face; it is joined to the next face's around the same corner.
-    at = np.repeat(np.arange(f), 3), np.tile(np.arange(3), f)
-    first, second = faces[at], faces[at[0], (at[1] + 1) % 3]
-    order = np.lexsort((np.maximum(first, second), np.minimum(first, second)))
-    low, high = np.minimum(first, second)[order], np.maximum(first, second)[order]
-    same = np.flatnonzero((low[1:] == low[:-1]) & (high[1:] == high[:-1]))
-    rows, columns = [], []
-    for end in (0, 1):
-        one = 3 * at[0] + at[1]
-        two = 3 * at[0] + (at[1] + 1) % 3
-        chosen = np.where((faces.ravel()[one] == np.minimum(first, second)) == (end == 0), one, two)[order]
-        rows.append(chosen[same])
-        columns.append(chosen[same + 1])
-    graph = coo_array((np.ones(2 * len(same)), (np.concatenate(rows), np.concatenate(columns))), shape=(3 * f, 3 * f))
-    fan = connected_components(graph, directed=False)[1]
-    fans = np.unique(np.stack([faces.ravel(), fan], -1), axis=0)[:, 0]
-    pinched = np.bincount(fans, minlength=count) > 1
-    heavy = np.bincount(np.searchsorted(np.unique(low * count + high), low * count + high)) > 2
-    pairs = np.unique(low * count + high)[heavy]
-    pinched[pairs // count] = pinched[pairs % count] = True
-    return pinched
 
 
 def _simple(tetrahedron: np.ndarray, exposed: list[list[int]], corners: set[int], edges: set[frozenset[int]]) -> bool:

@@ -9,8 +9,9 @@ import numpy as np
 import rslab
 from common import Floats, Problem, Solver, cpu_seconds, main
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
-from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel, TorsoState
+from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load
 from spinestiff.mechanics.supports import Supports

@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # the same list for editors and type checkers; a test compare
     from spinestiff.anatomy.export import export_torso as export_torso
     from spinestiff.anatomy.importing import import_torso as import_torso
     from spinestiff.anatomy.points import PointsOnBones as PointsOnBones
+    from spinestiff.anatomy.state import TorsoState as TorsoState
     from spinestiff.anatomy.stiffness import ParameterGroup as ParameterGroup
     from spinestiff.anatomy.stiffness import lame_parameters as lame_parameters
     from spinestiff.anatomy.stiffness import stiffness_ratios as stiffness_ratios
@@ -22,7 +23,6 @@ if TYPE_CHECKING:  # the same list for editors and type checkers; a test compare
     from spinestiff.anatomy.torso import JointTable as JointTable
     from spinestiff.anatomy.torso import TissueMesh as TissueMesh
     from spinestiff.anatomy.torso import TorsoModel as TorsoModel
-    from spinestiff.anatomy.torso import TorsoState as TorsoState
     from spinestiff.anatomy.torso import joint_frames as joint_frames
     from spinestiff.curves.cobb import read_cobb as read_cobb
     from spinestiff.curves.corner_files import read_corner_file as read_corner_file
@@ -65,7 +65,8 @@ _MODULES = {
     "anatomy.template": ("template_torso",),
     "anatomy.importing": ("import_torso",),
     "anatomy.export": ("export_torso",),
-    "anatomy.torso": ("TorsoModel", "TorsoState", "JointTable", "joint_frames", "TissueMesh"),
+    "anatomy.state": ("TorsoState",),
+    "anatomy.torso": ("TorsoModel", "JointTable", "joint_frames", "TissueMesh"),
     "anatomy.points": ("PointsOnBones",),
     "anatomy.stiffness": ("stiffness_ratios", "ParameterGroup", "lame_parameters"),
     "mechanics.equilibrium": ("EquilibriumProblem",),

@@ -1,7 +1,10 @@
-"""Read-only arrays with a checked shape, for the constructors of the data types."""
+"""Read-only arrays with a checked shape, for the constructors of the data types; a short text for what holds them."""
 
 from __future__ import annotations
 
+import dataclasses
+import enum
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -38,3 +41,38 @@ def read_only(
         raise error(f"{name} holds a value that is not finite")
     array.flags.writeable = False
     return array
+
+
+class ShortRepr:
+    """A ``repr`` of one short line for what holds large arrays: of an array its shape, of a part its type.
+
+    A dataclass says ``@dataclass(frozen=True, repr=False)``, so that this one stays. ``_facts`` may say less or more
+    than its fields.
+    """
+
+    LONGEST = 160
+
+    def __repr__(self) -> str:
+        line = f"{type(self).__name__}({', '.join(self._facts())})"
+        return line if len(line) <= self.LONGEST else f"{line[: self.LONGEST - 5]} ...)"
+
+    def _facts(self) -> Iterator[str]:
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+            if field.repr:
+                yield f"{field.name}={_brief(getattr(self, field.name))}"
+
+
+def _brief(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return repr(value.tolist()) if value.size <= 3 else f"<{'x'.join(map(str, value.shape))}>"
+    if isinstance(value, enum.Enum):
+        return value.name
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if dataclasses.is_dataclass(value):
+        return f"<{type(value).__name__}>"
+    if isinstance(value, Collection) and not isinstance(value, str | bytes):
+        if len(value) > 3 or isinstance(value, Mapping):
+            return f"<{len(value)} of {type(value).__name__}>"
+        return f"({', '.join(map(_brief, value))})"
+    return repr(value)

@@ -18,8 +18,8 @@ from spinestiff.anatomy.export.osim import xyz_angles
 from spinestiff.anatomy.export.rigid import masses
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import exp_so3
+from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.stiffness import TABLE_1
-from spinestiff.anatomy.torso import retract
 from spinestiff.app.cli import app
 from spinestiff.errors import TorsoError
 

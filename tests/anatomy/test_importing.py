@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 from spinestiff.anatomy import meshing
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.importing import import_torso
+from spinestiff.anatomy.importing.carried_skin import ROWS, _template_rows, refuse_bones_outside
 from spinestiff.anatomy.importing.orienting import axes_matrix
-from spinestiff.anatomy.importing.skin import ROWS, _template_rows, refuse_bones_outside
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.solids import enclosed
 from spinestiff.anatomy.template.surfaces import ball, loft, signed_volume

@@ -3,7 +3,7 @@ import pytest
 
 from spinestiff.anatomy.points import PointsOnBones, rotation_second_derivative
 from spinestiff.anatomy.rotation import exp_so3
-from spinestiff.anatomy.torso import TorsoState, retract
+from spinestiff.anatomy.state import TorsoState, retract
 from spinestiff.errors import TorsoError
 
 STEP = 1e-5

@@ -5,6 +5,7 @@ from spinestiff.anatomy.names import JOINTS
 from spinestiff.anatomy.stiffness import (
     DIRECTIONS,
     TABLE_1,
+    StiffnessRatios,
     joint_stiffness,
     lame_parameters,
     parameter_group,
@@ -59,9 +60,38 @@ def test_a_row_of_table_1_scales_all_its_directions():
 
 
 def test_tissue_ratio_scales_both_lame_parameters_and_its_parts_one():
-    assert stiffness_ratios({"tissue": 0.1}).tissue == (0.1, 0.1)
-    assert stiffness_ratios({"tissue_mu": 0.1}).tissue == (0.1, 1.0)
-    assert stiffness_ratios({"tissue_lambda": 0.1}).tissue == (1.0, 0.1)
+    for name, mu, lambda_ in (("tissue", 0.1, 0.2), ("tissue_mu", 0.1, 2.0), ("tissue_lambda", 1.0, 0.2)):
+        scaled = stiffness_ratios({name: 0.1}).scale_tissue(np.ones(3), np.full(3, 2.0))
+        assert np.array(scaled) == pytest.approx(np.array([[mu] * 3, [lambda_] * 3]))
+
+
+def test_a_part_of_a_group_lies_at_some_joints_and_in_some_elements():
+    whole, at = parameter_group("everything", KINDS), np.arange(len(KINDS)) % 3 == 0
+    part = whole.within("a third", at, [True, False, False])
+    assert part.name == "a third"
+    assert (part.joints == at[:, None]).all()
+    assert part.elements.tolist() == [True, False, False]
+    # Masks narrow further, and what is not named stays.
+    narrow = part.within("narrow", elements=[True, True, False])
+    assert narrow.elements.tolist() == [True, False, False]
+    assert (narrow.joints == part.joints).all()
+    ratios = StiffnessRatios((part, whole), np.array([0.5, 2.0]))
+    mu, lambda_ = ratios.scale_tissue(np.ones(3), np.ones(3))
+    assert mu.tolist() == lambda_.tolist() == [1.0, 2.0, 2.0]
+    assert (ratios.scale_joints(np.ones((len(KINDS), 6)))[:, 0] == np.where(at, 1.0, 2.0)).all()
+
+
+def test_masks_of_another_length_are_refused():
+    whole = parameter_group("everything", KINDS)
+    with pytest.raises(TorsoError, match=r"joints has shape \(2,\), wanted \(67\)"):
+        whole.within("part", np.ones(2, dtype=bool))
+    ratios = StiffnessRatios((whole.within("part", elements=[True, False]),), np.ones(1))
+    with pytest.raises(TorsoError, match="'part' names 2 tissue elements, the mesh has 3"):
+        ratios.scale_tissue(np.ones(3), np.ones(3))
+    with pytest.raises(TorsoError, match="'everything' names 67 joints, the torso has 2"):
+        StiffnessRatios((whole,), np.ones(1)).scale_joints(np.ones((2, 6)))
+    with pytest.raises(TorsoError, match=r"elements has shape \(2,\), wanted \(3\)"):
+        whole.within("part", elements=np.ones(3, dtype=bool)).within("part", elements=np.ones(2, dtype=bool))
 
 
 def test_ratios_of_overlapping_groups_multiply():
@@ -72,7 +102,7 @@ def test_ratios_of_overlapping_groups_multiply():
     assert factor[KINDS.index("lumbar"), 5] == pytest.approx(1.0)
     assert factor[KINDS.index("rib_sternum"), 0] == pytest.approx(1.0)
     assert factor[KINDS.index("rib_vertebra"), 0] == pytest.approx(2.0)
-    assert ratios.tissue == (2.0, 2.0)
+    assert [v.tolist() for v in ratios.scale_tissue(np.ones(2), np.ones(2))] == [[2.0, 2.0], [2.0, 2.0]]
 
 
 def test_scaling_leaves_the_defaults_alone():

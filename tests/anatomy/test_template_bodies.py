@@ -15,7 +15,8 @@ from spinestiff.anatomy.template.body import REFERENCE_BODY, Body, body_of, prop
 from spinestiff.anatomy.template.proportions import REFERENCE
 from spinestiff.anatomy.template.ribs import arc_scale
 from spinestiff.anatomy.template.surfaces import arc_length, ball, inside, joined, meet, mirrored, signed_volume
-from spinestiff.anatomy.template.warp import check_quality, dihedral_angles, harmonic, warped_nodes
+from spinestiff.anatomy.template.warp import check_quality, harmonic, warped_nodes
+from spinestiff.anatomy.tetrahedra import dihedral_angles
 from spinestiff.errors import TorsoError
 from spinestiff.mechanics.potential import Potential
 

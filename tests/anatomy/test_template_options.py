@@ -7,9 +7,9 @@ import pytest
 
 from spinestiff.anatomy.names import INTERVERTEBRAL
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import TABLE_1
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TorsoState
 from spinestiff.errors import TorsoError
 from spinestiff.mechanics.joints import joint_energies
 

@@ -9,8 +9,9 @@ import pytest
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones, rotation_second_derivative
+from spinestiff.anatomy.state import TorsoState, retract
 from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
-from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel, TorsoState, joint_frames, retract
+from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel, joint_frames
 from spinestiff.estimation.objective import Trial
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
@@ -93,7 +94,10 @@ class PlanarSpine:
 
     def factors(self, ratios: StiffnessRatios | None) -> tuple[np.ndarray, float]:
         ones = np.ones((len(self.torso.joints), 6))
-        return (ones, 1.0) if ratios is None else (ratios.scale_joints(ones), ratios.tissue[0])
+        if ratios is None:
+            return ones, 1.0
+        mu, _ = ratios.scale_tissue(np.ones(1), np.ones(1))
+        return ratios.scale_joints(ones), float(mu[0])
 
     def parts(self, state: TorsoState):
         """Energy, gradient and Hessian of links and bending, per joint, and of the tissue."""

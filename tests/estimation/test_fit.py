@@ -183,7 +183,6 @@ def test_open_ends_are_warned_of(spine, trials) -> None:
     )
 
 
-@pytest.mark.slow
 def test_eqs_8_10_on_the_template_torso() -> None:
     """The real engine on the coarse template: adjoint is forward. That ratios come back is examples/02's test."""
     torso = template_torso(157.0)

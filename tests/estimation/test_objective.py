@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.stiffness import stiffness_ratios
-from spinestiff.anatomy.torso import retract
 from spinestiff.errors import FitError
 from spinestiff.estimation.objective import Trial, make_target, push_height_change, residuals, root_mean_square
 from spinestiff.imaging.features import VertebraCorners
@@ -93,6 +93,13 @@ def test_a_higher_push_keeps_the_force_and_raises_its_line(spine, bones) -> None
     assert np.abs(change.forces.sum(0)).max() < 1e-12
     moment = np.cross(change.points.positions(rest), change.forces).sum(0)
     assert moment == pytest.approx([0.0, 0.0, -load.forces.sum(0)[0]])
+
+
+def test_a_push_on_tissue_nodes_has_no_height(spine) -> None:
+    none = PointsOnBones(np.empty(0, np.int64), np.empty((0, 3)))
+    load = LoadCase(none, np.empty((0, 3)), "pressed", np.array([0]), np.ones((1, 3)))
+    with pytest.raises(FitError, match="the load acts on tissue nodes"):
+        push_height_change(load, spine.torso.rest_pose)
 
 
 def test_an_unloaded_reference_removes_errors_that_all_radiographs_share(spine, show, push_by) -> None:

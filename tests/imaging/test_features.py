@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.rotation import exp_so3
-from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel, TorsoState, retract
+from spinestiff.anatomy.state import TorsoState, retract
+from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel
 from spinestiff.errors import RadiographError, TrackingError
 from spinestiff.imaging import features as ft
 from spinestiff.imaging.projection import frontal_view, lateral_view

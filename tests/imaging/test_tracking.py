@@ -395,8 +395,8 @@ def test_vertebrae_of_a_rendered_torso():
     """Each vertebra with its ribs moved as a body, as a push of some 12 mm does; skin and exposure follow."""
     from spinestiff.anatomy.names import BONE_INDEX, BONES
     from spinestiff.anatomy.rotation import exp_so3
+    from spinestiff.anatomy.state import TorsoState
     from spinestiff.anatomy.template import template_torso
-    from spinestiff.anatomy.torso import TorsoState
     from spinestiff.imaging.features import silhouette_shares, state_features
     from spinestiff.imaging.synthetic.detector import Exposure
     from spinestiff.imaging.synthetic.materials import Material

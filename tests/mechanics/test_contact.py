@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import retract
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.contact import solve_with_contact, switched
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push
-from spinestiff.mechanics.supports import Supports, three_point_supports
+from spinestiff.mechanics.supports import SupportKind, Supports, three_point_supports
 from spinestiff.mechanics.terms import PointSprings
 from spinestiff.verification.models import make_torso
 
@@ -32,7 +32,9 @@ def chain():
     points = PointsOnBones(np.repeat([1, 2, 3], 2), np.tile([[0.0, 5.0, 0.0], [0.0, -5.0, 0.0]], (3, 1)))
     targets = points.positions(torso.rest_pose)
     springs = PointSprings(points, targets, np.tile([0.0, 0.0, 1.0], (6, 1)), np.full(6, WALL))
-    return EquilibriumProblem(torso, Supports(held, springs, tuple(f"wall_{i}" for i in range(6))))
+    return EquilibriumProblem(
+        torso, Supports(held, springs, tuple(f"point {i}" for i in range(6)), (SupportKind.WALL,) * 6)
+    )
 
 
 def force_on(bone, force, arm=0.0):
@@ -124,9 +126,9 @@ def test_energy_is_least_among_one_sided_states(chain):
             assert energy(retract(state, size * step)) > energy(state)
 
 
-def test_names_that_no_support_has_are_refused(chain):
-    with pytest.raises(EquilibriumError, match="no support 'floor'"):
-        solve_with_contact(chain, force_on(1, [0.0, 0.0, 1.0]), one_sided="floor")
+def test_a_kind_that_no_support_is_of_is_refused(chain):
+    with pytest.raises(EquilibriumError, match="no support of the kind 'shoulder' to be one-sided; there are wall"):
+        solve_with_contact(chain, force_on(1, [0.0, 0.0, 1.0]), one_sided=SupportKind.SHOULDER)
 
 
 def test_springs_that_do_not_settle_are_an_error(chain):
@@ -139,11 +141,11 @@ def test_the_wall_behind_a_pushed_torso_does_not_pull():
     problem = EquilibriumProblem(torso, three_point_supports(torso, "right"))
     load, ratios = rib_push(torso, "right", 6.0, 60.0), stiffness_ratios({"lateral_bending": 0.2, "tissue": 0.05})
     bilateral = problem.solve(load, ratios).require()
-    pull = [r.force[2] for r in bilateral.reactions if r.name.startswith("wall")]
+    pull = [r.force[2] for r in bilateral.reactions if r.kind is SupportKind.WALL]
     assert min(pull) < -0.5  # else nothing is tested
     found = solve_with_contact(problem, load, ratios, bilateral.state)
     assert_complementary(found, problem.supports)
-    assert min(r.force[2] for r in found.equilibrium.reactions if r.name.startswith("wall")) >= -1e-6
+    assert min(r.force[2] for r in found.equilibrium.reactions if r.kind is SupportKind.WALL) >= -1e-6
     assert found.touching[0]  # the shoulder's spring is bilateral and stays
     balance = load.forces.sum(0) + sum(reaction.force for reaction in found.equilibrium.reactions)
     assert np.abs(balance).max() < 1e-6 * load.size

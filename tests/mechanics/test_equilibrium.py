@@ -9,13 +9,14 @@ import pytest
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import exp_so3
+from spinestiff.anatomy.state import TorsoState, retract
 from spinestiff.anatomy.stiffness import stiffness_ratios
-from spinestiff.anatomy.torso import TorsoState, retract
 from spinestiff.errors import EquilibriumError, TorsoError
 from spinestiff.mechanics.equilibrium import EquilibriumProblem, SolveStatus
 from spinestiff.mechanics.loads import LoadCase, no_load
 from spinestiff.mechanics.newton import Point, Run
-from spinestiff.mechanics.terms import BoneBlocks
+from spinestiff.mechanics.supports import SupportKind
+from spinestiff.mechanics.terms import TermBlocks
 from spinestiff.verification.blocks import holds
 from spinestiff.verification.equilibria import out_of_balance, toy_load, toy_supports
 from spinestiff.verification.models import make_torso, shaken, toy_torso
@@ -51,7 +52,7 @@ def test_eq4_eq5_solution_has_no_free_force_and_least_energy(problem, soft):
     assert found.converged
     assert found.require() is found
     stiffness, terms = problem.potential.stiffness(soft), problem.all_terms(load)
-    free, _ = problem.free_gradient(found.state, stiffness, terms)
+    free = problem.free(problem.potential.gradient(found.state, stiffness, terms))
     assert problem.residual_norm(free) <= found.tolerance == pytest.approx(max(1e-10 * load.size, 1e-8))
     assert found.energy == problem.potential.energy(found.state, stiffness, terms)[0]
     random = np.random.default_rng(0)
@@ -82,8 +83,10 @@ def test_loads_and_reactions_balance_in_force_and_moment(problem, soft):
 def test_reactions_are_named_and_summed_by_name(problem, soft):
     found = problem.solve(toy_load(), soft)
     assert [r.name for r in found.reactions] == ["bone2", "side"]
-    assert found.reaction("side") == pytest.approx(found.reactions[1].force)
-    with pytest.raises(EquilibriumError, match="no support 'nothing'; there are bone2, side"):
+    assert [r.kind for r in found.reactions] == [SupportKind.HELD, SupportKind.SPRING]
+    for what in ("side", SupportKind.SPRING):
+        assert found.reaction(what) == pytest.approx(found.reactions[1].force)
+    with pytest.raises(EquilibriumError, match="no support 'nothing'; there are held, spring, bone2, side"):
         found.reaction("nothing")
     # The side spring pulls along its own direction alone.
     assert np.cross(found.reactions[1].force, [0.8, 0.0, 0.6]) == pytest.approx(np.zeros(3), abs=1e-12)
@@ -129,6 +132,7 @@ def test_eq4_a_column_stands_below_its_critical_load_and_is_a_saddle_above():
     problem, weight = _column(1.01)
     found = problem.solve(weight)
     assert found.status is SolveStatus.SADDLE
+    assert found.fault.startswith("stiffness -") and "turns most, along (0.00, 0.00, 1.00)" in found.fault
     # Balanced from the first iteration on, it is still no minimum.
     assert problem.solve(weight, start=found.state).status is SolveStatus.SADDLE
 
@@ -204,7 +208,7 @@ def _failing(monkeypatch, times):
         real = getattr(Run, name)
 
         def failing(self, load, state, *rest):
-            tried.append((name, round(load.size / toy_load().size, 6), state is self.problem.torso.rest_pose))
+            tried.append((name, round(load.size / toy_load().size, 6), state is self.system.torso.rest_pose))
             result = real(self, load, state, *rest)
             whole = sum(share == 1.0 for _, share, _ in tried)
             return replace(result, status=SolveStatus.STALLED) if tried[-1][1] == 1.0 and whole <= times else result
@@ -287,7 +291,7 @@ class _NoNumber:
     def blocks(self, state):
         gradient = np.zeros((1, 6))
         gradient[0, 5] = np.nan
-        return BoneBlocks(np.array([0]), gradient, np.zeros((1, 6, 6)))
+        return TermBlocks(np.array([0]), gradient, np.zeros((1, 6, 6)))
 
 
 def test_what_is_no_number_is_no_equilibrium(problem):
@@ -357,7 +361,7 @@ class _Pull:
         gradient, hessian = np.zeros((1, 6)), np.zeros((1, 6, 6))
         gradient[0, 0] = self.k * (state.bone_positions[self.bone, 0] - self.place)
         hessian[0, 0, 0] = self.k
-        return BoneBlocks(np.array([self.bone]), gradient, hessian)
+        return TermBlocks(np.array([self.bone]), gradient, hessian)
 
 
 def test_terms_from_outside_take_part_and_do_not_change_the_problem_they_came_from(torso, problem, soft):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.rotation import exp_so3, log_so3, mean_rotation
+from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import retract
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.joints import (
     joint_energies,

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.rotation import exp_so3, log_so3
+from spinestiff.anatomy.state import TorsoState, retract
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TorsoState, retract
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.joints import joint_pose
 from spinestiff.mechanics.kinematics import FrameFactor, Kinematics, _polar

@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import TorsoError
-from spinestiff.mechanics.loads import LoadCase, no_load, rib_push, three_point_reactions
-from spinestiff.verification.energies import bent, two_bones
+from spinestiff.mechanics.assembly import Stiffness
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import LoadCase, no_load, rib_push, three_point_reactions, tissue_load
+from spinestiff.mechanics.potential import Potential
+from spinestiff.verification.energies import bent, dense, two_bones
+from spinestiff.verification.equilibria import tissue_pressure, toy_supports
+from spinestiff.verification.models import shaken, toy_torso
 
 
 @pytest.fixture(scope="module")
@@ -97,3 +103,55 @@ def test_no_load_is_empty_and_wrong_shapes_are_refused():
         LoadCase(PointsOnBones(np.array([0]), np.zeros((1, 3))), np.zeros((2, 3)))
     with pytest.raises(TorsoError, match="not finite"):
         LoadCase(PointsOnBones(np.array([0]), np.zeros((1, 3))), np.array([[np.inf, 0.0, 0.0]]))
+
+
+def test_forces_on_tissue_nodes_act_on_free_nodes_and_on_the_bones_of_tied_ones():
+    body = toy_torso(1, 10)
+    mesh = body.tissue
+    nodes = np.array([np.flatnonzero(mesh.bone_of_node < 0)[7], np.flatnonzero(mesh.bone_of_node >= 0)[3]])
+    forces = np.array([[1.0, 2.0, -3.0], [0.0, -4.0, 0.0]])
+    load = tissue_load(body, nodes, forces, "pressed")
+    assert load.points.bone.tolist() == [mesh.bone_of_node[nodes[1]]]
+    assert load.nodes.tolist() == [7]
+    assert load.size == pytest.approx(np.sqrt(14.0) + 4.0)
+    state = shaken(body, 2)
+    places = body.node_positions(state)[nodes]
+    assert load.energy(state) == pytest.approx(-np.sum(forces * places))
+    assert load.total == pytest.approx(forces.sum(0))
+    assert load.moment(state) == pytest.approx(np.cross(places, forces).sum(0))
+    assert load.scaled(2.0).node_forces == pytest.approx(2.0 * forces[:1])
+
+
+def test_the_derivatives_of_a_load_on_tissue_nodes_agree_with_differences():
+    body = toy_torso(1, 10)
+    load = tissue_pressure(body, 2.0)
+    potential, state = Potential(body), shaken(body, 3)
+    none = Stiffness(*(np.zeros_like(values) for values in potential.stiffness(None)))
+    direction = np.random.default_rng(4).normal(size=potential.dofs)
+    direction[: 6 * potential.bones].reshape(-1, 6)[:, 3:] *= 0.03
+    h = 1e-3
+    up, mid, down = (load.energy(retract(state, s * direction)) for s in (h, 0.0, -h))
+    slope = potential.gradient(state, none, [load]) @ direction
+    assert slope == pytest.approx((up - down) / (2 * h), rel=1e-7)
+    hessian = dense(potential, potential.hessian(state, none, [load]))
+    assert direction @ hessian @ direction == pytest.approx((up - 2 * mid + down) / h**2, rel=1e-4)
+
+
+def test_the_equilibrium_follows_a_load_on_tissue_nodes():
+    """Balance of forces, and the derivative in the load against differences of solves."""
+    body = toy_torso(1, 10)
+    load = tissue_pressure(body, 0.3)
+    problem = EquilibriumProblem(body, toy_supports(body))
+    found, tangent = problem.solve_linearised(load)
+    assert load.total + sum(r.force for r in found.reactions) == pytest.approx(np.zeros(3), abs=1e-8 * load.size)
+    slope = problem.potential.unknowns.node_rows(tangent.load_derivative(load))
+    h = 1e-3
+    up, down = (problem.solve(load.scaled(1.0 + s * h), tolerance=1e-9).require().state for s in (1, -1))
+    difference = (up.tissue_positions - down.tissue_positions) / (2 * h)
+    assert np.abs(slope - difference).max() < 1e-5 * np.abs(slope).max()
+
+
+@pytest.mark.parametrize("node", [-1, 10**6])
+def test_a_load_on_a_node_that_the_mesh_lacks_is_refused(torso, node):
+    with pytest.raises(TorsoError, match=f"a load acts on tissue node {node}; the mesh has nodes 0 to"):
+        tissue_load(torso, np.array([node]), np.zeros((1, 3)))

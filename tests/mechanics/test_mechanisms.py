@@ -12,13 +12,14 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TissueMesh, TorsoModel
 from spinestiff.errors import EquilibriumError
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.mechanisms import mechanisms, require_no_mechanism
 from spinestiff.mechanics.potential import Potential
-from spinestiff.mechanics.supports import Supports, three_point_supports
-from spinestiff.mechanics.terms import PointSprings
+from spinestiff.mechanics.supports import SupportKind, Supports, three_point_supports
+from spinestiff.mechanics.terms import PointSprings, TermBlocks
 from spinestiff.verification.blocks import holds
 from spinestiff.verification.energies import dense
-from spinestiff.verification.equilibria import toy_supports
+from spinestiff.verification.equilibria import toy_load, toy_supports
 from spinestiff.verification.models import box_mesh, make_torso, toy_torso
 
 STIFF = np.array([10.0, 20.0, 30.0, 1e3, 2e3, 3e3])
@@ -44,11 +45,13 @@ def slackened(torso, changes):
     return replace(torso, joints=replace(torso.joints, stiffness=stiffness))
 
 
-def without_springs(supports, names):
-    kept = [i for i, name in enumerate(supports.names) if not name.startswith(names)]
+def without_springs(supports, without):
+    kept = [i for i, kind in enumerate(supports.kinds) if kind is not without]
     s = supports.springs
     springs = PointSprings(s.points[kept], s.targets[kept], s.directions[kept], s.stiffness[kept])
-    return Supports(supports.held, springs, tuple(supports.names[i] for i in kept))
+    return Supports(
+        supports.held, springs, tuple(supports.names[i] for i in kept), tuple(supports.kinds[i] for i in kept)
+    )
 
 
 def unresisted(torso, supports):
@@ -82,7 +85,7 @@ def test_a_torso_without_supports_is_one_free_body(torso):
 @pytest.mark.parametrize("which", ["torso", "bare"])
 def test_hinged_pelvis_without_a_shoulder_turns_with_all_that_stands_on_it(which, request):
     torso = request.getfixturevalue(which)
-    (found,) = mechanisms(torso, without_springs(three_point_supports(torso, "right"), "shoulder"))
+    (found,) = mechanisms(torso, without_springs(three_point_supports(torso, "right"), SupportKind.SHOULDER))
     assert (found.modes, found.bones) == (1, torso.bone_names)
     assert "the whole torso can turn about the AP (z) axis through pelvis's origin: no support" in found.text
 
@@ -243,6 +246,34 @@ def test_an_image_term_holds_a_bone_as_a_support_does():
     term = PointSprings(points, points.positions(torso.rest_pose), directions, np.ones(6))
     assert len(mechanisms(torso, free)) == 1
     assert mechanisms(torso, free, terms=(term,)) == ()
+
+
+class Pad:
+    """Springs of k N/mm, all ways, from free nodes to where they are at rest."""
+
+    def __init__(self, torso, nodes, k):
+        self.nodes, self.k, self.rest = nodes, k, torso.rest_pose.tissue_positions[nodes]
+
+    def energy(self, state):
+        return 0.5 * self.k * np.sum((state.tissue_positions[self.nodes] - self.rest) ** 2)
+
+    def blocks(self, state):
+        bones = np.empty(0, np.int64), np.empty((0, 6)), np.empty((0, 6, 6))
+        force = self.k * (state.tissue_positions[self.nodes] - self.rest)
+        return TermBlocks(*bones, self.nodes, force, np.tile(self.k * np.eye(3), (len(self.nodes), 1, 1)))
+
+
+def test_a_pad_on_tissue_nodes_holds_a_torso_and_bears_its_load():
+    """Springs on three free nodes hold all that hangs on the tissue; one node leaves three turns about it."""
+    torso = toy_torso(0, 10)
+    free = holds(np.zeros((3, 6), dtype=bool))
+    far = np.array([0, 9, len(torso.rest_pose.tissue_positions) - 1])
+    assert mechanisms(torso, free, terms=(Pad(torso, far, 2.0),)) == ()
+    (turns,) = mechanisms(torso, free, terms=(Pad(torso, far[:1], 2.0),))
+    assert turns.modes == 3
+    pad, load = Pad(torso, far, 2.0), toy_load(1.0)
+    found = EquilibriumProblem(torso, free, (pad,)).solve(load).require()
+    assert -pad.blocks(found.state).node_gradient.sum(0) == pytest.approx(-load.total, abs=1e-8)
 
 
 def test_the_error_is_one_line_with_names_and_what_is_left_out(bare):

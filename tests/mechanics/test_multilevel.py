@@ -36,10 +36,10 @@ def test_a_middle_node_moves_as_the_mean_of_its_ends(torso, problems):
     moved = p @ random.normal(size=p.shape[1])
     rows = moved[: 6 * potential.bones].reshape(-1, 6)
     nodes = np.zeros_like(mesh.rest_positions)
-    nodes[potential.free] = moved[6 * potential.bones :].reshape(-1, 3)
-    bone = mesh.bone_of_node[potential.tied]
-    nodes[potential.tied] = rows[bone, :3] + np.cross(
-        rows[bone, 3:], mesh.rest_positions[potential.tied] - rest.bone_positions[bone]
+    nodes[potential.unknowns.free] = moved[6 * potential.bones :].reshape(-1, 3)
+    bone = mesh.bone_of_node[potential.unknowns.tied]
+    nodes[potential.unknowns.tied] = rows[bone, :3] + np.cross(
+        rows[bone, 3:], mesh.rest_positions[potential.unknowns.tied] - rest.bone_positions[bone]
     )
     checked = 0
     for middle, (a, b) in enumerate(TET10_EDGES, start=4):

@@ -6,16 +6,19 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.stiffness import parameter_group, stiffness_ratios
-from spinestiff.anatomy.torso import retract
+from spinestiff.anatomy.state import retract
+from spinestiff.anatomy.stiffness import StiffnessRatios, parameter_group, stiffness_ratios
 from spinestiff.mechanics import joints as joint_law
 from spinestiff.mechanics import tissue as tissue_law
-from spinestiff.mechanics.loads import LoadCase
-from spinestiff.mechanics.potential import Potential, build_pattern
+from spinestiff.mechanics.assembly import Law, Place, build_pattern
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import LoadCase, no_load
+from spinestiff.mechanics.potential import Potential
 from spinestiff.mechanics.supports import Supports
 from spinestiff.mechanics.terms import PointSprings
 from spinestiff.verification.blocks import holds
 from spinestiff.verification.energies import dense
+from spinestiff.verification.equilibria import toy_supports
 from spinestiff.verification.models import points_on, shaken, toy_torso
 
 
@@ -153,3 +156,80 @@ def test_holds_are_supports_without_springs():
     supports = holds(np.ones((2, 6), dtype=bool))
     assert isinstance(supports, Supports)
     assert len(supports.springs.points) == 0
+
+
+def test_shares_of_parts_of_a_group_add_up_and_are_derivatives(case):
+    """By joints and by elements: the parts' shares sum to the whole's, and each is a difference of gradients."""
+    torso, potential, state, _ = case
+    whole = parameter_group("everything", torso.joints.kinds)
+    joints = torso.joints_among(torso.bone_names[:2])
+    elements = np.arange(len(torso.tissue.elements)) % 3 == 0
+    assert joints.any() and not joints.all()
+    parts = [whole.within("a", joints, elements), whole.within("b", ~joints, ~elements)]
+    stiffness = potential.stiffness(None)
+    both = potential.ratio_gradients(state, stiffness, parts)
+    total = potential.ratio_gradients(state, stiffness, [whole])[:, 0]
+    assert both.sum(1) == pytest.approx(total, abs=1e-12 * np.abs(total).max())
+    direction = np.random.default_rng(2).normal(size=potential.dofs)
+    products = potential.ratio_products(state, stiffness, parts, direction)
+    assert products == pytest.approx(direction @ both, rel=1e-11)
+    h = 1e-4
+    for part, share in zip(parts, both.T):
+        ends = [StiffnessRatios((part,), np.exp([sign * h])) for sign in (1, -1)]
+        up, down = (potential.gradient(state, potential.stiffness(ratios), ()) for ratios in ends)
+        assert np.abs(share - (up - down) / (2 * h)).max() < 1e-7 * np.abs(share).max()
+
+
+class Cable(Law):
+    """k l^3 / 3 for the distance l from a bone's origin to a free node: one's own law, which couples the two."""
+
+    def __init__(self, bone, node, k):
+        self.bone, self.node, self.k = bone, node, k
+
+    def pairs(self, unknowns):
+        return np.array([[self.bone, unknowns.bones + self.node]])
+
+    def _across(self, at):
+        return at.state.tissue_positions[self.node] - at.state.bone_positions[self.bone]
+
+    def energy(self, at, stiffness):
+        return self.k * np.linalg.norm(self._across(at)) ** 3 / 3.0, np.inf
+
+    def add_gradient(self, at, stiffness, gradient):
+        across = self._across(at)
+        force = self.k * np.linalg.norm(across) * across
+        at.unknowns.bone_rows(gradient)[self.bone, :3] -= force
+        at.unknowns.node_rows(gradient)[self.node] += force
+
+    def add_hessian(self, at, stiffness, tangent, offsets, project):
+        across = self._across(at)
+        length = np.linalg.norm(across)
+        block = self.k * (length * np.eye(3) + np.outer(across, across) / length)
+        tangent.bones[self.bone, :3, :3] += block
+        tangent.nodes[self.node] += block
+        row, column = np.array([at.unknowns.bones + self.node]), np.array([self.bone])
+        tangent.add(np.hstack([-block, np.zeros((3, 3))])[None], row, column, offsets)
+
+
+def test_a_law_of_ones_own_takes_part_in_energy_gradient_hessian_and_solve(case):
+    torso, plain, state, terms = case
+    # Far from its bone, so that no element couples the two.
+    far = np.argmax(np.linalg.norm(state.tissue_positions - state.bone_positions[0], axis=1))
+    law = Cable(0, int(far), 0.02)
+    potential = Potential(torso, [law])
+    stiffness = potential.stiffness(None)
+    with_it, without = (p.energy(state, stiffness, terms)[0] for p in (potential, plain))
+    assert with_it - without == pytest.approx(law.energy(Place(potential.unknowns, state), stiffness)[0], rel=1e-9)
+    direction = np.random.default_rng(6).normal(size=potential.dofs)
+    direction[: 6 * potential.bones].reshape(-1, 6)[:, 3:] *= 0.03
+    h = 2e-4
+    up, mid, down = (potential.energy(retract(state, s * direction), stiffness, terms)[0] for s in (h, 0.0, -h))
+    assert potential.gradient(state, stiffness, terms) @ direction == pytest.approx((up - down) / (2 * h), rel=1e-6)
+    hessian = dense(potential, potential.hessian(state, stiffness, terms))
+    assert direction @ hessian @ direction == pytest.approx((up - 2 * mid + down) / h**2, rel=1e-4)
+    group = [parameter_group("everything", torso.joints.kinds)]
+    assert (potential.ratio_gradients(state, stiffness, group) == plain.ratio_gradients(state, stiffness, group)).all()
+    supports = toy_supports(torso)
+    pulled, free = (EquilibriumProblem(torso, supports, laws=laws).solve(no_load()).require() for laws in ([law], []))
+    before, after = (np.linalg.norm(f.state.tissue_positions[far] - f.state.bone_positions[0]) for f in (free, pulled))
+    assert after < before - 0.1

@@ -11,7 +11,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import TorsoError
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push, three_point_reactions
-from spinestiff.mechanics.supports import Supports, three_point_supports
+from spinestiff.mechanics.supports import SupportKind, Supports, three_point_supports
 from spinestiff.mechanics.terms import PointSprings
 
 
@@ -23,7 +23,8 @@ def torso():
 @pytest.mark.parametrize(("side", "opposite"), [("left", "right"), ("right", "left")])
 def test_the_shoulder_opposite_the_push_is_held_sideways(torso, side, opposite):
     supports = three_point_supports(torso, side)
-    assert supports.names[0] == f"shoulder_{opposite}"
+    assert supports.names[0] == f"humerus_{opposite[0].upper()}"
+    assert supports.kinds[0] is SupportKind.SHOULDER
     assert supports.springs.directions[0] == pytest.approx([1.0, 0.0, 0.0])
     x = supports.springs.targets[0, 0]
     assert np.sign(x) == (1.0 if opposite == "left" else -1.0)
@@ -42,6 +43,8 @@ def test_the_wall_holds_front_to_back_and_can_be_left_out(torso):
     with_wall, without = (three_point_supports(torso, "left", wall=w) for w in (True, False))
     assert len(without.names) == 1
     assert len(with_wall.names) > 3
+    assert set(with_wall.kinds[1:]) == {SupportKind.WALL}
+    assert with_wall.of_kind(SupportKind.WALL).tolist() == [False] + [True] * (len(with_wall.names) - 1)
     assert with_wall.springs.directions[1:] == pytest.approx(np.tile([0.0, 0.0, 1.0], (len(with_wall.names) - 1, 1)))
 
 
@@ -71,7 +74,8 @@ def test_eq1_eq2_three_point_reactions_hold_for_the_simulated_torso(torso):
     problem = EquilibriumProblem(torso, three_point_supports(torso, "right", pelvis="hinge", wall=False))
     load = rib_push(torso, "right", 7.25, 60.0)
     found = problem.solve(load, stiffness_ratios({"lateral_bending": 0.5, "tissue": 0.3})).require()
-    shoulder, pelvis = (next(r for r in found.reactions if r.name.startswith(n)) for n in ("shoulder", "pelvis"))
+    shoulder = next(r for r in found.reactions if r.kind is SupportKind.SHOULDER)
+    pelvis = next(r for r in found.reactions if r.name == "pelvis")
     weights = load.forces[:, 0] / 60.0
     rib = weights @ load.points.positions(found.state)[:, 1]
     f1, f2 = three_point_reactions(60.0, shoulder.point[1] - pelvis.point[1], shoulder.point[1] - rib)

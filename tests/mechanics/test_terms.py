@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.torso import retract
+from spinestiff.anatomy.state import retract
 from spinestiff.errors import TorsoError
 from spinestiff.mechanics.terms import PointSprings, point_blocks
 from spinestiff.verification.energies import bent, two_bones

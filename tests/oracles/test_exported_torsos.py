@@ -15,8 +15,9 @@ from spinestiff.anatomy.export import export_torso
 from spinestiff.anatomy.names import BONE_INDEX
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import log_so3
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TissueMesh, TorsoState
+from spinestiff.anatomy.torso import TissueMesh
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.verification.blocks import holds

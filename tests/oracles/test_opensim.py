@@ -113,7 +113,7 @@ def test_a_planar_chain_under_an_end_moment(wound_chain):
 
 def test_the_energy_of_a_turned_and_shifted_joint(planar_chain):
     """What is stored, not only what it exerts: the same number in both programs at the same places."""
-    from spinestiff.anatomy.torso import TorsoState
+    from spinestiff.anatomy.state import TorsoState
     from spinestiff.mechanics.joints import joint_energies
     from spinestiff.verification.models import make_torso
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.rotation import exp_so3
-from spinestiff.anatomy.torso import TorsoState
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view, lateral_view

@@ -7,16 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spinestiff.anatomy.torso import TissueMesh
 from spinestiff.errors import TorsoError
-from spinestiff.personalise.quality import dihedrals, mesh_quality, require_quality
-
-
-def test_a_regular_tetrahedron_has_its_angle():
-    corners = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
-    one = np.array([0.1])
-    mesh = TissueMesh(corners, np.array([[0, 1, 2, 3]])[:, [0, 2, 1, 3]], np.full(4, -1), one, one)
-    assert dihedrals(mesh) == pytest.approx(np.full((1, 6), np.arccos(1.0 / 3.0)), abs=1e-12)
+from spinestiff.personalise.quality import mesh_quality, require_quality
 
 
 def test_the_template_is_good(template):

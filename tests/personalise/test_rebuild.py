@@ -14,10 +14,10 @@ from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load, rib_push
 from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.personalise.measured_skin import TrunkSize, skin_at_sizes, trunk_sizes, with_trunk_sizes
 from spinestiff.personalise.quality import mesh_quality
 from spinestiff.personalise.rebuild import can_rebuild, skin_of, with_new_tissue, without_tissue
 from spinestiff.personalise.shape import personalise, place_vertebrae
-from spinestiff.personalise.skin import TrunkSize, skin_at_sizes, trunk_sizes, with_trunk_sizes
 from spinestiff.study.spines import curved_spine, rest_vertebrae
 
 VIEWS = {"frontal": frontal_view(), "lateral": lateral_view()}

@@ -145,7 +145,7 @@ def test_checks_catch_a_missing_rotation_term_of_tied_nodes(monkeypatch):
     def zero(gradient, arm):
         return 0.0 * rotation_second_derivative(gradient, arm)
 
-    monkeypatch.setattr(potential, "rotation_second_derivative", zero)
+    monkeypatch.setattr(tissue, "rotation_second_derivative", zero)
     assert any("Hessian" in name for name in _failed(energies.tissue_derivatives))
     assert any("order" in name for name in _failed(equilibria.newton))
 

@@ -13,7 +13,8 @@ from zipfile import BadZipFile
 import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.torso import BoneSurface, JointTable, TissueMesh, TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import BoneSurface, JointTable, TissueMesh, TorsoModel
 from spinestiff.errors import TorsoError
 
 SCHEMA = "spinestiff-torso"

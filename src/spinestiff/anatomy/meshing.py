@@ -6,7 +6,7 @@ extra [mesh]. Shipped torsos need no mesher.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from importlib.util import find_spec
@@ -19,9 +19,11 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.solids import dense_points, enclosed
 from spinestiff.anatomy.template.surfaces import Surface, signed_volume
+from spinestiff.anatomy.tetrahedra import dihedral_angles, signed_volumes
 from spinestiff.anatomy.torso import TET10_EDGES
-from spinestiff.arrays import Floats, Ints
+from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.errors import TorsoError
+from spinestiff.observer import Observer
 from spinestiff.words import counted
 
 GROUP = "spinestiff.meshers"
@@ -46,11 +48,10 @@ _FACES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]  # of a tetrahedron, outwa
 # Takes corner points (n, 3) mm, tetrahedra (t, 4) that fill the torso and the numbers of points that must stay; gives
 # better points and tetrahedra with about the same boundary.
 Mesher = Callable[[Floats, Ints, Ints], tuple[Floats, Ints]]
-Observer = Callable[[str], None]
 
 
-@dataclass(frozen=True)
-class MeshedTissue:
+@dataclass(frozen=True, repr=False)
+class MeshedTissue(ShortRepr):
     """Tissue between skin and bones.
 
     Attributes
@@ -111,7 +112,7 @@ def mmg(points: Floats, tetrahedra: Ints, required: Ints) -> tuple[Floats, Ints]
     except ImportError:
         raise TorsoError(NO_MMG) from None
     best: tuple[float, Floats, Ints] | None = None
-    whole = np.abs(_volumes(points[tetrahedra])).sum()
+    whole = np.abs(signed_volumes(points[tetrahedra])).sum()
     # First inside alone; where that leaves flat elements, the skin's triangles may change, too: with edges between
     # them kept, then as if they stood for a smooth surface, which bulges over them.
     for options in ({"nosurf": 1}, {"hausd": HAUSDORFF_MM, "ar": EDGE_DEG}, {"hausd": HAUSDORFF_MM}):
@@ -127,7 +128,7 @@ def mmg(points: Floats, tetrahedra: Ints, required: Ints) -> tuple[Floats, Ints]
         found = np.asarray(mesh.get_vertices(), dtype=float), np.asarray(mesh.get_tetrahedra(), dtype=np.int64)
         corners = found[0][found[1]]
         angle = float(least_angles(corners).min())
-        grown = abs(float(np.abs(_volumes(corners)).sum() / whole) - 1.0) > 0.5 * VOLUME_TOLERANCE
+        grown = abs(float(np.abs(signed_volumes(corners)).sum() / whole) - 1.0) > 0.5 * VOLUME_TOLERANCE
         if best is None or (angle > best[0] and not grown):
             best = (angle, *found)
         if best[0] >= WANTED_ANGLE_DEG:
@@ -178,7 +179,7 @@ def mesh_tissue(
         if cKDTree(points).query(kept)[0].max() > 1e-6:
             failures.append("the mesher moved points of the bones")
             continue
-        volumes = _volumes(points[tetrahedra])
+        volumes = signed_volumes(points[tetrahedra])
         tetrahedra = np.where((volumes < 0.0)[:, None], tetrahedra[:, [1, 0, 2, 3]], tetrahedra)
         share = float(np.abs(volumes).sum() / signed_volume(skin))
         angle = float(least_angles(points[tetrahedra]).min())
@@ -249,31 +250,45 @@ def starting_mesh(
 
 def _bone_points(surface: Surface, spacing: float, others: Floats, skin: cKDTree, buried: float) -> Floats:
     # Points a little under the surface, spread out, clear of those in other bones, deep under the skin where possible.
-    vertices, faces = surface
-    corners = vertices[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-12
-    candidates = np.vstack([corners.mean(1) - d * normal for d in (1.3, 2.5, 4.0)])
+    candidates = under_surface(surface, (1.3, 2.5, 4.0))
     _, first = np.unique(np.floor(candidates / 2.0), axis=0, return_index=True)
     candidates = candidates[np.sort(first)]
     found = candidates[enclosed(surface, candidates)]
     if not len(found):
-        candidates = np.vstack([corners.mean(1) - d * normal for d in (0.2, 0.5)])
+        candidates = under_surface(surface, (0.2, 0.5))
         found = candidates[enclosed(surface, candidates)]
         if not len(found):
             return found
-    deep = skin.query(found)[0] > buried
+    return spread_in_bone(found, skin.query(found)[0] > buried, spacing, others)
+
+
+def under_surface(surface: Surface, depths: Sequence[float]) -> Floats:
+    """(n, 3) mm, points ``depths`` mm under the middle of each triangle of a closed surface, if it is that thick."""
+    vertices, faces = surface
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-12
+    return np.vstack([corners.mean(1) - d * normal for d in depths])
+
+
+def spread_in_bone(candidates: Floats, deep: np.ndarray, spacing: float, others: Floats) -> Floats:
+    """Points of a bone's mesh out of ``candidates`` (n, 3) mm inside it, ``spacing`` apart where it is that large.
+
+    The ``deep`` (n,) under the skin are taken where they are most of them, and those clear of ``others`` (m, 3), points
+    of other bones, as far as enough are left.
+    """
     if deep.mean() > 0.6:
-        found = found[deep]
+        candidates = candidates[deep]
     if len(others):
-        distance = cKDTree(others).query(found)[0]
+        distance = cKDTree(others).query(candidates)[0]
         for clearance in (0.34, 0.28, 0.22, 0.16, 0.1, 0.0):
-            clear = found[distance >= clearance * spacing]
-            if len(clear) > 0.3 * len(found) and np.ptp(clear, axis=0).max() > 0.6 * np.ptp(found, axis=0).max():
+            clear = candidates[distance >= clearance * spacing]
+            enough = len(clear) > 0.3 * len(candidates)
+            if enough and np.ptp(clear, axis=0).max() > 0.6 * np.ptp(candidates, axis=0).max():
                 break
-        found = clear
-    start = found[[np.argmax(np.linalg.norm(found - found.mean(0), axis=1))]]
-    return np.vstack([start, farthest_points(found, start, spacing, least=2)])
+        candidates = clear
+    start = candidates[[np.argmax(np.linalg.norm(candidates - candidates.mean(0), axis=1))]]
+    return np.vstack([start, farthest_points(candidates, start, spacing, least=2)])
 
 
 def farthest_points(candidates: Floats, chosen: Floats, spacing: float, least: int = 0) -> Floats:
@@ -311,10 +326,10 @@ def _carved(points: Floats, tetrahedra: Ints, on_skin: np.ndarray, skin: Surface
     depth = shell.query(middle)[0] * np.where(enclosed(skin, middle), 1.0, -1.0)
     angle = least_angles(corners)
     wanted = on_skin[tetrahedra].all(1) & ((depth < -0.5) | (angle < 9.0) & (depth < 6.0) | (angle < 2.0))
-    flat = np.abs(_volumes(corners)) < 1e-3
+    flat = np.abs(signed_volumes(corners)) < 1e-3
     alive = ~wanted
     while True:
-        pinched = _pinched(tetrahedra[alive], len(points))
+        pinched = pinched_corners(tetrahedra[alive], len(points))
         back = ~alive & pinched[tetrahedra].any(1) & ~flat
         if not back.any():
             break
@@ -381,8 +396,8 @@ def boundary(tetrahedra: Ints) -> Ints:
     return faces[np.sort(first[count == 1])]
 
 
-def _pinched(tetrahedra: Ints, count: int) -> np.ndarray:
-    # (count,) bool, corners around which the boundary is more than one fan, or an edge of which has four faces.
+def pinched_corners(tetrahedra: Ints, count: int) -> np.ndarray:
+    """(count,) bool, corners around which the boundary is more than one fan, or an edge of which has four faces."""
     faces = boundary(tetrahedra)
     f = len(faces)
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], -1).reshape(
@@ -410,18 +425,10 @@ def _pinched(tetrahedra: Ints, count: int) -> np.ndarray:
     return pinched
 
 
-def _volumes(p: Floats) -> Floats:
-    return np.einsum("ti,ti->t", p[:, 1] - p[:, 0], np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 0])) / 6.0
-
-
 def least_angles(p: Floats) -> Floats:
     """(t,) degrees, the smallest dihedral angle of tetrahedra (t, 4, 3), or the smallest supplement of one."""
-    normals = np.stack(
-        [np.cross(p[:, b] - p[:, a], p[:, c] - p[:, a]) for a, b, c in ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))], 1
-    )
-    normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
-    cosines = np.abs([np.einsum("ti,ti->t", normals[:, i], normals[:, j]) for i in range(4) for j in range(i)])
-    return np.degrees(np.arccos(np.clip(cosines.max(0), 0.0, 1.0)))
+    angles = dihedral_angles(p)
+    return np.minimum(angles, 180.0 - angles).min(-1)
 
 
 def tied_quadratic(

@@ -8,20 +8,18 @@ and for a force gradient ``g`` on the point the second derivative of ``g . x`` i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from spinestiff.anatomy.rotation import cross_matrix
-from spinestiff.arrays import Floats, Ints, read_only
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import TorsoError
 
-if TYPE_CHECKING:
-    from spinestiff.anatomy.torso import TorsoState
 
-
-@dataclass(frozen=True)
-class PointsOnBones:
+@dataclass(frozen=True, repr=False)
+class PointsOnBones(ShortRepr):
     """Points fixed to bones.
 
     Attributes

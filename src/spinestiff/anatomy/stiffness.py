@@ -5,13 +5,13 @@ The only place that holds literature values of stiffness. Units inside: N/mm, N 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from spinestiff.anatomy.names import INTERVERTEBRAL, JOINTS
-from spinestiff.arrays import Floats, read_only
+from spinestiff.arrays import Floats, ShortRepr, read_only
 from spinestiff.errors import TorsoError
 
 # Paper Table 1, in its units: kN/m = N/mm for translation (x, y, z); its "N/rad" for rotation (alpha, beta, gamma)
@@ -67,8 +67,8 @@ def lame_parameters(young: float, poisson: float) -> tuple[float, float]:
     return young / (2.0 * (1.0 + poisson)), young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
 
 
-@dataclass(frozen=True)
-class ParameterGroup:
+@dataclass(frozen=True, repr=False)
+class ParameterGroup(ShortRepr):
     """The stiffnesses that one ratio scales.
 
     Attributes
@@ -76,15 +76,44 @@ class ParameterGroup:
     name : e.g. "lateral_bending".
     joints : (J, 6) bool, entries of the joints' stiffness table.
     mu, lambda_ : whether the tissue's Lame parameters belong to it.
+    elements : (T,) bool, the mesh's elements in which they do; None: in all.
     """
 
     name: str
     joints: np.ndarray
     mu: bool = False
     lambda_: bool = False
+    elements: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", read_only("joints", self.joints, (None, 6), TorsoError, bool))
+        if self.elements is not None:
+            object.__setattr__(self, "elements", read_only("elements", self.elements, (None,), TorsoError, bool))
+
+    def elements_of(self, count: int) -> np.ndarray:
+        """(T,) bool, the elements of a mesh of ``count`` elements; TorsoError if they are another mesh's."""
+        if self.elements is None:
+            return np.ones(count, dtype=bool)
+        if len(self.elements) != count:
+            raise TorsoError(f"'{self.name}' names {len(self.elements)} tissue elements, the mesh has {count}")
+        return self.elements
+
+    def within(self, name: str, joints: np.ndarray | None = None, elements: np.ndarray | None = None) -> ParameterGroup:
+        """The part of this group at some ``joints`` (J,) bool and in some ``elements`` (T,) bool; None: all it has.
+
+        ``TorsoModel.joints_among`` tells the joints of some levels.
+
+        Raises
+        ------
+        TorsoError : a mask of another length than this group's.
+        """
+        at = np.ones(len(self.joints), dtype=bool) if joints is None else joints
+        at = read_only("joints", at, (len(self.joints),), TorsoError, bool)
+        inside = self.elements
+        if elements is not None:
+            count = None if inside is None else len(inside)
+            inside = read_only("elements", elements, (count,), TorsoError, bool) & (True if inside is None else inside)
+        return ParameterGroup(name, self.joints & at[:, None], self.mu, self.lambda_, inside)
 
 
 def parameter_group(name: str, kinds: tuple[str, ...]) -> ParameterGroup:
@@ -117,8 +146,8 @@ def parameter_group(name: str, kinds: tuple[str, ...]) -> ParameterGroup:
     return ParameterGroup(name, mask, mu, lambda_)
 
 
-@dataclass(frozen=True)
-class StiffnessRatios:
+@dataclass(frozen=True, repr=False)
+class StiffnessRatios(ShortRepr):
     """Ratios xi of stiffness over default (paper 3.1: k = xi * k_default); what is not named stays at 1.
 
     Attributes
@@ -147,18 +176,30 @@ class StiffnessRatios:
         return dict(zip(self.names, self.values.tolist()))
 
     def scale_joints(self, stiffness: Floats) -> Floats:
-        """(J, 6) joint stiffness times every ratio that applies to an entry."""
+        """(J, 6) joint stiffness times every ratio that applies to an entry; TorsoError for a group of other joints."""
         scaled = np.array(stiffness)
         for group, value in zip(self.groups, self.values):
+            if len(group.joints) != len(scaled):
+                raise TorsoError(f"'{group.name}' names {len(group.joints)} joints, the torso has {len(scaled)}")
             scaled[group.joints] *= value
         return scaled
 
-    @property
-    def tissue(self) -> tuple[float, float]:
-        """Factors of Lame's mu and lambda."""
-        mu = float(np.prod([v for g, v in zip(self.groups, self.values) if g.mu]))
-        lambda_ = float(np.prod([v for g, v in zip(self.groups, self.values) if g.lambda_]))
-        return mu, lambda_
+    def scale_tissue(self, mu: Floats, lambda_: Floats) -> tuple[Floats, Floats]:
+        """(T,) each, Lame's parameters of the mesh's elements times every ratio that applies to an element.
+
+        Raises
+        ------
+        TorsoError : a group of another mesh's elements.
+        """
+        scaled = np.array(mu), np.array(lambda_)
+        for group, value in zip(self.groups, self.values):
+            inside = group.elements_of(len(scaled[0]))
+            for modulus, belongs in zip(scaled, (group.mu, group.lambda_)):
+                modulus[inside & belongs] *= value
+        return scaled
+
+    def _facts(self) -> Iterator[str]:
+        yield from (f"{name}={value:.4g}" for name, value in self.as_dict().items())
 
 
 def stiffness_ratios(ratios: Mapping[str, float], kinds: tuple[str, ...] = KINDS) -> StiffnessRatios:

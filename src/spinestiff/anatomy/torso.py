@@ -1,12 +1,11 @@
-"""The torso: bones, joints and tissue at rest, and a state of it (paper 3.1).
+"""The torso: bones, joints and tissue at rest (paper 3.1).
 
 Units: mm, N, MPa, rad. World frame, right-handed: x to the patient's left, y superior, z anterior.
 """
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -15,16 +14,17 @@ import numpy as np
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.rotation import exp_so3, mean_rotation
-from spinestiff.arrays import Floats, Ints, read_only
+from spinestiff.anatomy.rotation import mean_rotation
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import TorsoError
 
 # Node order of a ten-node tetrahedron: four corners, then the middles of these edges (VTK's and meshio's order).
 TET10_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 
 
-@dataclass(frozen=True)
-class JointTable:
+@dataclass(frozen=True, repr=False)
+class JointTable(ShortRepr):
     """Compliant joints; each has a frame on its parent and one on its child that coincide at rest.
 
     Attributes
@@ -69,8 +69,8 @@ class JointTable:
         return len(self.names)
 
 
-@dataclass(frozen=True)
-class TissueMesh:
+@dataclass(frozen=True, repr=False)
+class TissueMesh(ShortRepr):
     """Soft tissue as tetrahedra whose nodes in or on bones are tied to them.
 
     Attributes
@@ -129,8 +129,8 @@ class TissueMesh:
         return faces[np.sort(first[count == 1])]
 
 
-@dataclass(frozen=True)
-class BoneSurface:
+@dataclass(frozen=True, repr=False)
+class BoneSurface(ShortRepr):
     """A closed triangle surface in its bone's frame: vertices (n, 3) mm, faces (m, 3) outward."""
 
     vertices: Floats
@@ -141,55 +141,8 @@ class BoneSurface:
         object.__setattr__(self, "faces", read_only("faces", self.faces, (None, 3), TorsoError, np.int64))
 
 
-@dataclass(frozen=True)
-class TorsoState:
-    """Where everything is.
-
-    Attributes
-    ----------
-    bone_positions : (B, 3) mm, world position of each bone's origin.
-    bone_rotations : (B, 3, 3) world_from_bone.
-    tissue_positions : (F, 3) mm, the free nodes.
-    """
-
-    bone_positions: Floats
-    bone_rotations: Floats
-    tissue_positions: Floats
-
-    def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        set_(self, "bone_positions", read_only("bone_positions", self.bone_positions, (None, 3), TorsoError))
-        b = len(self.bone_positions)
-        set_(self, "bone_rotations", read_only("bone_rotations", self.bone_rotations, (b, 3, 3), TorsoError))
-        set_(self, "tissue_positions", read_only("tissue_positions", self.tissue_positions, (None, 3), TorsoError))
-
-    @property
-    def dofs(self) -> int:
-        """6 a bone (dt, dw), then 3 a free node."""
-        return 6 * len(self.bone_positions) + 3 * len(self.tissue_positions)
-
-
-def retract(state: TorsoState, dx: Floats) -> TorsoState:
-    """The state moved by ``dx`` (dofs,): t <- t + dt, R <- exp(dw) R, free nodes x <- x + dx."""
-    b = len(state.bone_positions)
-    bones = dx[: 6 * b].reshape(b, 6)
-    return TorsoState(
-        state.bone_positions + bones[:, :3],
-        exp_so3(bones[:, 3:]) @ state.bone_rotations,
-        state.tissue_positions + dx[6 * b :].reshape(-1, 3),
-    )
-
-
-def state_digest(state: TorsoState) -> str:
-    """SHA-256 of a state's numbers: two states are the same or not."""
-    digest = hashlib.sha256()
-    for array in (state.bone_positions, state.bone_rotations, state.tissue_positions):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
-
-
-@dataclass(frozen=True)
-class TorsoModel:
+@dataclass(frozen=True, repr=False)
+class TorsoModel(ShortRepr):
     """A torso at rest, free of stress.
 
     Attributes
@@ -244,6 +197,11 @@ class TorsoModel:
     def vertebra_bones(self) -> Ints:
         """(V,) bone indices of the vertebrae."""
         return np.array([self.bone(name) for name in self.vertebrae], dtype=np.int64)
+
+    def joints_among(self, bones: Iterable[str]) -> np.ndarray:
+        """(J,) bool, the joints between two of the named ``bones``; e.g. those of some levels of the spine."""
+        chosen = [self.bone(name) for name in bones]
+        return np.isin(self.joints.parent, chosen) & np.isin(self.joints.child, chosen)
 
     @property
     def tied_nodes(self) -> PointsOnBones:
@@ -301,6 +259,13 @@ class TorsoModel:
             landmarks={k: PointsOnBones(p.bone, factor * p.offset) for k, p in self.landmarks.items()},
             height_cm=factor * self.height_cm,
         )
+
+    def _facts(self) -> Iterator[str]:
+        yield f"{self.height_cm:.4g} cm"
+        yield f"{len(self.bone_names)} bones"
+        yield f"{len(self.joints)} joints"
+        yield f"{len(self.tissue.rest_positions)} tissue nodes"
+        yield f"{len(self.tissue.elements)} elements of {self.tissue.elements.shape[1]} nodes"
 
 
 def joint_frames(state: TorsoState, parent: Ints, child: Ints, centre: Floats, axes: Floats) -> dict[str, Any]:

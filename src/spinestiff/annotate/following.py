@@ -11,7 +11,7 @@ from spinestiff.annotate.session import AnnotationSession
 from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.radiograph import Radiograph
-from spinestiff.imaging.tracking import Observer, track
+from spinestiff.imaging.tracking import OnFrame, track
 from spinestiff.subject.folder import push_corners, read_subject
 from spinestiff.subject.outcomes import Tracked
 from spinestiff.subject.run_record import changed_inputs, read_outcome
@@ -117,7 +117,7 @@ class _Replaced(Exception):
 
 
 def follow(
-    frames: Sequence[Radiograph], annotated: Mapping[int, VertebraCorners], observer: Observer
+    frames: Sequence[Radiograph], annotated: Mapping[int, VertebraCorners], observer: OnFrame
 ) -> tuple[VertebraCorners, ...]:
     """Corners in every frame from the annotated ones."""
     return track(frames, annotated, observer)

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
-from spinestiff.anatomy.torso import TorsoState
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.objective import (
     Residuals,
@@ -26,7 +26,7 @@ from spinestiff.estimation.objective import (
     root_mean_square,
 )
 from spinestiff.estimation.uncertainty import Nuisance, ResidualLayout, UncertaintySettings
-from spinestiff.imaging.features import Orientation
+from spinestiff.imaging.features import FEATURE_COUNT, Orientation
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class FitStep:
     damping: float
 
 
-Observer = Callable[[FitStep], None]
+OnFitStep = Callable[[FitStep], None]
 
 
 @dataclass
@@ -78,8 +78,8 @@ class FitCost:
     seconds: float = 0.0
 
 
-@dataclass(frozen=True)
-class Evaluation:
+@dataclass(frozen=True, repr=False)
+class Evaluation(ShortRepr):
     """All trials in equilibrium at one set of log ratios."""
 
     log_ratios: Floats
@@ -99,8 +99,8 @@ class Evaluation:
         return root_mean_square(self.residuals)
 
 
-@dataclass(frozen=True)
-class Slope:
+@dataclass(frozen=True, repr=False)
+class Slope(ShortRepr):
     """First order around a point.
 
     Attributes
@@ -126,7 +126,7 @@ class TrialSet:
         trials: Sequence[Trial],
         groups: tuple[ParameterGroup, ...],
         orientation: Orientation,
-        observer: Observer | None,
+        observer: OnFitStep | None,
     ) -> None:
         self.problems, self.trials, self.groups = tuple(problems), tuple(trials), groups
         self.targets = tuple(make_target(p.torso, t, orientation) for p, t in zip(problems, trials))
@@ -204,7 +204,7 @@ class TrialSet:
         torso, target = self.problems[i].torso, self.targets[i]
         motion = part.values - residuals(torso, target, torso.rest_pose).values
         height = 1.0 - 2.0 * target.rows / max(len(torso.vertebrae) - 1, 1)
-        return motion, motion * np.repeat(height, 8)
+        return motion, motion * np.repeat(height, FEATURE_COUNT)
 
     def _picture_shifts(self, pushes: Sequence[str], sd: float) -> list[Nuisance]:
         """The patient stands a little elsewhere in each radiograph than at rest."""

@@ -7,20 +7,20 @@ paper's way (``search``). Both end with the same statistics.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, StiffnessRatios, parameter_group
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.evaluation import (
     Evaluation,
     FitCost,
     FitStep,
-    Observer,
+    OnFitStep,
     TrialSet,
 )
 from spinestiff.estimation.intervals import Intervals, inverted_intervals, linear_intervals
@@ -37,7 +37,7 @@ __all__ = [
     "FitStep",
     "IntervalKind",
     "Method",
-    "Observer",
+    "OnFitStep",
     "StiffnessFit",
     "fit_stiffness",
 ]
@@ -49,8 +49,8 @@ WIDEST_INTERVAL = 0.9
 IntervalKind = Literal["inverted", "linear"]
 
 
-@dataclass(frozen=True)
-class StiffnessFit:
+@dataclass(frozen=True, repr=False)
+class StiffnessFit(ShortRepr):
     """Estimated ratios and how well they are known.
 
     Attributes
@@ -120,6 +120,13 @@ class StiffnessFit:
             lines.append(f"  {name} {value:.4g} (95 % {low:.3g} to {high:.3g}){bound}")
         return "\n".join([*lines, *(f"  warning: {text}" for text in self.warnings)])
 
+    def _facts(self) -> Iterator[str]:
+        yield self.status.name
+        for name, value in self.ratios.as_dict().items():
+            low, high = self.intervals95[name]
+            yield f"{name}={value:.4g} ({low:.3g} to {high:.3g})"
+        yield f"training RMSE {self.rmse_mm:.2f} mm"
+
 
 def fit_stiffness(
     problem: EquilibriumProblem | Sequence[EquilibriumProblem],
@@ -129,7 +136,7 @@ def fit_stiffness(
     start: Mapping[str, float] | None = None,
     bounds: tuple[float, float] = RATIO_BOUNDS,
     orientation: Orientation = "procrustes",
-    observer: Observer | None = None,
+    observer: OnFitStep | None = None,
     max_iterations: int = 80,
     uncertainty: UncertaintySettings | None = None,
     intervals: IntervalKind = "inverted",

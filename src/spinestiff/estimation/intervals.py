@@ -21,7 +21,7 @@ import numpy as np
 from skimage.measure import find_contours, points_in_poly
 
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.arrays import Floats
+from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.evaluation import Evaluation, Slope, TrialSet, compliance_step, log_step
 from spinestiff.estimation.objective import Trial
@@ -40,8 +40,8 @@ FEWEST_PLACES = 4  # for a cubic: 10 coefficients of each value, 3 equations a p
 GRID = 401
 
 
-@dataclass(frozen=True)
-class Intervals:
+@dataclass(frozen=True, repr=False)
+class Intervals(ShortRepr):
     """95 % intervals of log ratios.
 
     Attributes

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
-from spinestiff.arrays import Floats, Ints, read_only
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import FitError
 from spinestiff.imaging.features import (
+    FEATURE_SHAPE,
     Orientation,
     VertebraCorners,
     near_square,
@@ -28,8 +30,8 @@ from spinestiff.words import counted
 FEWEST_VERTEBRAE = 3
 
 
-@dataclass(frozen=True)
-class Trial:
+@dataclass(frozen=True, repr=False)
+class Trial(ShortRepr):
     """One radiograph under a known load (a term of Eq. 8).
 
     Attributes
@@ -57,8 +59,8 @@ class Trial:
             object.__setattr__(self, "push", self.label)
 
 
-@dataclass(frozen=True)
-class Target:
+@dataclass(frozen=True, repr=False)
+class Target(ShortRepr):
     """What a trial's radiograph asks of a state; constant during a fit.
 
     Attributes
@@ -85,8 +87,8 @@ class Target:
     rest_misfit: Floats
 
 
-@dataclass(frozen=True)
-class Residuals:
+@dataclass(frozen=True, repr=False)
+class Residuals(ShortRepr):
     """Simulated minus measured features of one trial in one state.
 
     Attributes
@@ -167,7 +169,7 @@ def make_target(torso: TorsoModel, trial: Trial, orientation: Orientation = "pro
         trial,
         read_only("rows", rows, (None,), FitError, np.int64),
         read_only("bones", torso.vertebra_bones[rows], (None,), FitError, np.int64),
-        read_only("targets", z, (len(rows), 4, 2), FitError),
+        read_only("targets", z, (len(rows), *FEATURE_SHAPE), FitError),
         read_only("weights", weights, (len(rows),), FitError),
         shares,
         used,
@@ -188,7 +190,7 @@ def _rest_misfit(
         still = state_features(torso, trial.view, torso.rest_pose, shares, orientation, used).z[rows]
         places = [trial.corners.vertebrae.index(name) for name in seen.vertebrae]
         misfit[places] = still - target_features(torso, trial.view, seen, orientation)
-    return read_only("misfit at rest", misfit, (len(misfit), 4, 2), FitError)
+    return read_only("misfit at rest", misfit, (len(misfit), *FEATURE_SHAPE), FitError)
 
 
 def residuals(torso: TorsoModel, target: Target, state: TorsoState) -> Residuals:
@@ -219,7 +221,13 @@ def push_height_change(load: LoadCase, state: TorsoState) -> LoadCase:
     Points at different heights share the push by the lever rule, so a higher resultant moves force from the lower to
     the upper one. A single point has nothing to share with: the force rises on its bone, which adds a moment; it
     is made of a couple of forces 1 mm above and at the point.
+
+    Raises
+    ------
+    FitError : the load acts on tissue nodes, too, which have no such height.
     """
+    if len(load.nodes):
+        raise FitError("the height of a push is that of points on bones, but the load acts on tissue nodes, too")
     places = load.points.positions(state)
     heights = places[:, 1]
     spread = heights - heights.mean() if len(heights) else heights

@@ -29,8 +29,9 @@ import numpy as np
 from scipy.stats import f as fisher
 from scipy.stats import t as student
 
-from spinestiff.arrays import Floats, Ints, read_only
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import FitError
+from spinestiff.imaging.features import FEATURE_SHAPE
 
 # What is averaged over: correlation length along the spine in vertebrae, and whether errors vary smoothly.
 CORRELATIONS = (
@@ -74,8 +75,8 @@ class UncertaintySettings:
             raise FitError("force_sd, push_height_sd_mm, picture_shift_sd_mm and motion_sd: wanted >= 0")
 
 
-@dataclass(frozen=True)
-class Nuisance:
+@dataclass(frozen=True, repr=False)
+class Nuisance(ShortRepr):
     """An input that is not quite known.
 
     Attributes
@@ -90,8 +91,8 @@ class Nuisance:
     sd: float
 
 
-@dataclass(frozen=True)
-class ResidualLayout:
+@dataclass(frozen=True, repr=False)
+class ResidualLayout(ShortRepr):
     """What each block of eight residuals (four corners, u and v) belongs to.
 
     Attributes
@@ -109,7 +110,7 @@ class ResidualLayout:
         set_ = object.__setattr__
         set_(self, "vertebra", read_only("vertebra", self.vertebra, (None,), FitError, np.int64))
         set_(self, "trial", read_only("trial", self.trial, (len(self.vertebra),), FitError, np.int64))
-        set_(self, "arms", read_only("arms", self.arms, (len(self.vertebra), 4, 2), FitError))
+        set_(self, "arms", read_only("arms", self.arms, (len(self.vertebra), *FEATURE_SHAPE), FitError))
 
     def channels(self, values: Floats) -> Floats:
         """Shifts along u and v and turn of each vertebra in each trial, (3, T, V, k) mm, from values (8 m, k).
@@ -122,7 +123,7 @@ class ResidualLayout:
         shift = np.zeros((2, len(self.vertebra), 4, 2))
         shift[0, :, :, 0] = shift[1, :, :, 1] = 0.5
         basis = np.stack([*shift, turn])
-        blocks = values.reshape(len(self.vertebra), 4, 2, -1)
+        blocks = values.reshape(len(self.vertebra), *FEATURE_SHAPE, -1)
         rows = np.unique(self.vertebra, return_inverse=True)[1]
         filled = np.zeros((3, int(self.trial.max()) + 1, int(rows.max()) + 1, blocks.shape[-1]))
         filled[:, self.trial, rows] = np.einsum("cmki,mkip->cmp", basis, blocks)
@@ -134,8 +135,8 @@ class ResidualLayout:
         return np.asarray(np.unique(self.vertebra), dtype=np.int64)
 
 
-@dataclass(frozen=True)
-class Uncertainty:
+@dataclass(frozen=True, repr=False)
+class Uncertainty(ShortRepr):
     """Distribution of the estimated log ratios: normal with a covariance that is itself estimated.
 
     Attributes

@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
-from spinestiff.arrays import Floats, Ints, read_only
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import RadiographError, SpinestiffError, TrackingError
 from spinestiff.imaging.silhouette import halves, rim_share
 from spinestiff.words import counted
@@ -36,13 +37,17 @@ NEAR_SQUARE = 0.1
 FEWEST_CORNERS = 3
 # A picture and a torso of the same person differ in size by far less than this factor; beyond it units are wrong.
 SIZE_LIMITS = (0.4, 2.5)
+# A vertebra in a picture: this many corners, with (u, v) each. Arrays of features are (V, *FEATURE_SHAPE).
+CORNERS = 4
+FEATURE_SHAPE = (CORNERS, 2)
+FEATURE_COUNT = 2 * CORNERS
 # Corner order: (superior 0 or inferior 1, first 0 or second 1).
 _LEVEL = np.array([0, 0, 1, 1])
 _SIDE = np.array([0, 1, 1, 0])
 
 
-@dataclass(frozen=True)
-class VertebraCorners:
+@dataclass(frozen=True, repr=False)
+class VertebraCorners(ShortRepr):
     """Corners of the vertebrae visible in one radiograph.
 
     Attributes
@@ -72,9 +77,9 @@ class VertebraCorners:
             twice = next(name for name in names if names.count(name) > 1)
             raise TrackingError(f"corners of {twice} are given more than once")
         n = len(names)
-        object.__setattr__(self, "corners", read_only("corners", self.corners, (n, 4, 2), TrackingError))
-        quality = np.ones((n, 4)) if self.quality is None else self.quality
-        quality = read_only("corner quality", quality, (n, 4), TrackingError)
+        object.__setattr__(self, "corners", read_only("corners", self.corners, (n, *FEATURE_SHAPE), TrackingError))
+        quality = np.ones((n, CORNERS)) if self.quality is None else self.quality
+        quality = read_only("corner quality", quality, (n, CORNERS), TrackingError)
         if n and (quality.min() < 0.0 or quality.max() > 1.0):
             raise TrackingError(f"corner quality {quality.min():.3g}..{quality.max():.3g}; wanted 0..1")
         object.__setattr__(self, "quality", quality)
@@ -94,8 +99,8 @@ class VertebraCorners:
         return VertebraCorners(chosen, self.corners[which], self.quality[which])
 
 
-@dataclass(frozen=True)
-class Features:
+@dataclass(frozen=True, repr=False)
+class Features(ShortRepr):
     """Features of a state, V vertebrae of the torso.
 
     Attributes
@@ -193,15 +198,15 @@ def state_features(
         lost corner does not shift the simulated against the measured box.
     """
     count = len(torso.vertebrae)
-    shares = read_only("silhouette shares", shares, (count, 4), RadiographError)
+    shares = read_only("silhouette shares", shares, (count, CORNERS), RadiographError)
     middle, half = halves(silhouette_pairs(torso, view))
     corners = (middle + shares[..., None] * half).reshape(-1, 3)
-    points = PointsOnBones(np.repeat(torso.vertebra_bones, 4), corners)
+    points = PointsOnBones(np.repeat(torso.vertebra_bones, CORNERS), corners)
     detector, jacobian = view.project_with_jacobian(points.positions(state))
-    seen = view.to_patient_plane(detector).reshape(count, 4, 2)
+    seen = view.to_patient_plane(detector).reshape(count, *FEATURE_SHAPE)
     # The patient plane's picture is the detector's, shrunk by the magnification.
     moves = (jacobian / view.magnification) @ points.jacobian(state)
-    moves = moves.reshape(count, 4, 2, 6)
+    moves = moves.reshape(count, *FEATURE_SHAPE, 6)
     boxes = reference_boxes(torso, view)
     placed = place_boxes(seen, boxes, orientation, used, torso.vertebrae)
     turned = np.einsum("vkic,vki->vc", moves, placed.angle_gradient)
@@ -211,7 +216,7 @@ def state_features(
     quarter = np.stack([-arms[..., 1], arms[..., 0]], -1)
     full = centre[:, None] + quarter[..., None] * turned[:, None, None, :]
     undetermined = near_square(boxes) if orientation == "covariance" else np.zeros(count, dtype=bool)
-    return Features(placed.z, full, detector.reshape(count, 4, 2), placed.angle, undetermined)
+    return Features(placed.z, full, detector.reshape(count, *FEATURE_SHAPE), placed.angle, undetermined)
 
 
 def target_features(
@@ -226,7 +231,7 @@ def target_features(
     """
     which = vertebra_rows(torso, corners)
     boxes = reference_boxes(torso, view)[which]
-    seen = view.to_patient_plane(corners.corners.reshape(-1, 2)).reshape(-1, 4, 2)
+    seen = view.to_patient_plane(corners.corners.reshape(-1, 2)).reshape(-1, *FEATURE_SHAPE)
     check_corners(seen, boxes, corners)
     return place_boxes(seen, boxes, orientation, corners.usable, corners.vertebrae).z
 
@@ -273,8 +278,8 @@ def check_corners(seen: Floats, boxes: Floats, corners: VertebraCorners) -> None
             )
 
 
-@dataclass(frozen=True)
-class PlacedBoxes:
+@dataclass(frozen=True, repr=False)
+class PlacedBoxes(ShortRepr):
     """Reference boxes placed on corners.
 
     Attributes
@@ -324,7 +329,7 @@ def place_boxes(
     r = (boxes - middle[:, None]) * used[..., None]
     angle, gradient = _procrustes(c, r, names)
     if orientation == "covariance":
-        complete = counts == 4
+        complete = counts == CORNERS
         # Three corners have principal axes that are not the box's: they keep the Procrustes angle.
         turned, turned_gradient = _principal(c, boxes, angle)
         angle = np.where(complete, turned, angle)

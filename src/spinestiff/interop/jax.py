@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from spinestiff.anatomy.torso import TorsoState
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.differentiable import DifferentiableEquilibrium, Pose
 from spinestiff.mechanics.sensitivity import Linearisation

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from spinestiff.anatomy.torso import TorsoState
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.mechanics.differentiable import DifferentiableEquilibrium, Pose
 from spinestiff.mechanics.sensitivity import Linearisation
 

@@ -12,17 +12,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.anatomy.torso import TorsoState
-from spinestiff.arrays import Floats, read_only
+from spinestiff.arrays import Floats, ShortRepr, read_only
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
-from spinestiff.mechanics.supports import Supports
+from spinestiff.mechanics.supports import SupportKind, Supports
 
 
-@dataclass(frozen=True)
-class ContactEquilibrium:
+@dataclass(frozen=True, repr=False)
+class ContactEquilibrium(ShortRepr):
     """An equilibrium with one-sided supports.
 
     Attributes
@@ -59,25 +59,25 @@ def solve_with_contact(
     load: LoadCase,
     ratios: StiffnessRatios | None = None,
     start: TorsoState | None = None,
-    one_sided: str = "wall",
+    one_sided: SupportKind = SupportKind.WALL,
     max_rounds: int = 40,
     one_at_a_time: bool = False,
 ) -> ContactEquilibrium:
-    """The equilibrium in which springs whose name starts with ``one_sided`` push but do not pull.
+    """The equilibrium in which springs of the kind ``one_sided`` push but do not pull.
 
     Springs that pull are released and released ones that the torso has run into are engaged, until none is left of
     either kind: all of them in a round, or, asked for or where a set of springs comes back, the one farthest off.
 
     Raises
     ------
-    EquilibriumError : no spring has such a name, an equilibrium in between is not found, or the springs do not
+    EquilibriumError : no spring is of that kind, an equilibrium in between is not found, or the springs do not
         settle within ``max_rounds``.
     """
     supports = problem.supports
-    unilateral = np.array([name.startswith(one_sided) for name in supports.names], dtype=bool)
+    unilateral = supports.of_kind(one_sided)
     if not unilateral.any():
-        known = ", ".join(dict.fromkeys(supports.names))
-        raise EquilibriumError(f"no support '{one_sided}' to be one-sided; there are {known}")
+        known = ", ".join(dict.fromkeys(map(str, supports.kinds))) or "none"
+        raise EquilibriumError(f"no support of the kind '{one_sided}' to be one-sided; there are {known}")
     stiffness = supports.springs.stiffness
     touching, seen, state = np.ones(len(unilateral), dtype=bool), set[bytes](), start
     for rounds in range(1, max_rounds + 1):
@@ -94,5 +94,5 @@ def solve_with_contact(
         one_at_a_time = one_at_a_time or (touching ^ wrong).tobytes() in seen
         touching = touching ^ (np.arange(len(off)) == np.argmax(off) if one_at_a_time else wrong)
     raise EquilibriumError(
-        f"the supports '{one_sided}' did not settle within {max_rounds} rounds of contact; reduce the force"
+        f"the supports of the kind '{one_sided}' did not settle within {max_rounds} rounds of contact; reduce the force"
     )

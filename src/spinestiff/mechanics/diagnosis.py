@@ -2,28 +2,48 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 import scipy.sparse.linalg as spla
 
 from spinestiff.anatomy.names import INTERVERTEBRAL
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import DIRECTIONS
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
+from spinestiff.errors import EquilibriumError
+from spinestiff.mechanics.assembly import ROTATION_LENGTH, Stiffness
 from spinestiff.mechanics.joints import joint_pose
-from spinestiff.mechanics.potential import ROTATION_LENGTH
+from spinestiff.mechanics.result import Equilibrium, SolveStatus
+from spinestiff.mechanics.system import System
+from spinestiff.mechanics.terms import Term
 from spinestiff.mechanics.tissue import QUADRATURE, rest_jacobians
-
-if TYPE_CHECKING:
-    from spinestiff.mechanics.equilibrium import EquilibriumProblem
 
 JOINT_AXES = ("x", "y", "z", "alpha", "beta", "gamma")
 CLINICAL = {column: name.replace("_", " ") for name, column in DIRECTIONS.items()}
 
 
+def fault_of(system: System, found: Equilibrium, stiffness: Stiffness, terms: Sequence[Term]) -> str:
+    """What is at fault where a solve ended as ``found``, in one line; empty where it converged.
+
+    An inverted start: its worst element. A saddle: the softest motion. Else residual, element and joint (``at_fault``).
+    """
+    if found.converged:
+        return ""
+    if found.status is SolveStatus.INVERTED_START:
+        return worst_element(system.torso, found.state)
+    if found.status is SolveStatus.SADDLE:
+        try:
+            return softest_motion(system, system.potential.hessian(found.state, stiffness, terms))
+        except (EquilibriumError, spla.ArpackError):
+            pass  # too near to singular for an eigenvalue
+    gradient = system.free(system.potential.gradient(found.state, stiffness, terms))
+    return at_fault(system.torso, found.state, gradient)
+
+
 def at_fault(torso: TorsoModel, state: TorsoState, gradient: Floats) -> str:
-    """Largest residual, smallest J and largest turn of a joint in one line, for the message of a solve that failed."""
+    """Largest residual, smallest J and largest turn of a joint in one line."""
     return "; ".join(
         (largest_residual(torso, state, gradient), worst_element(torso, state), largest_joint_motion(torso, state))
     )
@@ -78,7 +98,7 @@ def largest_joint_motion(torso: TorsoModel, state: TorsoState) -> str:
     return f"joint {torso.joints.names[joint]} has turned {degrees:.1f} deg, most of it about {name}"
 
 
-def softest_motion(problem: EquilibriumProblem, hessian: Floats) -> str:
+def softest_motion(system: System, hessian: Floats) -> str:
     """The softest direction of a tangent (``hessian``: values in the potential's pattern), and what moves most in it.
 
     The lowest eigenvalue, turns times 30 mm, by inverse iteration on the tangent plus the least of several stiffnesses
@@ -88,12 +108,12 @@ def softest_motion(problem: EquilibriumProblem, hessian: Floats) -> str:
     ------
     EquilibriumError : the tangent holds a value that is not finite.
     """
-    torso, dofs = problem.torso, problem.potential.dofs
+    torso, dofs = system.torso, system.potential.dofs
     scale = np.ones(dofs)
     scale[: 6 * len(torso.bone_names)].reshape(-1, 6)[:, 3:] = ROTATION_LENGTH
-    diagonal = problem.potential.pattern.indptr[:-1]  # a column of the lower triangle begins with its diagonal
+    diagonal = system.potential.pattern.indptr[:-1]  # a column of the lower triangle begins with its diagonal
     free = np.ones(dofs)
-    free[problem.held] = 0.0
+    free[system.held] = 0.0
     if not free.any():
         return "nothing can move"
     shifted, shift = np.array(hessian), 0.0
@@ -101,7 +121,7 @@ def softest_motion(problem: EquilibriumProblem, hessian: Floats) -> str:
     for power in range(-9, 7):
         shift = 10.0**power
         shifted[diagonal] = hessian[diagonal] + shift * scale**2
-        factor = problem.numeric_factor(shifted)
+        factor = system.numeric_factor(shifted)
         if factor.positive_definite:
             break
 

@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from spinestiff.anatomy.rotation import cross_matrix
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
-from spinestiff.anatomy.torso import TorsoState
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
@@ -49,24 +49,24 @@ class DifferentiableEquilibrium:
         self, problem: EquilibriumProblem, load: LoadCase, groups: Sequence[ParameterGroup], load_factor: bool = False
     ) -> None:
         self.problem, self.load, self.groups, self.load_factor = problem, load, tuple(groups), load_factor
-        self._last: Solution | None = None
+        self._last: SolvedPose | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
         """(P,) what each parameter is."""
         return (*(f"log {group.name}" for group in self.groups), *(("load factor",) if self.load_factor else ()))
 
-    def solve(self, parameters: Floats, start: TorsoState | Linearisation | None = None) -> Solution:
+    def solve(self, parameters: Floats, start: TorsoState | Linearisation | None = None) -> SolvedPose:
         """The equilibrium at ``parameters`` (P,), found from ``start`` (as in ``EquilibriumProblem.solve``).
 
         Raises
         ------
         EquilibriumError : wrong number of parameters, a value that is not finite, or no equilibrium.
         """
-        self._last = Solution(self, read_only("parameters", parameters, (len(self.names),), EquilibriumError), start)
+        self._last = SolvedPose(self, read_only("parameters", parameters, (len(self.names),), EquilibriumError), start)
         return self._last
 
-    def at(self, parameters: Floats, pose: Pose) -> Solution:
+    def at(self, parameters: Floats, pose: Pose) -> SolvedPose:
         """The equilibrium at ``parameters`` from a pose that ``solve`` gave; free if it was the last one.
 
         For frameworks that keep nothing but arrays between a function's value and its derivative.
@@ -83,7 +83,7 @@ class DifferentiableEquilibrium:
         return load, StiffnessRatios(self.groups, np.exp(parameters[:count])) if count else None
 
 
-class Solution:
+class SolvedPose:
     """One equilibrium, and its derivatives. The tangent is factorised when the first derivative is asked for.
 
     Attributes

@@ -14,13 +14,17 @@ NumPy over 67 joints costs less than compiling a kernel for them would.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from spinestiff.anatomy.rotation import cross, cross_matrix, log_so3
-from spinestiff.anatomy.torso import JointTable, TorsoState
-from spinestiff.arrays import Floats
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.stiffness import ParameterGroup
+from spinestiff.anatomy.torso import JointTable
+from spinestiff.arrays import Floats, Ints
+from spinestiff.mechanics.assembly import Place, ScaledLaw, Stiffness, Tangent, Unknowns, positive_part
 
 # Local DoF order of a joint: parent dt, dw, child dt, dw.
 PARENT_T, PARENT_W, CHILD_T, CHILD_W = (slice(3 * i, 3 * i + 3) for i in range(4))
@@ -88,6 +92,50 @@ def joint_hessians(joints: JointTable, state: TorsoState, stiffness: Floats) -> 
     """(J, 12, 12) second derivative of the energy after the update R <- exp(dw) R."""
     pose = joint_pose(joints, state)
     return _translation_hessians(pose, stiffness[:, :3]) + _rotation_hessians(pose, stiffness[:, 3:])
+
+
+class JointLaw(ScaledLaw):
+    """All joints of a table, with the stiffness ``Stiffness.joints``."""
+
+    def __init__(self, joints: JointTable) -> None:
+        self.joints = joints
+
+    def pairs(self, unknowns: Unknowns) -> Ints:
+        return np.stack([self.joints.parent, self.joints.child], 1)
+
+    def energy(self, at: Place, stiffness: Stiffness) -> tuple[float, float]:
+        return float(joint_energies(self.joints, at.state, stiffness.joints).sum()), np.inf
+
+    def add_gradient(self, at: Place, stiffness: Stiffness, gradient: Floats) -> None:
+        self._add(at, joint_gradients(self.joints, at.state, stiffness.joints), gradient)
+
+    def add_hessian(self, at: Place, stiffness: Stiffness, tangent: Tangent, offsets: Ints, project: bool) -> None:
+        parent, child = self.joints.parent, self.joints.child
+        blocks = joint_hessians(self.joints, at.state, stiffness.joints)
+        blocks = positive_part(blocks) if project else blocks
+        tangent.add(blocks[:, :6, :6].copy(), parent, parent)
+        tangent.add(blocks[:, 6:, 6:].copy(), child, child)
+        lower = np.where((parent > child)[:, None, None], blocks[:, :6, 6:], blocks[:, 6:, :6])
+        tangent.add(lower, np.maximum(parent, child), np.minimum(parent, child), offsets)
+
+    def add_shares(self, at: Place, stiffness: Stiffness, groups: Sequence[ParameterGroup], columns: Floats) -> None:
+        shares = joint_gradient_shares(self.joints, at.state, stiffness.joints)
+        for group, column in zip(groups, columns.T):
+            self._add(at, np.einsum("js,jsd->jd", group.joints, shares), column)
+
+    def share_products(
+        self, at: Place, stiffness: Stiffness, groups: Sequence[ParameterGroup], direction: Floats
+    ) -> Floats:
+        rows = at.unknowns.bone_rows(direction)
+        along = np.hstack([rows[self.joints.parent], rows[self.joints.child]])
+        shares = joint_gradient_shares(self.joints, at.state, stiffness.joints)
+        products = np.einsum("jsd,jd->js", shares, along)
+        return np.array([products[group.joints].sum() for group in groups])
+
+    def _add(self, at: Place, rows: Floats, gradient: Floats) -> None:
+        bones = at.unknowns.bone_rows(gradient)
+        np.add.at(bones, self.joints.parent, rows[:, :6])
+        np.add.at(bones, self.joints.child, rows[:, 6:])
 
 
 def _world_force_and_moment(pose: JointPose, stiffness: Floats) -> tuple[Floats, Floats]:

@@ -11,7 +11,7 @@ with a spanning tree of joints and supports over it) the stiff strains change li
     free node   displacement z in the axes of the bones around it, on top of being carried along by them:
                 x <- sum_b W_b (t_b + R_b r_b) + A z, with W harmonic weights and A their mean rotation
 
-``dx = T y`` to first order, dx as in ``anatomy.torso.retract``. T and its inverse are sweeps along the tree. The
+``dx = T y`` to first order, dx as in ``anatomy.state.retract``. T and its inverse are sweeps along the tree. The
 tangent stiffness hardly changes in these coordinates when a part of the torso turns as a whole, so that the factor of
 an earlier state goes on serving (``FrameFactor``).
 """
@@ -22,7 +22,8 @@ import numba
 import numpy as np
 
 from spinestiff.anatomy.rotation import cross, exp_so3
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.mechanics.factor import Analysis, Factor
 from spinestiff.mechanics.supports import Supports

@@ -2,52 +2,103 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from spinestiff.anatomy.names import RIBS
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
-from spinestiff.arrays import Floats, read_only
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import TorsoError
-from spinestiff.mechanics.terms import BoneBlocks, point_blocks
+from spinestiff.mechanics.terms import TermBlocks, point_blocks
 
 # A push from the patient's right drives the spine to the left: +x, positive in the paper's Table 2.
 PUSH_DIRECTION = {"right": 1.0, "left": -1.0}
 
 
-@dataclass(frozen=True)
-class LoadCase:
-    """Dead forces at material points of bones; E_ext = -f . x (paper 3.1).
+@dataclass(frozen=True, repr=False)
+class LoadCase(ShortRepr):
+    """Dead forces at material points of bones and at tissue nodes; E_ext = -f . x (paper 3.1).
 
     Attributes
     ----------
     points : (P,) points on bones.
     forces : (P, 3) N, world axes.
     label : for messages and tables.
+    nodes : (M,) free tissue nodes, as rows of ``TorsoState.tissue_positions``; see ``tissue_load``.
+    node_forces : (M, 3) N.
     """
 
     points: PointsOnBones
     forces: Floats
     label: str = ""
+    nodes: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    node_forces: Floats = field(default_factory=lambda: np.empty((0, 3)))
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "forces", read_only("forces", self.forces, (len(self.points), 3), TorsoError))
+        set_ = object.__setattr__
+        set_(self, "forces", read_only("forces", self.forces, (len(self.points), 3), TorsoError))
+        set_(self, "nodes", read_only("nodes", self.nodes, (None,), TorsoError, np.int64))
+        set_(self, "node_forces", read_only("node_forces", self.node_forces, (len(self.nodes), 3), TorsoError))
+        if len(self.nodes) and self.nodes.min() < 0:
+            raise TorsoError(f"a load acts on free node {self.nodes.min()}; wanted numbers from 0")
 
     @property
     def size(self) -> float:
         """Sum of the forces' lengths, N."""
-        return float(np.linalg.norm(self.forces, axis=1).sum())
+        return float(np.linalg.norm(np.vstack([self.forces, self.node_forces]), axis=1).sum())
+
+    @property
+    def total(self) -> Floats:
+        """(3,) N, the sum of all forces."""
+        return self.forces.sum(axis=0) + self.node_forces.sum(axis=0)
+
+    def moment(self, state: TorsoState) -> Floats:
+        """(3,) N mm, the moment of all forces about the world's origin in ``state``."""
+        on_bones = np.cross(self.points.positions(state), self.forces).sum(axis=0)
+        return on_bones + np.cross(state.tissue_positions[self.nodes], self.node_forces).sum(axis=0)
 
     def scaled(self, factor: float) -> LoadCase:
-        return replace(self, forces=factor * self.forces)
+        return replace(self, forces=factor * self.forces, node_forces=factor * self.node_forces)
 
     def energy(self, state: TorsoState) -> float:
-        return -float(np.sum(self.forces * self.points.positions(state)))
+        on_nodes = float(np.sum(self.node_forces * state.tissue_positions[self.nodes]))
+        return -float(np.sum(self.forces * self.points.positions(state))) - on_nodes
 
-    def blocks(self, state: TorsoState) -> BoneBlocks:
-        return point_blocks(self.points, state, -self.forces, None)
+    def blocks(self, state: TorsoState) -> TermBlocks:
+        on_bones = point_blocks(self.points, state, -self.forces, None)
+        curved = np.zeros((len(self.nodes), 3, 3))
+        return replace(on_bones, node=self.nodes, node_gradient=-self.node_forces, node_hessian=curved)
+
+    def _facts(self) -> Iterator[str]:
+        if self.label:
+            yield repr(self.label)
+        yield f"{self.size:.6g} N at {len(self.points)} points and {len(self.nodes)} tissue nodes"
+
+
+def tissue_load(torso: TorsoModel, nodes: Ints, forces: Floats, label: str = "") -> LoadCase:
+    """Dead ``forces`` (M, 3) N at ``nodes`` (M,) of the tissue mesh; tied ones carry theirs to their bones.
+
+    Raises
+    ------
+    TorsoError : a node that the mesh does not have.
+    """
+    mesh = torso.tissue
+    nodes = read_only("nodes", nodes, (None,), TorsoError, np.int64)
+    forces = read_only("forces", forces, (len(nodes), 3), TorsoError)
+    strange = nodes[(nodes < 0) | (nodes >= len(mesh.rest_positions))]
+    if len(strange):
+        raise TorsoError(
+            f"a load acts on tissue node {strange[0]}; the mesh has nodes 0 to {len(mesh.rest_positions) - 1}"
+        )
+    bone = mesh.bone_of_node[nodes]
+    tied, free = bone >= 0, bone < 0
+    points = PointsOnBones.at(torso.rest_pose, bone[tied], mesh.rest_positions[nodes[tied]])
+    rows = np.searchsorted(mesh.free_nodes, nodes[free])
+    return LoadCase(points, forces[tied], label, rows, forces[free])
 
 
 def no_load() -> LoadCase:

@@ -26,9 +26,9 @@ from spinestiff.anatomy.rotation import cross_matrix
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import EquilibriumError
-from spinestiff.mechanics.potential import ROTATION_LENGTH, Stiffness
+from spinestiff.mechanics.assembly import ROTATION_LENGTH, Stiffness
 from spinestiff.mechanics.supports import Supports
-from spinestiff.mechanics.terms import BoneTerm
+from spinestiff.mechanics.terms import Term
 
 # Share of the largest eigenvalue below which one counts as zero: of one connection, and of all that is left.
 ZERO, ALL_ZERO = 1e-9, 1e-11
@@ -71,21 +71,22 @@ class _Tissue(NamedTuple):
 
 
 def mechanisms(
-    torso: TorsoModel, supports: Supports, stiffness: Stiffness | None = None, terms: Sequence[BoneTerm] = ()
+    torso: TorsoModel, supports: Supports, stiffness: Stiffness | None = None, terms: Sequence[Term] = ()
 ) -> tuple[Mechanism, ...]:
     """All mechanisms of a torso at rest on its supports: loose nodes, free pieces, then what moves inside.
 
     Parameters
     ----------
     stiffness : which joint axes and which elements have any; default: the torso's own.
-    terms : further energies of bones, e.g. image terms; what they curve at rest, either way, counts as resisted.
+    terms : further energies of bones and nodes, e.g. image terms; what they curve at rest, either way, counts as
+        resisted.
     """
     system = _System(torso, supports, stiffness, terms)
     return (*system.loose_nodes(), *system.free_pieces(), *system.inner())
 
 
 def require_no_mechanism(
-    torso: TorsoModel, supports: Supports, stiffness: Stiffness | None = None, terms: Sequence[BoneTerm] = ()
+    torso: TorsoModel, supports: Supports, stiffness: Stiffness | None = None, terms: Sequence[Term] = ()
 ) -> None:
     """Raise EquilibriumError, in one line that names bones and joints, if there is a mechanism."""
     found = mechanisms(torso, supports, stiffness, terms)
@@ -100,7 +101,7 @@ class _System:
     """Bodies: bones, then pieces of tissue, then the ground."""
 
     def __init__(
-        self, torso: TorsoModel, supports: Supports, stiffness: Stiffness | None, terms: Sequence[BoneTerm]
+        self, torso: TorsoModel, supports: Supports, stiffness: Stiffness | None, terms: Sequence[Term]
     ) -> None:
         self.torso, self.supports = torso, supports
         rest, mesh = torso.rest_pose, torso.tissue
@@ -117,7 +118,7 @@ class _System:
         node, piece = np.divmod(np.unique(self.tissue.elements * count + self.tissue.piece[:, None]), count)
         piece += self.bones
         owner = mesh.bone_of_node[node]
-        first_piece = np.full(len(mesh.bone_of_node), self.ground)
+        self.first_piece = first_piece = np.full(len(mesh.bone_of_node), self.ground)
         np.minimum.at(first_piece, node, piece)
         tied, touching = owner >= 0, (owner < 0) & (first_piece[node] != piece)
         self.tied_bone, self.tied_node = owner[tied], node[tied]
@@ -324,16 +325,20 @@ class _System:
         bones = np.concatenate([bone, springs.points.bone[stiff]])
         return _Links(bones, np.full(len(bones), self.ground), rows[:, :, None] * rows[:, None, :])
 
-    def _term_links(self, term: BoneTerm) -> _Links:
+    def _term_links(self, term: Term) -> _Links:
         blocks = term.blocks(self.torso.rest_pose)
         scale = np.array([1.0, 1.0, 1.0, *3 * [1.0 / ROTATION_LENGTH]])
         carried = np.tile(np.eye(6), (len(blocks.bone), 1, 1))
         arms = self.torso.rest_pose.bone_positions[blocks.bone] - self.middle
         carried[:, :3, 3:] = -cross_matrix(arms) / ROTATION_LENGTH
-        resist = _range(scale[:, None] * blocks.hessian * scale)
-        return _Links(
-            blocks.bone, np.full(len(blocks.bone), self.ground), np.swapaxes(carried, 1, 2) @ resist @ carried
-        )
+        resist = np.swapaxes(carried, 1, 2) @ _range(scale[:, None] * blocks.hessian * scale) @ carried
+        mesh = self.torso.tissue
+        nodes = mesh.free_nodes[blocks.node]
+        carried = np.tile(np.eye(3, 6), (len(nodes), 1, 1))
+        carried[:, :, 3:] = -cross_matrix(mesh.rest_positions[nodes] - self.middle) / ROTATION_LENGTH
+        resist = np.concatenate([resist, np.swapaxes(carried, 1, 2) @ _range(blocks.node_hessian) @ carried])
+        body = np.concatenate([blocks.bone, self.first_piece[nodes]])
+        return _Links(body, np.full(len(body), self.ground), resist)
 
 
 def _stiff_tissue(torso: TorsoModel, stiffness: Stiffness | None) -> _Tissue:

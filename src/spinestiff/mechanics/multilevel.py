@@ -31,7 +31,7 @@ def corner_prolongation(potential: Potential) -> sp.csr_array:
 
     An end that is tied moves with its bone, to first order about the rest pose.
     """
-    torso, bones, free = potential.torso, 6 * potential.bones, potential.free
+    torso, bones, free = potential.torso, 6 * potential.bones, potential.unknowns.free
     mesh = torso.tissue
     ends = np.full((len(mesh.rest_positions), 2), -1)
     for middle, (a, b) in enumerate(TET10_EDGES[: mesh.elements.shape[1] - 4], start=4):
@@ -40,7 +40,7 @@ def corner_prolongation(potential: Potential) -> sp.csr_array:
     own_row, coarse = np.full(len(ends), -1), np.full(len(ends), -1)
     own_row[free], coarse[corner] = bones + 3 * np.arange(len(free)), bones + 3 * np.arange(len(corner))
     arms = np.zeros((len(ends), 3))
-    arms[potential.tied] = potential.tied_points.arms(torso.rest_pose)
+    arms[potential.unknowns.tied] = potential.unknowns.tied_points.arms(torso.rest_pose)
     diagonal = np.arange(bones)
     rows, columns, values = [diagonal], [diagonal], [np.ones(bones)]
 

@@ -16,25 +16,21 @@ Three things make them few and cheap:
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import eigvalsh_tridiagonal
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.anatomy.torso import TorsoState
-from spinestiff.arrays import Floats, Ints
+from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
-from spinestiff.mechanics import diagnosis
+from spinestiff.mechanics.assembly import ROTATION_LENGTH
 from spinestiff.mechanics.factor import Factor, symmetric_product
 from spinestiff.mechanics.kinematics import Frame, FrameFactor
 from spinestiff.mechanics.loads import LoadCase
-from spinestiff.mechanics.potential import ROTATION_LENGTH
-from spinestiff.mechanics.solution import Equilibrium, NewtonStep, Observer, SolveStatus
+from spinestiff.mechanics.result import Equilibrium, NewtonStep, OnNewtonStep, SolveStatus
+from spinestiff.mechanics.system import System
 from spinestiff.mechanics.terms import PredictedSprings
-
-if TYPE_CHECKING:
-    from spinestiff.mechanics.equilibrium import EquilibriumProblem
 
 LARGEST_TURN = 0.5  # rad in one step
 LARGEST_MOVE = 100.0  # mm in one step
@@ -60,16 +56,16 @@ class Run:
 
     def __init__(
         self,
-        problem: EquilibriumProblem,
+        system: System,
         ratios: StiffnessRatios | None,
-        observer: Observer | None,
+        observer: OnNewtonStep | None,
         max_iterations: int,
         tolerance: float | None,
         always_factorise: bool = False,
     ) -> None:
-        self.problem = problem
-        self.potential = problem.potential
-        self.stiffness = problem.potential.stiffness(ratios)
+        self.system = system
+        self.potential = system.potential
+        self.stiffness = system.potential.stiffness(ratios)
         self.max_iterations = max_iterations
         self.factorisations = 0
         self.history: list[NewtonStep] = []
@@ -81,7 +77,7 @@ class Run:
         self._observer = observer
         self._cancelled = False
         self._always_factorise = always_factorise
-        problem.require_held(self.stiffness)
+        system.require_held(self.stiffness)
 
     def wants_more(self, found: Equilibrium) -> bool:
         return found.status is not SolveStatus.CONVERGED and not self._cancelled
@@ -92,7 +88,7 @@ class Run:
         if not at.smallest_j > 0.0:
             return at.ended(SolveStatus.INVERTED_START)
         predicted: Floats | None = None
-        springs = self.problem.supports.springs
+        springs = self.system.supports.springs
         chord = Chord(at)
         rough = False  # an indefinite tangent was met
         for iteration in range(self.max_iterations + 1):
@@ -130,7 +126,7 @@ class Run:
 
     def in_steps(self, load: LoadCase) -> Equilibrium:
         """The load in four steps; ends with the first that fails, seen under the whole load."""
-        state = self.problem.torso.rest_pose
+        state = self.system.torso.rest_pose
         for share in (0.25, 0.5, 0.75, 1.0):
             found = self.newton(load.scaled(share), state)
             state = found.state
@@ -164,18 +160,18 @@ class Run:
         return at.ended(SolveStatus.ITERATION_LIMIT, self.max_iterations)
 
     def tolerance(self, load: LoadCase) -> float:
-        return self.problem.tolerance(load) if self._tolerance is None else self._tolerance
+        return self.system.tolerance(load) if self._tolerance is None else self._tolerance
 
     def _factor(self, at: Point, predicted: Floats | None) -> tuple[FrameFactor, bool]:
         terms = at.terms
         if predicted is not None:
-            springs = self.problem.supports.springs
+            springs = self.system.supports.springs
             terms = tuple(PredictedSprings(springs, predicted) if term is springs else term for term in terms)
         exact = self.potential.hessian(at.state, self.stiffness, terms)
         factor = self._numeric(exact)
         if factor.positive_definite:
             self._projection = 1.0
-            return FrameFactor(at.frame, factor, self.problem.held), False
+            return FrameFactor(at.frame, factor, self.system.held), False
         # All of the projection is far too stiff on a long way down; while that lasts, half as much is tried each time.
         projected = self.potential.hessian(at.state, self.stiffness, terms, project=True)
         while True:
@@ -184,11 +180,11 @@ class Run:
             if factor.positive_definite or share == 1.0:
                 break
             self._projection = min(1.0, 2.0 * share)
-        return FrameFactor(at.frame, factor, self.problem.held, projected=True), True
+        return FrameFactor(at.frame, factor, self.system.held, projected=True), True
 
     def _numeric(self, values: Floats) -> Factor:
         self.factorisations += 1
-        return self.problem.numeric_factor(values)
+        return self.system.numeric_factor(values)
 
     def _admissible(self, at: Point, y: Floats) -> tuple[float, Point | None]:
         # The whole step, or as much of it as no element loses most of its volume over.
@@ -230,7 +226,7 @@ class Run:
             pass  # its own factor has to tell
         try:
             self.factorisations += 1
-            self.tangent = self.problem.factorise(at.state, self.stiffness, at.terms)
+            self.tangent = self.system.factorise(at.state, self.stiffness, at.terms)
         except EquilibriumError:
             return SolveStatus.SADDLE
         return SolveStatus.CONVERGED if self.tangent.positive_definite else SolveStatus.SADDLE
@@ -240,11 +236,11 @@ class Run:
 
         The coefficients of conjugate gradients on K with K0 as preconditioner give Lanczos' tridiagonal matrix.
         """
-        potential, held = self.potential, self.problem.held
+        potential, free = self.potential, self.system.free
         pattern, values = potential.pattern, potential.hessian(at.state, self.stiffness, at.terms)
         size = np.ones(potential.dofs)
         size[: 6 * potential.bones].reshape(-1, 6)[:, 3:] = ROTATION_LENGTH
-        r = at.frame.pull(_masked(size * np.random.default_rng(0).normal(size=potential.dofs), held))
+        r = at.frame.pull(free(size * np.random.default_rng(0).normal(size=potential.dofs)))
         z = factor.apply(r)
         p, rz = z, float(r @ z)
         if rz == 0.0:
@@ -254,7 +250,7 @@ class Run:
         carried = 0.0  # beta / alpha of the step before
         while True:
             product = symmetric_product(pattern.indptr, pattern.indices, values, at.frame.to_world(p))
-            kp = at.frame.pull(_masked(product, held))
+            kp = at.frame.pull(free(product))
             curvature = float(p @ kp)
             if not (curvature > 0.0 and rz > 0.0):
                 return 0.0
@@ -291,20 +287,21 @@ class Point:
         smallest_j: float = np.nan,
     ) -> None:
         self._run, self.load, self.state = run, load, state
-        problem = run.problem
-        self.terms = problem.all_terms(load)
+        system = run.system
+        self.terms = system.all_terms(load)
         if energy is None:
             energy, smallest_j = run.potential.energy(state, run.stiffness, self.terms)
         self.energy, self.smallest_j = energy, smallest_j
         self.tolerance = run.tolerance(load)
         self.residual = np.inf
         if smallest_j > 0.0:
-            self.gradient, self.full = problem.free_gradient(state, run.stiffness, self.terms)
-            self.residual = problem.residual_norm(self.gradient)
+            self.full = run.potential.gradient(state, run.stiffness, self.terms)
+            self.gradient = system.free(self.full)
+            self.residual = system.residual_norm(self.gradient)
 
     @cached_property
     def frame(self) -> Frame:
-        return self._run.problem.kinematics.at(self.state)
+        return self._run.system.kinematics.at(self.state)
 
     @cached_property
     def force(self) -> Floats:
@@ -313,26 +310,13 @@ class Point:
 
     def ended(self, status: SolveStatus, iteration: int | None = None) -> Equilibrium:
         """The result with this as its last state."""
-        run, torso = self._run, self._run.problem.torso
+        run = self._run
         if iteration is not None and run._note(iteration, self, 0.0, False, False):
             status = status if status is SolveStatus.CONVERGED else SolveStatus.CANCELLED
-        fault = ""
-        if status is SolveStatus.INVERTED_START:
-            fault = diagnosis.worst_element(torso, self.state)
-        elif status is not SolveStatus.CONVERGED:
-            fault = diagnosis.at_fault(torso, self.state, self.gradient)
         full = self.full if self.smallest_j > 0.0 else np.zeros(run.potential.dofs)
+        reactions = run.system.reactions(self.state, full)
         return Equilibrium(
-            self.state,
-            status,
-            self.energy,
-            self.residual,
-            self.tolerance,
-            run.problem.reactions(self.state, full),
-            (),
-            0,
-            self.smallest_j,
-            fault,
+            self.state, status, self.energy, self.residual, self.tolerance, reactions, (), 0, self.smallest_j
         )
 
 
@@ -357,12 +341,6 @@ class Chord:
             return False
         rate = np.log(self.best.residual / self._start.residual) / self._steps
         return bool(rate >= 0.0 or np.log(at.tolerance / at.residual) < CHORD_STEPS * rate)
-
-
-def _masked(values: Floats, held: Ints) -> Floats:
-    values = values.copy()
-    values[held] = 0.0
-    return values
 
 
 def _capped(direction: Floats, bones: int) -> Floats:

@@ -11,21 +11,17 @@ for log ratios k = log xi, which scale a force share f_xi by itself: d(dE/dx)/d 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-import numpy as np
-
+from spinestiff.anatomy.state import TorsoState, state_digest
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
-from spinestiff.anatomy.torso import TorsoState, state_digest
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.factor import Factor
 from spinestiff.mechanics.kinematics import FrameFactor
 from spinestiff.mechanics.loads import LoadCase
-
-if TYPE_CHECKING:
-    from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
-    from spinestiff.mechanics.terms import BoneTerm
+from spinestiff.mechanics.result import Equilibrium
+from spinestiff.mechanics.system import System
+from spinestiff.mechanics.terms import Term
 
 # Above this relative residual a derivative is as wrong as the state (measured: error ~ residual).
 LARGEST_RELATIVE_RESIDUAL = 1e-8
@@ -45,26 +41,26 @@ class Linearisation:
 
     def __init__(
         self,
-        problem: EquilibriumProblem,
+        system: System,
         equilibrium: Equilibrium,
         load: LoadCase,
         ratios: StiffnessRatios | None,
         tangent: Factor | None = None,
     ) -> None:
         equilibrium.require()
-        self._problem = problem
+        self._system = system
         self._state = equilibrium.state
         self._digest = state_digest(equilibrium.state)
-        self._stiffness = problem.potential.stiffness(ratios)
-        terms = problem.all_terms(load)
-        gradient, _ = problem.free_gradient(self._state, self._stiffness, terms)
-        residual = problem.residual_norm(gradient)
-        if residual > max(LARGEST_RELATIVE_RESIDUAL * load.size, problem.tolerance(load)):
+        self._stiffness = system.potential.stiffness(ratios)
+        terms = system.all_terms(load)
+        gradient = system.potential.gradient(self._state, self._stiffness, terms)
+        residual = system.residual_norm(system.free(gradient))
+        if residual > max(LARGEST_RELATIVE_RESIDUAL * load.size, system.tolerance(load)):
             raise EquilibriumError(
                 f"no derivative at a residual of {residual:.1e} N under {load.size:.0f} N: "
                 "the state, load and ratios do not belong together"
             )
-        self._factor = tangent or problem.factorise(self._state, self._stiffness, terms)
+        self._factor = tangent or system.factorise(self._state, self._stiffness, terms)
         if not self._factor.positive_definite:
             raise EquilibriumError("no derivative at a state that is no energy minimum (indefinite tangent)")
 
@@ -73,19 +69,17 @@ class Linearisation:
         return self._state
 
     @property
-    def problem(self) -> EquilibriumProblem:
-        return self._problem
+    def system(self) -> System:
+        return self._system
 
     def new_frame_factor(self) -> FrameFactor:
         """The factor, for use at other states (``EquilibriumProblem.solve``). Each learns for itself."""
-        frame = self._problem.kinematics.at(self._state)
-        return FrameFactor(frame, self._factor, self._problem.held)
+        frame = self._system.kinematics.at(self._state)
+        return FrameFactor(frame, self._factor, self._system.held)
 
     def solve(self, rhs: Floats) -> Floats:
         """K^-1 rhs, (dofs,) or (dofs, k); rows of held DoFs are zero."""
-        free = np.array(rhs, dtype=float)
-        free[self._problem.held] = 0.0
-        return self._factor.solve(free, LINEAR_RESIDUAL)
+        return self._factor.solve(self._system.free(rhs), LINEAR_RESIDUAL)
 
     def forward(self, groups: Sequence[ParameterGroup]) -> Floats:
         """(dofs, P) d x / d log ratio of each group (Eq. 6)."""
@@ -93,19 +87,16 @@ class Linearisation:
 
     def adjoint(self, gradient: Floats, groups: Sequence[ParameterGroup]) -> Floats:
         """(P,) d L / d log ratio for ``gradient`` = dL/dx, (dofs,) (Eq. 7). One solve for any number of groups."""
-        products = self._problem.potential.ratio_products
+        products = self._system.potential.ratio_products
         return -products(self._state, self._stiffness, groups, self.solve(gradient))
 
-    def load_derivative(self, change: BoneTerm) -> Floats:
+    def load_derivative(self, change: Term) -> Floats:
         """(dofs,) d x / d s for a load that grows as load + s * ``change``."""
-        blocks = change.blocks(self._state)
-        rhs = np.zeros(self._problem.potential.dofs)
-        np.add.at(rhs[: 6 * self._problem.potential.bones].reshape(-1, 6), blocks.bone, -blocks.gradient)
-        return self.solve(rhs)
+        return -self.solve(self._system.potential.term_gradient(change, self._state))
 
     def belongs_to(self, state: TorsoState) -> bool:
         """Whether this is the linearisation at ``state``."""
         return state_digest(state) == self._digest
 
     def _ratio_gradients(self, groups: Sequence[ParameterGroup]) -> Floats:
-        return self._problem.potential.ratio_gradients(self._state, self._stiffness, groups)
+        return self._system.potential.ratio_gradients(self._state, self._stiffness, groups)

@@ -2,47 +2,71 @@
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass
 
 import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.arrays import Floats, read_only
+from spinestiff.arrays import Floats, ShortRepr, read_only
 from spinestiff.errors import TorsoError
 from spinestiff.mechanics.terms import PointSprings
 
+
+class SupportKind(enum.StrEnum):
+    """What a support stands for: held degrees of freedom of a bone, a shoulder's pad, the back wall, another spring."""
+
+    HELD = "held"
+    SHOULDER = "shoulder"
+    WALL = "wall"
+    SPRING = "spring"
+
+
 # N/mm; stiff against the torso (tens of N/mm). 25 N, the most that was seen, move the shoulder by 0.03 mm, and the back
 # by 0.25 mm at one of its points, to the front or rear: less than the skin between bone and wall gives way.
-SHOULDER_STIFFNESS, WALL_STIFFNESS = 1e3, 1e2
+SPRING_STIFFNESS: dict[SupportKind, float] = {SupportKind.SHOULDER: 1e3, SupportKind.WALL: 1e2}
 
 
-@dataclass(frozen=True)
-class Supports:
+@dataclass(frozen=True, repr=False)
+class Supports(ShortRepr):
     """Held degrees of freedom and springs to the ground.
 
     Attributes
     ----------
     held : (B, 6) bool, bone DoFs (dt, dw; world axes) that stay where a solve's start has them: at rest by default.
     springs : points held along a direction.
-    names : (S,) what each spring stands for.
+    names : (S,) what each spring holds, for messages.
+    kinds : (S,) what each spring stands for; none given: ``SupportKind.SPRING`` for all.
     """
 
     held: np.ndarray
     springs: PointSprings
     names: tuple[str, ...]
+    kinds: tuple[SupportKind, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "held", read_only("held", self.held, (None, 6), TorsoError, bool))
-        if len(self.names) != len(self.springs.points):
-            raise TorsoError(f"{len(self.springs.points)} support springs but {len(self.names)} names")
+        count = len(self.springs.points)
+        object.__setattr__(self, "kinds", self.kinds or (SupportKind.SPRING,) * count)
+        for what, found in (("names", self.names), ("kinds", self.kinds)):
+            if len(found) != count:
+                raise TorsoError(f"{count} support springs but {len(found)} {what}")
+
+    def of_kind(self, kind: SupportKind) -> np.ndarray:
+        """(S,) bool, springs of a kind."""
+        return np.array([own is kind for own in self.kinds], dtype=bool)
 
 
 @dataclass(frozen=True)
 class Reaction:
-    """What one support exerts on the torso: force (3,) N and moment (3,) N mm about ``point`` (3,) mm."""
+    """What one support exerts on the torso: force (3,) N and moment (3,) N mm about ``point`` (3,) mm.
+
+    ``name``: of what is held, e.g. the bone; ``kind``: what the support stands for.
+    """
 
     name: str
+    kind: SupportKind
     point: Floats
     force: Floats
     moment: Floats
@@ -67,12 +91,13 @@ def three_point_supports(torso: TorsoModel, side: str, pelvis: str = "hinge", wa
     held[torso.bone("pelvis")] = (True, True, True, True, True, pelvis == "clamp")
     opposite = "right" if side == "left" else "left"
     shoulder = torso.landmarks["humerus_head"][[("left", "right").index(opposite)]]
-    rows = [(f"shoulder_{opposite}", shoulder, 0)]
+    rows = [(SupportKind.SHOULDER, shoulder, 0)]
     if wall:
         back = torso.landmarks["wall"]
-        rows += [(f"wall_{torso.bone_names[back.bone[i]]}", back[[i]], 2) for i in range(len(back))]
+        rows += [(SupportKind.WALL, back[[i]], 2) for i in range(len(back))]
+    kinds = tuple(kind for kind, _, _ in rows)
     points = PointsOnBones(np.concatenate([p.bone for _, p, _ in rows]), np.concatenate([p.offset for _, p, _ in rows]))
     directions = np.eye(3)[[axis for _, _, axis in rows]]
-    stiffness = np.array([WALL_STIFFNESS if name.startswith("wall") else SHOULDER_STIFFNESS for name, _, _ in rows])
+    stiffness = np.array([SPRING_STIFFNESS[kind] for kind in kinds])
     springs = PointSprings(points, points.positions(torso.rest_pose), directions, stiffness)
-    return Supports(held, springs, tuple(name for name, _, _ in rows))
+    return Supports(held, springs, tuple(torso.bone_names[bone] for bone in points.bone), kinds)

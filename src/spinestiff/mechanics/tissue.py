@@ -10,14 +10,18 @@ per-element functions in float64 without shared writes. An inverted point (J <= 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numba
 import numpy as np
 
+from spinestiff.anatomy.points import rotation_second_derivative
+from spinestiff.anatomy.stiffness import ParameterGroup
 from spinestiff.anatomy.torso import TET10_EDGES, TissueMesh
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import TorsoError
+from spinestiff.mechanics.assembly import Place, ScaledLaw, Stiffness, Tangent, Unknowns
 
 # Four points, exact for quadratics (Hammer, Marlowe and Stroud 1956); one point for the linear element.
 _A, _B = 0.5854101966249685, 0.1381966011250105
@@ -241,6 +245,139 @@ def projected_element_hessians(x: Floats, data: ElementData, mu: Floats, lam: Fl
     flat = factor.reshape(t, 3 * n, 9 * data.weights.shape[1])
     full = (flat @ np.swapaxes(flat, 1, 2)).reshape(t, n, 3, n, 3).transpose(0, 1, 3, 2, 4)
     return np.ascontiguousarray(full[:, *np.tril_indices(n)])
+
+
+@numba.njit(cache=True)
+def _scatter_elements(data, indptr, hessians, elements, entity, first_dof, arms, bones, offsets):  # type: ignore[no-untyped-def]
+    """Add element Hessians (T, pairs, 3, 3) as ``element_hessians``, pulling tied nodes back to their bones.
+
+    A tied node moves by dt - [arm]x dw, so its rows become [K; [arm]x K] and its columns [K, -K [arm]x].
+    """
+    n = elements.shape[1]
+    block = np.empty((6, 6))
+    for t in range(len(elements)):
+        pair = 0
+        for a in range(n):
+            for b in range(a + 1):
+                node_a, node_b = elements[t, a], elements[t, b]
+                row, column = entity[node_a], entity[node_b]
+                swap = row < column
+                if swap:
+                    node_a, node_b, row, column = node_b, node_a, column, row
+                rows = 6 if row < bones else 3
+                columns = 6 if column < bones else 3
+                for i in range(3):
+                    for j in range(3):
+                        block[i, j] = hessians[t, pair, j, i] if swap else hessians[t, pair, i, j]
+                if rows == 6:
+                    x, y, z = arms[node_a, 0], arms[node_a, 1], arms[node_a, 2]
+                    for j in range(3):
+                        block[3, j] = y * block[2, j] - z * block[1, j]
+                        block[4, j] = z * block[0, j] - x * block[2, j]
+                        block[5, j] = x * block[1, j] - y * block[0, j]
+                if columns == 6:
+                    x, y, z = arms[node_b, 0], arms[node_b, 1], arms[node_b, 2]
+                    for i in range(rows):
+                        block[i, 3] = y * block[i, 2] - z * block[i, 1]
+                        block[i, 4] = z * block[i, 0] - x * block[i, 2]
+                        block[i, 5] = x * block[i, 1] - y * block[i, 0]
+                offset = offsets[t, pair]
+                pair += 1
+                for k in range(columns):
+                    base = indptr[first_dof[column] + k] + offset - k
+                    if row == column:
+                        for r in range(k, rows):
+                            # Nodes a and b of one bone couple twice: K_ab and its transpose.
+                            data[base + r] += block[r, k] if a == b else block[r, k] + block[k, r]
+                    else:
+                        for r in range(rows):
+                            data[base + r] += block[r, k]
+
+
+@numba.njit(cache=True)
+def _add_to_nodes(nodes, elements, parts, mu, lambda_):  # type: ignore[no-untyped-def]
+    for t in range(len(elements)):
+        for a in range(elements.shape[1]):
+            for i in range(3):
+                nodes[elements[t, a], i] += mu[t] * parts[t, 0, a, i] + lambda_[t] * parts[t, 1, a, i]
+
+
+class TissueLaw(ScaledLaw):
+    """The tissue of a mesh, with the moduli ``Stiffness.mu`` and ``Stiffness.lambda_`` of its deformable elements."""
+
+    def __init__(self, mesh: TissueMesh) -> None:
+        self.data, self.count = element_data(mesh), len(mesh.elements)
+
+    def pairs(self, unknowns: Unknowns) -> Ints:
+        a, b = np.tril_indices(self.data.elements.shape[1])
+        entities = unknowns.entity[self.data.elements]
+        return np.stack([entities[:, a], entities[:, b]], -1).reshape(-1, 2)
+
+    def energy(self, at: Place, stiffness: Stiffness) -> tuple[float, float]:
+        d = self.data
+        energy, smallest = element_energies(at.nodes, d.elements, d.gradients, d.weights)
+        j = float(smallest.min(initial=np.inf))
+        if not j > 0.0:
+            return np.inf, j
+        return float(stiffness.mu @ energy[:, 0] + stiffness.lambda_ @ energy[:, 1]), j
+
+    def add_gradient(self, at: Place, stiffness: Stiffness, gradient: Floats) -> None:
+        at.add_nodal(self._nodal_gradient(at, stiffness), gradient)
+
+    def add_hessian(self, at: Place, stiffness: Stiffness, tangent: Tangent, offsets: Ints, project: bool) -> None:
+        d, of = self.data, at.unknowns
+        if project:
+            elements = projected_element_hessians(at.nodes, d, stiffness.mu, stiffness.lambda_)
+        else:
+            elements = element_hessians(at.nodes, d.elements, d.gradients, d.weights, stiffness.mu, stiffness.lambda_)
+        arms = np.zeros_like(at.nodes)
+        arms[of.tied] = at.tied_arms
+        nodes = d.elements.shape[1]
+        places = offsets.reshape(len(d.elements), nodes * (nodes + 1) // 2)
+        _scatter_elements(
+            tangent.values,
+            tangent.pattern.indptr,
+            elements,
+            d.elements,
+            of.entity,
+            of.first_dof,
+            arms,
+            of.bones,
+            places,
+        )
+        turning = rotation_second_derivative(self._nodal_gradient(at, stiffness)[of.tied], at.tied_arms)
+        np.add.at(tangent.bones[:, 3:, 3:], of.tied_points.bone, turning)
+
+    def add_shares(self, at: Place, stiffness: Stiffness, groups: Sequence[ParameterGroup], columns: Floats) -> None:
+        d = self.data
+        parts = element_gradients(at.nodes, d.elements, d.gradients, d.weights)
+        for group, column in zip(groups, columns.T):
+            if group.mu or group.lambda_:
+                at.add_nodal(self._assembled(at, parts, *self._moduli(group, stiffness)), column)
+
+    def share_products(
+        self, at: Place, stiffness: Stiffness, groups: Sequence[ParameterGroup], direction: Floats
+    ) -> Floats:
+        d = self.data
+        parts = element_gradient_products(at.nodes, d.elements, d.gradients, d.weights, at.nodal_motion(direction))
+        moduli = [self._moduli(group, stiffness) for group in groups]
+        return np.array([mu @ parts[:, 0] + lambda_ @ parts[:, 1] for mu, lambda_ in moduli])
+
+    def _moduli(self, group: ParameterGroup, stiffness: Stiffness) -> tuple[Floats, Floats]:
+        """(T,) each, the moduli that a group scales; zero where it does not."""
+        inside = group.elements_of(self.count)[self.data.number]
+        return group.mu * inside * stiffness.mu, group.lambda_ * inside * stiffness.lambda_
+
+    def _nodal_gradient(self, at: Place, stiffness: Stiffness) -> Floats:
+        d = self.data
+        parts = element_gradients(at.nodes, d.elements, d.gradients, d.weights)
+        return self._assembled(at, parts, stiffness.mu, stiffness.lambda_)
+
+    def _assembled(self, at: Place, parts: Floats, mu: Floats, lambda_: Floats) -> Floats:
+        """Element gradients per unit mu and lambda (T, 2, n, 3), times the moduli, summed to nodes (N, 3)."""
+        nodes = np.zeros_like(at.nodes)
+        _add_to_nodes(nodes, self.data.elements, parts, mu, lambda_)
+        return nodes
 
 
 def smallest_nodal_jacobian(rest: Floats, x: Floats, elements: Ints) -> float:

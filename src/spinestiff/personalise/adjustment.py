@@ -19,7 +19,7 @@ by. The covariance is the inverse of the Gauss-Newton Hessian at the end.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +27,7 @@ import numpy as np
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import FitError
+from spinestiff.observer import Observer
 from spinestiff.personalise.image_terms import UNKNOWNS, VIEW_UNKNOWNS, ImagePoints, Shape
 from spinestiff.personalise.prior import ElasticPrior, own_precision
 
@@ -47,8 +48,6 @@ SOFT = 0.02
 PEDICLE_SD = 1.0
 # mm, or rad times 30 mm: while annealing, and at the end.
 SMALL_STEP, SMALLEST_STEP = 0.1, 1e-3
-
-Observer = Callable[[str], None]
 
 
 @dataclass(frozen=True)

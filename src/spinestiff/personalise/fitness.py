@@ -11,6 +11,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import (
+    FEATURE_SHAPE,
     FEWEST_CORNERS,
     VertebraCorners,
     check_corners,
@@ -59,7 +60,9 @@ def vertebra_fits(
     rest = torso.rest_pose
     rows, used = vertebra_rows(torso, corners), corners.usable
     simulated = state_features(torso, view, rest, silhouette_shares(torso, view, rest)).corners[rows]
-    seen, shown = (view.to_patient_plane(c.reshape(-1, 2)).reshape(-1, 4, 2) for c in (corners.corners, simulated))
+    seen, shown = (
+        view.to_patient_plane(c.reshape(-1, 2)).reshape(-1, *FEATURE_SHAPE) for c in (corners.corners, simulated)
+    )
     error2 = np.sum((shown - seen) ** 2, axis=2)
     trusted = np.zeros(used.shape, dtype=bool)
     trusted[used] = weights >= WRONG_WEIGHT
@@ -99,7 +102,7 @@ def check_pictures(
         if not len(corners):
             raise TrackingError(f"no vertebra is annotated in the {name} radiograph")
         boxes = reference_boxes(torso, view)[vertebra_rows(torso, corners)]
-        seen = view.to_patient_plane(corners.corners.reshape(-1, 2)).reshape(-1, 4, 2)
+        seen = view.to_patient_plane(corners.corners.reshape(-1, 2)).reshape(-1, *FEATURE_SHAPE)
         bad: list[TrackingError] = []
         for i, vertebra in enumerate(corners.vertebrae):
             usable = int(corners.usable[i].sum())

@@ -19,8 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from spinestiff.anatomy.rotation import cross_matrix
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
-from spinestiff.arrays import Floats, Ints, read_only
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import VertebraCorners, depth_axis, silhouette_pairs, vertebra_rows
 from spinestiff.imaging.projection import XRayView
@@ -35,8 +36,8 @@ UNKNOWNS = 15
 VIEW_UNKNOWNS = 4
 
 
-@dataclass(frozen=True)
-class PediclePoints:
+@dataclass(frozen=True, repr=False)
+class PediclePoints(ShortRepr):
     """Centres of pedicles marked in one radiograph.
 
     Attributes
@@ -64,8 +65,8 @@ class PediclePoints:
         object.__setattr__(self, "points", points)
 
 
-@dataclass(frozen=True)
-class Shape:
+@dataclass(frozen=True, repr=False)
+class Shape(ShortRepr):
     """The vertebrae as a fit moves them.
 
     positions (V, 3) mm, rotations (V, 3, 3), log_sizes (V, 3), pedicles (V, 3) mm, tapers (V, 3): see ``UNKNOWNS``.
@@ -98,8 +99,8 @@ class _Seen(NamedTuple):
         return np.asarray(self.middle + self.share[:, None] * self.half)
 
 
-@dataclass(frozen=True)
-class ImagePoints:
+@dataclass(frozen=True, repr=False)
+class ImagePoints(ShortRepr):
     """Annotated points of one view and what they are on a torso.
 
     Attributes

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spinestiff.anatomy.rotation import cross_matrix, exp_so3
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import (

@@ -18,9 +18,10 @@ import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import log_so3
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
-from spinestiff.arrays import Floats
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load
 from spinestiff.mechanics.supports import Supports
@@ -43,8 +44,8 @@ PERSON_PEDICLE_SD, OWN_PEDICLE_SD = 2.0, 1.0
 PERSON_TAPER_SD, OWN_TAPER_SD = 0.03, 0.03
 
 
-@dataclass(frozen=True)
-class ElasticPrior:
+@dataclass(frozen=True, repr=False)
+class ElasticPrior(ShortRepr):
     """The condensed energy over ``ENERGY_SCALE``, around poses.
 
     Attributes

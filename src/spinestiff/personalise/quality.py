@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spinestiff.anatomy.torso import TissueMesh, TorsoModel
-from spinestiff.arrays import Floats
+from spinestiff.anatomy.tetrahedra import dihedral_angles
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import TorsoError
 from spinestiff.mechanics.tissue import QUADRATURE, rest_jacobians
 
@@ -53,7 +53,7 @@ def mesh_quality(torso: TorsoModel) -> MeshQuality:
     jacobian, _ = rest_jacobians(mesh.rest_positions, elements, points)
     share = np.linalg.det(jacobian) / (6.0 * mesh.corner_volumes()[deformable, None])
     worst = int(np.argmin(share.min(1)))
-    angle = float(np.degrees(dihedrals(mesh)[deformable].min()))
+    angle = float(dihedral_angles(mesh.rest_positions[elements[:, :4]]).min())
     return MeshQuality(float(share.min()), angle, int(deformable[worst]))
 
 
@@ -66,13 +66,3 @@ def require_quality(torso: TorsoModel) -> MeshQuality:
             f"{SMALLEST_DIHEDRAL_DEG:g} degrees, element {found.worst_element})"
         )
     return found
-
-
-def dihedrals(mesh: TissueMesh) -> Floats:
-    """(T, 6) rad, angles between the faces of each element's corners, inside."""
-    p = mesh.rest_positions[mesh.elements[:, :4]]
-    faces = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
-    normals = np.stack([np.cross(p[:, b] - p[:, a], p[:, c] - p[:, a]) for a, b, c in faces], 1)
-    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    first, second = np.triu_indices(4, k=1)
-    return np.asarray(np.pi - np.arccos(np.clip(np.sum(normals[:, first] * normals[:, second], -1), -1.0, 1.0)))

@@ -5,25 +5,24 @@ Needs a mesher (extra [mesh]). Bones, joints, boxes and landmarks stay as they a
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from spinestiff.anatomy.importing.skin import refuse_bones_outside
+from spinestiff.anatomy.importing.carried_skin import refuse_bones_outside
 from spinestiff.anatomy.meshing import DEFAULT_MESHER, SKIN_SHARE, find_mesher, mesh_tissue
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.rounding import rounded
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.template.surfaces import Surface
-from spinestiff.anatomy.torso import TissueMesh, TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TissueMesh, TorsoModel
 from spinestiff.errors import TorsoError
+from spinestiff.observer import Observer
 
 # mm between corners inside, of a 157 cm body: between the shipped meshes in nodes.
 SPACING_MM = 34.0
 REFERENCE_HEIGHT_CM = 157.0
-
-Observer = Callable[[str], None]
 
 
 def can_rebuild(torso: TorsoModel) -> bool:

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.axes import DIRECTIONS, MM, Unit
 from spinestiff.anatomy.importing.reading import read_surface
-from spinestiff.arrays import Floats, read_only
+from spinestiff.arrays import Floats, ShortRepr, read_only
 from spinestiff.errors import SubjectError, TorsoError
 
 # Shares of the body height that a scan with some of the trunk on it may extend: from a part of the back to a whole body
@@ -26,8 +26,8 @@ MOST_POINTS = 20_000
 NEIGHBOURS = 9  # over which directions are averaged: triangles of a noisy scan point anywhere
 
 
-@dataclass(frozen=True)
-class SkinScan:
+@dataclass(frozen=True, repr=False)
+class SkinScan(ShortRepr):
     """Points spread evenly over a scanned surface.
 
     Attributes

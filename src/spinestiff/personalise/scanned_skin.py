@@ -13,9 +13,9 @@ from spinestiff.anatomy.solids import dense_points, enclosed
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import SubjectError, TorsoError
+from spinestiff.personalise.measured_skin import with_moved_skin
 from spinestiff.personalise.registration import LAST_MM, Matches, matches, register
 from spinestiff.personalise.scan import SkinScan
-from spinestiff.personalise.skin import with_moved_skin
 from spinestiff.personalise.skin_surface import SkinSurface, skin_surface
 
 ROUNDS = 6

@@ -16,14 +16,16 @@ import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import cross_matrix, exp_so3
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
-from spinestiff.arrays import Floats
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError, FitError, TorsoError
 from spinestiff.imaging.features import VertebraCorners, view_kind
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load
-from spinestiff.mechanics.terms import BoneTerm, PointSprings
+from spinestiff.mechanics.terms import PointSprings, Term
+from spinestiff.observer import Observer
 from spinestiff.personalise.adjustment import WRONG_WEIGHT, Adjusted, adjust
 from spinestiff.personalise.fitness import VertebraFit, check_pictures, vertebra_fits
 from spinestiff.personalise.image_terms import (
@@ -35,6 +37,7 @@ from spinestiff.personalise.image_terms import (
     own_boxes,
     shape_of,
 )
+from spinestiff.personalise.measured_skin import TrunkSize, skin_at_sizes, trunk_sizes, with_trunk_sizes
 from spinestiff.personalise.pose import ViewPose, posed
 from spinestiff.personalise.prior import elastic_prior, pelvis_on_springs, regulariser
 from spinestiff.personalise.quality import MeshQuality, require_quality
@@ -42,7 +45,6 @@ from spinestiff.personalise.rebuild import can_rebuild, skin_of, with_new_tissue
 from spinestiff.personalise.scan import SkinScan
 from spinestiff.personalise.scanned_skin import ScanFit, with_scan
 from spinestiff.personalise.sizes import resized
-from spinestiff.personalise.skin import TrunkSize, skin_at_sizes, trunk_sizes, with_trunk_sizes
 
 Geometry = Literal["estimated", "known"]
 GEOMETRIES: tuple[Geometry, ...] = ("estimated", "known")
@@ -72,12 +74,11 @@ NEW_MESH: Mapping[MeshPath, str] = {
 # mm by which a trunk may miss its tape before somebody is told.
 TAPE_MM = 5.0
 
-Observer = Callable[[str], None]
 MOTIONS = ("sideways", "height", "front to back", "sagittal tilt", "axial rotation", "coronal tilt")
 
 
-@dataclass(frozen=True)
-class Personalised:
+@dataclass(frozen=True, repr=False)
+class Personalised(ShortRepr):
     """A torso shaped to a subject.
 
     Attributes
@@ -466,7 +467,7 @@ def _pulled(
     return state
 
 
-def _relaxed(problem: EquilibriumProblem, terms: Sequence[BoneTerm], start: TorsoState) -> TorsoState:
+def _relaxed(problem: EquilibriumProblem, terms: Sequence[Term], start: TorsoState) -> TorsoState:
     ratios = regulariser(problem.torso)
     found = problem.with_terms(terms).solve(no_load(), ratios, start, tolerance=SHAPE_TOLERANCE)
     if not found.converged:

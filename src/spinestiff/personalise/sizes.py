@@ -9,7 +9,8 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from spinestiff.anatomy.names import THORACIC
-from spinestiff.anatomy.torso import TET10_EDGES, BoneSurface, TissueMesh, TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TET10_EDGES, BoneSurface, TissueMesh, TorsoModel
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import TorsoError
 from spinestiff.imaging.features import box_sizes

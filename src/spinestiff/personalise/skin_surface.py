@@ -9,15 +9,15 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.arrays import Floats, Ints
+from spinestiff.arrays import Floats, Ints, ShortRepr
 
 STEP_MM = 14.0
 # Floor and lid close the tissue where the trunk was cut: they face along the body, near its ends.
 END_FACING, END_SHARE = 0.9, 0.06
 
 
-@dataclass(frozen=True)
-class SkinSurface:
+@dataclass(frozen=True, repr=False)
+class SkinSurface(ShortRepr):
     """Points spread over the boundary of the tissue, P of them on the S faces.
 
     Attributes

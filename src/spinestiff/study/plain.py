@@ -27,7 +27,7 @@ def plain_stiffness(
     """
     joints = ratios.scale_joints(torso.joints.stiffness)
     kinds = np.array(torso.joints.kinds)
-    mu, lam = torso.tissue.lame_mu[0] * ratios.tissue[0], torso.tissue.lame_lambda[0] * ratios.tissue[1]
+    mu, lam = (values[0] for values in ratios.scale_tissue(torso.tissue.lame_mu, torso.tissue.lame_lambda))
     young = 1e3 * mu * (3.0 * lam + 2.0 * mu) / (lam + mu)
     found = {
         f"lateral_bending_{kind}": (float(joints[kinds == kind, 5].mean() / NMM_PER_NM), "N m/rad", BENDING)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -12,25 +12,26 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
-from spinestiff.arrays import Floats
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.curves.tilts import CobbChange, change_between, cobb_change, tilts
 from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.estimation.objective import Target, make_target, residuals
 from spinestiff.files import write_bytes
 from spinestiff.imaging.features import state_features, vertebra_rows
 from spinestiff.mechanics.equilibrium import Equilibrium
+from spinestiff.observer import Observer
 from spinestiff.study.trials import PushSet, PushTrial
 
-Observer = Callable[[str], None]
 REST = "rest"
 STATES_SCHEMA = "spinestiff-states-1"
 _FIELDS = ("bone_positions", "bone_rotations", "tissue_positions")
 
 
-@dataclass(frozen=True)
-class Solved:
+@dataclass(frozen=True, repr=False)
+class Solved(ShortRepr):
     """An equilibrium as later steps need it.
 
     Attributes

@@ -13,8 +13,9 @@ from typing import Any
 
 from spinestiff.errors import SubjectError
 from spinestiff.files import file_digest
+from spinestiff.observer import Observer
 from spinestiff.study import steps as step_functions
-from spinestiff.study.visit import Observer, Visit
+from spinestiff.study.visit import Visit
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
 from spinestiff.subject.run_record import (
     StepRecord,

@@ -20,13 +20,14 @@ from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking import support_motion, track
 from spinestiff.mechanics.loads import three_point_reactions
+from spinestiff.observer import Observer
 from spinestiff.personalise.fitness import VertebraFit
 from spinestiff.personalise.image_terms import PediclePoints
+from spinestiff.personalise.measured_skin import TrunkSize
 from spinestiff.personalise.pose import ViewPose
 from spinestiff.personalise.scan import SkinScan, read_scan
 from spinestiff.personalise.scanned_skin import ScanFit
 from spinestiff.personalise.shape import Personalised, personalise
-from spinestiff.personalise.skin import TrunkSize
 from spinestiff.study.assessment import assess, single_ratio
 from spinestiff.study.frame_selection import Proposal, frame_qualities, propose
 from spinestiff.study.judgement import RestShape, failed, judge
@@ -43,7 +44,7 @@ from spinestiff.study.predictions import (
 from spinestiff.study.support_notes import support_notes
 from spinestiff.study.trials import PushSet
 from spinestiff.study.truth import compare_with_truth, read_truth
-from spinestiff.study.visit import Observer, Visit, load_pushes
+from spinestiff.study.visit import Visit, load_pushes
 from spinestiff.subject.folder import (
     image_corners,
     image_pedicles,

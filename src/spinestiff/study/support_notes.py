@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
-from spinestiff.mechanics.supports import Supports
+from spinestiff.mechanics.supports import SupportKind, Supports
 from spinestiff.words import counted
 
 PULLING_LIMIT_N = 2.0
@@ -24,14 +25,14 @@ def support_notes(torso: TorsoModel, supports: Supports, state: TorsoState, forc
     """
     found = []
     push = 1.0 if side == "right" else -1.0
-    for name, force in zip(supports.names, forces):
+    for force in forces[supports.of_kind(SupportKind.SHOULDER)]:
         # The shoulder's wall pushes back against the force; a support can't pull.
-        if name.startswith("shoulder") and push * force[0] > PULLING_LIMIT_N:
+        if push * force[0] > PULLING_LIMIT_N:
             found.append(f"the shoulder's support pulls with {push * force[0]:.1f} N")
     pulling = [
-        (name.removeprefix("wall_"), -force[2])
-        for name, force in zip(supports.names, forces)
-        if name.startswith("wall") and force[2] < -PULLING_LIMIT_N
+        (name, -force[2])
+        for name, kind, force in zip(supports.names, supports.kinds, forces)
+        if kind is SupportKind.WALL and force[2] < -PULLING_LIMIT_N
     ]
     if pulling:
         bone, most = max(pulling, key=lambda entry: entry[1])

@@ -14,9 +14,10 @@ from typing import Literal
 import numpy as np
 
 from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, cobb_change, tilts
 from spinestiff.errors import SubjectError
@@ -29,12 +30,11 @@ from spinestiff.imaging.synthetic.detector import Exposure
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.observer import Observer
 from spinestiff.personalise.shape import place_vertebrae
 from spinestiff.study.spines import VertebraPoses, curved_spine, real_spine
 from spinestiff.subject.folder import write_annotation, write_subject
 from spinestiff.subject.records import Annotation, ImageAnnotation, PushRecord, Role, SubjectRecord, parse_record
-
-Observer = Callable[[str], None]
 
 # Table 4's range of estimated ratios, where a subject's own are drawn from.
 BENDING_RANGE, TISSUE_RANGE = (0.05, 0.63), (0.01, 0.15)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import ShortRepr
 from spinestiff.errors import SubjectError
 from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Trial
 from spinestiff.imaging.features import Orientation
@@ -35,8 +36,8 @@ class PushTrial:
     trial: Trial
 
 
-@dataclass(frozen=True)
-class PushSet:
+@dataclass(frozen=True, repr=False)
+class PushSet(ShortRepr):
     """All trials of a subject on one torso, with the problem of each push.
 
     Attributes

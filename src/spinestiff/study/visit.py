@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,8 +16,6 @@ from spinestiff.study.truth import read_truth
 from spinestiff.subject.folder import Subject, read_subject
 from spinestiff.subject.outcomes import Tracked
 from spinestiff.subject.run_record import read_outcome, result_path
-
-Observer = Callable[[str], None]
 
 
 @dataclass(frozen=True)

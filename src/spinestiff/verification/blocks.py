@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.mechanics.supports import Supports
 from spinestiff.mechanics.terms import PointSprings

@@ -46,7 +46,7 @@ ITEMS = {
 }
 
 Group = Callable[[], Iterator[Check]]
-Observer = Callable[[Check], None]
+OnCheck = Callable[[Check], None]
 # The quick ones first.
 GROUPS: tuple[Group, ...] = (
     *energies.GROUPS,
@@ -60,7 +60,7 @@ GROUPS: tuple[Group, ...] = (
 )
 
 
-def run_checks(observer: Observer | None = None, groups: tuple[Group, ...] = GROUPS) -> list[Check]:
+def run_checks(observer: OnCheck | None = None, groups: tuple[Group, ...] = GROUPS) -> list[Check]:
     """Every check, in order; ``observer`` sees each as it is done. About 30 s of one core.
 
     A group that fails to run counts as a failed check: a broken installation is to be reported, not thrown.

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import TorsoState, retract
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios, parameter_group, stiffness_ratios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState, retract
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.evaluation import TrialSet
@@ -182,10 +183,12 @@ class _GroupOracle:
         self._group, self._ratios = group, ratios
         self._whole = EnergyOracle(torso, state, ratios)
         mesh = torso.tissue
+        inside = group.elements_of(len(mesh.elements))
+        mu, lambda_ = group.mu * inside * mesh.lame_mu, group.lambda_ * inside * mesh.lame_lambda
         kept = replace(
             torso,
             joints=replace(torso.joints, stiffness=np.where(group.joints, torso.joints.stiffness, 0.0)),
-            tissue=replace(mesh, lame_mu=group.mu * mesh.lame_mu, lame_lambda=group.lambda_ * mesh.lame_lambda),
+            tissue=replace(mesh, lame_mu=mu, lame_lambda=lambda_),
         )
         self._own = EnergyOracle(kept, state, ratios)
 

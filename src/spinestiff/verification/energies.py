@@ -9,12 +9,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from spinestiff.anatomy.rotation import exp_so3, log_so3
-from spinestiff.anatomy.torso import TorsoModel, TorsoState, retract
+from spinestiff.anatomy.state import TorsoState, retract
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
+from spinestiff.mechanics.assembly import Stiffness
 from spinestiff.mechanics.joints import joint_hessians
-from spinestiff.mechanics.loads import LoadCase
-from spinestiff.mechanics.potential import Potential, Stiffness
-from spinestiff.mechanics.terms import BoneTerm, PointSprings
+from spinestiff.mechanics.loads import LoadCase, tissue_load
+from spinestiff.mechanics.potential import Potential
+from spinestiff.mechanics.terms import PointSprings, Term
 from spinestiff.verification.models import box_mesh, make_torso, points_on, shaken, toy_torso
 from spinestiff.verification.oracle import (
     EnergyOracle,
@@ -81,7 +83,7 @@ def _against_oracle(
     torso: TorsoModel,
     state: TorsoState,
     stiffness: Stiffness,
-    terms: tuple[BoneTerm, ...],
+    terms: tuple[Term, ...],
     oracle: EnergyOracle,
     directions: int = 1,
 ) -> Iterator[Check]:
@@ -142,7 +144,7 @@ def tissue_derivatives() -> Iterator[Check]:
 
 
 def term_derivatives() -> Iterator[Check]:
-    """Dead forces and springs on bones alone, each with its second derivative in the bones' turns."""
+    """Dead forces and springs on bones and tissue nodes, each with its second derivative in the bones' turns."""
     torso = two_bones(np.zeros(6))
     state = bent(torso, 0.7)
     load, springs = _terms(torso, 5)
@@ -152,6 +154,13 @@ def term_derivatives() -> Iterator[Check]:
     held = (springs.points, springs.targets, springs.directions, springs.stiffness)
     oracle = EnergyOracle(torso, state, springs=held)
     yield from _against_oracle("springs at points of bones", torso, state, stiffness, (springs,), oracle, 2)
+    torso = small_torso(10)
+    state, nodes = shaken(torso, 4), np.arange(0, len(torso.tissue.rest_positions), 2)
+    load = tissue_load(torso, nodes, np.random.default_rng(6).uniform(-20.0, 20.0, (len(nodes), 3)))
+    stiffness = Stiffness(*(np.zeros_like(values) for values in Potential(torso).stiffness(None)))
+    oracle = EnergyOracle(torso, state, forces=(load.points, load.forces), node_forces=(load.nodes, load.node_forces))
+    oracle.parts = ("loads",)
+    yield from _against_oracle("dead forces at tissue nodes", torso, state, stiffness, (load,), oracle, 2)
 
 
 def whole_derivatives() -> Iterator[Check]:
@@ -194,7 +203,7 @@ def sweep() -> Iterator[Check]:
     """
     bare = two_bones(np.array([26.0, 170.0, 31.0, 15e3, 13e3, 11e3]))
     load, springs = _terms(bare, 2)
-    cases: list[tuple[str, str, TorsoModel, tuple[BoneTerm, ...]]] = [
+    cases: list[tuple[str, str, TorsoModel, tuple[Term, ...]]] = [
         ("joint", "joints", bare, ()),
         ("dead forces", "loads", bare, (load,)),
         ("springs", "springs", bare, (springs,)),
@@ -226,7 +235,7 @@ def _worst_of_state(
     potential: Potential,
     state: TorsoState,
     stiffness: Stiffness,
-    terms: tuple[BoneTerm, ...],
+    terms: tuple[Term, ...],
     oracle: EnergyOracle,
     seed: int,
 ) -> tuple[float, float]:

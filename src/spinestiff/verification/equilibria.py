@@ -11,13 +11,14 @@ import scipy.sparse.linalg as spla
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import exp_so3, log_so3
+from spinestiff.anatomy.state import TorsoState, retract
 from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState, retract
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem, SolveStatus
 from spinestiff.mechanics.factor import Analysis, default_backend
-from spinestiff.mechanics.loads import LoadCase, no_load
+from spinestiff.mechanics.loads import LoadCase, no_load, tissue_load
 from spinestiff.mechanics.newton import Run
 from spinestiff.mechanics.potential import Potential
 from spinestiff.mechanics.supports import Supports
@@ -50,6 +51,13 @@ def toy_supports(torso: TorsoModel, spring: bool = True) -> Supports:
     directions = np.tile(np.array([0.8, 0.0, 0.6]), (len(points), 1))
     springs = PointSprings(points, points.positions(torso.rest_pose), directions, np.full(len(points), 100.0))
     return Supports(held, springs, ("side",) * len(points))
+
+
+def tissue_pressure(torso: TorsoModel, size: float) -> LoadCase:
+    """Oblique forces of ``size`` N on every fourth node of the tissue, tied ones and free ones."""
+    nodes = np.arange(0, len(torso.tissue.rest_positions), 4)
+    directions = np.random.default_rng(5).normal(size=(len(nodes), 3))
+    return tissue_load(torso, nodes, size * directions / np.linalg.norm(directions, axis=1, keepdims=True))
 
 
 def toy_load(size: float = 30.0) -> LoadCase:
@@ -159,7 +167,7 @@ def _newton_order(problem: EquilibriumProblem, found: Equilibrium, load: LoadCas
     for halving in range(0, 13, 2):
         # From 0.2 mm down to where rounding begins: a slightly wrong tangent shows only near the solution.
         state = retract(found.state, 0.2 * 0.5**halving * away)
-        gradient, _ = problem.free_gradient(state, stiffness, terms)
+        gradient = problem.free(problem.potential.gradient(state, stiffness, terms))
         after = retract(state, -problem.factorise(state, stiffness, terms).solve(gradient))
         turned = 30.0 * np.linalg.norm(after.bone_rotations - found.state.bone_rotations)
         left.append(float(np.linalg.norm(_places(after) - _places(found.state)) + turned))
@@ -183,9 +191,8 @@ def _astray(torso: TorsoModel, seed: int) -> TorsoState:
 
 def out_of_balance(found: Equilibrium, load: LoadCase) -> tuple[Floats, Floats]:
     """Sum of loads and reactions, (3,) N, and of their moments about the world's origin, (3,) N mm."""
-    places = load.points.positions(found.state)
-    force = load.forces.sum(0) + sum(r.force for r in found.reactions)
-    moment = np.cross(places, load.forces).sum(0) + sum(np.cross(r.point, r.force) + r.moment for r in found.reactions)
+    force = load.total + sum(r.force for r in found.reactions)
+    moment = load.moment(found.state) + sum(np.cross(r.point, r.force) + r.moment for r in found.reactions)
     return force, moment
 
 
@@ -202,6 +209,12 @@ def balance() -> Iterator[Check]:
             yield vanishing(f"C3 balance: loads and reactions, force, {name}, {nodes} nodes", force, scale, 1e-10)
             arm = f"C3 balance: loads and reactions, moment, {name}, {nodes} nodes"
             yield vanishing(arm, moment, 100.0 * scale, 1e-10)
+    torso = toy_torso(2, 10)
+    pressed = tissue_pressure(torso, 0.4)
+    found = _solve(torso, toy_supports(torso), pressed, None)
+    force, moment = out_of_balance(found, pressed)
+    yield vanishing("C3 balance: forces on tissue nodes and reactions, force", force, pressed.size, 1e-10)
+    yield vanishing("C3 balance: forces on tissue nodes and reactions, moment", moment, 100.0 * pressed.size, 1e-10)
     yield from _anchors()
 
 

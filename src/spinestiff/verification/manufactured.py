@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.torso import TET10_EDGES, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TET10_EDGES
 from spinestiff.arrays import Floats, Ints
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase

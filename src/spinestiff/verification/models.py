@@ -8,8 +8,9 @@ import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import exp_so3
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import lame_parameters
-from spinestiff.anatomy.torso import TET10_EDGES, JointTable, TissueMesh, TorsoModel, TorsoState, joint_frames
+from spinestiff.anatomy.torso import TET10_EDGES, JointTable, TissueMesh, TorsoModel, joint_frames
 from spinestiff.arrays import Floats, Ints
 
 # Kuhn's split of a cube: one tetrahedron for each order of the three axes.

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 
 Complexes = NDArray[np.complexfloating]
@@ -220,7 +221,8 @@ class EnergyOracle:
     ----------
     torso, state : where.
     ratios : stiffness ratios, None for the defaults.
-    forces : dead forces at points, as in a load case; or None.
+    forces : dead forces at points of bones, as in a load case; or None.
+    node_forces : (M,) free nodes and (M, 3) forces there, as in a load case; or None.
     springs : (points, targets, directions, stiffness) of supports; or None.
     """
 
@@ -231,10 +233,14 @@ class EnergyOracle:
         ratios: StiffnessRatios | None = None,
         forces: tuple[PointsOnBones, Floats] | None = None,
         springs: tuple[PointsOnBones, Floats, Floats, Floats] | None = None,
+        node_forces: tuple[Ints, Floats] | None = None,
     ) -> None:
         self._torso, self._state, self._forces, self._springs = torso, state, forces, springs
+        self._node_forces = node_forces
         self._stiffness = ratios.scale_joints(torso.joints.stiffness) if ratios else torso.joints.stiffness
-        self._tissue = ratios.tissue if ratios else (1.0, 1.0)
+        mesh = torso.tissue
+        moduli = mesh.lame_mu, mesh.lame_lambda
+        self._moduli = ratios.scale_tissue(*moduli) if ratios else moduli
         self.parts: tuple[str, ...] = ("joints", "tissue", "loads", "springs")
 
     def __call__(self, dx: Numbers) -> Numbers:
@@ -255,10 +261,11 @@ class EnergyOracle:
             tied = torso.tissue.bone_of_node >= 0
             place = np.where(tied, np.cumsum(tied) - 1, tied.sum() + np.cumsum(~tied) - 1)
             x = np.concatenate([ride(torso.tied_nodes), free])[place]
-            mu, lam = self._tissue[0] * torso.tissue.lame_mu, self._tissue[1] * torso.tissue.lame_lambda
-            total = total + tissue_energy(torso.tissue.rest_positions, x, torso.tissue.elements, mu, lam)
+            total = total + tissue_energy(torso.tissue.rest_positions, x, torso.tissue.elements, *self._moduli)
         if "loads" in self.parts and self._forces:
             total = total - np.sum(self._forces[1] * ride(self._forces[0]))
+        if "loads" in self.parts and self._node_forces:
+            total = total - np.sum(self._node_forces[1] * free[self._node_forces[0]])
         if "springs" in self.parts and self._springs:
             points, targets, directions, k = self._springs
             extension = np.sum(directions * (ride(points) - targets), axis=1)

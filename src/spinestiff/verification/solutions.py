@@ -11,8 +11,9 @@ import scipy.special as ss
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import exp_so3, log_so3
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import TABLE_1
-from spinestiff.anatomy.torso import TissueMesh, TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TissueMesh, TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, no_load, three_point_reactions

@@ -12,9 +12,9 @@ import scipy.sparse.linalg as spla
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import log_so3
+from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import retract
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, no_load, rib_push
 from spinestiff.mechanics.multilevel import TWO_LEVEL

@@ -9,8 +9,9 @@ import pytest
 
 from spinestiff.anatomy.names import RIBS, VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TorsoModel, retract
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import RadiographError
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.synthetic.acquisition import Acquisition, Gauge, acquire

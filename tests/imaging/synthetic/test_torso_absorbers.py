@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TorsoModel, retract
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.synthetic.materials import tube_beam
 from spinestiff.imaging.synthetic.path_length import path_length

@@ -16,9 +16,9 @@ from canaries import infest, traces
 from chromium import Tab, browser
 from results import altered, register
 from spinestiff.anatomy.files import write_torso
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TorsoState
 from spinestiff.errors import SubjectError
 from spinestiff.files import write_json
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features

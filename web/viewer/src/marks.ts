@@ -168,7 +168,7 @@ export class Marks {
 }
 
 export function isBack(support: Support): boolean {
-  return support.name.startsWith("wall");
+  return support.kind === "wall";
 }
 
 /** Unit, away from the body: to the shoulder's own side, or backward. */

@@ -224,7 +224,7 @@ export class Panel {
           if (force.z < -0.5) wall.pulling += 1;
         }
       } else {
-        const name = support.direction === null ? support.name : support.name.split("_")[0]!;
+        const name = support.kind === "shoulder" ? support.kind : support.name;
         facts.push([`${capital(name)} on torso`, Math.abs(force.x) < 0.05 ? "0 N" : sideways(force.x, "N")]);
       }
     });

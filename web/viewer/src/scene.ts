@@ -37,6 +37,7 @@ export interface Step {
 
 export interface Support {
   name: string;
+  kind: "held" | "shoulder" | "wall" | "spring";
   bone: number;
   offset: Vec;
   direction: Vec | null;

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 
 _MM = 1e-3
 _SKIN = (222, 200, 186, 70)

@@ -9,7 +9,8 @@ import numpy as np
 
 from spinestiff.anatomy.export.rigid import masses, numbers
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import TorsoError
 

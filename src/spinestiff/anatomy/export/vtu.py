@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 
 
 def content(torso: TorsoModel, state: TorsoState) -> bytes:

@@ -2,38 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from spinestiff.anatomy.importing.carried_skin import generated_skin, refuse_bones_outside, section_middle
 from spinestiff.anatomy.importing.naming import BoneFiles, find_files
 from spinestiff.anatomy.importing.orienting import Placement, find_placement
 from spinestiff.anatomy.importing.placing import Skeleton, landmarks, place_joints, rest_frames, template_column_mm
 from spinestiff.anatomy.importing.reading import read_surface
 from spinestiff.anatomy.importing.repairing import repaired
-from spinestiff.anatomy.importing.skin import generated_skin, refuse_bones_outside, section_middle
 from spinestiff.anatomy.meshing import DEFAULT_MESHER, SKIN_SHARE, MeshedTissue, mesh_tissue, refuse_unknown_mesher
 from spinestiff.anatomy.names import BONE_INDEX, BONES, JOINTS
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rounding import rounded
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import DEFAULT_POISSON, DEFAULT_YOUNG_MPA, KINDS, joint_stiffness, lame_parameters
 from spinestiff.anatomy.template.surfaces import Surface, joined, signed_volume
-from spinestiff.anatomy.torso import BoneSurface, JointTable, TissueMesh, TorsoModel, TorsoState, joint_frames
-from spinestiff.arrays import Floats
+from spinestiff.anatomy.torso import BoneSurface, JointTable, TissueMesh, TorsoModel, joint_frames
+from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import TorsoError
+from spinestiff.observer import Observer
 
 __all__ = ["DEFAULT_SPACING_MM", "ImportedTorso", "import_torso"]
 
 DEFAULT_SPACING_MM = 28.0
 TEMPLATE_HEIGHT_CM = 157.0
 HEIGHTS_CM = (90.0, 230.0)
-Observer = Callable[[str], None]
 
 
-@dataclass(frozen=True)
-class ImportedTorso:
+@dataclass(frozen=True, repr=False)
+class ImportedTorso(ShortRepr):
     """A torso of one's own bones and how it came about.
 
     Attributes

@@ -21,12 +21,12 @@ from spinestiff.anatomy.names import BONE_INDEX, BONES, JOINTS, RIBS, SIDES, VER
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import mean_rotation
 from spinestiff.anatomy.solids import dense_points, enclosed, exits
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.template.assemble import centroid, frame_along, rearmost
 from spinestiff.anatomy.template.ribs import left_ribs
 from spinestiff.anatomy.template.surfaces import Surface, arc_length, tangents
 from spinestiff.anatomy.template.vertebrae import build_spine
-from spinestiff.anatomy.torso import TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.errors import TorsoError
 

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.names import BONE_INDEX, BONES, JOINTS, RIBS, VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import DEFAULT_POISSON, DEFAULT_YOUNG_MPA, joint_stiffness, lame_parameters
 from spinestiff.anatomy.template.girdle import (
     LeftGirdle,
@@ -21,10 +22,10 @@ from spinestiff.anatomy.template.girdle import (
 from spinestiff.anatomy.template.pelvis import pelvis_surface
 from spinestiff.anatomy.template.proportions import REFERENCE, Proportions
 from spinestiff.anatomy.template.ribs import LeftRib, left_ribs, rib_surface
-from spinestiff.anatomy.template.skin import COVER, Skin, build_skin, covering, fitted_skin
 from spinestiff.anatomy.template.surfaces import Surface, meet, mirrored, signed_volume, tangents
+from spinestiff.anatomy.template.trunk_skin import COVER, Skin, build_skin, covering, fitted_skin
 from spinestiff.anatomy.template.vertebrae import Spine, build_spine, vertebra_boxes, vertebra_surface
-from spinestiff.anatomy.torso import BoneSurface, JointTable, TissueMesh, TorsoModel, TorsoState, joint_frames
+from spinestiff.anatomy.torso import BoneSurface, JointTable, TissueMesh, TorsoModel, joint_frames
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import TorsoError
 

@@ -9,7 +9,8 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.template.assemble import Skeleton
-from spinestiff.anatomy.template.skin import Skin
+from spinestiff.anatomy.template.trunk_skin import Skin
+from spinestiff.anatomy.tetrahedra import dihedral_angles, signed_volumes
 from spinestiff.anatomy.torso import TET10_EDGES, TissueMesh
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import TorsoError
@@ -161,26 +162,14 @@ def repaired(points: Floats, tetrahedra: Ints, mirror: Ints, room: Floats) -> Fl
 
 def _worst_angles(p: Floats) -> Floats:
     # Smallest dihedral angle of tetrahedra (..., 4, 3), degrees; below 0 where inverted, the more so the deeper.
-    volume = np.einsum("...i,...i->...", p[..., 1, :] - p[..., 0, :],
-                       np.cross(p[..., 2, :] - p[..., 0, :], p[..., 3, :] - p[..., 0, :]))  # fmt: skip
-    return np.where(volume > 0.0, dihedral_angles(p).min(-1), volume)
-
-
-def dihedral_angles(p: Floats) -> Floats:
-    """(..., 6) degrees, the angles between the faces of tetrahedra with corners (..., 4, 3)."""
-    # Normals of the faces opposite each corner, all outward or all inward.
-    a, b, c = (p[..., face, :] for face in ([1, 0, 0, 0], [2, 3, 1, 2], [3, 2, 3, 1]))
-    normal = np.cross(b - a, c - a)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True) + 1e-30
-    first, second = np.triu_indices(4, 1)
-    cosine = -np.einsum("...fi,...fi->...f", normal[..., first, :], normal[..., second, :])
-    return np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    volume = signed_volumes(p)
+    return np.where(volume > 0.0, dihedral_angles(p).min(-1), 6.0 * volume)
 
 
 def check_quality(points: Floats, tetrahedra: Ints) -> None:
     """Raise TorsoError where a tetrahedron is inverted or too flat."""
     p = points[tetrahedra]
-    volume = np.einsum("ti,ti->t", p[:, 1] - p[:, 0], np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 0])) / 6.0
+    volume = signed_volumes(p)
     angle = dihedral_angles(p).min(1)
     inverted, flat = int((volume <= 0.0).sum()), int((angle < SMALLEST_DIHEDRAL_DEG).sum())
     if inverted or flat:

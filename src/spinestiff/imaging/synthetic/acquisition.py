@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import RadiographError
 from spinestiff.imaging.projection import XRayView

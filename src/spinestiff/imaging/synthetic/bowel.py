@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.template.surfaces import Surface, joined, loft
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.imaging.synthetic.organs import chest, diaphragm_top
 from spinestiff.imaging.synthetic.rendering import Absorber

@@ -13,7 +13,8 @@ import numpy as np
 
 from spinestiff.anatomy.names import SIDES
 from spinestiff.anatomy.rotation import exp_so3
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import RadiographError
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.template.surfaces import Surface, loft, outward, tube
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.imaging.synthetic.materials import Material
 from spinestiff.imaging.synthetic.rendering import Absorber

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from spinestiff.anatomy.names import SIDES, VERTEBRAE
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.template.surfaces import Surface, joined, loft, outward, tube
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.imaging.synthetic.rendering import Absorber
 from spinestiff.imaging.synthetic.texture import Texture

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from spinestiff.arrays import Floats, Ints, read_only
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import RadiographError, TorsoError
 from spinestiff.imaging.projection import XRayView
 from spinestiff.words import counted
@@ -23,8 +23,8 @@ _GRID = 2.0**36  # of projected vertices, a pixel; differences below 2**17 pixel
 _FARTHEST_PIXEL = 2.0**16
 
 
-@dataclass(frozen=True)
-class Surface:
+@dataclass(frozen=True, repr=False)
+class Surface(ShortRepr):
     """A closed surface whose faces are known to be: vertices (n, 3) mm, faces (m, 3) outward."""
 
     vertices: Floats

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from spinestiff.anatomy.names import LUMBAR, RIBS, VERTEBRAE
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.imaging.synthetic.materials import Material
 from spinestiff.imaging.synthetic.organs import lungs, muscles, trachea

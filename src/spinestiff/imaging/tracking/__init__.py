@@ -14,6 +14,6 @@ Inside, everything is in pixels (column, row), the first pixel's centre at (0, 0
 """
 
 from spinestiff.imaging.tracking.supports import SUPPORT_LIMIT_MM, SupportMotion, support_motion
-from spinestiff.imaging.tracking.vertebrae import Observer, track
+from spinestiff.imaging.tracking.vertebrae import OnFrame, track
 
-__all__ = ["SUPPORT_LIMIT_MM", "Observer", "SupportMotion", "support_motion", "track"]
+__all__ = ["SUPPORT_LIMIT_MM", "OnFrame", "SupportMotion", "support_motion", "track"]

@@ -11,7 +11,7 @@ import numpy as np
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import TrackingError
-from spinestiff.imaging.features import VertebraCorners
+from spinestiff.imaging.features import CORNERS, FEATURE_SHAPE, VertebraCorners
 from spinestiff.imaging.tracking.following import follow
 from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.pictures import Pictures, check_inside, inside
@@ -21,7 +21,7 @@ from spinestiff.words import counted
 if TYPE_CHECKING:
     from spinestiff.imaging.radiograph import Radiograph
 
-Observer = Callable[[int, int], None]
+OnFrame = Callable[[int, int], None]
 
 # Two tracks weigh alike once both are predicted to be off by less.
 SMALLEST_MM = 0.02
@@ -30,7 +30,7 @@ SMALLEST_MM = 0.02
 def track(
     frames: Sequence[Radiograph],
     annotated: Mapping[int, VertebraCorners],
-    observer: Observer | None = None,
+    observer: OnFrame | None = None,
 ) -> tuple[VertebraCorners, ...]:
     """Corners in every frame, followed from the annotated ones forwards and backwards (paper 2.2).
 
@@ -92,7 +92,7 @@ def track(
         if given is not None and given.vertebrae == names:
             tracked.append(given)
             continue
-        places, qualities = np.zeros((len(names), 4, 2)), np.zeros((len(names), 4))
+        places, qualities = np.zeros((len(names), *FEATURE_SHAPE)), np.zeros((len(names), CORNERS))
         for i, name in enumerate(names):
             if given is not None and name in given.vertebrae:
                 row = given.vertebrae.index(name)
@@ -145,7 +145,7 @@ def _followed(
     bodies = [Body.of_vertebra(quad) for quad in pictures.binned(pixels)]
     poses, seen = follow(pictures, bodies, order, chained=True, observer=advance)
     moved = [[body.placed(pose, body.marks) for body, pose in zip(bodies, row)] for row in poses]
-    lost = np.full(4, np.inf)
+    lost = np.full(CORNERS, np.inf)
     errors = [[lost if evidence is None else predicted_error(evidence) for evidence in row] for row in seen]
     return pictures.unbinned(np.array(moved)), np.array(errors)
 

@@ -20,6 +20,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import SpinestiffError
+from spinestiff.imaging.features import FEATURE_SHAPE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,7 +68,7 @@ class Panel:
     rmse_mm: float | None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "boxes", read_only("boxes", self.boxes, (None, 4, 2), SpinestiffError))
+        object.__setattr__(self, "boxes", read_only("boxes", self.boxes, (None, *FEATURE_SHAPE), SpinestiffError))
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ class Overlay:
     arrow: tuple[float, float, str] | None = None
 
     def __post_init__(self) -> None:
-        shape = (len(self.vertebrae), 4, 2)
+        shape = (len(self.vertebrae), *FEATURE_SHAPE)
         object.__setattr__(self, "measured", read_only("measured", self.measured, shape, SpinestiffError))
         for panel in self.panels:
             if panel.boxes.shape != shape:

@@ -22,6 +22,7 @@ from spinestiff.files import write_bytes, write_text
 from spinestiff.imaging.features import picture_axes, silhouette_shares, state_features, target_features, vertebra_rows
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
+from spinestiff.observer import Observer
 from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.report.content import (
     MODELS,
@@ -53,7 +54,7 @@ from spinestiff.study.report.viewer.files import scene_of
 from spinestiff.study.report.viewer.page import component, page_environment, script_hash, view_page
 from spinestiff.study.trials import PushTrial
 from spinestiff.study.truth import known_comparison, read_truth
-from spinestiff.study.visit import Observer, Visit
+from spinestiff.study.visit import Visit
 from spinestiff.study.wording import fixed, listed, number
 from spinestiff.subject.folder import image_corners, read_push, read_rest
 from spinestiff.subject.outcomes import Assessment, Estimate, GeometryRecord, Tracked

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from spinestiff.anatomy.template import template_torso
+from spinestiff.mechanics.supports import SupportKind
 from spinestiff.study.report.viewer import page
 from spinestiff.study.report.viewer.page import component, script_hash, source_hash, view_page
 from spinestiff.study.report.viewer.scene import Scene
@@ -102,7 +103,7 @@ def test_numbers_stand_in_the_text_without_a_script(html, viewed):
     main = viewed.scene.pushes[0]
     full = main.frames[-1]
     assert f"{full.rmse_mm['fit']:.1f}" in words and "held out" in words
-    shoulder = next(i for i, s in enumerate(main.supports) if s.name.startswith("shoulder"))
+    shoulder = next(i for i, s in enumerate(main.supports) if s.kind is SupportKind.SHOULDER)
     force = main.models["fit"][-1].reactions[shoulder, 0]
     assert f"{abs(force):.1f} to the {'left' if force > 0 else 'right'}" in words
 

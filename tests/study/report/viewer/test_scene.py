@@ -79,7 +79,7 @@ def test_a_step_is_what_a_solve_gives(viewed, record):
     # The wall's points of a scapula share its name.
     assert len(solved.reactions) == len(push["supports"]) == 20
     for support, force, reaction in zip(push["supports"], step["reactions"], solved.reactions):
-        assert support["name"] == reaction.name
+        assert (support["name"], support["kind"]) == (reaction.name, reaction.kind)
         np.testing.assert_allclose(force, reaction.force, atol=0.02)
         point = on_bones(record, step["state"], [support["bone"]], support["offset"])[0]
         np.testing.assert_allclose(point, reaction.point, atol=2e-3)

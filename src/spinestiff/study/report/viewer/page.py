@@ -18,6 +18,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from spinestiff import __version__
+from spinestiff.mechanics.supports import SupportKind
 from spinestiff.study.report.viewer.scene import MODELS, PushScene, Scene, scene_record
 
 MODEL_TITLES = {"fit": "Estimated stiffness", "default": "Default stiffness"}
@@ -126,8 +127,8 @@ def _rows(push: PushScene) -> list[tuple[str, ...]]:
         held = {}
         for i, support in enumerate(push.supports):
             step = steps.get(frame.frame)
-            if step is not None and (support.direction is None or support.name.startswith("shoulder")):
-                held[support.name.split("_")[0]] = _sideways(float(step.reactions[i, 0]))
+            if step is not None and support.kind in (SupportKind.HELD, SupportKind.SHOULDER):
+                held[support.kind] = _sideways(float(step.reactions[i, 0]))
         rows.append(
             (
                 push.push,
@@ -135,8 +136,8 @@ def _rows(push: PushScene) -> list[tuple[str, ...]]:
                 f"{frame.force_n:g}",
                 ROLE_TITLES.get(frame.role, frame.role),
                 *errors,
-                held.get("shoulder", "–"),
-                held.get("pelvis", "–"),
+                held.get(SupportKind.SHOULDER, "–"),
+                held.get(SupportKind.HELD, "–"),
             )
         )
     return rows

@@ -15,12 +15,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from spinestiff.anatomy.names import RIBS, VERTEBRAE
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.estimation.objective import make_target
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.loads import LoadCase
-from spinestiff.mechanics.supports import Supports
+from spinestiff.mechanics.supports import SupportKind, Supports
 from spinestiff.study.predictions import REST, Prediction, Predictions, Solved
 from spinestiff.study.trials import PushSet, PushTrial
 
@@ -73,6 +74,7 @@ class Support:
     """Where the torso is held: a point on a bone, and the direction it is held along (None: the bone as a whole)."""
 
     name: str
+    kind: SupportKind
     bone: int
     offset: Floats
     direction: Floats | None
@@ -161,14 +163,15 @@ def visit_scene(title: str, predictions: Predictions, levels: Mapping[str, tuple
 def _supports(torso: TorsoModel, supports: Supports) -> tuple[Support, ...]:
     springs = supports.springs
     held = [
-        Support(torso.bone_names[bone], int(bone), np.zeros(3), None) for bone in np.flatnonzero(supports.held.any(1))
+        Support(torso.bone_names[bone], SupportKind.HELD, int(bone), np.zeros(3), None)
+        for bone in np.flatnonzero(supports.held.any(1))
     ]
     points = springs.points
     return (
         *held,
         *(
-            Support(name, int(points.bone[i]), points.offset[i], springs.directions[i])
-            for i, name in enumerate(supports.names)
+            Support(name, kind, int(points.bone[i]), points.offset[i], springs.directions[i])
+            for i, (name, kind) in enumerate(zip(supports.names, supports.kinds))
         ),
     )
 
@@ -322,6 +325,7 @@ def _push_record(push: PushScene, states: _States) -> dict[str, Any]:
         "supports": [
             {
                 "name": support.name,
+                "kind": str(support.kind),
                 "bone": support.bone,
                 "offset": _rounded(support.offset),
                 "direction": None if support.direction is None else _rounded(support.direction),

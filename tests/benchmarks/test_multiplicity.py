@@ -1,6 +1,10 @@
-"""spinestiff.mechanics.multiplicity: several equilibria under one load, and where a branch ends."""
+"""benchmarks/multiplicity.py: several equilibria under one load, and where a branch ends."""
 
 from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,12 +14,18 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
-from spinestiff.mechanics.multiplicity import BranchEnd, apart, equilibria, follow_load, least_eigenvalue
 from spinestiff.mechanics.supports import Supports
 from spinestiff.mechanics.terms import PointSprings
 from spinestiff.verification.blocks import holds
 from spinestiff.verification.equilibria import toy_load, toy_supports
 from spinestiff.verification.models import make_torso, toy_torso
+
+FILE = Path(__file__).parents[2] / "benchmarks" / "multiplicity.py"
+SPEC = importlib.util.spec_from_file_location("multiplicity", FILE)
+multiplicity = sys.modules["multiplicity"] = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(multiplicity)
+BranchEnd, apart, equilibria = multiplicity.BranchEnd, multiplicity.apart, multiplicity.equilibria
+follow_load, least_eigenvalue = multiplicity.follow_load, multiplicity.least_eigenvalue
 
 # A toggle: a bar at SLANT above the horizontal, its foot on a turning joint, its tip held sideways by a spring.
 SLANT, LENGTH, SPRING, TURNING = 0.4, 100.0, 20.0, 50.0

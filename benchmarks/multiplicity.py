@@ -16,16 +16,16 @@ import numpy as np
 import scipy.sparse.linalg as spla
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
-from spinestiff.anatomy.torso import TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
+from spinestiff.mechanics.assembly import ROTATION_LENGTH
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.newton import Run
-from spinestiff.mechanics.potential import ROTATION_LENGTH
+from spinestiff.mechanics.result import SolveStatus
 from spinestiff.mechanics.sensitivity import Linearisation
-from spinestiff.mechanics.solution import SolveStatus
 
 # Two states are one equilibrium if no bone is farther apart (mm, turns at 30 mm). A residual of 1e-8 N leaves less.
 SAME_MM = 1e-3

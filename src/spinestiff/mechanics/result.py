@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from spinestiff.anatomy.torso import TorsoState
-from spinestiff.arrays import Floats
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
-from spinestiff.mechanics.supports import Reaction
+from spinestiff.mechanics.supports import Reaction, SupportKind
 
 
 class SolveStatus(enum.Enum):
@@ -52,8 +52,8 @@ class NewtonStep:
     projected: bool
 
 
-@dataclass(frozen=True)
-class Equilibrium:
+@dataclass(frozen=True, repr=False)
+class Equilibrium(ShortRepr):
     """The result of a solve; plain data.
 
     Attributes
@@ -94,14 +94,23 @@ class Equilibrium:
             raise EquilibriumError(f"{self.status.value} (residual {self.residual_norm:.2e} N; {self.fault})")
         return self
 
-    def reaction(self, name: str) -> Floats:
-        """(3,) N, the summed force of all supports whose name starts with ``name``; EquilibriumError if none does."""
-        forces = [r.force for r in self.reactions if r.name.startswith(name)]
-        if not forces:
-            known = ", ".join(dict.fromkeys(r.name for r in self.reactions))
-            raise EquilibriumError(f"no support '{name}'; there are {known}")
-        return np.sum(forces, axis=0)
+    def reaction(self, what: str | SupportKind) -> Floats:
+        """(3,) N, summed force of the supports of a kind, or else of that name; EquilibriumError if there is none."""
+        own = [r for r in self.reactions if r.kind == what] or [r for r in self.reactions if r.name == what]
+        if not own:
+            kinds = dict.fromkeys(str(r.kind) for r in self.reactions)
+            known = ", ".join([*kinds, *dict.fromkeys(r.name for r in self.reactions)])
+            raise EquilibriumError(f"no support '{what}'; there are {known}")
+        return np.sum([r.force for r in own], axis=0)
+
+    def _facts(self) -> Iterator[str]:
+        yield self.status.name
+        yield f"energy {self.energy:.6g} N mm"
+        yield f"residual {self.residual_norm:.1e} N"
+        yield f"{self.iterations} iterations"
+        if self.fault:
+            yield self.fault
 
 
 # Sees every iteration of a solve; a true answer cancels it.
-Observer = Callable[[NewtonStep], object]
+OnNewtonStep = Callable[[NewtonStep], object]

@@ -13,9 +13,10 @@ from spinestiff.anatomy.importing.placing import Skeleton
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.solids import dense_points, enclosed
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.template.surfaces import Surface, loft
-from spinestiff.anatomy.torso import TorsoModel, TorsoState
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import TorsoError
 

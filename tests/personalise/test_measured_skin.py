@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from spinestiff.errors import TorsoError
+from spinestiff.personalise.measured_skin import TrunkSize, trunk_sizes, with_trunk_sizes
 from spinestiff.personalise.quality import mesh_quality
-from spinestiff.personalise.skin import TrunkSize, trunk_sizes, with_trunk_sizes
 
 LEVELS = ("T9", "L3")
 
