@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from results import tracked_push
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TorsoState
 from spinestiff.curves.tilts import change_between
 from spinestiff.errors import SubjectError
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features

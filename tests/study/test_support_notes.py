@@ -34,12 +34,15 @@ def test_a_shoulder_that_pulls_is_told(torso, side, push):
     """A push to +x is borne by a shoulder that pushes to -x; the wall behind can only push forward."""
     assert notes(torso, side, -10.0 * push, (4.0,))[0] == []
     assert notes(torso, side, 3.0 * push)[0] == ["the shoulder's support pulls with 3.0 N"]
+    assert notes(torso, side, 1.9 * push)[0] == []
 
 
 def test_a_wall_that_pulls_is_told_with_the_bone_where_it_pulls_most(torso):
     (note,), supports = notes(torso, wall=(-2.5, -7.0, -1.0))
     bone = supports.names[np.flatnonzero(supports.of_kind(SupportKind.WALL))[1]]
     assert note.startswith(f"the back wall pulls at 2 points (most at {bone}, 7.0 N)")
+    (single,), _ = notes(torso, wall=(-2.5,))
+    assert single.startswith("the back wall pulls at 1 point (most at ")
 
 
 def test_a_pelvis_that_turns_is_told(torso):

@@ -189,7 +189,9 @@ def test_a_number_that_got_past_the_schema_is_never_written(bare):
 # Parts
 
 
-@pytest.mark.parametrize("view", [frontal_view(), lateral_view(), frontal_view().moved((3.0, -2.0), 0.05)])
+@pytest.mark.parametrize(
+    "view", [frontal_view(source_to_patient=1333.3), lateral_view(), frontal_view().moved((3.0, -2.0), 0.05)]
+)
 def test_a_view_comes_back_exactly(view):
     again = ViewRecord.model_validate_json(ViewRecord.of(view).model_dump_json()).view()
     for field in fields(XRayView):
