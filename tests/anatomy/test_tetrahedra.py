@@ -20,10 +20,10 @@ def test_angles_of_a_regular_tetrahedron_and_of_a_cubes_corner():
 
 
 def test_the_least_angle_counts_wide_ones_as_flat():
-    flat = np.array([[0.0, 0, 0], [2, 0, 0], [1, 1, 0.01], [1, -1, 0.01]])
-    angles = dihedral_angles(flat)
-    assert angles.max() > 178.0 and angles.min() < 2.0
-    assert least_angles(np.stack([flat, REGULAR])) == pytest.approx([min(angles.min(), 180.0 - angles.max()), 70.5288])
+    wide = np.array([[5.0, 4, 0], [0, 1, 5], [3, 3, 3], [3, 2, 3]])
+    angles = dihedral_angles(wide)
+    assert angles.min() > 53.0 and 157.0 < angles.max() < 158.0
+    assert least_angles(np.stack([wide, REGULAR])) == pytest.approx([180.0 - angles.max(), 70.5288])
 
 
 def test_volumes_carry_the_sign_of_the_order():
