@@ -68,7 +68,7 @@ TRACK_MM, TRACK_SPREAD, OWN_SHARE, PREDICTED_WITHIN, LOST = 0.09, 0.7, 0.5, 0.3,
 FORCE_SD, READING_SD_N, HEIGHT_SD_LEVELS = 0.02, 0.5, 0.2
 FORCE_N = (30.0, 90.0)
 PULLS = (30.0, 1000.0)  # N/mm, that bring the vertebrae of the truth to their places
-FIT_EVALUATIONS = 6
+FIT_EVALUATIONS = 3
 PUSHES: Mapping[str, tuple[tuple[float, Role], ...]] = {
     "main": ((0.0, "unused"), (1 / 3, "training"), (2 / 3, "training"), (1.0, "validation")),
     "second": ((0.0, "unused"), (0.5, "unused"), (1.0, "validation")),
