@@ -85,7 +85,7 @@ class Limits:
     moved_share: float = 0.15
     stray_moved_mm: float = 1.3
     stray_moved_share: float = 0.1
-    fall_mm: float = 0.3
+    fall_mm: float = 0.2
     fall_share: float = 0.03
     against_mm: float = 1.0
 
