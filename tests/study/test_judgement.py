@@ -203,7 +203,8 @@ def test_a_vertebra_of_a_push_turned_by_a_quarter(sound, turn):
     try:
         doubts = case.doubts()
     except TrackingError as error:
-        assert str(error) == "T8 lies upside down in the picture; check the corner order and the orientation"  # noqa: PT017
+        words = "T8 lies upside down in the picture; check the corner order and the orientation"
+        assert str(error) == f"push 'main' frame 0: {words}"  # noqa: PT017
         return
     assert "look for the corners of T8 in the annotated frames (order" in doubts["vertebrae of the push"]
     assert "look for wrong corners of T8 (0." in doubts["rest and push"]
