@@ -34,10 +34,11 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.fit import StiffnessFit
 from spinestiff.imaging.features import VertebraCorners
+from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.judgement import RestShape, failed, judge
-from spinestiff.study.trials import PushSet, TrackedFrame, TrackedPush, push_set, usable_corners
-from spinestiff.subject.outcomes import Check
+from spinestiff.study.trials import PushSet, push_set
+from spinestiff.subject.outcomes import Check, TrackedPush
 from spinestiff.subject.records import SubjectRecord
 
 FOUND = 0.9
@@ -122,7 +123,7 @@ def displaced_vertebra(case: Case, mm: float) -> Case:
 def displaced(case: Case, mm: float, corners: VertebraCorners) -> VertebraCorners:
     row, angle = chosen(case, len(corners)), 2.0 * np.pi * (0.37 * case.subject.seed % 1.0)
     new = np.array(corners.corners)
-    new[row] += mm * case.subject.tracked[MAIN].view.magnification * np.array([np.cos(angle), np.sin(angle)])
+    new[row] += mm * case.subject.tracked[MAIN].view.view().magnification * np.array([np.cos(angle), np.sin(angle)])
     return replace(corners, corners=new)
 
 
@@ -140,7 +141,7 @@ def renamed_levels(case: Case, step: float) -> Case:
 
 def mirrored(case: Case, _: float) -> Case:
     """The pictures of a push mirrored, and its side with them: as a mirrored frontal picture at rest."""
-    view = case.subject.tracked[MAIN].view
+    view = case.subject.tracked[MAIN].view.view()
     middle = view.principal_point[0]
 
     def flipped(corners: VertebraCorners) -> VertebraCorners:
@@ -156,10 +157,10 @@ def mirrored(case: Case, _: float) -> Case:
 
 def loaded_rest(case: Case, frame: float) -> Case:
     """The frontal rest picture taken in a loaded frame; personalised anew."""
-    rest = dict(case.subject.rest)
-    rest["frontal"] = (case.subject.tracked[MAIN].frames[int(frame)].corners, case.subject.tracked[MAIN].view)
-    corners = usable_corners(rest["frontal"][0])
-    rest["frontal"] = (replace(corners, quality=np.ones_like(corners.quality)), rest["frontal"][1])
+    push = case.subject.tracked[MAIN]
+    corners = usable_corners(push.corners(int(frame)))
+    marked = replace(corners, quality=np.ones_like(corners.quality))
+    rest = {**case.subject.rest, "frontal": (marked, push.view.view())}
     return reshaped(case, replace(case.subject, rest=rest))
 
 
@@ -250,8 +251,9 @@ def reshaped(case: Case, subject: Subject) -> Case:
 def with_corners(subject: Subject, push: str, change: Callable[[VertebraCorners], VertebraCorners]) -> Subject:
     """The subject with the corners of every frame of a push changed."""
     tracked = subject.tracked[push]
-    frames = tuple(TrackedFrame(change(frame.corners)) for frame in tracked.frames)
-    return replace(subject, tracked={**subject.tracked, push: TrackedPush(tracked.view, frames)})
+    forces = [frame.force_n for frame in tracked.frames]
+    corners = [change(tracked.corners(i)) for i in range(len(forces))]
+    return replace(subject, tracked={**subject.tracked, push: TrackedPush.of(tracked.view.view(), forces, corners)})
 
 
 def chosen(case: Case, count: int) -> int:

@@ -22,7 +22,8 @@ from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.shape import personalise, place_vertebrae
 from spinestiff.study.judgement import LIMITS, RestShape, failed, judge
 from spinestiff.study.spines import curved_spine
-from spinestiff.study.trials import TrackedFrame, TrackedPush, push_set
+from spinestiff.study.trials import push_set
+from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
 
 HEIGHT = 157.0
@@ -65,8 +66,8 @@ class Case:
 
     def with_frames(self, change):
         """The corners of every frame changed."""
-        frames = tuple(TrackedFrame(change(frame.corners)) for frame in self.tracked.frames)
-        return replace(self, tracked=replace(self.tracked, frames=frames))
+        corners = [change(self.tracked.corners(i)) for i in range(len(FORCES))]
+        return replace(self, tracked=TrackedPush.of(self.tracked.view.view(), FORCES, corners))
 
     def with_rest(self, template=None, **pictures):
         """Personalised anew, with other pictures or from another template."""
@@ -106,12 +107,12 @@ def sound():
     for force in FORCES:
         state = problem.solve(rib_push(torso, "left", 8.0, force), stiffness_ratios(RATIOS), state).require().state
         tracking = random.normal(0.0, 0.1 if force else 0.0, (17, 4, 2))
-        frames.append(TrackedFrame(seen(torso, view, state, annotated + tracking)))
+        frames.append(seen(torso, view, state, annotated + tracking))
     push = PushRecord(
         id="main", side="left", level=8.0, d21_mm=400.0, d31_mm=200.0, frames="main", forces_n=FORCES, roles=ROLES
     )
     record = SubjectRecord(schema_version=1, id="girl", age=13.0, sex="female", height_cm=HEIGHT, pushes=(push,))
-    tracked = TrackedPush(view, tuple(frames))
+    tracked = TrackedPush.of(view, FORCES, frames)
     shaped = personalise(template_torso(HEIGHT), rest)
     pushes = push_set(shaped.torso, record.pushes, {"main": tracked})
     fit = fit_stiffness(
@@ -242,7 +243,7 @@ def test_a_frontal_rest_picture_that_is_mirrored(sound):
 
 
 def test_the_pushed_frame_as_rest_picture(sound):
-    case = sound.with_rest(frontal=(sound.tracked.frames[3].corners, sound.tracked.view))
+    case = sound.with_rest(frontal=(sound.tracked.corners(3), sound.tracked.view.view()))
     doubts = case.doubts()
     assert "look for a rest picture under load" in doubts["rest without load"]
     assert "look for a rest picture under load, as in frame 3 (60 N)" in doubts["rest and push"]
