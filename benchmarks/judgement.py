@@ -6,10 +6,9 @@ seconds each; of the first ``--mixed`` of them each mix-up at growing size. Limi
 reported is of others. A line a subject goes to the log, a run that was stopped goes on from it, and FOLDER takes the
 subjects. --lines prints what a user reads for each mix-up of one subject, and nothing else.
 
-Mix-ups change what the steps were told; corners, places and forces are then taken through them again. Three things are
-not: a refit, which no check but those of the training frames sees (theirs is taken to first order); the personalisation
-where all pictures or the height are scaled (lengths and sizes then scale alike); and instead of a frontal picture at
-rest that of the push is mirrored, with its side.
+Mix-ups change what the steps were told; corners, places and forces are then taken through them again. Two things are
+not: a refit, which no check but those of the training frames sees (theirs is taken to first order), and instead of a
+frontal picture at rest that of the push is mirrored, with its side.
 """
 
 from __future__ import annotations
@@ -35,10 +34,11 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.fit import StiffnessFit
 from spinestiff.imaging.features import VertebraCorners
+from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.judgement import RestShape, failed, judge
-from spinestiff.study.trials import PushSet, TrackedFrame, TrackedPush, push_set, usable_corners
-from spinestiff.subject.outcomes import Check
+from spinestiff.study.trials import PushSet, push_set
+from spinestiff.subject.outcomes import Check, TrackedPush
 from spinestiff.subject.records import SubjectRecord
 
 FOUND = 0.9
@@ -81,23 +81,24 @@ def record_of(subject: Subject) -> SubjectRecord:
 
 
 def scaled_everywhere(case: Case, factor: float) -> Case:
-    """All pixel spacings times ``factor``; a height of 1 / ``factor`` as much comes to the same."""
-    shape = case.shape
-    return replace(
-        case, shape=replace(shape, length_scale=factor * shape.length_scale, size_scale=factor * shape.size_scale)
-    )
+    """All pixel spacings times ``factor``, personalised anew; a height of 1 / ``factor`` as much comes to the same."""
+    rest = {name: (scaled(corners, factor), view) for name, (corners, view) in case.subject.rest.items()}
+    return reshaped(case, replace(scaled_pushes(case.subject, factor), rest=rest))
+
+
+def scaled(corners: VertebraCorners, factor: float) -> VertebraCorners:
+    return replace(corners, corners=factor * corners.corners)
 
 
 def scaled_push(case: Case, factor: float) -> Case:
     """The pixel spacing of the pushes alone."""
+    return case.told(scaled_pushes(case.subject, factor))
 
-    def scaled(corners: VertebraCorners) -> VertebraCorners:
-        return replace(corners, corners=factor * corners.corners)
 
-    subject = case.subject
+def scaled_pushes(subject: Subject, factor: float) -> Subject:
     for push in subject.tracked:
-        subject = with_corners(subject, push, scaled)
-    return case.told(subject)
+        subject = with_corners(subject, push, partial(scaled, factor=factor))
+    return subject
 
 
 def turned_vertebra(case: Case, degrees: float) -> Case:
@@ -122,7 +123,7 @@ def displaced_vertebra(case: Case, mm: float) -> Case:
 def displaced(case: Case, mm: float, corners: VertebraCorners) -> VertebraCorners:
     row, angle = chosen(case, len(corners)), 2.0 * np.pi * (0.37 * case.subject.seed % 1.0)
     new = np.array(corners.corners)
-    new[row] += mm * case.subject.tracked[MAIN].view.magnification * np.array([np.cos(angle), np.sin(angle)])
+    new[row] += mm * case.subject.tracked[MAIN].view.view().magnification * np.array([np.cos(angle), np.sin(angle)])
     return replace(corners, corners=new)
 
 
@@ -140,7 +141,7 @@ def renamed_levels(case: Case, step: float) -> Case:
 
 def mirrored(case: Case, _: float) -> Case:
     """The pictures of a push mirrored, and its side with them: as a mirrored frontal picture at rest."""
-    view = case.subject.tracked[MAIN].view
+    view = case.subject.tracked[MAIN].view.view()
     middle = view.principal_point[0]
 
     def flipped(corners: VertebraCorners) -> VertebraCorners:
@@ -156,10 +157,10 @@ def mirrored(case: Case, _: float) -> Case:
 
 def loaded_rest(case: Case, frame: float) -> Case:
     """The frontal rest picture taken in a loaded frame; personalised anew."""
-    rest = dict(case.subject.rest)
-    rest["frontal"] = (case.subject.tracked[MAIN].frames[int(frame)].corners, case.subject.tracked[MAIN].view)
-    corners = usable_corners(rest["frontal"][0])
-    rest["frontal"] = (replace(corners, quality=np.ones_like(corners.quality)), rest["frontal"][1])
+    push = case.subject.tracked[MAIN]
+    corners = usable_corners(push.corners(int(frame)))
+    marked = replace(corners, quality=np.ones_like(corners.quality))
+    rest = {**case.subject.rest, "frontal": (marked, push.view.view())}
     return reshaped(case, replace(case.subject, rest=rest))
 
 
@@ -250,8 +251,9 @@ def reshaped(case: Case, subject: Subject) -> Case:
 def with_corners(subject: Subject, push: str, change: Callable[[VertebraCorners], VertebraCorners]) -> Subject:
     """The subject with the corners of every frame of a push changed."""
     tracked = subject.tracked[push]
-    frames = tuple(TrackedFrame(change(frame.corners)) for frame in tracked.frames)
-    return replace(subject, tracked={**subject.tracked, push: TrackedPush(tracked.view, frames)})
+    forces = [frame.force_n for frame in tracked.frames]
+    corners = [change(tracked.corners(i)) for i in range(len(forces))]
+    return replace(subject, tracked={**subject.tracked, push: TrackedPush.of(tracked.view.view(), forces, corners)})
 
 
 def chosen(case: Case, count: int) -> int:
@@ -271,11 +273,11 @@ class Mixup:
 
 MIXUPS = {
     "all pictures too small": Mixup(
-        scaled_everywhere, (0.95, 0.925, 0.9, 0.875, 0.85, 0.825, 0.8, 0.7), "times",
+        scaled_everywhere, (0.875, 0.85, 0.825, 0.7), "times",
         ("length of the spine", "sizes of the vertebrae"),
     ),
     "all pictures too large": Mixup(
-        scaled_everywhere, (1.05, 1.1, 1.125, 1.15, 1.175, 1.2, 1.25, 1.4), "times",
+        scaled_everywhere, (1.15, 1.175, 1.2), "times",
         ("length of the spine", "sizes of the vertebrae"),
     ),
     "pushes too small": Mixup(scaled_push, (0.98, 0.96, 0.94, 0.92, 0.9, 0.85, 0.7), "times", ("rest and push",)),

@@ -45,7 +45,8 @@ from spinestiff.personalise.shape import Personalised, personalise, place_verteb
 from spinestiff.personalise.sizes import resized
 from spinestiff.study.spines import CURVES, curved_spine
 from spinestiff.study.synthetic import BENDING_RANGE, TISSUE_RANGE
-from spinestiff.study.trials import PushSet, TrackedFrame, TrackedPush, push_set
+from spinestiff.study.trials import PushSet, push_set
+from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord, Role
 
 
@@ -68,7 +69,7 @@ TRACK_MM, TRACK_SPREAD, OWN_SHARE, PREDICTED_WITHIN, LOST = 0.09, 0.7, 0.5, 0.3,
 FORCE_SD, READING_SD_N, HEIGHT_SD_LEVELS = 0.02, 0.5, 0.2
 FORCE_N = (30.0, 90.0)
 PULLS = (30.0, 1000.0)  # N/mm, that bring the vertebrae of the truth to their places
-FIT_EVALUATIONS = 6
+FIT_EVALUATIONS = 3
 PUSHES: Mapping[str, tuple[tuple[float, Role], ...]] = {
     "main": ((0.0, "unused"), (1 / 3, "training"), (2 / 3, "training"), (1.0, "validation")),
     "second": ((0.0, "unused"), (0.5, "unused"), (1.0, "validation")),
@@ -150,7 +151,7 @@ def make_subject(seed: int) -> Subject:
             states.append(state)
             reading = share * force * wrong + READING_SD_N * float(random.normal())
             told.append(round(max(reading, 0.0), 1) if share else 0.0)
-        tracked[push] = _tracked(torso, nominal["frontal"], states, annotation, random)
+        tracked[push] = _tracked(torso, nominal["frontal"], states, told, annotation, random)
         records.append(
             PushRecord(
                 id=push,
@@ -227,7 +228,12 @@ def _projected(torso: TorsoModel, view: XRayView, state: TorsoState) -> Floats:
 
 
 def _tracked(
-    torso: TorsoModel, nominal: XRayView, states: list[TorsoState], annotation: float, random: np.random.Generator
+    torso: TorsoModel,
+    nominal: XRayView,
+    states: list[TorsoState],
+    told: list[float],
+    annotation: float,
+    random: np.random.Generator,
 ) -> TrackedPush:
     placed = _standing(nominal, random, lateral=False)
     sway = float(np.radians(SWAY_SD_DEG) * random.normal())
@@ -243,8 +249,8 @@ def _tracked(
         predicted = np.sqrt(2.0 * (1.0 + OWN_SHARE**2)) * size * np.exp(PREDICTED_WITHIN * random.normal(size=(17, 4)))
         quality = quality_of(predicted) * (random.uniform(size=(17, 1)) > LOST * (number > 0))
         corners = corners + (wrong + error) * view.magnification
-        frames.append(TrackedFrame(VertebraCorners(VERTEBRAE, corners, quality)))
-    return TrackedPush(nominal, tuple(frames))
+        frames.append(VertebraCorners(VERTEBRAE, corners, quality))
+    return TrackedPush.of(nominal, told, frames)
 
 
 def _swayed(corners: Floats, angle: float) -> Floats:

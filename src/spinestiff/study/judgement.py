@@ -31,7 +31,7 @@ from spinestiff.subject.records import PushRecord, SubjectRecord
 WRONG_VERTEBRA = 3
 # Beyond so many vertebrae it is not their corners.
 FEW = 2
-# A mistake explains a difference that it lowers to this share, and below the limit.
+# A mistake explains a difference that it lowers to this share of the limit, and of what it was.
 EXPLAINED = 0.6
 # What usually makes rest and push differ; kinds as in ``misfit.Explanation``.
 USUAL = {
@@ -85,7 +85,7 @@ class Limits:
     moved_share: float = 0.15
     stray_moved_mm: float = 1.3
     stray_moved_share: float = 0.1
-    fall_mm: float = 0.3
+    fall_mm: float = 0.2
     fall_share: float = 0.03
     against_mm: float = 1.0
 
@@ -402,7 +402,7 @@ def _what_differs(pushes: PushSet, found: Spines, trials: Sequence[PushTrial], o
         for trial in trials
         if trial.force_n > 0.0
     )
-    likely = [one for one in explanations(found, loaded) if one.left_mm <= min(limit, EXPLAINED * off)]
+    likely = [one for one in explanations(found, loaded) if one.left_mm <= EXPLAINED * min(limit, off)]
     best = {one.kind: one for one in reversed(likely)}
     said = [f"{one.text} ({one.left_mm:.1f} mm would remain)" for one in sorted(best.values(), key=_left)]
     return ", ".join([*said, *(text for kind, text in USUAL.items() if kind not in best)])
@@ -441,9 +441,7 @@ def _training(pushes: PushSet, fit: StiffnessFit, limits: Limits) -> Iterator[Ch
         yield _impossible(names[1], "no training frame shows two vertebrae that were tracked well")
         return
     off, limit, vertebra, label = max(sure, key=lambda one: one[0] / one[1])
-    text = (
-        f"{label}: the motion of {vertebra} differs by {off:.2f} mm (RMS) from what the fit leaves of its neighbours'"
-    )
+    text = f"{label}: the fit leaves {off:.2f} mm (RMS) more of the motion of {vertebra} than of its neighbours'"
     causes = f"lost tracking of {vertebra}, then its corners in the annotated frames"
     yield _check(names[1], text, off, limit, off <= limit, causes)
 

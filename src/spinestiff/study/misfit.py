@@ -15,12 +15,15 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Trial
 from spinestiff.imaging.features import (
+    VertebraCorners,
     picture_axes,
+    place_boxes,
+    reference_boxes,
     silhouette_shares,
     state_features,
-    target_features,
     vertebra_rows,
 )
+from spinestiff.imaging.projection import XRayView
 
 # A vertebra is compared with the median of so many of its nearest neighbours.
 NEIGHBOURS = 4
@@ -62,14 +65,21 @@ def spines(torso: TorsoModel, trial: Trial) -> Spines:
     shares = silhouette_shares(torso, trial.view, torso.rest_pose)
     model = state_features(torso, trial.view, torso.rest_pose, shares, used=used).z
     left, _ = picture_axes(trial.view)
-    return Spines(trial.corners.vertebrae, rows, target_features(torso, trial.view, trial.corners), model, left)
+    return Spines(trial.corners.vertebrae, rows, placed(torso, trial.view, trial.corners), model, left)
 
 
 def motion(torso: TorsoModel, trial: Trial, reference: Trial) -> tuple[Ints, Floats, Floats]:
     """Of the vertebrae that both radiographs show: rows (n,), boxes in the reference and in the trial (n, 4, 2) mm."""
     both = tuple(name for name in trial.corners.vertebrae if name in reference.corners.vertebrae)
-    start, end = (target_features(torso, t.view, t.corners.selected(both)) for t in (reference, trial))
+    start, end = (placed(torso, t.view, t.corners.selected(both)) for t in (reference, trial))
     return vertebra_rows(torso, trial.corners.selected(both)), start, end
+
+
+def placed(torso: TorsoModel, view: XRayView, corners: VertebraCorners) -> Floats:
+    """Measured boxes (n, 4, 2) mm, whatever the corners look like: what is wrong with them is to be found here."""
+    boxes = reference_boxes(torso, view)[vertebra_rows(torso, corners)]
+    seen = view.to_patient_plane(corners.corners.reshape(-1, 2)).reshape(-1, 4, 2)
+    return place_boxes(seen, boxes, "procrustes", corners.usable, corners.vertebrae).z
 
 
 def moved(points: Floats, goal: Floats, scaled: bool = False) -> Floats:
@@ -152,10 +162,11 @@ def _mirrored(found: Spines) -> Explanation:
 
 
 def _scaled(found: Spines) -> Explanation:
-    """The size is that of the whole spine: boxes are placed at the model's own size."""
-    model, seen = found.model[found.rows].mean(1), found.seen.mean(1)
-    size = abs(_similarity(model, seen))
-    left = rms(seen - moved(model, seen, scaled=True)) / size
+    """Boxes are placed at the model's own size: the size is in their places."""
+    rigid = moved(found.model[found.rows], found.seen)
+    middle, seen = rigid.mean(1), found.seen.mean(1)
+    size = abs(_similarity(middle, seen))
+    left = rms(found.seen - (rigid - middle[:, None] + moved(middle, seen, scaled=True)[:, None]))
     text = f"pixel spacing or distances, the push being {size:.2f} times as large as the rest pictures"
     return Explanation("scale", text, left)
 

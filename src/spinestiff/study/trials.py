@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import ShortRepr
-from spinestiff.errors import SubjectError
+from spinestiff.errors import SubjectError, TrackingError
 from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Trial
 from spinestiff.imaging.features import Orientation
 from spinestiff.imaging.tracking.quality import usable_corners
@@ -81,6 +81,7 @@ def push_set(
     Raises
     ------
     SubjectError : a push without a usable frame, or no training frame is left.
+    TrackingError : corners of the frame of least force that are no picture of the torso's vertebrae.
     """
     problems, trials, poses, warnings = {}, [], {}, []
     by_side: dict[str, EquilibriumProblem] = {}
@@ -107,7 +108,10 @@ def push_set(
                 f"push '{push.id}': its least force is {push.forces_n[least]:g} N, so that where the patient stood "
                 "is read under load; record a frame without force"
             )
-        view, poses[push.id] = align_view(torso, torso.rest_pose, found.view.view(), corners[least])
+        try:
+            view, poses[push.id] = align_view(torso, torso.rest_pose, found.view.view(), corners[least])
+        except TrackingError as error:
+            raise TrackingError(f"push '{push.id}' frame {least}: {error}") from None
         for index, (frame, force, role) in enumerate(zip(found.frames, push.forces_n, push.roles)):
             label = f"push '{push.id}' frame {index}"
             if frame.dropped and role != "unused":
