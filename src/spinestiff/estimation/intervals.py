@@ -100,11 +100,24 @@ def inverted_intervals(
     opens = {-1.0: linear.open_low.copy(), 1.0: linear.open_high.copy()}
     for (i, sign), end in found.items():
         if end is None and region is not None:
-            outermost = float(np.clip(sign * (sign * region[:, i]).max(), *limits))
+            outermost = float(np.clip(sign * (sign * _within(region, limits)[:, i]).max(), *limits))
             end = outermost, outermost in limits
         if end is not None:
             ends[sign][i], opens[sign][i] = end
     return Intervals(ends[-1.0], ends[1.0], opens[-1.0], opens[1.0], region)
+
+
+def _within(outline: Floats, limits: tuple[float, float]) -> Floats:
+    """The points of an outline (n, 2) inside the limits, and those where it crosses them; all of it if none are."""
+    onward = np.roll(outline, -1, axis=0) - outline
+    points = [outline]
+    for limit in limits:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = (limit - outline) / onward
+        points += [(outline + share[:, [i]] * onward)[(share[:, i] > 0.0) & (share[:, i] < 1.0)] for i in (0, 1)]
+    found = np.concatenate(points)
+    inside = found[((found >= limits[0] - 1e-9) & (found <= limits[1] + 1e-9)).all(1)]
+    return inside if len(inside) else outline
 
 
 @dataclass(frozen=True)
