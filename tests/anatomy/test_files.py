@@ -55,7 +55,7 @@ def test_the_same_torso_gives_the_same_bytes(torso, path, tmp_path):
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(TorsoError, match=r"none\.npz: no such file or directory"):
+    with pytest.raises(TorsoError, match=r"none\.npz: no such file$"):
         read_torso(tmp_path / "none.npz")
 
 
@@ -123,6 +123,7 @@ def test_flipped_bytes_are_noticed(path):
         read_torso(path)
 
 
-def test_a_folder_that_does_not_exist_is_reported(torso, tmp_path):
-    with pytest.raises(TorsoError, match="can't write"):
+def test_a_file_in_the_way_is_reported(torso, tmp_path):
+    (tmp_path / "none").write_bytes(b"")
+    with pytest.raises(TorsoError, match=r"none/torso\.npz: can't be written \("):
         write_torso(tmp_path / "none" / "torso.npz", torso)

@@ -14,6 +14,7 @@ from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
+from spinestiff.files import regular_file
 
 # Apex as a share of the way from L5 to T1, and width, of a single curve; a double curve is a pair of opposite ones.
 CURVES = {
@@ -157,8 +158,7 @@ def smoothed(bodies: Floats, arc: Floats) -> tuple[Floats, Floats]:
 
 
 def _read_points(table: Path, spine_id: str) -> dict[str, dict[str, Floats]]:
-    if not table.is_file():
-        raise SubjectError(f"{table}: no such file; wanted a table of spines")
+    regular_file(table, SubjectError)
     points: dict[str, dict[str, Floats]] = {}
     try:
         text = table.read_text(encoding="utf-8-sig")

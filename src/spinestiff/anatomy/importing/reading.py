@@ -10,6 +10,7 @@ import numpy as np
 from spinestiff.anatomy.importing.vtp import VtpError, read_vtp
 from spinestiff.anatomy.template.surfaces import Surface
 from spinestiff.errors import TorsoError
+from spinestiff.files import regular_file
 
 SUFFIXES = (".stl", ".obj", ".ply", ".vtp")
 MOST_BYTES = 200_000_000
@@ -29,7 +30,7 @@ def read_surface(path: Path) -> Surface:
     if kind not in SUFFIXES:
         raise TorsoError(f"{path.name}: unknown kind of file; wanted one of {', '.join(SUFFIXES)}")
     try:
-        size = path.stat().st_size
+        size = regular_file(path, TorsoError, name=path.name).st_size
         if size > MOST_BYTES:
             raise TorsoError(f"{path.name} has {size / 1e6:.0f} MB; at most {MOST_BYTES / 1e6:.0f} MB, so thin it out")
         content = path.read_bytes()
