@@ -179,14 +179,12 @@ def check_output(
         that is there, without ``force``.
     """
     try:
-        place = path.resolve()
+        place = Path(os.path.realpath(path))
         kind = _kind(path.stat().st_mode)
     except FileNotFoundError:
         kind = None
     except OSError as problem:
         raise error(f"{option} {path}: can't be written ({trouble(problem)})") from None
-    except RuntimeError:  # before Python 3.13
-        raise error(f"{option} {path}: can't be written ({_TROUBLE[errno.ELOOP]})") from None
     except ValueError:  # a zero byte
         raise error(f"{option} {str(path)!r}: no name of a file") from None
     if kind is not None:

@@ -22,6 +22,9 @@ SCHEMA_VERSION = 1
 _JOINT_FIELDS = ("parent", "child", "parent_position", "parent_axes", "child_position", "child_axes", "stiffness")
 _TISSUE_FIELDS = ("rest_positions", "elements", "bone_of_node", "lame_mu", "lame_lambda")
 _STATE_FIELDS = ("bone_positions", "bone_rotations", "tissue_positions")
+_COORDINATES = ("rest_bone_positions", "rest_tissue_positions", "tissue_rest_positions", "surface_vertices")
+FARTHEST_MM = 10_000.0
+"""Of a coordinate; no body reaches as far from where it stands."""
 
 
 def write_torso(path: str | Path, torso: TorsoModel) -> None:
@@ -105,6 +108,9 @@ def _header(path: str | Path, arrays: dict[str, Any]) -> dict[str, Any]:
 
 def _torso(header: dict[str, Any], arrays: dict[str, Any]) -> TorsoModel:
     names = tuple(header["bone_names"])
+    farthest = max((float(np.abs(v).max(initial=0.0)) for k, v in arrays.items() if k in _COORDINATES), default=0.0)
+    if farthest > FARTHEST_MM:
+        raise TorsoError(f"found a coordinate of {farthest:.3g} mm, wanted at most {FARTHEST_MM:g}")
     joints = JointTable(
         tuple(header["joint_names"]),
         tuple(header["joint_kinds"]),

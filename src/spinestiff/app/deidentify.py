@@ -110,7 +110,7 @@ def _check_places(source: Path, out: Path, beside: Path, key_file: Path | None) 
     for inner, outer, what in (
         (out, source, "OUT lies in IN"), (source, out, "IN lies in OUT"), (key_file, out, "the key lies in OUT")
     ):  # fmt: skip
-        if inner is not None and inner.resolve().is_relative_to(outer.resolve()):
+        if inner is not None and Path(os.path.realpath(inner)).is_relative_to(os.path.realpath(outer)):
             raise RadiographError(f"{what}; name a place outside of it")
 
 

@@ -34,6 +34,7 @@ from spinestiff.subject.records import (
     PushRecord,
     SubjectRecord,
     read_record,
+    shown_key,
 )
 from spinestiff.words import counted
 
@@ -352,7 +353,7 @@ def check_image_name(subject: Subject, name: str) -> None:
             raise SubjectError(f"{path}: images.{name}: the push has {counted(count, 'frame')}, counted from 0")
     elif name not in needed:
         raise SubjectError(
-            f"{path}: images.{name}: unknown image; wanted {', '.join(needed)} (push/<id>/<frame> for frames after "
+            f"{path}: images.{shown_key(name)}: unknown image; wanted {', '.join(needed)} (push/<id>/<frame> for frames after "
             "the first)"
         )
 
