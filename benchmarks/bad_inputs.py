@@ -1,6 +1,6 @@
 """Is whatever a user may hand over read rightly, or refused in one clear line?
 
-``python benchmarks/bad_inputs.py [--inputs 12000] [--seed 0] [--only CLASS] [--json] [--write]``: bad inputs of twelve
+``python benchmarks/bad_inputs.py [--inputs 12000] [--seed 0] [--only CLASS] [--json] [--write]``: bad inputs in
 classes (``CLASSES``), each made from its number and the seed alone and read in a child process under a time limit.
 Each outcome is one of
 
@@ -32,13 +32,12 @@ import multiprocessing.connection
 import os
 import re
 import shutil
-import struct
 import sys
 import tempfile
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -57,9 +56,15 @@ from spinestiff.curves.corner_files import ImageCorners, read_corner_file, write
 from spinestiff.errors import RadiographError, SpinestiffError
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import read_radiographs, write_radiographs
+from spinestiff.imaging.synthetic.acquisition import Acquisition
+from spinestiff.study.runner import run_steps
 from spinestiff.study.spines import real_spine
-from spinestiff.study.visit import read_truth
+from spinestiff.study.synthetic import Recipe, synthesise
+from spinestiff.study.truth import read_truth
+from spinestiff.study.visit import open_visit
 from spinestiff.subject.folder import image_corners, image_pedicles, read_subject
+from spinestiff.subject.outcomes import Assessment, Estimate, FrameProposals, GeometryRecord, Tracked
+from spinestiff.subject.run_record import read_outcome
 
 MOST_SECONDS = 20.0
 LONGEST_LINE = 300
@@ -87,6 +92,10 @@ ODD_TEXTS = (
     "a" * 5000,
 )
 ODD_VALUES = (None, True, False, [], {}, [[]], "x", 3, 1.5, [1, 2], {"a": 1})
+
+
+JSON_WAYS = ("cut", "bytes", "root", "twice", "encoding", "value", "number", "text", "delete", "unknown", "shorter",
+             "longer", "swapped", "literal", "key")  # fmt: skip
 
 
 class Case(NamedTuple):
@@ -168,6 +177,10 @@ def sound(folder: Path) -> Material:
         for name, shift in (("one", 0.0), ("two", 8.0))
     ]
     write_torso(folder / "torso.npz", torso)
+    quick = Acquisition(samples=1)
+    recipe = Recipe(seed=3, force_n=30.0, ratios=(0.2, 0.05), shape=SHAPE, mesh="coarse", acquisition=quick)
+    synthesise(folder / "done", recipe)
+    run_steps(open_visit(folder / "done"), ("track", "frames", "personalise", "estimate", "assess"))
     pixels = np.full((1, 48, 40), 900, dtype=np.uint16)
     write_radiographs(folder / "picture.dcm", pixels, frontal_view(shape=(48, 40), pixel=0.4))
     for image in corners:
@@ -210,8 +223,7 @@ def _meshes(torso: Any) -> dict[str, bytes]:
 
 def spoiled_json(random: np.random.Generator, content: Any) -> tuple[str, bytes]:
     """A JSON text that is damaged in one way, or says something else than the sound one."""
-    way = str(random.choice(["cut", "bytes", "root", "twice", "encoding", "value", "number", "text", "delete", "unknown",
-                             "shorter", "longer", "swapped", "literal", "key"]))  # fmt: skip
+    way = str(_pick(random, JSON_WAYS))
     text = json.dumps(content)
     copy = json.loads(text)
     holder, key = _spot(random, copy)
@@ -323,9 +335,9 @@ def spoiled_bytes(random: np.random.Generator, content: bytes) -> tuple[str, byt
 
 
 def subject(random: np.random.Generator, place: Path, material: Material) -> Case:
-    """``subject.json``. Wrong if accepted with: a key that the page on subject folders does not name, given twice, or
-    missing; a value of another type or outside the page's range; unequal numbers of forces and roles; a path out of the
-    folder; or if a value differs from that of the file.
+    """``subject.json``. Wrong if accepted with: a key that the page on subject folders does not name, given twice,
+    or missing; a value of another type or outside the page's range; unequal numbers of forces and roles; a path out
+    of the folder; or if a value differs from that of the file.
     """
     way, raw = spoiled_json(random, material.subject)
     folder = _laid_out(place, material, subject=raw)
@@ -338,11 +350,11 @@ def subject(random: np.random.Generator, place: Path, material: Material) -> Cas
 
 
 def annotation(random: np.random.Generator, place: Path, material: Material) -> Case:
-    """``annotation.json``, up to corners in mm. Wrong if accepted with: unknown, doubled or missing keys; fewer than 8
-    vertebrae in an image that needs them; an unknown image; a corner, support or pedicle that is no pair of finite
-    numbers; a corner outside the image; a vertebra whose corners make no convex quadrilateral, are mirrored or upside
-    down; vertebrae out of order from head to foot; or if a corner differs from the file's. A sound-looking vertebra in the
-    wrong place can't be told here (docs/cobb.md).
+    """``annotation.json``, up to corners in mm. Wrong if accepted with: unknown, doubled or missing keys; fewer
+    than 8 vertebrae in an image that needs them; an unknown image; a corner, support or pedicle that is no pair of
+    finite numbers; a corner outside the image; a vertebra whose corners make no convex quadrilateral, are mirrored
+    or upside down; vertebrae out of order from head to foot; or if a corner differs from the file's. A
+    sound-looking vertebra in the wrong place can't be told here (docs/cobb.md).
     """
     way, raw = spoiled_json(random, material.annotation)
     folder = _laid_out(place, material, annotation=raw)
@@ -359,8 +371,8 @@ def annotation(random: np.random.Generator, place: Path, material: Material) -> 
 
 
 def dicom(random: np.random.Generator, place: Path, material: Material) -> Case:
-    """Damaged radiographs (``damaged_dicom.py``). Wrong if accepted with other sizes than those of the pixels, or with
-    millimetres that no radiograph has (spacing 0.02 to 2 mm, distances 300 to 10,000 mm).
+    """Damaged radiographs (``damaged_dicom.py``). Wrong if accepted with other sizes than those of the pixels, or
+    with millimetres that no radiograph has (spacing 0.02 to 2 mm, distances 300 to 10,000 mm).
     """
     seed, way = _pick(random, material.dicom), _pick(random, DICOM_WAYS)
     path = place / "damaged.dcm"
@@ -378,9 +390,9 @@ def dicom(random: np.random.Generator, place: Path, material: Material) -> Case:
 
 
 def corner_csv(random: np.random.Generator, place: Path, material: Material) -> Case:
-    """Corners in a CSV, up to Cobb angles. Wrong if an image is accepted whose vertebrae or corners are not those that the
-    file's rows give (each of four corners of a vertebra once, finite, at most 100,000 from the first pixel), or has an
-    angle that is not finite or not below 180 degrees.
+    """Corners in a CSV, up to Cobb angles. Wrong if an image is accepted whose vertebrae or corners are not those
+    that the file's rows give (each of four corners of a vertebra once, finite, at most 100,000 from the first
+    pixel), or has an angle that is not finite or not below 180 degrees.
     """
     path = place / "corners.csv"
     write_corners(path, material.corners)
@@ -392,9 +404,9 @@ def corner_csv(random: np.random.Generator, place: Path, material: Material) -> 
 
 
 def corner_json(random: np.random.Generator, place: Path, material: Material) -> Case:
-    """Corners in Slicer markups or an annotation, up to Cobb angles. Wrong if an image is accepted with a level that is
-    unknown or doubled, a corner that is not finite, more vertebrae than a fourth of the file's points, or an angle
-    that is not finite or not below 180 degrees.
+    """Corners in Slicer markups or an annotation, up to Cobb angles. Wrong if an image is accepted with a level
+    that is unknown or doubled, a corner that is not finite, more vertebrae than a fourth of the file's points, or
+    an angle that is not finite or not below 180 degrees.
     """
     path = place / "corners.mrk.json"
     write_corners(path, material.corners[:1])
@@ -410,9 +422,9 @@ def corner_json(random: np.random.Generator, place: Path, material: Material) ->
 
 
 def mesh(random: np.random.Generator, place: Path, material: Material) -> Case:
-    """Bone meshes. Wrong if accepted with: a coordinate that is not finite; a triangle of vertices that are not there; no
-    triangle; or, from a file that was cut short, fewer triangles than the sound one. (An OBJ says nowhere how many there
-    are: one cut between two lines is sound, and what is open is found when bones are closed.)
+    """Bone meshes. Wrong if accepted with: a coordinate that is not finite; a triangle of vertices that are not
+    there; no triangle; or, from a file that was cut short, fewer triangles than the sound one. (An OBJ says nowhere
+    how many there are: one cut between two lines is sound, and what is open is found when bones are closed.)
     """
     name = _pick(random, list(material.meshes))
     way, raw = spoiled_bytes(random, material.meshes[name])
@@ -434,8 +446,8 @@ def mesh(random: np.random.Generator, place: Path, material: Material) -> Case:
 
 
 def bones(random: np.random.Generator, place: Path, material: Material) -> Case:
-    """Sets of bone files and their mapping. Wrong if accepted without a file for each of the 49 bones, with a file for two
-    bones, or with a mesh in the folder that is neither a bone's, the skin nor ignored on request.
+    """Sets of bone files and their mapping. Wrong if accepted without a file for each of the 49 bones, with a file
+    for two bones, or with a mesh in the folder that is neither a bone's, the skin nor ignored on request.
     """
     folder = place / "bones"
     folder.mkdir()
@@ -482,8 +494,8 @@ def bones(random: np.random.Generator, place: Path, material: Material) -> Case:
 
 
 def torso_file(random: np.random.Generator, place: Path, material: Material) -> Case:
-    """Torso files. Wrong if accepted with: a number that is not finite, a coordinate beyond 10 m, or, after damage to the
-    file's bytes, any array that differs from the sound one.
+    """Torso files. Wrong if accepted with: a number that is not finite, a coordinate beyond 10 m, or, after damage
+    to the file's bytes, any array that differs from the sound one.
     """
     path, good = place / "torso.npz", material.folder / "torso.npz"
     way = str(random.choice(["bytes", "value", "missing", "shape", "kind", "header"]))
@@ -514,8 +526,8 @@ def torso_file(random: np.random.Generator, place: Path, material: Material) -> 
         np.savez(path, **arrays)
 
     def wrong(found: Any) -> str:
-        where = np.concatenate([found.rest_pose.bone_positions.ravel(), found.rest_pose.tissue_positions.ravel(),
-                                found.tissue.rest_positions.ravel(), *(s.vertices.ravel() for s in found.bone_surfaces)])  # fmt: skip
+        rest = (found.rest_pose.bone_positions, found.rest_pose.tissue_positions, found.tissue.rest_positions)
+        where = np.concatenate([part.ravel() for part in (*rest, *(s.vertices for s in found.bone_surfaces))])
         if not np.isfinite(where).all() or np.abs(where).max() > 1e4 or not np.isfinite(found.joints.stiffness).all():
             return "numbers that no body has"
         if way.startswith("bytes"):
@@ -526,9 +538,45 @@ def torso_file(random: np.random.Generator, place: Path, material: Material) -> 
     return Case(way, lambda: read_torso(path), ("torso.npz",), wrong)
 
 
+def result(random: np.random.Generator, place: Path, material: Material) -> Case:
+    """Results. Wrong if one is accepted that has other bytes than its step wrote; or one whose hash in run.json was
+    corrected as well, with a key that no result has, without one that all have, of another schema version, or with
+    a value that differs from the file's. A damaged run.json is wrong if another result than the step's is accepted.
+    """
+    folder = Path(shutil.copytree(material.folder / "done", place / "done"))
+    kind = _pick(random, (Tracked, FrameProposals, GeometryRecord, Estimate, Assessment))
+    path, run = folder / "results" / kind.FILE, folder / "results" / "run.json"
+    target = path if random.random() < 0.7 else run
+    before = path.read_bytes()
+    way, raw = spoiled_json(random, json.loads(target.read_bytes()))
+    if random.random() < 0.2:
+        way, raw = spoiled_bytes(random, target.read_bytes())
+    target.write_bytes(raw)
+    vouched = target is path and random.random() < 0.5
+    if vouched:
+        record = json.loads(run.read_bytes())
+        record["steps"][kind.STEP]["outputs"][f"results/{kind.FILE}"] = hashlib.sha256(raw).hexdigest()
+        run.write_text(json.dumps(record))
+
+    def wrong(found: Any) -> str:
+        if not vouched:
+            return "" if path.read_bytes() == before else "another result than the step wrote"
+        try:
+            said = _strict(raw)
+        except _Twice:
+            return "a key twice"
+        whole = json.loads(before)
+        if set(said) != set(whole) or said["schema_version"] != whole["schema_version"]:
+            return f"keys or version: {sorted(said)}"
+        return _differs(said, found.model_dump(mode="json")) or ""
+
+    name = f"{target.name} {'vouched ' * vouched}{way}"
+    return Case(name, lambda: read_outcome(read_subject(folder), kind), (kind.FILE, "run.json"), wrong)
+
+
 def table(random: np.random.Generator, place: Path, material: Material) -> Case:
-    """Truth files and tables of spines. Wrong if a truth is accepted with a ratio that is not finite or not above 0, or
-    that differs from the file's; or a spine with a coordinate that is not finite.
+    """Truth files and tables of spines. Wrong if a truth is accepted with a ratio that is not finite or not above
+    0, or that differs from the file's; or a spine with a coordinate that is not finite.
     """
     if random.random() < 0.5:
         path = place / "truth.json"
@@ -557,10 +605,12 @@ KEYPOINTS = (("body", 0, 0, 0), ("left", 12, 15, 4), ("right", -12, 15, 4))
 
 
 def places(random: np.random.Generator, place: Path, material: Material) -> Case:
-    """What is no file, in place of every file that is read. Wrong if accepted: a named pipe, a device, a socket, a folder
-    for a file, a link to itself, to nothing, to a pipe or (in a subject folder) out of it, a file of a terabyte.
+    """What is no file, in place of every file that is read. Wrong if accepted: a named pipe, a device, a socket, a
+    folder for a file, a link to itself, to nothing, to a pipe or (in a subject folder) out of it, a file of a
+    terabyte.
     """
     folder = _laid_out(place, material)
+    picture = str(material.folder / "picture.dcm")
     targets: dict[str, tuple[Path, Callable[[Path], Any]]] = {
         "subject.json": (folder / "subject.json", lambda p: read_subject(folder)),
         "annotation.json": (folder / "annotation.json", lambda p: read_subject(folder)),
@@ -578,7 +628,7 @@ def places(random: np.random.Generator, place: Path, material: Material) -> Case
         "view": (place / "view.npz", lambda p: _status("view", "--no-open", "--torso", str(p))),
         "show": (place / "show.npz", lambda p: _status("torso", "show", str(p))),
         "inspect": (place / "seen.dcm", lambda p: _status("inspect", str(p))),
-        "key": (place / "key", lambda p: _status("deidentify", str(material.folder / "picture.dcm"), str(place / "out"), "--key", str(p))),
+        "key": (place / "key", lambda p: _status("deidentify", picture, str(place / "out"), "--key", str(p))),
     }  # fmt: skip
     target = _pick(random, sorted(targets))
     path, reader = targets[target]
@@ -617,6 +667,7 @@ def options(random: np.random.Generator, place: Path, material: Material) -> Cas
     good = str(material.folder / "torso.npz")
     csv_file = str(material.folder / "one.csv")
     number = ("nan", "inf", "-inf", "1e999", "x", "", "0", "-5", "1e9", "1,5", "٣x", "0x10")
+    imported = ("torso", "import", str(place), "--out", str(place / "new"))
     choices: list[tuple[tuple[str, ...], str, tuple[str, ...]]] = [
         *((("torso", "show"), f"--{name}", number) for name in ("height", "age", "mass", "kyphosis", "lordosis")),
         (("torso", "show"), "--sex", ("", "m", "Female", "x", "0")),
@@ -628,7 +679,7 @@ def options(random: np.random.Generator, place: Path, material: Material) -> Cas
         (("synth", str(place / "s")), "--cobb", ("nan", "inf", "x", "", "180", "-180")),
         (("synth", str(place / "s")), "--curve", ("", "zigzag", "Thoracic")),
         (("synth", str(place / "s")), "--force", ("nan", "inf", "-1", "0", "x", "", "1e9")),
-        (("synth", str(place / "s")), "--ratios", ("", "1", "1,", ",", "0,0", "nan,1", "1,inf", "-1,1", "1,1,1", "a,b", "1e9,1")),
+        (("synth", str(place / "s")), "--ratios", ("", "1", ",", "0,0", "nan,1", "1,inf", "-1,1", "1,1,1", "a,b")),
         (("synth", str(place / "s")), "--spine-id", ("a", "")),
         (("synth", str(place / "s")), "--spine", ("none.csv", "", ".")),
         (("demo", "--out", str(place / "d")), "--ratios", ("", "0,0", "soft", "nan,nan")),
@@ -644,12 +695,12 @@ def options(random: np.random.Generator, place: Path, material: Material) -> Cas
         (("run", str(place)), "--truth", ("none.json", "", ".")),
         (("frames", str(place)), "--roles", ("x",)),
         (("view",), "--torso", ("none.npz", "", ".", csv_file)),
-        (("torso", "import", str(place), "--out", str(place / "new")), "--unit", ("", "inch", "MM")),
-        (("torso", "import", str(place), "--out", str(place / "new")), "--axes", ("", "LPX", "LLL", "xyz")),
-        (("torso", "import", str(place), "--out", str(place / "new")), "--spacing", ("nan", "inf", "0", "-1", "1e9", "x")),
-        (("torso", "import", str(place), "--out", str(place / "new")), "--height", ("nan", "inf", "0", "-1", "1e9", "x")),
-        (("torso", "import", str(place), "--out", str(place / "new")), "--mesher", ("", "none", "../x")),
-        *(((command, "none"), "", ("",)) for command in ("track", "personalise", "estimate", "assess", "report", "inspect")),
+        (imported, "--unit", ("", "inch", "MM")),
+        (imported, "--axes", ("", "LPX", "LLL", "xyz")),
+        (imported, "--spacing", ("nan", "inf", "0", "-1", "1e9", "x")),
+        (imported, "--height", ("nan", "inf", "0", "-1", "1e9", "x")),
+        (imported, "--mesher", ("", "none", "../x")),
+        *(((step, "none"), "", ("",)) for step in ("track", "personalise", "estimate", "assess", "report", "inspect")),
     ]  # fmt: skip
     start, option, values = _pick(random, choices)
     value = _pick(random, values)
@@ -673,9 +724,9 @@ def options(random: np.random.Generator, place: Path, material: Material) -> Cas
 
 
 def outputs(random: np.random.Generator, place: Path, material: Material) -> Case:
-    """Places for outputs where something would be lost, with and without ``--force``. Wrong if a command ends with 0 though
-    the place is a folder, a named pipe, a device, a link to one or to itself, an input of the command, or, without
-    ``--force``, any file that is there.
+    """Places for outputs where something would be lost, with and without ``--force``. Wrong if a command ends with
+    0 though the place is a folder, a named pipe, a device, a link to one or to itself, an input of the command, or,
+    without ``--force``, any file that is there.
     """
     torso = Path(shutil.copy(material.folder / "torso.npz", place / "torso.npz"))
     corners = Path(shutil.copy(material.folder / "one.csv", place / "one.csv"))
@@ -720,6 +771,7 @@ CLASSES: dict[str, tuple[Make, int]] = {
     "meshes": (mesh, 8),
     "sets of bones": (bones, 6),
     "torso files": (torso_file, 5),
+    "results": (result, 8),
     "truths and spine tables": (table, 4),
     "no files": (places, 5),
     "options": (options, 5),
@@ -959,7 +1011,7 @@ def tried(case: Case, place: Path) -> tuple[str, str]:
             warnings.simplefilter("ignore")
             value = case.read()
     except SpinestiffError as refusal:
-        outcome, detail = _judged_line(str(refusal), case.names)
+        outcome, detail = _judged_line(str(refusal).replace(str(place), ""), case.names)
     except BaseException as problem:
         outcome, detail = "traceback", f"{type(problem).__name__}: {problem}"
     else:
@@ -975,7 +1027,7 @@ def tried(case: Case, place: Path) -> tuple[str, str]:
 
 def _judged_line(line: str, names: tuple[str, ...]) -> tuple[str, str]:
     clear = (
-        line.strip() and "\n" not in line and line.isprintable() and len(line) <= LONGEST_LINE + 2 * len(tempfile.gettempdir())
+        line.strip() and line.isprintable() and len(line) <= LONGEST_LINE
         and len(line.split()) >= 3 and not FOREIGN_WORDS.search(line) and any(name in line for name in names if name)
     )  # fmt: skip
     return ("refused" if clear else "unclear"), line

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import os
 import re
 from pathlib import Path
 
@@ -524,3 +525,40 @@ def test_a_mass_makes_the_template_the_subjects_own(folder):
     assert own.tissue.corner_volumes().sum() > 1.1 * plain.tissue.corner_volumes().sum()
     with pytest.raises(TorsoError, match="age 6 years; wanted 8 to 100"):
         subject_template(record.model_copy(update={"mass_kg": 50.0, "age": 6.0}), "coarse")
+
+
+def test_keys_and_paths_that_are_odd_are_shown_in_short(folder):
+    for key, shown in (("a" * 5000, "'aaa"), ("a\0b", r"'a\x00b'"), ("", "''"), ("\n", r"'\n'")):
+        lay_out(folder, subject={**SUBJECT, key: 1})
+        message = refusal(folder)
+        assert f"subject.json: {shown}" in message and "unknown key" in message
+        assert len(message) < 200 + len(str(folder)) and message.isprintable()
+    lay_out(folder, subject=changed(SUBJECT, ["pushes", 0, "frames"], "a" * 5000))
+    assert "wanted at most 250 characters that can be printed" in refusal(folder)
+    lay_out(folder, subject=changed(SUBJECT, ["age"], None))
+    assert "age: found null" in refusal(folder)
+    lay_out(folder, subject=changed(SUBJECT, ["id"], "a b"))
+    assert "id: found 'a b', wanted 1 to 64 letters" in refusal(folder)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes and links of Unix")
+def test_a_frame_that_is_no_file_is_refused_unopened(folder):
+    path = folder / "pushes/right-8.dcm"
+    path.unlink()
+    os.mkfifo(path)
+    assert "right-8.dcm: found a named pipe, wanted a file" in refusal(folder)
+    path.unlink()
+    path.mkdir()
+    os.mkfifo(path / "1.dcm")
+    assert "1.dcm: found a named pipe, wanted a file" in refusal(folder)
+    (path / "1.dcm").unlink()
+    with (path / "1.dcm").open("wb") as file:
+        file.truncate(2**40)
+    assert "1.dcm: 1048576.0 MB; at most 513 MB are read" in refusal(folder)
+
+
+def test_inputs_do_not_lie_where_results_are_written(folder):
+    (folder / "results").mkdir()
+    (folder / "pushes/right-8.dcm").rename(folder / "results/right-8.dcm")
+    lay_out(folder, subject=changed(SUBJECT, ["pushes", 0, "frames"], "results/right-8.dcm"))
+    assert "right-8.dcm: lies where results are written" in refusal(folder)

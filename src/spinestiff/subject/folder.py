@@ -19,6 +19,7 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
 from spinestiff.files import check_output, regular_file, regular_files, write_json
+from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_HEADER_BYTES
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.subject.records import (
     ANNOTATION_FILE,
@@ -44,11 +45,12 @@ if TYPE_CHECKING:
     from spinestiff.imaging.radiograph import Radiograph
 
 READ_AGAIN = (
-    "run.json", "tracked.json", "torso.npz", "personalised.json", "estimate.json", "assessment.json", "comparison.json"
+    "run.json", "tracked.json", "frames.json", "torso.npz", "personalised.json", "training.npz", "estimate.json",
+    "predictions.npz", "assessment.json", "comparison.json",
 )  # fmt: skip
 """Files in ``results/`` that steps and tables read; the rest is for people."""
-MOST_INPUT_BYTES = 600 * 2**20
-"""Of a file; radiographs, the largest of them, are read up to 512 MB of pixels."""
+MOST_INPUT_BYTES = MOST_BYTES + MOST_HEADER_BYTES
+"""Of a file: the largest are radiographs."""
 
 
 @dataclass(frozen=True)
@@ -353,8 +355,8 @@ def check_image_name(subject: Subject, name: str) -> None:
             raise SubjectError(f"{path}: images.{name}: the push has {counted(count, 'frame')}, counted from 0")
     elif name not in needed:
         raise SubjectError(
-            f"{path}: images.{shown_key(name)}: unknown image; wanted {', '.join(needed)} (push/<id>/<frame> for frames after "
-            "the first)"
+            f"{path}: images.{shown_key(name)}: unknown image; wanted {', '.join(needed)} (push/<id>/<frame> for "
+            "frames after the first)"
         )
 
 
