@@ -667,7 +667,7 @@ def options(random: np.random.Generator, place: Path, material: Material) -> Cas
     good = str(material.folder / "torso.npz")
     csv_file = str(material.folder / "one.csv")
     number = ("nan", "inf", "-inf", "1e999", "x", "", "0", "-5", "1e9", "1,5", "٣x", "0x10")
-    imported = ("torso", "import", str(place), "--out", str(place / "new"))
+    imported = ("torso", "import", str(place / "bones"), "--out", str(place / "new"))
     choices: list[tuple[tuple[str, ...], str, tuple[str, ...]]] = [
         *((("torso", "show"), f"--{name}", number) for name in ("height", "age", "mass", "kyphosis", "lordosis")),
         (("torso", "show"), "--sex", ("", "m", "Female", "x", "0")),
@@ -713,6 +713,8 @@ def options(random: np.random.Generator, place: Path, material: Material) -> Cas
         "subject.json",
         "pixels",
         "ratio",
+        ".png",
+        "bones",
         ".: ",
     )
     return Case(
@@ -738,12 +740,14 @@ def outputs(random: np.random.Generator, place: Path, material: Material) -> Cas
                      ("itself.png", "itself.png"), ("null.png", "/dev/null"), ("full.png", "/dev/full")):  # fmt: skip
         (place / name).symlink_to(to)
     force = random.random() < 0.6
+    empty = place / "bones"
+    empty.mkdir()
     commands = {
         "view": ("view", "--no-open", "--torso", str(torso), "--out"),
         "export": ("torso", "export", str(torso), "--format", "mrk", "--out"),
         "template": ("torso", "export", "--format", "mrk", "--out"),
         "cobb": ("cobb", str(corners), "--picture"),
-        "import": ("torso", "import", str(place), "--out"),
+        "import": ("torso", "import", str(empty), "--out"),
     }
     command = str(random.choice(sorted(commands)))
     always = ["pipe.png", "folder.png", "to-pipe.png", "itself.png", "null.png", "full.png", "", "a\udcff\0b"]
@@ -757,7 +761,7 @@ def outputs(random: np.random.Generator, place: Path, material: Material) -> Cas
     return Case(
         f"{command} {name}",
         lambda: _status(*asked),
-        (name or "folder", "--out", "--picture"),
+        (name or "folder", "--out", "--picture", "bones"),
         lambda found: f"accepted {asked}",
     )
 

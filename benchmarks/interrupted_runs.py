@@ -88,9 +88,9 @@ def killed(sound: Path, place: Path, kills: int, random: np.random.Generator) ->
     for _ in range(kills):
         process = spinestiff("run", folder)
         try:
-            process.wait(float(random.uniform(0.3, 14.0)))
+            process.wait(float(random.uniform(0.3, 9.0)))
             finished += 1
-            shutil.rmtree(folder / "results")  # it came to its end: from the start again
+            shutil.rmtree(folder / "results", ignore_errors=True)  # it came to its end: from the start again
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGKILL)
         tracebacks += ended(process)["traceback"]

@@ -83,7 +83,7 @@ def test_a_truth_without_an_estimated_ratio_is_refused(made, tmp_path):
         '{"ratios": {"tissue": "0.2"}}',
         '{"ratios": {"tissue": true}}',
         '{"ratios": {"tissue": null}}',
-    ],  # fmt: skip
+    ],
 )
 def test_other_files_are_no_truth(finished, tmp_path, content):
     path = tmp_path / "truth.json"

@@ -128,7 +128,7 @@ def test_records_take_lists_but_no_other_types():
         (["height_cm"], 1.55, ["height_cm: found 1.55"]),
         (["height_cm"], 201, ["height_cm: found 201", "200"]),
         (["height_cm"], "152", ["height_cm: found '152'", "number"]),
-        (["height_cm"], True, ["height_cm: found True"]),
+        (["height_cm"], True, ["height_cm: found true"]),
         (["pushes"], [], ["pushes: found []", "at least 1"]),
         (["pushes", 0, "side"], "rigth", ["pushes[0].side: found 'rigth'", "'left' or 'right'"]),
         (["pushes", 0, "level"], 13, ["pushes[0].level: found 13"]),

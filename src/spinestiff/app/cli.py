@@ -14,9 +14,9 @@ from typing import Annotated, Any
 import typer
 
 from spinestiff import __version__
+from spinestiff.app import INTERRUPTED, STOPPED
 from spinestiff.app.annotate import annotate_folder, opened
 from spinestiff.app.options import cobb_limits, force_limits, height_limits, noise_limits, within
-from spinestiff.app.start import INTERRUPTED, STOPPED
 from spinestiff.app.torso import torso
 from spinestiff.errors import SpinestiffError, SubjectError
 

@@ -6,9 +6,7 @@ import os
 import sys
 from contextlib import suppress
 
-INTERRUPTED, READER_LEFT = 130, 141
-"""Exit statuses by the shell's convention: 128 and the number of SIGINT, of SIGPIPE."""
-STOPPED = "stopped; results of finished steps are kept"
+from spinestiff.app import INTERRUPTED, READER_LEFT, STOPPED
 
 
 def main() -> None:
