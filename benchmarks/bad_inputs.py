@@ -775,7 +775,7 @@ CLASSES: dict[str, tuple[Make, int]] = {
     "meshes": (mesh, 8),
     "sets of bones": (bones, 6),
     "torso files": (torso_file, 5),
-    "results": (result, 8),
+    "results": (result, 4),
     "truths and spine tables": (table, 4),
     "no files": (places, 5),
     "options": (options, 5),

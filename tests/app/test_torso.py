@@ -64,6 +64,7 @@ def test_an_export_has_the_sizes_too(tmp_path):
     [
         (("--sex", "m"), "sex 'm'; wanted female or male"),
         (("--mass", 150), "body mass 150 kg at 157 cm"),
+        (("--mesh", ""), "unknown tissue mesh ''"),
         (("--mesh", "finest"), "unknown tissue mesh 'finest'"),
     ],
 )

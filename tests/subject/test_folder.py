@@ -549,6 +549,7 @@ def test_a_frame_that_is_no_file_is_refused_unopened(folder):
     assert "right-8.dcm: found a named pipe, wanted a file" in refusal(folder)
     path.unlink()
     path.mkdir()
+    assert "right-8.dcm: found an empty folder, wanted the radiograph of push/" in refusal(folder)
     os.mkfifo(path / "1.dcm")
     assert "1.dcm: found a named pipe, wanted a file" in refusal(folder)
     (path / "1.dcm").unlink()

@@ -160,7 +160,7 @@ def _torso(file: Path | None, **template: Any) -> Any:
     if file is None:
         return template_torso(
             157.0 if template["height"] is None else template["height"],
-            template["mesh"] or "coarse",
+            "coarse" if template["mesh"] is None else template["mesh"],
             age_years=template["age"],
             sex=template["sex"],
             mass_kg=template["mass"],

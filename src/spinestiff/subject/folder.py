@@ -393,8 +393,9 @@ def _check_input(subject: Subject, path: Path, what: str) -> None:
     if not os.path.lexists(path):
         raise SubjectError(f"{path}: no such file; wanted {what}")
     if path.is_dir():
-        for _ in regular_files(path, SubjectError, within=folder, cap_bytes=MOST_INPUT_BYTES):
-            pass
+        files = list(regular_files(path, SubjectError, within=folder, cap_bytes=MOST_INPUT_BYTES))
+        if not files:
+            raise SubjectError(f"{path}: found an empty folder, wanted {what}")
     else:
         regular_file(path, SubjectError, within=folder, cap_bytes=MOST_INPUT_BYTES)
     if path.resolve().is_relative_to(results.resolve()) or results.resolve().is_relative_to(path.resolve()):
