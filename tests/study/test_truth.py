@@ -79,6 +79,7 @@ def test_a_truth_without_an_estimated_ratio_is_refused(made, tmp_path):
         '{"ratios": 3}',
         '{"ratios": {"tissue": "much"}}',
         '{"ratio": {}}',
+        '{"ratios": {}}',
         '{"ratios": {"tissue": -0.0}}',
         '{"ratios": {"tissue": "0.2"}}',
         '{"ratios": {"tissue": true}}',

@@ -108,7 +108,8 @@ def _header(path: str | Path, arrays: dict[str, Any]) -> dict[str, Any]:
 
 def _torso(header: dict[str, Any], arrays: dict[str, Any]) -> TorsoModel:
     names = tuple(header["bone_names"])
-    farthest = max((float(np.abs(v).max(initial=0.0)) for k, v in arrays.items() if k in _COORDINATES), default=0.0)
+    places = [arrays[key] for key in _COORDINATES if key in arrays and arrays[key].dtype.kind == "f"]
+    farthest = max((float(np.abs(array).max(initial=0.0)) for array in places), default=0.0)
     if farthest > FARTHEST_MM:
         raise TorsoError(f"found a coordinate of {farthest:.3g} mm, wanted at most {FARTHEST_MM:g}")
     joints = JointTable(

@@ -21,7 +21,7 @@ def read_truth(path: Path) -> dict[str, float]:
     record = read_json(path)
     try:
         ratios = dict(record["ratios"])
-        sound = all(type(value) in (int, float) and 0.0 < value < 1e9 for value in ratios.values())
+        sound = bool(ratios) and all(type(value) in (int, float) and 0.0 < value < 1e9 for value in ratios.values())
     except (KeyError, TypeError, ValueError):
         sound = False
     if not sound:
