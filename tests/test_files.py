@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -11,8 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spinestiff.errors import RadiographError, SpinestiffError, SubjectError
-from spinestiff.files import file_digest, read_json, regular_file, regular_files, write_json
+from spinestiff.errors import RadiographError, SpinestiffError, SubjectError, TorsoError
+from spinestiff.files import (
+    check_output,
+    file_digest,
+    read_json,
+    read_text,
+    regular_file,
+    regular_files,
+    write_bytes,
+    write_json,
+)
 
 FOREIGN = {
     "missing": "no such file",
@@ -101,7 +111,7 @@ def test_files_of_nested_folders_come_in_the_order_of_their_paths(inside):
         (inside / name).write_bytes(b"1")
     found = [path.relative_to(inside).as_posix() for path in regular_files(inside, SubjectError)]
     assert found == ["a", "b/3", "c/1", "c/2", "d"]
-    with pytest.raises(SubjectError, match=r"a: 0\.0 MB; at most"):
+    with pytest.raises(SubjectError, match=r"a: 5\.0 bytes; at most 4 bytes are read"):
         list(regular_files(inside, SubjectError, cap_bytes=4))
 
 
@@ -146,7 +156,7 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("spinestiff.files.os.fsync", fail)
-    with pytest.raises(SubjectError, match=r"can't be written \(No space left"):
+    with pytest.raises(SubjectError, match=r"a\.json: can't be written \(the disk is full\)"):
         write_json(path, {"new": 1})
     assert read_json(path) == {"old": 1}
     assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
@@ -164,7 +174,7 @@ def test_digests_tell_every_change(tmp_path):
     (tmp_path / "pushes/a/Doe^Jane1.dcm").write_bytes(b"one")
     (tmp_path / "subject.json").write_bytes(b"")
     assert file_digest(tmp_path / "subject.json") == "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
-    with pytest.raises(SubjectError, match="can't be read"):
+    with pytest.raises(SubjectError, match="no such file"):
         file_digest(tmp_path / "missing.json")
     # A file more, another content and another order are all changes of the folder.
     first = file_digest(tmp_path / "pushes/a")
@@ -174,3 +184,92 @@ def test_digests_tell_every_change(tmp_path):
     third = file_digest(tmp_path / "pushes/a")
     (tmp_path / "pushes/a/3.dcm").rename(tmp_path / "pushes/a/Z.dcm")
     assert len({first, second, third, file_digest(tmp_path / "pushes/a")}) == 4
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes, devices and links of Unix")
+@pytest.mark.parametrize(
+    ("name", "force", "words"),
+    [
+        ("a", False, "a: is there already; name another file, or replace it with --force"),
+        ("read", True, "this command reads it; name another file"),
+        ("same", True, "this command reads it"),
+        ("link", True, "this command reads it"),
+        ("frames/new", True, "this command reads it"),
+        ("closed/new", True, "lies among the inputs in closed; name a file outside of it, or in closed/open"),
+        ("closed/open/../new", True, "lies among the inputs"),
+        (".", True, "found a folder, wanted the name of a file to write"),
+        ("pipe", True, "found a named pipe"),
+        ("to pipe", True, "found a named pipe"),
+        (os.devnull, True, "found a device"),
+        ("itself", True, "can't be written \\(a link that leads to itself\\)"),
+        ("n" * 5000, True, "can't be written \\(File name too long\\)"),
+        ("a\0b", True, "no name of a file"),
+    ],
+)
+def test_outputs_go_where_nothing_is_lost(inside, monkeypatch, name, force, words):
+    monkeypatch.chdir(inside)
+    for folder in ("frames", "closed/open"):
+        Path(folder).mkdir(parents=True)
+    Path("read").write_bytes(b"1")
+    os.link("read", "same")
+    os.symlink("read", "link")
+    os.symlink("itself", "itself")
+    os.mkfifo("pipe")
+    os.symlink("pipe", "to pipe")
+    with pytest.raises(SubjectError, match=rf"^--out .*{words}"):
+        check_output(
+            Path(name), "--out", inputs=[Path("read"), Path("frames")], closed=Path("closed"), but=Path("closed/open"),
+            force=force,
+        )  # fmt: skip
+
+
+def test_outputs_that_lose_nothing_pass(inside):
+    inputs = [inside / "read", inside / "frames"]
+    check_output(inside / "b", "--out", inputs=inputs)
+    check_output(inside / "a", "--out", inputs=inputs, force=True)
+    check_output(inside / "closed" / "open" / "b", "--out", closed=inside / "closed", but=inside / "closed" / "open")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes and devices of Unix")
+def test_nothing_is_written_over_a_pipe_or_a_device(inside):
+    os.mkfifo(inside / "pipe")
+    for path, kind in ((inside / "pipe", "a named pipe"), (inside, "a folder"), (Path(os.devnull), "a device")):
+        with pytest.raises(TorsoError, match=f"{path}: found {kind}, wanted the name of a file to write"):
+            write_bytes(path, b"1", TorsoError)
+    assert sorted(path.name for path in inside.iterdir()) == ["a", "pipe"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="modes of Unix")
+def test_a_private_file_is_its_owners_alone(inside):
+    write_bytes(inside / "key", b"1", private=True)
+    assert (inside / "key").stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (errno.ENOSPC, "the disk is full"),
+        (errno.EROFS, "the file system is read-only"),
+        (errno.EACCES, "no permission"),
+        (errno.EISDIR, os.strerror(errno.EISDIR)),
+    ],
+)
+def test_why_a_file_can_not_be_written_is_said_with_its_own_path(inside, monkeypatch, number, words):
+    def fail(*_):
+        raise OSError(number, os.strerror(number), "temporary")
+
+    monkeypatch.setattr("spinestiff.files.os.fsync", fail)
+    with pytest.raises(SubjectError, match=re.escape(f"{inside / 'b'}: can't be written ({words})")):
+        write_bytes(inside / "b", b"1")
+    assert [path.name for path in inside.iterdir()] == ["a"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes of Unix")
+def test_a_pipe_is_not_waited_for(inside):
+    """Read or hashed, alone or in a folder."""
+    os.mkfifo(inside / "pipe")
+    for ask in (read_text, read_json, file_digest):
+        with pytest.raises(SubjectError, match="pipe: found a named pipe, wanted a file"):
+            ask(inside / "pipe")
+    with pytest.raises(SubjectError, match="pipe: found a named pipe, wanted a file"):
+        file_digest(inside)

@@ -1,4 +1,4 @@
-"""Files: pipes, devices and links told from them, JSON read strictly, everything written whole, digests."""
+"""Files: told from pipes, devices and links, JSON read strictly, written whole and never over an input, digests."""
 
 from __future__ import annotations
 
@@ -9,14 +9,24 @@ import math
 import os
 import secrets
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
 from spinestiff.errors import SpinestiffError, SubjectError
 
-LARGEST_JSON = 10_000_000
+LARGEST_JSON = 10 * 2**20
 """Bytes. A subject's files are a few kilobytes; anything larger is another file or an accident."""
+
+_TROUBLE = {
+    errno.ENOSPC: "the disk is full",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EFBIG: "the file would be larger than this system allows",
+    errno.EROFS: "the file system is read-only",
+    errno.EACCES: "no permission",
+    errno.EPERM: "no permission",
+    errno.ELOOP: "a link that leads to itself",
+}
 
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -32,19 +42,16 @@ def read_json(path: Path) -> Any:
 
     Raises
     ------
-    SubjectError : no such file, over 10 MB, not UTF-8, not JSON, a key given twice, a number that is not finite.
+    SubjectError : no such file, no regular one, over 10 MB, not UTF-8, not JSON, a key given twice, a number that is
+        not finite.
     """
     return parse_json(read_text(path), path.name)
 
 
 def read_text(path: Path, largest: int = LARGEST_JSON) -> str:
     """A text file of at most ``largest`` bytes, not yet parsed. Raises SubjectError as ``read_json`` does."""
-    if not path.is_file():
-        raise SubjectError(f"{path}: no such file")
+    regular_file(path, SubjectError, cap_bytes=largest)
     try:
-        size = path.stat().st_size
-        if size > largest:
-            raise SubjectError(f"{path}: {size} bytes, wanted at most {largest}; is this the right file?")
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise SubjectError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
@@ -109,30 +116,104 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all, so that an interrupted run leaves the old one.
+def write_bytes(
+    path: Path,
+    content: bytes,
+    error: type[SpinestiffError] = SubjectError,
+    *,
+    name: str | None = None,
+    private: bool = False,
+) -> None:
+    """Write a file whole or not at all, so that an interrupted run leaves the old one. Folders on the way are made.
+
+    Parameters
+    ----------
+    name : of the file in messages, if not the whole path.
+    private : for its owner alone to read.
 
     Raises
     ------
-    SubjectError : the file can't be written.
+    error : the file can't be written, or there is a folder, a named pipe, a socket or a device in its place.
+    """
+    named = str(path) if name is None else name
+    try:
+        kind = _kind(path.stat().st_mode) if path.exists() else None
+        if kind is not None:
+            raise error(f"{named}: found {kind}, wanted the name of a file to write")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _replace(path, content, private)
+    except OSError as problem:
+        raise error(f"{named}: can't be written ({trouble(problem)})") from None
+    except ValueError:  # a zero byte in the name
+        raise error(f"{named!r}: no name of a file") from None
+
+
+def trouble(problem: OSError) -> str:
+    """Why the file system refused, in words."""
+    return _TROUBLE.get(problem.errno or 0) or problem.strerror or type(problem).__name__
+
+
+def check_output(
+    path: Path,
+    option: str,
+    *,
+    inputs: Iterable[Path] = (),
+    closed: Path | None = None,
+    but: Path | None = None,
+    force: bool = False,
+    error: type[SpinestiffError] = SubjectError,
+) -> None:
+    """Refuse a place for an output where something would be lost; nothing is opened or written.
+
+    Parameters
+    ----------
+    path : where the output would go.
+    option : that named it, for the message.
+    inputs : files and folders that the same command reads: never written over, nor into, whatever ``force`` says.
+    closed, but : folder into which nothing is written, but into this folder in it.
+    force : whether another file there may be replaced.
+
+    Raises
+    ------
+    error : a folder, named pipe, socket or device, or a link to one; an input; a place inside a closed folder; a file
+        that is there, without ``force``.
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _replace(path, content)
-    except OSError as error:
-        raise SubjectError(f"{path}: can't be written ({error.strerror})") from None
+        place = Path(os.path.realpath(path))
+        kind = _kind(path.stat().st_mode)
+    except FileNotFoundError:
+        kind = None
+    except OSError as problem:
+        raise error(f"{option} {path}: can't be written ({trouble(problem)})") from None
+    except ValueError:  # a zero byte
+        raise error(f"{option} {str(path)!r}: no name of a file") from None
+    if kind is not None:
+        raise error(f"{option} {path}: found {kind}, wanted the name of a file to write")
+    for one in inputs:
+        if place.is_relative_to(one.resolve()) or (path.exists() and one.exists() and path.samefile(one)):
+            raise error(f"{option} {path}: this command reads it; name another file")
+    inside = closed is not None and place.is_relative_to(closed.resolve())
+    if inside and not (but is not None and place.is_relative_to(but.resolve())):
+        beside = "" if but is None else f", or in {but}"
+        raise error(f"{option} {path}: lies among the inputs in {closed}; name a file outside of it{beside}")
+    if not force and os.path.lexists(path):
+        raise error(f"{option} {path}: is there already; name another file, or replace it with --force")
 
 
-def _replace(path: Path, content: bytes) -> None:
+def _replace(path: Path, content: bytes, private: bool) -> None:
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
-        with temporary.open("xb") as file:
+        with open(temporary, "xb", opener=_private if private else None) as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _private(path: str, flags: int) -> int:
+    return os.open(path, flags, 0o600)
 
 
 def _plain(value: Any) -> Any:
@@ -148,11 +229,12 @@ def file_digest(path: Path) -> str:
 
     Raises
     ------
-    SubjectError : something can't be read.
+    SubjectError : something can't be read, or is no file: ``regular_file``, ``regular_files``.
     """
     if path.is_dir():
-        inside = "".join(file_digest(file) for file in sorted(path.rglob("*")) if not file.is_dir())
+        inside = "".join(map(file_digest, regular_files(path, SubjectError)))
         return hashlib.sha256(inside.encode()).hexdigest()
+    regular_file(path, SubjectError)
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -187,11 +269,12 @@ def regular_file(
     found = _status(path, error, named)
     if within is not None:
         check_within(path, within, error, name=named)
-    if not stat.S_ISREG(found.st_mode):
-        kind = next((words for is_kind, words in _KINDS if is_kind(found.st_mode)), "no regular file")
+    kind = _kind(found.st_mode)
+    if kind is not None:
         raise error(f"{named}: found {kind}, wanted a file")
     if cap_bytes is not None and found.st_size > cap_bytes:
-        raise error(f"{named}: {found.st_size / 2**20:.1f} MB; at most {cap_bytes / 2**20:g} MB are read")
+        unit, by = ("MB", 2**20) if cap_bytes >= 2**20 else ("bytes", 1)
+        raise error(f"{named}: {found.st_size / by:.1f} {unit}; at most {cap_bytes / by:g} {unit} are read")
     return found
 
 
@@ -239,6 +322,13 @@ def listed(folder: Path, error: type[SpinestiffError], *, name: str | None = Non
         return sorted(folder.iterdir())
     except OSError as problem:
         raise error(f"{folder if name is None else name}: can't be listed ({problem.strerror})") from None
+
+
+def _kind(mode: int) -> str | None:
+    """What it is if no regular file, in words."""
+    if stat.S_ISREG(mode):
+        return None
+    return next((words for is_kind, words in _KINDS if is_kind(mode)), "no regular file")
 
 
 def _status(path: Path, error: type[SpinestiffError], named: str) -> os.stat_result:

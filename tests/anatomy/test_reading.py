@@ -150,3 +150,15 @@ def test_random_damage_never_ends_in_a_traceback(tmp_path, meshes):
         else:
             assert faces.max() < len(vertices)
     assert said and not any("\n" in line for line in said)
+
+
+def test_a_text_ply_cut_between_two_lines_is_refused(tmp_path, meshes):
+    import trimesh
+
+    path = tmp_path / "bone.ply"
+    text = trimesh.creation.icosphere(1).export(file_type="ply", encoding="ascii")
+    path.write_bytes(text)
+    assert len(read_surface(path)[1]) == 80
+    path.write_bytes(b"\n".join(text.split(b"\n")[:-10]))
+    with pytest.raises(TorsoError, match=r"bone\.ply says 80 faces, but holds \d+; copy the file again"):
+        read_surface(path)

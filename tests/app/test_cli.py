@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -33,10 +34,10 @@ COMMANDS = {
     "estimate": ("--method", "--orientation", "--redo"),
     "assess": ("--truth", "--redo"),
     "report": ("--truth", "--redo"),
-    "view": ("--torso", "--out", "--no-open"),
+    "view": ("--torso", "--out", "--force", "--no-open"),
     "run": ("--mesh", "--method", "--orientation", "--truth", "--redo"),
     "demo": ("--out", "--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
-    "cobb": ("--definition", "--json", "--noise-px", "--patient-left", "--picture"),
+    "cobb": ("--definition", "--json", "--noise-px", "--patient-left", "--picture", "--force"),
     "check": ("--json",),
     "deidentify": ("--key", "--burned-in-ok"),
     "doctor": (),
@@ -262,7 +263,9 @@ def test_view_of_a_torso_file(spinestiff, subject, browsers, tmp_path):
     assert spinestiff("view", "--torso", torso, "--out", tmp_path / "t.html", "--no-open").status == 0
     assert (tmp_path / "t.html").is_file() and len(browsers) == 1
     torso.write_bytes(b"PK")
-    refused_at_once(spinestiff("view", "--torso", torso), "torso.npz is no torso file, or it is damaged")
+    again = ("view", "--torso", torso, "--out", tmp_path / "t.html")
+    refused_at_once(spinestiff(*again), r"t\.html: is there already; name another file, or replace it with --force")
+    refused_at_once(spinestiff(*again, "--force"), "torso.npz is no torso file, or it is damaged")
 
 
 def test_view_wants_one_thing(spinestiff, subject, browsers):
@@ -472,6 +475,54 @@ def test_a_folder_in_use_is_not_overwritten(spinestiff, subject):
     assert digests(subject) == before
 
 
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("{subject}/subject.json", "lies among the inputs"),
+        ("{subject}/rest/frontal.dcm", "lies among the inputs"),
+        ("{subject}/results/../annotation.json", "lies among the inputs"),
+        ("{subject}/new.html", "lies among the inputs"),
+        ("{subject}/results/tracked.json", "this command reads it"),
+        ("{subject}/results/torso.npz", "this command reads it"),
+        ("linked", "lies among the inputs"),
+        ("hard", "this command reads it|is there already"),
+        ("itself", "a link that leads to itself"),
+        ("pipe", "found a named pipe"),
+        ("/dev/null", "found a device"),
+        ("{subject}", "found a folder"),
+        ("", "found a folder"),
+    ],
+)
+@pytest.mark.skipif(os.name == "nt", reason="pipes, devices and links of Unix")
+def test_an_output_never_replaces_what_is_read_nor_a_device(spinestiff, subject, browsers, monkeypatch, place, words):
+    monkeypatch.chdir(subject.parent)
+    os.mkfifo("pipe")
+    os.symlink(subject / "subject.json", "linked")
+    os.symlink("itself", "itself")
+    os.link(subject / "results" / "estimate.json", "hard")
+    before = digests(subject)
+    place = place.format(subject=subject)
+    for command in (("view", subject, "--out", place), ("cobb", subject, "--picture", place)):
+        refused_at_once(spinestiff(*command, "--force"), words)
+    assert digests(subject) == before
+    assert browsers == []
+
+
+def test_only_force_replaces_a_file(spinestiff, subject, browsers, tmp_path):
+    old = tmp_path / "old.html"
+    old.write_text("mine", encoding="utf-8")
+    refused_at_once(spinestiff("view", subject, "--out", old), r"--out .*old\.html: is there already")
+    assert old.read_text(encoding="utf-8") == "mine"
+    assert spinestiff("view", subject, "--out", old, "--force", "--no-open").status == 0
+    assert old.read_text(encoding="utf-8").startswith("page")
+
+
+def test_a_truth_is_not_overwritten(spinestiff, tmp_path):
+    (tmp_path / "new.truth.json").write_text("mine", encoding="utf-8")
+    refused_at_once(spinestiff("synth", tmp_path / "new"), r"new\.truth\.json: is there already")
+    assert [path.name for path in tmp_path.iterdir()] == ["new.truth.json"]
+
+
 def without_spacing(subject):
     path = subject / "pushes" / "main.dcm"
     dataset = pydicom.dcmread(path)
@@ -563,7 +614,7 @@ def test_the_systems_own_refusals_are_one_line(spinestiff, subject, monkeypatch)
         raise OSError(28, "No space left on device", "tracked.json")
 
     monkeypatch.setattr(steps, "track", full)
-    refused(spinestiff("track", subject, "--redo"), r"tracked\.json: No space left on device")
+    refused(spinestiff("track", subject, "--redo"), r"tracked\.json: can't be read or written \(the disk is full\)")
 
 
 def test_an_interruption_is_one_line(spinestiff, subject, monkeypatch):

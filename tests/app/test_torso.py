@@ -64,6 +64,7 @@ def test_an_export_has_the_sizes_too(tmp_path):
     [
         (("--sex", "m"), "sex 'm'; wanted female or male"),
         (("--mass", 150), "body mass 150 kg at 157 cm"),
+        (("--mesh", ""), "unknown tissue mesh ''"),
         (("--mesh", "finest"), "unknown tissue mesh 'finest'"),
     ],
 )
@@ -82,6 +83,11 @@ def test_a_subject_folder_stands_for_its_torso(subject, tmp_path):
     assert "height: 157 cm" in said("show", subject)
     said("export", subject, "--format", "vtu", "--out", tmp_path / "s.vtu")
     assert (tmp_path / "s.vtu").stat().st_size > 10_000
+    own = subject / "results" / "torso.npz"
+    for place, found in ((own, "this command reads it"), (subject / "s.vtu", "lies among the inputs")):
+        assert found in refusal("export", subject, "--out", place, "--force")
+    assert "is there already" in refusal("export", "--out", tmp_path / "s.vtu")
+    assert "this command reads it" in refusal("export", own, "--out", own, "--force")
     record = read_json(subject / "subject.json")
     write_json(subject / "subject.json", {**record, "height_cm": 158.0})
     words = r"torso\.npz: was made before subject\.json: body changed; run spinestiff personalise again"

@@ -317,7 +317,7 @@ def test_files_of_other_kinds_and_sizes_are_refused(tmp_path, monkeypatch):
     path = tmp_path / "large.csv"
     write_corners(path, [image()])
     monkeypatch.setattr("spinestiff.curves.corner_files.LARGEST_CSV", 100)
-    with pytest.raises(SubjectError, match="wanted at most 100"):
+    with pytest.raises(SubjectError, match="at most 100 bytes are read"):
         read_corner_file(path)
     monkeypatch.undo()
     monkeypatch.setattr("spinestiff.curves.corner_files.MOST_IMAGES", 1)

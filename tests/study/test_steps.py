@@ -209,9 +209,7 @@ def test_assess_solves_no_training_frame_again(subject, finished, solved, monkey
     visit = open_visit(subject)
     assert run_steps(visit, ("assess",), force=True) == ["assess"]
     assert sorted((label, ratios is None) for label, ratios in solved) == [
-        (f"push {frame}", default)
-        for frame in ("'main' frame 3", "'second' frame 1")
-        for default in (False, True)
+        (f"push {frame}", default) for frame in ("'main' frame 3", "'second' frame 1") for default in (False, True)
     ]
     training = stored_predictions(visit).of_role("training")
     assert [p.item.frame for p in training] == [1, 2]

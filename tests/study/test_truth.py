@@ -72,7 +72,20 @@ def test_a_truth_without_an_estimated_ratio_is_refused(made, tmp_path):
         compare_with_truth(*made, with_truth(tmp_path, tissue=0.05))
 
 
-@pytest.mark.parametrize("content", ["[]", '{"ratios": 3}', '{"ratios": {"tissue": "much"}}', '{"ratio": {}}'])
+@pytest.mark.parametrize(
+    "content",
+    [
+        "[]",
+        '{"ratios": 3}',
+        '{"ratios": {"tissue": "much"}}',
+        '{"ratio": {}}',
+        '{"ratios": {}}',
+        '{"ratios": {"tissue": -0.0}}',
+        '{"ratios": {"tissue": "0.2"}}',
+        '{"ratios": {"tissue": true}}',
+        '{"ratios": {"tissue": null}}',
+    ],
+)
 def test_other_files_are_no_truth(finished, tmp_path, content):
     path = tmp_path / "truth.json"
     path.write_text(content)

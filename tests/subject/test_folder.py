@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import os
 import re
 from pathlib import Path
 
@@ -127,7 +128,7 @@ def test_records_take_lists_but_no_other_types():
         (["height_cm"], 1.55, ["height_cm: found 1.55"]),
         (["height_cm"], 201, ["height_cm: found 201", "200"]),
         (["height_cm"], "152", ["height_cm: found '152'", "number"]),
-        (["height_cm"], True, ["height_cm: found True"]),
+        (["height_cm"], True, ["height_cm: found true"]),
         (["pushes"], [], ["pushes: found []", "at least 1"]),
         (["pushes", 0, "side"], "rigth", ["pushes[0].side: found 'rigth'", "'left' or 'right'"]),
         (["pushes", 0, "level"], 13, ["pushes[0].level: found 13"]),
@@ -189,7 +190,7 @@ def test_several_complaints_are_counted(folder):
         ("[" * 100_000, "nested too deeply"),
         ("[]", "found []"),
         ("", "not JSON"),
-        (" " * 10_000_001, "10000001 bytes"),
+        (" " * (10 * 2**20 + 1), "10.0 MB; at most 10 MB are read"),
     ],
 )
 def test_broken_json_is_one_line(folder, name, text, word):
@@ -221,7 +222,7 @@ def test_a_link_out_of_the_folder_is_refused(folder):
     outside.write_bytes(b"")
     (folder / "pushes/right-8.dcm").unlink()
     (folder / "pushes/right-8.dcm").symlink_to(outside)
-    assert "leads out of the folder" in refusal(folder)
+    assert f"leads out of the folder {folder.name}; copy the file into it" in refusal(folder)
 
 
 # Annotation
@@ -403,7 +404,7 @@ def test_the_skin_scan(folder):
     outside.write_bytes(b"solid")
     (folder / "link.stl").symlink_to(outside)
     lay_out(folder, subject=changed(SUBJECT, ["skin_scan"], {**scan, "file": "link.stl"}))
-    assert "leads out of the subject folder; copy the scan into it" in refusal(folder)
+    assert f"leads out of the folder {folder.name}" in refusal(folder)
 
 
 PEDICLES = {"T6": [[523, 312], [502, 312.5]], "T5": [[522, 280], [503, 280]]}
@@ -524,3 +525,41 @@ def test_a_mass_makes_the_template_the_subjects_own(folder):
     assert own.tissue.corner_volumes().sum() > 1.1 * plain.tissue.corner_volumes().sum()
     with pytest.raises(TorsoError, match="age 6 years; wanted 8 to 100"):
         subject_template(record.model_copy(update={"mass_kg": 50.0, "age": 6.0}), "coarse")
+
+
+def test_keys_and_paths_that_are_odd_are_shown_in_short(folder):
+    for key, shown in (("a" * 5000, "'aaa"), ("a\0b", r"'a\x00b'"), ("", "''"), ("\n", r"'\n'")):
+        lay_out(folder, subject={**SUBJECT, key: 1})
+        message = refusal(folder)
+        assert f"subject.json: {shown}" in message and "unknown key" in message
+        assert len(message) < 200 + len(str(folder)) and message.isprintable()
+    lay_out(folder, subject=changed(SUBJECT, ["pushes", 0, "frames"], "a" * 5000))
+    assert "wanted at most 250 characters that can be printed" in refusal(folder)
+    lay_out(folder, subject=changed(SUBJECT, ["age"], None))
+    assert "age: found null" in refusal(folder)
+    lay_out(folder, subject=changed(SUBJECT, ["id"], "a b"))
+    assert "id: found 'a b', wanted 1 to 64 letters" in refusal(folder)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes and links of Unix")
+def test_a_frame_that_is_no_file_is_refused_unopened(folder):
+    path = folder / "pushes/right-8.dcm"
+    path.unlink()
+    os.mkfifo(path)
+    assert "right-8.dcm: found a named pipe, wanted a file" in refusal(folder)
+    path.unlink()
+    path.mkdir()
+    assert "right-8.dcm: found an empty folder, wanted the radiograph of push/" in refusal(folder)
+    os.mkfifo(path / "1.dcm")
+    assert "1.dcm: found a named pipe, wanted a file" in refusal(folder)
+    (path / "1.dcm").unlink()
+    with (path / "1.dcm").open("wb") as file:
+        file.truncate(2**40)
+    assert "1.dcm: 1048576.0 MB; at most 513 MB are read" in refusal(folder)
+
+
+def test_inputs_do_not_lie_where_results_are_written(folder):
+    (folder / "results").mkdir()
+    (folder / "pushes/right-8.dcm").rename(folder / "results/right-8.dcm")
+    lay_out(folder, subject=changed(SUBJECT, ["pushes", 0, "frames"], "results/right-8.dcm"))
+    assert "right-8.dcm: lies where results are written" in refusal(folder)

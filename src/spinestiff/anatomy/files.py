@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
-import secrets
 import zlib
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -16,12 +15,16 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import BoneSurface, JointTable, TissueMesh, TorsoModel
 from spinestiff.errors import TorsoError
+from spinestiff.files import regular_file, write_bytes
 
 SCHEMA = "spinestiff-torso"
 SCHEMA_VERSION = 1
 _JOINT_FIELDS = ("parent", "child", "parent_position", "parent_axes", "child_position", "child_axes", "stiffness")
 _TISSUE_FIELDS = ("rest_positions", "elements", "bone_of_node", "lame_mu", "lame_lambda")
 _STATE_FIELDS = ("bone_positions", "bone_rotations", "tissue_positions")
+_COORDINATES = ("rest_bone_positions", "rest_tissue_positions", "tissue_rest_positions", "surface_vertices")
+FARTHEST_MM = 10_000.0
+"""Of a coordinate; no body reaches as far from where it stands."""
 
 
 def write_torso(path: str | Path, torso: TorsoModel) -> None:
@@ -54,18 +57,9 @@ def write_torso(path: str | Path, torso: TorsoModel) -> None:
     if surfaces:
         arrays["surface_vertices"] = np.vstack([s.vertices for s in surfaces])
         arrays["surface_faces"] = _compact(np.vstack([s.faces for s in surfaces]))
-    temporary = Path(path).with_name(f".{Path(path).name}.{secrets.token_hex(4)}.tmp")
-    try:
-        # Whole or not at all: an interrupted write leaves the old file.
-        with temporary.open("xb") as stream:
-            np.savez_compressed(stream, **arrays)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise TorsoError(
-            f"{path}: can't write the torso ({error.strerror}); choose a folder you may write to"
-        ) from None
-    finally:
-        temporary.unlink(missing_ok=True)
+    stream = BytesIO()
+    np.savez_compressed(stream, **arrays)
+    write_bytes(Path(path), stream.getvalue(), TorsoError)
 
 
 def read_torso(path: str | Path) -> TorsoModel:
@@ -75,6 +69,7 @@ def read_torso(path: str | Path) -> TorsoModel:
     ------
     TorsoError : no such file, not a torso file, another schema version, or damaged content.
     """
+    regular_file(Path(path), TorsoError)
     try:
         # Opened here: np.load leaves a damaged file open.
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as stored:
@@ -113,6 +108,10 @@ def _header(path: str | Path, arrays: dict[str, Any]) -> dict[str, Any]:
 
 def _torso(header: dict[str, Any], arrays: dict[str, Any]) -> TorsoModel:
     names = tuple(header["bone_names"])
+    places = [arrays[key] for key in _COORDINATES if key in arrays and arrays[key].dtype.kind == "f"]
+    farthest = max((float(np.abs(array).max(initial=0.0)) for array in places), default=0.0)
+    if farthest > FARTHEST_MM:
+        raise TorsoError(f"found a coordinate of {farthest:.3g} mm, wanted at most {FARTHEST_MM:g}")
     joints = JointTable(
         tuple(header["joint_names"]),
         tuple(header["joint_kinds"]),

@@ -14,12 +14,11 @@ from typing import Annotated, Any
 import typer
 
 from spinestiff import __version__
+from spinestiff.app import INTERRUPTED, STOPPED
 from spinestiff.app.annotate import annotate_folder, opened
 from spinestiff.app.options import cobb_limits, force_limits, height_limits, noise_limits, within
 from spinestiff.app.torso import torso
 from spinestiff.errors import SpinestiffError, SubjectError
-
-INTERRUPTED = 130
 
 app = typer.Typer(
     name="spinestiff",
@@ -50,6 +49,7 @@ Ratios = Annotated[str | None, typer.Option(help="True ratios BENDING,TISSUE; dr
 Spine = Annotated[Path | None, typer.Option(help="Table of real spines, as rest shape instead of --cobb and --curve.")]
 TorsoFile = Annotated[Path | None, typer.Option("--torso", help="A torso file instead of a subject folder.")]
 Page = Annotated[Path | None, typer.Option("--out", help="Where the page goes; results/view.html if left out.")]
+Replace = Annotated[bool, typer.Option("--force", help="Replace a file that is there; never one that is read.")]
 NoOpen = Annotated[bool, typer.Option("--no-open", help="Write the page, don't open it.")]
 SpineId = Annotated[str | None, typer.Option(help="Which spine of the table.")]
 
@@ -68,10 +68,14 @@ def main() -> None:
     except SystemExit as end:
         # Typer turns Ctrl-C into this status without a word.
         if end.code == INTERRUPTED:
-            _complain("stopped; results of finished steps are kept")
+            _complain(STOPPED)
         raise
     except OSError as error:
-        _complain(f"{error.filename or 'file system'}: {error.strerror or error}")
+        from spinestiff.files import trouble
+
+        if error.filename is None:  # of the output: whoever reads or writes files names them
+            raise
+        _complain(f"{error.filename}: can't be read or written ({trouble(error)})")
         sys.exit(2)
 
 
@@ -154,9 +158,10 @@ def frames(
     from spinestiff.app.progress import progress
     from spinestiff.app.tables import show_json
     from spinestiff.study.visit import open_visit
+    from spinestiff.subject.lock import sole_run
 
     visit = open_visit(folder)
-    with progress(quiet=json) as say:
+    with sole_run(visit.subject.folder), progress(quiet=json) as say:
         records = select_frames(visit, say, write)
     if json:
         show_json([frame.model_dump(mode="json") for frame in records])
@@ -196,12 +201,13 @@ def view(
     folder: Annotated[Path | None, typer.Argument(help="Subject folder (docs/subject-folder.md).")] = None,
     torso: TorsoFile = None,
     out: Page = None,
+    force: Replace = False,
     no_open: NoOpen = False,
 ) -> None:
     """Show the torso in 3D in the browser, from rest to full load, measured against simulated."""
     if (folder is None) == (torso is None):
         raise SubjectError("view shows a subject folder or a --torso file; give one of them")
-    page = _torso_page(torso, out) if torso is not None else _visit_page(folder, out)
+    page = _torso_page(torso, out, force) if torso is not None else _visit_page(folder, out, force)
     typer.echo(f"view: {page}")
     if not no_open and not opened(page.resolve().as_uri()):
         typer.echo("no browser was found to open it with; open this file in one")
@@ -264,11 +270,12 @@ def cobb(
         typer.Option(help="left or right: where in the image the patient's left is, if the file can't tell."),
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the spines, end vertebrae and angles (PNG).")] = None,
+    force: Replace = False,
 ) -> None:
     """Cobb angles of a subject's rest image and tracked frames, or of a file of vertebra corners."""
     from spinestiff.app.cobb import cobb as run_cobb
 
-    status = run_cobb(path, definition, json, noise_px, patient_left, picture)
+    status = run_cobb(path, definition, json, noise_px, patient_left, picture, force)
     if status:
         raise typer.Exit(status)
 
@@ -343,13 +350,16 @@ def _recipe(
     return Recipe(seed, height, cobb, curve, force, chosen, real)
 
 
-def _visit_page(folder: Path | None, out: Path | None) -> Path:
+def _visit_page(folder: Path | None, out: Path | None, force: bool) -> Path:
     """The page of a visit as far as it has come."""
     from spinestiff.files import write_text
     from spinestiff.study.report.viewer.files import write_rest_view
     from spinestiff.study.visit import open_visit
+    from spinestiff.subject.folder import check_output_beside
 
     visit = open_visit(folder or Path())
+    if out is not None:
+        check_output_beside(visit.subject.folder, out, "--out", force=force)
     page = visit.file("view.html")
     if visit.file("estimate.json").exists():
         _steps(visit.subject.folder, ("view",), redo=False)
@@ -361,10 +371,14 @@ def _visit_page(folder: Path | None, out: Path | None) -> Path:
     return out or page
 
 
-def _torso_page(torso: Path, out: Path | None) -> Path:
+def _torso_page(torso: Path, out: Path | None, force: bool) -> Path:
+    from spinestiff.errors import TorsoError
+    from spinestiff.files import check_output, regular_file
     from spinestiff.study.report.viewer.files import write_torso_view
 
+    regular_file(torso, TorsoError)
     page = out or torso.with_suffix(".html")
+    check_output(page, "--out", inputs=[torso], force=force)
     write_torso_view(torso, page)
     return page
 
@@ -373,9 +387,10 @@ def _steps(folder: Path, steps: tuple[str, ...], redo: bool, truth: Path | None 
     from spinestiff.app.progress import progress
     from spinestiff.study.runner import run_steps
     from spinestiff.study.visit import Settings, open_visit
+    from spinestiff.subject.lock import sole_run
 
     visit = open_visit(folder, Settings(**settings), truth)
-    with progress() as say:
+    with sole_run(visit.subject.folder), progress() as say:
         for warning in visit.subject.warnings:
             say(f"warning: {warning}")
         run_steps(visit, steps, say, redo)

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from spinestiff.app import tables
 from spinestiff.errors import SubjectError
+from spinestiff.files import check_output
 
 if TYPE_CHECKING:
     from spinestiff.curves.cobb import CobbReading, Curve, Definition
@@ -20,7 +21,13 @@ REFUSED = 2
 
 
 def cobb(
-    path: Path, definition: str, as_json: bool, noise_px: float | None, patient_left: str | None, picture: Path | None
+    path: Path,
+    definition: str,
+    as_json: bool,
+    noise_px: float | None,
+    patient_left: str | None,
+    picture: Path | None,
+    force: bool = False,
 ) -> int:
     """Print the Cobb angles of a folder or file; the exit status: 0, or 2 if no image could be measured.
 
@@ -32,10 +39,12 @@ def cobb(
     side = _side(patient_left)
     # What is neither is looked for as a folder, unless its name ends as a file's of corners does.
     if path.is_file() or path.suffix.lower() in (".csv", ".json"):
+        if picture is not None:
+            check_output(picture, "--picture", inputs=[path], force=force)
         return _of_file(path, chosen, as_json, noise_px, side, picture)
     if side is not None:
         raise SubjectError("--patient-left is for files of corners; the radiographs of a subject folder tell it")
-    return _of_folder(path, chosen, as_json, noise_px, picture)
+    return _of_folder(path, chosen, as_json, noise_px, picture, force)
 
 
 def _definition(name: str) -> Definition:
@@ -57,12 +66,15 @@ def _side(name: str | None) -> Side | None:
 
 
 def _of_folder(
-    folder: Path, definition: Definition, as_json: bool, noise_px: float | None, picture: Path | None
+    folder: Path, definition: Definition, as_json: bool, noise_px: float | None, picture: Path | None, force: bool
 ) -> int:
     from spinestiff.curves.pushes import cobb_frames, cobb_rows
-    from spinestiff.subject.folder import read_subject
+    from spinestiff.subject.folder import check_output_beside, read_subject
 
-    frames = cobb_frames(read_subject(folder), definition, noise_px)
+    subject = read_subject(folder)
+    if picture is not None:
+        check_output_beside(subject.folder, picture, "--picture", force=force)
+    frames = cobb_frames(subject, definition, noise_px)
     _draw([frame.reading for frame in frames], picture)
     if as_json:
         tables.show_json([frame.as_dict() for frame in frames])

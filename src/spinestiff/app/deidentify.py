@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from spinestiff.errors import RadiographError
+from spinestiff.files import trouble, write_bytes
 from spinestiff.imaging.deidentification.burned_in import inspection_row, sheet
 from spinestiff.imaging.deidentification.deidentify import NO_DICOM, deidentify
 from spinestiff.imaging.deidentification.pseudonyms import key_of, random_key
@@ -104,10 +105,12 @@ def _check_places(source: Path, out: Path, beside: Path, key_file: Path | None) 
     for place, name in ((out, "OUT"), (beside, f"OUT{SHEETS}")):
         if place.is_file() or (place.is_dir() and any(place.iterdir())):
             raise RadiographError(f"{name} is there already and not empty; name a new folder, nothing is overwritten")
+        if os.path.lexists(place) and not place.is_dir():
+            raise RadiographError(f"{name} is there already and no folder; name a new folder")
     for inner, outer, what in (
         (out, source, "OUT lies in IN"), (source, out, "IN lies in OUT"), (key_file, out, "the key lies in OUT")
     ):  # fmt: skip
-        if inner is not None and inner.resolve().is_relative_to(outer.resolve()):
+        if inner is not None and Path(os.path.realpath(inner)).is_relative_to(os.path.realpath(outer)):
             raise RadiographError(f"{what}; name a place outside of it")
 
 
@@ -137,18 +140,8 @@ def _content(file: Path) -> bytes:
             raise RadiographError(f"over {MOST_BYTES // 2**20} MB")
         return file.read_bytes()
     except OSError as problem:
-        raise RadiographError(f"can't be opened ({problem.strerror})") from None
+        raise RadiographError(f"can't be opened ({trouble(problem)})") from None
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Whole or not at all."""
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            temporary.write_bytes(content)
-            temporary.rename(path)
-        finally:
-            temporary.unlink(missing_ok=True)
-    except OSError as problem:
-        raise RadiographError(f"OUT can't be written ({problem.strerror}); files written so far are whole") from None
+    write_bytes(path, content, RadiographError, name="OUT")

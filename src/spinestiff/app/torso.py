@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -78,8 +79,8 @@ def import_(
     from spinestiff.app.progress import progress
     from spinestiff.study.imported import write_imported
 
-    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
-        raise TorsoError(f"{out} exists and is not empty; name a new folder")
+    if os.path.lexists(out) and not (out.is_dir() and not any(out.iterdir())):
+        raise TorsoError(f"{out} exists and is no empty folder; name a new one")
     with progress() as say:
         found = import_torso(
             folder, mapping=mapping, unit=unit, axes=axes, skin=skin, spacing_mm=spacing, height_cm=height,
@@ -105,6 +106,9 @@ def export(
     out: Annotated[
         Path | None, typer.Option(help="The file to write; torso with the format's ending if left out.")
     ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace a file that is there; never the torso that is read.")
+    ] = False,
     height: Height = None,
     age: Age = None,
     sex: Sex = None,
@@ -115,12 +119,20 @@ def export(
 ) -> None:
     """Write a torso at rest for another program; says what that format leaves out."""
     from spinestiff.anatomy.export import FORMATS, export_torso
+    from spinestiff.files import check_output
 
     if kind not in FORMATS:
         raise TorsoError(f"unknown format '{kind}'; known are {', '.join(FORMATS)}")
     chosen = FORMATS[kind]
+    path = out or Path(f"torso{chosen.suffix}")
+    if file is not None and file.is_dir():
+        from spinestiff.subject.folder import check_output_beside
+
+        check_output_beside(file, path, "--out", force=force)
+    else:
+        check_output(path, "--out", inputs=[] if file is None else [file], force=force, error=TorsoError)
     found = _torso(file, height=height, age=age, sex=sex, mass=mass, kyphosis=kyphosis, lordosis=lordosis, mesh=mesh)
-    path = export_torso(found, out or Path(f"torso{chosen.suffix}"), kind)
+    export_torso(found, path, kind)
     typer.echo(f"{path}: for {chosen.purpose}; leaves out or changes: {chosen.leaves_out}")
 
 
@@ -148,7 +160,7 @@ def _torso(file: Path | None, **template: Any) -> Any:
     if file is None:
         return template_torso(
             157.0 if template["height"] is None else template["height"],
-            template["mesh"] or "coarse",
+            "coarse" if template["mesh"] is None else template["mesh"],
             age_years=template["age"],
             sex=template["sex"],
             mass_kg=template["mass"],

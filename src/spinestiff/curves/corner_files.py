@@ -26,7 +26,7 @@ from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, SCHEMA_VERSION,
 
 CORNERS = ("top_left", "top_right", "bottom_right", "bottom_left")
 MARKUPS_SUFFIX = ".mrk.json"
-LARGEST_CSV = 50_000_000
+LARGEST_CSV = 50 * 2**20
 """Bytes: ten thousand images of seventeen vertebrae take about 20 MB."""
 MOST_IMAGES = 20_000
 FARTHEST = 100_000.0

@@ -12,8 +12,8 @@ import numpy as np
 from spinestiff.anatomy.files import write_torso
 from spinestiff.anatomy.importing import ImportedTorso
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.errors import TorsoError
-from spinestiff.files import write_json
+from spinestiff.errors import SpinestiffError, TorsoError
+from spinestiff.files import trouble, write_json
 
 SCHEMA_VERSION = 1
 
@@ -38,7 +38,9 @@ def write_imported(found: ImportedTorso, folder: Path) -> None:
             folder.rmdir()
         draft.rename(folder)
     except OSError as error:
-        raise TorsoError(f"{folder}: can't write there ({error.strerror}); name a new folder") from None
+        raise TorsoError(f"{folder}: can't be written ({trouble(error)}); name a new folder") from None
+    except SpinestiffError as error:
+        raise TorsoError(str(error).replace(str(draft), str(folder))) from None
     finally:
         shutil.rmtree(draft, ignore_errors=True)
 

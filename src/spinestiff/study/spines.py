@@ -14,6 +14,7 @@ from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
+from spinestiff.files import regular_file
 
 # Apex as a share of the way from L5 to T1, and width, of a single curve; a double curve is a pair of opposite ones.
 CURVES = {
@@ -28,6 +29,7 @@ LARGEST_COBB_DEG = 60.0
 AXIAL_COUPLING = 0.3
 SMOOTHING_LEVELS = 3.0
 LARGEST_STRAY_MM = 5.0
+LARGEST_TABLE = 50 * 2**20  # bytes
 # Distance of neighbouring bodies over their mean height: below, they overlap; above, the disc is as tall as a body.
 SPACING = (1.0, 2.2)
 
@@ -157,8 +159,7 @@ def smoothed(bodies: Floats, arc: Floats) -> tuple[Floats, Floats]:
 
 
 def _read_points(table: Path, spine_id: str) -> dict[str, dict[str, Floats]]:
-    if not table.is_file():
-        raise SubjectError(f"{table}: no such file; wanted a table of spines")
+    regular_file(table, SubjectError, cap_bytes=LARGEST_TABLE)
     points: dict[str, dict[str, Floats]] = {}
     try:
         text = table.read_text(encoding="utf-8-sig")

@@ -6,6 +6,7 @@ The truth is written beside the folder (``DIR.truth.json``), never into it.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
@@ -168,8 +169,12 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     EquilibriumError : the torso can't carry the push at these ratios.
     """
     folder = Path(folder)
+    if os.path.lexists(folder) and not folder.is_dir():
+        raise SubjectError(f"{folder}: is there already and no folder; choose another one, nothing was written")
     if folder.exists() and any(folder.iterdir()):
         raise SubjectError(f"{folder}: is not empty; choose another folder, nothing was written")
+    if os.path.lexists(truth_path(folder)):
+        raise SubjectError(f"{truth_path(folder)}: is there already; choose another folder, nothing was written")
     say = observer or (lambda line: None)
     random = np.random.default_rng(recipe.seed)
     say(f"shaping the {recipe.mesh} torso")
@@ -214,7 +219,7 @@ def made_by(folder: str | Path, recipe: Recipe) -> bool:
     SubjectError : it holds something else.
     """
     folder = Path(folder)
-    if not folder.exists() or not any(folder.iterdir()):
+    if not folder.is_dir() or not any(folder.iterdir()):
         return False
     path = truth_path(folder)
     if path.is_file() and read_json(path).get("recipe") == recipe.as_record():

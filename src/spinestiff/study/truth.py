@@ -20,9 +20,13 @@ def read_truth(path: Path) -> dict[str, float]:
     """True ratios of a synthetic subject's truth file. Raises SubjectError."""
     record = read_json(path)
     try:
-        return {str(name): float(value) for name, value in record["ratios"].items()}
-    except (KeyError, TypeError, AttributeError, ValueError):
-        raise SubjectError(f"{path}: holds no true ratios; wanted the truth file of a synthetic subject") from None
+        ratios = dict(record["ratios"])
+        sound = bool(ratios) and all(type(value) in (int, float) and 0.0 < value < 1e9 for value in ratios.values())
+    except (KeyError, TypeError, ValueError):
+        sound = False
+    if not sound:
+        raise SubjectError(f"{path}: holds no true ratios; wanted the truth file of a synthetic subject")
+    return {str(name): float(value) for name, value in ratios.items()}
 
 
 def known_comparison(subject: Subject, truth: Path) -> Comparison:

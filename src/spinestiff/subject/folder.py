@@ -6,6 +6,7 @@ rest (``check_frames``, ``image_corners``). Each refusal is one line: file, fiel
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,7 +18,8 @@ import numpy as np
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
-from spinestiff.files import regular_file, regular_files, write_json
+from spinestiff.files import check_output, regular_file, regular_files, write_json
+from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_HEADER_BYTES
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.subject.records import (
     ANNOTATION_FILE,
@@ -33,6 +35,7 @@ from spinestiff.subject.records import (
     PushRecord,
     SubjectRecord,
     read_record,
+    shown_key,
 )
 from spinestiff.words import counted
 
@@ -40,6 +43,14 @@ if TYPE_CHECKING:
     from spinestiff.imaging.dicom.identity import Identity
     from spinestiff.imaging.projection import XRayView
     from spinestiff.imaging.radiograph import Radiograph
+
+READ_AGAIN = (
+    "run.json", "tracked.json", "frames.json", "torso.npz", "personalised.json", "training.npz", "estimate.json",
+    "predictions.npz", "assessment.json", "comparison.json",
+)  # fmt: skip
+"""Files in ``results/`` that steps and tables read; the rest is for people."""
+MOST_INPUT_BYTES = MOST_BYTES + MOST_HEADER_BYTES
+"""Of a file: the largest are radiographs."""
 
 
 @dataclass(frozen=True)
@@ -112,16 +123,12 @@ def read_subject(folder: str | Path) -> Subject:
     for image in subject.annotation.images:
         check_radiograph_path(subject, image)
     own = (
-        (subject.torso_path, "torso", "the torso.npz of spinestiff torso import"),
-        (subject.scan_path, "scan", "the skin scan that subject.json names"),
+        (subject.torso_path, "the torso.npz of spinestiff torso import"),
+        (subject.scan_path, "the skin scan that subject.json names"),
     )
-    for file, kind, what in own:
-        if file is None:
-            continue
-        if not file.is_file():
-            raise SubjectError(f"{file}: no such file; wanted {what}")
-        if not file.resolve().is_relative_to(folder.resolve()):
-            raise SubjectError(f"{file}: leads out of the subject folder; copy the {kind} into it")
+    for file, what in own:
+        if file is not None:
+            _check_input(subject, file, what)
     return subject
 
 
@@ -135,7 +142,7 @@ def read_unannotated(folder: str | Path) -> Subject:
     folder = Path(folder)
     if not folder.is_dir():
         raise SubjectError(f"{folder}: no such folder; wanted a subject folder with {SUBJECT_FILE}")
-    if not (folder / SUBJECT_FILE).is_file():
+    if not os.path.lexists(folder / SUBJECT_FILE):
         raise SubjectError(
             f"{folder / SUBJECT_FILE}: no such file; write one with the person, the pushes and their forces, as "
             "docs/subject-folder.md shows"
@@ -145,19 +152,11 @@ def read_unannotated(folder: str | Path) -> Subject:
 
 
 def check_radiograph_path(subject: Subject, image: str) -> None:
-    """Raise SubjectError unless the radiograph of an image, or all that is in its folder, is regular files inside the
-    subject folder, none larger than is read. Nothing is opened.
-    """
-    from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_HEADER_BYTES
+    """Raise SubjectError unless the radiograph of an image is there: files inside the subject folder, none too large.
 
-    path, most = subject.image_path(image), MOST_BYTES + MOST_HEADER_BYTES
-    if not path.exists() and not path.is_symlink():
-        raise SubjectError(f"{path}: no such file; wanted the radiograph of {image}")
-    if not path.is_dir():
-        regular_file(path, SubjectError, within=subject.folder, cap_bytes=most)
-        return
-    for _ in regular_files(path, SubjectError, within=subject.folder, cap_bytes=most):
-        pass
+    A file is told from a pipe, a device and a link that leads elsewhere; it is not opened.
+    """
+    _check_input(subject, subject.image_path(image), f"the radiograph of {image}")
 
 
 def write_subject(folder: str | Path, record: SubjectRecord) -> None:
@@ -176,7 +175,7 @@ def read_annotation(path: str | Path) -> Annotation:
     SubjectError : no annotation, fewer than 8 vertebrae in an image, corners out of order (image and vertebra named).
     """
     path = Path(path)
-    if not path.is_file():
+    if not os.path.lexists(path):
         raise SubjectError(f"{path}: no annotation; mark the vertebra corners with spinestiff annotate")
     return read_record(path, Annotation)
 
@@ -356,8 +355,8 @@ def check_image_name(subject: Subject, name: str) -> None:
             raise SubjectError(f"{path}: images.{name}: the push has {counted(count, 'frame')}, counted from 0")
     elif name not in needed:
         raise SubjectError(
-            f"{path}: images.{name}: unknown image; wanted {', '.join(needed)} (push/<id>/<frame> for frames after "
-            "the first)"
+            f"{path}: images.{shown_key(name)}: unknown image; wanted {', '.join(needed)} (push/<id>/<frame> for "
+            "frames after the first)"
         )
 
 
@@ -372,6 +371,35 @@ def _check_images(subject: Subject) -> None:
             continue
         if name not in images:
             raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
+
+
+def check_output_beside(folder: Path, path: Path, option: str, *, force: bool) -> None:
+    """Refuse a place for an output of a command that reads the subject in this folder (``files.check_output``).
+
+    Inside the folder only ``results/`` is written to, and there no result that a step reads.
+
+    Raises
+    ------
+    SubjectError : see ``files.check_output``.
+    """
+    results = folder / RESULTS
+    inputs = [results / name for name in READ_AGAIN]
+    check_output(path, option, inputs=inputs, closed=folder, but=results, force=force)
+
+
+def _check_input(subject: Subject, path: Path, what: str) -> None:
+    """Raise SubjectError unless a file, or each file of a folder, may be read and no step writes there."""
+    folder, results = subject.folder, subject.results
+    if not os.path.lexists(path):
+        raise SubjectError(f"{path}: no such file; wanted {what}")
+    if path.is_dir():
+        files = list(regular_files(path, SubjectError, within=folder, cap_bytes=MOST_INPUT_BYTES))
+        if not files:
+            raise SubjectError(f"{path}: found an empty folder, wanted {what}")
+    else:
+        regular_file(path, SubjectError, within=folder, cap_bytes=MOST_INPUT_BYTES)
+    if path.resolve().is_relative_to(results.resolve()) or results.resolve().is_relative_to(path.resolve()):
+        raise SubjectError(f"{path}: lies where results are written ({results}); move it elsewhere in the folder")
 
 
 def _unusual(record: SubjectRecord) -> tuple[str, ...]:

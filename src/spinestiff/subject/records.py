@@ -5,6 +5,7 @@ Each refusal is one line: file, field, found, wanted. What the folder holds besi
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Annotated, Any, Final, Literal, Self, TypeVar
@@ -39,6 +40,8 @@ DISTANCES_MM = (30.0, 1000.0)
 FURTHER_FRAME = r"(?P<push>push/[^/]+)/(?P<frame>[1-9][0-9]{0,3})"
 """Name of an annotated frame of a push after its first, which is push/<id>."""
 _IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
+_NAME = "1 to 64 letters (A to Z), digits, '.', '_' or '-', the first a letter or digit"
+LONGEST_PATH = 250
 
 Role = Literal["training", "validation", "unused"]
 VertebraName = Literal[
@@ -60,6 +63,8 @@ def _inside(path: str) -> str:
     absolute = PurePosixPath(path).is_absolute() or PureWindowsPath(path).drive or path.startswith("\\")
     if absolute or "\\" in path or ".." in PurePosixPath(path).parts or not path.strip() or "\0" in path:
         raise ValueError(f"found {_shown(path)}, wanted a path inside the subject folder, with / and without ..")
+    if len(path) > LONGEST_PATH or not path.isprintable():
+        raise ValueError(f"found {_shown(path)}, wanted at most {LONGEST_PATH} characters that can be printed")
     return path
 
 
@@ -339,15 +344,21 @@ class Annotation(_Record):
             further = re.fullmatch(FURTHER_FRAME, name)
             if further is None and len(image.vertebrae) < FEWEST_VERTEBRAE:
                 raise ValueError(
-                    f"{name}.vertebrae: found {counted(len(image.vertebrae), 'vertebra', 'vertebrae')}, wanted at "
-                    f"least {FEWEST_VERTEBRAE}"
+                    f"{shown_key(name)}.vertebrae: found {counted(len(image.vertebrae), 'vertebra', 'vertebrae')}, "
+                    f"wanted at least {FEWEST_VERTEBRAE}"
                 )
             if further is not None and image.supports:
-                raise ValueError(f"{name} has supports; wanted them in the push's first frame, {further['push']}")
+                raise ValueError(
+                    f"{shown_key(name)} has supports; wanted them in the push's first frame, {further['push']}"
+                )
             if image.supports and not name.startswith("push/"):
-                raise ValueError(f"{name} has supports; wanted them in push images only, where they can move")
+                raise ValueError(
+                    f"{shown_key(name)} has supports; wanted them in push images only, where they can move"
+                )
             if image.pedicles and name.startswith("push/"):
-                raise ValueError(f"{name} has pedicles; wanted them in rest images only, where the shape is found")
+                raise ValueError(
+                    f"{shown_key(name)} has pedicles; wanted them in rest images only, where the shape is found"
+                )
             if further is not None and further["push"] in images:
                 _check_turned(name, image, images[further["push"]])
         return images
@@ -450,8 +461,13 @@ def _field_path(complaint: ErrorDetails) -> str:
         # pydantic adds this to the path when a key of a dictionary is wrong.
         if part == "[key]":
             continue
-        path += f"[{part}]" if isinstance(part, int) else f".{part}"
+        path += f"[{part}]" if isinstance(part, int) else f".{shown_key(part)}"
     return path.removeprefix(".")
+
+
+def shown_key(key: str) -> str:
+    """A key as it stands in the file, if it can be printed in one line; else quoted and shortened."""
+    return key if key.isprintable() and 0 < len(key) <= 40 else _shown(key, 30)
 
 
 def _complaint(complaint: ErrorDetails) -> str:
@@ -462,10 +478,13 @@ def _complaint(complaint: ErrorDetails) -> str:
         return "missing"
     if kind == "value_error":
         return message.removeprefix("Value error, ")
+    if kind == "string_pattern_mismatch":
+        return f"found {_shown(complaint['input'])}, wanted {_NAME}"
     wanted = re.sub(r"^(Input|String|Tuple|Dictionary) should (be |have |match )?", "", message)
     return f"found {_shown(complaint['input'])}, wanted {wanted}"
 
 
 def _shown(value: Any, longest: int = 60) -> str:
-    text = repr(value)
+    # As JSON writes them.
+    text = json.dumps(value) if value is None or isinstance(value, bool) else repr(value)
     return text if len(text) <= longest else text[: longest - 3] + "..."

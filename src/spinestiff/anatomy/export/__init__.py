@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -12,6 +10,7 @@ from pathlib import Path
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import TorsoError
+from spinestiff.files import write_bytes
 
 __all__ = ["FORMATS", "ExportFormat", "export_torso"]
 
@@ -64,12 +63,5 @@ def export_torso(torso: TorsoModel, path: str | Path, kind: str, state: TorsoSta
     exporter: Exporter = import_module(f"{__name__}.{kind}").content
     content = exporter(torso, torso.rest_pose if state is None else state)
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    try:
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise TorsoError(f"{path}: can't write it ({error.strerror}); choose a folder you may write to") from None
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_bytes(path, content, TorsoError)
     return path

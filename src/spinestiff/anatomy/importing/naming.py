@@ -13,6 +13,7 @@ from typing import Any
 from spinestiff.anatomy.importing.reading import SUFFIXES
 from spinestiff.anatomy.names import BONES
 from spinestiff.errors import TorsoError
+from spinestiff.files import regular_file
 
 SKIN = "skin"
 MOST_FILES = 500
@@ -216,7 +217,7 @@ def _read_mapping(path: Path) -> dict[str, Any]:
         return dict(pairs)
 
     try:
-        if path.stat().st_size > MOST_MAPPING_BYTES:
+        if regular_file(path, TorsoError).st_size > MOST_MAPPING_BYTES:
             raise TorsoError(f"{path.name} is no mapping file: larger than {MOST_MAPPING_BYTES / 1e6:g} MB")
         record = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=once)
     except OSError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from spinestiff.anatomy.importing.vtp import VtpError, read_vtp
 from spinestiff.anatomy.template.surfaces import Surface
 from spinestiff.errors import TorsoError
+from spinestiff.files import regular_file
 
 SUFFIXES = (".stl", ".obj", ".ply", ".vtp")
 MOST_BYTES = 200_000_000
@@ -29,7 +31,7 @@ def read_surface(path: Path) -> Surface:
     if kind not in SUFFIXES:
         raise TorsoError(f"{path.name}: unknown kind of file; wanted one of {', '.join(SUFFIXES)}")
     try:
-        size = path.stat().st_size
+        size = regular_file(path, TorsoError, name=path.name).st_size
         if size > MOST_BYTES:
             raise TorsoError(f"{path.name} has {size / 1e6:.0f} MB; at most {MOST_BYTES / 1e6:.0f} MB, so thin it out")
         content = path.read_bytes()
@@ -69,6 +71,10 @@ def _parsed(path: Path, kind: str, content: bytes) -> Surface:
     except Exception as error:  # a foreign parser on foreign bytes: whatever it raises, the file is at fault
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise TorsoError(f"{path.name} can't be read as {kind[1:].upper()} ({reason})") from None
+    # A text PLY that was cut short passes the parser; a polygon gives a triangle or more.
+    promised = re.search(rb"^element face (\d{1,12})\s*$", content, re.MULTILINE) if kind == ".ply" else None
+    if promised is not None and len(faces) < int(promised[1]):
+        raise TorsoError(f"{path.name} says {int(promised[1])} faces, but holds {len(faces)}; copy the file again")
     return vertices, faces
 
 

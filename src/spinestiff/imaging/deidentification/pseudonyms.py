@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import hmac
+import os
 import re
 import secrets
 import uuid
@@ -12,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from spinestiff.errors import RadiographError
+from spinestiff.files import regular_file, trouble, write_bytes
 from spinestiff.words import counted
 
 FEWEST_KEY_BYTES, MOST_KEY_BYTES = 16, 4096
@@ -69,16 +71,15 @@ def key_of(path: Path) -> tuple[Key, bool]:
     RadiographError : a file that can't be read or written, or is too short or too long for a key.
     """
     try:
-        if not path.exists():
+        if not os.path.lexists(path):
             text = secrets.token_hex(32)
-            path.touch(mode=0o600, exist_ok=False)
-            path.write_text(text + "\n", encoding="ascii")
+            write_bytes(path, f"{text}\n".encode(), RadiographError, name="key file", private=True)
             return Key(text.encode()), True
-        if path.stat().st_size > MOST_KEY_BYTES:
+        if regular_file(path, RadiographError, name="key file").st_size > MOST_KEY_BYTES:
             raise RadiographError(f"key file: over {MOST_KEY_BYTES} bytes; is it the right file?")
         return Key(path.read_bytes().strip()), False
     except OSError as problem:
-        raise RadiographError(f"key file: can't be read or made ({problem.strerror})") from None
+        raise RadiographError(f"key file: can't be read ({trouble(problem)})") from None
 
 
 def moment(date: str, time: str) -> datetime.datetime | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spinestiff.errors import RadiographError
+from spinestiff.files import write_bytes
 from spinestiff.imaging.dicom.orientation import BEAMS, letter
 from spinestiff.imaging.projection import XRayView
 
@@ -69,10 +71,9 @@ def write_radiographs(
         dataset.AcquisitionTime = acquisition_time
     if len(frames) > 1:
         _write_times(dataset, frame_time_ms, len(frames))
-    try:
-        dataset.save_as(Path(path), enforce_file_format=True)
-    except OSError as problem:
-        raise RadiographError(f"{Path(path).name}: can't be written ({problem.strerror})") from None
+    stream = BytesIO()
+    dataset.save_as(stream, enforce_file_format=True)
+    write_bytes(Path(path), stream.getvalue(), RadiographError)
 
 
 def _new_dataset(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from matplotlib.figure import Figure
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
+from spinestiff.files import write_bytes
 
 # title, world axis and sign that runs to the right of the page, direction towards the viewer
 View = tuple[str, int, float, tuple[float, float, float]]
@@ -115,11 +117,15 @@ def scan_figure(torso: TorsoModel, points: Floats) -> Figure:
 
 def draw_scan(torso: TorsoModel, points: Floats, path: Path) -> None:
     """Write ``scan_figure`` (PNG)."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    scan_figure(torso, points).savefig(path, dpi=DPI, pil_kwargs={"optimize": True})
+    _write(scan_figure(torso, points), path)
 
 
 def draw_torso(torso: TorsoModel, path: Path) -> None:
     """Write ``torso_figure`` (PNG)."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    torso_figure(torso).savefig(path, dpi=DPI, pil_kwargs={"optimize": True})
+    _write(torso_figure(torso), path)
+
+
+def _write(figure: Figure, path: Path) -> None:
+    stream = BytesIO()
+    figure.savefig(stream, format="png", dpi=DPI, pil_kwargs={"optimize": True})
+    write_bytes(path, stream.getvalue())

@@ -1,0 +1,54 @@
+"""Where the installed program starts: ready for Ctrl-C, closed outputs and readers that left."""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import suppress
+
+from spinestiff.app import INTERRUPTED, READER_LEFT, STOPPED
+
+
+def main() -> None:
+    """Run the command line. Ctrl-C ends it in one line, a reader of its output that left without a word."""
+    _open_standard_files()
+    try:
+        from spinestiff.app.cli import main as run
+
+        try:
+            run()
+        finally:
+            sys.stdout.flush()
+    except KeyboardInterrupt:
+        _end(STOPPED, INTERRUPTED)
+    except BrokenPipeError:
+        _end("", READER_LEFT)
+    except OSError as problem:
+        from spinestiff.files import trouble
+
+        _end(f"the output: can't be written ({trouble(problem)})", 2)
+    except SystemExit as end:
+        # typer and rich turn it into a status of their own.
+        if isinstance(end.__context__, BrokenPipeError):
+            _end("", READER_LEFT)
+        raise
+
+
+def _open_standard_files() -> None:
+    """A standard file that was closed is nowhere: else the next file to be opened would be taken for it."""
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (until the program's end)
+
+
+def _end(message: str, status: int) -> None:
+    """End here: what is still in the output's buffer has nowhere to go, and Python's own end would say so."""
+    if message:
+        with suppress(OSError):
+            print(f"spinestiff: {message}", file=sys.stderr, flush=True)
+    os._exit(status)

@@ -1,0 +1,60 @@
+"""How the program ends when its surroundings do: Ctrl-C while it starts, outputs that are closed, full or left."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals, pipes and devices of Unix")
+PROGRAM = [sys.executable, "-c", "from spinestiff.app.start import main; main()"]
+
+
+def shell(line: str) -> subprocess.CompletedProcess[str]:
+    """A line of shell in which "$@" is the program."""
+    return subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {line}", "bash", *PROGRAM], capture_output=True, text=True, timeout=60,
+        check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("line", "status", "err"),
+    [
+        # A reader that has left before the first line: what is written has nowhere to go.
+        ('(sleep 1; "$@" torso show) | true', 141, ""),
+        ('(sleep 1; "$@" doctor) | true', 141, ""),
+        ('"$@" torso show >&-', 0, ""),
+        ('"$@" doctor >&-', 0, ""),
+        ('"$@" run nobody >&- 2>&-', 2, ""),
+        ('"$@" torso show <&-', 0, ""),
+        ('"$@" torso show > /dev/full', 2, "spinestiff: the output: can't be written (the disk is full)\n"),
+        ('"$@" --version > /dev/full', 2, "spinestiff: the output: can't be written (the disk is full)\n"),
+    ],
+)
+def test_an_output_that_takes_nothing(line, status, err):
+    if "/dev/full" in line and not os.path.exists("/dev/full"):
+        pytest.skip("a device of Linux")
+    ended = shell(line)
+    assert (ended.returncode, ended.stderr) == (status, err)
+
+
+@pytest.mark.parametrize("place", ["typer", "numpy", "scipy.sparse"])
+def test_ctrl_c_while_something_is_imported_is_one_line(place):
+    """The import of one package is where the signal comes."""
+    code = f"""
+import importlib.abc, os, signal, sys
+class Interrupting(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name == {place!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupting())
+sys.argv = ["spinestiff", "doctor"]
+from spinestiff.app.start import main
+main()
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stdout) == (130, "")
+    assert ended.stderr == "spinestiff: stopped; results of finished steps are kept\n"
