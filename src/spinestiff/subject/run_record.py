@@ -117,7 +117,9 @@ def recorded_steps(subject: Subject) -> dict[str, StepRecord]:
     if not path.is_file():
         return {}
     try:
-        return RunRecord.model_validate(parse_json(read_text(path), str(path))).steps
+        text = read_text(path)
+        parse_json(text, str(path))
+        return RunRecord.model_validate_json(text, strict=True).steps
     except (SubjectError, ValidationError):
         return {}
 
@@ -179,12 +181,13 @@ def read_outcome(subject: Subject, kind: type[F]) -> F:
     """
     path = result_path(subject, kind.FILE, kind.STEP)
     again = f"run spinestiff {kind.STEP} {subject.folder} again"
-    content = parse_json(read_text(path), str(path))
+    text = read_text(path)
+    content = parse_json(text, str(path))
     version = content.get("schema_version") if isinstance(content, dict) else None
     wanted = kind.model_fields["schema_version"].default
     if version != wanted:
         raise SubjectError(f"{path}: found schema_version {version!r}, wanted {wanted}; {again}")
     try:
-        return kind.model_validate(content)
+        return kind.model_validate_json(text, strict=True)
     except ValidationError as error:
         raise SubjectError(f"{path}: {complaint_of(error)}; {again}") from None
