@@ -109,7 +109,7 @@ def body_of(
     ------
     TorsoError : as ``Body``.
     """
-    sex = sex or "female"
+    sex = "female" if sex is None else sex
     if sex not in _BMI:
         raise TorsoError(f"sex '{sex}'; wanted female or male")
     age = usual_age(height_cm, sex) if age_years is None else age_years
