@@ -34,7 +34,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.fit import StiffnessFit
 from spinestiff.imaging.features import VertebraCorners
-from spinestiff.imaging.tracking.quality import usable_corners
+from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY, usable_corners
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.judgement import RestShape, failed, judge
 from spinestiff.study.trials import PushSet, push_set
@@ -198,13 +198,13 @@ def misread_force(case: Case, factor: float) -> Case:
 
 
 def lost_vertebra(case: Case, mm: float) -> Case:
-    """Tracking puts a vertebra elsewhere in the largest training frame; fitted to first order."""
+    """Tracking puts a vertebra elsewhere in the largest training frame and is sure of it; fitted to first order."""
     changes = []
     last = int(np.argmax([t.force_n for t in case.pushes.training]))
     for i, part in enumerate(case.fit.residuals):
         change = np.zeros(part.difference.shape)
-        row = chosen(case, len(change))
-        change[row] = mm * np.array([1.0, 0.0]) * (i == last)
+        sure = np.flatnonzero(part.weights >= DOUBTED_QUALITY)
+        change[sure[chosen(case, len(sure))]] = mm * np.array([1.0, 0.0]) * (i == last)
         changes.append(change)
     return replace(case, fit=refitted(case.fit, changes))
 

@@ -178,7 +178,11 @@ def test_exchanged_forces(sound):
 
 
 def test_frames_of_the_same_force_need_not_grow(sound):
-    assert sound.with_push(forces_n=(0.0, 20.0, 40.0, 40.0)).check("motion grows with force").passed
+    forces, corners = (0.0, 20.0, 40.0, 40.0), [sound.tracked.corners(i) for i in (0, 1, 3, 2)]
+    tracked = TrackedPush.of(sound.tracked.view.view(), forces, corners)
+    assert replace(sound.with_push(forces_n=forces), tracked=tracked).check("motion grows with force").passed
+    forces = (0.0, 20.0, 40.0, 40.5)
+    assert not replace(sound.with_push(forces_n=forces), tracked=tracked).check("motion grows with force").passed
 
 
 def test_forces_in_reverse_order(sound):

@@ -8,6 +8,7 @@ import numpy as np
 import pydicom
 import pytest
 
+from canaries import CANARY, traces
 from results import altered
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.names import VERTEBRAE
@@ -133,6 +134,39 @@ def test_the_estimate(finished):
     assert record.orientation == fit.orientation == "procrustes"
     assert set(record.poses) == {"main", "second"}
     assert set(fit.warnings) <= set(record.notes)
+
+
+def test_the_estimate_is_judged(finished):
+    record = result(finished, Estimate)
+    found = {(check.name, check.passed) for check in record.checks}
+    assert {name for name, passed in found if passed is False} == set()
+    assert record.status == record.fit_status
+    # Of every push; the second one has a single force.
+    assert found >= {("rest and push", True), ("training frames", True), ("motion grows with force", None)}
+    assert len([check for check in record.checks if check.name == "rest and push"]) == 2
+    (rest, _) = [check for check in record.checks if check.name == "rest and push"]
+    assert rest.value == record.poses["main"].rms_mm
+
+
+def test_a_failed_check_makes_the_estimate_doubtful(subject, finished):
+    """Kilograms as newtons, and a push of another patient; nothing of either patient is said."""
+    content = read_json(subject / "subject.json")
+    for push in content["pushes"]:
+        push["forces_n"] = [round(force / 9.81, 3) for force in push["forces_n"]]
+    write_json(subject / "subject.json", content)
+    for name, number in (("rest/frontal", 1), ("rest/lateral", 1), ("pushes/main", 2), ("pushes/second", 1)):
+        dataset = pydicom.dcmread(subject / f"{name}.dcm")
+        dataset.PatientID, dataset.PatientIdentityRemoved = f"{CANARY}{number}", "NO"
+        dataset.PatientName = f"{CANARY}^{number}"
+        dataset.save_as(subject / f"{name}.dcm")
+    visit = open_visit(subject)
+    geometry = read_outcome(visit.subject, GeometryRecord)
+    record = steps._estimate_record(visit, load_pushes(visit, "procrustes"), finished.fit, geometry)
+    assert record.status == "DOUBTFUL"
+    assert record.fit_status == finished.fit.status.name
+    assert [check.name for check in record.failed] == ["same patient", "size of the force"]
+    assert record.failed[0].text.startswith("rest/frontal and push/main name different patients; look for")
+    assert not traces(record.model_dump_json())
 
 
 def test_plain_units_have_the_interval_of_their_ratio(finished):

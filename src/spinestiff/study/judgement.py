@@ -291,7 +291,7 @@ def _direction(pushes: PushSet, push: PushRecord, trials: Sequence[PushTrial], l
 
 def _length(record: SubjectRecord, shape: RestShape, limits: Limits) -> Check:
     found, (passed, limit) = shape.length_scale, _within(shape.length_scale, limits.length)
-    what = f"the spine is {found:.3f} times as long as the template's at {record.height_cm:g} cm"
+    what = f"the spine is {found:.3f} times as long as {_compared(record)}"
     if not passed:
         what += f", as usual at {found * record.height_cm:.0f} cm"
     causes = "a wrong height_cm, wrong pixel spacing or distances in all pictures, a level skipped or counted twice"
@@ -305,9 +305,13 @@ def _sizes(record: SubjectRecord, shape: RestShape, limits: Limits) -> Check:
     found = float(np.exp(np.log(medians).mean()))
     passed, limit = _within(found, limits.size)
     each = ", ".join(f"{axis} {median:.2f}" for axis, median in zip(axes, medians))
-    what = f"the vertebrae are {found:.3f} times as large as the template's at {record.height_cm:g} cm ({each})"
+    what = f"the vertebrae are {found:.3f} times as large as {_compared(record)} ({each})"
     causes = "wrong pixel spacing or distances, a wrong height_cm, corners that are not those of the bodies"
     return _check("sizes of the vertebrae", what, found, limit, passed, causes)
+
+
+def _compared(record: SubjectRecord) -> str:
+    return f"{'the template' if record.torso is None else 'the own torso'}'s at {record.height_cm:g} cm"
 
 
 def _within(found: float, factor: float) -> tuple[bool, float]:

@@ -29,8 +29,8 @@ class Check(Outcome):
 
     Attributes
     ----------
-    name : of the check, e.g. "rest and push torso".
-    value, limit : what was found and the largest that passes, in the unit of ``text``; None where there is none.
+    name : of the check, e.g. "rest and push"; those of a push come once for each push.
+    value, limit : what was found and the bound it was held to, in the unit of ``text``; None where there is none.
     passed : None = not possible, since the data for it are missing; ``text`` says which.
     text : one line; of a failed check the causes to look for, the most likely first.
     """
