@@ -418,7 +418,7 @@ def _print_estimate(visit: Any) -> None:
 
     estimate = read_outcome(visit.subject, Estimate)
     for check in estimate.failed:
-        typer.echo(f"DOUBTFUL: {check.text}")
+        typer.echo(f"DOUBTFUL: {check.name}: {check.text}")
     tables.show(tables.estimate_table(estimate))
     if estimate.fit_status != "CONVERGED":
         typer.echo(f"fit: {estimate.fit_status_text}")

@@ -128,7 +128,7 @@ def result_content(visit: Visit, estimate: Estimate, assessment: Assessment) -> 
         "good": estimate.status == "CONVERGED" and estimate.determined == "determined",
         "badge_text": DETERMINATIONS[estimate.determined],
         "fit_text": "" if estimate.fit_status == "CONVERGED" else estimate.fit_status_text,
-        "failed": [check.text for check in estimate.failed],
+        "failed": [f"{check.name}: {check.text}" for check in estimate.failed],
         "ratios": ratios,
         "bending": _bending_line(estimate),
         "notes": list(dict.fromkeys((*estimate.notes, *assessment.notes))),
