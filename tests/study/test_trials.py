@@ -147,14 +147,14 @@ def test_lost_vertebrae_are_left_out_and_counted(torso, corners):
     assert set(corners.vertebrae) - set(trial.trial.corners.vertebrae) == {"T5", "T8"}
     l1 = trial.trial.corners.vertebrae.index("L1")
     assert trial.trial.corners.quality[l1].tolist() == [1.0, 1.0, 1.0, 0.0]
-    assert found.warnings == ("push 'main' frame 1: 2 vertebrae were lost in tracking and are left out",)
+    assert found.warnings == ("push 'main' frame 1: 2 vertebrae lost in tracking and left out",)
 
 
 def test_a_frame_that_lost_all_is_left_out(torso, corners):
     nothing = VertebraCorners(corners.vertebrae, corners.corners, np.zeros((len(corners), 4)))
     found = push_set(torso, [record()], {"main": tracked(corners, corners, nothing)})
     assert [t.frame for t in found.trials] == [0, 1]
-    assert found.warnings == ("push 'main' frame 2: dropped, no vertebrae are left (wanted 3)",)
+    assert found.warnings == ("push 'main' frame 2: dropped, no vertebrae left (wanted 3)",)
     first_lost = push_set(torso, [record()], {"main": tracked(nothing, corners, corners)})
     assert [t.frame for t in first_lost.trials] == [1, 2]
     assert first_lost.trials[1].trial.reference is None

@@ -20,6 +20,7 @@ from spinestiff.imaging.tracking import support_motion
 from spinestiff.imaging.tracking.quality import error_of, usable_corners
 from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord, Role
+from spinestiff.words import counted
 
 BLURRED = 0.75
 """Sharpness below which a frame is left out. Drawn vertebrae that moved by 1, 2 and 4 mm have 0.91, 0.72 and 0.52."""
@@ -199,7 +200,8 @@ def _unfit(frame: FrameQuality, largest: float) -> str:
     if frame.force_n < SMALL_FORCE * largest:
         return "too small a force to tell stiffness"
     if frame.vertebrae < FEWEST_VERTEBRAE:
-        return f"{frame.vertebrae or 'no'} vertebrae could be followed (wanted {FEWEST_VERTEBRAE})"
+        seen = counted(frame.vertebrae, "vertebra", "vertebrae") if frame.vertebrae else "no vertebrae"
+        return f"{seen} could be followed (wanted {FEWEST_VERTEBRAE})"
     if not image.sharpness >= BLURRED:
         return f"blurred (sharpness {image.sharpness:.2f} of the sharpest frame's)"
     if image.saturated > SATURATED:

@@ -59,6 +59,7 @@ from spinestiff.subject.outcomes import (
 )
 from spinestiff.subject.records import SubjectRecord
 from spinestiff.subject.run_record import read_outcome, result_path, write_outcome
+from spinestiff.words import counted
 
 # Where a fit starts: the geometric means of Table 4. From the default ratios it gets to the same place in more steps.
 USUAL_RATIOS = {"lateral_bending": 0.07, "intervertebral_bending": 0.07, "tissue": 0.04}
@@ -74,7 +75,7 @@ def track_step(visit: Visit, say: Observer) -> None:
         annotated = push_corners(subject, push, view)
 
         def progress(done: int, total: int, name: str = push.id) -> None:
-            say(f"push '{name}', frame {done} of {total}")
+            say(f"push '{name}': {done} of {counted(total, 'frame')}")
 
         tracked = track(frames, annotated, progress)
         motions = support_motion(frames, image_supports(subject, push.image))

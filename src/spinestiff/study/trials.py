@@ -17,6 +17,7 @@ from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.pose import ViewPose, align_view
 from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord
+from spinestiff.words import counted
 
 
 @dataclass(frozen=True)
@@ -125,10 +126,11 @@ def push_set(
             lost = len(found.vertebrae) - len(trial.corners)
             if index not in usable:
                 left = len(trial.corners)
-                warnings.append(f"{label}: dropped, {left or 'no'} vertebrae are left (wanted {FEWEST_VERTEBRAE})")
+                seen = counted(left, "vertebra", "vertebrae") if left else "no vertebrae"
+                warnings.append(f"{label}: dropped, {seen} left (wanted {FEWEST_VERTEBRAE})")
                 continue
             if lost and role != "unused":
-                warnings.append(f"{label}: {lost} vertebrae were lost in tracking and are left out")
+                warnings.append(f"{label}: {counted(lost, 'vertebra', 'vertebrae')} lost in tracking and left out")
             trials.append(PushTrial(push.id, index, force, role, trial))
     if not any(t.role == "training" and t.force_n > 0.0 for t in trials):
         raise SubjectError("no training frame is left after tracking; see the messages of the tracking step")

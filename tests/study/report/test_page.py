@@ -209,7 +209,7 @@ def estimate_record() -> Estimate:
         "bounds": [0.005, 5.0],
         "poses": {key: {"shift_mm": [0.4, 1.0], "roll_deg": -0.3, "yaw_deg": 0.0, "rms_mm": 1.0} for key in PUSHES},
         "cost": {"equilibria": 9, "newton_iterations": 40, "factorisations": 61, "seconds": 12.3},
-        "notes": ["push 'main' frame 1: 1 vertebrae were lost"],
+        "notes": ["push 'main' frame 1: 1 vertebra lost"],
     })  # fmt: skip
 
 
@@ -405,7 +405,7 @@ def test_numbers_stand_in_the_text(page: Page) -> None:
     for expected in (
         "made-up-1", "0.20 times", "0.17 to 0.23: determined", "0.050 times", "31 N m/rad", "27 to 36 N m/rad",
         "50 kPa", "0.034 to 0.074: determined", "34 to 74 kPa", "Estimate: determined",
-        "1 vertebrae were lost", "incremental about the standing posture, net of gravity and muscle tone",
+        "1 vertebra lost", "incremental about the standing posture, net of gravity and muscle tone",
         "Not for diagnosis", "the back wall pulls at 2 points", "1.3 to 1.8 N m per degree", "T1, T2 and L5", "−0.42",
         "−14.2° ", "−15.6° (T6–T12)", "9 equilibria",
     ):  # fmt: skip

@@ -16,6 +16,7 @@ from spinestiff.study.frame_selection import FrameQuality, Proposal
 from spinestiff.study.report.figures import MEASURED_ON_DARK, PERCENTILES, STYLE
 from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord
+from spinestiff.words import counted
 
 COLOURS = {"training": "#0072B2", "validation": "#D55E00", "unused": "#8A8A8A"}
 MARGIN_MM = (75.0, 20.0)
@@ -103,4 +104,5 @@ def _lines(quality: FrameQuality) -> str:
         for name, motion in quality.supports.items()
     ]
     sharp = f"sharpness {quality.image.sharpness:.2f}" if np.isfinite(quality.image.sharpness) else "sharpness unknown"
-    return "\n".join([sharp + f", {quality.vertebrae} vertebrae", *supports] + [""] * (2 - len(supports)))
+    first = f"{sharp}, {counted(quality.vertebrae, 'vertebra', 'vertebrae')}"
+    return "\n".join([first, *supports] + [""] * (2 - len(supports)))
