@@ -65,6 +65,8 @@ def test_interval(of, text):
         (quantity(0.12345, 0.12, 0.126, (True, False)), "0.12"),
         (quantity(0.12345, None, 0.13), "0.12"),
         (quantity(0.12345, None, None), "0.12"),
+        (quantity(0.005, 0.005, 0.056, (True, False)), "≤ 0.005"),
+        (quantity(5.0, 0.2, 5.0, (False, True)), "≥ 5"),
     ],
 )
 def test_a_value_has_the_digits_that_its_interval_leaves_it(of, text):

@@ -9,6 +9,8 @@ from spinestiff.subject.outcome_parts import Quantity
 from spinestiff.subject.outcomes import Estimate
 
 MISSING = "not available"
+AT_AN_END = 1.001
+"""Factor within which a value is its interval's end."""
 SURE = 0.05
 """Standard deviation of a logarithm below which a number has three significant digits; else it has two."""
 
@@ -33,7 +35,11 @@ def fixed(value: float | None, decimals: int = 1, sign: bool = False) -> str:
 
 
 def estimated(quantity: Quantity) -> str:
-    """The value of an estimate with the digits that its interval leaves it."""
+    """The value of an estimate with the digits that its interval leaves it; at an open end, "≤ 0.005"."""
+    if quantity.open_low and quantity.low is not None and quantity.value <= quantity.low * AT_AN_END:
+        return "≤ " + _bound(quantity.value)
+    if quantity.open_high and quantity.high is not None and quantity.value >= quantity.high / AT_AN_END:
+        return "≥ " + _bound(quantity.value)
     return number(quantity.value, 3 if quantity.sd_log < SURE else 2)
 
 
