@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from spinestiff.anatomy.tetrahedra import dihedral_angles
 from spinestiff.anatomy.torso import TET10_EDGES, TorsoModel
 from spinestiff.errors import EquilibriumError, FitError, TorsoError, TrackingError
 from spinestiff.imaging.features import VertebraCorners, box_sizes
@@ -16,7 +17,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load, rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise import shape
-from spinestiff.personalise.quality import SMALLEST_DIHEDRAL_DEG, dihedrals, mesh_quality
+from spinestiff.personalise.quality import SMALLEST_DIHEDRAL_DEG, mesh_quality
 from spinestiff.personalise.shape import personalise, place_vertebrae
 from spinestiff.personalise.sizes import resized
 from spinestiff.study.spines import curved_spine, rest_vertebrae
@@ -252,7 +253,7 @@ def with_a_flat_element(torso):
     mesh = torso.tissue
     inside = np.setdiff1d(mesh.elements[:, :4], [*np.flatnonzero(mesh.bone_of_node >= 0), *mesh.boundary_faces().flat])
     positions = mesh.rest_positions.copy()
-    while np.degrees(dihedrals(mesh).min()) >= SMALLEST_DIHEDRAL_DEG:
+    while dihedral_angles(mesh.rest_positions[mesh.elements[:, :4]]).min() >= SMALLEST_DIHEDRAL_DEG:
         positions[inside[0], 0] += 1.0
         positions[mesh.elements[:, 4:]] = positions[mesh.elements[:, np.array(TET10_EDGES)]].mean(2)
         mesh = replace(mesh, rest_positions=positions)

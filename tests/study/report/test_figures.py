@@ -48,7 +48,8 @@ def ratio_map() -> RatioMap:
     angle = np.linspace(0.0, 2.0 * np.pi, 40)
     region = np.exp(np.log([0.2, 0.05]) + 0.2 * np.stack([np.cos(angle), np.sin(angle)], 1))
     path = np.array([[1.0, 1.0], [0.3, 0.1], [0.2, 0.05]])
-    return RatioMap(("bending", "tissue"), np.array([0.2, 0.05]), region, path, (0.005, 5.0), np.array([0.22, 0.06]))
+    ends, truth = ((0.17, 0.24), (None, 0.06)), np.array([0.22, 0.06])
+    return RatioMap(("bending", "tissue"), np.array([0.2, 0.05]), region, path, (0.005, 5.0), ends, truth)
 
 
 def lines(axis, colour: str) -> list[np.ndarray]:
