@@ -161,7 +161,7 @@ def test_a_failed_check_makes_the_estimate_doubtful(subject, finished):
         dataset.save_as(subject / f"{name}.dcm")
     visit = open_visit(subject)
     geometry = read_outcome(visit.subject, GeometryRecord)
-    record = steps._estimate_record(visit, load_pushes(visit, "procrustes"), finished.fit, geometry)
+    record = written.estimate_record(visit, load_pushes(visit, "procrustes"), finished.fit, geometry)
     assert record.status == "DOUBTFUL"
     assert record.fit_status == finished.fit.status.name
     assert [check.name for check in record.failed] == ["same patient", "size of the force"]
