@@ -100,7 +100,7 @@ def test_every_result_says_its_form(finished):
 
 
 def test_every_step_says_what_it_does(finished):
-    assert "track: push 'main', frame 4 of 4" in finished.lines
+    assert "track: push 'main': 4 of 4 frames" in finished.lines
     assert any(line.startswith("personalise: corner sd 16.00 mm") for line in finished.lines)
     first = "estimate: evaluation 0: lateral_bending 0.07, tissue 0.04: RMSE"
     assert any(line.startswith(first) for line in finished.lines)

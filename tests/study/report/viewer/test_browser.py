@@ -85,7 +85,7 @@ def test_it_draws_without_complaint_or_request(tab, shown, tmp_path):
 def test_bones_stand_where_the_equilibrium_has_them(tab, shown, model, name):
     tab.run(f"{{ const s = {VIEWER}.querySelector('[data-role=model]'); s.value = '{model}';"
             "s.dispatchEvent(new Event('change')); }")  # fmt: skip
-    index = shown.pushes.torso.bone(name)
+    index = shown.predictions.pushes.torso.bone(name)
     for step in shown.scene.pushes[0].models[model]:
         tab.run(f"{VIEWER}.viewer.setForce({step.force_n})")
         place, turn = bone(tab, name)
@@ -101,7 +101,7 @@ def test_between_two_steps_bones_turn_by_slerp(tab, shown):
     share = (force - before.force_n) / (after.force_n - before.force_n)
     assert 0.5 < share < 0.9
     tab.run(f"{VIEWER}.viewer.setForce({force})")
-    index = shown.pushes.torso.bone("R9_L")
+    index = shown.predictions.pushes.torso.bone("R9_L")
     place, turn = bone(tab, "R9_L")
     ends = [step.state for step in (before, after)]
     expected = (1 - share) * ends[0].bone_positions[index] + share * ends[1].bone_positions[index]
@@ -236,7 +236,7 @@ def test_another_push_brings_its_own_frames(tab, shown):
     second = shown.scene.pushes[1]
     assert f"{second.frames[-1].rmse_mm['fit']:.1f} mm" in text(tab, "facts")
     step = second.models["fit"][-1]
-    index = shown.pushes.torso.bone("T8")
+    index = shown.predictions.pushes.torso.bone("T8")
     np.testing.assert_allclose(bone(tab, "T8")[0], step.state.bone_positions[index], atol=1e-3)
 
 
