@@ -324,6 +324,8 @@ def test_pushed_frames_are_tracked_one_is_corrected_and_tracking_starts_again(pa
     assert ", 2 corners doubtful or lost" in page.text("frame-text")
     page.tab.run("annotation.tracked.quality.T3 = [1, 1, 1, 1]; annotation.after()")
     assert "doubtful" not in page.text("frame-text")
+    # The line below the picture has grown and shrunk, and the picture with it.
+    page.tab.settle()
     # A corner is put elsewhere: this vertebra alone becomes a mark of this frame.
     corner = quads["T9"][0]
     page.tab.drag(page.place(corner), page.place(corner + [5.0, 0.0]))
