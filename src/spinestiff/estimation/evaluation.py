@@ -14,20 +14,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
+from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios, parameter_group
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
-from spinestiff.estimation.objective import (
-    Residuals,
-    Trial,
-    make_target,
-    push_height_change,
-    residuals,
-    root_mean_square,
-)
-from spinestiff.estimation.uncertainty import Nuisance, ResidualLayout, UncertaintySettings
-from spinestiff.imaging.features import FEATURE_COUNT, Orientation
+from spinestiff.estimation.objective import Residuals, Trial, make_target, residuals, root_mean_square
+from spinestiff.estimation.uncertainty import ResidualLayout
+from spinestiff.estimation.unknowns import ACTS, LOADING, PLACING, changed_load, load_changes, place_of
+from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
+from spinestiff.mechanics.loads import LoadCase
+from spinestiff.mechanics.places import shoulder_force
 
 if TYPE_CHECKING:
     from spinestiff.mechanics.sensitivity import Linearisation
@@ -51,10 +47,9 @@ class FitStep:
     ----------
     iteration : evaluations so far, 0 = start.
     ratios : name -> value tried.
-    loss : mm^2, NaN where no equilibrium was found.
-    rmse_mm : corner RMSE of places; not what the loss is made of where trials have an unloaded reference.
+    loss : mm^2 (equal weights) or without unit (weighed), NaN where no equilibrium was found.
+    rmse_mm : corner RMSE of places; not what the loss is made of.
     accepted : whether the fit moved there.
-    damping : Levenberg-Marquardt's; NaN for L-BFGS-B.
     """
 
     iteration: int
@@ -62,7 +57,6 @@ class FitStep:
     loss: float
     rmse_mm: float
     accepted: bool
-    damping: float
 
 
 OnFitStep = Callable[[FitStep], None]
@@ -80,14 +74,16 @@ class FitCost:
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(ShortRepr):
-    """All trials in equilibrium at one set of log ratios."""
+    """All trials in equilibrium at one set of log ratios and of acts (T, len(ACTS))."""
 
     log_ratios: Floats
+    acts: Floats
     equilibria: tuple[Equilibrium, ...]
     residuals: tuple[Residuals, ...]
 
     @property
     def loss(self) -> float:
+        """Of equal weights, mm^2 (Eq. 8)."""
         return sum(part.loss for part in self.residuals)
 
     @property
@@ -106,19 +102,18 @@ class Slope(ShortRepr):
     Attributes
     ----------
     tangents : of each trial.
-    jacobian : (n, P) of the stacked residuals in log ratio.
-    responses : (n_i, 4) of each trial, its residuals per log force, per mm of the pushed point's height, per relative
-        error of the simulated motion, and per such an error that grows from -1 at the lowest to 1 at the highest
-        vertebra.
+    moves : of each trial (dofs, P), its state in log ratio.
+    acted : of each trial (dofs, len(ACTS)), its state in its acts; None where they were not asked for. The act
+        "motion" moves no state.
     """
 
     tangents: tuple[Linearisation, ...]
-    jacobian: Floats
-    responses: tuple[Floats, ...]
+    moves: tuple[Floats, ...]
+    acted: tuple[Floats, ...] | None = None
 
 
 class TrialSet:
-    """Trials with their problems and targets; solves them and counts what it costs."""
+    """Trials under load with their problems and targets; solves them and counts what it costs."""
 
     def __init__(
         self,
@@ -133,24 +128,36 @@ class TrialSet:
         self.cost = FitCost()
         self.history: list[FitStep] = []
         self._observer = observer
+        self._tissue = parameter_group("tissue", problems[0].torso.joints.kinds)
+        self._changes = [load_changes(t.load, p.torso.rest_pose) for p, t in zip(problems, trials)]
 
     def ratios(self, log_ratios: Floats) -> StiffnessRatios:
         return StiffnessRatios(self.groups, np.exp(log_ratios))
 
-    def solve(self, log_ratios: Floats, near: Evaluation | None = None, slope: Slope | None = None) -> Evaluation:
+    def solve(
+        self,
+        log_ratios: Floats,
+        near: Evaluation | None = None,
+        slope: Slope | None = None,
+        acts: Floats | None = None,
+    ) -> Evaluation:
         """Equilibria of all trials, each from its last one and on its factor.
+
+        ``acts`` (T, len(ACTS)): of what is not quite known; default none.
 
         Raises
         ------
         EquilibriumError : a trial has none.
         """
-        ratios, found, parts = self.ratios(log_ratios), [], []
-        for i, (problem, trial, target) in enumerate(zip(self.problems, self.trials, self.targets)):
+        acts = np.zeros((len(self.trials), len(ACTS))) if acts is None else acts
+        found, parts = [], []
+        for i, (trial, target) in enumerate(zip(self.trials, self.targets)):
             start: TorsoState | Linearisation | None = None if near is None else near.equilibria[i].state
             if slope is not None:
                 start = slope.tangents[i]
+            problem, load, ratios = self._asked(i, log_ratios, acts[i])
             try:
-                equilibrium = problem.solve(trial.load, ratios, start=start)
+                equilibrium = problem.solve(load, ratios, start=start)
             except EquilibriumError as error:
                 raise EquilibriumError(f"{trial.label or f'trial {i + 1}'}: {error}") from None
             self.cost.equilibria += 1
@@ -160,20 +167,25 @@ class TrialSet:
                 raise EquilibriumError(f"{trial.label or f'trial {i + 1}'}: {equilibrium.status.value}")
             found.append(equilibrium)
             parts.append(residuals(problem.torso, target, equilibrium.state))
-        return Evaluation(np.array(log_ratios), tuple(found), tuple(parts))
+        return Evaluation(np.array(log_ratios), np.array(acts), tuple(found), tuple(parts))
 
-    def slope(self, point: Evaluation) -> Slope:
-        """Forward sensitivities (Eq. 6) at a point, of ratios and of what is uncertain in the push."""
-        tangents, rows, responses = [], [], []
-        for i, part in enumerate(point.residuals):
+    def slope(self, point: Evaluation, with_acts: bool = False) -> Slope:
+        """Forward sensitivities (Eq. 6) at a point, of ratios and, ``with_acts``, of what is not quite known."""
+        tangents, moves, acted = [], [], []
+        for i in range(len(self.trials)):
             linearisation = self._linearise(point, i)
             tangents.append(linearisation)
-            rows.append(part.along(linearisation.forward(self.groups)))
-            load = self.trials[i].load
-            changes = (load, push_height_change(load, self.problems[i].torso.rest_pose))
-            loaded = part.along(np.stack([linearisation.load_derivative(c) for c in changes], axis=1))
-            responses.append(np.column_stack([loaded, *self._motion_errors(i, part)]))
-        return Slope(tuple(tangents), np.concatenate(rows), tuple(responses))
+            if not with_acts:
+                moves.append(linearisation.forward(self.groups))
+                continue
+            both = linearisation.forward((*self.groups, self._tissue))
+            moves.append(both[:, :-1])
+            acted.append(self._acted(i, linearisation, point.acts[i], both[:, -1]))
+        return Slope(tuple(tangents), tuple(moves), tuple(acted) if with_acts else None)
+
+    def jacobian(self, point: Evaluation, slope: Slope) -> Floats:
+        """(n, P) of the stacked equally weighed residuals in log ratio."""
+        return np.concatenate([part.along(moves) for part, moves in zip(point.residuals, slope.moves)])
 
     def gradient(self, point: Evaluation) -> Floats:
         """df/d log ratio by the adjoint (Eqs. 7, 10)."""
@@ -183,46 +195,6 @@ class TrialSet:
             total += self._linearise(point, i).adjoint(g, self.groups)
         return total
 
-    def nuisances(self, slope: Slope, settings: UncertaintySettings) -> tuple[Nuisance, ...]:
-        """Errors of gauge, pushed point and model, each common to the frames of a push."""
-        pushes = [trial.push or f"trial {i + 1}" for i, trial in enumerate(self.trials)]
-        found = []
-        known = {
-            "force": settings.force_sd,
-            "push height": settings.push_height_sd_mm,
-            "motion": settings.motion_sd,
-            "motion along the spine": settings.motion_sd,
-        }
-        for j, (name, sd) in enumerate(known.items()):
-            for push in dict.fromkeys(pushes):
-                columns = [part[:, j] * (push == mine) for part, mine in zip(slope.responses, pushes)]
-                found.append(Nuisance(f"{name} of {push}", np.concatenate(columns), sd))
-        return (*found, *self._picture_shifts(pushes, settings.picture_shift_sd_mm))
-
-    def _motion_errors(self, i: int, part: Residuals) -> tuple[Floats, Floats]:
-        """What mesh and geometry do to a simulated motion: scale it, and scale it differently up and down the spine."""
-        torso, target = self.problems[i].torso, self.targets[i]
-        motion = part.values - residuals(torso, target, torso.rest_pose).values
-        height = 1.0 - 2.0 * target.rows / max(len(torso.vertebrae) - 1, 1)
-        return motion, motion * np.repeat(height, FEATURE_COUNT)
-
-    def _picture_shifts(self, pushes: Sequence[str], sd: float) -> list[Nuisance]:
-        """The patient stands a little elsewhere in each radiograph than at rest."""
-        found = []
-        for axis, name in enumerate(("along columns", "along rows")):
-            for i, push in enumerate(pushes):
-                columns = []
-                for j, target in enumerate(self.targets):
-                    shift = np.zeros_like(target.z)
-                    shift[..., axis] = np.sqrt(target.weights)[:, None] * (i == j)
-                    columns.append(shift.reshape(-1))
-                found.append(Nuisance(f"place {name}, {push} radiograph {i + 1}", np.concatenate(columns), sd))
-        return found
-
-    def _linearise(self, point: Evaluation, i: int) -> Linearisation:
-        self.cost.factorisations += 1
-        return self.problems[i].linearise(point.equilibria[i], self.trials[i].load, self.ratios(point.log_ratios))
-
     def layout(self) -> ResidualLayout:
         """What the stacked residuals belong to."""
         return ResidualLayout(
@@ -231,9 +203,40 @@ class TrialSet:
             np.concatenate([target.z - target.z.mean(axis=1, keepdims=True) for target in self.targets]),
         )
 
-    def note(self, log_ratios: Floats, point: Evaluation | None, accepted: bool, damping: float = float("nan")) -> None:
+    def note(self, log_ratios: Floats, loss: float, point: Evaluation | None, accepted: bool) -> None:
+        """Keep an evaluation, and tell it."""
         values = self.ratios(log_ratios).as_dict()
-        loss, rmse = (float("nan"),) * 2 if point is None else (point.loss, point.rmse)
-        self.history.append(FitStep(len(self.history), values, loss, rmse, accepted, damping))
+        rmse = float("nan") if point is None else point.rmse
+        self.history.append(FitStep(len(self.history), values, loss, rmse, accepted))
         if self._observer:
             self._observer(self.history[-1])
+
+    def _asked(
+        self, i: int, log_ratios: Floats, acts: Floats
+    ) -> tuple[EquilibriumProblem, LoadCase, StiffnessRatios]:
+        """Problem, load and ratios of a trial with its acts (len(ACTS),)."""
+        problem, load, ratios = self.problems[i], self.trials[i].load, self.ratios(log_ratios)
+        if not acts.any():
+            return problem, load, ratios
+        tissue = float(np.exp(acts[ACTS.index("tissue")]))
+        ratios = StiffnessRatios((*ratios.groups, self._tissue), np.append(ratios.values, tissue))
+        return problem.with_place(place_of(acts)), changed_load(load, self._changes[i], acts), ratios
+
+    def _linearise(self, point: Evaluation, i: int) -> Linearisation:
+        self.cost.factorisations += 1
+        problem, load, ratios = self._asked(i, point.log_ratios, point.acts[i])
+        return problem.linearise(point.equilibria[i], load, ratios)
+
+    def _acted(self, i: int, linearisation: Linearisation, acts: Floats, tissue: Floats) -> Floats:
+        columns = np.zeros((len(tissue), len(ACTS)))
+        columns[:, ACTS.index("tissue")] = tissue
+        # The force acts by its log on the load alone, which it scales.
+        changes = (self._changes[i][0].scaled(float(np.exp(acts[0]))), *self._changes[i][1:])
+        columns[:, : len(LOADING)] = linearisation.load_derivatives(changes)
+        problem = linearisation.system
+        places = [ACTS.index(name) for name in PLACING]
+        if problem.supports.held[problem.torso.bone("pelvis")].all():
+            columns[:, places] = linearisation.place_derivative()
+        else:
+            columns[:, places[1]] = linearisation.load_derivative(shoulder_force(problem.supports))
+        return columns

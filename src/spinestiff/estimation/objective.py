@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -42,9 +42,9 @@ class Trial(ShortRepr):
     label : for messages, e.g. "push 1 frame 3".
     push : frames of one push carry the same name here; they share the error of the gauge and of the pushed point.
         Default: the label, so that every trial is its own push.
-    reference : corners in an unloaded radiograph of the same sequence and view, if there is one. The fit then
-        compares motions from rest instead of places, so that errors of rest geometry and annotation, which all
-        radiographs of a sequence share, drop out. RMSE stays that of places.
+    annotated : the corners were set by hand in this radiograph; others' were tracked.
+    supports : measured "obliquity" (rad) and "shoulder" (mm), see ``mechanics.places.SupportPlace``, each with its
+        standard deviation.
     """
 
     load: LoadCase
@@ -52,11 +52,18 @@ class Trial(ShortRepr):
     view: XRayView
     label: str = ""
     push: str = ""
-    reference: VertebraCorners | None = None
+    annotated: bool = False
+    supports: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.push:
             object.__setattr__(self, "push", self.label)
+        for name, (value, sd) in self.supports.items():
+            if name not in ("obliquity", "shoulder") or not (np.isfinite(value) and 0.0 < sd < np.inf):
+                raise FitError(
+                    f"{self.label or 'trial'}: support '{name}' at {value:g} with sd {sd:g}; wanted obliquity or "
+                    "shoulder, finite, with an sd above 0"
+                )
 
 
 @dataclass(frozen=True, repr=False)
@@ -73,7 +80,6 @@ class Target(ShortRepr):
     shares : (V, 4) from ``silhouette_shares`` in the rest pose.
     used : (V, 4) bool, corners that place the boxes.
     orientation : "procrustes" or "covariance".
-    rest_misfit : (Nv, 4, 2) mm, z - z-hat of the unloaded reference, 0 where there is none.
     """
 
     trial: Trial
@@ -84,7 +90,6 @@ class Target(ShortRepr):
     shares: Floats
     used: np.ndarray
     orientation: Orientation
-    rest_misfit: Floats
 
 
 @dataclass(frozen=True, repr=False)
@@ -96,24 +101,17 @@ class Residuals(ShortRepr):
     difference : (Nv, 4, 2) mm at the patient plane, z - z-hat.
     jacobian : (Nv, 4, 2, 6), derivative in the pose of the vertebra's own bone.
     bones, weights : (Nv,).
-    rest_misfit : (Nv, 4, 2) mm, what of the difference was there without load; not fitted.
     """
 
     difference: Floats
     jacobian: Floats
     bones: Ints
     weights: Floats
-    rest_misfit: Floats
-
-    @property
-    def fitted(self) -> Floats:
-        """(Nv, 4, 2) mm, the difference without what was there at rest."""
-        return self.difference - self.rest_misfit
 
     @property
     def values(self) -> Floats:
-        """(8 Nv,) mm, fitted difference times the root of the weight."""
-        return (np.sqrt(self.weights)[:, None, None] * self.fitted).reshape(-1)
+        """(8 Nv,) mm, the difference times the root of the weight."""
+        return (np.sqrt(self.weights)[:, None, None] * self.difference).reshape(-1)
 
     @property
     def loss(self) -> float:
@@ -130,16 +128,20 @@ class Residuals(ShortRepr):
 
         Eq. 11 as printed has the opposite sign: the derivative of 1/2 |z-hat - z|^2 is -(z-hat - z)^T dz.
         """
-        blocks = np.einsum("v,vki,vkic->vc", self.weights, self.fitted, self.jacobian)
+        blocks = np.einsum("v,vki,vkic->vc", self.weights, self.difference, self.jacobian)
         gradient = np.zeros(dofs)
         np.add.at(gradient, self._columns.reshape(-1), blocks.reshape(-1))
         return gradient
 
     def along(self, directions: Floats) -> Floats:
         """(8 Nv, P) derivative of ``values`` along changes of state dx/dp (dofs, P)."""
-        moved = directions[self._columns.reshape(-1)].reshape(len(self.bones), 6, -1)
-        slopes = np.einsum("v,vkic,vcp->vkip", np.sqrt(self.weights), self.jacobian, moved)
+        slopes = np.sqrt(self.weights)[:, None, None, None] * self.moved(directions)
         return slopes.reshape(-1, directions.shape[1])
+
+    def moved(self, directions: Floats) -> Floats:
+        """(Nv, 4, 2, P) derivative of ``difference`` along changes of state dx/dp (dofs, P)."""
+        own = directions[self._columns.reshape(-1)].reshape(len(self.bones), 6, -1)
+        return np.asarray(np.einsum("vkic,vcp->vkip", self.jacobian, own))
 
     @property
     def _columns(self) -> Ints:
@@ -174,23 +176,7 @@ def make_target(torso: TorsoModel, trial: Trial, orientation: Orientation = "pro
         shares,
         used,
         orientation,
-        _rest_misfit(torso, trial, orientation, shares, z.shape),
     )
-
-
-def _rest_misfit(
-    torso: TorsoModel, trial: Trial, orientation: Orientation, shares: Floats, shape: tuple[int, ...]
-) -> Floats:
-    misfit = np.zeros(shape)
-    if trial.reference is not None:
-        seen = trial.reference.selected(trial.corners.vertebrae)
-        used = np.ones((len(torso.vertebrae), 4), dtype=bool)
-        rows = vertebra_rows(torso, seen)
-        used[rows] = seen.usable
-        still = state_features(torso, trial.view, torso.rest_pose, shares, orientation, used).z[rows]
-        places = [trial.corners.vertebrae.index(name) for name in seen.vertebrae]
-        misfit[places] = still - target_features(torso, trial.view, seen, orientation)
-    return read_only("misfit at rest", misfit, (len(misfit), *FEATURE_SHAPE), FitError)
 
 
 def residuals(torso: TorsoModel, target: Target, state: TorsoState) -> Residuals:
@@ -198,7 +184,7 @@ def residuals(torso: TorsoModel, target: Target, state: TorsoState) -> Residuals
     found = state_features(torso, target.trial.view, state, target.shares, target.orientation, target.used)
     rows = target.rows
     difference = found.z[rows] - target.z
-    return Residuals(difference, found.jacobian[rows], target.bones, target.weights, target.rest_misfit)
+    return Residuals(difference, found.jacobian[rows], target.bones, target.weights)
 
 
 def undetermined_vertebrae(torso: TorsoModel, target: Target) -> tuple[str, ...]:
@@ -213,30 +199,3 @@ def root_mean_square(parts: Sequence[Residuals]) -> float:
     """RMSE in mm over all corners of several trials."""
     squares = np.concatenate([np.sum(part.difference**2, axis=2).reshape(-1) for part in parts])
     return float(np.sqrt(squares.mean()))
-
-
-def push_height_change(load: LoadCase, state: TorsoState) -> LoadCase:
-    """What is added to ``load`` for each mm that the pushed point lies higher.
-
-    Points at different heights share the push by the lever rule, so a higher resultant moves force from the lower to
-    the upper one. A single point has nothing to share with: the force rises on its bone, which adds a moment; it
-    is made of a couple of forces 1 mm above and at the point.
-
-    Raises
-    ------
-    FitError : the load acts on tissue nodes, too, which have no such height.
-    """
-    if len(load.nodes):
-        raise FitError("the height of a push is that of points on bones, but the load acts on tissue nodes, too")
-    places = load.points.positions(state)
-    heights = places[:, 1]
-    spread = heights - heights.mean() if len(heights) else heights
-    total = load.forces.sum(axis=0)
-    if np.any(np.abs(spread) > 1.0):
-        share = spread / np.sum(spread**2)
-        return LoadCase(load.points, share[:, None] * total, load.label)
-    raised = type(load.points).at(state, load.points.bone, places + np.array([0.0, 1.0, 0.0]))
-    points = type(load.points)(
-        np.concatenate([raised.bone, load.points.bone]), np.concatenate([raised.offset, load.points.offset])
-    )
-    return LoadCase(points, np.concatenate([load.forces, -load.forces]), load.label)

@@ -1,0 +1,144 @@
+"""The weighed fit's residuals as smooth functions of the log ratios, from the places that were solved.
+
+Where a place was solved, residuals, nuisances and their slopes are known. Kriging with a squared-exponential kernel on
+what a first-order model about the estimate leaves carries them to all others at no equilibrium (Morris, Mitchell and
+Ylvisaker 1993). What needs many places (profiles, regions, draws) is read there; the ends of intervals are solved for
+and become places themselves (``profiles``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from spinestiff.arrays import Floats
+from spinestiff.estimation.weighed import WeighedPoint, WeighedSlope, Weights, reduced
+
+# Correlation length in log ratio: residuals change their course over a factor of four or so.
+LENGTH = 1.5
+# Relative variance that keeps places close to each other from being at odds.
+NUGGET = 1e-9
+# A place whose nuisances are farther than this from the most probable ones there tells of another part of the space.
+FARTHEST_NUISANCES = 1.0
+_CHUNK = 64
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where residuals are known: a solved point and first order around it."""
+
+    point: WeighedPoint
+    slope: WeighedSlope
+
+
+class Kriging:
+    """A smooth function through values, and slopes where they are given.
+
+    Parameters
+    ----------
+    places : (K, P). values : (K, R). slopes : (K, R, P) or None: of the first place only, 0.
+    """
+
+    def __init__(self, places: Floats, values: Floats, slopes: Floats | None) -> None:
+        self._places, self._sloped = places, slopes is not None
+        self._base, self._value = places[0], values[0]
+        self._slope = np.zeros((values.shape[1], places.shape[1])) if slopes is None else slopes[0]
+        left = values - self._first_order(places)
+        targets = left
+        if slopes is not None:
+            change = slopes - self._slope
+            targets = np.concatenate([left, change.transpose(2, 0, 1).reshape(-1, values.shape[1])])
+        kernel = self._covariance(places, True)
+        kernel[np.diag_indices_from(kernel)] *= 1.0 + NUGGET
+        self._solved = cho_solve(cho_factor(kernel + NUGGET * np.eye(len(kernel)), lower=True), targets)
+
+    def at(self, where: Floats) -> Floats:
+        """(S, R) values at places (S, P)."""
+        return np.asarray(self._first_order(where) + self._covariance(where, False) @ self._solved)
+
+    def _first_order(self, where: Floats) -> Floats:
+        return np.asarray(self._value + (where - self._base) @ self._slope.T)
+
+    def _covariance(self, where: Floats, own: bool) -> Floats:
+        """Of values (and, for ``own``, slopes) at some places with values and slopes at the known ones."""
+        apart = (where[:, None] - self._places[None]) / LENGTH
+        value = np.exp(-0.5 * np.sum(apart**2, axis=2))
+        if not self._sloped:
+            return np.asarray(value)
+        p = apart.shape[2]
+        # d/dy k(x, y) = k (x - y) / l^2, d/dx k = -k (x - y) / l^2, d2/dx dy k = k (1 - dd^T) / l^2.
+        to_slope = [value * apart[..., j] / LENGTH for j in range(p)]
+        top = np.hstack([value, *to_slope])
+        if not own:
+            return np.asarray(top)
+        rows = [top]
+        for i in range(p):
+            cross = [value * ((i == j) - apart[..., i] * apart[..., j]) / LENGTH**2 for j in range(p)]
+            rows.append(np.hstack([-value * apart[..., i] / LENGTH, *cross]))
+        return np.vstack(rows)
+
+
+class Emulator:
+    """phi over the log ratios, with nuisances at their most probable (``weighed``).
+
+    Parameters
+    ----------
+    places : where residuals are known, the estimate first.
+    weights : of the estimate.
+    prior_sds : (M,) factors on the nuisances' prior standard deviations.
+    """
+
+    def __init__(self, places: Sequence[Place], weights: Weights, prior_sds: Floats | None = None) -> None:
+        kept = [(place, reduced(place.point, place.slope, weights)) for place in places]
+        near = [
+            i
+            for i, (place, model) in enumerate(kept)
+            if i == 0 or np.abs(place.point.nuisances - model.nuisances).max(initial=0.0) < FARTHEST_NUISANCES
+        ]
+        kept = [kept[i] for i in near]
+        self.log_ratios = np.array([place.point.log_ratios for place, _ in kept])
+        m = kept[0][0].slope.nuisances.shape[1]
+        sds = np.ones(m) if prior_sds is None else prior_sds
+        values, slopes, columns = [], [], []
+        for place, model in kept:
+            whitened = weights.whiten(
+                np.column_stack([place.point.values, place.slope.ratios, place.slope.nuisances])
+            )
+            p = place.slope.ratios.shape[1]
+            values.append(whitened[:, 0])
+            columns.append(whitened[:, 1 + p :])
+            slopes.append(whitened[:, 1 : 1 + p] + columns[-1] @ model.follow)
+        nuisances = np.array([place.point.nuisances for place, _ in kept])
+        follow = np.array([model.follow for _, model in kept])
+        self._rows, self._m, self._sds = len(values[0]), m, sds
+        self._residuals = Kriging(self.log_ratios, np.array(values), np.array(slopes))
+        self._nuisances = Kriging(self.log_ratios, nuisances, follow)
+        self._columns = Kriging(self.log_ratios, np.array(columns).reshape(len(kept), -1), None)
+
+    def phi(self, log_ratios: Floats) -> Floats:
+        """(S,) at places (S, P)."""
+        return self._solved(np.atleast_2d(log_ratios))[0]
+
+    def nuisances(self, log_ratios: Floats) -> tuple[Floats, Floats]:
+        """Most probable nuisances (M,) at a place (P,), and their covariance (M, M) there, in prior sds."""
+        _, found, inverse = self._solved(np.atleast_2d(log_ratios), True)
+        return found[0], inverse[0]
+
+    def _solved(self, where: Floats, covariance: bool = False) -> tuple[Floats, Floats, Floats]:
+        phi, most, inverses = [], [], []
+        for begin in range(0, len(where), _CHUNK):
+            part = where[begin : begin + _CHUNK]
+            columns = self._columns.at(part).reshape(len(part), self._rows, self._m)
+            free = self._residuals.at(part) - np.einsum("snm,sm->sn", columns, self._nuisances.at(part))
+            columns = columns * self._sds
+            normal = np.eye(self._m) + np.swapaxes(columns, 1, 2) @ columns
+            right = np.einsum("snm,sn->sm", columns, free)
+            solved = np.linalg.solve(normal, right[..., None])[..., 0]
+            phi.append(0.5 * (np.sum(free**2, axis=1) - np.sum(right * solved, axis=1)))
+            most.append(-solved * self._sds)
+            if covariance:
+                inverses.append(np.linalg.inv(normal) * np.outer(self._sds, self._sds))
+        return np.concatenate(phi), np.concatenate(most), np.concatenate(inverses) if covariance else np.zeros(0)

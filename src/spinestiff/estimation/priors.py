@@ -1,0 +1,84 @@
+"""What is known about an estimate's inputs before any fit: one table of standard deviations, each with its source.
+
+All are settable in ``subject.json`` (``priors``), where somebody measured better or knows of worse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from spinestiff.errors import FitError
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Standard deviations of what is not quite known; 0 = known.
+
+    Attributes
+    ----------
+    force_scale : of a push's forces, relative, common to its frames: a hand-held gauge's calibration (2 %).
+    force_offset_n : N, of a push, common to its loaded frames: zero, and lag between log and exposure at 4 frames a
+        second (paper 2.1).
+    direction_deg : of a push against the lateral axis, upward and forward, each.
+    push_height_mm : of the pushed point's height; a rib level is told by palpation, to about a quarter of a level.
+    push_depth_mm : of the pushed point, front to back.
+    breathing_mm : of the pushed point's height from frame to frame: ribs rise by some mm with a quiet breath while
+        the gauge stays.
+    obliquity_deg, shoulder_mm : of how far pelvis and opposite shoulder give in all, at ``support_force_n``.
+    frame_obliquity_deg, frame_shoulder_mm : the part of that which is each frame's own; the rest goes with the force.
+    support_force_n : N, see above.
+    place_mm : of the patient's place in each radiograph, along columns and rows, at the patient plane.
+    stance_mm, stance_deg : of where the patient stood for a sequence; wide, its first frame shows it.
+    trunk : of the trunk's breadth and of its depth, relative, without a tape (6 %; children of one age and height).
+    trunk_taped : the same where ``subject.json`` has the trunk's size.
+    trunk_power : of tissue's resistance in (breadth, depth).
+    source_distance : of the source's distance, relative; it scales motions.
+    annotation_mm : of a corner set by hand, along one axis, common to all frames of a sequence.
+    tracking_mm : of a tracked corner, along one axis, beside what tracking itself predicts.
+    tracking_shared_mm, tracking_length : the same, shared with neighbours over so many vertebrae.
+    tracking_factor : of the size of all tracking errors, in log; restricted likelihood tells the factor.
+    """
+
+    force_scale: float = 0.02
+    force_offset_n: float = 1.5
+    direction_deg: float = 3.0
+    push_height_mm: float = 5.0
+    push_depth_mm: float = 10.0
+    breathing_mm: float = 2.0
+    obliquity_deg: float = 3.0
+    shoulder_mm: float = 3.0
+    frame_obliquity_deg: float = 1.0
+    frame_shoulder_mm: float = 1.0
+    support_force_n: float = 60.0
+    place_mm: float = 0.5
+    stance_mm: float = 20.0
+    stance_deg: float = 3.0
+    trunk: float = 0.06
+    trunk_taped: float = 0.01
+    trunk_power: tuple[float, float] = (2.0, 1.0)
+    source_distance: float = 0.01
+    annotation_mm: float = 0.3
+    tracking_mm: float = 0.1
+    tracking_shared_mm: float = 0.1
+    tracking_length: float = 2.0
+    tracking_factor: float = 0.7
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            found = np.atleast_1d(getattr(self, field.name))
+            if not (np.isfinite(found).all() and (found >= 0.0).all()):
+                raise FitError(f"prior {field.name} {getattr(self, field.name)}; wanted finite numbers from 0")
+        for name in ("annotation_mm", "tracking_mm", "tracking_length", "support_force_n"):
+            if not getattr(self, name) > 0.0:
+                raise FitError(f"prior {name} {getattr(self, name):g}; wanted above 0")
+        for whole, part in (("obliquity_deg", "frame_obliquity_deg"), ("shoulder_mm", "frame_shoulder_mm")):
+            if getattr(self, part) > getattr(self, whole):
+                raise FitError(
+                    f"prior {part} {getattr(self, part):g} is a part of {whole} {getattr(self, whole):g}; wanted less"
+                )
+
+    def scaled(self, name: str, factor: float) -> Priors:
+        """The same with one standard deviation times ``factor``."""
+        return replace(self, **{name: getattr(self, name) * factor})

@@ -1,0 +1,256 @@
+"""Intervals, joint region and draws of the ratios, from the profile of the penalised likelihood (``weighed``).
+
+An end of ratio i's 95 % interval is where the least phi with that ratio given has risen by 3.84/2, times the square of
+one width factor that simulated subjects have told (docs/coverage.md); the joint region of two is where it has by 5.99/2.
+Ends are looked for on the emulator, solved on the model, and looked for again until both agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq, minimize
+from scipy.stats import chi2, multivariate_t
+from skimage.measure import find_contours
+
+from spinestiff.arrays import Floats, ShortRepr
+from spinestiff.errors import EquilibriumError
+from spinestiff.estimation.emulator import Emulator, Place
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, phi, reduced
+
+CONFIDENCE = 0.95
+WIDTH_FACTOR = 1.0
+# Ends agree once the emulator's phi and the model's differ by less than this there.
+CLOSE_ENOUGH = 0.1
+MOST_ROUNDS = 4
+# Steps of a profile, in standard deviations, and how far beyond the linear end it is followed at most.
+STEP, FARTHEST = 0.35, 6.0
+# A profile that rises by less than this anywhere inside the bounds is flat.
+FLAT = 0.5
+# Another minimum is one that a ridge of this height parts from the estimate.
+RIDGE = 0.1
+DRAWS, CANDIDATES = 500, 4000
+GRID = 61
+
+
+@dataclass(frozen=True, repr=False)
+class Profile(ShortRepr):
+    """The least phi over one log ratio.
+
+    Attributes
+    ----------
+    log_ratios : (n,) rising. others : (n, P) all log ratios there. rise : (n,) of phi over the estimate's.
+    """
+
+    log_ratios: Floats
+    others: Floats
+    rise: Floats
+
+
+@dataclass(frozen=True, repr=False)
+class Likely(ShortRepr):
+    """What the data leave of the ratios.
+
+    Attributes
+    ----------
+    low, high : (P,) ends of the 95 % intervals, log. open_low, open_high : (P,) the end is the fit's bound.
+    kinds : (P,) "bounded", "one-sided", "flat", "at a bound" or "several minima".
+    profiles : (P,).
+    region : (n, 2) outline of the joint 95 % region of two ratios, not cut at the bounds; None for another number.
+    draws : (D, P) log ratios and (D, M) nuisances, equally probable. effective : independent draws they are worth.
+    emulator : of phi.
+    """
+
+    low: Floats
+    high: Floats
+    open_low: np.ndarray
+    open_high: np.ndarray
+    kinds: tuple[str, ...]
+    profiles: tuple[Profile, ...]
+    region: Floats | None
+    draws: tuple[Floats, Floats]
+    effective: float
+    emulator: Emulator
+
+
+def likely_ratios(
+    problem: WeighedProblem, fit: WeighedFit, visited: list[Place], limits: tuple[float, float]
+) -> Likely:
+    """Intervals, region and draws; solves the model at the intervals' ends.
+
+    ``visited``: places that the search solved.
+    """
+    places = [Place(fit.point, fit.slope), *visited]
+    model = reduced(fit.point, fit.slope, fit.weights)
+    precision = model.ratios.T @ model.ratios
+    # A direction without any information gets the bounds' own width.
+    covariance = np.linalg.inv(precision + np.eye(len(precision)) / (limits[1] - limits[0]) ** 2)
+    rise = 0.5 * WIDTH_FACTOR**2 * float(chi2.ppf(CONFIDENCE, 1))
+    for _ in range(MOST_ROUNDS):
+        emulator = Emulator(places, fit.weights)
+        tracer = _Tracer(emulator, fit.point.log_ratios, covariance, limits)
+        profiles = [tracer.profile(i, rise) for i in range(len(precision))]
+        ends = [tracer.end(profile, i, sign, rise) for i, profile in enumerate(profiles) for sign in (-1.0, 1.0)]
+        if not _solve_ends(problem, fit, emulator, places, [where for where, _ in ends]):
+            break
+    low, high = (np.array([where[i // 2] for i, (where, _) in enumerate(ends) if i % 2 == side]) for side in (0, 1))
+    opens = [np.array([is_open for i, (_, is_open) in enumerate(ends) if i % 2 == side]) for side in (0, 1)]
+    kinds = tuple(
+        _kind(profile, fit.point.log_ratios[i], bool(opens[0][i]), bool(opens[1][i]), limits, rise)
+        for i, profile in enumerate(profiles)
+    )
+    draws, effective = _draws(emulator, fit.point.log_ratios, covariance, limits)
+    region = _region(emulator, fit.point.log_ratios, low, high) if len(precision) == 2 else None
+    return Likely(low, high, *opens, kinds, tuple(profiles), region, draws, effective, emulator)
+
+
+def _solve_ends(
+    problem: WeighedProblem, fit: WeighedFit, emulator: Emulator, places: list[Place], ends: list[Floats]
+) -> bool:
+    """Solve the model at those ends where the emulator may be wrong; whether it was."""
+    wrong = False
+    for where in ends:
+        known = np.abs(emulator.log_ratios - where).max(axis=1)
+        if known.min() < 0.02:
+            continue
+        nearest = places[int(np.argmin([np.abs(place.point.log_ratios - where).max() for place in places]))]
+        nuisances, _ = emulator.nuisances(where)
+        try:
+            point = problem.solve(where, nuisances, nearest.point, nearest.slope)
+            slope = problem.slope(point)
+        except EquilibriumError:
+            problem.trial_set.note(where, float("nan"), None, False)
+            continue
+        problem.trial_set.note(where, phi(point, fit.weights), point.evaluation, False)
+        model = reduced(point, slope, fit.weights)
+        solved = 0.5 * float(model.values @ model.values)
+        wrong |= abs(solved - float(emulator.phi(where)[0])) > CLOSE_ENOUGH
+        places.append(Place(point, slope))
+    return wrong
+
+
+class _Tracer:
+    """Profiles on an emulator, followed outward from the estimate."""
+
+    def __init__(self, emulator: Emulator, best: Floats, covariance: Floats, limits: tuple[float, float]) -> None:
+        self._emulator, self._best, self._covariance, self._limits = emulator, best, covariance, limits
+        self._least = float(emulator.phi(best)[0])
+        self._sd = np.sqrt(np.diag(covariance))
+
+    def profile(self, i: int, rise: float) -> Profile:
+        """Outward to both sides until phi has risen by twice ``rise`` or the bounds are reached."""
+        found = [(self._best, 0.0)]
+        for sign in (-1.0, 1.0):
+            at, before = self._best, 0.0
+            for _ in range(int(FARTHEST / STEP * 1.96) + 1):
+                value = float(np.clip(at[i] + sign * STEP * self._sd[i], *self._limits))
+                if value == at[i]:
+                    break
+                at, height = self._lowest(i, value, at)
+                found.append((at, height))
+                if height > 2.0 * rise and height > before:
+                    break
+                before = height
+        found.sort(key=lambda one: float(one[0][i]))
+        others = np.array([where for where, _ in found])
+        return Profile(others[:, i], others, np.array([height for _, height in found]))
+
+    def end(self, profile: Profile, i: int, sign: float, rise: float) -> tuple[Floats, bool]:
+        """All log ratios at an end of ratio i's interval, and whether it is the fit's bound."""
+        own = profile.log_ratios
+        order = np.argsort(sign * own)
+        outside = [k for k in order[::-1] if profile.rise[k] <= rise]
+        last = outside[0]  # the outermost place inside: several minima belong to one interval
+        beyond = [k for k in order if sign * own[k] > sign * own[last]]
+        if not beyond:
+            return profile.others[last], True
+        start = profile.others[last]
+
+        def over(value: float) -> float:
+            return self._lowest(i, value, start)[1] - rise
+
+        root = brentq(over, own[last], own[beyond[0]], xtol=1e-3 * self._sd[i])
+        return self._lowest(i, float(root), start)[0], False
+
+    def _lowest(self, i: int, value: float, near: Floats) -> tuple[Floats, float]:
+        """The least phi with log ratio i given, from the others of ``near``."""
+        others = [j for j in range(len(near)) if j != i]
+        start = near.copy()
+        if others:
+            follow = self._covariance[others, i] / self._covariance[i, i]
+            start[others] = np.clip(start[others] + follow * (value - near[i]), *self._limits)
+        start[i] = value
+        if not others:
+            return start, float(self._emulator.phi(start)[0]) - self._least
+        scale = np.sqrt(np.maximum(self._sd[others] ** 2 - self._covariance[others, i] ** 2 / self._covariance[i, i], 1e-8))
+
+        def height(x: Floats) -> tuple[float, Floats]:
+            where = np.tile(start, (1 + 2 * len(others), 1))
+            where[:, others] = start[others] + scale * x
+            for k, j in enumerate(others):
+                where[1 + 2 * k, j] += 1e-3 * scale[k]
+                where[2 + 2 * k, j] -= 1e-3 * scale[k]
+            values = self._emulator.phi(where)
+            return float(values[0]), (values[1::2] - values[2::2]) / 2e-3
+
+        bounds = [((self._limits[0] - start[j]) / s, (self._limits[1] - start[j]) / s) for j, s in zip(others, scale)]
+        found = minimize(height, np.zeros(len(others)), jac=True, method="L-BFGS-B", bounds=bounds)
+        start[others] = np.clip(start[others] + scale * found.x, *self._limits)
+        return start, float(found.fun) - self._least
+
+
+def _kind(
+    profile: Profile, best: float, open_low: bool, open_high: bool, limits: tuple[float, float], rise: float
+) -> str:
+    if min(best - limits[0], limits[1] - best) < 1e-6:
+        return "at a bound"
+    if profile.rise.max() < FLAT or (open_low and open_high):
+        return "flat"
+    if open_low or open_high:
+        return "one-sided"
+    inside = profile.rise[profile.rise <= rise]
+    falls = np.diff(inside)
+    turns = np.flatnonzero((falls[:-1] > 0.0) & (falls[1:] < 0.0)) + 1
+    if any(inside[t] - max(inside[:t].min(), inside[t:].min()) > RIDGE for t in turns):
+        return "several minima"
+    return "bounded"
+
+
+def _region(emulator: Emulator, best: Floats, low: Floats, high: Floats) -> Floats | None:
+    """The outline on a grid around the intervals."""
+    rise = 0.5 * WIDTH_FACTOR**2 * float(chi2.ppf(CONFIDENCE, 2))
+    reach = 0.45 * (high - low)
+    axes = [np.linspace(low[i] - reach[i], high[i] + reach[i], GRID) for i in (0, 1)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+    height = emulator.phi(grid.reshape(-1, 2)).reshape(GRID, GRID) - float(emulator.phi(best)[0])
+    outlines = find_contours(height, rise)
+    if not outlines:
+        return None
+    outline = max(outlines, key=len)
+    steps = np.array([axis[1] - axis[0] for axis in axes])
+    return np.asarray(np.array([axis[0] for axis in axes]) + outline * steps)
+
+
+def _draws(
+    emulator: Emulator, best: Floats, covariance: Floats, limits: tuple[float, float]
+) -> tuple[tuple[Floats, Floats], float]:
+    """Equally probable draws inside the bounds: wide candidates, weighed by exp(-phi) and drawn again."""
+    random = np.random.default_rng(0)
+    wide = multivariate_t(best, 1.3 * WIDTH_FACTOR**2 * covariance, df=4, seed=random)
+    candidates = np.atleast_2d(wide.rvs(CANDIDATES).reshape(CANDIDATES, -1))
+    inside = np.all((candidates >= limits[0]) & (candidates <= limits[1]), axis=1)
+    candidates = candidates[inside]
+    log_weight = -emulator.phi(candidates) / WIDTH_FACTOR**2 - np.atleast_1d(wide.logpdf(candidates))
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    # Systematic resampling: one uniform number, evenly spaced places on the cumulative weight.
+    places = (np.arange(DRAWS) + random.uniform()) / DRAWS
+    chosen = candidates[np.minimum(np.searchsorted(np.cumsum(weight), places), len(candidates) - 1)]
+    nuisances = []
+    for where in chosen:
+        middle, spread = emulator.nuisances(where)
+        root = np.linalg.cholesky(spread + 1e-12 * np.eye(len(spread)))
+        nuisances.append(middle + WIDTH_FACTOR * root @ random.normal(size=len(middle)))
+    effective = 1.0 / float(np.sum(weight**2))
+    return (chosen, np.array(nuisances).reshape(len(chosen), -1)), effective

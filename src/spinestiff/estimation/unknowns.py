@@ -1,0 +1,211 @@
+"""What of a push is not quite known, and how it acts on a radiograph: the nuisance parameters of the weighed fit.
+
+An unknown belongs to a push, a frame, a side or to all frames, and reaches a frame through one of its *acts*: the ways
+in which an equilibrium can differ under a given set of ratios. Acts are linear in the unknowns, a = B n, so that e.g. a
+frame's obliquity is the side's compliance times force, plus a part of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.arrays import Floats, ShortRepr
+from spinestiff.estimation.objective import Trial
+from spinestiff.estimation.priors import Priors
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import LoadCase
+from spinestiff.mechanics.places import SupportPlace
+
+ACTS = ("force", "offset", "upward", "forward", "height", "depth", "obliquity", "shoulder", "tissue", "motion")
+"""Log of the force; N; rad, rad; mm, mm; rad, mm; log of the tissue's stiffness; relative size of what is seen to move."""
+LOADING = ACTS[:6]
+PLACING = ("obliquity", "shoulder")
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One nuisance parameter, in units of its prior's standard deviation.
+
+    Attributes
+    ----------
+    name : e.g. "force of push 'main'".
+    group : what it is a case of, for the variance budget, e.g. "force scale".
+    act : how it acts.
+    sizes : (T,) of its act in each trial for one standard deviation; 0 where it does not act.
+    """
+
+    name: str
+    group: str
+    act: str
+    sizes: tuple[float, ...]
+
+
+@dataclass(frozen=True, repr=False)
+class Unknowns(ShortRepr):
+    """All nuisance parameters of a set of trials; each is N(0, 1) before the fit.
+
+    Attributes
+    ----------
+    each : (M,).
+    acts : (T, len(ACTS), M), acts of each trial per unknown.
+    """
+
+    each: tuple[Unknown, ...]
+    trials: int
+    acts: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        acts = np.zeros((self.trials, len(ACTS), len(self.each)))
+        for i, unknown in enumerate(self.each):
+            acts[:, ACTS.index(unknown.act), i] = unknown.sizes
+        acts.setflags(write=False)
+        object.__setattr__(self, "acts", acts)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(unknown.name for unknown in self.each)
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Groups, each once, in their order."""
+        return tuple(dict.fromkeys(unknown.group for unknown in self.each))
+
+    def in_group(self, group: str) -> np.ndarray:
+        """(M,) bool."""
+        return np.array([unknown.group == group for unknown in self.each], dtype=bool)
+
+    def __len__(self) -> int:
+        return len(self.each)
+
+
+def unknowns_of(
+    trials: Sequence[Trial], problems: Sequence[EquilibriumProblem], priors: Priors, taped: bool = False
+) -> Unknowns:
+    """The nuisance parameters of these trials; what a prior says is known is none.
+
+    ``taped``: the trunk's size was measured.
+    """
+    p = priors
+    loaded = np.array([trial.load.size > 0.0 for trial in trials])
+    force = np.array([trial.load.size for trial in trials])
+    pushes = np.array([trial.push or f"trial {i + 1}" for i, trial in enumerate(trials)])
+    sides = np.array([_side(trial.load) for trial in trials])
+    held = np.array([bool(q.supports.held[q.torso.bone("pelvis")].all()) for q in problems])
+    on_bones = np.array([len(trial.load.nodes) == 0 for trial in trials])
+    found: list[Unknown] = []
+
+    def add(name: str, group: str, act: str, size: float, where: np.ndarray) -> None:
+        if size > 0.0 and where.any():
+            found.append(Unknown(name, group, act, tuple((size * where).tolist())))
+
+    angle = float(np.deg2rad(p.direction_deg))
+    for push in dict.fromkeys(pushes[loaded]):
+        mine = loaded & (pushes == push)
+        # Several loaded frames of one push share these; of a force that does not grow scale and offset are alike.
+        add(f"force of {push}", "force scale", "force", p.force_scale, mine)
+        add(f"force offset of {push}", "force offset", "offset", p.force_offset_n, mine)
+        add(f"direction upward of {push}", "push direction", "upward", angle, mine)
+        add(f"direction forward of {push}", "push direction", "forward", angle, mine)
+        add(f"height of {push}", "push height", "height", p.push_height_mm, mine & on_bones)
+        add(f"depth of {push}", "push depth", "depth", p.push_depth_mm, mine & on_bones)
+    per_newton = force / max(p.support_force_n, 1e-300)
+    for act, total, own, unit in (
+        ("obliquity", np.deg2rad(p.obliquity_deg), np.deg2rad(p.frame_obliquity_deg), held),
+        ("shoulder", p.shoulder_mm, p.frame_shoulder_mm, np.ones(len(trials), dtype=bool)),
+    ):
+        elastic = float(np.sqrt(max(total**2 - own**2, 0.0)))
+        for side in dict.fromkeys(sides[loaded]):
+            mine = loaded & (sides == side) & unit
+            add(f"{act} under pushes from the {side}", f"{act} by force", act, elastic, per_newton * mine)
+    for i, trial in enumerate(trials):
+        one = (np.arange(len(trials)) == i) & loaded
+        label = trial.label or f"trial {i + 1}"
+        add(f"breathing in {label}", "breathing", "height", p.breathing_mm, one & on_bones)
+        add(f"obliquity in {label}", "obliquity of a frame", "obliquity", float(np.deg2rad(p.frame_obliquity_deg)), one & held)
+        add(f"shoulder in {label}", "shoulder of a frame", "shoulder", p.frame_shoulder_mm, one)
+    trunk = p.trunk_taped if taped else p.trunk
+    for name, power in zip(("breadth", "depth"), p.trunk_power):
+        add(f"trunk {name}", "trunk size", "tissue", trunk * power, loaded)
+    add("source distance", "source distance", "motion", p.source_distance, loaded)
+    return Unknowns(tuple(found), len(trials))
+
+
+def _side(load: LoadCase) -> str:
+    """Where a push comes from: its force drives the spine to the other side."""
+    return "right" if load.total[0] >= 0.0 else "left"
+
+
+def load_changes(load: LoadCase, rest: TorsoState) -> tuple[LoadCase, ...]:
+    """What is added to ``load`` per unit of each of the six acts on the load; nothing acts on an unloaded torso."""
+    if load.size == 0.0:
+        return (load,) * len(LOADING)
+    moved = [_turned(load, axis) for axis in (2, 1)]
+    if len(load.nodes):
+        # The height of forces on tissue nodes is no single point's.
+        still = load.scaled(0.0)
+        return (load, load.scaled(1.0 / load.size), *moved, still, still)
+    return (load, load.scaled(1.0 / load.size), *moved, push_height_change(load, rest), _deeper(load, rest))
+
+
+def changed_load(load: LoadCase, changes: Sequence[LoadCase], acts: Floats) -> LoadCase:
+    """``load`` with its acts (len(ACTS),): scaled, and what the others add."""
+    total = load.scaled(float(np.exp(acts[0])))
+    for change, size in zip(changes[1:], acts[1 : len(LOADING)]):
+        if size != 0.0:
+            total = _sum(total, change.scaled(float(size)))
+    return total
+
+
+def place_of(acts: Floats) -> SupportPlace:
+    """Where the supports are by a trial's acts (len(ACTS),)."""
+    return SupportPlace(*(float(acts[ACTS.index(name)]) for name in PLACING))
+
+
+def _sum(a: LoadCase, b: LoadCase) -> LoadCase:
+    points = PointsOnBones(
+        np.concatenate([a.points.bone, b.points.bone]), np.concatenate([a.points.offset, b.points.offset])
+    )
+    return LoadCase(
+        points,
+        np.concatenate([a.forces, b.forces]),
+        a.label,
+        np.concatenate([a.nodes, b.nodes]),
+        np.concatenate([a.node_forces, b.node_forces]),
+    )
+
+
+def _turned(load: LoadCase, axis: int) -> LoadCase:
+    """Change per rad of the forces' turn that lifts them (about the AP axis) or moves them forward (about the vertical)."""
+    about = np.zeros(3)
+    # Upward and forward whichever way the push points.
+    about[axis] = np.sign(load.total[0] or 1.0) * (1.0 if axis == 2 else -1.0)
+    return LoadCase(load.points, np.cross(about, load.forces), load.label, load.nodes, np.cross(about, load.node_forces))
+
+
+def _deeper(load: LoadCase, rest: TorsoState) -> LoadCase:
+    """Change per mm that the pushed points lie further to the front."""
+    moved = PointsOnBones.at(rest, load.points.bone, load.points.positions(rest) + np.array([0.0, 0.0, 1.0]))
+    return _sum(LoadCase(moved, load.forces, load.label), LoadCase(load.points, -load.forces))
+
+
+def push_height_change(load: LoadCase, state: TorsoState) -> LoadCase:
+    """What is added to ``load`` for each mm that the pushed point lies higher.
+
+    Points at different heights share the push by the lever rule, so a higher resultant moves force from the lower to
+    the upper one. A single point has nothing to share with: the force rises on its bone, which adds a moment; it
+    is made of a couple of forces 1 mm above and at the point.
+    """
+    places = load.points.positions(state)
+    heights = places[:, 1]
+    spread = heights - heights.mean() if len(heights) else heights
+    total = load.forces.sum(axis=0)
+    if np.any(np.abs(spread) > 1.0):
+        share = spread / np.sum(spread**2)
+        return LoadCase(load.points, share[:, None] * total, load.label)
+    raised = PointsOnBones.at(state, load.points.bone, places + np.array([0.0, 1.0, 0.0]))
+    return _sum(LoadCase(raised, load.forces, load.label), LoadCase(load.points, -load.forces))

@@ -1,0 +1,331 @@
+"""The weighed fit: the most probable ratios and nuisances, with errors as large and as shared as they are.
+
+With log ratios q (flat inside their bounds), nuisances n ~ N(0, 1) and residuals r(q, n) of the channels,
+
+    phi(q, n) = r^T Sigma^-1 r / 2 + n^T n / 2
+
+is minimised by Gauss-Newton steps. Nuisances that act on an equilibrium (forces, supports, the trunk's size) are solved
+for as the ratios are, at no further equilibrium: each step ends in one at the ratios and nuisances that it found. What
+is added to a picture (place, stance, annotation, rest geometry, model discrepancy) is eliminated in closed form, as
+covariance. Sigma depends on the ratios through the size of the model's motion; it is that of the last iterate, so that
+the fit solves the estimating equation J^T Sigma^-1 r = 0 and no ratio is chosen for the error that it would excuse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.optimize import lsq_linear
+
+from spinestiff.arrays import Floats, ShortRepr
+from spinestiff.errors import EquilibriumError
+from spinestiff.estimation.discrepancy import discrepancy_covariance
+from spinestiff.estimation.evaluation import Evaluation, Slope, TrialSet, compliance_step, log_step
+from spinestiff.estimation.noise import Noise, Seen, restricted_factor
+from spinestiff.estimation.objective import Trial, make_target, residuals
+from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.status import FitStatus
+from spinestiff.estimation.unknowns import ACTS, Unknowns, unknowns_of
+from spinestiff.imaging.features import Orientation
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+
+# The search ends once an undamped step promises less than this decrease of phi (a step of a thousandth of an sd).
+SMALLEST_DECREASE = 5e-7
+# One step changes a ratio by at most these factors: beyond, the linear model says nothing.
+LARGEST_SOFTENING, LARGEST_STIFFENING = 8.0, 8.0
+SHORTEST_STEP = 1.0 / 64.0
+_MOTION = ACTS.index("motion")
+
+
+@dataclass(frozen=True, repr=False)
+class WeighedPoint(ShortRepr):
+    """Residuals at one set of log ratios and nuisances.
+
+    Attributes
+    ----------
+    nuisances : (M,) in units of their priors' standard deviations.
+    evaluation : the loaded trials in equilibrium.
+    values : (n,) channels of simulated minus measured features, mm, then supports, in standard deviations.
+    """
+
+    nuisances: Floats
+    evaluation: Evaluation
+    values: Floats
+
+    @property
+    def log_ratios(self) -> Floats:
+        return self.evaluation.log_ratios
+
+
+@dataclass(frozen=True, repr=False)
+class WeighedSlope(ShortRepr):
+    """First order around a point: derivatives (n, P) in log ratio and (n, M) in the nuisances."""
+
+    slope: Slope
+    ratios: Floats
+    nuisances: Floats
+
+
+@dataclass(frozen=True, repr=False)
+class Weights(ShortRepr):
+    """The covariance of the residuals that a step is taken with, and what it was made with.
+
+    Attributes
+    ----------
+    root : (n, n) lower Cholesky factor. tracking_factor : of tracking's errors.
+    inflation : (n of channels,) of a vertebra's own variance.
+    """
+
+    root: Floats
+    tracking_factor: float
+    inflation: Floats
+
+    def whiten(self, columns: Floats) -> Floats:
+        """Root^-1 columns."""
+        return np.asarray(solve_triangular(self.root, columns, lower=True))
+
+
+class WeighedProblem:
+    """Trials with all that is not quite known about them.
+
+    Parameters
+    ----------
+    trial_set : the trials under load. still : those without, and their torso's problems.
+    """
+
+    def __init__(
+        self,
+        trial_set: TrialSet,
+        still: Sequence[tuple[EquilibriumProblem, Trial]],
+        orientation: Orientation,
+        priors: Priors,
+        geometry: Floats | None,
+        taped: bool,
+    ) -> None:
+        self.trial_set, self.priors = trial_set, priors
+        self.unknowns: Unknowns = unknowns_of(trial_set.trials, trial_set.problems, priors, taped)
+        targets = [make_target(problem.torso, trial, orientation) for problem, trial in still]
+        both = (*trial_set.targets, *targets)
+        problems = (*trial_set.problems, *(problem for problem, _ in still))
+        at_rest = [residuals(p.torso, target, p.torso.rest_pose) for p, target in zip(problems, both)]
+        seen = [
+            Seen(target, target.trial.push or f"trial {i + 1}", target.trial.annotated) for i, target in enumerate(both)
+        ]
+        self.noise = Noise(seen, at_rest, geometry, priors)
+        self._constant = self.noise.constant
+        self._at_rest = at_rest
+        self._loaded = len(trial_set.trials)
+        self._still = np.concatenate(
+            [np.zeros(0), *(self.noise.channels[self._loaded + i].apply(at_rest[self._loaded + i].difference) for i in range(len(still)))]
+        )
+        self._measured = [
+            (i, ACTS.index(name), value, sd)
+            for i, trial in enumerate(trial_set.trials)
+            for name, (value, sd) in trial.supports.items()
+        ]
+        self.size = self.noise.size + len(self._measured)
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """What the residuals' covariance is made of beside nuisances and tracking."""
+        return tuple(self.noise.parts)
+
+    def solve(
+        self, log_ratios: Floats, nuisances: Floats, near: WeighedPoint | None = None, slope: WeighedSlope | None = None
+    ) -> WeighedPoint:
+        """All trials in equilibrium. Raises EquilibriumError where one has none."""
+        acts = self.unknowns.acts @ nuisances
+        found = self.trial_set.solve(
+            log_ratios, None if near is None else near.evaluation, None if slope is None else slope.slope, acts
+        )
+        parts = [
+            self.noise.channels[i].apply(part.difference + acts[i, _MOTION] * self._motion(part, i))
+            for i, part in enumerate(found.residuals)
+        ]
+        supports = np.array([(acts[i, act] - value) / sd for i, act, value, sd in self._measured])
+        return WeighedPoint(np.array(nuisances), found, np.concatenate([*parts, self._still, supports]))
+
+    def slope(self, point: WeighedPoint) -> WeighedSlope:
+        """First order around a point."""
+        found = self.trial_set.slope(point.evaluation, with_acts=True)
+        assert found.acted is not None
+        ratios = np.zeros((self.size, len(point.log_ratios)))
+        nuisances = np.zeros((self.size, len(self.unknowns)))
+        for i, part in enumerate(point.evaluation.residuals):
+            channels, acts = self.noise.channels[i], point.evaluation.acts[i]
+            rows = slice(int(self.noise.ends[i]), int(self.noise.ends[i + 1]))
+            larger = 1.0 + acts[_MOTION]
+            ratios[rows] = larger * channels.apply(part.moved(found.moves[i]))
+            columns = larger * channels.apply(part.moved(found.acted[i]))
+            columns[:, _MOTION] = channels.apply(self._motion(part, i))
+            nuisances[rows] = columns @ self.unknowns.acts[i]
+        for row, (i, act, _, sd) in enumerate(self._measured):
+            nuisances[self.noise.size + row] = self.unknowns.acts[i, act] / sd
+        return WeighedSlope(found, ratios, nuisances)
+
+    def motions(self, point: WeighedPoint) -> list[Floats]:
+        """(3 Nv,) of each loaded trial, channels of what the model moves from rest, mm."""
+        parts = point.evaluation.residuals
+        return [self.noise.channels[i].apply(self._motion(part, i)) for i, part in enumerate(parts)]
+
+    def weights(self, point: WeighedPoint, slope: WeighedSlope, before: Weights | None) -> Weights:
+        """The covariance at a point: tracking's size by restricted likelihood, outlying vertebrae with less weight."""
+        rest = np.eye(self.size)
+        channels = slice(0, self.noise.size)
+        rest[channels, channels] = self._constant + self._discrepancy(point)
+        free = point.values - slope.nuisances @ point.nuisances
+        inflation = np.ones(self.noise.size) if before is None else before.inflation
+        marginal = (rest + slope.nuisances @ slope.nuisances.T)[channels, channels]
+        factor = restricted_factor(
+            self.noise, marginal, free[channels], slope.ratios[channels], self.priors.tracking_factor, inflation
+        )
+        if before is not None:
+            inflation = self._inflation(marginal, free[channels], slope.ratios[channels], factor, inflation)
+        rest[channels, channels] += self.noise.tracking(factor, inflation)
+        return Weights(cholesky(rest, lower=True), factor, inflation)
+
+    def p_value(self, point: WeighedPoint, slope: WeighedSlope) -> float:
+        """Of residuals as large, with the covariance before any scale or weight is fitted."""
+        from scipy.stats import chi2
+
+        channels = slice(0, self.noise.size)
+        covariance = np.eye(self.size)
+        covariance[channels, channels] = self._constant + self._discrepancy(point) + self.noise.tracking()
+        covariance += slope.nuisances @ slope.nuisances.T
+        root = cholesky(covariance, lower=True)
+        free = point.values - slope.nuisances @ point.nuisances
+        values, fixed = (solve_triangular(root, a, lower=True) for a in (free, slope.ratios))
+        q = np.linalg.qr(fixed)[0]
+        left = values - q @ (q.T @ values)
+        return float(chi2.sf(float(left @ left), self.size - q.shape[1]))
+
+    def _discrepancy(self, point: WeighedPoint) -> Floats:
+        covariance = np.zeros((self.noise.size, self.noise.size))
+        end = int(self.noise.ends[self._loaded])
+        covariance[:end, :end] = discrepancy_covariance(
+            [t.trial.load for t in self.trial_set.targets],
+            [channels.rows for channels in self.noise.channels[: self._loaded]],
+            self.motions(point),
+            [len(p.torso.vertebrae) for p in self.trial_set.problems],
+        )
+        return covariance
+
+    def _inflation(self, marginal: Floats, free: Floats, fixed: Floats, factor: float, before: Floats) -> Floats:
+        whole = cho_factor(marginal + self.noise.tracking(factor, before), lower=True)
+        both = cho_solve(whole, np.column_stack([fixed, free]))
+        p = np.linalg.lstsq(fixed.T @ both[:, :-1], -fixed.T @ both[:, -1], rcond=None)[0]
+        solved = both[:, -1] + both[:, :-1] @ p
+        return self.noise.inflation(self.noise.own_errors(solved, factor, before), factor)
+
+    def _motion(self, part: object, i: int) -> Floats:
+        return np.asarray(part.difference - self._at_rest[i].difference)  # type: ignore[attr-defined]
+
+
+def phi(point: WeighedPoint, weights: Weights) -> float:
+    """What is minimised; see the module's text."""
+    whitened = weights.whiten(point.values)
+    return 0.5 * float(whitened @ whitened + point.nuisances @ point.nuisances)
+
+
+@dataclass(frozen=True, repr=False)
+class Reduced(ShortRepr):
+    """The linear model around a point with nuisances eliminated: |values + ratios p|^2 / 2 over compliance steps p.
+
+    Attributes
+    ----------
+    values : (n + M,). ratios : (n + M, P). most_probable : nuisances (M,) and their change per step (M, P).
+    """
+
+    values: Floats
+    ratios: Floats
+    nuisances: Floats
+    follow: Floats
+
+
+def reduced(point: WeighedPoint, slope: WeighedSlope, weights: Weights) -> Reduced:
+    """Nuisances eliminated in closed form."""
+    both = weights.whiten(
+        np.column_stack([slope.nuisances, slope.ratios, point.values - slope.nuisances @ point.nuisances])
+    )
+    m = slope.nuisances.shape[1]
+    stacked = np.vstack([both[:, :m], np.eye(m)])
+    others = np.vstack([both[:, m:], np.zeros((m, both.shape[1] - m))])
+    q, triangle = np.linalg.qr(stacked)
+    solved = np.linalg.solve(triangle, q.T @ others)
+    left = others - stacked @ solved
+    return Reduced(left[:, -1], left[:, :-1], -solved[:, -1], -solved[:, :-1])
+
+
+@dataclass(frozen=True, repr=False)
+class WeighedFit(ShortRepr):
+    """Where the search ended; ``visited``: the places on the way there."""
+
+    point: WeighedPoint
+    slope: WeighedSlope
+    weights: Weights
+    status: FitStatus
+    visited: tuple[tuple[WeighedPoint, WeighedSlope], ...]
+
+
+def search(
+    problem: WeighedProblem, start: WeighedPoint, limits: tuple[float, float], max_evaluations: int
+) -> WeighedFit:
+    """The most probable ratios and nuisances by Gauss-Newton steps, each as long as phi falls.
+
+    Parameters
+    ----------
+    limits : of the log ratios.
+    """
+    point, slope, weights = start, problem.slope(start), None
+    visited: list[tuple[WeighedPoint, WeighedSlope]] = []
+    evaluations = 1
+    while True:
+        weights = problem.weights(point, slope, weights)
+        before = phi(point, weights)
+        step, nuisances, predicted = gauss_newton_step(point, slope, weights, limits)
+        if predicted < SMALLEST_DECREASE:
+            return WeighedFit(point, slope, weights, FitStatus.CONVERGED, tuple(visited))
+        share, moved = 1.0, None
+        while share >= SHORTEST_STEP:
+            if evaluations >= max_evaluations:
+                return WeighedFit(point, slope, weights, FitStatus.ITERATION_LIMIT, tuple(visited))
+            change = log_step(share * step)
+            target = np.clip(point.log_ratios + change, *limits)
+            evaluations += 1
+            try:
+                trial = problem.solve(target, point.nuisances + share * (nuisances - point.nuisances), point, slope)
+                after = phi(trial, weights)
+            except EquilibriumError:
+                problem.trial_set.note(target, float("nan"), None, False)
+                share *= 0.25
+                continue
+            # Below rounding of the equilibria a decrease is none.
+            if after <= before - 1e-4 * share * predicted or predicted < 1e-4 and after <= before + 1e-4:
+                moved = trial
+                problem.trial_set.note(target, after, trial.evaluation, True)
+                break
+            problem.trial_set.note(target, after, trial.evaluation, False)
+            # The parabola through both values and the slope.
+            share *= float(np.clip(0.5 * 2.0 * predicted * share / (after - before + 2.0 * predicted * share), 0.1, 0.5))
+        if moved is None:
+            return WeighedFit(point, slope, weights, FitStatus.STALLED, tuple(visited))
+        visited.append((point, slope))
+        point, slope = moved, problem.slope(moved)
+
+
+def gauss_newton_step(
+    point: WeighedPoint, slope: WeighedSlope, weights: Weights, limits: tuple[float, float]
+) -> tuple[Floats, Floats, float]:
+    """Compliance step (P,) inside the bounds, the nuisances (M,) there, and the decrease of phi it promises."""
+    model = reduced(point, slope, weights)
+    low = np.maximum(limits[0] - point.log_ratios, -np.log(LARGEST_SOFTENING))
+    high = np.minimum(limits[1] - point.log_ratios, np.log(LARGEST_STIFFENING))
+    floor, ceiling = compliance_step(low) - 1e-14, compliance_step(high) + 1e-14
+    q, triangle = np.linalg.qr(np.column_stack([model.ratios, model.values]))
+    p = lsq_linear(triangle[:, :-1], -triangle[:, -1], (floor, ceiling), method="bvls").x
+    left = model.values + model.ratios @ p
+    predicted = phi(point, weights) - 0.5 * float(left @ left)
+    return p, model.nuisances + model.follow @ p, max(predicted, 0.0)
