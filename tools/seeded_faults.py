@@ -400,6 +400,27 @@ FAULTS = (
         CHECKS,
     ),
     Fault(
+        "sensitivity: a turned pelvis does not count in the adjoint",
+        "mechanics/sensitivity.py",
+        "np.array([own - turned @ u",
+        "np.array([0.0 * own - turned @ u",
+        CHECKS,
+    ),
+    Fault(
+        "place: the pad's force without its share along the motion",
+        "mechanics/places.py",
+        "forces = (springs.stiffness * share)[:, None]",
+        "forces = (springs.stiffness + 0.0 * share)[:, None]",
+        CHECKS,
+    ),
+    Fault(
+        "place: shoulders' places add up",
+        "mechanics/system.py",
+        "before = self.place.shoulder_mm if self.place else 0.0",
+        "before = 0.0",
+        MECHANICS + "/test_places.py",
+    ),
+    Fault(
         "ratios: replace a stiffness instead of scaling it",
         "anatomy/stiffness.py",
         "scaled[group.joints] *= value",

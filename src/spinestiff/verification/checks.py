@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from spinestiff.verification import derivatives, energies, equilibria, manufactured, solutions, whole
+from spinestiff.verification import derivatives, energies, equilibria, manufactured, places, solutions, whole
 from spinestiff.verification.outcome import Check, judged
 
 # What is checked, by the number that the names of checks begin with. docs/validation.md has the tolerances.
@@ -53,6 +53,7 @@ GROUPS: tuple[Group, ...] = (
     *solutions.GROUPS,
     *equilibria.GROUPS,
     *derivatives.GROUPS,
+    *places.GROUPS,
     energies.sweep,
     equilibria.inverting_steps,
     *manufactured.GROUPS,

@@ -102,7 +102,7 @@ def newton() -> Iterator[Check]:
         yield counted(f"C2 Newton: the end is a minimum, {nodes} nodes", int(np.sum(values <= 0.0)), len(values))
         left = _oracle_residual(problem, found.state, load, ratios)
         yield judged(f"C2 Newton: residual over the load, by the second energy, {nodes} nodes", left / load.size, 1e-10)
-        starts = [_astray(torso, seed) for seed in range(5)]
+        starts = [astray(torso, seed) for seed in range(5)]
         ends = [problem.solve(load, ratios, start=s, tolerance=fine) for s in starts]
         far = max(float(np.abs(_places(e.state) - _places(found.state)).max()) for e in ends)
         moved = float(np.abs(_places(found.state) - _places(torso.rest_pose)).max())
@@ -140,7 +140,7 @@ def frames() -> Iterator[Check]:
         y[: 6 * problem.potential.bones].reshape(-1, 6)[:, 3:] *= 0.03
         y[problem.held] = force[problem.held] = 0.0
         world, step = frame.to_world(y), 1e-2
-        ends = [_moved(state, frame.move(k * step * y)) for k in (-2, -1, 1, 2)]
+        ends = [motion(state, frame.move(k * step * y)) for k in (-2, -1, 1, 2)]
         slope = (ends[0] - 8.0 * ends[1] + 8.0 * ends[2] - ends[3]) / (12.0 * step)
         yield compared(f"C1 step: relative coordinates to first order, {nodes} nodes", world, slope, 1e-7)
         work = float(force @ world)
@@ -150,7 +150,7 @@ def frames() -> Iterator[Check]:
         yield compared(f"C1 step: forces back to world coordinates, {nodes} nodes", back, force, 1e-9)
 
 
-def _moved(before: TorsoState, after: TorsoState) -> Floats:
+def motion(before: TorsoState, after: TorsoState) -> Floats:
     """(dofs,) from one state to another: shifts, rotation vectors in world axes, shifts of nodes."""
     turns = log_so3(after.bone_rotations @ np.swapaxes(before.bone_rotations, 1, 2))
     bones = np.hstack([after.bone_positions - before.bone_positions, turns])
@@ -174,7 +174,7 @@ def _newton_order(problem: EquilibriumProblem, found: Equilibrium, load: LoadCas
     return 0.5 * np.log2(np.array(left[:-1]) / np.array(left[1:]))[1:]
 
 
-def _astray(torso: TorsoModel, seed: int) -> TorsoState:
+def astray(torso: TorsoModel, seed: int) -> TorsoState:
     """Bones but the last within 5 mm and 5 degrees of rest, nodes between them carried along, up to 1 mm astray."""
     random = np.random.default_rng(seed)
     rest, turn = torso.rest_pose, np.deg2rad(5.0)
