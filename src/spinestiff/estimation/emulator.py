@@ -15,14 +15,16 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from spinestiff.arrays import Floats
-from spinestiff.estimation.weighed import WeighedPoint, WeighedSlope, Weights, reduced
+from spinestiff.estimation.weighed import WeighedPoint, WeighedSlope, Weights, Reduced, reduced
 
 # Correlation length in log ratio: residuals change their course over a factor of four or so.
 LENGTH = 1.5
 # Relative variance that keeps places close to each other from being at odds.
-NUGGET = 1e-9
-# A place whose nuisances are farther than this from the most probable ones there tells of another part of the space.
-FARTHEST_NUISANCES = 1.0
+NUGGET = 1e-6
+# A place whose nuisances are farther than this from the most probable ones there tells of another part of the space, one
+# whose phi is this much higher than the estimate's of nothing that matters, and one as near as this to another of no
+# more than that.
+FARTHEST_NUISANCES, HIGHEST, NEAREST = 1.0, 30.0, 0.03
 _CHUNK = 64
 
 
@@ -81,6 +83,21 @@ class Kriging:
         return np.vstack(rows)
 
 
+def _telling(places: list[tuple[Place, Reduced]]) -> list[tuple[Place, Reduced]]:
+    """The places that tell of where the estimate may be, the estimate first."""
+    kept, least = places[:1], _height(places[0][1])
+    for place, model in places[1:]:
+        apart = [np.abs(place.point.log_ratios - other.point.log_ratios).max() for other, _ in kept]
+        far = np.abs(place.point.nuisances - model.nuisances).max(initial=0.0)
+        if min(apart) > NEAREST and far < FARTHEST_NUISANCES and _height(model) < least + HIGHEST:
+            kept.append((place, model))
+    return kept
+
+
+def _height(model: Reduced) -> float:
+    return 0.5 * float(model.values @ model.values)
+
+
 class Emulator:
     """phi over the log ratios, with nuisances at their most probable (``weighed``).
 
@@ -93,12 +110,7 @@ class Emulator:
 
     def __init__(self, places: Sequence[Place], weights: Weights, prior_sds: Floats | None = None) -> None:
         kept = [(place, reduced(place.point, place.slope, weights)) for place in places]
-        near = [
-            i
-            for i, (place, model) in enumerate(kept)
-            if i == 0 or np.abs(place.point.nuisances - model.nuisances).max(initial=0.0) < FARTHEST_NUISANCES
-        ]
-        kept = [kept[i] for i in near]
+        kept = _telling(kept)
         self.log_ratios = np.array([place.point.log_ratios for place, _ in kept])
         m = kept[0][0].slope.nuisances.shape[1]
         sds = np.ones(m) if prior_sds is None else prior_sds

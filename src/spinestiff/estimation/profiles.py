@@ -24,6 +24,8 @@ WIDTH_FACTOR = 1.0
 # Ends agree once the emulator's phi and the model's differ by less than this there.
 CLOSE_ENOUGH = 0.1
 MOST_ROUNDS = 4
+# Nuisances that the emulator has wrong by this much are solved for once more.
+FAR_OFF = 0.5
 # Steps of a profile, in standard deviations, and how far beyond the linear end it is followed at most.
 STEP, FARTHEST = 0.35, 6.0
 # A profile that rises by less than this anywhere inside the bounds is flat.
@@ -119,11 +121,16 @@ def _solve_ends(
         try:
             point = problem.solve(where, nuisances, nearest.point, nearest.slope)
             slope = problem.slope(point)
+            problem.trial_set.note(where, phi(point, fit.weights), point.evaluation, False)
+            model = reduced(point, slope, fit.weights)
+            if np.abs(model.nuisances - nuisances).max(initial=0.0) > FAR_OFF:
+                point = problem.solve(where, model.nuisances, point, slope)
+                slope = problem.slope(point)
+                problem.trial_set.note(where, phi(point, fit.weights), point.evaluation, False)
+                model = reduced(point, slope, fit.weights)
         except EquilibriumError:
             problem.trial_set.note(where, float("nan"), None, False)
             continue
-        problem.trial_set.note(where, phi(point, fit.weights), point.evaluation, False)
-        model = reduced(point, slope, fit.weights)
         solved = 0.5 * float(model.values @ model.values)
         wrong |= abs(solved - float(emulator.phi(where)[0])) > CLOSE_ENOUGH
         places.append(Place(point, slope))
