@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.stiffness import RATIO_BOUNDS
 from spinestiff.errors import EquilibriumError, SpinestiffError, SubjectError
 from spinestiff.files import file_digest
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -126,6 +127,11 @@ def test_ratios_that_are_not_given_are_drawn_from_the_papers_range(twins):
         assert TISSUE_RANGE[0] <= ratios["tissue"] <= TISSUE_RANGE[1]
 
 
+def test_a_fit_may_look_three_times_beyond_the_ratios_that_subjects_have():
+    for low, high in (BENDING_RANGE, TISSUE_RANGE):
+        assert RATIO_BOUNDS[0] <= low / 3.0 and 3.0 * high <= RATIO_BOUNDS[1]
+
+
 def test_a_folder_in_use_is_refused_untouched(twins, tiny):
     before = digests(twins[0])
     with pytest.raises(SubjectError, match="is not empty; choose another folder, nothing was written"):
@@ -165,7 +171,7 @@ def test_the_truth_of_the_folder_one_stands_in_has_a_name(tmp_path, monkeypatch)
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ({"ratios": (0.001, 0.1)}, "stiffness ratio 0.001; wanted 0.005 to 5.0"),
+        ({"ratios": (0.001, 0.1)}, "stiffness ratio 0.001; wanted 0.0025 to 5.0"),
         ({"ratios": (0.1, 6.0)}, "stiffness ratio 6.0"),
         ({"ratios": (float("nan"), 0.1)}, "stiffness ratio nan"),
         ({"force_n": 0.0}, "force 0.0 N"),
