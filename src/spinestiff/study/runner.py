@@ -1,6 +1,7 @@
 """The steps from a subject folder to its results, in order; each is redone only when what it was made from changed.
 
-``track`` -> ``response`` -> ``personalise`` -> ``estimate`` -> ``assess`` -> ``report``. Results go to ``results/`` in the folder.
+``track`` -> ``response`` -> ``personalise`` -> ``estimate`` -> ``assess`` -> ``report``. Results go to ``results/`` in
+the folder.
 ``view``, the 3D page alone, needs no report; the report brings it along. ``frames`` needs the tracking alone.
 """
 

@@ -88,7 +88,7 @@ def response_texts(push: PushResponse) -> list[str]:
     """N per degree of the curve and of tilt, and flexibility; of a push without numbers the reason."""
     if push.tilt is None or push.curve is None or push.flexibility is None:
         return [f"no N per degree: {push.missing}"]
-    tilt = f"tilt between {" and ".join(push.tilt.levels)}"
+    tilt = "tilt between {} and {}".format(*push.tilt.levels)
     texts = [
         f"{force_per_degree(push.curve)} N per degree of the curve {_levels(push.curve)}, up to {push.force_n:g} N",
         f"{force_per_degree(push.tilt)} N per degree of {tilt}, the most that any two vertebrae turned",
