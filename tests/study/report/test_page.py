@@ -19,6 +19,7 @@ from spinestiff.anatomy.files import write_torso
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
+from spinestiff.curves.pushes import push_responses
 from spinestiff.errors import SubjectError
 from spinestiff.files import write_json
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
@@ -43,6 +44,7 @@ from spinestiff.subject.outcomes import (
     Estimate,
     GeometryRecord,
     RatioEstimate,
+    Responses,
     Tracked,
     TrackedPush,
 )
@@ -130,6 +132,8 @@ def make_visit(folder: Path, side: int = 256, seed: int = 1) -> Visit:
     for outcome in (Tracked(pushes=tracked), geometry_record(views, torso.vertebrae), estimate_record()):
         write_outcome(made.subject, outcome)
         register(made.subject, outcome.STEP, outcome.FILE)
+    write_outcome(made.subject, push_responses(made.subject))
+    register(made.subject, "response", Responses.FILE)
     pushes = load_pushes(made, "procrustes")
     models = {"default": None, "fit": stiffness_ratios(ESTIMATE, torso.joints.kinds)}
     write_solved(made.file("predictions.npz"), stored(predict(pushes, models, {}, lambda line: None)))
