@@ -298,6 +298,10 @@ def test_cobb_prints_three_forms(spinestiff, subject):
         assert words in result.out
     forms = re.search(r"main frame 3, 30 N.*│ +(-\d+\.\d) │ +(-\d+\.\d) │ +(-\d+\.\d) │", result.out)
     assert forms is not None
+    lines = response_lines(read_outcome(read_subject(subject), Responses))
+    assert result.out.splitlines()[-len(lines) :] == lines
+    (subject / "results" / "tracked.json").unlink()
+    assert "N per degree" not in spinestiff("cobb", subject).out
 
 
 def test_cobb_of_a_folder_as_json(spinestiff, subject):

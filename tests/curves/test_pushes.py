@@ -121,7 +121,7 @@ def test_dropped_frames_are_not_used_and_others_know_their_annotation(subject):
     altered(subject, Tracked, change)
     found = usable_frames(read_outcome(read_subject(subject), Tracked).pushes["main"])
     assert [(frame.frame, frame.force_n, frame.origin) for frame in found] == [(0, 0.0, 0), (2, 22.5, 3), (3, 30.0, 3)]
-    # The patient's left is to the left of a radiograph seen from the front, T1 is above L5, millimetres are the patient's.
+    # Towards the patient's left, upwards, in millimetres of the patient.
     left, right = found[0].points[:, 0], found[0].points[:, 1]
     assert np.all(left[:, 0] > right[:, 0]) and found[0].points[0, 0, 1] > found[0].points[-1, 0, 1]
     assert 20.0 < np.median(left[:, 0] - right[:, 0]) < 40.0

@@ -122,8 +122,8 @@ def test_response_lines():
     tilt = answered(("T6", "L1"), 19.0, (3.05, 3.158, 3.26), scatter=1.2)
     assert lines_of(tilt=tilt, curve=curve, flexibility=Flexibility(percent=70.0, low=61.0, high=81.2)) == [
         "push 'main': 3.4 (2.9 to 4.1) N per degree of the curve T5–T11, up to 60 N",
-        "push 'main': 3.16 (3.05 to 3.26) N per degree of tilt between T6 and L1, the most that any two vertebrae turned",
-        "push 'main': flexibility 70 % (61 to 81 %) at 60 N: 25.0° without force, 17.5° ± 1.0° less under it",
+        "push 'main': 3.16 (3.05 to 3.26) N per degree of tilt between T6 and L1, the most that any two turned",
+        "push 'main': flexibility at 60 N: 70 % (61 to 81 %); 25.0° without force, 17.5° ± 1.0° less under it",
     ]
 
 
@@ -132,10 +132,8 @@ def test_response_lines_of_what_is_not_known():
     nothing = Flexibility(percent=None, low=None, high=None)
     found = lines_of(tilt=curve, curve=curve, flexibility=nothing)
     assert found[0] == "push 'main': at least 47 N per degree of the curve T5–T11, up to 60 N"
-    assert found[2].startswith(
-        "push 'main': flexibility not known, the curve does not stand out from its errors at 60 N"
-    )
-    assert found[2].endswith("0.4° without force, 0.3° ± 1.0° more under it")
+    unknown = "not known, the curve does not stand out from its errors"
+    assert found[2] == f"push 'main': flexibility at 60 N: {unknown}; 0.4° without force, 0.3° ± 1.0° more under it"
     assert found[3].startswith("push 'main': the curve is off a straight line over the force by 3.1 times its errors")
     assert found[4].startswith("push 'main': tilt between T5 and T11 is off a straight line")
     assert len(found) == 5

@@ -1,5 +1,4 @@
-"""Cobb angles of a subject's own images: at rest, in every frame of its pushes with the change since its start, and
-what each push says of N per degree."""
+"""Cobb angles of a subject's images, at rest and in every frame of its pushes, and the N per degree of each push."""
 
 from __future__ import annotations
 

@@ -91,8 +91,8 @@ def response_texts(push: PushResponse) -> list[str]:
     tilt = "tilt between {} and {}".format(*push.tilt.levels)
     texts = [
         f"{force_per_degree(push.curve)} N per degree of the curve {_levels(push.curve)}, up to {push.force_n:g} N",
-        f"{force_per_degree(push.tilt)} N per degree of {tilt}, the most that any two vertebrae turned",
-        f"flexibility {flexibility(push.flexibility)} at {push.force_n:g} N: {changed(push.curve)}",
+        f"{force_per_degree(push.tilt)} N per degree of {tilt}, the most that any two turned",
+        f"flexibility at {push.force_n:g} N: {flexibility(push.flexibility)}; {changed(push.curve)}",
     ]
     wide = [(what, one.scatter) for what, one in (("the curve", push.curve), (tilt, push.tilt)) if one.scatter]
     texts += [
