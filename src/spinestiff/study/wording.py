@@ -96,8 +96,8 @@ def response_texts(push: PushResponse) -> list[str]:
     ]
     wide = [(what, one.scatter) for what, one in (("the curve", push.curve), (tilt, push.tilt)) if one.scatter]
     texts += [
-        f"{what} is off a straight line over the force by {number(scatter, 2)} times its errors; its interval is as "
-        "much wider"
+        f"{what} is off a straight line over the force by {number(scatter, 2)} times its errors; its interval allows "
+        "for that"
         for what, scatter in wide
         if scatter > OFF_LINE
     ]
