@@ -18,9 +18,9 @@ from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.study import steps
-from spinestiff.study.wording import estimated
+from spinestiff.study.wording import estimated, response_lines
 from spinestiff.subject.folder import read_subject
-from spinestiff.subject.outcomes import Assessment, Estimate
+from spinestiff.subject.outcomes import Assessment, Estimate, Responses
 from spinestiff.subject.run_record import read_outcome
 from spinestiff.verification.outcome import Check
 
@@ -29,6 +29,7 @@ COMMANDS = {
     "inspect": ("--json",),
     "annotate": ("--port", "--no-browser"),
     "track": ("--redo",),
+    "response": ("--redo",),
     "frames": ("--write", "--json"),
     "personalise": ("--mesh", "--redo"),
     "estimate": ("--method", "--orientation", "--redo"),
@@ -124,8 +125,10 @@ def test_run_on_a_finished_subject_prints_the_result(spinestiff, subject, finish
     result = spinestiff("run", subject, "--truth", finished.truth)
     assert result.status == 0
     assert [line.split(maxsplit=2)[2] for line in result.lines] == [
-        f"{step}: up to date" for step in ("track", "personalise", "estimate", "assess", "report")
+        f"{step}: up to date" for step in ("track", "response", "personalise", "estimate", "assess", "report")
     ]
+    lines = response_lines(read_outcome(read_subject(subject), Responses))
+    assert len(lines) == 6 and all(f"{line}\n" in result.out for line in lines)
     assert digests(subject) == before
     estimate = read_outcome(read_subject(subject), Estimate)
     for name, value in finished.fit.ratios.as_dict().items():
@@ -142,6 +145,9 @@ def test_run_on_a_finished_subject_prints_the_result(spinestiff, subject, finish
 def test_every_step_runs_by_its_own_name(spinestiff, subject, finished, no_report):
     """For real, up to the estimate: with other settings, on the copy."""
     assert spinestiff("track", subject, "--redo").status == 0
+    answered = spinestiff("response", subject, "--redo")
+    assert answered.status == 0
+    assert answered.out.splitlines()[1:] == response_lines(read_outcome(read_subject(subject), Responses))
     result = spinestiff("personalise", subject, "--redo")
     assert result.status == 0
     assert "corner sd 16.00 mm" in result.err
@@ -292,6 +298,10 @@ def test_cobb_prints_three_forms(spinestiff, subject):
         assert words in result.out
     forms = re.search(r"main frame 3, 30 N.*│ +(-\d+\.\d) │ +(-\d+\.\d) │ +(-\d+\.\d) │", result.out)
     assert forms is not None
+    lines = response_lines(read_outcome(read_subject(subject), Responses))
+    assert result.out.splitlines()[-len(lines) :] == lines
+    (subject / "results" / "tracked.json").unlink()
+    assert "N per degree" not in spinestiff("cobb", subject).out
 
 
 def test_cobb_of_a_folder_as_json(spinestiff, subject):

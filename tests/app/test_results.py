@@ -18,7 +18,8 @@ from spinestiff.subject.run_record import read_outcome
 
 # Verbs that read a result and don't make it, and the step that makes it.
 READERS = {
-    "tracked.json": ("track", ("estimate", "assess", "report", "view", "cobb")),
+    "tracked.json": ("track", ("response", "estimate", "assess", "report", "view", "cobb")),
+    "response.json": ("response", ("report",)),
     "personalised.json": ("personalise", ("estimate", "assess", "report", "view")),
     "torso.npz": ("personalise", ("estimate", "assess", "report", "view", "torso")),
     "estimate.json": ("estimate", ("assess", "report", "view")),

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from results import altered
-from spinestiff.curves.pushes import cobb_frames, cobb_rows, rest_reading
+from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses, rest_reading, usable_frames
 from spinestiff.errors import SubjectError
 from spinestiff.study.assessment import change_record
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.visit import open_visit
 from spinestiff.subject.folder import read_subject
-from spinestiff.subject.outcomes import Assessment, Tracked
+from spinestiff.subject.outcomes import Assessment, Responses, Tracked
 from spinestiff.subject.run_record import read_outcome
 
 
@@ -96,3 +96,32 @@ def test_a_tracking_of_another_push_is_refused(subject):
     altered(subject, Tracked, lambda content: content["pushes"].update(third=content["pushes"].pop("main")))
     with pytest.raises(SubjectError, match="no push 'third'"):
         cobb_frames(read_subject(subject))
+
+
+def test_n_per_degree_of_a_subject(finished):
+    """The subject's own true changes of tilt lie within the intervals, both of pushes."""
+    subject = read_subject(finished.folder)
+    responses = push_responses(subject)
+    assert read_outcome(subject, Responses) == responses
+    truth = json.loads(finished.truth.read_text())["pushes"]
+    for name, force in (("main", 30.0), ("second", 30.0)):
+        found = responses.pushes[name]
+        assert found.force_n == force and found.missing == ""
+        true = abs(truth[name][-1]["cobb_change_deg"]["tilt"])
+        assert found.tilt.n_per_degree.low < force / true < (found.tilt.n_per_degree.high or np.inf)
+        assert found.curve.levels == responses.pushes["main"].curve.levels
+        assert found.flexibility.low < found.flexibility.percent < found.flexibility.high
+
+
+def test_dropped_frames_are_not_used_and_others_know_their_annotation(subject):
+    def change(content):
+        content["pushes"]["main"]["frames"][1]["dropped"] = "frame 1: the pelvis moved"
+        content["pushes"]["main"]["annotated_frames"] = [0, 3]
+
+    altered(subject, Tracked, change)
+    found = usable_frames(read_outcome(read_subject(subject), Tracked).pushes["main"])
+    assert [(frame.frame, frame.force_n, frame.origin) for frame in found] == [(0, 0.0, 0), (2, 22.5, 3), (3, 30.0, 3)]
+    # Towards the patient's left, upwards, in millimetres of the patient.
+    left, right = found[0].points[:, 0], found[0].points[:, 1]
+    assert np.all(left[:, 0] > right[:, 0]) and found[0].points[0, 0, 1] > found[0].points[-1, 0, 1]
+    assert 20.0 < np.median(left[:, 0] - right[:, 0]) < 40.0

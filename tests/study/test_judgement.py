@@ -185,6 +185,51 @@ def test_frames_of_the_same_force_need_not_grow(sound):
     assert not replace(sound.with_push(forces_n=forces), tracked=tracked).check("motion grows with force").passed
 
 
+def back_again(sound, forces, shown):
+    """The subject with frames as if they had been taken in another order, or under other forces."""
+    tracked = TrackedPush.of(sound.tracked.view.view(), forces, [sound.tracked.corners(i) for i in shown])
+    roles = (*ROLES[:3], *["unused"] * (len(forces) - 3))
+    return replace(sound.with_push(forces_n=forces, roles=roles), tracked=tracked)
+
+
+@pytest.mark.parametrize(
+    ("forces", "shown", "said"),
+    [
+        ((0.0, 20.0, 40.0, 60.0, 40.0), (0, 1, 2, 3, 3), "at 40 N (frame 4) the spine is bent by 6."),
+        ((0.0, 20.0, 40.0, 60.0, 0.0), (0, 1, 2, 3, 1), "at 0 N (frame 4) the spine is bent by "),
+        ((0.0, 20.0, 40.0, 40.0), (0, 1, 2, 3), "at 40 N (frame 3) the spine is bent by 6."),
+    ],
+    ids=["on the way back", "without force again", "held"],
+)
+def test_creep_between_frames_of_the_same_force(sound, forces, shown, said):
+    case = back_again(sound, forces, shown)
+    assert set(case.doubts()) == {"same force, same bending"}
+    check = case.check("same force, same bending")
+    assert check.text.startswith(f"push 'main': {said}")
+    assert "look for creep between the frames or friction on the way back" in check.text
+    assert check.value > 2.0 * check.limit
+
+
+def test_the_same_way_back_passes(sound):
+    same = back_again(sound, (0.0, 20.0, 40.0, 60.0, 40.0, 0.0), (0, 1, 2, 3, 2, 0)).check("same force, same bending")
+    assert same.passed
+    assert same.value == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_force_read_a_little_otherwise_is_compared_where_the_way_up_had_it(sound):
+    off = {}
+    for force in (36.0, 38.0):
+        case = back_again(sound, (0.0, 20.0, 40.0, 60.0, force), (0, 1, 2, 3, 2))
+        off[force] = case.check("same force, same bending").value
+    assert off[36.0] == pytest.approx(2.0 * off[38.0])
+    assert off[38.0] > 0.1
+
+
+def test_forces_that_only_grow_have_nothing_to_be_held_against(sound):
+    for case in (sound, sound.with_push(forces_n=FORCES[::-1]), sound.with_push(forces_n=(0.0, 20.0, 60.0, 40.0))):
+        assert "same force, same bending" not in [check.name for check in case.checks()]
+
+
 def test_forces_in_reverse_order(sound):
     doubts = sound.with_push(forces_n=FORCES[::-1]).doubts()
     assert "forces in reverse order" in doubts["motion along the push"]

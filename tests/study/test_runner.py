@@ -94,7 +94,7 @@ def test_the_record_of_a_run(finished):
 
 def test_every_result_says_its_form(finished):
     paths = [path for path in (finished.folder / "results").glob("*.json") if path.name != "run.json"]
-    assert len(paths) == 5
+    assert len(paths) == 6
     for path in paths:
         assert read_json(path)["schema_version"] == OUTCOME_VERSION, path.name
 
@@ -139,7 +139,7 @@ def test_nothing_changed_nothing_is_redone(subject, dry):
 
 def test_a_new_annotation_has_tracking_and_what_follows_redone(subject, dry):
     annotate_anew(subject)
-    assert dry(opened(subject)) == ["track", *AFTER["estimate"]]
+    assert dry(opened(subject)) == ["track", "response", *AFTER["estimate"]]
     lines = []
     assert dry(opened(subject), observer=lines.append) == []
     assert lines == UP_TO_DATE
@@ -173,10 +173,10 @@ def move_corner(image):
     [
         ("subject.json", set_height, AFTER["personalise"]),
         ("subject.json", set_role, AFTER["estimate"]),
-        ("subject.json", set_force, ["track", *AFTER["estimate"]]),
-        ("subject.json", set_distance, ["track", *AFTER["personalise"]]),
-        ("annotation.json", move_corner("rest/frontal"), AFTER["personalise"]),
-        ("annotation.json", move_corner("push/second"), ["track", *AFTER["estimate"]]),
+        ("subject.json", set_force, ["track", "response", *AFTER["estimate"]]),
+        ("subject.json", set_distance, ["track", "response", *AFTER["personalise"]]),
+        ("annotation.json", move_corner("rest/frontal"), ["response", *AFTER["personalise"]]),
+        ("annotation.json", move_corner("push/second"), ["track", "response", *AFTER["estimate"]]),
     ],
     ids=["height", "role", "force", "geometry", "rest", "push"],
 )
@@ -219,7 +219,7 @@ def test_without_a_truth_what_was_compared_with_one_stays(subject, dry):
 
 def test_what_is_redone_without_a_truth_is_compared_with_none(subject, dry):
     annotate_anew(subject)
-    assert dry(open_visit(subject)) == ["track", *AFTER["estimate"]]
+    assert dry(open_visit(subject)) == ["track", "response", *AFTER["estimate"]]
     run = read_json(subject / "results" / "run.json")["steps"]
     assert run["assess"]["settings"] == run["report"]["settings"] == {"truth": None}
     assert dry(open_visit(subject)) == []
@@ -229,7 +229,8 @@ def test_what_is_redone_without_a_truth_is_compared_with_none(subject, dry):
 @pytest.mark.parametrize(
     ("name", "redone"),
     [
-        ("tracked.json", ["track", *AFTER["estimate"]]),
+        ("tracked.json", ["track", "response", *AFTER["estimate"]]),
+        ("response.json", ["response", "report"]),
         ("torso.npz", AFTER["personalise"]),
         ("personalised.json", AFTER["personalise"]),
         ("estimate.json", AFTER["estimate"]),
@@ -256,7 +257,7 @@ def test_whatever_was_done_to_a_result_it_is_made_again(subject, dry, text):
     (subject / "results" / "estimate.json").write_text(text)
     lines = []
     assert dry(opened(subject), observer=lines.append) == AFTER["estimate"]
-    assert lines[2:3] == ["estimate: results/estimate.json is not as it was written; made again"]
+    assert lines[3:4] == ["estimate: results/estimate.json is not as it was written; made again"]
 
 
 @pytest.mark.parametrize("text", ["{}", "null", "[]", "{", '{"schema_version": 99, "version": "1", "steps": {}}'])
@@ -330,6 +331,7 @@ def test_a_failing_estimate_keeps_the_earlier_one(subject, error):
     ("lost", "step", "maker"),
     [
         ("tracked.json", "estimate", "track"),
+        ("response.json", "report", "response"),
         ("torso.npz", "estimate", "personalise"),
         ("personalised.json", "estimate", "personalise"),
         ("estimate.json", "assess", "estimate"),

@@ -8,8 +8,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from spinestiff.study.wording import MISSING, badge, estimated, fixed, interval, listed, number
+from spinestiff.study.wording import (
+    MISSING,
+    badge,
+    estimated,
+    fixed,
+    interval,
+    listed,
+    number,
+    response_lines,
+)
 from spinestiff.subject.outcome_parts import Quantity
+from spinestiff.subject.outcomes import AngleResponse, Flexibility, ForcePerDegree, PushResponse, Responses
 
 
 def quantity(value, low, high, opens=(False, False)):
@@ -91,3 +101,42 @@ def test_the_badge_is_never_how_the_search_ended(status, determined, word):
 )
 def test_listed(parts, text):
     assert listed(parts) == text
+
+
+def answered(levels, change, force, scatter=None, rest=25.0):
+    low, value, high = force
+    return AngleResponse(
+        levels=levels, frames=(0, 1), rest_deg=rest, change_deg=change, change_sd_deg=0.5, scatter=scatter,
+        n_per_degree=ForcePerDegree(value=value, low=low, high=high),
+    )  # fmt: skip
+
+
+def lines_of(**push):
+    return response_lines(
+        Responses(gauge_scale_sd=0.02, gauge_zero_sd_n=1.5, pushes={"main": PushResponse(force_n=60.0, **push)})
+    )
+
+
+def test_response_lines():
+    curve = answered(("T5", "T11"), -17.5, (2.9, 3.4286, 4.12))
+    tilt = answered(("T6", "L1"), 19.0, (3.05, 3.158, 3.26), scatter=1.2)
+    assert lines_of(tilt=tilt, curve=curve, flexibility=Flexibility(percent=70.0, low=61.0, high=81.2)) == [
+        "push 'main': 3.4 (2.9 to 4.1) N per degree of the curve T5–T11, up to 60 N",
+        "push 'main': 3.16 (3.05 to 3.26) N per degree of tilt between T6 and L1, the most that any two turned",
+        "push 'main': flexibility at 60 N: 70 % (61 to 81 %); 25.0° without force, 17.5° ± 1.0° less under it",
+    ]
+
+
+def test_response_lines_of_what_is_not_known():
+    curve = answered(("T5", "T11"), 0.3, (47.3, None, None), scatter=3.14, rest=0.4)
+    nothing = Flexibility(percent=None, low=None, high=None)
+    found = lines_of(tilt=curve, curve=curve, flexibility=nothing)
+    assert found[0] == "push 'main': at least 47 N per degree of the curve T5–T11, up to 60 N"
+    unknown = "not known, the curve does not stand out from its errors"
+    assert found[2] == f"push 'main': flexibility at 60 N: {unknown}; 0.4° without force, 0.3° ± 1.0° more under it"
+    assert found[3].startswith("push 'main': the curve is off a straight line over the force by 3.1 times its errors")
+    assert found[4].startswith("push 'main': tilt between T5 and T11 is off a straight line")
+    assert len(found) == 5
+    assert lines_of(missing="no usable frame without force") == [
+        "push 'main': no N per degree: no usable frame without force"
+    ]

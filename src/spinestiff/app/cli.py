@@ -170,6 +170,12 @@ def frames(
 
 
 @app.command()
+def response(folder: Folder, redo: Force = False) -> None:
+    """N per degree of each push, and flexibility: from the corners alone, without a model."""
+    _print_response(_steps(folder, ("response",), redo))
+
+
+@app.command()
 def personalise(folder: Folder, mesh: Mesh = "coarse", redo: Force = False) -> None:
     """Shape the torso to the rest radiographs."""
     _steps(folder, ("personalise",), redo, mesh=mesh)
@@ -222,7 +228,7 @@ def run(
     truth: Truth = None,
     redo: Force = False,
 ) -> None:
-    """All steps: track, personalise, estimate, assess, report. Only what changed is redone."""
+    """All steps: track, response, personalise, estimate, assess, report. Only what changed is redone."""
     from spinestiff.study.runner import STEPS
 
     visit = _steps(folder, STEPS, redo, mesh=mesh, method=method, orientation=orientation, truth=truth)
@@ -411,6 +417,16 @@ def _assess(visit: Any) -> None:
         typer.echo(f"true ratios inside the joint 95 % region: {'yes' if inside else 'no'}")
 
 
+def _print_response(visit: Any) -> None:
+    from spinestiff.study.wording import response_lines
+    from spinestiff.subject.outcomes import Responses
+    from spinestiff.subject.run_record import read_outcome
+
+    typer.echo("Without a model (95 % intervals):")
+    for line in response_lines(read_outcome(visit.subject, Responses)):
+        typer.echo(line)
+
+
 def _print_estimate(visit: Any) -> None:
     from spinestiff.app import tables
     from spinestiff.subject.outcomes import Estimate
@@ -430,6 +446,7 @@ def _print_estimate(visit: Any) -> None:
 
 
 def _summary(visit: Any) -> None:
+    _print_response(visit)
     _print_estimate(visit)
     _assess(visit)
     typer.echo(f"report: {visit.file('report.html')}")

@@ -68,7 +68,8 @@ def _side(name: str | None) -> Side | None:
 def _of_folder(
     folder: Path, definition: Definition, as_json: bool, noise_px: float | None, picture: Path | None, force: bool
 ) -> int:
-    from spinestiff.curves.pushes import cobb_frames, cobb_rows
+    from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses
+    from spinestiff.study.wording import response_lines
     from spinestiff.subject.folder import check_output_beside, read_subject
 
     subject = read_subject(folder)
@@ -80,6 +81,9 @@ def _of_folder(
         tables.show_json([frame.as_dict() for frame in frames])
     else:
         tables.show(tables.cobb_table(cobb_rows(frames)))
+        if len(frames) > 1:
+            for line in response_lines(push_responses(subject)):
+                print(line)
     return 0
 
 

@@ -177,7 +177,7 @@ def read_cobb(
         points = ordered.corners * [-1.0 if mirrored else 1.0, -1.0]
         points = points if mirrored else points[:, [1, 0, 3, 2]]
         if noise is None and image.unit == "px":
-            noise = max(_usual_noise(points), LEAST_NOISE_PX)
+            noise = max(usual_noise(points), LEAST_NOISE_PX)
         curves, largest, noise = spine_curves(ordered.levels, points, definition, noise)
     except SpinestiffError as error:
         return CobbReading(image.image, "refused", (str(error),), definition)
@@ -230,8 +230,8 @@ def spine_curves(
     main = cobb_angle(spine)
     largest = (main.degrees, levels.index(main.upper), levels.index(main.lower))
     ends = [*reversed(_chain(spine, largest, upwards=True)), largest, *_chain(spine, largest, upwards=False)]
-    noise = _usual_noise(points) if noise is None else noise
-    sds = _tilt_sds(points, definition, noise)
+    noise = usual_noise(points) if noise is None else noise
+    sds = tilt_sds(points, definition, noise)
     middles = points.mean(axis=1)
     curves = []
     for degrees, i, j in ends:
@@ -272,19 +272,27 @@ def _widths(points: Floats) -> Floats:
     return np.hypot(*across.T)
 
 
-def _usual_noise(points: Floats) -> float:
+def usual_noise(points: Floats) -> float:
+    """Standard deviation of a coordinate of annotated corners (V, 4, 2): 2 % of the vertebrae's median width."""
     return NOISE_OF_WIDTH * float(np.median(_widths(points)))
 
 
-def _tilt_sds(points: Floats, definition: Definition, noise: float) -> Floats:
-    """(2, V) rad, standard deviation of the tilt of upper and lower endplate (or of the mid-line, twice).
+def tilt_sds(points: Floats, definition: Definition, noise: float | Floats) -> Floats:
+    """Standard deviation of the tilt of upper and lower endplate, or of the mid-line twice, (2, V) rad.
 
     A line between two points of noise s turns by s sqrt(2) / length; between the middles of two pairs by s / length.
+
+    Parameters
+    ----------
+    points : (V, 4, 2) as ``spine_curves`` takes them.
+    noise : standard deviation of each coordinate, for all corners or (V, 4) for each, in the points' unit.
     """
+    each = np.broadcast_to(np.asarray(noise, dtype=float), points.shape[:2])
     if definition == "midline":
-        return np.tile(noise / _widths(points), (2, 1))
+        return np.tile(0.5 * np.linalg.norm(each, axis=1) / _widths(points), (2, 1))
     plates = np.stack([points[:, 1] - points[:, 0], points[:, 2] - points[:, 3]])
-    return np.asarray(noise * np.sqrt(2.0) / np.hypot(plates[..., 0], plates[..., 1]))
+    sds = np.stack([np.hypot(each[:, 0], each[:, 1]), np.hypot(each[:, 2], each[:, 3])])
+    return np.asarray(sds / np.hypot(plates[..., 0], plates[..., 1]))
 
 
 def _apex(levels: tuple[str, ...], middles: Floats) -> float:

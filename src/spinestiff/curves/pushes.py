@@ -1,4 +1,4 @@
-"""Cobb angles of a subject's own images: at rest, and in every frame of its pushes with the change since its start."""
+"""Cobb angles of a subject's images, at rest and in every frame of its pushes, and the N per degree of each push."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from spinestiff.curves.cobb import DEFINITIONS, CobbReading, Definition, read_cobb_of_view
-from spinestiff.curves.tilts import CobbChange, change_between
+from spinestiff.curves.response import GAUGE, FrameCorners, GaugeError, push_response
+from spinestiff.curves.tilts import CobbChange, change_between, tilts
 from spinestiff.imaging.features import VertebraCorners, picture_axes
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.subject.folder import Subject, image_corners, read_rest
-from spinestiff.subject.outcomes import Tracked
+from spinestiff.subject.outcomes import Responses, Tracked, TrackedPush
 from spinestiff.subject.run_record import read_outcome
 
 
@@ -63,6 +64,40 @@ def cobb_frames(
             name = f"{push} frame {index}, {force:.0f} N"
             frames.append(CobbFrame(_reading(name, usable[index], view, definition, noise_px), change))
     return frames
+
+
+def push_responses(subject: Subject, gauge: GaugeError = GAUGE) -> Responses:
+    """N per degree and flexibility of every push, from the tracked frames; no model is asked.
+
+    Raises
+    ------
+    SubjectError : the pushes have not been tracked, or the rest image can't be read.
+    """
+    tracked = read_outcome(subject, Tracked).pushes
+    view = read_rest(subject, "frontal").view
+    at_rest = image_corners(subject, "rest/frontal", view)
+    rest = tilts(at_rest.vertebrae, at_rest.corners, view)
+    return Responses(
+        gauge_scale_sd=gauge.scale,
+        gauge_zero_sd_n=gauge.zero_n,
+        pushes={name: push_response(usable_frames(found), rest, gauge) for name, found in tracked.items()},
+    )
+
+
+def usable_frames(push: TrackedPush) -> list[FrameCorners]:
+    """The frames of a push that tracking did not drop, as a clinician sees them."""
+    view = push.view.view()
+    axes = np.stack(picture_axes(view), axis=1)
+    found = []
+    for index, frame in enumerate(push.frames):
+        if frame.dropped:
+            continue
+        corners = push.corners(index)
+        # Of frames between two annotated ones both count; the nearer one weighs more.
+        origin = min(push.annotated_frames, key=lambda one: abs(one - index), default=0)
+        points = view.to_patient_plane(corners.corners) @ axes
+        found.append(FrameCorners(index, frame.force_n, corners.vertebrae, points, corners.quality, origin))
+    return found
 
 
 def cobb_rows(frames: Sequence[CobbFrame]) -> list[tuple[str, str, str, str, str]]:

@@ -22,6 +22,7 @@ from spinestiff.imaging.features import picture_axes, vertebra_rows
 from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY
 from spinestiff.personalise.fitness import VertebraFit
 from spinestiff.personalise.shape import Personalised
+from spinestiff.study.frame_selection import SAME_FORCE
 from spinestiff.study.misfit import Explanation, Spines, explanations, motion, moved, rms, spines, strays
 from spinestiff.study.trials import PushSet, PushTrial
 from spinestiff.subject.outcomes import Check
@@ -62,8 +63,8 @@ class Limits:
     stray_mm, stray_sd : the same of one vertebra about its neighbours.
     moved_mm, moved_share : of the training frames' motion about the fitted one: stance, and share of the motion.
     stray_moved_mm, stray_moved_share : the same of one vertebra about its neighbours.
-    fall_mm, fall_share : by which the bending may fall from one frame to one of more force: absolute, and as a share
-        of the greatest bending of the push.
+    fall_mm, fall_share : by which the bending may fall from one frame to one of more force, or differ between two of
+        the same: absolute, and as a share of the greatest bending of the push.
     against_mm : by which a spine may move against the push.
     """
 
@@ -149,7 +150,9 @@ def judge(
     found = [*_identity(identities, limits), _force_scale(pushes.training, limits)]
     for push in record.pushes:
         mine = [trial for trial in pushes.trials if trial.push == push.id]
-        found += [_growth(pushes, push, mine, limits), _direction(pushes, push, mine, limits)]
+        bending = _bending(pushes, mine)
+        found += [_growth(push, bending, limits), *_repeated(push, bending, limits)]
+        found.append(_direction(pushes, push, mine, limits))
     found += [_length(record, shape, limits), _sizes(record, shape, limits), *_rest_pictures(shape, limits)]
     sd = float(np.clip(shape.corner_sd_mm, limits.least_sd_mm, limits.most_sd_mm))
     for push in record.pushes:
@@ -220,10 +223,9 @@ def _force_scale(training: Sequence[PushTrial], limits: Limits) -> Check:
     )
 
 
-def _growth(pushes: PushSet, push: PushRecord, trials: Sequence[PushTrial], limits: Limits) -> Check:
+def _growth(push: PushRecord, bending: Sequence[tuple[PushTrial, float]], limits: Limits) -> Check:
     name = "motion grows with force"
-    bending = _bending(pushes, trials)
-    if bending is None:
+    if len({trial.force_n for trial, _ in bending}) < 3:
         return _impossible(name, f"push '{push.id}' has fewer than two forces above its least in usable frames")
     ordered = combinations(sorted(bending, key=lambda one: one[0].force_n), 2)
     falls = [(back - forth, less, more) for (less, back), (more, forth) in ordered if more.force_n > less.force_n]
@@ -239,23 +241,57 @@ def _growth(pushes: PushSet, push: PushRecord, trials: Sequence[PushTrial], limi
     return _check(name, found, max(fall, 0.0), limit, fall <= limit, causes)
 
 
-def _bending(pushes: PushSet, trials: Sequence[PushTrial]) -> list[tuple[PushTrial, float]] | None:
+def _repeated(push: PushRecord, bending: Sequence[tuple[PushTrial, float]], limits: Limits) -> Iterator[Check]:
+    """Frames under a force that the push had reached before, against the frame of about this force on the way up.
+
+    Where the two forces are not quite equal, the way up is followed to the later one. No check for a push whose forces
+    only grow.
+    """
+    ordered = sorted(bending, key=lambda one: one[0].frame)
+    up: list[tuple[PushTrial, float]] = []
+    found: list[tuple[float, PushTrial, PushTrial, float]] = []
+    near = SAME_FORCE * max((trial.force_n for trial, _ in bending), default=0.0)
+    for trial, bent in ordered:
+        if not up or trial.force_n > up[-1][0].force_n:
+            up.append((trial, bent))
+            continue
+        before = min((one for one, _ in up), key=lambda one: abs(one.force_n - trial.force_n))
+        if up[0][0].force_n <= trial.force_n and abs(before.force_n - trial.force_n) <= near:
+            way = float(np.interp(trial.force_n, [one.force_n for one, _ in up], [mm for _, mm in up]))
+            found.append((bent - way, before, trial, way))
+    if not found:
+        return
+    off, before, again, way = max(found, key=lambda one: abs(one[0]))
+    limit = limits.fall_mm + limits.fall_share * max(mm for _, mm in bending)
+    yield _check(
+        "same force, same bending",
+        f"push '{push.id}': at {again.force_n:g} N (frame {again.frame}) the spine is bent by {way + off:.1f} mm, "
+        f"where it was bent by {way:.1f} mm before (frame {before.frame}, {before.force_n:g} N)",
+        abs(off),
+        limit,
+        abs(off) <= limit,
+        "creep between the frames or friction on the way back (train on frames of one way), a patient who moved, "
+        "exchanged forces, lost tracking",
+    )
+
+
+def _bending(pushes: PushSet, trials: Sequence[PushTrial]) -> list[tuple[PushTrial, float]]:
     """The frames of a push and how far, mm, the spine bent in each from that of least force, along the largest bending.
 
-    Shifts and turns of the whole picture, as of a patient who gave way, are taken out. None for fewer than two frames
-    of different forces beside the reference.
+    Shifts and turns of the whole picture, as of a patient who gave way, are taken out. Empty without a loaded frame
+    beside that of least force, the reference.
     """
     reference = min(trials, key=lambda trial: trial.force_n, default=None)
-    loaded = [trial for trial in trials if reference is not None and trial.force_n > reference.force_n]
-    if reference is None or len({trial.force_n for trial in loaded}) < 2:
-        return None
-    bent = np.full((len(loaded), len(pushes.torso.vertebrae), 4, 2), np.nan)
-    for shape, trial in zip(bent, loaded):
+    if reference is None or all(trial.force_n == reference.force_n for trial in trials):
+        return []
+    others = [trial for trial in trials if trial is not reference]
+    bent = np.full((len(others), len(pushes.torso.vertebrae), 4, 2), np.nan)
+    for shape, trial in zip(bent, others):
         rows, start, end = motion(pushes.torso, trial.trial, reference.trial)
         shape[rows] = end - moved(start, end)
     largest = max(bent, key=_size)
     along = [(reference, 0.0)]
-    for trial, shape in zip(loaded, bent):
+    for trial, shape in zip(others, bent):
         both = np.isfinite(shape) & np.isfinite(largest)
         share = float(shape[both] @ largest[both] / (largest[both] @ largest[both]))
         along.append((trial, share * _size(largest)))

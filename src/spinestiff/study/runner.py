@@ -1,6 +1,7 @@
 """The steps from a subject folder to its results, in order; each is redone only when what it was made from changed.
 
-``track`` -> ``personalise`` -> ``estimate`` -> ``assess`` -> ``report``. Results go to ``results/`` in the folder.
+``track`` -> ``response`` -> ``personalise`` -> ``estimate`` -> ``assess`` -> ``report``. Results go to ``results/`` in
+the folder.
 ``view``, the 3D page alone, needs no report; the report brings it along. ``frames`` needs the tracking alone.
 """
 
@@ -29,13 +30,14 @@ from spinestiff.subject.run_record import (
     step_record,
 )
 
-STEPS = ("track", "personalise", "estimate", "assess", "report")
+STEPS = ("track", "response", "personalise", "estimate", "assess", "report")
 PUSHES, ROLES = f"{SUBJECT_FILE}: pushes", f"{SUBJECT_FILE}: roles"
 XRAY, FORCES, BODY = (f"{SUBJECT_FILE}: {part}" for part in ("X-ray geometry", "frames and forces", "body"))
 REST_MARKS, PUSH_MARKS = f"{ANNOTATION_FILE}: rest", f"{ANNOTATION_FILE}: pushes"
 SHAPE = ("torso.npz", "personalised.json")
 MADE_BY = {
     "tracked.json": "track",
+    "response.json": "response",
     "torso.npz": "personalise",
     "personalised.json": "personalise",
     "estimate.json": "estimate",
@@ -92,6 +94,13 @@ ALL_STEPS: Mapping[str, Step] = {
         ("tracked.json",),
         lambda visit: ("frames.json", "frames.png"),
     ),
+    "response": Step(
+        step_functions.response_step,
+        (XRAY, FORCES, REST_MARKS),
+        ("rest",),
+        ("tracked.json",),
+        lambda visit: ("response.json",),
+    ),
     "personalise": Step(
         step_functions.personalise_step,
         (XRAY, BODY, REST_MARKS),
@@ -124,7 +133,7 @@ ALL_STEPS: Mapping[str, Step] = {
         step_functions.report_step,
         (PUSHES, ROLES, BODY, XRAY, REST_MARKS, PUSH_MARKS),
         ("rest", "push"),
-        ("tracked.json", *SHAPE, "estimate.json", "assessment.json", "predictions.npz"),
+        ("tracked.json", "response.json", *SHAPE, "estimate.json", "assessment.json", "predictions.npz"),
         lambda visit: ("report.html", "view.html"),
         _truth,
     ),

@@ -13,6 +13,7 @@ from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.curves.pushes import push_responses
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.fit import FitStep, StiffnessFit, fit_stiffness
 from spinestiff.files import write_bytes
@@ -39,6 +40,7 @@ from spinestiff.study.support_notes import support_notes
 from spinestiff.study.trials import PushSet
 from spinestiff.study.truth import compare_with_truth, read_truth
 from spinestiff.study.visit import Visit, load_pushes
+from spinestiff.study.wording import response_lines
 from spinestiff.study.written import estimate_record, geometry_record, proposal_record
 from spinestiff.subject.folder import (
     image_corners,
@@ -116,6 +118,14 @@ def frames_step(visit: Visit, say: Observer) -> None:
     records = [proposal_record(proposal, push) for push, found in zip(subject.pushes, proposals) for proposal in found]
     write_bytes(visit.file("frames.png"), strip)
     write_outcome(subject, FrameProposals(frames=tuple(records)))
+
+
+def response_step(visit: Visit, say: Observer) -> None:
+    """N per degree of each push and flexibility, without a model; writes ``response.json``."""
+    responses = push_responses(visit.subject)
+    for line in response_lines(responses):
+        say(line)
+    write_outcome(visit.subject, responses)
 
 
 def subject_template(record: SubjectRecord, mesh: str) -> TorsoModel:

@@ -6,13 +6,17 @@ import math
 from collections.abc import Iterable
 
 from spinestiff.subject.outcome_parts import Quantity
-from spinestiff.subject.outcomes import Estimate
+from spinestiff.subject.outcomes import AngleResponse, Estimate, Flexibility, PushResponse, Responses
 
 MISSING = "not available"
 AT_AN_END = 1.001
 """Factor within which a value is its interval's end."""
 SURE = 0.05
 """Standard deviation of a logarithm below which a number has three significant digits; else it has two."""
+
+OFF_LINE = 2.0
+"""Scatter about a straight line, in errors, that is worth a word."""
+HALF_WIDTH_95 = 1.96
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -73,6 +77,59 @@ def _bound(value: float) -> str:
 def badge(estimate: Estimate) -> str:
     """The word or two that stand above a result: doubtful, or how far it is determined."""
     return "doubtful" if estimate.status == "DOUBTFUL" else estimate.determined
+
+
+def response_lines(responses: Responses) -> list[str]:
+    """What each push says without a model, one or several lines a push."""
+    return [f"push '{name}': {text}" for name, push in responses.pushes.items() for text in response_texts(push)]
+
+
+def response_texts(push: PushResponse) -> list[str]:
+    """N per degree of the curve and of tilt, and flexibility; of a push without numbers the reason."""
+    if push.tilt is None or push.curve is None or push.flexibility is None:
+        return [f"no N per degree: {push.missing}"]
+    tilt = "tilt between {} and {}".format(*push.tilt.levels)
+    texts = [
+        f"{force_per_degree(push.curve)} N per degree of the curve {_levels(push.curve)}, up to {push.force_n:g} N",
+        f"{force_per_degree(push.tilt)} N per degree of {tilt}, the most that any two turned",
+        f"flexibility at {push.force_n:g} N: {flexibility(push.flexibility)}; {changed(push.curve)}",
+    ]
+    wide = [(what, one.scatter) for what, one in (("the curve", push.curve), (tilt, push.tilt)) if one.scatter]
+    texts += [
+        f"{what} is off a straight line over the force by {number(scatter, 2)} times its errors; its interval allows "
+        "for that"
+        for what, scatter in wide
+        if scatter > OFF_LINE
+    ]
+    return texts
+
+
+def force_per_degree(found: AngleResponse) -> str:
+    """The value with its 95 % interval, "3.4 (2.9 to 4.1)", or "at least 12"."""
+    force = found.n_per_degree
+    if force.value is None or force.high is None:
+        return f"at least {number(force.low, 2)}"
+    # An interval as narrow as 2 % either way is read with a digit more.
+    digits = 3 if math.log(force.high / force.low) < 4.0 * SURE else 2
+    return f"{number(force.value, digits)} ({number(force.low, digits)} to {number(force.high, digits)})"
+
+
+def flexibility(found: Flexibility) -> str:
+    """E.g. "34 % (28 to 41 %)"."""
+    if found.percent is None:
+        return "not known, the curve does not stand out from its errors"
+    return f"{fixed(found.percent, 0)} % ({fixed(found.low, 0)} to {fixed(found.high, 0)} %)"
+
+
+def changed(found: AngleResponse) -> str:
+    """What the push did to the curve, e.g. "25.0° without force, 8.5° ± 0.9° less under it"."""
+    which = "less" if found.change_deg * found.rest_deg < 0.0 else "more"
+    error = fixed(HALF_WIDTH_95 * found.change_sd_deg)
+    return f"{fixed(abs(found.rest_deg))}° without force, {fixed(abs(found.change_deg))}° ± {error}° {which} under it"
+
+
+def _levels(found: AngleResponse) -> str:
+    return "–".join(found.levels)
 
 
 def listed(parts: Iterable[str]) -> str:

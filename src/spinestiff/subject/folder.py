@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from spinestiff.imaging.radiograph import Radiograph
 
 READ_AGAIN = (
-    "run.json", "tracked.json", "frames.json", "torso.npz", "personalised.json", "training.npz", "estimate.json",
-    "predictions.npz", "assessment.json", "comparison.json",
+    "run.json", "tracked.json", "response.json", "frames.json", "torso.npz", "personalised.json", "training.npz",
+    "estimate.json", "predictions.npz", "assessment.json", "comparison.json",
 )  # fmt: skip
 """Files in ``results/`` that steps and tables read; the rest is for people."""
 MOST_INPUT_BYTES = MOST_BYTES + MOST_HEADER_BYTES

@@ -161,6 +161,88 @@ class FrameProposals(OutcomeFile):
     frames: tuple[FrameProposal, ...]
 
 
+class ForcePerDegree(Outcome):
+    """N per degree of an angle under one push, its size without a sign.
+
+    Attributes
+    ----------
+    value : None = the angle did not change beyond its errors, so that only ``low`` is known.
+    low, high : 95 % interval; ``high`` is None where ``value`` is.
+    """
+
+    value: float | None
+    low: float
+    high: float | None
+
+
+class AngleResponse(Outcome):
+    """How an angle between two fixed vertebrae answers a push (``curves.response``).
+
+    Attributes
+    ----------
+    levels : upper and lower vertebra. frames : that it was read in.
+    rest_deg : without force, signed. change_deg, change_sd_deg : from there to the largest force, by the corners.
+    n_per_degree : over all these frames.
+    scatter : of the frames about a straight line over the force, over what their errors explain; above 1 it has
+        widened the interval. None with a single loaded frame.
+    """
+
+    levels: tuple[VertebraName, VertebraName]
+    frames: tuple[int, ...]
+    rest_deg: float
+    change_deg: float
+    change_sd_deg: float
+    n_per_degree: ForcePerDegree
+    scatter: float | None
+
+
+class Flexibility(Outcome):
+    """By how much of itself the curve became smaller under the largest force; below 0 it grew.
+
+    Attributes
+    ----------
+    percent, low, high : with the 95 % interval. None where the curve at rest does not stand out from its errors.
+    """
+
+    percent: float | None
+    low: float | None
+    high: float | None
+
+
+class PushResponse(Outcome):
+    """What one push says without a model.
+
+    Attributes
+    ----------
+    force_n : the largest in a usable frame.
+    tilt : of the largest change of tilt between two vertebrae, chosen at that force.
+    curve : of the Cobb angle between the end vertebrae of the rest picture.
+    missing : why there are no numbers, or empty.
+    """
+
+    force_n: float
+    tilt: AngleResponse | None = None
+    curve: AngleResponse | None = None
+    flexibility: Flexibility | None = None
+    missing: str = ""
+
+    @model_validator(mode="after")
+    def _says_why(self) -> Self:
+        if (None in (self.tilt, self.curve, self.flexibility)) != bool(self.missing):
+            raise ValueError("missing: wanted a reason where there are no numbers, and only there")
+        return self
+
+
+class Responses(OutcomeFile):
+    """``response.json``: what each push says without a model, and the gauge's errors assumed (standard deviations)."""
+
+    FILE: ClassVar[str] = "response.json"
+    STEP: ClassVar[str] = "response"
+    gauge_scale_sd: float
+    gauge_zero_sd_n: float
+    pushes: dict[str, PushResponse]
+
+
 class VertebraFitRecord(Outcome):
     """How well a vertebra fits a rest radiograph (``personalise.fitness.VertebraFit``)."""
 

@@ -19,6 +19,7 @@ from spinestiff.anatomy.files import write_torso
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
+from spinestiff.curves.pushes import push_responses
 from spinestiff.errors import SubjectError
 from spinestiff.files import write_json
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
@@ -35,6 +36,7 @@ from spinestiff.study.report.viewer.page import script_hash
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.truth import read_truth
 from spinestiff.study.visit import Visit, load_pushes, open_visit
+from spinestiff.study.wording import response_texts
 from spinestiff.subject.folder import write_annotation, write_subject
 from spinestiff.subject.outcome_parts import OutcomeFile, ViewRecord
 from spinestiff.subject.outcomes import (
@@ -43,6 +45,7 @@ from spinestiff.subject.outcomes import (
     Estimate,
     GeometryRecord,
     RatioEstimate,
+    Responses,
     Tracked,
     TrackedPush,
 )
@@ -130,6 +133,8 @@ def make_visit(folder: Path, side: int = 256, seed: int = 1) -> Visit:
     for outcome in (Tracked(pushes=tracked), geometry_record(views, torso.vertebrae), estimate_record()):
         write_outcome(made.subject, outcome)
         register(made.subject, outcome.STEP, outcome.FILE)
+    write_outcome(made.subject, push_responses(made.subject))
+    register(made.subject, "response", Responses.FILE)
     pushes = load_pushes(made, "procrustes")
     models = {"default": None, "fit": stiffness_ratios(ESTIMATE, torso.joints.kinds)}
     write_solved(made.file("predictions.npz"), stored(predict(pushes, models, {}, lambda line: None)))
@@ -411,6 +416,16 @@ def test_numbers_stand_in_the_text(page: Page) -> None:
     ):  # fmt: skip
         assert expected in words, expected
     assert not re.search(r"\b([nN]a[nN]|None|inf|Infinity|[uU]ndefined)\b", words)
+
+
+def test_what_needs_no_model_stands_before_the_estimate(visit: Visit, page: Page) -> None:
+    responses = read_outcome(visit.subject, Responses)
+    texts = [text for push in responses.pushes.values() for text in response_texts(push)]
+    assert len(texts) >= 6
+    places = [page.words.index(text[0].upper() + text[1:]) for text in texts]
+    assert places == sorted(places)
+    assert places[-1] < page.words.index("Estimate: determined")
+    assert "a gauge known to 2 % and 1.5 N" in page.words
 
 
 def test_missing_values_say_so(page: Page) -> None:

@@ -11,7 +11,7 @@ from spinestiff.curves.pushes import rest_reading
 from spinestiff.study.plain import BENDING
 from spinestiff.study.truth import read_truth
 from spinestiff.study.visit import Visit
-from spinestiff.study.wording import MISSING, badge, estimated, fixed, interval, listed, number
+from spinestiff.study.wording import MISSING, badge, estimated, fixed, interval, listed, number, response_texts
 from spinestiff.subject.outcome_parts import Determination, PoseRecord
 from spinestiff.subject.outcomes import (
     Assessment,
@@ -22,6 +22,7 @@ from spinestiff.subject.outcomes import (
     HeldOutFrame,
     RatioEstimate,
     Reactions,
+    Responses,
     Tracked,
 )
 
@@ -91,6 +92,14 @@ def subject_content(visit: Visit) -> dict[str, Any]:
             "Cobb angle at rest": shown,
             "Largest push": f"{largest:.0f} N",
         },
+    }
+
+
+def response_content(responses: Responses) -> dict[str, Any]:
+    """What each push says without a model, and the gauge's errors that were assumed."""
+    return {
+        "pushes": [{"name": name, "texts": response_texts(push)} for name, push in responses.pushes.items()],
+        "gauge": f"{100.0 * responses.gauge_scale_sd:g} % and {responses.gauge_zero_sd_n:g} N",
     }
 
 

@@ -33,6 +33,7 @@ from spinestiff.study.report.content import (
     millimetre_rows,
     prediction_content,
     reaction_rows,
+    response_content,
     result_content,
     subject_content,
     support_rows,
@@ -57,7 +58,7 @@ from spinestiff.study.truth import known_comparison, read_truth
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import fixed, listed, number
 from spinestiff.subject.folder import image_corners, read_push, read_rest
-from spinestiff.subject.outcomes import Assessment, Estimate, GeometryRecord, Tracked
+from spinestiff.subject.outcomes import Assessment, Estimate, GeometryRecord, Responses, Tracked
 from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import read_outcome
 from spinestiff.words import counted
@@ -112,6 +113,7 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
     album, films = _Album(), {push.id: read_push(subject, push) for push in subject.pushes}
     page = {
         "subject": subject_content(visit),
+        "response": response_content(read_outcome(subject, Responses)),
         "result": result_content(visit, estimate, assessment),
         "checks": check_rows(estimate.checks),
         "comparison": comparison_content(assessment),

@@ -1,0 +1,222 @@
+"""How a spine answers a push, without a model: N per degree of tilt and of the Cobb angle, and flexibility in percent.
+
+An angle between two fixed vertebrae is followed from the frame without force through the loaded ones. Its slope over
+the force, by generalised least squares, is the compliance; what is said is its inverse. The errors: each corner's, as
+its quality predicts it; the annotation's, shared by all frames that were tracked from one annotated frame, so that it
+drops out of a change and stays in the angle at rest; the gauge's scale and zero, shared by the frames of a push.
+docs/cobb.md has the definitions and what the intervals cover.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from spinestiff.arrays import Floats
+from spinestiff.curves.cobb import tilt_sds, usual_noise
+from spinestiff.curves.tilts import SpineTilts, cobb_angle, cobb_change, tilts_from_points
+from spinestiff.errors import SpinestiffError
+from spinestiff.imaging.tracking.quality import LOWEST_QUALITY, error_of
+from spinestiff.subject.outcomes import AngleResponse, Flexibility, ForcePerDegree, PushResponse
+
+NORMAL_95 = 1.96
+LEAST_ERROR_MM = 0.004
+"""Of a tracked corner: stored qualities have three digits, so that smaller predicted errors read as none."""
+CHOSEN_95 = 3.5
+"""As ``NORMAL_95`` for the largest of a spine's 136 pairs: which pair is largest is chosen by noise, too."""
+
+
+@dataclass(frozen=True)
+class GaugeError:
+    """Standard deviations of a gauge's errors, each shared by all frames of a push.
+
+    Attributes
+    ----------
+    scale : relative. zero_n : of every force above 0, N; without contact there is no force, whatever the gauge reads.
+    """
+
+    scale: float = 0.02
+    zero_n: float = 1.5
+
+    def __post_init__(self) -> None:
+        if not (self.scale >= 0.0 and self.zero_n >= 0.0):
+            raise SpinestiffError(f"gauge errors: wanted >= 0, found {self.scale} (scale) and {self.zero_n} N (zero)")
+
+
+GAUGE = GaugeError()
+
+
+@dataclass(frozen=True)
+class FrameCorners:
+    """A usable frame of a push.
+
+    Attributes
+    ----------
+    frame : index. force_n : as read.
+    vertebrae : (n,) head to foot.
+    points : (n, 4, 2) mm at the patient plane, as (towards the patient's left, upwards).
+    quality : (n, 4) of tracking.
+    origin : the annotated frame from which the corners come; frames of one origin share the annotation's errors.
+    """
+
+    frame: int
+    force_n: float
+    vertebrae: tuple[str, ...]
+    points: Floats
+    quality: Floats
+    origin: int = 0
+
+    @property
+    def whole(self) -> tuple[str, ...]:
+        """The vertebrae of which every corner was followed."""
+        return tuple(name for name, q in zip(self.vertebrae, self.quality) if q.min() >= LOWEST_QUALITY)
+
+    def of(self, names: tuple[str, ...]) -> tuple[Floats, Floats]:
+        """Points (k, 4, 2) and predicted errors (k, 4), mm, of vertebrae that are there."""
+        rows = [self.vertebrae.index(name) for name in names]
+        return self.points[rows], np.maximum(error_of(self.quality[rows]), LEAST_ERROR_MM)
+
+    def tilts(self, names: tuple[str, ...]) -> SpineTilts:
+        return tilts_from_points(names, self.of(names)[0])
+
+
+@dataclass(frozen=True)
+class _Followed:
+    """An angle between two fixed vertebrae through the frames that show both; degrees.
+
+    Attributes
+    ----------
+    levels : upper and lower.
+    frames : (n,) the first without force.
+    angle : (n,) signed. annotation, tracking : (n,) standard deviations; the first shared by frames of one origin.
+    """
+
+    levels: tuple[str, str]
+    frames: tuple[FrameCorners, ...]
+    angle: Floats
+    annotation: Floats
+    tracking: Floats
+
+    @property
+    def covariance(self) -> Floats:
+        """(n, n) of ``angle``."""
+        origin = np.array([frame.origin for frame in self.frames])
+        shared = np.outer(self.annotation, self.annotation) * (origin[:, None] == origin)
+        return np.asarray(shared + np.diag(self.tracking**2))
+
+    @property
+    def forces(self) -> Floats:
+        return np.array([frame.force_n for frame in self.frames])
+
+
+def push_response(frames: Sequence[FrameCorners], rest: SpineTilts, gauge: GaugeError = GAUGE) -> PushResponse:
+    """What the usable frames of one push say without a model.
+
+    Parameters
+    ----------
+    frames : in order. Without one of no force, or without a loaded one, ``missing`` says so.
+    rest : of the rest picture, which chooses the Cobb angle's end vertebrae. Chosen in the frame that is measured, the
+        largest angle of many would be too large by its own noise.
+    gauge : its errors.
+    """
+    force = max((frame.force_n for frame in frames), default=0.0)
+    start = next((frame for frame in frames if frame.force_n == 0.0), None)
+    if start is None or force == 0.0:
+        without = "without force" if start is None else "under a force"
+        return PushResponse(force_n=force, missing=f"no usable frame {without}")
+    most = max(frames, key=lambda frame: frame.force_n)
+    common = tuple(name for name in start.whole if name in most.whole)
+    named = tuple(name for name in common if name in rest.vertebrae)
+    if len(named) < 2:
+        return PushResponse(
+            force_n=force, missing=f"frames {start.frame} and {most.frame} show fewer than two vertebrae in common"
+        )
+    end = cobb_angle(rest.selected(named))
+    tilt_levels = cobb_change(start.tilts(common), most.tilts(common)).tilt_levels
+    curve = _followed(frames, (end.upper, end.lower))
+    return PushResponse(
+        force_n=force,
+        tilt=_response(_followed(frames, tilt_levels), most, gauge, CHOSEN_95),
+        curve=_response(curve, most, gauge, NORMAL_95),
+        flexibility=_flexibility(curve, most),
+    )
+
+
+def _followed(frames: Sequence[FrameCorners], levels: tuple[str, str]) -> _Followed:
+    seen = tuple(frame for frame in frames if set(levels) <= set(frame.whole))
+    angle, annotation, tracking = [], [], []
+    for frame in seen:
+        points, errors = frame.of(levels)
+        angle.append(frame.tilts(levels).cobb_degrees(*levels))
+        annotation.append(_pair_sd(points, usual_noise(points)))
+        # A predicted error is a distance in the plane, a noise that of one coordinate.
+        tracking.append(_pair_sd(points, errors / np.sqrt(2.0)))
+    return _Followed(levels, seen, np.array(angle), np.array(annotation), np.array(tracking))
+
+
+def _pair_sd(points: Floats, noise: float | Floats) -> float:
+    """Degrees, of the angle between upper endplate of the first and lower endplate of the last vertebra."""
+    sds = tilt_sds(points, "endplate", noise)
+    return float(np.degrees(np.hypot(sds[0, 0], sds[1, -1])))
+
+
+def _response(found: _Followed, most: FrameCorners, gauge: GaugeError, chosen: float) -> AngleResponse:
+    forces, covariance, loaded = found.forces, found.covariance, (found.forces > 0.0).astype(float)
+    design = np.stack([np.ones_like(forces), forces], axis=1)
+    slope = 0.0
+    # The gauge's zero moves the loaded frames alike, by the slope that is sought; a third round changes nothing.
+    for _ in range(3):
+        inverse = np.linalg.inv(covariance + (slope * gauge.zero_n) ** 2 * np.outer(loaded, loaded))
+        weights = np.linalg.solve(design.T @ inverse @ design, design.T @ inverse)
+        start, slope = weights @ found.angle
+    left = found.angle - design @ [start, slope]
+    free = len(forces) - 2
+    scatter = float(np.sqrt(left @ inverse @ left / free)) if free else None
+    of_corners = float(np.sqrt(weights[1] @ covariance @ weights[1])) * max(1.0, scatter or 0.0)
+    of_gauge = abs(slope) * float(np.hypot(gauge.zero_n * (weights[1] @ loaded), gauge.scale))
+    change, change_sd = _change(found, most)
+    return AngleResponse(
+        levels=found.levels,
+        frames=tuple(frame.frame for frame in found.frames),
+        rest_deg=found.angle[0],
+        change_deg=change,
+        change_sd_deg=change_sd,
+        n_per_degree=_inverse(abs(float(slope)), of_corners, of_gauge, chosen),
+        scatter=scatter,
+    )
+
+
+def _inverse(slope: float, of_corners: float, of_gauge: float, chosen: float) -> ForcePerDegree:
+    """Of a slope of 0 or more with its standard deviations, degrees per N.
+
+    ``chosen`` counts the first of them by which the slope may lie below: noise that chose the angle has raised it.
+    """
+    up, down = (float(np.hypot(times * of_corners, NORMAL_95 * of_gauge)) for times in (NORMAL_95, chosen))
+    low = 1.0 / (slope + up)
+    if slope <= down:
+        return ForcePerDegree(value=None, low=low, high=None)
+    return ForcePerDegree(value=1.0 / slope, low=low, high=1.0 / (slope - down))
+
+
+def _change(found: _Followed, most: FrameCorners) -> tuple[float, float]:
+    """Degrees, from the first frame to that of the largest force, and its standard deviation."""
+    last = found.frames.index(most)
+    c = found.covariance
+    return float(found.angle[last] - found.angle[0]), float(np.sqrt(c[0, 0] + c[last, last] - 2.0 * c[0, last]))
+
+
+def _flexibility(found: _Followed, most: FrameCorners) -> Flexibility:
+    """One minus the angle under force over that at rest, with Fieller's interval of a ratio."""
+    last = found.frames.index(most)
+    rest, pushed = float(found.angle[0]), float(found.angle[last])
+    c = NORMAL_95**2 * found.covariance
+    # The ratios q at which pushed - q rest lies within its error: a q^2 - 2 b q + d <= 0.
+    a, b, d = rest**2 - c[0, 0], rest * pushed - c[0, last], pushed**2 - c[last, last]
+    if a <= 0.0:
+        return Flexibility(percent=None, low=None, high=None)
+    half = np.sqrt(max(b**2 - a * d, 0.0))
+    return Flexibility(
+        percent=100.0 * (1.0 - pushed / rest), low=100.0 * (1.0 - (b + half) / a), high=100.0 * (1.0 - (b - half) / a)
+    )
