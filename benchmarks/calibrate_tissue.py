@@ -7,7 +7,7 @@ vertebrae. Everything else (spread over subjects, sizes of displacement) is left
 
 Run ``python benchmarks/calibrate_tissue.py [--mesh coarse|fine]``; it prints the modulus and a row a subject, and with
 ``--write`` stores them in benchmarks/results/. Copy the modulus into anatomy/stiffness.py whenever element, mesh,
-template, joints or supports change. Other readings of the paper have a modulus of their own: ``--pelvis clamp``, and
+template, joints or supports change. Other readings of the paper have a modulus of their own: ``--pelvis hinge``, and
 ``--tissue kept|literal``, where the tissue's ratio scales mu alone (search from ``--low 0.02``).
 """
 
@@ -33,7 +33,7 @@ from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push
-from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.mechanics.supports import PELVES, three_point_supports
 from spinestiff.personalise.shape import place_vertebrae
 from spinestiff.study.spines import CURVES, curved_spine
 
@@ -80,7 +80,7 @@ def apex_level(torso: TorsoModel, curve: str, side: str) -> float:
 class Body:
     """A subject's torso, ready to be pushed at any tissue modulus."""
 
-    def __init__(self, row: Row, mesh: str, pelvis: str = "hinge", tissue: str = "tied") -> None:
+    def __init__(self, row: Row, mesh: str, pelvis: str = "level", tissue: str = "tied") -> None:
         template = template_torso(row.height_cm, mesh)
         self.row, self.tissue = row, tissue
         self.torso = place_vertebrae(template, *curved_spine(template, row.cobb_deg, row.curve))
@@ -144,10 +144,10 @@ def calibrated(bodies: list[Body], low: float, high: float) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mesh", choices=MESHES, default="coarse")
-    parser.add_argument("--pelvis", choices=("hinge", "clamp"), default="hinge", help="its support")
+    parser.add_argument("--pelvis", choices=PELVES, default="level", help="its support")
     parser.add_argument("--tissue", choices=TISSUES, default="tied", help="lambda; literal: kept, linear")
-    parser.add_argument("--low", type=float, default=0.4, help="MPa, where the search starts")
-    parser.add_argument("--high", type=float, default=1.0, help="MPa, where it ends")
+    parser.add_argument("--low", type=float, default=0.1, help="MPa, where the search starts")
+    parser.add_argument("--high", type=float, default=0.3, help="MPa, where it ends")
     parser.add_argument("--write", action="store_true", help="store the result in benchmarks/results/")
     arguments = parser.parse_args()
     bodies = [Body(row, arguments.mesh, arguments.pelvis, arguments.tissue) for row in SUBJECTS]
@@ -171,7 +171,7 @@ def main() -> None:
     }
     print(json.dumps({k: v for k, v in result.items() if k != "subjects"}))
     if arguments.write:
-        readings = [word for word in (arguments.pelvis, arguments.tissue) if word not in ("hinge", "tied")]
+        readings = [word for word in (arguments.pelvis, arguments.tissue) if word not in ("level", "tied")]
         name = "_".join(("calibrate_tissue", arguments.mesh, *readings))
         path = Path(__file__).parent / "results" / f"{name}.json"
         path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

@@ -68,7 +68,7 @@ def unresisted(torso, supports):
 @pytest.mark.parametrize("mesh", ["coarse", "fine"])
 def test_shipped_torsos_have_none_and_asking_is_quick(mesh):
     torso = template_torso(157.0, mesh)
-    for options in ({}, {"wall": False}, {"pelvis": "clamp"}):
+    for options in ({}, {"wall": False}, {"pelvis": "hinge"}):
         supports = three_point_supports(torso, "right", **options)
         began = time.process_time()
         assert mechanisms(torso, supports) == ()
@@ -85,7 +85,7 @@ def test_a_torso_without_supports_is_one_free_body(torso):
 @pytest.mark.parametrize("which", ["torso", "bare"])
 def test_hinged_pelvis_without_a_shoulder_turns_with_all_that_stands_on_it(which, request):
     torso = request.getfixturevalue(which)
-    (found,) = mechanisms(torso, without_springs(three_point_supports(torso, "right"), SupportKind.SHOULDER))
+    (found,) = mechanisms(torso, without_springs(three_point_supports(torso, "right", "hinge"), SupportKind.SHOULDER))
     assert (found.modes, found.bones) == (1, torso.bone_names)
     assert "the whole torso can turn about the AP (z) axis through pelvis's origin: no support" in found.text
 
@@ -281,7 +281,7 @@ def test_the_error_is_one_line_with_names_and_what_is_left_out(bare):
     changes |= {f"scapula_{side}-humerus_{side}": slice(None) for side in "LR"}
     free = slackened(bare, changes)
     with pytest.raises(EquilibriumError) as error:
-        require_no_mechanism(free, three_point_supports(free, "right", wall=False))
+        require_no_mechanism(free, three_point_supports(free, "right", "hinge", wall=False))
     text = str(error.value)
     assert text.startswith("no equilibrium is determined: R11_L is connected to nothing")
     # Four ribs, two humeri, and the torso that turns about the pelvis since nothing ties it to the held humerus.

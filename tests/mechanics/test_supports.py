@@ -30,13 +30,14 @@ def test_the_shoulder_opposite_the_push_is_held_sideways(torso, side, opposite):
     assert np.sign(x) == (1.0 if opposite == "left" else -1.0)
 
 
-def test_hinge_frees_one_turn_of_the_pelvis_and_the_clamp_none(torso):
+def test_a_level_pelvis_is_held_in_all_and_a_hinge_frees_one_turn(torso):
     pelvis = torso.bone("pelvis")
-    hinge, clamp = (three_point_supports(torso, "left", pelvis=p).held for p in ("hinge", "clamp"))
+    level, hinge = (three_point_supports(torso, "left", pelvis=p).held for p in ("level", "hinge"))
+    assert level[pelvis].all()
     assert hinge[pelvis].tolist() == [True, True, True, True, True, False]
-    assert clamp[pelvis].all()
+    assert level.sum() == 6
     assert hinge.sum() == 5
-    assert clamp.sum() == 6
+    assert np.array_equal(three_point_supports(torso, "left").held, level)
 
 
 def test_the_wall_holds_front_to_back_and_can_be_left_out(torso):
@@ -54,7 +55,7 @@ def test_supports_are_free_of_force_at_rest(torso):
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [({"side": "front"}, "push side 'front'"), ({"side": "left", "pelvis": "glued"}, "pelvis support 'glued'")],
+    [({"side": "front"}, "push side 'front'"), ({"side": "left", "pelvis": "glued"}, "pelvis support 'glued'; wanted 'level' or 'hinge'")],
 )
 def test_unknown_words_are_refused(torso, arguments, message):
     with pytest.raises(TorsoError, match=message):
@@ -82,6 +83,6 @@ def test_eq1_eq2_three_point_reactions_hold_for_the_simulated_torso(torso):
     assert -shoulder.force[0] == pytest.approx(f1, rel=1e-8)
     assert -pelvis.force[0] == pytest.approx(f2, rel=1e-8)
     # Held against turning about its AP axis, the pelvis takes a moment, and Eqs. 1-2 no longer say it all.
-    clamped = EquilibriumProblem(torso, three_point_supports(torso, "right", pelvis="clamp", wall=False))
-    again = clamped.solve(load, stiffness_ratios({"lateral_bending": 0.5, "tissue": 0.3})).require()
+    level = EquilibriumProblem(torso, three_point_supports(torso, "right", pelvis="level", wall=False))
+    again = level.solve(load, stiffness_ratios({"lateral_bending": 0.5, "tissue": 0.3})).require()
     assert abs(again.reaction("shoulder")[0] + f1) > 1e-3

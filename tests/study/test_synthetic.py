@@ -165,7 +165,7 @@ def test_the_truth_of_the_folder_one_stands_in_has_a_name(tmp_path, monkeypatch)
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ({"ratios": (0.001, 0.1)}, "stiffness ratio 0.001; wanted 0.005 to 5.0"),
+        ({"ratios": (0.001, 0.1)}, "stiffness ratio 0.001; wanted 0.0025 to 5.0"),
         ({"ratios": (0.1, 6.0)}, "stiffness ratio 6.0"),
         ({"ratios": (float("nan"), 0.1)}, "stiffness ratio nan"),
         ({"force_n": 0.0}, "force 0.0 N"),

@@ -28,9 +28,9 @@ TABLE_1: dict[str, tuple[float, float, float, float, float, float]] = {
 NMM_PER_NM = 1000.0
 KINDS = tuple(joint.kind for joint in JOINTS)  # of the whole torso's joints, rows of Table 1
 
-# Young's modulus of the default tissue, MPa. Calibrated by benchmarks/calibrate_tissue.py, not a literature value:
-# the paper delegates it to Koutras 2021, whose values are not public.
-DEFAULT_YOUNG_MPA = 0.58
+# Young's modulus of the default tissue, MPa. Calibrated by benchmarks/calibrate_tissue.py with the pelvis level, not a
+# literature value: the paper delegates it to Koutras 2021, whose values are not public.
+DEFAULT_YOUNG_MPA = 0.15
 DEFAULT_POISSON = 0.45
 
 # The six directions of an intervertebral joint (paper 3.1), clinical name -> column of the stiffness table.
@@ -50,7 +50,9 @@ INTERVERTEBRAL_BENDING = "intervertebral_bending"
 TISSUE_PARAMETERS = {"tissue": (True, True), "tissue_mu": (True, False), "tissue_lambda": (False, True)}
 # "tissue": one ratio for both Lame parameters, so that Poisson's ratio stays (default). The paper's literal mode
 # scales tissue_mu alone; it locks on linear tetrahedra (docs/errata.md).
-RATIO_BOUNDS = (0.005, 5.0)
+# Between which a fit looks for a ratio: a third of the smallest and more than three times the largest that a subject of
+# known stiffness has (bending 0.0075 to 0.84, tissue 0.0075 to 0.8), so that an interval may end before its bound.
+RATIO_BOUNDS = (0.0025, 5.0)
 
 
 def joint_stiffness() -> Floats:

@@ -27,6 +27,8 @@ class SupportKind(enum.StrEnum):
 # by 0.25 mm at one of its points, to the front or rear: less than the skin between bone and wall gives way.
 SPRING_STIFFNESS: dict[SupportKind, float] = {SupportKind.SHOULDER: 1e3, SupportKind.WALL: 1e2}
 
+PELVES = ("level", "hinge")  # how a pelvis may be held: in all six degrees of freedom, or free to turn about the AP axis
+
 
 @dataclass(frozen=True, repr=False)
 class Supports(ShortRepr):
@@ -72,11 +74,11 @@ class Reaction:
     moment: Floats
 
 
-def three_point_supports(torso: TorsoModel, side: str, pelvis: str = "hinge", wall: bool = True) -> Supports:
+def three_point_supports(torso: TorsoModel, side: str, pelvis: str = "level", wall: bool = True) -> Supports:
     """The acquisition's supports for a push on ``side``.
 
-    The pelvis is held, but as a "hinge" it may turn about the AP axis through its own origin (the middle of the
-    belt); "clamp" holds that too. The opposite humerus head is held sideways. The back wall holds scapulae and
+    A "level" pelvis is held in all six degrees of freedom; as a "hinge" it may turn about the AP axis through its own
+    origin (the middle of the belt). The opposite humerus head is held sideways. The back wall holds scapulae and
     posterior ribs front to back, on both sides of contact (a first form: it can pull, and the reactions show it).
 
     Raises
@@ -85,10 +87,10 @@ def three_point_supports(torso: TorsoModel, side: str, pelvis: str = "hinge", wa
     """
     if side not in ("left", "right"):
         raise TorsoError(f"push side '{side}'; wanted 'left' or 'right'")
-    if pelvis not in ("hinge", "clamp"):
-        raise TorsoError(f"pelvis support '{pelvis}'; wanted 'hinge' or 'clamp'")
+    if pelvis not in PELVES:
+        raise TorsoError(f"pelvis support '{pelvis}'; wanted {' or '.join(repr(kind) for kind in PELVES)}")
     held = np.zeros((len(torso.bone_names), 6), dtype=bool)
-    held[torso.bone("pelvis")] = (True, True, True, True, True, pelvis == "clamp")
+    held[torso.bone("pelvis")] = (True, True, True, True, True, pelvis == "level")
     opposite = "right" if side == "left" else "left"
     shoulder = torso.landmarks["humerus_head"][[("left", "right").index(opposite)]]
     rows = [(SupportKind.SHOULDER, shoulder, 0)]

@@ -34,7 +34,7 @@ class SupportMotion:
     ----------
     name : "pelvis" or "shoulder".
     displacement : (F, 2) mm at the patient plane along columns and rows, mean over the support's points: a pelvis that
-        turns about its hinge does not count as moved.
+        only tilts does not count as moved.
     quality : (F,) in 0..1; 0 = not visible, the displacement means nothing.
     off_axis : how far the support's points lie from the principal ray, over the distance of the source.
     """
