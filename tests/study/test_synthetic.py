@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.stiffness import RATIO_BOUNDS
 from spinestiff.errors import EquilibriumError, SpinestiffError, SubjectError
 from spinestiff.files import file_digest
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -124,6 +125,11 @@ def test_ratios_that_are_not_given_are_drawn_from_the_papers_range(twins):
     for ratios in drawn:
         assert BENDING_RANGE[0] <= ratios["lateral_bending"] <= BENDING_RANGE[1]
         assert TISSUE_RANGE[0] <= ratios["tissue"] <= TISSUE_RANGE[1]
+
+
+def test_a_fit_may_look_three_times_beyond_the_ratios_that_subjects_have():
+    for low, high in (BENDING_RANGE, TISSUE_RANGE):
+        assert RATIO_BOUNDS[0] <= low / 3.0 and 3.0 * high <= RATIO_BOUNDS[1]
 
 
 def test_a_folder_in_use_is_refused_untouched(twins, tiny):

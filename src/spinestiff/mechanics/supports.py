@@ -27,7 +27,7 @@ class SupportKind(enum.StrEnum):
 # by 0.25 mm at one of its points, to the front or rear: less than the skin between bone and wall gives way.
 SPRING_STIFFNESS: dict[SupportKind, float] = {SupportKind.SHOULDER: 1e3, SupportKind.WALL: 1e2}
 
-PELVES = ("level", "hinge")  # how a pelvis may be held: in all six degrees of freedom, or free to turn about the AP axis
+PELVES = ("level", "hinge")  # held in all six degrees of freedom, or free to turn about the AP axis
 
 
 @dataclass(frozen=True, repr=False)
