@@ -44,7 +44,8 @@ class EquilibriumProblem(System):
         max_iterations : of each attempt.
         tolerance : residual to reach, N; default: 1e-10 of the load or 1e-8 N, the larger.
 
-        Held degrees of freedom stay where the start has them, so that bones can be moved to where they are wanted.
+        Held degrees of freedom stay where the start has them, so that bones can be moved to where they are wanted; with
+        a ``place`` (``with_place``) the pelvis is turned to it first, and the start with it.
         What is returned says by its status whether it is an equilibrium; ``require()`` turns a failure into an error.
         Where a start fails, the rest pose is tried, then the load in steps, then descent; only descent where what is
         held is not at rest in the start.
@@ -75,15 +76,15 @@ class EquilibriumProblem(System):
         return found, Linearisation(self, found, load, ratios, run.tangent)
 
     def _solved(self, run: Run, load: LoadCase, start: TorsoState | Linearisation | None) -> Equilibrium:
-        rest, factor = self.torso.rest_pose, None
+        rest, factor = self.placed(self.torso.rest_pose), None
         if isinstance(start, Linearisation):
             if start.system.kinematics is not self.kinematics:
                 raise EquilibriumError("the linearisation to start from is another problem's; start from its state")
-            state, factor = start.state, start.new_frame_factor()
+            state, factor = self.placed(start.state), start.new_frame_factor()
         else:
-            state = rest if start is None else self._checked(start)
+            state = rest if start is None else self.placed(self._checked(start))
         found = run.newton(load, state, factor)
-        if self._held_at_rest(state):
+        if self._held_as_in(rest, state):
             if run.wants_more(found) and state is not rest:
                 found = run.newton(load, rest)
             if run.wants_more(found):
@@ -106,8 +107,7 @@ class EquilibriumProblem(System):
         check_rotations("start rotation of bone", start.bone_rotations, self.torso.bone_names)
         return start
 
-    def _held_at_rest(self, state: TorsoState) -> bool:
-        rest = self.torso.rest_pose
+    def _held_as_in(self, rest: TorsoState, state: TorsoState) -> bool:
         turned = log_so3(state.bone_rotations @ np.swapaxes(rest.bone_rotations, 1, 2))
         moved = np.hstack([state.bone_positions - rest.bone_positions, turned])
         return bool(np.abs(moved[self.supports.held]).max(initial=0.0) < 1e-9)

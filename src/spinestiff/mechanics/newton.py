@@ -126,7 +126,7 @@ class Run:
 
     def in_steps(self, load: LoadCase) -> Equilibrium:
         """The load in four steps; ends with the first that fails, seen under the whole load."""
-        state = self.system.torso.rest_pose
+        state = self.system.placed(self.system.torso.rest_pose)
         for share in (0.25, 0.5, 0.75, 1.0):
             found = self.newton(load.scaled(share), state)
             state = found.state

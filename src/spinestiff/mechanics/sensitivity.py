@@ -5,20 +5,25 @@ With the force f = -dE/dx and the tangent K = d2E/dx2 = -df/dx, equilibrium at a
     K dx/dk = df/dk = -d(dE/dx)/dk                                   (Eq. 6, forward)
     (dx/dk)^T g = -(d(dE/dx)/dk)^T u   with   K u = g                (Eq. 7, adjoint)
 
-for log ratios k = log xi, which scale a force share f_xi by itself: d(dE/dx)/d log xi = -f_xi.
+for log ratios k = log xi, which scale a force share f_xi by itself: d(dE/dx)/d log xi = -f_xi. The place of what is
+held is such a parameter, too. The pad of a shoulder acts as a force that grows with its motion. A held degree of
+freedom h that moves by dh takes the free ones x along, K dx = -K_h dh, with K_h its column of the tangent.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from spinestiff.anatomy.state import TorsoState, state_digest
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
-from spinestiff.mechanics.factor import Factor
+from spinestiff.mechanics.factor import Factor, symmetric_product
 from spinestiff.mechanics.kinematics import FrameFactor
 from spinestiff.mechanics.loads import LoadCase
+from spinestiff.mechanics.places import held_pelvis, shoulder_force
 from spinestiff.mechanics.result import Equilibrium
 from spinestiff.mechanics.system import System
 from spinestiff.mechanics.terms import Term
@@ -52,7 +57,7 @@ class Linearisation:
         self._state = equilibrium.state
         self._digest = state_digest(equilibrium.state)
         self._stiffness = system.potential.stiffness(ratios)
-        terms = system.all_terms(load)
+        self._terms = terms = system.all_terms(load)
         gradient = system.potential.gradient(self._state, self._stiffness, terms)
         residual = system.residual_norm(system.free(gradient))
         if residual > max(LARGEST_RELATIVE_RESIDUAL * load.size, system.tolerance(load)):
@@ -93,6 +98,30 @@ class Linearisation:
     def load_derivative(self, change: Term) -> Floats:
         """(dofs,) d x / d s for a load that grows as load + s * ``change``."""
         return -self.solve(self._system.potential.term_gradient(change, self._state))
+
+    def place_derivative(self) -> Floats:
+        """(dofs, 2) d x / d (obliquity rad, shoulder mm) of ``mechanics.places.SupportPlace`` (Eq. 6)."""
+        turned, pushed = self._place_gradients()
+        columns = -self.solve(np.stack([turned, pushed], axis=1))
+        columns[held_pelvis(self._system.torso, self._system.supports), 0] = 1.0
+        return columns
+
+    def place_adjoint(self, gradient: Floats) -> Floats:
+        """(2,) d L / d (obliquity rad, shoulder mm) for ``gradient`` = dL/dx, (dofs,) (Eq. 7)."""
+        turned, pushed = self._place_gradients()
+        u = self.solve(gradient)
+        own = gradient[held_pelvis(self._system.torso, self._system.supports)]
+        return np.array([own - turned @ u, -pushed @ u])
+
+    def _place_gradients(self) -> tuple[Floats, Floats]:
+        """(dofs,) each: d(dE/dx)/d obliquity with all but the pelvis as it is, and d(dE/dx)/d shoulder."""
+        system = self._system
+        unit = np.zeros(system.potential.dofs)
+        unit[held_pelvis(system.torso, system.supports)] = 1.0
+        pattern = system.potential.pattern
+        values = system.potential.hessian(self._state, self._stiffness, self._terms)
+        turned = symmetric_product(pattern.indptr, pattern.indices, values, unit)
+        return turned, system.potential.term_gradient(shoulder_force(system.supports), self._state)
 
     def belongs_to(self, state: TorsoState) -> bool:
         """Whether this is the linearisation at ``state``."""

@@ -21,6 +21,7 @@ from spinestiff.mechanics.kinematics import Kinematics
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.mechanisms import require_no_mechanism
 from spinestiff.mechanics.multilevel import MANY_DOFS, TWO_LEVEL, TwoLevelAnalysis, corner_prolongation
+from spinestiff.mechanics.places import SupportPlace, held_pelvis, shifted_shoulder, turned_with_pelvis
 from spinestiff.mechanics.potential import Potential
 from spinestiff.mechanics.supports import Reaction, SupportKind, Supports
 from spinestiff.mechanics.terms import Term
@@ -45,6 +46,7 @@ class System(ShortRepr):
     potential : energy, gradient and Hessian.
     kinematics : relative coordinates.
     held : indices of held degrees of freedom.
+    place : where pelvis and shoulder are; None: what is held stays where a solve's start has it.
     """
 
     def __init__(
@@ -58,6 +60,7 @@ class System(ShortRepr):
         self.torso = torso
         self.supports = supports
         self.terms = tuple(terms)
+        self.place: SupportPlace | None = None
         self.potential = Potential(torso, laws)
         self.kinematics = Kinematics(torso, supports)
         scale = np.ones(self.potential.dofs)
@@ -102,6 +105,24 @@ class System(ShortRepr):
         other = self.with_terms(self.terms)
         other.supports = supports
         return other
+
+    def with_place(self, place: SupportPlace) -> Self:
+        """The same with pelvis and shoulder elsewhere; shares pattern and analysis.
+
+        Raises
+        ------
+        EquilibriumError : an obliquity is asked of a pelvis that is free to turn.
+        """
+        if place.obliquity:
+            held_pelvis(self.torso, self.supports)
+        before = self.place.shoulder_mm if self.place else 0.0
+        other = self.with_supports(shifted_shoulder(self.supports, place.shoulder_mm - before))
+        other.place = place
+        return other
+
+    def placed(self, state: TorsoState) -> TorsoState:
+        """The state with the pelvis where it is held."""
+        return state if self.place is None else turned_with_pelvis(self.torso, state, self.place.obliquity)
 
     def all_terms(self, load: LoadCase) -> tuple[Term, ...]:
         """The load, the supports' springs and the further terms."""
