@@ -147,13 +147,8 @@ def main() -> None:
     parser.add_argument("--mesh", choices=MESHES, default="coarse")
     parser.add_argument("--pelvis", choices=PELVES, default="level", help="its support")
     parser.add_argument("--tissue", choices=TISSUES, default="tied", help="lambda; literal: kept, linear")
-<<<<<<< HEAD
     parser.add_argument("--low", type=float, default=0.1, help="MPa, lower end of the search")
     parser.add_argument("--high", type=float, default=0.3, help="MPa, upper end")
-=======
-    parser.add_argument("--low", type=float, default=0.1, help="MPa, where the search starts")
-    parser.add_argument("--high", type=float, default=0.3, help="MPa, where it ends")
->>>>>>> h-elastic
     parser.add_argument("--write", action="store_true", help="store the result in benchmarks/results/")
     arguments = parser.parse_args()
     bodies = [Body(row, arguments.mesh, arguments.pelvis, arguments.tissue) for row in SUBJECTS]

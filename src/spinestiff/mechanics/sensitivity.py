@@ -99,7 +99,6 @@ class Linearisation:
         """(dofs,) d x / d s for a load that grows as load + s * ``change``."""
         return -self.solve(self._system.potential.term_gradient(change, self._state))
 
-<<<<<<< HEAD
     def load_derivatives(self, changes: Sequence[Term]) -> Floats:
         """(dofs, n) the same for each of several changes; one solve."""
         gradients = [self._system.potential.term_gradient(change, self._state) for change in changes]
@@ -112,10 +111,6 @@ class Linearisation:
         ------
         EquilibriumError : the pelvis is free to turn.
         """
-=======
-    def place_derivative(self) -> Floats:
-        """(dofs, 2) d x / d (obliquity rad, shoulder mm) of ``mechanics.places.SupportPlace`` (Eq. 6)."""
->>>>>>> h-elastic
         turned, pushed = self._place_gradients()
         columns = -self.solve(np.stack([turned, pushed], axis=1))
         columns[held_pelvis(self._system.torso, self._system.supports), 0] = 1.0

@@ -117,11 +117,7 @@ class System(ShortRepr):
             held_pelvis(self.torso, self.supports)
         before = self.place.shoulder_mm if self.place else 0.0
         other = self.with_supports(shifted_shoulder(self.supports, place.shoulder_mm - before))
-<<<<<<< HEAD
         other.place, other._held_with = place, self._held_with  # what is held stays so in another place
-=======
-        other.place = place
->>>>>>> h-elastic
         return other
 
     def placed(self, state: TorsoState) -> TorsoState:
