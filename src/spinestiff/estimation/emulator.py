@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from spinestiff.arrays import Floats
-from spinestiff.estimation.weighed import WeighedPoint, WeighedSlope, Weights, Reduced, reduced
+from spinestiff.estimation.weighed import Reduced, WeighedPoint, WeighedSlope, Weights, reduced
 
 # Correlation length in log ratio: residuals change their course over a factor of four or so.
 LENGTH = 1.5
@@ -116,9 +116,7 @@ class Emulator:
         sds = np.ones(m) if prior_sds is None else prior_sds
         values, slopes, columns = [], [], []
         for place, model in kept:
-            whitened = weights.whiten(
-                np.column_stack([place.point.values, place.slope.ratios, place.slope.nuisances])
-            )
+            whitened = weights.whiten(np.column_stack([place.point.values, place.slope.ratios, place.slope.nuisances]))
             p = place.slope.ratios.shape[1]
             values.append(whitened[:, 0])
             columns.append(whitened[:, 1 + p :])

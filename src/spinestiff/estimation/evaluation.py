@@ -211,9 +211,7 @@ class TrialSet:
         if self._observer:
             self._observer(self.history[-1])
 
-    def _asked(
-        self, i: int, log_ratios: Floats, acts: Floats
-    ) -> tuple[EquilibriumProblem, LoadCase, StiffnessRatios]:
+    def _asked(self, i: int, log_ratios: Floats, acts: Floats) -> tuple[EquilibriumProblem, LoadCase, StiffnessRatios]:
         """Problem, load and ratios of a trial with its acts (len(ACTS),)."""
         problem, load, ratios = self.problems[i], self.trials[i].load, self.ratios(log_ratios)
         if not acts.any():

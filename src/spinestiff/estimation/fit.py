@@ -1,7 +1,7 @@
 """Estimation of stiffness ratios from radiographs under known pushes (paper 4, Eq. 8).
 
-Levenberg-Marquardt in log ratios with forward sensitivities is the default; L-BFGS-B with the adjoint gradient is the
-paper's way (``search``). Both end with the same statistics.
+The weighed fit (``weighed``) is the default. The paper's own, equal weights and L-BFGS-B with the adjoint gradient
+(``search``), stays beside it; it has no intervals.
 """
 
 from __future__ import annotations
@@ -16,37 +16,77 @@ import numpy as np
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, StiffnessRatios, parameter_group
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError, FitError
-from spinestiff.estimation.evaluation import (
-    Evaluation,
-    FitCost,
-    FitStep,
-    OnFitStep,
-    TrialSet,
-)
-from spinestiff.estimation.intervals import Intervals, inverted_intervals, linear_intervals
+from spinestiff.estimation.budget import Budget, PriorChange, prior_changes, variance_budget
+from spinestiff.estimation.emulator import Place
+from spinestiff.estimation.evaluation import Evaluation, FitCost, FitStep, OnFitStep, TrialSet
 from spinestiff.estimation.objective import Residuals, Trial, residuals, undetermined_vertebrae
-from spinestiff.estimation.search import FitStatus, lbfgsb, levenberg_marquardt
-from spinestiff.estimation.uncertainty import Uncertainty, UncertaintySettings, estimator_uncertainty
+from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.profiles import Likely, likely_ratios
+from spinestiff.estimation.search import lbfgsb
+from spinestiff.estimation.status import FitStatus
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, reduced, search
 from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 
 __all__ = [
     "METHODS",
+    "Extent",
     "FitCost",
     "FitStatus",
     "FitStep",
-    "IntervalKind",
     "Method",
     "OnFitStep",
     "StiffnessFit",
+    "Weighed",
     "fit_stiffness",
 ]
 
-Method = Literal["lm", "lbfgsb"]
-METHODS: tuple[Method, ...] = ("lm", "lbfgsb")
+Method = Literal["weighed", "lbfgsb"]
+METHODS: tuple[Method, ...] = ("weighed", "lbfgsb")
 # An interval that covers more of the bounds (in log) than this says that the data can't tell.
 WIDEST_INTERVAL = 0.9
-IntervalKind = Literal["inverted", "linear"]
+Extent = Literal["estimate", "intervals", "everything"]
+
+
+@dataclass(frozen=True)
+class NuisanceEstimate:
+    """What a fit found of one nuisance parameter, in the unit of its act (``unknowns.ACTS``).
+
+    Attributes
+    ----------
+    value, sd : after the fit. prior_sd : before, about 0.
+    """
+
+    name: str
+    group: str
+    act: str
+    value: float
+    sd: float
+    prior_sd: float
+
+
+@dataclass(frozen=True, repr=False)
+class Weighed(ShortRepr):
+    """What only the weighed fit tells.
+
+    Attributes
+    ----------
+    nuisances : all that was not quite known.
+    acts : (T, len(ACTS)) of each loaded trial, ``unknowns.ACTS``.
+    p_value : of residuals as large, before any scale or weight is fitted.
+    tracking_factor : by which tracking's errors are larger than predicted.
+    outlying : (trial, vertebra, by how much its own error is larger than usual), names.
+    likely : intervals, profiles and draws; None if not asked for. budget, changes : the same.
+    """
+
+    nuisances: tuple[NuisanceEstimate, ...]
+    acts: Floats
+    p_value: float
+    tracking_factor: float
+    outlying: tuple[tuple[str, str, float], ...]
+    likely: Likely | None
+    budget: Budget | None
+    changes: tuple[PriorChange, ...]
 
 
 @dataclass(frozen=True, repr=False)
@@ -57,60 +97,58 @@ class StiffnessFit(ShortRepr):
     ----------
     ratios : the estimate.
     status : how the fit ended; ``status.value`` holds cause and remedy.
-    uncertainty : covariance of the log ratios, correlation, condition.
-    intervals : 95 % intervals of the log ratios.
+    covariance : (P, P) of the log ratios, to first order; not finite where the data say nothing, or by the paper's fit.
+    intervals95 : name -> ends of the 95 % interval of the ratio; NaN where none was asked for.
+    open_ends : name -> whether the lower and the upper end is the fit's bound, beyond which the data allow more.
     at_bound : name -> at its bound.
     rmse_mm, default_rmse_mm : training RMSE at the patient plane, fitted and with all ratios 1 (NaN without
         an equilibrium there).
-    residuals : one a trial, simulated minus measured.
-    equilibria, default_equilibria : one a trial.
-    jacobian : (n, P) derivative of the stacked weighted residuals in log ratio.
+    residuals : one a loaded trial, simulated minus measured.
+    equilibria, default_equilibria : one a loaded trial.
     history : every evaluation. cost : what it took.
     warnings : what a reader of the result must know.
+    weighed : what only the weighed fit tells.
     """
 
     ratios: StiffnessRatios
     status: FitStatus
-    uncertainty: Uncertainty
-    intervals: Intervals
+    covariance: Floats
+    intervals95: Mapping[str, tuple[float, float]]
+    open_ends: Mapping[str, tuple[bool, bool]]
     at_bound: Mapping[str, bool]
     rmse_mm: float
     default_rmse_mm: float
     residuals: tuple[Residuals, ...] = field(repr=False)
     equilibria: tuple[Equilibrium, ...] = field(repr=False)
     default_equilibria: tuple[Equilibrium, ...] = field(repr=False)
-    jacobian: Floats = field(repr=False)
     history: tuple[FitStep, ...] = field(repr=False)
     cost: FitCost
-    method: str
+    method: Method
     orientation: Orientation
     bounds: tuple[float, float]
     warnings: tuple[str, ...] = ()
+    weighed: Weighed | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
         return self.ratios.names
 
     @property
-    def intervals95(self) -> dict[str, tuple[float, float]]:
-        """Name -> lower and upper end of the 95 % interval of the ratio; an end at the fit's bound is open."""
-        low, high = np.exp(self.intervals.low), np.exp(self.intervals.high)
-        return {name: (float(a), float(b)) for name, a, b in zip(self.names, low, high)}
-
-    @property
     def correlation(self) -> Floats:
-        """(P, P) correlation of the log ratios' estimates."""
-        return self.uncertainty.correlation
-
-    @property
-    def condition(self) -> float:
-        """Condition number of the Gauss-Newton Hessian in log ratios."""
-        return self.uncertainty.condition
+        """(P, P) correlation of the log ratios; NaN where the data say nothing."""
+        sd = np.sqrt(np.diag(self.covariance))
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.covariance / np.outer(sd, sd))
 
     @property
     def loss_history(self) -> tuple[float, ...]:
-        """Loss, mm^2, at the start and after each accepted step."""
+        """Loss at the start and after each accepted step."""
         return tuple(step.loss for step in self.history if step.accepted)
+
+    @property
+    def likely(self) -> Likely | None:
+        """Intervals, profiles and draws, if asked for."""
+        return None if self.weighed is None else self.weighed.likely
 
     def __str__(self) -> str:
         lines = [f"{self.status.name}: training RMSE {self.rmse_mm:.2f} mm (default {self.default_rmse_mm:.2f} mm)"]
@@ -132,31 +170,35 @@ def fit_stiffness(
     problem: EquilibriumProblem | Sequence[EquilibriumProblem],
     trials: Sequence[Trial],
     names: Sequence[str] = ("lateral_bending", "tissue"),
-    method: Method = "lm",
+    method: Method = "weighed",
     start: Mapping[str, float] | None = None,
     bounds: tuple[float, float] = RATIO_BOUNDS,
     orientation: Orientation = "procrustes",
     observer: OnFitStep | None = None,
     max_iterations: int = 80,
-    uncertainty: UncertaintySettings | None = None,
-    intervals: IntervalKind = "inverted",
+    priors: Priors | None = None,
+    geometry: Floats | None = None,
+    taped: bool = False,
+    extent: Extent = "everything",
 ) -> StiffnessFit:
     """Stiffness ratios whose equilibria show what the radiographs show (Eq. 8).
 
     Parameters
     ----------
     problem : one for all trials or one a trial (supports depend on the pushed side).
-    trials : radiographs under known pushes.
+    trials : radiographs under known pushes, unloaded ones of the same sequences among them: they show where the
+        patient stood and how corners were annotated.
     names : parameters to estimate, see ``anatomy.stiffness.parameter_group``; ("everything",) is the one-ratio model.
-    method : "lm" (forward sensitivities) or "lbfgsb" (adjoint gradient, the paper's).
+    method : "weighed" (``estimation.weighed``) or "lbfgsb" (the paper's: equal weights, adjoint gradient).
     start : name -> ratio to start from; default 1.
     bounds : lowest and highest ratio.
     orientation : of a vertebra in the picture, "procrustes" or "covariance".
     observer : called after every evaluation.
     max_iterations : evaluations of all trials (L-BFGS-B: iterations, and three times as many evaluations).
-    uncertainty : what is known about the inputs' errors.
-    intervals : "inverted" solves for their ends on the model (costs about as much as the fit), "linear" takes the
-        slope at the estimate.
+    priors : what is known beforehand of all that is not quite known.
+    geometry : (6V, 6V) covariance of the vertebrae's rest poses (dt mm, dw rad); None: known.
+    taped : the trunk's size was measured.
+    extent : "estimate" alone, with "intervals", or "everything": variance budget and other priors as well.
 
     Raises
     ------
@@ -166,47 +208,138 @@ def fit_stiffness(
     began = time.perf_counter()
     problems = _problems(problem, trials)
     _check(trials, names, method, bounds)
-    settings = uncertainty or UncertaintySettings()
     groups = tuple(parameter_group(name, problems[0].torso.joints.kinds) for name in names)
-    trial_set = TrialSet(problems, trials, groups, orientation, observer)
+    both = list(zip(problems, trials))
+    loaded = [(p, trial) for p, trial in both if trial.load.size > 0.0]
+    still = [(p, trial) for p, trial in both if trial.load.size == 0.0]
+    trial_set = TrialSet([p for p, _ in loaded], [trial for _, trial in loaded], groups, orientation, observer)
     first = _start(names, start, bounds)
     default = _default_point(trial_set)
-    point = default if default is not None and not first.any() else _first_point(trial_set, first, default)
-    trial_set.note(point.log_ratios, point, True)
-    limits = (np.log(bounds[0]), np.log(bounds[1]))
-    search = levenberg_marquardt if method == "lm" else lbfgsb
-    point, slope, status = search(trial_set, point, limits, max_iterations)
-    nuisances = trial_set.nuisances(slope, settings)
-    spread = estimator_uncertainty(slope.jacobian, point.values, trial_set.layout(), nuisances, settings)
-    ends = linear_intervals(point.log_ratios, spread, limits)
-    if intervals == "inverted":
-        ends = inverted_intervals(trial_set, point, slope, spread, limits)
+    limits = (float(np.log(bounds[0])), float(np.log(bounds[1])))
+    weighed: Weighed | None = None
+    covariance = np.full((len(names),) * 2, np.nan)
+    if method == "weighed":
+        asked = WeighedProblem(trial_set, still, orientation, priors or Priors(), geometry, taped)
+        found = _searched(asked, first, default, limits, max_iterations)
+        point, status = found.point.evaluation, found.status
+        covariance = _covariance(found)
+        weighed = _told(asked, found, limits, extent)
+    else:
+        point = default if default is not None and not first.any() else _first_point(trial_set, first, default)
+        trial_set.note(point.log_ratios, point.loss, point, True)
+        point, status = lbfgsb(trial_set, point, limits, max_iterations)
+    likely = None if weighed is None else weighed.likely
+    intervals, opens = _ends(names, likely)
     edge = np.minimum(point.log_ratios - limits[0], limits[1] - point.log_ratios) < 1e-6
     if status is FitStatus.CONVERGED:
         if edge.any():
             status = FitStatus.AT_BOUND
-        elif not ends.width.max() < WIDEST_INTERVAL * (limits[1] - limits[0]):
+        elif likely is not None and not (likely.high - likely.low).max() < WIDEST_INTERVAL * (limits[1] - limits[0]):
             status = FitStatus.NOT_IDENTIFIABLE
     trial_set.cost.seconds = time.perf_counter() - began
     return StiffnessFit(
         ratios=trial_set.ratios(point.log_ratios),
         status=status,
-        uncertainty=spread,
-        intervals=ends,
+        covariance=covariance,
+        intervals95=intervals,
+        open_ends=opens,
         at_bound={name: bool(flag) for name, flag in zip(names, edge)},
         rmse_mm=point.rmse,
         default_rmse_mm=float("nan") if default is None else default.rmse,
         residuals=point.residuals,
         equilibria=point.equilibria,
         default_equilibria=() if default is None else default.equilibria,
-        jacobian=slope.jacobian,
         history=tuple(trial_set.history),
         cost=trial_set.cost,
         method=method,
         orientation=orientation,
         bounds=(float(bounds[0]), float(bounds[1])),
-        warnings=(*_warnings(trial_set, default, point), *_open_ends(names, ends, bounds)),
+        warnings=(*_warnings(trial_set, default, point), *_open_ends(opens, bounds)),
+        weighed=weighed,
     )
+
+
+def _searched(
+    asked: WeighedProblem,
+    first: Floats,
+    default: Evaluation | None,
+    limits: tuple[float, float],
+    max_iterations: int,
+) -> WeighedFit:
+    nothing = np.zeros(len(asked.unknowns))
+    try:
+        start = asked.solve(first, nothing, None if default is None else asked.at(default))
+    except EquilibriumError as error:
+        raise FitError(f"no equilibrium at the start of the fit, {error}") from None
+    asked.trial_set.note(first, float("nan"), start.evaluation, True)
+    return search(asked, start, limits, max_iterations)
+
+
+def _covariance(found: WeighedFit) -> Floats:
+    model = reduced(found.point, found.slope, found.weights)
+    precision = model.ratios.T @ model.ratios
+    try:
+        return np.asarray(np.linalg.inv(precision))
+    except np.linalg.LinAlgError:
+        return np.full(precision.shape, np.inf)
+
+
+def _told(asked: WeighedProblem, found: WeighedFit, limits: tuple[float, float], extent: Extent) -> Weighed:
+    likely, budget, changes = None, None, ()
+    if extent != "estimate" and found.status.usable:
+        places = [Place(*place) for place in found.visited]
+        likely = likely_ratios(asked, found, places, limits)
+        if extent == "everything":
+            budget = variance_budget(asked, found)
+            changes = prior_changes(asked, found, likely.places, limits)
+    return Weighed(
+        _nuisances(asked, found),
+        found.point.evaluation.acts,
+        asked.p_value(found.point, found.slope),
+        found.weights.tracking_factor,
+        _outlying(asked, found),
+        likely,
+        budget,
+        changes,
+    )
+
+
+def _nuisances(asked: WeighedProblem, found: WeighedFit) -> tuple[NuisanceEstimate, ...]:
+    columns = found.weights.whiten(np.column_stack([found.slope.nuisances, found.slope.ratios]))
+    m, p = len(asked.unknowns), columns.shape[1] - len(asked.unknowns)
+    # A direction of the ratios without information must not stop the rest.
+    precision = columns.T @ columns + np.diag(np.r_[np.ones(m), np.full(p, 1e-9)])
+    sds = np.sqrt(np.diag(np.linalg.inv(precision))[:m])
+    result = []
+    for unknown, value, sd in zip(asked.unknowns.each, found.point.nuisances, sds):
+        size = max(unknown.sizes, key=abs)
+        result.append(
+            NuisanceEstimate(
+                unknown.name, unknown.group, unknown.act, float(value * size), float(sd * abs(size)), float(abs(size))
+            )
+        )
+    return tuple(result)
+
+
+def _outlying(asked: WeighedProblem, found: WeighedFit) -> tuple[tuple[str, str, float], ...]:
+    result = []
+    for i, channels in enumerate(asked.noise.channels):
+        target = asked.noise.seen[i].target
+        inflation = found.weights.inflation[asked.noise.of(i)].reshape(len(channels.rows), -1)[:, 0]
+        for name, factor in zip(target.trial.corners.vertebrae, inflation):
+            if factor > 1.0:
+                result.append((target.trial.label or f"trial {i + 1}", name, float(np.sqrt(factor))))
+    return tuple(result)
+
+
+def _ends(
+    names: Sequence[str], likely: Likely | None
+) -> tuple[dict[str, tuple[float, float]], dict[str, tuple[bool, bool]]]:
+    if likely is None:
+        return dict.fromkeys(names, (float("nan"), float("nan"))), dict.fromkeys(names, (False, False))
+    low, high = np.exp(likely.low), np.exp(likely.high)
+    intervals = {name: (float(a), float(b)) for name, a, b in zip(names, low, high)}
+    return intervals, {name: (bool(a), bool(b)) for name, a, b in zip(names, likely.open_low, likely.open_high)}
 
 
 def _problems(
@@ -274,14 +407,10 @@ def _warnings(trial_set: TrialSet, default: Evaluation | None, point: Evaluation
     return tuple(found)
 
 
-def _open_ends(names: Sequence[str], ends: Intervals, bounds: tuple[float, float]) -> list[str]:
+def _open_ends(opens: Mapping[str, tuple[bool, bool]], bounds: tuple[float, float]) -> list[str]:
     found = []
-    for name, low, high in zip(names, ends.open_low, ends.open_high):
-        sides = [
-            f"{side} {bound:g}"
-            for side, bound, is_open in (("below", bounds[0], low), ("above", bounds[1], high))
-            if is_open
-        ]
+    for name, ends in opens.items():
+        sides = [f"{side} {bound:g}" for side, bound, is_open in zip(("below", "above"), bounds, ends) if is_open]
         if sides:
             found.append(f"{name}: the radiographs also allow ratios {' and '.join(sides)}, the bounds of the fit")
     return found

@@ -86,6 +86,7 @@ class Noise:
     def __init__(
         self, seen: Sequence[Seen], still: Sequence[Residuals], geometry: Floats | None, priors: Priors
     ) -> None:
+        self.seen = tuple(seen)
         self.channels = tuple(Channels.of(one.target) for one in seen)
         counts = [CHANNELS * len(one.rows) for one in self.channels]
         self.ends = np.concatenate([[0], np.cumsum(counts)])
@@ -111,15 +112,16 @@ class Noise:
                 corners = one.target.trial.corners
                 error = np.where(corners.usable, error_of(np.maximum(corners.quality, 1e-6)), 0.0)
                 squares = np.sum(error**2, axis=1) / np.maximum(corners.usable.sum(1), 1)
-                own[self._of(i)] = np.repeat(priors.tracking_mm**2 + 0.5 * squares, CHANNELS)
-                tracked[self._of(i)] = True
+                own[self.of(i)] = np.repeat(priors.tracking_mm**2 + 0.5 * squares, CHANNELS)
+                tracked[self.of(i)] = True
         self._own = own
         apart = np.abs(np.subtract.outer(self._rows, self._rows)) / priors.tracking_length
         together = (self._trial[:, None] == self._trial) & (self._channel[:, None] == self._channel)
         both = tracked[:, None] & tracked
         self._shared = priors.tracking_shared_mm**2 * np.exp(-apart) * (together & both)
 
-    def _of(self, trial: int) -> slice:
+    def of(self, trial: int) -> slice:
+        """Where a radiograph's channels are."""
         return slice(int(self.ends[trial]), int(self.ends[trial + 1]))
 
     @property
@@ -156,8 +158,12 @@ class Noise:
                 for i, one in enumerate(seen):
                     if of[self.ends[i]] == group:
                         z = one.target.z
-                        move = np.stack([-z[..., 1], z[..., 0]], -1) if axis == 2 else np.broadcast_to(np.eye(2)[axis], z.shape)
-                        column[self._of(i)] = size * self.channels[i].apply(move)
+                        move = (
+                            np.stack([-z[..., 1], z[..., 0]], -1)
+                            if axis == 2
+                            else np.broadcast_to(np.eye(2)[axis], z.shape)
+                        )
+                        column[self.of(i)] = size * self.channels[i].apply(move)
                 columns.append(column)
         return np.stack(columns, axis=1) if columns else np.zeros((self.size, 0))
 

@@ -7,7 +7,7 @@ Ends are looked for on the emulator, solved on the model, and looked for again u
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import brentq, minimize
@@ -61,7 +61,7 @@ class Likely(ShortRepr):
     profiles : (P,).
     region : (n, 2) outline of the joint 95 % region of two ratios, not cut at the bounds; None for another number.
     draws : (D, P) log ratios and (D, M) nuisances, equally probable. effective : independent draws they are worth.
-    emulator : of phi.
+    emulator : of phi. places : what it was made from, the estimate first.
     """
 
     low: Floats
@@ -74,6 +74,7 @@ class Likely(ShortRepr):
     draws: tuple[Floats, Floats]
     effective: float
     emulator: Emulator
+    places: tuple[Place, ...]
 
 
 def likely_ratios(
@@ -104,7 +105,7 @@ def likely_ratios(
     )
     draws, effective = _draws(emulator, fit.point.log_ratios, covariance, limits)
     region = _region(emulator, fit.point.log_ratios, low, high) if len(precision) == 2 else None
-    return Likely(low, high, *opens, kinds, tuple(profiles), region, draws, effective, emulator)
+    return Likely(low, high, *opens, kinds, tuple(profiles), region, draws, effective, emulator, tuple(places))
 
 
 def _solve_ends(
@@ -190,7 +191,9 @@ class _Tracer:
         start[i] = value
         if not others:
             return start, float(self._emulator.phi(start)[0]) - self._least
-        scale = np.sqrt(np.maximum(self._sd[others] ** 2 - self._covariance[others, i] ** 2 / self._covariance[i, i], 1e-8))
+        scale = np.sqrt(
+            np.maximum(self._sd[others] ** 2 - self._covariance[others, i] ** 2 / self._covariance[i, i], 1e-8)
+        )
 
         def height(x: Floats) -> tuple[float, Floats]:
             where = np.tile(start, (1 + 2 * len(others), 1))

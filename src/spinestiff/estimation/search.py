@@ -10,14 +10,14 @@ from scipy.optimize import minimize
 
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
-from spinestiff.estimation.evaluation import Evaluation, Slope, TrialSet
+from spinestiff.estimation.evaluation import Evaluation, TrialSet
 from spinestiff.estimation.status import FitStatus
 
 
 def lbfgsb(
     trial_set: TrialSet, point: Evaluation, limits: tuple[float, float], max_iterations: int
-) -> tuple[Evaluation, Slope, FitStatus]:
-    """Where the search ended, the slope there, and how; three evaluations an iteration at most."""
+) -> tuple[Evaluation, FitStatus]:
+    """Where the search ended, and how; three evaluations an iteration at most."""
     best, scale = point, max(point.loss, 1e-300)
     last = [point]
 
@@ -47,4 +47,4 @@ def lbfgsb(
         options={"maxiter": max_iterations, "maxfun": 3 * max_iterations, "ftol": 1e-12, "gtol": 1e-7},
     )
     outcomes = {0: FitStatus.CONVERGED, 1: FitStatus.ITERATION_LIMIT}
-    return best, trial_set.slope(best), outcomes.get(int(result.status), FitStatus.STALLED)
+    return best, outcomes.get(int(result.status), FitStatus.STALLED)

@@ -126,7 +126,13 @@ def unknowns_of(
         one = (np.arange(len(trials)) == i) & loaded
         label = trial.label or f"trial {i + 1}"
         add(f"breathing in {label}", "breathing", "height", p.breathing_mm, one & on_bones)
-        add(f"obliquity in {label}", "obliquity of a frame", "obliquity", float(np.deg2rad(p.frame_obliquity_deg)), one & held)
+        add(
+            f"obliquity in {label}",
+            "obliquity of a frame",
+            "obliquity",
+            float(np.deg2rad(p.frame_obliquity_deg)),
+            one & held,
+        )
         add(f"shoulder in {label}", "shoulder of a frame", "shoulder", p.frame_shoulder_mm, one)
     trunk = p.trunk_taped if taped else p.trunk
     for name, power in zip(("breadth", "depth"), p.trunk_power):
@@ -184,7 +190,9 @@ def _turned(load: LoadCase, axis: int) -> LoadCase:
     about = np.zeros(3)
     # Upward and forward whichever way the push points.
     about[axis] = np.sign(load.total[0] or 1.0) * (1.0 if axis == 2 else -1.0)
-    return LoadCase(load.points, np.cross(about, load.forces), load.label, load.nodes, np.cross(about, load.node_forces))
+    return LoadCase(
+        load.points, np.cross(about, load.forces), load.label, load.nodes, np.cross(about, load.node_forces)
+    )
 
 
 def _deeper(load: LoadCase, rest: TorsoState) -> LoadCase:

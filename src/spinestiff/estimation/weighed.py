@@ -119,7 +119,13 @@ class WeighedProblem:
         self._at_rest = at_rest
         self._loaded = len(trial_set.trials)
         self._still = np.concatenate(
-            [np.zeros(0), *(self.noise.channels[self._loaded + i].apply(at_rest[self._loaded + i].difference) for i in range(len(still)))]
+            [
+                np.zeros(0),
+                *(
+                    self.noise.channels[self._loaded + i].apply(at_rest[self._loaded + i].difference)
+                    for i in range(len(still))
+                ),
+            ]
         )
         self._measured = [
             (i, ACTS.index(name), value, sd)
@@ -148,6 +154,10 @@ class WeighedProblem:
         supports = np.array([(acts[i, act] - value) / sd for i, act, value, sd in self._measured])
         return WeighedPoint(np.array(nuisances), found, np.concatenate([*parts, self._still, supports]))
 
+    def at(self, evaluation: Evaluation) -> WeighedPoint:
+        """A point to start others from: what was solved with all nuisances 0."""
+        return WeighedPoint(np.zeros(len(self.unknowns)), evaluation, np.full(self.size, np.nan))
+
     def slope(self, point: WeighedPoint) -> WeighedSlope:
         """First order around a point."""
         found = self.trial_set.slope(point.evaluation, with_acts=True)
@@ -156,7 +166,7 @@ class WeighedProblem:
         nuisances = np.zeros((self.size, len(self.unknowns)))
         for i, part in enumerate(point.evaluation.residuals):
             channels, acts = self.noise.channels[i], point.evaluation.acts[i]
-            rows = slice(int(self.noise.ends[i]), int(self.noise.ends[i + 1]))
+            rows = self.noise.of(i)
             larger = 1.0 + acts[_MOTION]
             ratios[rows] = larger * channels.apply(part.moved(found.moves[i]))
             columns = larger * channels.apply(part.moved(found.acted[i]))
@@ -175,7 +185,7 @@ class WeighedProblem:
         """The covariance at a point: tracking's size by restricted likelihood, outlying vertebrae with less weight."""
         rest = np.eye(self.size)
         channels = slice(0, self.noise.size)
-        rest[channels, channels] = self._constant + self._discrepancy(point)
+        rest[channels, channels] = self._constant + self.discrepancy(point)
         free = point.values - slope.nuisances @ point.nuisances
         inflation = np.ones(self.noise.size) if before is None else before.inflation
         marginal = (rest + slope.nuisances @ slope.nuisances.T)[channels, channels]
@@ -193,7 +203,7 @@ class WeighedProblem:
 
         channels = slice(0, self.noise.size)
         covariance = np.eye(self.size)
-        covariance[channels, channels] = self._constant + self._discrepancy(point) + self.noise.tracking()
+        covariance[channels, channels] = self._constant + self.discrepancy(point) + self.noise.tracking()
         covariance += slope.nuisances @ slope.nuisances.T
         root = cholesky(covariance, lower=True)
         free = point.values - slope.nuisances @ point.nuisances
@@ -202,7 +212,8 @@ class WeighedProblem:
         left = values - q @ (q.T @ values)
         return float(chi2.sf(float(left @ left), self.size - q.shape[1]))
 
-    def _discrepancy(self, point: WeighedPoint) -> Floats:
+    def discrepancy(self, point: WeighedPoint) -> Floats:
+        """(n, n) mm^2 of all channels: what the model lacks, as large as it moves at ``point``."""
         covariance = np.zeros((self.noise.size, self.noise.size))
         end = int(self.noise.ends[self._loaded])
         covariance[:end, :end] = discrepancy_covariance(
@@ -303,13 +314,15 @@ def search(
                 share *= 0.25
                 continue
             # Below rounding of the equilibria a decrease is none.
-            if after <= before - 1e-4 * share * predicted or predicted < 1e-4 and after <= before + 1e-4:
+            if after <= before - 1e-4 * share * predicted or (predicted < 1e-4 and after <= before + 1e-4):
                 moved = trial
                 problem.trial_set.note(target, after, trial.evaluation, True)
                 break
             problem.trial_set.note(target, after, trial.evaluation, False)
             # The parabola through both values and the slope.
-            share *= float(np.clip(0.5 * 2.0 * predicted * share / (after - before + 2.0 * predicted * share), 0.1, 0.5))
+            share *= float(
+                np.clip(0.5 * 2.0 * predicted * share / (after - before + 2.0 * predicted * share), 0.1, 0.5)
+            )
         if moved is None:
             return WeighedFit(point, slope, weights, FitStatus.STALLED, tuple(visited))
         visited.append((point, slope))

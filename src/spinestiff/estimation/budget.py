@@ -1,0 +1,127 @@
+"""Where an estimate's uncertainty comes from, and how far it rests on what was taken as known before the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import minimize
+
+from spinestiff.arrays import Floats
+from spinestiff.estimation.emulator import Emulator, Place
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights
+
+TRACKING, DISCREPANCY, STANCE = "tracking", "model discrepancy", "stance"
+FACTORS = (0.5, 2.0)
+
+
+@dataclass(frozen=True)
+class BudgetRow:
+    """What one unknown does to the standard deviations (P,) of the log ratios, to first order at the estimate.
+
+    Attributes
+    ----------
+    alone : with this unknown and tracking's errors only.
+    without : with all unknowns but this one: what measuring it would gain.
+    """
+
+    name: str
+    alone: tuple[float, ...]
+    without: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Budget:
+    """All rows, with the standard deviations (P,) of everything together, and of tracking alone."""
+
+    rows: tuple[BudgetRow, ...]
+    together: tuple[float, ...]
+    tracking: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class PriorChange:
+    """The estimate (P,) and the linear sd of its logs (P,) with one prior's standard deviation times ``factor``."""
+
+    name: str
+    factor: float
+    ratios: tuple[float, ...]
+    sd: tuple[float, ...]
+
+
+def variance_budget(problem: WeighedProblem, fit: WeighedFit) -> Budget:
+    """By unknown, at the estimate."""
+    parts = covariance_parts(problem, fit)
+    base = parts.pop(TRACKING) + parts[STANCE]
+
+    def spread(covariance: Floats) -> tuple[float, ...]:
+        root = cholesky(covariance, lower=True)
+        whitened = solve_triangular(root, fit.slope.ratios, lower=True)
+        precision = whitened.T @ whitened
+        scale = np.sqrt(np.maximum(np.diag(precision), 1e-300))
+        return tuple(np.sqrt(np.maximum(np.diag(np.linalg.pinv(precision / np.outer(scale, scale))), 0.0)) / scale)
+
+    whole = base + sum(part for name, part in parts.items() if name != STANCE)
+    rows = [
+        BudgetRow(name, spread(base + part), spread(whole - part)) for name, part in parts.items() if name != STANCE
+    ]
+    return Budget(tuple(rows), spread(whole), spread(base))
+
+
+def covariance_parts(problem: WeighedProblem, fit: WeighedFit) -> dict[str, Floats]:
+    """(n, n) of the residuals, by cause; tracking's holds the errors of measured supports, too."""
+    n, channels = problem.size, slice(0, problem.noise.size)
+
+    def whole(part: Floats) -> Floats:
+        result = np.zeros((n, n))
+        result[channels, channels] = part
+        return result
+
+    tracking = whole(problem.noise.tracking(fit.weights.tracking_factor, fit.weights.inflation))
+    tracking[range(problem.noise.size, n), range(problem.noise.size, n)] = 1.0
+    found = {TRACKING: tracking} | {name: whole(part) for name, part in problem.noise.parts.items()}
+    found[DISCREPANCY] = whole(problem.discrepancy(fit.point))
+    for group in problem.unknowns.groups:
+        columns = fit.slope.nuisances[:, problem.unknowns.in_group(group)]
+        found[group] = columns @ columns.T
+    return found
+
+
+def prior_changes(
+    problem: WeighedProblem, fit: WeighedFit, places: Sequence[Place], limits: tuple[float, float]
+) -> tuple[PriorChange, ...]:
+    """The estimate with each prior's standard deviation halved and doubled, on the emulator."""
+    found = []
+    for group in problem.unknowns.groups:
+        for factor in FACTORS:
+            sds = np.where(problem.unknowns.in_group(group), factor, 1.0)
+            found.append(_changed(group, factor, Emulator(places, fit.weights, sds), fit, limits))
+    parts = covariance_parts(problem, fit)
+    fixed = sum(parts[name] for name in (TRACKING, DISCREPANCY, *problem.noise.parts))
+    for name in (DISCREPANCY, *problem.noise.parts):
+        for factor in FACTORS:
+            root = cholesky(fixed + (factor**2 - 1.0) * parts[name], lower=True)
+            weights = Weights(root, fit.weights.tracking_factor, fit.weights.inflation)
+            found.append(_changed(name, factor, Emulator(places, weights), fit, limits))
+    return tuple(found)
+
+
+def _changed(name: str, factor: float, emulator: Emulator, fit: WeighedFit, limits: tuple[float, float]) -> PriorChange:
+    start, step = fit.point.log_ratios, 1e-2
+    count = len(start)
+    bounds = [limits] * count
+    offsets = step * np.vstack([np.zeros(count), np.eye(count), -np.eye(count)])
+
+    def height(where: Floats) -> tuple[float, Floats]:
+        values = emulator.phi(where + offsets)
+        return float(values[0]), (values[1 : 1 + count] - values[1 + count :]) / (2.0 * step)
+
+    best = minimize(height, start, jac=True, method="L-BFGS-B", bounds=bounds).x
+    gradients = [
+        (height(best + step * axis)[1] - height(best - step * axis)[1]) / (2.0 * step) for axis in np.eye(count)
+    ]
+    curvature = 0.5 * (np.array(gradients) + np.array(gradients).T)
+    sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(curvature)), 0.0))
+    return PriorChange(name, factor, tuple(np.exp(best).tolist()), tuple(sd.tolist()))
