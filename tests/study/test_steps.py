@@ -71,7 +71,7 @@ def test_tracked_corners_are_where_the_truth_is(finished):
     assert len(push.frames) == 4
     view = push.view.view()
     for index, true in enumerate(truth):
-        assert push.frames[index].dropped == ""
+        assert push.frames[index].support_note == ""
         found = push.corners(index)
         rows = [VERTEBRAE.index(v) for v in found.vertebrae]
         wanted = view.to_patient_plane(view.from_pixels(np.array(true["corners_px"])[rows]))
@@ -211,7 +211,7 @@ def test_tracking_again_is_the_same_tracking(subject):
     assert file_digest(subject / "results" / "tracked.json") != before
 
 
-def test_a_frame_whose_supports_moved_is_found_and_left_out(subject):
+def test_a_frame_whose_supports_moved_is_found_and_kept(subject):
     """The whole picture of one training frame moved by 9 pixels, 6.7 mm at the patient plane."""
     path = subject / "pushes" / "main.dcm"
     dataset = pydicom.dcmread(path)
@@ -223,15 +223,16 @@ def test_a_frame_whose_supports_moved_is_found_and_left_out(subject):
     visit = opened(subject)
     run_steps(visit, ("track",), lines.append)
     frames = read_outcome(visit.subject, Tracked).pushes["main"].frames
-    assert [bool(frame.dropped) for frame in frames] == [False, True, False, False]
+    assert [bool(frame.support_note) for frame in frames] == [False, True, False, False]
     assert frames[1].support_motion_mm["shoulder"] == pytest.approx(6.7, abs=1.0)
+    assert frames[1].shoulder_mm.value == pytest.approx(6.7, abs=1.0)
     assert max(frames[3].support_motion_mm.values()) < 3.0
-    assert any(line.startswith("track: push 'main': frame 1: the ") for line in lines)
+    assert any(line.startswith("track: push 'main' frame 1: the ") for line in lines)
     pushes = load_pushes(visit, "procrustes")
-    assert [t.frame for t in pushes.of_role("training")] == [2]
-    (warning,) = [w for w in pushes.warnings if "dropped" in w]
+    assert [t.frame for t in pushes.of_role("training")] == [1, 2]
+    (warning,) = [w for w in pushes.warnings if "moved by" in w]
     assert warning.startswith("push 'main' frame 1: the ")
-    assert "mm); the frame is dropped" in warning
+    assert warning.endswith("; the paper leaves such a frame out")
 
 
 # Every equilibrium is solved once

@@ -53,9 +53,9 @@ def replace_record(push, **changed):
     return PushRecord.model_validate({**push.model_dump(), **changed})
 
 
-def tracked(*frames, dropped=None):
-    """A push of these corners; ``dropped``: why, by frame."""
-    return tracked_push(frontal_view(), [10.0 * index for index in range(len(frames))], frames, dropped)
+def tracked(*frames, notes=None):
+    """A push of these corners; ``notes`` on its supports, by frame."""
+    return tracked_push(frontal_view(), [10.0 * index for index in range(len(frames))], frames, notes)
 
 
 def with_quality(corners, **lost):
@@ -129,13 +129,13 @@ def test_pushes_from_both_sides_and_at_several_sites_are_fitted_together(torso):
     assert np.abs(seen(torso.rest_pose).corners - wanted).max() > 2.0
 
 
-def test_a_frame_whose_support_moved_is_left_out_and_named(torso, corners):
-    message = "frame 2: the pelvis moved by 3.4 mm (limit 3 mm); the frame is dropped"
-    frames = tracked(corners, corners, corners, corners, dropped={2: message})
+def test_a_frame_whose_support_moved_is_kept_and_named(torso, corners):
+    note = "the pelvis moved by 3.4 mm, obliquity +2.1 degrees"
+    frames = tracked(corners, corners, corners, corners, notes={2: note})
     roles = ("unused", "training", "validation", "validation")
     found = push_set(torso, [record((0.0, 20.0, 40.0, 50.0), roles)], {"main": frames})
-    assert [t.frame for t in found.trials] == [0, 1, 3]
-    assert found.warnings == (f"push 'main' {message}",)
+    assert [t.frame for t in found.trials] == [0, 1, 2, 3]
+    assert found.warnings == (f"push 'main' frame 2: {note}; the paper leaves such a frame out",)
     unused = push_set(torso, [record((0.0, 20.0, 40.0, 50.0), (*roles[:2], "unused", roles[3]))], {"main": frames})
     assert unused.warnings == ()
 
@@ -161,7 +161,8 @@ def test_a_frame_that_lost_all_is_left_out(torso, corners):
 
 
 def test_no_training_frame_left_is_refused(torso, corners):
-    frames = tracked(corners, corners, corners, dropped={1: "frame 1: the shoulder moved by 9.0 mm"})
+    nothing = VertebraCorners(corners.vertebrae, corners.corners, np.zeros((len(corners), 4)))
+    frames = tracked(corners, nothing, corners)
     with pytest.raises(SubjectError, match="no training frame is left after tracking"):
         push_set(torso, [record()], {"main": frames})
 
@@ -177,8 +178,9 @@ def test_a_push_without_an_unloaded_frame_is_warned_of(torso, corners):
 
 
 def test_the_reference_is_the_least_loaded_frame_that_can_be_used(torso, corners):
-    """A first frame that was dropped says nothing about where the patient stood."""
-    frames = tracked(corners, corners, corners, dropped={0: "frame 0: the pelvis moved"})
+    """A first frame in which nothing was found says nothing about where the patient stood."""
+    nothing = VertebraCorners(corners.vertebrae, corners.corners, np.zeros((len(corners), 4)))
+    frames = tracked(nothing, corners, corners)
     found = push_set(torso, [record((0.0, 20.0, 40.0))], {"main": frames})
     assert found.reference("main").frame == 1
     assert any("least force is 20 N" in w for w in found.warnings)

@@ -47,7 +47,7 @@ class PushSet(ShortRepr):
     problems : push id -> supports for its side.
     trials : every usable frame, the unloaded first ones included.
     poses : push id -> how the patient stood.
-    warnings : what was dropped, and why.
+    warnings : what was left out, and why; supports that moved.
     orientation : of a vertebra in the picture, for all that is made of the trials.
     """
 
@@ -98,9 +98,7 @@ def push_set(
             )
         tracked_corners = [found.corners(i) for i in range(len(found.frames))]
         corners = [usable_corners(frame) for frame in tracked_corners]
-        usable = [
-            i for i, frame in enumerate(found.frames) if not frame.dropped and len(corners[i]) >= FEWEST_VERTEBRAE
-        ]
+        usable = [i for i, left in enumerate(corners) if len(left) >= FEWEST_VERTEBRAE]
         if not usable:
             raise SubjectError(f"push '{push.id}': no frame is usable after tracking; see the messages of that step")
         least = min(usable, key=lambda i: push.forces_n[i])
@@ -115,10 +113,8 @@ def push_set(
             raise TrackingError(f"push '{push.id}' frame {least}: {error}") from None
         for index, (frame, force, role) in enumerate(zip(found.frames, push.forces_n, push.roles)):
             label = f"push '{push.id}' frame {index}"
-            if frame.dropped and role != "unused":
-                warnings.append(f"push '{push.id}' {frame.dropped}")
-            if frame.dropped:
-                continue
+            if frame.support_note and role != "unused":
+                warnings.append(f"{label}: {frame.support_note}; the paper leaves such a frame out")
             load = rib_push(torso, push.side, push.level, force, label=label)
             # Seen unloaded in the same sequence, vertebrae are compared by how far they moved from there.
             unloaded = corners[least] if push.forces_n[least] == 0.0 and index != least else None

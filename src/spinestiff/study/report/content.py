@@ -280,15 +280,23 @@ def reaction_rows(found: Reactions) -> list[dict[str, str]]:
 
 
 def support_rows(tracked: Tracked) -> list[dict[str, str]]:
-    """Largest motion of each support, and what was dropped, by push."""
+    """Largest motion of each support, largest obliquity, and the frames that the paper would leave out, by push."""
     rows = []
     for name, push in tracked.pushes.items():
         largest = {}
         for support in ("pelvis", "shoulder"):
             seen = [f.support_motion_mm[support] for f in push.frames if support in f.support_motion_mm]
             largest[support] = f"{fixed(max(seen))} mm" if seen else "not marked"
-        dropped = [f"frame {i}" for i, frame in enumerate(push.frames) if frame.dropped]
-        rows.append({"push": name, **largest, "dropped": listed(dropped) or "none", "frames": str(len(push.frames))})
+        turns = [f.obliquity_deg for f in push.frames if f.obliquity_deg is not None]
+        most = max(turns, key=lambda turn: abs(turn.value), default=None)
+        turned = "not seen" if most is None else f"{fixed(most.value, 1, True)}° ± {fixed(most.sd, 1)}°"
+        moved = [f"frame {i}" for i, frame in enumerate(push.frames) if frame.support_note]
+        rows.append(
+            {
+                "push": name, **largest, "obliquity": turned, "moved": listed(moved) or "none",
+                "frames": str(len(push.frames)),
+            }
+        )  # fmt: skip
     return rows
 
 
