@@ -48,8 +48,14 @@ class Case:
     level: float
 
 
-# Seeds 1 to 6 set FLESH_MM (imaging/tracking/supports.py); these are others.
+# FLESH_MM (imaging/tracking/supports.py) was set on these.
 CASES = (
+    Case(1, 4.0, 4.0, 60.0, 8.0),
+    Case(2, -2.0, 2.0, 40.0, 8.0),
+    Case(3, 0.0, 0.0, 60.0, 6.0),
+    Case(4, 3.0, -3.0, 50.0, 10.0),
+    Case(5, 1.0, 1.0, 20.0, 8.0),
+    Case(6, -4.0, 4.0, 60.0, 9.0),
     Case(11, 3.5, 4.0, 60.0, 8.0),
     Case(12, -3.0, 2.0, 40.0, 7.0),
     Case(13, 0.0, 0.0, 60.0, 6.0),

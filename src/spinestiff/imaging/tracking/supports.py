@@ -30,7 +30,7 @@ OBLIQUITY_LIMIT_DEG = 3.0
 DEPTH_OF_SLIDE = 0.4
 """Motion in depth of a shoulder for each mm that it slides along its wall: 0.3 to 0.4 in the template under a push."""
 SUPPORT_RADIUS_MM = 15.0
-FLESH_MM = {"pelvis": 0.35, "shoulder": 0.1}
+FLESH_MM = {"pelvis": 0.6, "shoulder": 0.14}
 """Standard error of a point along an axis, besides what tracking predicts: skin and bowel take its picture along
 (docs/tracking.md)."""
 SKIN_SHARE = 0.8
