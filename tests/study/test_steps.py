@@ -199,6 +199,11 @@ def test_the_reactions_balance_the_push(finished):
     assert reactions.eq1_pelvis == pytest.approx(22.5 * push.d31_mm / push.d21_mm)
     assert reactions.shoulder + reactions.pelvis == pytest.approx(22.5, rel=0.05)
     assert reactions.shoulder == pytest.approx(reactions.eq2_shoulder, rel=0.35)
+    held = finished.fit.equilibria[-1].reactions
+    (pelvis,) = [reaction for reaction in held if reaction.name == "pelvis"]
+    assert reactions.pelvis_moment_nm == pytest.approx(push.sign * pelvis.moment[2] / 1000.0)
+    assert reactions.pelvis_moment_nm > 0.1
+    assert reactions.wall_pull == pytest.approx(max(-r.force[2] for r in held if r.kind == "wall"))
 
 
 def test_tracking_again_is_the_same_tracking(subject):

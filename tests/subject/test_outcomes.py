@@ -115,7 +115,8 @@ def examples():
             "region_size": None, "training_rmse_mm": {"default": None, "fit": third}, "method": "lm",
             "orientation": "covariance", "bounds": (0.005, 5.0), "poses": {"a": pose()}, "notes": ("ü", ""),
             "reactions_n": {
-                "push": "a", "f3": 20.0, "shoulder": third, "pelvis": 1.0, "eq2_shoulder": 2.0, "eq1_pelvis": 3.0,
+                "push": "a", "f3": 20.0, "shoulder": third, "pelvis": 1.0, "pelvis_moment_nm": third,
+                "wall_pull": 0.0, "eq2_shoulder": 2.0, "eq1_pelvis": 3.0,
             },
             "history": ({"ratios": {"tissue": third}, "loss": None, "rmse_mm": None, "accepted": False},),
             "cost": {"equilibria": 1, "newton_iterations": 2, "factorisations": 3, "seconds": third},

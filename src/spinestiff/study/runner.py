@@ -32,6 +32,7 @@ from spinestiff.subject.run_record import (
 STEPS = ("track", "personalise", "estimate", "assess", "report")
 PUSHES, ROLES = f"{SUBJECT_FILE}: pushes", f"{SUBJECT_FILE}: roles"
 XRAY, FORCES, BODY = (f"{SUBJECT_FILE}: {part}" for part in ("X-ray geometry", "frames and forces", "body"))
+SUPPORTS = f"{SUBJECT_FILE}: supports"
 REST_MARKS, PUSH_MARKS = f"{ANNOTATION_FILE}: rest", f"{ANNOTATION_FILE}: pushes"
 SHAPE = ("torso.npz", "personalised.json")
 MADE_BY = {
@@ -102,7 +103,7 @@ ALL_STEPS: Mapping[str, Step] = {
     ),
     "estimate": Step(
         step_functions.estimate_step,
-        (PUSHES, ROLES, BODY),
+        (PUSHES, ROLES, BODY, SUPPORTS),
         ("rest", "push"),
         ("tracked.json", *SHAPE),
         lambda visit: ("estimate.json", "training.npz"),
@@ -114,7 +115,7 @@ ALL_STEPS: Mapping[str, Step] = {
     ),
     "assess": Step(
         step_functions.assess_step,
-        (PUSHES, ROLES),
+        (PUSHES, ROLES, SUPPORTS),
         (),
         ("tracked.json", *SHAPE, "estimate.json", "training.npz"),
         lambda visit: ("assessment.json", "predictions.npz", *(("comparison.json",) if visit.truth else ())),
@@ -122,7 +123,7 @@ ALL_STEPS: Mapping[str, Step] = {
     ),
     "report": Step(
         step_functions.report_step,
-        (PUSHES, ROLES, BODY, XRAY, REST_MARKS, PUSH_MARKS),
+        (PUSHES, ROLES, BODY, SUPPORTS, XRAY, REST_MARKS, PUSH_MARKS),
         ("rest", "push"),
         ("tracked.json", *SHAPE, "estimate.json", "assessment.json", "predictions.npz"),
         lambda visit: ("report.html", "view.html"),
@@ -130,7 +131,7 @@ ALL_STEPS: Mapping[str, Step] = {
     ),
     "view": Step(
         step_functions.view_step,
-        (PUSHES, ROLES),
+        (PUSHES, ROLES, SUPPORTS),
         (),
         ("tracked.json", *SHAPE, "estimate.json", "predictions.npz"),
         lambda visit: ("view.html",),

@@ -288,12 +288,23 @@ class PlainStiffness(Quantity):
 
 
 class Reactions(Outcome):
-    """Forces at the supports under the largest training push, N, above 0 against the push, beside Eqs. 1-2."""
+    """Forces at the supports under the largest training push, N, above 0 against the push, beside Eqs. 1-2.
+
+    Attributes
+    ----------
+    push : of which frame. f3 : the push.
+    shoulder, pelvis : lateral forces in the model.
+    pelvis_moment_nm : about the AP axis, N m, above 0 against the push, too; Eqs. 1-2 have none.
+    wall_pull : the most that the back wall pulls at one of its points; a real one can't.
+    eq2_shoulder, eq1_pelvis : lateral forces by Eqs. 2 and 1.
+    """
 
     push: str
     f3: float
     shoulder: float
     pelvis: float
+    pelvis_moment_nm: float
+    wall_pull: Annotated[float, Field(ge=0.0)]
     eq2_shoulder: float
     eq1_pelvis: float
 

@@ -271,11 +271,13 @@ def _cobb_rows(frame: HeldOutFrame) -> dict[str, Any]:
 
 
 def reaction_rows(found: Reactions) -> list[dict[str, str]]:
-    """Forces at the supports in the model beside Eqs. 1-2."""
+    """Forces and moment at the supports in the model beside Eqs. 1-2."""
     return [
         {"title": "Push on the ribs (F3)", "model": fixed(found.f3), "balance": fixed(found.f3)},
         {"title": "Shoulder (F1)", "model": fixed(found.shoulder), "balance": fixed(found.eq2_shoulder)},
         {"title": "Pelvis (F2)", "model": fixed(found.pelvis), "balance": fixed(found.eq1_pelvis)},
+        {"title": "Pelvis, moment in N m", "model": fixed(found.pelvis_moment_nm, 2), "balance": fixed(0.0, 2)},
+        {"title": "Back wall, largest pull", "model": fixed(found.wall_pull), "balance": MISSING},
     ]
 
 
