@@ -96,7 +96,7 @@ class SupportMotion:
 
     def notes(self) -> dict[int, str]:
         """Of each frame in which it moved, by how much: "the pelvis moved by 3.4 mm, obliquity +2.1 degrees"."""
-        return {int(frame): self._note(frame) for frame in np.flatnonzero(self.moved)}
+        return {frame: self._note(frame) for frame in np.flatnonzero(self.moved).tolist()}
 
     def _note(self, frame: int) -> str:
         words = f"the {self.name} moved by {self.distance[frame]:.1f} mm"
@@ -155,7 +155,8 @@ def _under_the_skin(body: Body, pictures: Pictures) -> Body:
 
     image = pictures.images[0]
     reach = int(np.ceil(2.0 * SHADING_MM / pictures.mm))
-    darkest = np.asarray(cv2.erode(cv2.GaussianBlur(image, (0, 0), SHADING_MM / pictures.mm), np.ones((reach, reach))))
+    smooth = cv2.GaussianBlur(image, (0, 0), SHADING_MM / pictures.mm)
+    darkest = np.asarray(cv2.erode(smooth, np.ones((reach, reach))), dtype=np.float32)
     air, flesh = np.percentile(image, 1.0), np.median(image)
     kept = sampled(darkest, body.points) > air + SKIN_SHARE * (flesh - air)
     if np.mean(kept) < LEAST_LEFT:
