@@ -39,13 +39,13 @@ def tracked_push(
     view: XRayView,
     forces_n: Sequence[float],
     corners: Sequence[VertebraCorners],
-    dropped: Mapping[int, str] | None = None,
+    notes: Mapping[int, str] | None = None,
 ) -> TrackedPush:
     """A push of corners on the detector, unrounded; what a frame lacks of the vertebrae is there with quality 0.
 
     Parameters
     ----------
-    corners : of a frame each, the most complete among them with all vertebrae. dropped : why, by frame.
+    corners : of a frame each, the most complete among them with all vertebrae. notes : on supports, by frame.
     """
     most = max(corners, key=len)
     frames = []
@@ -58,7 +58,7 @@ def tracked_push(
                 "force_n": force,
                 "corners_px": view.pixels(points).tolist(),
                 "quality": quality.tolist(),
-                "dropped": (dropped or {}).get(index, ""),
+                "support_note": (notes or {}).get(index, ""),
             }
         )
     return TrackedPush.model_validate({"view": ViewRecord.of(view), "vertebrae": most.vertebrae, "frames": frames})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from spinestiff.imaging.tracking import SUPPORT_LIMIT_MM, support_motion, track
 from spinestiff.imaging.tracking.following import credits
 from spinestiff.imaging.tracking.patches import Body
 from spinestiff.imaging.tracking.quality import FOUND, error_of, quality_of
+from spinestiff.imaging.tracking.supports import FLESH_MM
 
 SHAPE = (620, 360)
 VIEW = frontal_view(shape=SHAPE, pixel=0.7)
@@ -325,32 +327,73 @@ def supported(shifts, turns=(0.0, 0.0, 0.0)):
     return frames
 
 
-def test_a_support_that_moved_drops_the_frame():
+def test_a_support_that_moved_is_noted():
     limit = SUPPORT_LIMIT_MM / PLANE_MM
     frames = supported([[0.0, 0.0], [0.7 * limit, 0.0], [1.4 * limit, 0.0]])
     pelvis, shoulder = support_motion(frames, {"pelvis": PELVIS, "shoulder": SHOULDER})
     assert pelvis.displacement[:, 0] == pytest.approx([0.0, 2.1, 4.2], abs=0.2)
     assert pelvis.moved.tolist() == [False, False, True]
     assert shoulder.distance.max() < 0.3
-    assert not shoulder.messages()
-    assert pelvis.messages()[2].startswith("frame 2: the pelvis moved by 4.")
+    assert not shoulder.notes()
+    note = pelvis.notes()[2]
+    assert re.fullmatch(r"the pelvis moved by 4\.\d mm, obliquity [+-]0\.\d degrees", note)
 
 
-def test_a_pelvis_that_turns_about_its_hinge_has_not_moved():
-    frames = supported(np.zeros((3, 2)), turns=(0.0, 0.06, 0.12))
+def test_a_support_moves_to_the_left_and_up():
+    """Columns grow to the patient's left, rows to the feet."""
+    frames = supported([[0.0, 0.0], [4.0, -3.0]])
+    (pelvis,) = support_motion(frames, {"pelvis": PELVIS})
+    assert pelvis.displacement[1] == pytest.approx([4.0 * PLANE_MM, 3.0 * PLANE_MM], abs=3.0 * pelvis.error[1])
+
+
+def test_a_pelvis_that_turns_about_its_middle_has_an_obliquity_and_has_not_moved():
+    """Clockwise in the picture the patient's left side sinks: a turn about +z below 0."""
+    frames = supported(np.zeros((3, 2)), turns=(0.0, 0.03, -0.08))
     (pelvis,) = support_motion(frames, {"pelvis": PELVIS})
     assert pelvis.distance.max() < 0.8
+    assert pelvis.turn_seen.all()
+    assert pelvis.turn == pytest.approx([0.0, -0.03, 0.08], abs=3.0 * pelvis.turn_error.max())
+    # Two points, each known to FLESH_MM and what tracking predicts, at a distance of 0.7 * 180 mm.
+    least = np.sqrt(2.0) * FLESH_MM["pelvis"] / (180.0 * PLANE_MM)
+    assert least < pelvis.turn_error[1] < 2.0 * least
+    assert pelvis.moved.tolist() == [False, False, True]
+    assert pelvis.notes()[2].endswith(f"obliquity {np.degrees(pelvis.turn[2]):+.1f} degrees")
+
+
+def test_a_single_point_shows_no_turn():
+    frames = supported(np.zeros((3, 2)), turns=(0.0, 0.06, 0.12))
     (one,) = support_motion(frames, {"pelvis": PELVIS[:1]})
     assert one.moved[2]
+    assert not one.turn_seen.any()
+    assert "obliquity" not in one.notes()[2]
+    (twice,) = support_motion(frames, {"pelvis": PELVIS[[0, 0]]})
+    assert not twice.turn_seen.any()
 
 
-def test_a_support_that_is_not_visible_drops_nothing():
+def test_a_support_that_is_not_visible_says_nothing():
     frames = supported(np.zeros((2, 2)))
     frames[1] = Frame(np.full(SHAPE, 50.0, dtype=np.float32))
     (pelvis,) = support_motion(frames, {"pelvis": PELVIS})
-    assert pelvis.quality[1] == 0.0
+    assert pelvis.seen.tolist() == [True, False]
+    assert pelvis.turn_seen.tolist() == [True, False]
     assert not pelvis.moved.any()
     assert support_motion(frames, {}) == ()
+
+
+def test_the_edge_of_the_skin_does_not_take_a_support_along():
+    """Bone at rest beside a skin that slides: its edge has ten times the contrast."""
+    column = np.arange(SHAPE[1], dtype=float)[None]
+    row = np.arange(SHAPE[0], dtype=float)[:, None]
+    point = np.array([[270.0, 300.0]])
+    frames = []
+    for k, shift in enumerate((0.0, 5.0)):
+        skin = 400.0 / (1.0 + np.exp((column - 285.0 - shift) / 2.0)) * np.ones(SHAPE)
+        bone = 40.0 / (1.0 + np.exp(np.clip(np.hypot(column - 262.0, row - 300.0) - 10.0, -50, 50)))
+        noise = np.random.default_rng(k).standard_normal(SHAPE)
+        frames.append(Frame((skin + bone + 2.0 * noise).astype(np.float32)))
+    (pelvis,) = support_motion(frames, {"pelvis": point})
+    assert pelvis.seen[1]
+    assert pelvis.distance[1] < 3.0 * FLESH_MM["pelvis"]
 
 
 # Refusals

@@ -12,9 +12,10 @@ from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError
-from spinestiff.mechanics.contact import solve_with_contact, switched
+from spinestiff.mechanics.contact import OneSidedProblem, solve_with_contact, switched
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.mechanics.loads import LoadCase, rib_push
+from spinestiff.mechanics.loads import LoadCase, no_load, rib_push
+from spinestiff.mechanics.places import SupportPlace
 from spinestiff.mechanics.supports import SupportKind, Supports, three_point_supports
 from spinestiff.mechanics.terms import PointSprings
 from spinestiff.verification.models import make_torso
@@ -149,3 +150,95 @@ def test_the_wall_behind_a_pushed_torso_does_not_pull():
     assert found.touching[0]  # the shoulder's spring is bilateral and stays
     balance = load.forces.sum(0) + sum(reaction.force for reaction in found.equilibrium.reactions)
     assert np.abs(balance).max() < 1e-6 * load.size
+
+
+# As a problem like any other
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    """A torso whose wall pushes only, a push under which a bilateral one pulls, and the equilibrium."""
+    torso = template_torso(157.0, "coarse")
+    problem = OneSidedProblem(torso, three_point_supports(torso, "right"))
+    load, ratios = rib_push(torso, "right", 6.0, 60.0), stiffness_ratios({"lateral_bending": 0.2, "tissue": 0.05})
+    return problem, load, ratios, problem.solve(load, ratios).require()
+
+
+def wall_forces(found):
+    return np.array([r.force[2] for r in found.reactions if r.kind is SupportKind.WALL])
+
+
+def test_a_one_sided_problem_finds_the_active_set(pushed):
+    problem, load, ratios, found = pushed
+    bilateral = EquilibriumProblem(problem.torso, problem.supports)
+    assert wall_forces(bilateral.solve(load, ratios).require()).min() < -0.5  # else nothing is tested
+    expected = solve_with_contact(bilateral, load, ratios)
+    np.testing.assert_allclose(found.state.bone_positions, expected.equilibrium.state.bone_positions, atol=1e-6)
+    assert wall_forces(found).min() >= -1e-6
+    assert (wall_forces(found) == 0.0).any()
+    assert [r.name for r in found.reactions[1:]] == list(problem.supports.names)
+    # What all rounds took, not the last one alone.
+    last = bilateral.with_supports(switched(problem.supports, expected.touching))
+    assert expected.rounds > 1
+    assert found.factorisations > last.solve(load, ratios, expected.equilibrium.state).factorisations
+    assert len(found.history) > found.iterations - 1 > 1
+
+
+def test_it_starts_from_the_springs_that_touch_in_its_start(pushed):
+    problem, load, ratios, found = pushed
+    again = problem.solve(load, ratios, found.state).require()
+    assert again.iterations <= 1
+    tangent = problem.linearise(found, load, ratios)
+    softer = stiffness_ratios({"lateral_bending": 0.19, "tissue": 0.05})
+    assert problem.solve(load, softer, tangent).require().factorisations <= 1
+
+
+def test_its_derivatives_hold_the_springs_that_touch(pushed):
+    problem, load, ratios, found = pushed
+    rows = 6 * problem.torso.bone("T8") + np.arange(3)
+    slope = problem.linearise(found, load, ratios).forward(ratios.groups)[rows]
+    _, again = problem.solve_linearised(load, ratios, found.state)
+    np.testing.assert_allclose(again.forward(ratios.groups)[rows], slope, rtol=1e-6, atol=1e-9)
+    step, measured = 1e-4, []
+    for i in range(2):
+        places = []
+        for sign in (1.0, -1.0):
+            values = np.array(ratios.values) * np.exp(sign * step * np.eye(2)[i])
+            other = stiffness_ratios({"lateral_bending": values[0], "tissue": values[1]})
+            moved = problem.solve(load, other, found.state).require().state
+            places.append(moved.bone_positions[problem.torso.bone("T8")])
+        measured.append((places[0] - places[1]) / (2.0 * step))
+    np.testing.assert_allclose(slope, np.transpose(measured), rtol=1e-4, atol=1e-5)
+    # On all springs the derivative is another one: the wall would hold the back.
+    bilateral = EquilibriumProblem(problem.torso, problem.supports)
+    solved = bilateral.solve(load, ratios).require()
+    other = bilateral.linearise(solved, load, ratios).forward(ratios.groups)[rows]
+    assert np.abs(other - slope).max() > 1e-2
+
+
+def test_elsewhere_its_wall_is_as_one_sided(pushed):
+    problem, load, ratios, found = pushed
+    there = problem.with_place(SupportPlace(np.radians(2.0), 2.0))
+    moved = there.solve(load, ratios, found.state).require()
+    assert wall_forces(moved).min() >= -1e-6
+    assert there.linearise(moved, load, ratios).place_derivative().shape == (problem.potential.dofs, 2)
+
+
+def test_unloaded_it_rests_against_its_wall(pushed):
+    problem, *_ = pushed
+    rest = problem.solve(no_load()).require()
+    assert rest.iterations == 0
+    assert problem.linearise(rest, no_load()).system.supports.springs.stiffness.min() > 0.0
+
+
+def test_a_problem_without_a_wall_is_refused(pushed):
+    torso = pushed[0].torso
+    with pytest.raises(EquilibriumError, match="no support of the kind 'wall' to be one-sided; there are shoulder"):
+        OneSidedProblem(torso, three_point_supports(torso, "right", wall=False))
+
+
+def test_a_solve_that_fails_says_so(pushed):
+    problem, load, ratios, _ = pushed
+    failed = problem.solve(load.scaled(100.0), ratios, max_iterations=2)
+    assert not failed.converged
+    assert failed.fault

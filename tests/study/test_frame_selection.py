@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
+from results import tracked_push
 from spinestiff.errors import SubjectError
+from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.image_quality import ImageQuality
 from spinestiff.imaging.projection import frontal_view
-from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.study import frame_selection
 from spinestiff.study.frame_selection import FrameQuality, Motion, propose
-from spinestiff.subject.records import SubjectRecord, read_record
+from spinestiff.subject.outcomes import TrackedFrame
+from spinestiff.subject.records import PushRecord, SubjectRecord, read_record
 from spinestiff.subject.roles import write_roles
 
 GOOD = ImageQuality(1.0, 5.0, 0.0)
@@ -63,8 +64,6 @@ def test_more_frames_than_needed_and_equal_forces():
 @pytest.mark.parametrize(
     ("bad", "why"),
     [
-        ({"dropped": "frame 3: the pelvis moved by 4.1 mm (limit 3.0 mm); the frame is dropped"},
-         "unused, the pelvis moved by 4.1 mm (limit 3.0 mm)"),
         ({"image": ImageQuality(0.5, 5.0, 0.0)}, "blurred (sharpness 0.50 of the sharpest frame's)"),
         ({"image": ImageQuality(float("nan"), 0.0, 0.0)}, "blurred"),
         ({"image": ImageQuality(1.0, 5.0, 0.2)}, "20 % of the vertebrae have no grey values of their own"),
@@ -94,7 +93,7 @@ def test_both_sides_and_several_sites():
     assert roles(low, frames("r", 30.0)) == [["unused", "training"], ["validation"]]
     assert "none is left to check with" in reasons(frames("r", 30.0))[0][0]
     # Nothing usable: nothing proposed.
-    bad = replace(low[1], dropped="frame 1: the pelvis moved by 9.0 mm; the frame is dropped")
+    bad = replace(low[1], vertebrae=0)
     assert roles([low[0], bad]) == [["unused", "unused"]]
 
 
@@ -105,23 +104,30 @@ def test_supports_in_words():
     assert reasons(one)[0][0].startswith("60 N, sharp, noisy, pelvis moved 1.2 mm: ")
 
 
-def test_a_support_that_turns_and_one_that_slides(monkeypatch):
-    """Points moved by hand in a real picture: mean motion, turn in degrees, and a shoulder's slide not counted."""
-    view = frontal_view(sid=1500.0, source_to_patient=1340.0, shape=(600, 500), pixel=(0.8, 0.8))
-    random = np.random.default_rng(3)
-    rows = np.arange(600)[:, None]
-    image = np.float32(50.0) * cv2.GaussianBlur(random.normal(0.0, 1.0, (600, 500)).astype(np.float32), (0, 0), 5.0)
-    turn = cv2.getRotationMatrix2D((250.0, 450.0), -1.5, 1.0)  # clockwise as seen
-    turned = cv2.warpAffine(image, turn, (500, 600), borderMode=cv2.BORDER_REFLECT)
-    slid = np.roll(image, 4, axis=0)
-    second = np.where(rows > 250, turned, slid).astype(np.float32)
-    points = {"pelvis": np.array([[130.0, 450.0], [370.0, 450.0]]), "shoulder": np.array([[250.0, 100.0]])}
-    pictures = [Radiograph(pixels, view) for pixels in (image, second)]
-    _, moved = frame_selection._motions(pictures, points)
-    assert moved["pelvis"].degrees == pytest.approx(1.5, abs=0.1)
-    assert moved["pelvis"].mm < 0.2
-    assert moved["shoulder"].mm < 0.2  # it slid by 4 pixels along the wall
-    assert moved["shoulder"].degrees is None
+def test_supports_that_moved_are_shown_and_exclude_nothing():
+    far = {"supports": {"pelvis": Motion(9.0, 6.5), "shoulder": Motion(12.0, None)}}
+    assert roles(frames("a", 0.0, 20.0, 40.0, 60.0, f2=far, f3=far)) == [
+        ["unused", "training", "training", "validation"]
+    ]
+    # Nor do they decide between two pictures under one force: the sharper one counts.
+    sharper = {"f1": far, "f2": {"image": ImageQuality(0.95, 5.0, 0.0)}}
+    assert roles(frames("a", 0.0, 40.0, 40.0, 60.0, **sharper)) == [["unused", "training", "unused", "validation"]]
+
+
+def test_what_is_said_of_supports_is_what_was_tracked(monkeypatch):
+    """From the tracked frame: nothing is followed a second time."""
+    seen = {"support_motion_mm": {"pelvis": 1.25, "shoulder": 0.5}, "obliquity_deg": {"value": -2.5, "sd": 0.25}}
+    corners = VertebraCorners(("T8",), np.full((1, 4, 2), 10.0), np.full((1, 4), 0.5))
+    tracked = tracked_push(frontal_view(), [0.0, 20.0], [corners, corners])
+    moved = TrackedFrame.model_validate({**tracked.frames[1].model_dump(), **seen})
+    tracked = tracked.model_copy(update={"frames": (tracked.frames[0], moved)})
+    monkeypatch.setattr(frame_selection, "image_quality", lambda pictures, found: [GOOD] * len(found))
+    record = PushRecord.model_validate(
+        {"id": "a", "side": "right", "level": 8, "d21_mm": 400, "d31_mm": 200, "frames": "a.dcm", "forces_n": [0, 20]}
+    )
+    first, second = frame_selection.frame_qualities(record, [None, None], tracked)
+    assert first.supports == {}
+    assert second.supports == {"pelvis": Motion(1.25, -2.5), "shoulder": Motion(0.5, None)}
 
 
 TEXT = """{

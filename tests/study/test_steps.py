@@ -71,7 +71,7 @@ def test_tracked_corners_are_where_the_truth_is(finished):
     assert len(push.frames) == 4
     view = push.view.view()
     for index, true in enumerate(truth):
-        assert push.frames[index].dropped == ""
+        assert push.frames[index].support_note == ""
         found = push.corners(index)
         rows = [VERTEBRAE.index(v) for v in found.vertebrae]
         wanted = view.to_patient_plane(view.from_pixels(np.array(true["corners_px"])[rows]))
@@ -199,6 +199,11 @@ def test_the_reactions_balance_the_push(finished):
     assert reactions.eq1_pelvis == pytest.approx(22.5 * push.d31_mm / push.d21_mm)
     assert reactions.shoulder + reactions.pelvis == pytest.approx(22.5, rel=0.05)
     assert reactions.shoulder == pytest.approx(reactions.eq2_shoulder, rel=0.35)
+    held = finished.fit.equilibria[-1].reactions
+    (pelvis,) = [reaction for reaction in held if reaction.name == "pelvis"]
+    assert reactions.pelvis_moment_nm == pytest.approx(push.sign * pelvis.moment[2] / 1000.0)
+    assert reactions.pelvis_moment_nm > 0.1
+    assert reactions.wall_pull == pytest.approx(max(-r.force[2] for r in held if r.kind == "wall"))
 
 
 def test_tracking_again_is_the_same_tracking(subject):
@@ -211,7 +216,7 @@ def test_tracking_again_is_the_same_tracking(subject):
     assert file_digest(subject / "results" / "tracked.json") != before
 
 
-def test_a_frame_whose_supports_moved_is_found_and_left_out(subject):
+def test_a_frame_whose_supports_moved_is_found_and_kept(subject):
     """The whole picture of one training frame moved by 9 pixels, 6.7 mm at the patient plane."""
     path = subject / "pushes" / "main.dcm"
     dataset = pydicom.dcmread(path)
@@ -223,15 +228,16 @@ def test_a_frame_whose_supports_moved_is_found_and_left_out(subject):
     visit = opened(subject)
     run_steps(visit, ("track",), lines.append)
     frames = read_outcome(visit.subject, Tracked).pushes["main"].frames
-    assert [bool(frame.dropped) for frame in frames] == [False, True, False, False]
+    assert [bool(frame.support_note) for frame in frames] == [False, True, False, False]
     assert frames[1].support_motion_mm["shoulder"] == pytest.approx(6.7, abs=1.0)
+    assert frames[1].shoulder_mm.value == pytest.approx(6.7, abs=1.0)
     assert max(frames[3].support_motion_mm.values()) < 3.0
-    assert any(line.startswith("track: push 'main': frame 1: the ") for line in lines)
+    assert any(line.startswith("track: push 'main' frame 1: the ") for line in lines)
     pushes = load_pushes(visit, "procrustes")
-    assert [t.frame for t in pushes.of_role("training")] == [2]
-    (warning,) = [w for w in pushes.warnings if "dropped" in w]
+    assert [t.frame for t in pushes.of_role("training")] == [1, 2]
+    (warning,) = [w for w in pushes.warnings if "moved by" in w]
     assert warning.startswith("push 'main' frame 1: the ")
-    assert "mm); the frame is dropped" in warning
+    assert warning.endswith("; the paper leaves such a frame out")
 
 
 # Every equilibrium is solved once

@@ -15,6 +15,7 @@ from results import register
 from spinestiff.errors import SpinestiffError
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
+from spinestiff.imaging.tracking import SupportMotion
 from spinestiff.subject import outcomes
 from spinestiff.subject.folder import Subject
 from spinestiff.subject.outcome_parts import OutcomeFile, Quantity, ViewRecord, finite, nested
@@ -25,6 +26,7 @@ from spinestiff.subject.outcomes import (
     Estimate,
     FrameProposals,
     GeometryRecord,
+    Measured,
     RatioEstimate,
     Tracked,
     TrackedPush,
@@ -58,14 +60,24 @@ def push(**said):
     return TrackedPush.of(frontal_view(), (0.0, 20.0), [corners(), corners(1.5)], **said)
 
 
+def moving(**changed):
+    """Supports in two frames: a pelvis that turned by 0.05 rad, a shoulder that went to the right."""
+    two = np.array([False, True])
+    pelvis = {
+        "displacement": [[0.0, 0.0], [3.0, -1.0]], "error": [0.25, 0.3], "seen": ~two | two, "turn": [0.0, 0.05],
+        "turn_error": [0.0, 0.002], "turn_seen": ~two | two, "off_axis": 0.1,
+    }  # fmt: skip
+    shoulder = {**pelvis, "displacement": [[0.0, 0.0], [-1.5, 7.0]], "turn_seen": two & ~two}
+    return (SupportMotion("pelvis", **{**pelvis, **changed}), SupportMotion("shoulder", **{**shoulder, **changed}))
+
+
 def examples():
     """One of each result, with numbers that have no short decimal form."""
     third = 1.0 / 3.0
     tracked = Tracked(
         pushes={
             "a": push(
-                dropped=["", "frame 1: the pelvis moved"],
-                motions=[{}, {"pelvis": 3.25}],
+                supports=moving(),
                 millimetres={"pixel spacing": "DICOM"},
                 annotated_frames=[0],
             )
@@ -103,7 +115,8 @@ def examples():
             "region_size": None, "training_rmse_mm": {"default": None, "fit": third}, "method": "lm",
             "orientation": "covariance", "bounds": (0.005, 5.0), "poses": {"a": pose()}, "notes": ("ü", ""),
             "reactions_n": {
-                "push": "a", "f3": 20.0, "shoulder": third, "pelvis": 1.0, "eq2_shoulder": 2.0, "eq1_pelvis": 3.0,
+                "push": "a", "f3": 20.0, "shoulder": third, "pelvis": 1.0, "pelvis_moment_nm": third,
+                "wall_pull": 0.0, "eq2_shoulder": 2.0, "eq1_pelvis": 3.0,
             },
             "history": ({"ratios": {"tissue": third}, "loss": None, "rmse_mm": None, "accepted": False},),
             "cost": {"equilibria": 1, "newton_iterations": 2, "factorisations": 3, "seconds": third},
@@ -173,7 +186,8 @@ def test_what_is_not_finite_is_refused(wrong):
         lambda: Comparison(truth={}, region_size=wrong, distance2=None, inside=None),
         lambda: Check(name="a", value=wrong, limit=None, passed=True, text=""),
         lambda: RatioEstimate.of(wrong, (0.1, 0.2), (False, False), False),
-        lambda: push(motions=[{}, {"pelvis": wrong}]),
+        lambda: Measured(value=wrong, sd=1.0),
+        lambda: Measured(value=0.0, sd=wrong),
     ):
         with pytest.raises(ValidationError, match="finite"):
             make()
@@ -205,6 +219,31 @@ def test_corners_come_back_to_a_thousandth_of_a_pixel():
     np.testing.assert_allclose(view.pixels(found.corners), view.pixels(wanted.corners), atol=0.00051)
     np.testing.assert_array_equal(found.quality, wanted.quality)
     assert [frame.force_n for frame in push().frames] == [0.0, 20.0]
+
+
+def test_where_the_supports_are_is_part_of_a_frame():
+    """In degrees and mm, with standard errors; the first frame is where they are measured from."""
+    first, second = push(supports=moving()).frames
+    assert (first.obliquity_deg, first.obliquity, first.shoulder_mm, first.support_note) == (None, None, None, "")
+    assert first.support_motion_mm == {"pelvis": 0.0, "shoulder": 0.0}
+    assert second.support_motion_mm == {"pelvis": pytest.approx(10.0**0.5, abs=1e-3), "shoulder": 1.5}
+    assert second.obliquity.value == pytest.approx(0.05, abs=1e-6)
+    assert second.obliquity.sd == pytest.approx(0.002, abs=1e-6)
+    assert second.obliquity_deg.value == pytest.approx(math.degrees(0.05), abs=1e-4)
+    assert (second.shoulder_mm.value, second.shoulder_mm.sd) == (-1.5, 0.3)
+    assert second.support_note == "the pelvis moved by 3.2 mm, obliquity +2.9 degrees"
+
+
+def test_supports_that_are_not_seen_have_no_place():
+    nothing = np.zeros(2, dtype=bool)
+    _, second = push(supports=moving(seen=nothing, turn_seen=nothing)).frames
+    assert (second.obliquity_deg, second.shoulder_mm, second.support_motion_mm) == (None, None, {})
+    assert second.support_note == ""
+
+
+def test_a_measurement_without_error_is_refused():
+    with pytest.raises(ValidationError, match="greater than 0"):
+        Measured(value=1.0, sd=0.0)
 
 
 def test_a_push_of_other_vertebrae_is_refused():

@@ -121,6 +121,7 @@ CHANGES = {
     "subject.json: body": (("record", "height_cm"), 158.0),
     "subject.json: frames and forces": (("push", "forces_n"), (0.0, 21.0)),
     "subject.json: pushes": (("push", "level"), 8.5),
+    "subject.json: supports": (("record", "pelvis"), "hinge"),
     "subject.json: roles": (("push", "roles"), ("unused", "training")),
     "annotation.json: rest": (("image", "rest/frontal"), None),
     "annotation.json: pushes": (("image", "push/a"), None),

@@ -27,7 +27,9 @@ class SupportKind(enum.StrEnum):
 # by 0.25 mm at one of its points, to the front or rear: less than the skin between bone and wall gives way.
 SPRING_STIFFNESS: dict[SupportKind, float] = {SupportKind.SHOULDER: 1e3, SupportKind.WALL: 1e2}
 
-PELVES = ("level", "hinge")  # held in all six degrees of freedom, or free to turn about the AP axis
+PELVES = ("level", "hinge", "dead-loads")
+"""How a pelvis may be held: in all six degrees of freedom, free to turn about the AP axis, or in all six with F1 and F2
+as loads (``mechanics.push``)."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -74,12 +76,20 @@ class Reaction:
     moment: Floats
 
 
+def held_shoulder(torso: TorsoModel, side: str) -> PointsOnBones:
+    """The humeral head that bears a push on ``side``: the opposite one."""
+    return torso.landmarks["humerus_head"][[("right", "left").index(side)]]
+
+
 def three_point_supports(torso: TorsoModel, side: str, pelvis: str = "level", wall: bool = True) -> Supports:
     """The acquisition's supports for a push on ``side``.
 
     A "level" pelvis is held in all six degrees of freedom; as a "hinge" it may turn about the AP axis through its own
     origin (the middle of the belt). The opposite humerus head is held sideways. The back wall holds scapulae and
-    posterior ribs front to back, on both sides of contact (a first form: it can pull, and the reactions show it).
+    posterior ribs front to back, on both sides of contact; ``mechanics.contact`` lets it push only.
+
+    With "dead-loads" the pelvis alone is held. These six conditions say where the body is and nothing else: shoulder
+    and wall have no support, with ``wall`` or without.
 
     Raises
     ------
@@ -90,10 +100,11 @@ def three_point_supports(torso: TorsoModel, side: str, pelvis: str = "level", wa
     if pelvis not in PELVES:
         raise TorsoError(f"pelvis support '{pelvis}'; wanted {' or '.join(repr(kind) for kind in PELVES)}")
     held = np.zeros((len(torso.bone_names), 6), dtype=bool)
-    held[torso.bone("pelvis")] = (True, True, True, True, True, pelvis == "level")
-    opposite = "right" if side == "left" else "left"
-    shoulder = torso.landmarks["humerus_head"][[("left", "right").index(opposite)]]
-    rows = [(SupportKind.SHOULDER, shoulder, 0)]
+    held[torso.bone("pelvis")] = (True, True, True, True, True, pelvis != "hinge")
+    if pelvis == "dead-loads":
+        nothing = PointsOnBones(np.empty(0, np.int64), np.empty((0, 3)))
+        return Supports(held, PointSprings(nothing, np.empty((0, 3)), np.empty((0, 3)), np.empty(0)), ())
+    rows = [(SupportKind.SHOULDER, held_shoulder(torso, side), 0)]
     if wall:
         back = torso.landmarks["wall"]
         rows += [(SupportKind.WALL, back[[i]], 2) for i in range(len(back))]

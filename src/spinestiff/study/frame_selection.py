@@ -1,7 +1,8 @@
 """Which frames to train on and which to hold out (paper 2.1): a proposal from what was measured, with reasons in words.
 
 The paper keeps two radiographs of a subject for estimation and one for validation: the best images in which neither
-the shoulder nor the pelvis moved. Here each push may give that many; the largest force is held out, since that is the
+the shoulder nor the pelvis moved. Here each push may give that many, and a frame is judged by its picture alone: where
+supports moved, their place is part of what a fit finds or is told. The largest force is held out, since that is the
 hardest to predict. The user decides: a proposal changes nothing by itself.
 """
 
@@ -12,13 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spinestiff.arrays import Floats
 from spinestiff.estimation.objective import FEWEST_VERTEBRAE
 from spinestiff.imaging.image_quality import ImageQuality, image_quality
 from spinestiff.imaging.radiograph import Radiograph
-from spinestiff.imaging.tracking import support_motion
 from spinestiff.imaging.tracking.quality import error_of, usable_corners
-from spinestiff.subject.outcomes import TrackedPush
+from spinestiff.subject.outcomes import TrackedFrame, TrackedPush
 from spinestiff.subject.records import PushRecord, Role
 from spinestiff.words import counted
 
@@ -44,7 +43,7 @@ class Motion:
     Attributes
     ----------
     mm : at the patient plane, mean over the support's points; of a shoulder only across its wall (``SupportMotion``).
-    degrees : turn in the picture, clockwise above 0; None with fewer than two points seen.
+    degrees : the pelvis' obliquity, above 0 with the patient's left side up; None with fewer than two points seen.
     """
 
     mm: float
@@ -61,8 +60,7 @@ class FrameQuality:
     image : sharpness, noise, exposure.
     vertebrae : how many are tracked well enough to be used.
     tracking_mm : median predicted error of their corners, at the patient plane.
-    supports : by name, those that are seen.
-    dropped : why the tracking step drops it; "" = it doesn't.
+    supports : by name, those that are seen; shown, not judged.
     """
 
     push: str
@@ -72,7 +70,6 @@ class FrameQuality:
     vertebrae: int
     tracking_mm: float
     supports: Mapping[str, Motion]
-    dropped: str = ""
 
     @property
     def moved_mm(self) -> float | None:
@@ -82,9 +79,8 @@ class FrameQuality:
     @property
     def score(self) -> float:
         """Orders frames under the same force; above is better."""
-        moved = self.moved_mm or 0.0
         sure = 1.0 / (1.0 + self.tracking_mm / UNSURE_MM)
-        return self.image.sharpness * sure * min(self.image.contrast_to_noise / NOISY, 2.0) - moved
+        return self.image.sharpness * sure * min(self.image.contrast_to_noise / NOISY, 2.0)
 
 
 @dataclass(frozen=True)
@@ -96,9 +92,7 @@ class Proposal:
     reason: str
 
 
-def frame_qualities(
-    push: PushRecord, frames: Sequence[Radiograph], tracked: TrackedPush, points: Mapping[str, Floats]
-) -> tuple[FrameQuality, ...]:
+def frame_qualities(push: PushRecord, frames: Sequence[Radiograph], tracked: TrackedPush) -> tuple[FrameQuality, ...]:
     """What can be measured about the frames of a push.
 
     Parameters
@@ -106,57 +100,22 @@ def frame_qualities(
     push : its record.
     frames : its F radiographs.
     tracked : its F frames as tracked.
-    points : (n, 2) pixels in the first frame, of pelvis and shoulder.
-
-    Raises
-    ------
-    TrackingError : as ``support_motion``.
     """
     corners = [usable_corners(tracked.corners(i)) for i in range(len(tracked.frames))]
     images = image_quality(frames, corners)
-    motions = _motions(frames, points)
     return tuple(
         FrameQuality(
             push.id, i, force, images[i], len(corners[i]),
-            float(np.median(error_of(corners[i].quality))) if len(corners[i]) else np.inf, motions[i], entry.dropped,
+            float(np.median(error_of(corners[i].quality))) if len(corners[i]) else np.inf, _motions(entry),
         )
         for i, (force, entry) in enumerate(zip(push.forces_n, tracked.frames, strict=True))
     )  # fmt: skip
 
 
-def _motions(frames: Sequence[Radiograph], points: Mapping[str, Floats]) -> list[dict[str, Motion]]:
-    """By frame and support; each point is followed by itself, which shows turning too."""
-    named = {(name, k): point for name, where in points.items() for k, point in enumerate(where)}
-    followed = support_motion(frames, {f"{name} {k}": point[None] for (name, k), point in named.items()})
-    by_point = dict(zip(named, followed))
-    view = frames[0].view
-    found: list[dict[str, Motion]] = []
-    for i in range(len(frames)):
-        motions = {}
-        for name, where in points.items():
-            seen = [k for k in range(len(where)) if by_point[name, k].quality[i] > 0.0]
-            if not seen:
-                continue
-            weight = np.array([by_point[name, k].quality[i] for k in seen])
-            shift = np.array([by_point[name, k].displacement[i] for k in seen])
-            start = view.to_patient_plane(view.from_pixels(np.asarray(where)[seen]))
-            mean = weight @ shift / weight.sum()
-            counting = mean[:1] if name == "shoulder" else mean
-            motions[name] = Motion(float(np.linalg.norm(counting)), _turn_deg(start, shift, weight))
-        found.append(motions)
-    return found
-
-
-def _turn_deg(start: Floats, shift: Floats, weight: Floats) -> float | None:
-    """Turn in the picture that carries points (n, 2) along, weighted least squares; None for a single point."""
-    if len(start) < 2:
-        return None
-    share = weight / weight.sum()
-    old = start - share @ start
-    new = start + shift - share @ (start + shift)
-    cross = share @ (old[:, 0] * new[:, 1] - old[:, 1] * new[:, 0])
-    dot = share @ (old * new).sum(axis=1)
-    return float(np.degrees(np.arctan2(cross, dot)))
+def _motions(frame: TrackedFrame) -> dict[str, Motion]:
+    """Of a frame's supports, those that are seen."""
+    turned = None if frame.obliquity_deg is None else frame.obliquity_deg.value
+    return {name: Motion(mm, turned if name == "pelvis" else None) for name, mm in frame.support_motion_mm.items()}
 
 
 def propose(pushes: Sequence[Sequence[FrameQuality]]) -> tuple[tuple[Proposal, ...], ...]:
@@ -193,8 +152,6 @@ def _levels(frames: Sequence[FrameQuality]) -> list[FrameQuality]:
 def _unfit(frame: FrameQuality, largest: float) -> str:
     """Why a frame can't be used, in words; "" = it can."""
     image = frame.image
-    if frame.dropped:
-        return frame.dropped.split(": ", 1)[-1].split(";")[0]
     if frame.force_n == 0.0:
         return "no force; it shows how the patient stood"
     if frame.force_n < SMALL_FORCE * largest:

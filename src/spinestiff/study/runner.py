@@ -33,6 +33,7 @@ from spinestiff.subject.run_record import (
 STEPS = ("track", "response", "personalise", "estimate", "assess", "report")
 PUSHES, ROLES = f"{SUBJECT_FILE}: pushes", f"{SUBJECT_FILE}: roles"
 XRAY, FORCES, BODY = (f"{SUBJECT_FILE}: {part}" for part in ("X-ray geometry", "frames and forces", "body"))
+SUPPORTS = f"{SUBJECT_FILE}: supports"
 REST_MARKS, PUSH_MARKS = f"{ANNOTATION_FILE}: rest", f"{ANNOTATION_FILE}: pushes"
 SHAPE = ("torso.npz", "personalised.json")
 MADE_BY = {
@@ -111,7 +112,7 @@ ALL_STEPS: Mapping[str, Step] = {
     ),
     "estimate": Step(
         step_functions.estimate_step,
-        (PUSHES, ROLES, BODY),
+        (PUSHES, ROLES, BODY, SUPPORTS),
         ("rest", "push"),
         ("tracked.json", *SHAPE),
         lambda visit: ("estimate.json", "training.npz"),
@@ -123,7 +124,7 @@ ALL_STEPS: Mapping[str, Step] = {
     ),
     "assess": Step(
         step_functions.assess_step,
-        (PUSHES, ROLES),
+        (PUSHES, ROLES, SUPPORTS),
         (),
         ("tracked.json", *SHAPE, "estimate.json", "training.npz"),
         lambda visit: ("assessment.json", "predictions.npz", *(("comparison.json",) if visit.truth else ())),
@@ -131,7 +132,7 @@ ALL_STEPS: Mapping[str, Step] = {
     ),
     "report": Step(
         step_functions.report_step,
-        (PUSHES, ROLES, BODY, XRAY, REST_MARKS, PUSH_MARKS),
+        (PUSHES, ROLES, BODY, SUPPORTS, XRAY, REST_MARKS, PUSH_MARKS),
         ("rest", "push"),
         ("tracked.json", "response.json", *SHAPE, "estimate.json", "assessment.json", "predictions.npz"),
         lambda visit: ("report.html", "view.html"),
@@ -139,7 +140,7 @@ ALL_STEPS: Mapping[str, Step] = {
     ),
     "view": Step(
         step_functions.view_step,
-        (PUSHES, ROLES),
+        (PUSHES, ROLES, SUPPORTS),
         (),
         ("tracked.json", *SHAPE, "estimate.json", "predictions.npz"),
         lambda visit: ("view.html",),

@@ -80,22 +80,12 @@ def track_step(visit: Visit, say: Observer) -> None:
             say(f"push '{name}': {done} of {counted(total, 'frame')}")
 
         tracked = track(frames, annotated, progress)
-        motions = support_motion(frames, image_supports(subject, push.image))
-        dropped = [next((m.messages()[i] for m in motions if i in m.messages()), "") for i in range(len(frames))]
-        for message in filter(None, dropped):
-            say(f"push '{push.id}': {message}")
-        pushes[push.id] = TrackedPush.of(
-            view,
-            push.forces_n,
-            tracked,
-            dropped,
-            [
-                {m.name: round(float(m.distance[i]), 3) for m in motions if m.quality[i] > 0.0}
-                for i in range(len(frames))
-            ],
-            millimetres=dict(frames[0].provenance),
-            annotated_frames=list(annotated),
-        )
+        supports = support_motion(frames, image_supports(subject, push.image))
+        said = {"millimetres": dict(frames[0].provenance), "annotated_frames": list(annotated)}
+        pushes[push.id] = TrackedPush.of(view, push.forces_n, tracked, supports, **said)
+        for i, frame in enumerate(pushes[push.id].frames):
+            if frame.support_note:
+                say(f"push '{push.id}' frame {i}: {frame.support_note}")
     write_outcome(subject, Tracked(pushes=pushes))
 
 
@@ -109,8 +99,7 @@ def frames_step(visit: Visit, say: Observer) -> None:
     for push in subject.pushes:
         say(f"looking at push '{push.id}'")
         frames.append(read_push(subject, push))
-        points = image_supports(subject, push.image)
-        qualities.append(frame_qualities(push, frames[-1], tracked[push.id], points))
+        qualities.append(frame_qualities(push, frames[-1], tracked[push.id]))
     proposals = propose(qualities)
     say("drawing")
     rows = [Row(push, frames[i], tracked[push.id], proposals[i]) for i, push in enumerate(subject.pushes)]

@@ -7,12 +7,12 @@ import numpy as np
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
+from spinestiff.imaging.tracking import OBLIQUITY_LIMIT_DEG
 from spinestiff.mechanics.supports import SupportKind, Supports
 from spinestiff.words import counted
 
 PULLING_LIMIT_N = 2.0
 """A reaction that pulls on its support by more says that the person would have left it."""
-OBLIQUITY_LIMIT_DEG = 3.0
 
 
 def support_notes(torso: TorsoModel, supports: Supports, state: TorsoState, forces: Floats, side: str) -> list[str]:

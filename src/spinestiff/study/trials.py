@@ -12,12 +12,18 @@ from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Trial
 from spinestiff.imaging.features import Orientation
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.mechanics.loads import rib_push
-from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.mechanics.push import PushSite, Rig, push_load, push_problem
 from spinestiff.personalise.pose import ViewPose, align_view
 from spinestiff.subject.outcomes import TrackedPush
-from spinestiff.subject.records import PushRecord
+from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.words import counted
+
+LEVEL = Rig()
+
+
+def rig_of(record: SubjectRecord) -> Rig:
+    """How a subject's pushes are held against: a pelvis whose obliquity is estimated is level where none is given."""
+    return Rig("level" if record.pelvis == "estimated" else record.pelvis, record.wall)
 
 
 @dataclass(frozen=True)
@@ -47,7 +53,7 @@ class PushSet(ShortRepr):
     problems : push id -> supports for its side.
     trials : every usable frame, the unloaded first ones included.
     poses : push id -> how the patient stood.
-    warnings : what was dropped, and why.
+    warnings : what was left out, and why; supports that moved.
     orientation : of a vertebra in the picture, for all that is made of the trials.
     """
 
@@ -76,8 +82,13 @@ def push_set(
     pushes: Sequence[PushRecord],
     tracked: Mapping[str, TrackedPush],
     orientation: Orientation = "procrustes",
+    rig: Rig = LEVEL,
 ) -> PushSet:
     """Trials of all pushes; each push's view is moved to meet its usable frame of least force.
+
+    Parameters
+    ----------
+    rig : what holds the torso, and what is a load.
 
     Raises
     ------
@@ -89,8 +100,9 @@ def push_set(
     for push in pushes:
         found = tracked[push.id]
         if push.side not in by_side:
-            by_side[push.side] = EquilibriumProblem(torso, three_point_supports(torso, push.side))
+            by_side[push.side] = push_problem(torso, push.side, rig)
         problems[push.id] = by_side[push.side]
+        site = PushSite(push.side, push.level, push.d21_mm, push.d31_mm)
         if len(found.frames) != len(push.forces_n):
             raise SubjectError(
                 f"push '{push.id}': {len(found.frames)} tracked frames for {len(push.forces_n)} forces_n; "
@@ -98,9 +110,7 @@ def push_set(
             )
         tracked_corners = [found.corners(i) for i in range(len(found.frames))]
         corners = [usable_corners(frame) for frame in tracked_corners]
-        usable = [
-            i for i, frame in enumerate(found.frames) if not frame.dropped and len(corners[i]) >= FEWEST_VERTEBRAE
-        ]
+        usable = [i for i, left in enumerate(corners) if len(left) >= FEWEST_VERTEBRAE]
         if not usable:
             raise SubjectError(f"push '{push.id}': no frame is usable after tracking; see the messages of that step")
         least = min(usable, key=lambda i: push.forces_n[i])
@@ -115,11 +125,9 @@ def push_set(
             raise TrackingError(f"push '{push.id}' frame {least}: {error}") from None
         for index, (frame, force, role) in enumerate(zip(found.frames, push.forces_n, push.roles)):
             label = f"push '{push.id}' frame {index}"
-            if frame.dropped and role != "unused":
-                warnings.append(f"push '{push.id}' {frame.dropped}")
-            if frame.dropped:
-                continue
-            load = rib_push(torso, push.side, push.level, force, label=label)
+            if frame.support_note and role != "unused":
+                warnings.append(f"{label}: {frame.support_note}; the paper leaves such a frame out")
+            load = push_load(torso, site, force, rig, label)
             # Seen unloaded in the same sequence, vertebrae are compared by how far they moved from there.
             unloaded = corners[least] if push.forces_n[least] == 0.0 and index != least else None
             trial = Trial(load, corners[index], view, label, push.id, unloaded)

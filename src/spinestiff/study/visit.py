@@ -11,7 +11,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import SubjectError
 from spinestiff.estimation.fit import METHODS
 from spinestiff.imaging.features import ORIENTATIONS, Orientation
-from spinestiff.study.trials import PushSet, push_set
+from spinestiff.study.trials import PushSet, push_set, rig_of
 from spinestiff.study.truth import read_truth
 from spinestiff.subject.folder import Subject, read_subject
 from spinestiff.subject.outcomes import Tracked
@@ -79,4 +79,5 @@ def load_pushes(visit: Visit, orientation: Orientation) -> PushSet:
     lacking = [push.id for push in visit.subject.pushes if push.id not in tracked.pushes]
     if lacking:
         raise SubjectError(f"{visit.file(Tracked.FILE)}: no push '{lacking[0]}'; run spinestiff track again")
-    return push_set(visit.torso(), visit.subject.pushes, tracked.pushes, orientation)
+    rig = rig_of(visit.subject.record)
+    return push_set(visit.torso(), visit.subject.pushes, tracked.pushes, orientation, rig)

@@ -8,6 +8,7 @@ import numpy as np
 
 from spinestiff.estimation.fit import StiffnessFit
 from spinestiff.mechanics.loads import three_point_reactions
+from spinestiff.mechanics.push import support_forces
 from spinestiff.personalise.fitness import VertebraFit
 from spinestiff.personalise.pose import ViewPose
 from spinestiff.personalise.scanned_skin import ScanFit
@@ -124,11 +125,14 @@ def _reactions(visit: Visit, pushes: PushSet, fit: StiffnessFit) -> Reactions:
     item, equilibrium = training[last], fit.equilibria[last]
     push = visit.subject.push(item.push)
     f1, f2 = three_point_reactions(item.force_n, push.d21_mm, push.d31_mm)
+    found = support_forces(pushes.torso, item.trial.load, equilibrium)
     return Reactions(
         push=item.trial.label,
         f3=item.force_n,
-        shoulder=-push.sign * float(equilibrium.reaction("shoulder")[0]),
-        pelvis=-push.sign * float(equilibrium.reaction("pelvis")[0]),
+        shoulder=-push.sign * found.shoulder,
+        pelvis=-push.sign * found.pelvis,
+        pelvis_moment_nm=push.sign * found.pelvis_moment / 1000.0,
+        wall_pull=found.wall_pull,
         eq2_shoulder=f1,
         eq1_pelvis=f2,
     )

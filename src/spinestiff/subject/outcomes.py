@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from math import isfinite
+from collections.abc import Sequence
+from math import degrees, isfinite, pi
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from spinestiff.imaging.features import Orientation, VertebraCorners
 from spinestiff.imaging.projection import XRayView
+from spinestiff.imaging.tracking import SupportMotion
 from spinestiff.subject.outcome_parts import (
     Determination,
     Outcome,
@@ -42,22 +43,44 @@ class Check(Outcome):
     text: str
 
 
+class Measured(Outcome):
+    """A measured value with its standard error."""
+
+    value: float
+    sd: Annotated[float, Field(gt=0.0)]
+
+    def scaled(self, factor: float) -> Measured:
+        """The same in another unit."""
+        return Measured(value=self.value * factor, sd=self.sd * factor)
+
+
 class TrackedFrame(Outcome):
-    """One frame of a push.
+    """One frame of a push. Of supports everything is measured from the push's first frame.
 
     Attributes
     ----------
     force_n : magnitude.
     corners_px : (Nv, 4, 2) column, row. quality : (Nv, 4), from 0 to 1.
-    dropped : why it must not be used ("frame 2: the pelvis moved ..."), or empty.
-    support_motion_mm : by support, since the push's first frame.
+    support_motion_mm : by support, where it is seen; of a shoulder only across its wall.
+    obliquity_deg : turn of the pelvis about the AP axis, +z; above 0 the patient's left side rises. None in the first
+        frame, and where fewer than two points of the pelvis are seen.
+    shoulder_mm : the shoulder's motion to the patient's left, +x, at the patient plane; None in the first frame, and
+        where it is not seen.
+    support_note : what moved by more than the paper allows ("the pelvis moved by 3.4 mm, obliquity +2.1 degrees").
     """
 
     force_n: float
     corners_px: tuple[tuple[Pair, Pair, Pair, Pair], ...]
     quality: tuple[tuple[float, float, float, float], ...]
-    dropped: str = ""
     support_motion_mm: dict[str, float] = Field(default_factory=dict)
+    obliquity_deg: Measured | None = None
+    shoulder_mm: Measured | None = None
+    support_note: str = ""
+
+    @property
+    def obliquity(self) -> Measured | None:
+        """``obliquity_deg`` in rad."""
+        return None if self.obliquity_deg is None else self.obliquity_deg.scaled(pi / 180.0)
 
 
 class TrackedPush(Outcome):
@@ -93,15 +116,14 @@ class TrackedPush(Outcome):
         view: XRayView,
         forces_n: Sequence[float],
         tracked: Sequence[VertebraCorners],
-        dropped: Sequence[str] = (),
-        motions: Sequence[Mapping[str, float]] = (),
+        supports: Sequence[SupportMotion] = (),
         **said: object,
     ) -> Self:
         """The record of a push from its frames' corners on the detector, mm.
 
         Parameters
         ----------
-        dropped, motions : a frame each; left out = none dropped, none seen.
+        supports : what was seen of pelvis and shoulder in these frames.
         said : ``millimetres`` and ``annotated_frames``.
         """
         frames = [
@@ -109,8 +131,9 @@ class TrackedPush(Outcome):
                 "force_n": force,
                 "corners_px": view.pixels(corners.corners).round(3).tolist(),
                 "quality": corners.quality.round(3).tolist(),
-                "dropped": dropped[i] if dropped else "",
-                "support_motion_mm": dict(motions[i]) if motions else {},
+                "support_motion_mm": {m.name: round(float(m.distance[i]), 3) for m in supports if m.seen[i]},
+                "support_note": "; ".join(notes[i] for notes in (m.notes() for m in supports) if i in notes),
+                **(_support_places(supports, i) if i > 0 else {}),
             }
             for i, (force, corners) in enumerate(zip(forces_n, tracked, strict=True))
         ]
@@ -124,6 +147,19 @@ class TrackedPush(Outcome):
         return VertebraCorners(
             self.vertebrae, self.view.view().from_pixels(np.array(found.corners_px)), np.array(found.quality)
         )
+
+
+def _support_places(supports: Sequence[SupportMotion], frame: int) -> dict[str, Measured]:
+    """Where a frame shows pelvis and shoulder, as ``TrackedFrame`` has it."""
+    found = {}
+    for motion in supports:
+        if motion.name == "pelvis" and motion.turn_seen[frame]:
+            turn, sd = (round(degrees(angle[frame]), 4) for angle in (motion.turn, motion.turn_error))
+            found["obliquity_deg"] = Measured(value=turn, sd=sd)
+        if motion.name == "shoulder" and motion.seen[frame]:
+            across, sd = (round(float(part), 3) for part in (motion.displacement[frame, 0], motion.error[frame]))
+            found["shoulder_mm"] = Measured(value=across, sd=sd)
+    return found
 
 
 class Tracked(OutcomeFile):
@@ -334,12 +370,23 @@ class PlainStiffness(Quantity):
 
 
 class Reactions(Outcome):
-    """Forces at the supports under the largest training push, N, above 0 against the push, beside Eqs. 1-2."""
+    """Forces at the supports under the largest training push, N, above 0 against the push, beside Eqs. 1-2.
+
+    Attributes
+    ----------
+    push : of which frame. f3 : the push.
+    shoulder, pelvis : lateral forces in the model.
+    pelvis_moment_nm : about the AP axis, N m, above 0 against the push, too; Eqs. 1-2 have none.
+    wall_pull : the most that the back wall pulls at one of its points; a real one can't.
+    eq2_shoulder, eq1_pelvis : lateral forces by Eqs. 2 and 1.
+    """
 
     push: str
     f3: float
     shoulder: float
     pelvis: float
+    pelvis_moment_nm: float
+    wall_pull: Annotated[float, Field(ge=0.0)]
     eq2_shoulder: float
     eq1_pelvis: float
 

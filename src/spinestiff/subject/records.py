@@ -241,6 +241,10 @@ class ScanRecord(_Record):
         return _inside(path)
 
 
+Pelvis = Literal["estimated", "level", "hinge", "dead-loads"]
+Wall = Literal["bilateral", "one-sided"]
+
+
 class SubjectRecord(_Record):
     """``subject.json``: the person, the X-ray geometry and the pushes.
 
@@ -258,6 +262,9 @@ class SubjectRecord(_Record):
     pushes : at least one; where roles are chosen, with at least one training frame under a force.
     trunk : optional extents of the trunk, by the vertebra at whose height they were taken.
     skin_scan : optional surface scan of the trunk.
+    pelvis : how it is held in the model: "estimated", at an obliquity that is not known, "level", on a "hinge", or with
+        "dead-loads" at shoulder and pelvis (Eqs. 1-2).
+    wall : whether the back wall holds both ways ("bilateral") or only pushes ("one-sided").
     """
 
     schema_version: Literal[1]
@@ -271,6 +278,8 @@ class SubjectRecord(_Record):
     pushes: Annotated[tuple[PushRecord, ...], Field(min_length=1, strict=False)]
     trunk: dict[VertebraName, TrunkRecord] = {}
     skin_scan: ScanRecord | None = None
+    pelvis: Pelvis = "estimated"
+    wall: Wall = "bilateral"
 
     @field_validator("torso")
     @classmethod
@@ -292,6 +301,10 @@ class SubjectRecord(_Record):
             raise ValueError("pushes: no frame has the role training, wanted at least one")
         if training and not any(training):
             raise ValueError("pushes: all training forces are zero, so there is nothing to identify")
+        if self.pelvis == "dead-loads" and self.wall == "one-sided":
+            raise ValueError(
+                "wall: found 'one-sided' beside pelvis 'dead-loads', which leave the wall out, wanted 'bilateral'"
+            )
         return self
 
 

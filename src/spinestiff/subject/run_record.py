@@ -67,12 +67,15 @@ def _images(subject: Subject, kind: str) -> object:
     return {name: image.model_dump(mode="json") for name, image in images.items() if name.startswith(kind)}
 
 
+_SUPPORTS = {"pelvis", "wall"}
+
 PARTS: Mapping[str, Callable[[Subject], object]] = {
     f"{SUBJECT_FILE}: X-ray geometry": lambda s: s.record.xray.model_dump(mode="json"),
     f"{SUBJECT_FILE}: frames and forces": lambda s: _pushes(s, "id", "frames", "forces_n"),
     f"{SUBJECT_FILE}: pushes": lambda s: _pushes(s, "id", "frames", "forces_n", "side", "level", "d21_mm", "d31_mm"),
     f"{SUBJECT_FILE}: roles": lambda s: _pushes(s, "id", "roles"),
-    f"{SUBJECT_FILE}: body": lambda s: s.record.model_dump(mode="json", exclude={"pushes", "xray", "id"}),
+    f"{SUBJECT_FILE}: body": lambda s: s.record.model_dump(mode="json", exclude={"pushes", "xray", "id", *_SUPPORTS}),
+    f"{SUBJECT_FILE}: supports": lambda s: s.record.model_dump(mode="json", include=_SUPPORTS),
     f"{ANNOTATION_FILE}: rest": lambda s: _images(s, "rest/"),
     f"{ANNOTATION_FILE}: pushes": lambda s: _images(s, "push/"),
 }

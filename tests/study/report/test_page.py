@@ -202,8 +202,8 @@ def estimate_record() -> Estimate:
         "region": region.tolist(),
         "training_rmse_mm": {"default": 7.31, "fit": 1.12},
         "reactions_n": {
-            "push": "push 'main' frame 1", "f3": 30.0, "shoulder": 14.6, "pelvis": 15.4, "eq2_shoulder": 15.0,
-            "eq1_pelvis": 15.0,
+            "push": "push 'main' frame 1", "f3": 30.0, "shoulder": 14.6, "pelvis": 15.4,
+            "pelvis_moment_nm": 2.35, "wall_pull": 1.2, "eq2_shoulder": 15.0, "eq1_pelvis": 15.0,
         },
         "history": [
             {"ratios": dict(zip(ESTIMATE, step)), "loss": 10.0 / (i + 1), "rmse_mm": 5.0 / (i + 1), "accepted": i != 3}

@@ -13,7 +13,12 @@ backward flow alone would not do: they agree where both follow the same wrong th
 Inside, everything is in pixels (column, row), the first pixel's centre at (0, 0).
 """
 
-from spinestiff.imaging.tracking.supports import SUPPORT_LIMIT_MM, SupportMotion, support_motion
+from spinestiff.imaging.tracking.supports import (
+    OBLIQUITY_LIMIT_DEG,
+    SUPPORT_LIMIT_MM,
+    SupportMotion,
+    support_motion,
+)
 from spinestiff.imaging.tracking.vertebrae import OnFrame, track
 
-__all__ = ["SUPPORT_LIMIT_MM", "OnFrame", "SupportMotion", "support_motion", "track"]
+__all__ = ["OBLIQUITY_LIMIT_DEG", "SUPPORT_LIMIT_MM", "OnFrame", "SupportMotion", "support_motion", "track"]

@@ -280,24 +280,34 @@ def _cobb_rows(frame: HeldOutFrame) -> dict[str, Any]:
 
 
 def reaction_rows(found: Reactions) -> list[dict[str, str]]:
-    """Forces at the supports in the model beside Eqs. 1-2."""
+    """Forces and moment at the supports in the model beside Eqs. 1-2."""
     return [
         {"title": "Push on the ribs (F3)", "model": fixed(found.f3), "balance": fixed(found.f3)},
         {"title": "Shoulder (F1)", "model": fixed(found.shoulder), "balance": fixed(found.eq2_shoulder)},
         {"title": "Pelvis (F2)", "model": fixed(found.pelvis), "balance": fixed(found.eq1_pelvis)},
+        {"title": "Pelvis, moment in N m", "model": fixed(found.pelvis_moment_nm, 2), "balance": fixed(0.0, 2)},
+        {"title": "Back wall, largest pull", "model": fixed(found.wall_pull), "balance": MISSING},
     ]
 
 
 def support_rows(tracked: Tracked) -> list[dict[str, str]]:
-    """Largest motion of each support, and what was dropped, by push."""
+    """Largest motion of each support, largest obliquity, and the frames that the paper would leave out, by push."""
     rows = []
     for name, push in tracked.pushes.items():
         largest = {}
         for support in ("pelvis", "shoulder"):
             seen = [f.support_motion_mm[support] for f in push.frames if support in f.support_motion_mm]
             largest[support] = f"{fixed(max(seen))} mm" if seen else "not marked"
-        dropped = [f"frame {i}" for i, frame in enumerate(push.frames) if frame.dropped]
-        rows.append({"push": name, **largest, "dropped": listed(dropped) or "none", "frames": str(len(push.frames))})
+        turns = [f.obliquity_deg for f in push.frames if f.obliquity_deg is not None]
+        most = max(turns, key=lambda turn: abs(turn.value), default=None)
+        turned = "not seen" if most is None else f"{fixed(most.value, 1, True)}° ± {fixed(most.sd, 1)}°"
+        moved = [f"frame {i}" for i, frame in enumerate(push.frames) if frame.support_note]
+        rows.append(
+            {
+                "push": name, **largest, "obliquity": turned, "moved": listed(moved) or "none",
+                "frames": str(len(push.frames)),
+            }
+        )  # fmt: skip
     return rows
 
 
