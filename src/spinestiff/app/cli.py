@@ -32,7 +32,7 @@ app = typer.Typer(
 Folder = Annotated[Path, typer.Argument(help="Subject folder (docs/subject-folder.md).")]
 Force = Annotated[bool, typer.Option("--redo", help="Run even if nothing changed.")]
 Mesh = Annotated[str, typer.Option(help="Torso mesh of the estimate: coarse or fine.")]
-Method = Annotated[str, typer.Option(help="lm (Levenberg-Marquardt) or lbfgsb (the paper's).")]
+Method = Annotated[str, typer.Option(help="weighed (by what is not known) or paper (equal weights, no intervals).")]
 Orientation = Annotated[str, typer.Option(help="Vertebra orientation in the image: procrustes or covariance.")]
 Truth = Annotated[Path | None, typer.Option(help="Truth file of a synthetic subject, for comparison only.")]
 Seed = Annotated[int, typer.Option(help="Of everything random.")]
@@ -183,7 +183,7 @@ def personalise(folder: Folder, mesh: Mesh = "coarse", redo: Force = False) -> N
 
 @app.command()
 def estimate(
-    folder: Folder, method: Method = "lm", orientation: Orientation = "procrustes", redo: Force = False
+    folder: Folder, method: Method = "weighed", orientation: Orientation = "procrustes", redo: Force = False
 ) -> None:
     """Estimate the stiffness ratios from the training frames."""
     _print_estimate(_steps(folder, ("estimate",), redo, method=method, orientation=orientation))
@@ -223,7 +223,7 @@ def view(
 def run(
     folder: Folder,
     mesh: Mesh = "coarse",
-    method: Method = "lm",
+    method: Method = "weighed",
     orientation: Orientation = "procrustes",
     truth: Truth = None,
     redo: Force = False,

@@ -80,18 +80,16 @@ def push_responses(subject: Subject, gauge: GaugeError = GAUGE) -> Responses:
     return Responses(
         gauge_scale_sd=gauge.scale,
         gauge_zero_sd_n=gauge.zero_n,
-        pushes={name: push_response(usable_frames(found), rest, gauge) for name, found in tracked.items()},
+        pushes={name: push_response(seen_frames(found), rest, gauge) for name, found in tracked.items()},
     )
 
 
-def usable_frames(push: TrackedPush) -> list[FrameCorners]:
-    """The frames of a push that tracking did not drop, as a clinician sees them."""
+def seen_frames(push: TrackedPush) -> list[FrameCorners]:
+    """The frames of a push as a clinician sees them."""
     view = push.view.view()
     axes = np.stack(picture_axes(view), axis=1)
     found = []
     for index, frame in enumerate(push.frames):
-        if frame.dropped:
-            continue
         corners = push.corners(index)
         # Of frames between two annotated ones both count; the nearer one weighs more.
         origin = min(push.annotated_frames, key=lambda one: abs(one - index), default=0)

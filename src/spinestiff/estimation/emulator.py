@@ -21,8 +21,8 @@ from spinestiff.estimation.weighed import Reduced, WeighedPoint, WeighedSlope, W
 LENGTH = 1.5
 # Relative variance that keeps places close to each other from being at odds.
 NUGGET = 1e-6
-# A place whose nuisances are farther than this from the most probable ones there tells of another part of the space, one
-# whose phi is this much higher than the estimate's of nothing that matters, and one as near as this to another of no
+# A place whose nuisances are farther than this from the most probable ones there tells of another part of the space,
+# one whose phi is this much higher than the estimate's of nothing that matters, one as near as this to another of no
 # more than that.
 FARTHEST_NUISANCES, HIGHEST, NEAREST = 1.0, 30.0, 0.03
 _CHUNK = 64

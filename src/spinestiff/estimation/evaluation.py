@@ -18,7 +18,6 @@ from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios, parame
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.objective import Residuals, Trial, make_target, residuals, root_mean_square
-from spinestiff.estimation.uncertainty import ResidualLayout
 from spinestiff.estimation.unknowns import ACTS, LOADING, PLACING, changed_load, load_changes, place_of
 from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
@@ -112,6 +111,23 @@ class Slope(ShortRepr):
     acted: tuple[Floats, ...] | None = None
 
 
+def acted(
+    problem: EquilibriumProblem,
+    load: LoadCase,
+    ratios: StiffnessRatios | None,
+    acts: Floats,
+    changes: Sequence[LoadCase] | None = None,
+) -> tuple[EquilibriumProblem, LoadCase, StiffnessRatios | None]:
+    """What has to be solved where a trial's acts (len(ACTS),) are not 0. ``changes``: of ``load``, if known."""
+    if not acts.any():
+        return problem, load, ratios
+    tissue = parameter_group("tissue", problem.torso.joints.kinds)
+    groups, values = ((), np.empty(0)) if ratios is None else (ratios.groups, ratios.values)
+    ratios = StiffnessRatios((*groups, tissue), np.append(values, np.exp(acts[ACTS.index("tissue")])))
+    changes = load_changes(load, problem.torso.rest_pose) if changes is None else changes
+    return problem.with_place(place_of(acts)), changed_load(load, changes, acts), ratios
+
+
 class TrialSet:
     """Trials under load with their problems and targets; solves them and counts what it costs."""
 
@@ -195,14 +211,6 @@ class TrialSet:
             total += self._linearise(point, i).adjoint(g, self.groups)
         return total
 
-    def layout(self) -> ResidualLayout:
-        """What the stacked residuals belong to."""
-        return ResidualLayout(
-            np.concatenate([target.rows for target in self.targets]),
-            np.concatenate([np.full(len(target.rows), i) for i, target in enumerate(self.targets)]),
-            np.concatenate([target.z - target.z.mean(axis=1, keepdims=True) for target in self.targets]),
-        )
-
     def note(self, log_ratios: Floats, loss: float, point: Evaluation | None, accepted: bool) -> None:
         """Keep an evaluation, and tell it."""
         values = self.ratios(log_ratios).as_dict()
@@ -211,14 +219,11 @@ class TrialSet:
         if self._observer:
             self._observer(self.history[-1])
 
-    def _asked(self, i: int, log_ratios: Floats, acts: Floats) -> tuple[EquilibriumProblem, LoadCase, StiffnessRatios]:
+    def _asked(
+        self, i: int, log_ratios: Floats, acts: Floats
+    ) -> tuple[EquilibriumProblem, LoadCase, StiffnessRatios | None]:
         """Problem, load and ratios of a trial with its acts (len(ACTS),)."""
-        problem, load, ratios = self.problems[i], self.trials[i].load, self.ratios(log_ratios)
-        if not acts.any():
-            return problem, load, ratios
-        tissue = float(np.exp(acts[ACTS.index("tissue")]))
-        ratios = StiffnessRatios((*ratios.groups, self._tissue), np.append(ratios.values, tissue))
-        return problem.with_place(place_of(acts)), changed_load(load, self._changes[i], acts), ratios
+        return acted(self.problems[i], self.trials[i].load, self.ratios(log_ratios), acts, self._changes[i])
 
     def _linearise(self, point: Evaluation, i: int) -> Linearisation:
         self.cost.factorisations += 1

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from spinestiff.anatomy.stiffness import RATIO_BOUNDS, StiffnessRatios, parameter_group
+from spinestiff.anatomy.stiffness import RATIO_BOUNDS, ParameterGroup, StiffnessRatios, parameter_group
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.budget import Budget, PriorChange, prior_changes, variance_budget
@@ -21,7 +21,7 @@ from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import Evaluation, FitCost, FitStep, OnFitStep, TrialSet
 from spinestiff.estimation.objective import Residuals, Trial, residuals, undetermined_vertebrae
 from spinestiff.estimation.priors import Priors
-from spinestiff.estimation.profiles import Likely, likely_ratios
+from spinestiff.estimation.profiles import Likely, likely_ratios, rise_at
 from spinestiff.estimation.search import lbfgsb
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, reduced, search
@@ -41,8 +41,8 @@ __all__ = [
     "fit_stiffness",
 ]
 
-Method = Literal["weighed", "lbfgsb"]
-METHODS: tuple[Method, ...] = ("weighed", "lbfgsb")
+Method = Literal["weighed", "paper"]
+METHODS: tuple[Method, ...] = ("weighed", "paper")
 # An interval that covers more of the bounds (in log) than this says that the data can't tell.
 WIDEST_INTERVAL = 0.9
 Extent = Literal["estimate", "intervals", "everything"]
@@ -54,12 +54,14 @@ class NuisanceEstimate:
 
     Attributes
     ----------
-    value, sd : after the fit. prior_sd : before, about 0.
+    standard : after the fit, in standard deviations before it. value, sd : in the act's unit, where it acts most.
+    prior_sd : before the fit, about 0.
     """
 
     name: str
     group: str
     act: str
+    standard: float
     value: float
     sd: float
     prior_sd: float
@@ -189,7 +191,7 @@ def fit_stiffness(
     trials : radiographs under known pushes, unloaded ones of the same sequences among them: they show where the
         patient stood and how corners were annotated.
     names : parameters to estimate, see ``anatomy.stiffness.parameter_group``; ("everything",) is the one-ratio model.
-    method : "weighed" (``estimation.weighed``) or "lbfgsb" (the paper's: equal weights, adjoint gradient).
+    method : "weighed" (``estimation.weighed``) or "paper" (equal weights, L-BFGS-B with the adjoint gradient).
     start : name -> ratio to start from; default 1.
     bounds : lowest and highest ratio.
     orientation : of a vertebra in the picture, "procrustes" or "covariance".
@@ -209,17 +211,14 @@ def fit_stiffness(
     problems = _problems(problem, trials)
     _check(trials, names, method, bounds)
     groups = tuple(parameter_group(name, problems[0].torso.joints.kinds) for name in names)
-    both = list(zip(problems, trials))
-    loaded = [(p, trial) for p, trial in both if trial.load.size > 0.0]
-    still = [(p, trial) for p, trial in both if trial.load.size == 0.0]
-    trial_set = TrialSet([p for p, _ in loaded], [trial for _, trial in loaded], groups, orientation, observer)
+    asked = _asked(problems, trials, groups, orientation, observer, priors, geometry, taped)
+    trial_set = asked.trial_set
     first = _start(names, start, bounds)
     default = _default_point(trial_set)
     limits = (float(np.log(bounds[0])), float(np.log(bounds[1])))
     weighed: Weighed | None = None
     covariance = np.full((len(names),) * 2, np.nan)
     if method == "weighed":
-        asked = WeighedProblem(trial_set, still, orientation, priors or Priors(), geometry, taped)
         found = _searched(asked, first, default, limits, max_iterations)
         point, status = found.point.evaluation, found.status
         covariance = _covariance(found)
@@ -259,6 +258,54 @@ def fit_stiffness(
     )
 
 
+def likelihood_rise(
+    problems: Sequence[EquilibriumProblem],
+    trials: Sequence[Trial],
+    estimate: Mapping[str, float],
+    nuisances: Mapping[str, float],
+    others: Mapping[str, float],
+    orientation: Orientation = "procrustes",
+    priors: Priors | None = None,
+    geometry: Floats | None = None,
+    taped: bool = False,
+) -> float:
+    """By how much twice the negative log likelihood is higher at other ratios than at an estimate.
+
+    Parameters
+    ----------
+    estimate, nuisances : of a weighed fit of these trials; nuisances in prior standard deviations, by name.
+    others : by the estimate's names.
+
+    Raises
+    ------
+    EquilibriumError : there is no equilibrium at one of the two.
+    """
+    groups = tuple(parameter_group(name, problems[0].torso.joints.kinds) for name in estimate)
+    asked = _asked(problems, trials, groups, orientation, None, priors, geometry, taped)
+    best = np.log(list(estimate.values()))
+    point = asked.solve(best, np.array([nuisances.get(name, 0.0) for name in asked.unknowns.names]))
+    slope = asked.slope(point)
+    found = WeighedFit(point, slope, asked.weights(point, slope, None), FitStatus.CONVERGED, ())
+    return rise_at(asked, found, np.log([others[name] for name in estimate]))
+
+
+def _asked(
+    problems: Sequence[EquilibriumProblem],
+    trials: Sequence[Trial],
+    groups: tuple[ParameterGroup, ...],
+    orientation: Orientation,
+    observer: OnFitStep | None,
+    priors: Priors | None,
+    geometry: Floats | None,
+    taped: bool,
+) -> WeighedProblem:
+    both = list(zip(problems, trials))
+    loaded = [(p, trial) for p, trial in both if trial.load.size > 0.0]
+    still = [(p, trial) for p, trial in both if trial.load.size == 0.0]
+    trial_set = TrialSet([p for p, _ in loaded], [trial for _, trial in loaded], groups, orientation, observer)
+    return WeighedProblem(trial_set, still, orientation, priors or Priors(), geometry, taped)
+
+
 def _searched(
     asked: WeighedProblem,
     first: Floats,
@@ -285,7 +332,9 @@ def _covariance(found: WeighedFit) -> Floats:
 
 
 def _told(asked: WeighedProblem, found: WeighedFit, limits: tuple[float, float], extent: Extent) -> Weighed:
-    likely, budget, changes = None, None, ()
+    likely: Likely | None = None
+    budget: Budget | None = None
+    changes: tuple[PriorChange, ...] = ()
     if extent != "estimate" and found.status.usable:
         places = [Place(*place) for place in found.visited]
         likely = likely_ratios(asked, found, places, limits)
@@ -315,7 +364,13 @@ def _nuisances(asked: WeighedProblem, found: WeighedFit) -> tuple[NuisanceEstima
         size = max(unknown.sizes, key=abs)
         result.append(
             NuisanceEstimate(
-                unknown.name, unknown.group, unknown.act, float(value * size), float(sd * abs(size)), float(abs(size))
+                unknown.name,
+                unknown.group,
+                unknown.act,
+                float(value),
+                float(value * size),
+                float(sd * abs(size)),
+                float(abs(size)),
             )
         )
     return tuple(result)

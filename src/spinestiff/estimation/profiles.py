@@ -1,8 +1,8 @@
 """Intervals, joint region and draws of the ratios, from the profile of the penalised likelihood (``weighed``).
 
 An end of ratio i's 95 % interval is where the least phi with that ratio given has risen by 3.84/2, times the square of
-one width factor that simulated subjects have told (docs/coverage.md); the joint region of two is where it has by 5.99/2.
-Ends are looked for on the emulator, solved on the model, and looked for again until both agree.
+one width factor that simulated subjects have told; the joint region of two is where it has risen by 5.99/2. Ends are
+looked for on the emulator, solved on the model, and looked for again until both agree.
 """
 
 from __future__ import annotations
@@ -88,8 +88,8 @@ def likely_ratios(
     model = reduced(fit.point, fit.slope, fit.weights)
     precision = model.ratios.T @ model.ratios
     # A direction without any information gets the bounds' own width.
-    covariance = np.linalg.inv(precision + np.eye(len(precision)) / (limits[1] - limits[0]) ** 2)
-    rise = 0.5 * WIDTH_FACTOR**2 * float(chi2.ppf(CONFIDENCE, 1))
+    covariance = np.asarray(np.linalg.inv(precision + np.eye(len(precision)) / (limits[1] - limits[0]) ** 2), float)
+    rise = 0.5 * region_rise(1)
     for _ in range(MOST_ROUNDS):
         emulator = Emulator(places, fit.weights)
         tracer = _Tracer(emulator, fit.point.log_ratios, covariance, limits)
@@ -105,7 +105,33 @@ def likely_ratios(
     )
     draws, effective = _draws(emulator, fit.point.log_ratios, covariance, limits)
     region = _region(emulator, fit.point.log_ratios, low, high) if len(precision) == 2 else None
-    return Likely(low, high, *opens, kinds, tuple(profiles), region, draws, effective, emulator, tuple(places))
+    open_low, open_high = opens
+    return Likely(
+        low, high, open_low, open_high, kinds, tuple(profiles), region, draws, effective, emulator, tuple(places)
+    )
+
+
+def region_rise(count: int) -> float:
+    """By how much 2 phi rises at the outline of the joint 95 % region of ``count`` ratios."""
+    return float(WIDTH_FACTOR**2 * chi2.ppf(CONFIDENCE, count))
+
+
+def rise_at(problem: WeighedProblem, fit: WeighedFit, log_ratios: Floats) -> float:
+    """By how much 2 phi is higher at other log ratios, nuisances at their most probable there; solves the model.
+
+    Raises
+    ------
+    EquilibriumError : it has no equilibrium there.
+    """
+    point, slope, nuisances = fit.point, fit.slope, fit.point.nuisances
+    # In two steps: ratios far off take their nuisances along.
+    for share in (0.5, 1.0, 1.0):
+        where = fit.point.log_ratios + share * (log_ratios - fit.point.log_ratios)
+        point = problem.solve(where, nuisances, point, slope)
+        slope = problem.slope(point)
+        model = reduced(point, slope, fit.weights)
+        nuisances = model.nuisances
+    return float(model.values @ model.values) - 2.0 * phi(fit.point, fit.weights)
 
 
 def _solve_ends(
@@ -229,12 +255,12 @@ def _kind(
 
 def _region(emulator: Emulator, best: Floats, low: Floats, high: Floats) -> Floats | None:
     """The outline on a grid around the intervals."""
-    rise = 0.5 * WIDTH_FACTOR**2 * float(chi2.ppf(CONFIDENCE, 2))
+    rise = 0.5 * region_rise(2)
     reach = 0.45 * (high - low)
     axes = [np.linspace(low[i] - reach[i], high[i] + reach[i], GRID) for i in (0, 1)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
     height = emulator.phi(grid.reshape(-1, 2)).reshape(GRID, GRID) - float(emulator.phi(best)[0])
-    outlines = find_contours(height, rise)
+    outlines: list[Floats] = find_contours(height, rise)  # type: ignore[no-untyped-call]
     if not outlines:
         return None
     outline = max(outlines, key=len)

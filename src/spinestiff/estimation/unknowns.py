@@ -7,7 +7,7 @@ frame's obliquity is the side's compliance times force, plus a part of its own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,7 +22,8 @@ from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.places import SupportPlace
 
 ACTS = ("force", "offset", "upward", "forward", "height", "depth", "obliquity", "shoulder", "tissue", "motion")
-"""Log of the force; N; rad, rad; mm, mm; rad, mm; log of the tissue's stiffness; relative size of what is seen to move."""
+UNITS = ("", "N", "rad", "rad", "mm", "mm", "rad", "mm", "", "")
+"""Of each act. Force and tissue act by their logs, motion by the relative size of what is seen to move."""
 LOADING = ACTS[:6]
 PLACING = ("obliquity", "shoulder")
 
@@ -141,6 +142,11 @@ def unknowns_of(
     return Unknowns(tuple(found), len(trials))
 
 
+def acts_by_name(unknowns: Unknowns, known: Mapping[str, float]) -> Floats:
+    """(T, len(ACTS)) of trials whose unknowns are known by name, in prior standard deviations; the others are 0."""
+    return np.asarray(unknowns.acts @ np.array([known.get(name, 0.0) for name in unknowns.names]))
+
+
 def _side(load: LoadCase) -> str:
     """Where a push comes from: its force drives the spine to the other side."""
     return "right" if load.total[0] >= 0.0 else "left"
@@ -186,7 +192,7 @@ def _sum(a: LoadCase, b: LoadCase) -> LoadCase:
 
 
 def _turned(load: LoadCase, axis: int) -> LoadCase:
-    """Change per rad of the forces' turn that lifts them (about the AP axis) or moves them forward (about the vertical)."""
+    """Change per rad of the forces' turn: up (about the AP axis) or forward (about the vertical)."""
     about = np.zeros(3)
     # Upward and forward whichever way the push points.
     about[axis] = np.sign(load.total[0] or 1.0) * (1.0 if axis == 2 else -1.0)

@@ -337,7 +337,7 @@ def gauss_newton_step(
     low = np.maximum(limits[0] - point.log_ratios, -np.log(LARGEST_SOFTENING))
     high = np.minimum(limits[1] - point.log_ratios, np.log(LARGEST_STIFFENING))
     floor, ceiling = compliance_step(low) - 1e-14, compliance_step(high) + 1e-14
-    q, triangle = np.linalg.qr(np.column_stack([model.ratios, model.values]))
+    triangle = np.asarray(np.linalg.qr(np.column_stack([model.ratios, model.values]), mode="r"))
     p = lsq_linear(triangle[:, :-1], -triangle[:, -1], (floor, ceiling), method="bvls").x
     left = model.values + model.ratios @ p
     predicted = phi(point, weights) - 0.5 * float(left @ left)

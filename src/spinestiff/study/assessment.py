@@ -6,17 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import CobbChange
 from spinestiff.errors import EquilibriumError, FitError
-from spinestiff.estimation.fit import fit_stiffness
 from spinestiff.imaging.features import rmse, target_features
-from spinestiff.study.predictions import Prediction, Predictions
-from spinestiff.study.trials import PushSet, PushTrial
+from spinestiff.study.predictions import Model, Prediction, Predictions
+from spinestiff.study.trials import PushSet, PushTrial, fit_pushes
 from spinestiff.subject.outcomes import CobbChangeRecord, HeldOutFrame
 
-BASELINES = ("rest", "default", "fit", "extrapolation", "single_ratio", "truth")
+BASELINES = ("rest", "default", "fit", "fitted_supports", "extrapolation", "single_ratio", "truth")
 COBB_MODELS = ("default", "fit", "truth")
 
 
@@ -63,21 +61,13 @@ def change_record(change: CobbChange) -> CobbChangeRecord:
     )
 
 
-def single_ratio(pushes: PushSet, start: float = 1.0) -> StiffnessRatios | None:
+def single_ratio(pushes: PushSet, start: float = 1.0) -> Model | None:
     """One common ratio for all stiffnesses, fitted to the training frames from ``start``; None if that fit fails."""
-    training = pushes.training
     try:
-        fit = fit_stiffness(
-            [pushes.problems[t.push] for t in training],
-            [t.trial for t in training],
-            ("everything",),
-            start={"everything": start},
-            orientation=pushes.orientation,
-            intervals="linear",
-        )
+        fit = fit_pushes(pushes, ("everything",), {"everything": start}, extent="estimate")
     except (FitError, EquilibriumError):
         return None
-    return fit.ratios if fit.status.usable else None
+    return Model.of(fit) if fit.status.usable else None
 
 
 def extrapolated(pushes: PushSet, item: PushTrial) -> tuple[tuple[str, ...], Floats] | None:

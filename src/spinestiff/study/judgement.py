@@ -9,14 +9,14 @@ sound subjects and are held against others (``benchmarks/judgement.py``).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from spinestiff.arrays import Floats, Ints
 from spinestiff.estimation.fit import StiffnessFit
-from spinestiff.estimation.objective import Residuals
+from spinestiff.estimation.objective import Residuals, make_target, residuals
 from spinestiff.imaging.dicom.identity import Identity
 from spinestiff.imaging.features import picture_axes, vertebra_rows
 from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY
@@ -457,7 +457,7 @@ def _left(one: Explanation) -> float:
 
 def _training(pushes: PushSet, fit: StiffnessFit, limits: Limits) -> Iterator[Check]:
     names = "training frames", "vertebrae in motion"
-    blind = [trial.push for trial in pushes.training if trial.trial.reference is None]
+    blind = [trial.push for trial in pushes.training if pushes.reference(trial.push).force_n > 0.0]
     if blind:
         for name in names:
             yield _impossible(name, f"push '{blind[0]}' has no usable frame without force")
@@ -512,7 +512,8 @@ class _Motion:
         kept = [i for i, row in enumerate(vertebra_rows(pushes.torso, item.trial.corners)) if row in rows]
         seen = tuple(names[i] for i in kept)
         moved2 = np.mean(np.sum((end - start) ** 2, -1), -1)
-        return cls(item.trial.label, seen, rows, part.weights[kept], part.fitted[kept], moved2)
+        left = part.difference[kept] - _at_rest(pushes, item)[rows]
+        return cls(item.trial.label, seen, rows, part.weights[kept], left, moved2)
 
     @property
     def left2(self) -> Floats:
@@ -528,6 +529,16 @@ class _Motion:
         worst = int(np.argmax(found))
         limit = float(np.hypot(limits.stray_moved_mm, limits.stray_moved_share * np.sqrt(self.moved2.mean())))
         return float(found[worst]), limit, self.vertebrae[sure[worst]], self.label
+
+
+def _at_rest(pushes: PushSet, item: PushTrial) -> Floats:
+    """(V, 4, 2) mm, the torso at rest minus what the push's unloaded frame shows of a frame's vertebrae."""
+    trial = pushes.reference(item.push).trial
+    names = item.trial.corners.vertebrae
+    target = make_target(pushes.torso, replace(trial, corners=trial.corners.selected(names)), pushes.orientation)
+    found = np.full((len(pushes.torso.vertebrae), 4, 2), np.nan)
+    found[target.rows] = residuals(pushes.torso, target, pushes.torso.rest_pose).difference
+    return found
 
 
 def _check(name: str, found: str, value: float | None, limit: float | None, passed: bool, look_for: str) -> Check:

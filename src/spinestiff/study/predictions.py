@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from zipfile import BadZipFile
@@ -18,7 +18,10 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.curves.tilts import CobbChange, change_between, cobb_change, tilts
 from spinestiff.errors import SpinestiffError, SubjectError
+from spinestiff.estimation.evaluation import acted
+from spinestiff.estimation.fit import StiffnessFit
 from spinestiff.estimation.objective import Target, make_target, residuals
+from spinestiff.estimation.unknowns import ACTS, PLACING, acts_by_name, unknowns_of
 from spinestiff.files import write_bytes
 from spinestiff.imaging.features import state_features, vertebra_rows
 from spinestiff.mechanics.equilibrium import Equilibrium
@@ -26,6 +29,7 @@ from spinestiff.observer import Observer
 from spinestiff.study.trials import PushSet, PushTrial
 
 REST = "rest"
+FITTED_ROUNDS = 3
 STATES_SCHEMA = "spinestiff-states-1"
 _FIELDS = ("bone_positions", "bone_rotations", "tissue_positions")
 
@@ -51,7 +55,49 @@ class Solved(ShortRepr):
 
 
 Key = tuple[str, int, str]
-"""Push, frame and model: "default", "fit", "single_ratio" or "truth"."""
+"""Push, frame and model: "default", "fit", "fitted_supports", "single_ratio" or "truth"."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """What predicts a frame.
+
+    Attributes
+    ----------
+    ratios : of stiffness; None = default.
+    known : what a fit found of what is not quite known, by name, in prior standard deviations
+        (``estimation.unknowns``). A frame takes what it shares with the fit's frames, e.g. how far the supports give
+        under a force from its side, and what was measured of its own supports, never what its vertebrae show.
+    """
+
+    ratios: StiffnessRatios | None = None
+    known: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, fit: StiffnessFit) -> Model:
+        """The model that a fit found."""
+        found = () if fit.weighed is None else fit.weighed.nuisances
+        return cls(fit.ratios, {one.name: one.standard for one in found})
+
+
+def predicted_acts(pushes: PushSet, items: Sequence[PushTrial], model: Model) -> Floats:
+    """(T, len(ACTS)) of frames as a model expects them.
+
+    Supports that were measured in a frame are where that and the prediction together put them.
+    """
+    trials = [item.trial for item in items]
+    unknowns = unknowns_of(trials, [pushes.problems[t.push] for t in items], pushes.known.priors, pushes.known.taped)
+    acts = np.array(acts_by_name(unknowns, model.known))
+    if not model.known:
+        return acts
+    open_ = np.array([name not in model.known for name in unknowns.names])
+    for i, trial in enumerate(trials):
+        for name, (value, sd) in trial.supports.items():
+            act = ACTS.index(name)
+            # What the fit has not seen of this frame; what it has seen counts as known.
+            variance = float(np.sum(unknowns.acts[i, act, open_] ** 2))
+            acts[i, act] += variance / (variance + sd**2) * (value - acts[i, act])
+    return acts
 
 
 @dataclass(frozen=True)
@@ -127,7 +173,7 @@ class Predictions:
 
 def predict(
     pushes: PushSet,
-    models: Mapping[str, StiffnessRatios | None],
+    models: Mapping[str, Model],
     known: Mapping[Key, Solved],
     say: Observer,
     everywhere: Sequence[str] = ("default", "fit"),
@@ -136,20 +182,25 @@ def predict(
 
     Parameters
     ----------
-    models : by name; None = default stiffness.
+    models : by name.
     known : what is solved already.
     everywhere : models of all frames; the others predict the frames held out only.
     """
     solved = dict(known)
     last: dict[tuple[str, str], TorsoState] = {}
-    for item in sorted((t for t in pushes.trials if t.force_n > 0.0), key=lambda t: (t.push, t.force_n)):
+    items = sorted((t for t in pushes.trials if t.force_n > 0.0), key=lambda t: (t.push, t.force_n))
+    acts = {name: predicted_acts(pushes, items, model) for name, model in models.items()}
+    for number, item in enumerate(items):
         for name, model in models.items():
             key = (item.push, item.frame, name)
             if name not in everywhere and item.role != "validation":
                 continue
             if key not in solved:
                 say(f"push '{item.push}' frame {item.frame}: {name} at {item.force_n:.0f} N")
-                solution = pushes.problems[item.push].solve(item.trial.load, model, last.get((item.push, name)))
+                asked, load, ratios = acted(
+                    pushes.problems[item.push], item.trial.load, model.ratios, acts[name][number]
+                )
+                solution = asked.solve(load, ratios, last.get((item.push, name)))
                 if not solution.converged:
                     say(f"{item.trial.label}: no prediction by '{name}': {solution.status.value}")
                     continue
@@ -221,3 +272,37 @@ def read_solved(path: Path) -> dict[Key, Solved]:
 def of_equilibria(items: Iterable[PushTrial], equilibria: Iterable[Equilibrium], name: str) -> dict[Key, Solved]:
     """Equilibria of a fit by push, frame and model; none where the fit had none."""
     return {(item.push, item.frame, name): Solved.of(found) for item, found in zip(items, equilibria)}
+
+
+def with_fitted_supports(predictions: Predictions, model: Model) -> Predictions:
+    """Held-out frames with pelvis and shoulder also where their own vertebrae show them best.
+
+    It says how much of a prediction's error the supports may be, and is no prediction. Nothing is added where supports
+    are no unknowns.
+    """
+    pushes, solved = predictions.pushes, dict(stored(predictions))
+    frames = [f for f in predictions.of_role("validation") if "fit" in f.solved]
+    acts = predicted_acts(pushes, [frame.item for frame in frames], model)
+    places = [ACTS.index(name) for name in PLACING]
+    priors = pushes.known.priors
+    sds = np.array([np.deg2rad(priors.obliquity_deg), priors.shoulder_mm])
+    for frame, expected in zip(frames, acts):
+        item, problem = frame.item, pushes.problems[frame.item.push]
+        if not sds.all():
+            continue
+        found, state = expected.copy(), frame.solved["fit"].state
+        for _ in range(FITTED_ROUNDS):
+            asked, load, ratios = acted(problem, item.trial.load, model.ratios, found)
+            equilibrium = asked.solve(load, ratios, state)
+            if not equilibrium.converged:
+                break
+            state, part = equilibrium.state, residuals(pushes.torso, frame.target, equilibrium.state)
+            columns = part.along(asked.linearise(equilibrium, load, ratios).place_derivative()) * sds
+            away = (found[places] - expected[places]) / sds
+            # As sure of a corner as of one set by hand.
+            rows = np.vstack([columns / priors.annotation_mm, np.eye(2)])
+            step = np.linalg.lstsq(rows, -np.concatenate([part.values / priors.annotation_mm, away]), rcond=None)[0]
+            found[places] += sds * step
+        else:
+            solved[item.push, item.frame, "fitted_supports"] = Solved.of(equilibrium)
+    return predictions_of(pushes, solved)

@@ -10,12 +10,12 @@ import numpy as np
 from spinestiff.anatomy.axes import body_axes
 from spinestiff.anatomy.files import read_torso, write_torso
 from spinestiff.anatomy.names import BONES
-from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
+from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.pushes import push_responses
 from spinestiff.errors import FitError, SubjectError
-from spinestiff.estimation.fit import FitStep, StiffnessFit, fit_stiffness
+from spinestiff.estimation.fit import FitStep, StiffnessFit
 from spinestiff.files import write_bytes
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
@@ -28,20 +28,22 @@ from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess, single_ratio
 from spinestiff.study.frame_selection import frame_qualities, propose
 from spinestiff.study.predictions import (
+    Model,
     Predictions,
     of_equilibria,
     predict,
     predictions_of,
     read_solved,
     stored,
+    with_fitted_supports,
     write_solved,
 )
 from spinestiff.study.support_notes import support_notes
-from spinestiff.study.trials import PushSet
+from spinestiff.study.trials import PushSet, fit_pushes
 from spinestiff.study.truth import compare_with_truth, read_truth
 from spinestiff.study.visit import Visit, load_pushes
 from spinestiff.study.wording import response_lines
-from spinestiff.study.written import estimate_record, geometry_record, proposal_record
+from spinestiff.study.written import estimate_record, geometry_record, proposal_record, write_draws
 from spinestiff.subject.folder import (
     image_corners,
     image_pedicles,
@@ -199,13 +201,14 @@ def starting_torso(visit: Visit) -> TorsoModel:
 
 
 def estimate_step(visit: Visit, say: Observer) -> None:
-    """Estimate the ratios from the training frames; writes ``estimate.json`` and the equilibria, ``training.npz``.
+    """Estimate the ratios from the training frames; writes ``estimate.json``, draws of the ratios and of all that is
+    not quite known (``posterior.csv``), and the equilibria, ``training.npz``.
 
     Raises
     ------
     FitError : the fit ended without a minimum; nothing is written.
     """
-    pushes = load_pushes(visit, visit.settings.orientation)  # type: ignore[arg-type]
+    pushes = load_pushes(visit, visit.settings.orientation, visit.settings.method)  # type: ignore[arg-type]
     fit = fit_training(visit, pushes, say)
     if not fit.status.usable:
         raise FitError(f"no estimate: {fit.status.value}")
@@ -216,6 +219,7 @@ def estimate_step(visit: Visit, say: Observer) -> None:
         visit.file("training.npz"),
         of_equilibria(training, fit.equilibria, "fit") | of_equilibria(training, fit.default_equilibria, "default"),
     )
+    write_draws(visit.file("posterior.csv"), fit)
     write_outcome(visit.subject, record)
 
 
@@ -230,16 +234,17 @@ def assess_step(visit: Visit, say: Observer) -> None:
     """
     subject = visit.subject
     estimate = read_outcome(subject, Estimate)
-    pushes = load_pushes(visit, estimate.orientation)
-    models: dict[str, StiffnessRatios | None] = {"default": None, "fit": estimated_ratios(estimate, pushes)}
+    pushes = load_pushes(visit, estimate.orientation, estimate.method)
+    fit = estimated_model(estimate, pushes)
+    models = {"default": Model(), "fit": fit}
     say("fitting the one-ratio baseline")
     single = single_ratio(pushes, float(np.exp(np.mean(np.log(list(estimate.values.values()))))))
     if single is not None:
         models["single_ratio"] = single
     if visit.truth is not None:
-        models["truth"] = stiffness_ratios(read_truth(visit.truth), pushes.torso.joints.kinds)
+        models["truth"] = Model(stiffness_ratios(read_truth(visit.truth), pushes.torso.joints.kinds), fit.known)
     known = read_solved(result_path(subject, "training.npz", "estimate"))
-    predictions = predict(pushes, models, known, say)
+    predictions = with_fitted_supports(predict(pushes, models, known, say), fit)
     assessment = Assessment(frames=assess(predictions), notes=tuple(_support_notes(visit, predictions)))
     comparison = None if visit.truth is None else compare_with_truth(estimate, pushes, visit.truth)
     write_solved(visit.file("predictions.npz"), stored(predictions))
@@ -251,9 +256,10 @@ def assess_step(visit: Visit, say: Observer) -> None:
         write_outcome(subject, comparison)
 
 
-def estimated_ratios(estimate: Estimate, pushes: PushSet) -> StiffnessRatios:
-    """The ratios of an estimate, for the torso of these pushes."""
-    return stiffness_ratios(estimate.values, pushes.torso.joints.kinds)
+def estimated_model(estimate: Estimate, pushes: PushSet) -> Model:
+    """What an estimate found, for the torso of these pushes."""
+    ratios = stiffness_ratios(estimate.values, pushes.torso.joints.kinds)
+    return Model(ratios, {one.name: one.standard for one in estimate.nuisances})
 
 
 def stored_predictions(visit: Visit) -> Predictions:
@@ -263,7 +269,8 @@ def stored_predictions(visit: Visit) -> Predictions:
     ------
     SubjectError : an earlier step has not run, or its results are not as it left them.
     """
-    pushes = load_pushes(visit, read_outcome(visit.subject, Estimate).orientation)
+    estimate = read_outcome(visit.subject, Estimate)
+    pushes = load_pushes(visit, estimate.orientation, estimate.method)
     known = read_solved(result_path(visit.subject, "predictions.npz", "assess"))
     return predictions_of(pushes, known)
 
@@ -297,23 +304,15 @@ def view_step(visit: Visit, say: Observer) -> None:
 
 def fit_training(visit: Visit, pushes: PushSet, say: Observer) -> StiffnessFit:
     """The fit of the training frames under load."""
-    training = pushes.training
 
     def progress(step: FitStep) -> None:
         tried = ", ".join(f"{name} {value:.4g}" for name, value in step.ratios.items())
-        loss = "no equilibrium" if np.isnan(step.loss) else f"RMSE {step.rmse_mm:.3f} mm, loss {step.loss:.2f} mm2"
+        loss = "no equilibrium" if np.isnan(step.rmse_mm) else f"RMSE {step.rmse_mm:.3f} mm"
         say(f"evaluation {step.iteration}: {tried}: {loss}")
 
     def fit(start: Mapping[str, float] | None) -> StiffnessFit:
-        return fit_stiffness(
-            [pushes.problems[t.push] for t in training],
-            [t.trial for t in training],
-            visit.settings.parameters,
-            visit.settings.method,  # type: ignore[arg-type]
-            start=start,
-            orientation=visit.settings.orientation,  # type: ignore[arg-type]
-            observer=progress,
-        )
+        method = visit.settings.method
+        return fit_pushes(pushes, visit.settings.parameters, start, method, progress)  # type: ignore[arg-type]
 
     try:
         return fit({name: value for name, value in USUAL_RATIOS.items() if name in visit.settings.parameters})

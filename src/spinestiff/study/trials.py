@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.arrays import ShortRepr
-from spinestiff.errors import SubjectError, TrackingError
+from spinestiff.arrays import Floats, ShortRepr
+from spinestiff.errors import FitError, SubjectError, TrackingError
+from spinestiff.estimation.evaluation import OnFitStep
+from spinestiff.estimation.fit import Extent, Method, StiffnessFit, fit_stiffness, likelihood_rise
 from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Trial
+from spinestiff.estimation.priors import Priors
 from spinestiff.imaging.features import Orientation
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.push import PushSite, Rig, push_load, push_problem
 from spinestiff.personalise.pose import ViewPose, align_view
-from spinestiff.subject.outcomes import TrackedPush
+from spinestiff.subject.outcomes import TrackedFrame, TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.words import counted
 
@@ -24,6 +27,39 @@ LEVEL = Rig()
 def rig_of(record: SubjectRecord) -> Rig:
     """How a subject's pushes are held against: a pelvis whose obliquity is estimated is level where none is given."""
     return Rig("level" if record.pelvis == "estimated" else record.pelvis, record.wall)
+
+
+@dataclass(frozen=True, repr=False)
+class Known(ShortRepr):
+    """What is known of a subject beside the radiographs of pushes.
+
+    Attributes
+    ----------
+    priors : of all that is not quite known.
+    geometry : (6V, 6V) covariance of the vertebrae's rest poses; None: exact.
+    taped : the trunk's size was measured.
+    """
+
+    priors: Priors = field(default_factory=Priors)
+    geometry: Floats | None = None
+    taped: bool = False
+
+
+def known_of(record: SubjectRecord, geometry: Floats | None) -> Known:
+    """From ``subject.json`` and the geometry's covariance. Raises SubjectError for a prior that there is not."""
+    named = {field.name for field in fields(Priors)} - {"trunk_power"}
+    for name in record.priors:
+        if name not in named:
+            raise SubjectError(f"subject.json: priors.{name}: unknown prior; wanted one of {', '.join(sorted(named))}")
+    try:
+        priors = replace(Priors(), **record.priors)
+    except FitError as error:
+        raise SubjectError(f"subject.json: {error}") from None
+    if record.pelvis != "estimated":
+        priors = replace(priors, obliquity_deg=0.0, frame_obliquity_deg=0.0)
+    if record.pelvis == "dead-loads":
+        priors = replace(priors, shoulder_mm=0.0, frame_shoulder_mm=0.0)
+    return Known(priors, geometry, bool(record.trunk) or record.skin_scan is not None)
 
 
 @dataclass(frozen=True)
@@ -55,6 +91,7 @@ class PushSet(ShortRepr):
     poses : push id -> how the patient stood.
     warnings : what was left out, and why; supports that moved.
     orientation : of a vertebra in the picture, for all that is made of the trials.
+    known : what is known beside the radiographs.
     """
 
     torso: TorsoModel
@@ -63,6 +100,7 @@ class PushSet(ShortRepr):
     poses: Mapping[str, ViewPose]
     warnings: tuple[str, ...]
     orientation: Orientation = "procrustes"
+    known: Known = field(default_factory=lambda: Known())
 
     def of_role(self, role: str) -> tuple[PushTrial, ...]:
         return tuple(trial for trial in self.trials if trial.role == role)
@@ -72,9 +110,21 @@ class PushSet(ShortRepr):
         """The training frames under a force."""
         return tuple(trial for trial in self.of_role("training") if trial.force_n > 0.0)
 
+    @property
+    def fitted(self) -> tuple[PushTrial, ...]:
+        """What an estimate is made from: the training frames, then all unloaded frames of their pushes."""
+        pushes = {trial.push for trial in self.training}
+        return (*self.training, *(t for t in self.trials if t.push in pushes and t.force_n == 0.0))
+
     def reference(self, push: str) -> PushTrial:
         """The frame of a push with the least force, to which changes are measured."""
         return min((t for t in self.trials if t.push == push), key=lambda t: t.force_n)
+
+
+def _measured_supports(frame: TrackedFrame) -> dict[str, tuple[float, float]]:
+    """Pelvis and shoulder as a frame shows them, as ``Trial.supports`` has it."""
+    seen = {"obliquity": frame.obliquity, "shoulder": frame.shoulder_mm}
+    return {name: (found.value, found.sd) for name, found in seen.items() if found is not None}
 
 
 def push_set(
@@ -83,12 +133,14 @@ def push_set(
     tracked: Mapping[str, TrackedPush],
     orientation: Orientation = "procrustes",
     rig: Rig = LEVEL,
+    known: Known | None = None,
 ) -> PushSet:
     """Trials of all pushes; each push's view is moved to meet its usable frame of least force.
 
     Parameters
     ----------
     rig : what holds the torso, and what is a load.
+    known : beside the radiographs.
 
     Raises
     ------
@@ -128,9 +180,8 @@ def push_set(
             if frame.support_note and role != "unused":
                 warnings.append(f"{label}: {frame.support_note}; the paper leaves such a frame out")
             load = push_load(torso, site, force, rig, label)
-            # Seen unloaded in the same sequence, vertebrae are compared by how far they moved from there.
-            unloaded = corners[least] if push.forces_n[least] == 0.0 and index != least else None
-            trial = Trial(load, corners[index], view, label, push.id, unloaded)
+            by_hand = index in (found.annotated_frames or (0,))
+            trial = Trial(load, corners[index], view, label, push.id, by_hand, _measured_supports(frame))
             lost = len(found.vertebrae) - len(trial.corners)
             if index not in usable:
                 left = len(trial.corners)
@@ -142,4 +193,45 @@ def push_set(
             trials.append(PushTrial(push.id, index, force, role, trial))
     if not any(t.role == "training" and t.force_n > 0.0 for t in trials):
         raise SubjectError("no training frame is left after tracking; see the messages of the tracking step")
-    return PushSet(torso, problems, tuple(trials), poses, tuple(warnings), orientation)
+    return PushSet(torso, problems, tuple(trials), poses, tuple(warnings), orientation, known or Known())
+
+
+def rise_of(
+    pushes: PushSet, estimate: Mapping[str, float], nuisances: Mapping[str, float], others: Mapping[str, float]
+) -> float:
+    """By how much less likely other ratios are than an estimate (``estimation.fit.likelihood_rise``)."""
+    return likelihood_rise(
+        [pushes.problems[t.push] for t in pushes.fitted],
+        [t.trial for t in pushes.fitted],
+        estimate,
+        nuisances,
+        others,
+        pushes.orientation,
+        pushes.known.priors,
+        pushes.known.geometry,
+        pushes.known.taped,
+    )
+
+
+def fit_pushes(
+    pushes: PushSet,
+    names: Sequence[str],
+    start: Mapping[str, float] | None = None,
+    method: Method = "weighed",
+    observer: OnFitStep | None = None,
+    extent: Extent = "everything",
+) -> StiffnessFit:
+    """The fit of the training frames; arguments and errors are those of ``estimation.fit.fit_stiffness``."""
+    return fit_stiffness(
+        [pushes.problems[t.push] for t in pushes.fitted],
+        [t.trial for t in pushes.fitted],
+        names,
+        method,
+        start=start,
+        orientation=pushes.orientation,
+        observer=observer,
+        priors=pushes.known.priors,
+        geometry=pushes.known.geometry,
+        taped=pushes.known.taped,
+        extent=extent,
+    )

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
-from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.errors import EquilibriumError, SubjectError
-from spinestiff.estimation.intervals import offset_from
 from spinestiff.files import read_json
-from spinestiff.study.trials import PushSet
+from spinestiff.study.trials import PushSet, rise_of
 from spinestiff.subject.folder import Subject
 from spinestiff.subject.outcomes import Comparison, Estimate
 from spinestiff.subject.run_record import read_outcome
@@ -48,8 +44,6 @@ def known_comparison(subject: Subject, truth: Path) -> Comparison:
 def compare_with_truth(estimate: Estimate, pushes: PushSet, truth: Path) -> Comparison:
     """How far the estimate lies from known true ratios, in the measure of its joint region.
 
-    The offset is found on the model, as the intervals' ends are (estimation/intervals.py).
-
     Raises
     ------
     SubjectError : the truth lacks a ratio that was estimated.
@@ -59,19 +53,12 @@ def compare_with_truth(estimate: Estimate, pushes: PushSet, truth: Path) -> Comp
     if lacking:
         raise SubjectError(f"{truth}: holds no true ratio of {lacking[0]}, which was estimated")
     unknown = Comparison(truth=true_ratios, region_size=size, distance2=None, inside=None)
-    covariance = estimate.covariance_log
-    if size is None or any(value is None for row in covariance for value in row):
+    if size is None:
         return unknown
-    training = pushes.training
     try:
-        offset = offset_from(
-            [pushes.problems[t.push] for t in training],
-            [t.trial for t in training],
-            stiffness_ratios(estimate.values, pushes.torso.joints.kinds),
-            true_ratios,
-            estimate.orientation,
+        distance2 = rise_of(
+            pushes, estimate.values, {one.name: one.standard for one in estimate.nuisances}, true_ratios
         )
     except EquilibriumError:
         return unknown
-    distance2 = float(offset @ np.linalg.solve(np.array(covariance, dtype=float), offset))
     return unknown.model_copy(update={"distance2": distance2, "inside": bool(distance2 <= size)})

@@ -5,16 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.template import MESHES
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import SubjectError
 from spinestiff.estimation.fit import METHODS
 from spinestiff.imaging.features import ORIENTATIONS, Orientation
-from spinestiff.study.trials import PushSet, push_set, rig_of
+from spinestiff.study.trials import LEVEL, PushSet, known_of, push_set, rig_of
 from spinestiff.study.truth import read_truth
 from spinestiff.subject.folder import Subject, read_subject
-from spinestiff.subject.outcomes import Tracked
+from spinestiff.subject.outcomes import GeometryRecord, Tracked
 from spinestiff.subject.run_record import read_outcome, result_path
 
 
@@ -25,12 +27,12 @@ class Settings:
     Attributes
     ----------
     mesh : of the estimator, "coarse" or "fine".
-    method : "lm" or "lbfgsb". orientation : "procrustes" or "covariance".
+    method : "weighed" or "paper". orientation : "procrustes" or "covariance".
     parameters : ratios to estimate.
     """
 
     mesh: str = "coarse"
-    method: str = "lm"
+    method: str = "weighed"
     orientation: str = "procrustes"
     parameters: tuple[str, ...] = ("lateral_bending", "tissue")
 
@@ -73,11 +75,19 @@ def open_visit(folder: str | Path, settings: Settings | None = None, truth: Path
     return Visit(read_subject(folder), settings or Settings(), truth)
 
 
-def load_pushes(visit: Visit, orientation: Orientation) -> PushSet:
-    """Trials of a visit that has been tracked and personalised. Raises SubjectError."""
+def load_pushes(visit: Visit, orientation: Orientation, method: str) -> PushSet:
+    """Trials of a visit that has been tracked and personalised; the paper's method holds the pelvis level.
+
+    Raises
+    ------
+    SubjectError : an earlier step has not run, or its results are not as it left them.
+    """
     tracked = read_outcome(visit.subject, Tracked)
     lacking = [push.id for push in visit.subject.pushes if push.id not in tracked.pushes]
     if lacking:
         raise SubjectError(f"{visit.file(Tracked.FILE)}: no push '{lacking[0]}'; run spinestiff track again")
-    rig = rig_of(visit.subject.record)
-    return push_set(visit.torso(), visit.subject.pushes, tracked.pushes, orientation, rig)
+    record = visit.subject.record
+    rig = LEVEL if method == "paper" else rig_of(record)
+    covariance = np.array(read_outcome(visit.subject, GeometryRecord).covariance)
+    known = known_of(record, covariance.reshape(6 * len(covariance), -1))
+    return push_set(visit.torso(), visit.subject.pushes, tracked.pushes, orientation, rig, known)

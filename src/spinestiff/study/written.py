@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import csv
+from collections.abc import Mapping, Sequence
+from io import StringIO
+from pathlib import Path
 
 import numpy as np
 
 from spinestiff.estimation.fit import StiffnessFit
+from spinestiff.estimation.profiles import region_rise
+from spinestiff.estimation.unknowns import ACTS, PLACING, UNITS
+from spinestiff.files import write_bytes
 from spinestiff.mechanics.loads import three_point_reactions
 from spinestiff.mechanics.push import support_forces
 from spinestiff.personalise.fitness import VertebraFit
@@ -21,15 +27,19 @@ from spinestiff.study.visit import Visit
 from spinestiff.subject.folder import read_identities
 from spinestiff.subject.outcome_parts import Determination, PoseRecord, ViewRecord, finite, nested
 from spinestiff.subject.outcomes import (
+    BudgetRecord,
     CostRecord,
     Estimate,
     FitStepRecord,
     FrameProposal,
     GeometryRecord,
     MeshRecord,
+    NuisanceRecord,
+    PriorChangeRecord,
     RatioEstimate,
     Reactions,
     ScanRecord,
+    SupportPlaceRecord,
     TrainingError,
     VertebraFitRecord,
 )
@@ -69,11 +79,12 @@ def _rounded(value: float | None, digits: int) -> float | None:
 def estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry: GeometryRecord) -> Estimate:
     """The estimate, judged: what the fit found, in plain units too, with every check and note."""
     checks = judge(visit.subject.record, rest_shape(geometry), pushes, fit, read_identities(visit.subject))
-    ends, opens = fit.intervals95, zip(fit.intervals.open_low, fit.intervals.open_high)
+    kinds = dict.fromkeys(fit.names) if fit.likely is None else dict(zip(fit.names, fit.likely.kinds))
     ratios = {
-        name: RatioEstimate.of(value, ends[name], (bool(low), bool(high)), fit.at_bound[name])
-        for (name, value), (low, high) in zip(fit.ratios.as_dict().items(), opens)
+        name: RatioEstimate.of(value, fit.intervals95[name], fit.open_ends[name], fit.at_bound[name], kinds[name])
+        for name, value in fit.ratios.as_dict().items()
     }
+    region = None if fit.likely is None else fit.likely.region
     spread = [ratio.determined for ratio in ratios.values()]
     return Estimate(
         status="DOUBTFUL" if failed(checks) else fit.status.name,  # type: ignore[arg-type]
@@ -84,11 +95,11 @@ def estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry: 
         parameters=fit.names,
         ratios=ratios,
         plain=plain_stiffness(pushes.torso, fit.ratios, ratios),
-        covariance_log=nested(fit.uncertainty.covariance),  # type: ignore[arg-type]
+        covariance_log=nested(fit.covariance),  # type: ignore[arg-type]
         correlation=finite(float(fit.correlation[0, -1])) if len(fit.names) > 1 else None,
-        condition=finite(fit.condition),
-        region=None if fit.intervals.region is None else np.exp(fit.intervals.region).tolist(),
-        region_size=finite(fit.uncertainty.region_size),
+        region=None if region is None else np.exp(region).tolist(),
+        region_size=None if region is None else region_rise(len(fit.names)),
+        **_weighed(pushes, fit),  # type: ignore[arg-type]
         training_rmse_mm=TrainingError(default=finite(fit.default_rmse_mm), fit=fit.rmse_mm),
         reactions_n=_reactions(visit, pushes, fit),
         history=tuple(
@@ -107,6 +118,68 @@ def estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry: 
         ),
         notes=(*visit.subject.warnings, *geometry.warnings, *pushes.warnings, *fit.warnings),
     )
+
+
+def _weighed(pushes: PushSet, fit: StiffnessFit) -> dict[str, object]:
+    """What only the weighed fit tells, as the record's fields."""
+    found = fit.weighed
+    if found is None:
+        return {}
+
+    def by_name(values: Sequence[float]) -> dict[str, float]:
+        return dict(zip(fit.names, values))
+
+    nuisances = [
+        NuisanceRecord(
+            name=one.name,
+            group=one.group,
+            unit=UNITS[ACTS.index(one.act)],
+            value=one.value,
+            sd=one.sd,
+            prior_sd=one.prior_sd,
+            standard=one.standard,
+        )
+        for one in found.nuisances
+    ]
+    obliquity, shoulder = (found.acts[:, ACTS.index(name)] for name in PLACING)
+    budget = found.budget
+    return {
+        "nuisances": tuple(nuisances),
+        "supports": tuple(
+            SupportPlaceRecord(push=t.push, frame=t.frame, obliquity_deg=float(np.degrees(turn)), shoulder_mm=float(mm))
+            for t, turn, mm in zip(pushes.training, obliquity, shoulder)
+        ),
+        "sd_log": {} if budget is None else by_name(budget.together),
+        "sd_log_tracking": {} if budget is None else by_name(budget.tracking),
+        "budget": ()
+        if budget is None
+        else tuple(
+            BudgetRecord(name=row.name, alone=by_name(row.alone), without=by_name(row.without)) for row in budget.rows
+        ),
+        "prior_changes": tuple(
+            PriorChangeRecord(name=c.name, factor=c.factor, ratios=by_name(c.ratios), sd_log=by_name(c.sd))
+            for c in found.changes
+        ),
+        "p_value": found.p_value,
+        "tracking_factor": found.tracking_factor,
+        "outlying": {f"{vertebra} in {label}": size for label, vertebra, size in found.outlying},
+    }
+
+
+def write_draws(path: Path, fit: StiffnessFit) -> None:
+    """Equally probable ratios and nuisances, one draw a row; without any an earlier file is taken away.
+
+    Nuisances are in standard deviations before the fit.
+    """
+    if fit.likely is None or fit.weighed is None:
+        path.unlink(missing_ok=True)
+        return
+    ratios, nuisances = fit.likely.draws
+    rows = StringIO()
+    writer = csv.writer(rows, lineterminator="\n")
+    writer.writerow([*fit.names, *(one.name for one in fit.weighed.nuisances)])
+    writer.writerows([f"{value:.6g}" for value in row] for row in np.hstack([np.exp(ratios), nuisances]))
+    write_bytes(path, rows.getvalue().encode())
 
 
 def rest_shape(geometry: GeometryRecord) -> RestShape:

@@ -343,17 +343,25 @@ class GeometryRecord(OutcomeFile):
 
 
 class RatioEstimate(Quantity):
-    """An estimated ratio; ``at_bound``: the value itself lies at the fit's bound."""
+    """An estimated ratio.
+
+    Attributes
+    ----------
+    at_bound : the value itself lies at the fit's bound.
+    profile : what the likelihood looks like along it: "bounded", "one-sided", "flat", "at a bound" or "several minima";
+        None without intervals.
+    """
 
     at_bound: bool
+    profile: str | None = None
     determined: Determination
 
     @classmethod
-    def of(cls, value: float, ends: Pair, opens: tuple[bool, bool], at_bound: bool) -> Self:
+    def of(cls, value: float, ends: Pair, opens: tuple[bool, bool], at_bound: bool, profile: str | None = None) -> Self:
         """From the ends of its interval; what is not finite counts as not found."""
         low, high = (float(end) if isfinite(end) else None for end in ends)
         quantity = Quantity(value=value, low=low, high=high, open_low=opens[0], open_high=opens[1])
-        return cls(**quantity.model_dump(), at_bound=at_bound, determined=quantity.determination)
+        return cls(**quantity.model_dump(), at_bound=at_bound, profile=profile, determined=quantity.determination)
 
 
 class PlainStiffness(Quantity):
@@ -389,6 +397,56 @@ class Reactions(Outcome):
     wall_pull: Annotated[float, Field(ge=0.0)]
     eq2_shoulder: float
     eq1_pelvis: float
+
+
+class NuisanceRecord(Outcome):
+    """What the fit found of something that is not quite known (``estimation.unknowns``).
+
+    Attributes
+    ----------
+    group : what it is a case of. unit : of value, sd and prior_sd.
+    value, sd : after the fit. prior_sd : before it, about 0.
+    standard : the value in standard deviations before the fit.
+    """
+
+    name: str
+    group: str
+    unit: str
+    value: float
+    sd: float
+    prior_sd: float
+    standard: float
+
+
+class SupportPlaceRecord(Outcome):
+    """Where a training frame's supports were found: the pelvis' obliquity and the shoulder's lateral place."""
+
+    push: str
+    frame: int
+    obliquity_deg: float
+    shoulder_mm: float
+
+
+class BudgetRecord(Outcome):
+    """What one unknown does to the estimate's uncertainty (``estimation.budget.BudgetRow``).
+
+    Attributes
+    ----------
+    alone, without : standard deviation of each ratio's log, by name.
+    """
+
+    name: str
+    alone: dict[str, float]
+    without: dict[str, float]
+
+
+class PriorChangeRecord(Outcome):
+    """The ratios and the standard deviations of their logs with one prior's standard deviation times ``factor``."""
+
+    name: str
+    factor: float
+    ratios: dict[str, float]
+    sd_log: dict[str, float]
 
 
 class FitStepRecord(Outcome):
@@ -429,7 +487,12 @@ class Estimate(OutcomeFile):
     plain : in plain units, by "lateral_bending_thoracic", "lateral_bending_lumbar", "tissue_young".
     covariance_log : (P, P) of the log ratios; None = not finite. correlation : of the first and the last.
     region : outline of the 95 % joint region of two ratios, (n, 2), not cut at the bounds; None = not drawn.
-    region_size : its squared Mahalanobis radius.
+    region_size : by how much twice the negative log likelihood has risen there.
+    nuisances : what was found of all that is not quite known. supports : the same of pelvis and shoulder, by frame.
+    budget : by unknown; ``sd_log`` and ``sd_log_tracking``: with all unknowns, and with errors of tracking alone.
+    prior_changes : other priors, other estimates.
+    p_value : of residuals as large, if all errors are as expected. tracking_factor : by which tracking's were larger.
+    outlying : vertebrae whose own errors were larger than usual, and by how much.
     poses : by push.
     notes : what a reader must know that is no sign of a mistake.
     """
@@ -446,9 +509,17 @@ class Estimate(OutcomeFile):
     plain: dict[str, PlainStiffness]
     covariance_log: tuple[tuple[float | None, ...], ...]
     correlation: float | None
-    condition: float | None
     region: tuple[Pair, ...] | None
     region_size: float | None
+    nuisances: tuple[NuisanceRecord, ...] = ()
+    supports: tuple[SupportPlaceRecord, ...] = ()
+    sd_log: dict[str, float] = Field(default_factory=dict)
+    sd_log_tracking: dict[str, float] = Field(default_factory=dict)
+    budget: tuple[BudgetRecord, ...] = ()
+    prior_changes: tuple[PriorChangeRecord, ...] = ()
+    p_value: float | None = None
+    tracking_factor: float | None = None
+    outlying: dict[str, float] = Field(default_factory=dict)
     training_rmse_mm: TrainingError
     reactions_n: Reactions
     history: tuple[FitStepRecord, ...]
@@ -523,7 +594,7 @@ class Comparison(OutcomeFile):
     Attributes
     ----------
     truth : ratio by name.
-    distance2 : squared length of the estimate's error in the measure of its joint region; None = not known.
+    distance2 : by how much twice the negative log likelihood is higher at the truth; None = not known.
     inside : ``distance2`` is at most ``region_size``.
     """
 

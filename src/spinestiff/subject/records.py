@@ -264,6 +264,8 @@ class SubjectRecord(_Record):
     skin_scan : optional surface scan of the trunk.
     pelvis : how it is held in the model: "estimated", at an obliquity that is not known, "level", on a "hinge", or with
         "dead-loads" at shoulder and pelvis (Eqs. 1-2).
+    priors : standard deviations of what is not quite known that differ from the usual ones, by name
+        (``estimation.priors.Priors``).
     wall : whether the back wall holds both ways ("bilateral") or only pushes ("one-sided").
     """
 
@@ -280,6 +282,7 @@ class SubjectRecord(_Record):
     skin_scan: ScanRecord | None = None
     pelvis: Pelvis = "estimated"
     wall: Wall = "bilateral"
+    priors: dict[str, Annotated[float, Field(ge=0.0, le=1000.0)]] = {}
 
     @field_validator("torso")
     @classmethod

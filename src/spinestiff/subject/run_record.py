@@ -67,7 +67,7 @@ def _images(subject: Subject, kind: str) -> object:
     return {name: image.model_dump(mode="json") for name, image in images.items() if name.startswith(kind)}
 
 
-_SUPPORTS = {"pelvis", "wall"}
+_SUPPORTS = {"pelvis", "wall", "priors"}
 
 PARTS: Mapping[str, Callable[[Subject], object]] = {
     f"{SUBJECT_FILE}: X-ray geometry": lambda s: s.record.xray.model_dump(mode="json"),

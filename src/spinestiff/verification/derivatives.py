@@ -435,7 +435,7 @@ def gauss_newton() -> Iterator[Check]:
     fit = TrialSet([problem], trials, truth.groups, "procrustes", None)
     at = np.log(truth.values)
     point = fit.solve(at)
-    jacobian = fit.slope(point).jacobian
+    jacobian = fit.jacobian(point, fit.slope(point))
     step, hessian = 1e-3, np.zeros((2, 2))
     for i in range(2):
         for k, weight in ((1, 8 / 12), (2, -1 / 12)):

@@ -199,7 +199,6 @@ def certainty_content(estimate: Estimate, comparison: Comparison | None) -> dict
     contains = None if comparison is None else comparison.inside
     return {
         "correlation": fixed(estimate.correlation, 2),
-        "condition": number(estimate.condition, 2),
         "steps": sum(step.accepted for step in estimate.history),
         "evaluations": len(estimate.history),
         "fit": estimate.fit_status_text,
