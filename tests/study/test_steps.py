@@ -198,7 +198,9 @@ def test_the_reactions_balance_the_push(finished):
     push = open_visit(finished.folder).subject.push("main")
     assert reactions.eq1_pelvis == pytest.approx(22.5 * push.d31_mm / push.d21_mm)
     assert reactions.shoulder + reactions.pelvis == pytest.approx(22.5, rel=0.05)
-    assert reactions.shoulder == pytest.approx(reactions.eq2_shoulder, rel=0.35)
+    # About the pelvis, whose moment Eqs. 1-2 leave out; lever arms are those at rest.
+    shared = reactions.shoulder + 1000.0 * reactions.pelvis_moment_nm / push.d21_mm
+    assert shared == pytest.approx(reactions.eq2_shoulder, rel=0.1)
     held = finished.fit.equilibria[-1].reactions
     (pelvis,) = [reaction for reaction in held if reaction.name == "pelvis"]
     assert reactions.pelvis_moment_nm == pytest.approx(push.sign * pelvis.moment[2] / 1000.0)

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from spinestiff.files import write_json
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
+from spinestiff.imaging.tracking import SupportMotion
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
@@ -120,7 +122,7 @@ def make_visit(folder: Path, side: int = 256, seed: int = 1) -> Visit:
             view,
             forces,
             [VertebraCorners(torso.vertebrae[SEEN], view.from_pixels(found), quality) for found in frames],
-            motions=[{"pelvis": 0.1 + 0.01 * force, "shoulder": 0.2} for force in forces],
+            moved(forces),
             millimetres={"pixel spacing": "DICOM ImagerPixelSpacing, at the detector", "orientation": "DICOM L\\F"},
         )
     subject = SubjectRecord(schema_version=1, id="made-up-1", age=13.0, sex="female", height_cm=157.0, pushes=records)
@@ -165,6 +167,24 @@ def geometry_record(views: dict[str, XRayView], names: tuple[str, ...]) -> Geome
             "warnings": [],
         }
     )
+
+
+def moved(forces: Sequence[float]) -> tuple[SupportMotion, ...]:
+    """A pelvis that moves by 0.09 mm and turns by 0.08 degrees a newton; a shoulder that lies still."""
+    force, every = np.array(forces), np.ones(len(forces), bool)
+    still = np.zeros((len(forces), 2))
+    sd = np.full(len(forces), 0.3)
+    pelvis = SupportMotion(
+        "pelvis",
+        still + [[0.09 * f, 0.0] for f in forces],
+        sd,
+        every,
+        np.radians(0.08 * force),
+        np.radians(sd),
+        every,
+        0.1,
+    )
+    return pelvis, SupportMotion("shoulder", still, sd, every, 0.0 * force, sd, ~every, 0.1)
 
 
 def estimate_record() -> Estimate:
@@ -412,7 +432,8 @@ def test_numbers_stand_in_the_text(page: Page) -> None:
         "50 kPa", "0.034 to 0.074: determined", "34 to 74 kPa", "Estimate: determined",
         "1 vertebra lost", "incremental about the standing posture, net of gravity and muscle tone",
         "Not for diagnosis", "the back wall pulls at 2 points", "1.3 to 1.8 N m per degree", "T1, T2 and L5", "−0.42",
-        "−14.2° ", "−15.6° (T6–T12)", "9 equilibria",
+        "−14.2° ", "−15.6° (T6–T12)", "9 equilibria", "Pelvis, moment in N m 2.35 0.00",
+        "Back wall, largest pull 1.2", "5.4 mm 0.0 mm +4.8° ± 0.3° frame 2",
     ):  # fmt: skip
         assert expected in words, expected
     assert not re.search(r"\b([nN]a[nN]|None|inf|Infinity|[uU]ndefined)\b", words)
