@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
@@ -52,7 +53,8 @@ def known_of(record: SubjectRecord, geometry: Floats | None) -> Known:
         if name not in named:
             raise SubjectError(f"subject.json: priors.{name}: unknown prior; wanted one of {', '.join(sorted(named))}")
     try:
-        priors = replace(Priors(), **record.priors)
+        given: dict[str, Any] = dict(record.priors)
+        priors = replace(Priors(), **given)
     except FitError as error:
         raise SubjectError(f"subject.json: {error}") from None
     if record.pelvis != "estimated":
