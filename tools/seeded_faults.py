@@ -220,8 +220,8 @@ FAULTS = (
     Fault(
         "supports: shoulder of the pushed side held",
         "mechanics/supports.py",
-        'opposite = "right" if side == "left" else "left"',
-        "opposite = side",
+        '("right", "left").index(side)',
+        '("left", "right").index(side)',
         MECHANICS + "/test_supports.py",
     ),
     Fault(
