@@ -8,7 +8,7 @@ vertebrae. Everything else (spread over subjects, sizes of displacement) is left
 Run ``python benchmarks/calibrate_tissue.py [--mesh coarse|fine]``; it prints the modulus and a row a subject, and with
 ``--write`` stores them in benchmarks/results/. Copy the modulus into anatomy/stiffness.py whenever element, mesh,
 template, joints or supports change. Other readings of the paper have a modulus of their own: ``--pelvis hinge``, and
-``--tissue kept|literal``, where the tissue's ratio scales mu alone (search from ``--low 0.02``).
+``--tissue kept|literal``, where the tissue's ratio scales mu alone (search from ``--low 0.05``, ``0.008``).
 """
 
 from __future__ import annotations

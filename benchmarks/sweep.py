@@ -1,8 +1,8 @@
 """Does an equilibrium come out at every stiffness and force that a fit may try?
 
 ``OMP_NUM_THREADS=1 python benchmarks/sweep.py [--points 1000] [--body 0 ...] [--json] [--write] [--log FILE]``: a
-scrambled Sobol sample of lateral bending, tissue mu and tissue lambda (each 0.0025 to 5, on a log scale) and force (0 to
-114 N) over five bodies of ``calibrate_tissue.py`` on the coarse mesh. lambda goes apart from mu, so Poisson's ratio
+scrambled Sobol sample of lateral bending, tissue mu and tissue lambda (each 0.0025 to 5, on a log scale) and force (0
+to 114 N) over five bodies of ``calibrate_tissue.py`` on the coarse mesh. lambda goes apart from mu, so Poisson's ratio
 runs from 0.002 to 0.49997. Every point is solved
 
     rest    from the rest pose

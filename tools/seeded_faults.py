@@ -220,15 +220,15 @@ FAULTS = (
     Fault(
         "supports: shoulder of the pushed side held",
         "mechanics/supports.py",
-        'opposite = "right" if side == "left" else "left"',
-        "opposite = side",
+        '("right", "left").index(side)',
+        '("left", "right").index(side)',
         MECHANICS + "/test_supports.py",
     ),
     Fault(
         "supports: hinge about the wrong axis",
         "mechanics/supports.py",
-        '(True, True, True, True, True, pelvis == "level")',
-        '(True, True, True, pelvis == "level", True, True)',
+        '(True, True, True, True, True, pelvis != "hinge")',
+        '(True, True, True, pelvis != "hinge", True, True)',
         MECHANICS + "/test_supports.py",
     ),
     Fault(

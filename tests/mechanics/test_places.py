@@ -47,7 +47,7 @@ def soft(torso):
 def whole():
     """The template with its pelvis clamped, a push and ratios."""
     torso = template_torso(157.0, "coarse")
-    problem = EquilibriumProblem(torso, three_point_supports(torso, "right", pelvis="clamp"))
+    problem = EquilibriumProblem(torso, three_point_supports(torso, "right", pelvis="level"))
     ratios = stiffness_ratios({"lateral_bending": 0.2, "tissue": 0.05}, torso.joints.kinds)
     return problem, rib_push(torso, "right", 6.0, 60.0), ratios
 
