@@ -30,9 +30,18 @@ from spinestiff.imaging.synthetic.acquisition import LATERAL, Acquisition, Gauge
 from spinestiff.imaging.synthetic.detector import Exposure
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
-from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.mechanics.places import place_of_pelvis
+from spinestiff.mechanics.supports import Supports
 from spinestiff.observer import Observer
 from spinestiff.personalise.shape import place_vertebrae
+from spinestiff.study.elastic_supports import (
+    SupportStiffness,
+    SyntheticSupports,
+    drawn_supports,
+    elastic_supports,
+    shoulder_shift,
+    support_stiffness,
+)
 from spinestiff.study.spines import VertebraPoses, curved_spine, real_spine
 from spinestiff.subject.folder import write_annotation, write_subject
 from spinestiff.subject.records import Annotation, ImageAnnotation, PushRecord, Role, SubjectRecord, parse_record
@@ -104,6 +113,7 @@ class Recipe:
     mesh : of the subject's tissue, "coarse" or "fine"; anything but "fine" is no test of an estimate on "coarse".
     acquisition : how the radiographs are taken; four a second (paper 2.1).
     lateral_exposure : of the lateral rest radiograph.
+    supports : how much belt and shoulder's pad give under ``force_n``; drawn from 0 to 4 degrees and 0 to 4 mm if None.
     """
 
     seed: int = 0
@@ -118,6 +128,7 @@ class Recipe:
     mesh: str = "fine"
     acquisition: Acquisition = field(default_factory=Acquisition)
     lateral_exposure: Exposure = LATERAL
+    supports: SyntheticSupports | None = None
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -147,6 +158,7 @@ class Recipe:
             ],
             "acquisition": asdict(self.acquisition, dict_factory=_plain),
             "lateral_exposure": asdict(self.lateral_exposure, dict_factory=_plain),
+            "supports": None if self.supports is None else asdict(self.supports),
         }
 
 
@@ -185,7 +197,12 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     ratios = stiffness_ratios({"lateral_bending": bending, "tissue": tissue})
     maker = _Acquisition(folder, torso, recipe, random)
     side = maker.pushed_side
-    problem = EquilibriumProblem(torso, three_point_supports(torso, side))
+    # A stream of its own: what else is random is the same whether supports are drawn or given.
+    give = recipe.supports or drawn_supports(random.spawn(1)[0])
+    say(f"fitting supports that give {give.obliquity_deg:.1f} degrees and {give.shoulder_mm:.1f} mm")
+    largest = [rib_push(torso, side, push.level, recipe.force_n) for push in recipe.pushes]
+    stiffness = support_stiffness(torso, side, largest, ratios, give)
+    problem = EquilibriumProblem(torso, elastic_supports(torso, side, stiffness))
     # All equilibria before the first file: a push that the torso can't carry leaves nothing behind.
     states: dict[str, list[TorsoState]] = {}
     for push in recipe.pushes:
@@ -199,8 +216,8 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     maker.rest_images()
     for push in recipe.pushes:
         say(f"push '{push.id}': rendering {len(push.shares)} radiographs")
-        maker.push(push, states[push.id])
-    return maker.finish({"lateral_bending": bending, "tissue": tissue})
+        maker.push(push, states[push.id], problem.supports)
+    return maker.finish({"lateral_bending": bending, "tissue": tissue}, give, stiffness)
 
 
 def truth_path(folder: str | Path) -> Path:
@@ -264,7 +281,7 @@ class _Acquisition:
             self._write(path, pixels, view, orientation, f"rest {name}")
             self.images[f"rest/{name}"] = self._annotation(view, supports=False)
 
-    def push(self, push: SyntheticPush, states: list[TorsoState]) -> None:
+    def push(self, push: SyntheticPush, states: list[TorsoState], supports: Supports) -> None:
         view = self._standing(self._nominal(frontal_view))
         load = rib_push(self.torso, self.pushed_side, push.level, 1.0)
         pixels = self._radiographs(states, view, self.recipe.acquisition, Gauge(load.points, load.forces.sum(axis=0)))
@@ -276,11 +293,13 @@ class _Acquisition:
             {
                 "corners_px": view.pixels(state_features(self.torso, view, state, shares).corners).round(4).tolist(),
                 "cobb_change_deg": _as_dict(cobb_change(self._rest_tilts, self._tilts(state))),
+                "obliquity_deg": round(float(np.degrees(place_of_pelvis(self.torso, state))), 4),
+                "shoulder_mm": round(shoulder_shift(supports, state), 4),
             }
             for state in states
         ]
 
-    def finish(self, ratios: dict[str, float]) -> Path:
+    def finish(self, ratios: dict[str, float], give: SyntheticSupports, stiffness: SupportStiffness) -> Path:
         recipe = self.recipe
         record = SubjectRecord(
             schema_version=1,
@@ -299,6 +318,11 @@ class _Acquisition:
                 "schema_version": 1,
                 "recipe": recipe.as_record(),
                 "ratios": ratios,
+                "supports": {
+                    **asdict(give),
+                    "belt_n_mm_per_rad": stiffness.belt,
+                    "shoulder_n_per_mm": stiffness.shoulder,
+                },
                 "rest_cobb_deg": self.rest_cobb.degrees,
                 "vertebrae": list(VERTEBRAE),
                 "pushes": self.truth,

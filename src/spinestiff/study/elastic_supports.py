@@ -1,0 +1,196 @@
+"""Supports that give: a belt that lets the pelvis turn and a pad that lets the shoulder move, as people are held."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.stiffness import StiffnessRatios
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.errors import EquilibriumError, SubjectError
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import PUSH_DIRECTION, LoadCase
+from spinestiff.mechanics.places import SupportPlace
+from spinestiff.mechanics.result import Equilibrium
+from spinestiff.mechanics.supports import SPRING_STIFFNESS, SupportKind, Supports, three_point_supports
+from spinestiff.mechanics.terms import PointSprings
+
+PAD = SPRING_STIFFNESS[SupportKind.SHOULDER]
+LARGEST_OBLIQUITY_DEG, LARGEST_SHOULDER_MM = 4.0, 4.0  # of subjects whose supports are drawn
+FARTHEST_OBLIQUITY_DEG, FARTHEST_SHOULDER_MM = 20.0, 50.0  # that may be asked for
+BELT_ARM_MM = 100.0  # from the pelvis' origin to each of the belt's two springs; only their moment matters
+STILL = 1e5  # N/mm, of a pad that is to be at a place: 40 N move it by 0.4 um
+UNCHANGED = 2e-3  # of a stiffness, between rounds; what the supports give is then as near
+MAX_ROUNDS = 20
+
+
+@dataclass(frozen=True)
+class SyntheticSupports:
+    """How much a synthetic subject's supports give at the recipe's largest force, the way that the push moves them.
+
+    Attributes
+    ----------
+    obliquity_deg : turn of the pelvis, 0 to 20; 0 holds it level.
+    shoulder_mm : lateral motion of the held shoulder, 0 to 50; 0 leaves it to the pad of ``three_point_supports``.
+
+    Raises
+    ------
+    SubjectError : one is outside its range.
+    """
+
+    obliquity_deg: float
+    shoulder_mm: float
+
+    def __post_init__(self) -> None:
+        for what, value, most in (
+            ("obliquity_deg", self.obliquity_deg, FARTHEST_OBLIQUITY_DEG),
+            ("shoulder_mm", self.shoulder_mm, FARTHEST_SHOULDER_MM),
+        ):
+            if not 0.0 <= value <= most:
+                raise SubjectError(f"supports that give: {what} {value:g}; wanted 0 to {most:g}")
+
+
+@dataclass(frozen=True)
+class SupportStiffness:
+    """Stiffness of what holds a torso that is pushed.
+
+    Attributes
+    ----------
+    belt : N mm/rad, against turning of the pelvis about the AP axis through its origin; None: held level.
+    shoulder : N/mm, against lateral motion of the shoulder opposite the push.
+    """
+
+    belt: float | None
+    shoulder: float
+
+
+def drawn_supports(random: np.random.Generator) -> SyntheticSupports:
+    """What one subject's supports give, uniform in 0 to 4 degrees and in 0 to 4 mm."""
+    return SyntheticSupports(random.uniform(0.0, LARGEST_OBLIQUITY_DEG), random.uniform(0.0, LARGEST_SHOULDER_MM))
+
+
+def elastic_supports(torso: TorsoModel, side: str, stiffness: SupportStiffness) -> Supports:
+    """``three_point_supports`` for a push on ``side`` with a belt and a shoulder's pad of this stiffness.
+
+    The belt is two vertical springs beside the pelvis' origin, of the kind ``SupportKind.SPRING``.
+    """
+    supports = three_point_supports(torso, side, pelvis="clamp" if stiffness.belt is None else "hinge")
+    springs = supports.springs
+    pad = supports.of_kind(SupportKind.SHOULDER)
+    springs = replace(springs, stiffness=np.where(pad, stiffness.shoulder, springs.stiffness))
+    if stiffness.belt is None:
+        return replace(supports, springs=springs)
+    bone = np.full(2, torso.bone("pelvis"))
+    targets = torso.rest_pose.bone_positions[bone] + np.array([[BELT_ARM_MM, 0.0, 0.0], [-BELT_ARM_MM, 0.0, 0.0]])
+    points = PointsOnBones.at(torso.rest_pose, bone, targets)
+    each = stiffness.belt / (2.0 * BELT_ARM_MM**2)
+    with_belt = PointSprings(
+        PointsOnBones(
+            np.concatenate([springs.points.bone, points.bone]), np.concatenate([springs.points.offset, points.offset])
+        ),
+        np.concatenate([springs.targets, targets]),
+        np.concatenate([springs.directions, np.tile([0.0, 1.0, 0.0], (2, 1))]),
+        np.concatenate([springs.stiffness, [each, each]]),
+    )
+    return Supports(
+        supports.held,
+        with_belt,
+        (*supports.names, "pelvis", "pelvis"),
+        (*supports.kinds, SupportKind.SPRING, SupportKind.SPRING),
+    )
+
+
+def support_stiffness(
+    torso: TorsoModel, side: str, pushes: Sequence[LoadCase], ratios: StiffnessRatios, give: SyntheticSupports
+) -> SupportStiffness:
+    """The stiffness at which the supports give what is asked, each under the one of ``pushes`` that moves it most.
+
+    What a support must exert where it is to be is a reaction of an equilibrium at that place
+    (``mechanics.places.SupportPlace``); its stiffness is that over the way. A support that gives less although nothing
+    holds it has none.
+
+    Parameters
+    ----------
+    side : pushed, by all of them.
+
+    Raises
+    ------
+    EquilibriumError : the torso can't carry a push, or the two stiffnesses don't settle.
+    """
+    if not give.obliquity_deg and not give.shoulder_mm:
+        return SupportStiffness(None, PAD)
+    places = _Places(torso, side, ratios, give)
+    belts, pads = zip(*(places.both(push) for push in pushes))
+    belt, pad = max(0.0, *belts), max(0.0, *pads)
+    if not give.shoulder_mm:
+        return SupportStiffness(belt if give.obliquity_deg else None, PAD)
+    if not give.obliquity_deg:
+        return SupportStiffness(None, min(pad, PAD))
+    turning, shifting = pushes[int(np.argmax(belts))], pushes[int(np.argmax(pads))]
+    if turning is shifting and belt > 0.0 and 0.0 < pad < PAD:
+        return SupportStiffness(belt, pad)
+    # One push turns the pelvis most and another moves the shoulder most, or one of the two is free: what either support
+    # must exert then depends on how the other one gives.
+    for _ in range(MAX_ROUNDS):
+        before = belt, pad
+        belt = max(0.0, places.belt(turning, pad))
+        pad = min(max(0.0, places.pad(shifting, belt)), PAD)
+        if np.allclose(before, (belt, pad), rtol=UNCHANGED, atol=0.0):
+            return SupportStiffness(belt, pad)
+    raise EquilibriumError(
+        f"found no springs with which the supports give {give.obliquity_deg:g} degrees and {give.shoulder_mm:g} mm "
+        f"(after {MAX_ROUNDS} rounds {belt:.3g} N mm/rad, {pad:.3g} N/mm); ask for less, or for 0 of one"
+    )
+
+
+class _Places:
+    """What the supports must exert where they are to be, as stiffness; below 0 where the push leaves them short of it."""
+
+    def __init__(self, torso: TorsoModel, side: str, ratios: StiffnessRatios, give: SyntheticSupports) -> None:
+        self.torso, self.side, self.ratios = torso, side, ratios
+        # A push bends the torso like a beam on two supports: above the pelvis it leans the way of the push.
+        self.turn = -PUSH_DIRECTION[side] * math.radians(give.obliquity_deg)
+        self.slide = PUSH_DIRECTION[side] * give.shoulder_mm
+        self.level = EquilibriumProblem(torso, elastic_supports(torso, side, SupportStiffness(None, PAD)))
+        self.hinge = EquilibriumProblem(torso, elastic_supports(torso, side, SupportStiffness(0.0, PAD)))
+
+    def both(self, push: LoadCase) -> tuple[float, float]:
+        """Belt, N mm/rad, and pad, N/mm, with pelvis and shoulder both where they are to be."""
+        pad = STILL if self.slide else PAD
+        found = self._solve(self.level, SupportStiffness(None, pad), SupportPlace(self.turn, self.slide), push)
+        return self._belt_of(found), self._pad_of(found)
+
+    def belt(self, push: LoadCase, pad: float) -> float:
+        """N mm/rad, with the pelvis where it is to be and the shoulder on a pad of this stiffness, N/mm."""
+        return self._belt_of(self._solve(self.level, SupportStiffness(None, pad), SupportPlace(self.turn), push))
+
+    def pad(self, push: LoadCase, belt: float) -> float:
+        """N/mm, with the shoulder where it is to be and the pelvis in a belt of this stiffness, N mm/rad."""
+        place = SupportPlace(shoulder_mm=self.slide)
+        return self._pad_of(self._solve(self.hinge, SupportStiffness(belt, STILL), place, push))
+
+    def _solve(
+        self, problem: EquilibriumProblem, stiffness: SupportStiffness, place: SupportPlace, push: LoadCase
+    ) -> Equilibrium:
+        held = problem.with_supports(elastic_supports(self.torso, self.side, stiffness)).with_place(place)
+        return held.solve(push, self.ratios).require()
+
+    def _belt_of(self, found: Equilibrium) -> float:
+        if not self.turn:
+            return math.inf
+        moment = next(r.moment[2] for r in found.reactions if r.kind is SupportKind.HELD)
+        return float(-moment / (math.sin(self.turn) * math.cos(self.turn)))  # of two vertical springs on level arms
+
+    def _pad_of(self, found: Equilibrium) -> float:
+        return float(-found.reaction(SupportKind.SHOULDER)[0] / self.slide) if self.slide else PAD
+
+
+def shoulder_shift(supports: Supports, state: TorsoState) -> float:
+    """Lateral motion of the held shoulder since rest, mm, to the patient's left (+x)."""
+    springs, pad = supports.springs, supports.of_kind(SupportKind.SHOULDER)
+    return float((springs.extension(state) * springs.directions[:, 0])[pad].sum())
