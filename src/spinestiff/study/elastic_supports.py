@@ -15,7 +15,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import PUSH_DIRECTION, LoadCase
-from spinestiff.mechanics.places import SupportPlace
+from spinestiff.mechanics.places import SupportPlace, shifted_shoulder
 from spinestiff.mechanics.result import Equilibrium
 from spinestiff.mechanics.supports import SPRING_STIFFNESS, SupportKind, Supports, three_point_supports
 from spinestiff.mechanics.terms import PointSprings
@@ -124,15 +124,15 @@ def support_stiffness(
     """
     if not give.obliquity_deg and not give.shoulder_mm:
         return SupportStiffness(None, PAD)
-    places = _Places(torso, side, ratios, give)
-    belts, pads = zip(*(places.both(push) for push in pushes))
+    places = _Places(torso, side, pushes, ratios, give)
+    belts, pads = zip(*(places.both(push) for push in range(len(pushes))))
     belt, pad = max(0.0, *belts), max(0.0, *pads)
     if not give.shoulder_mm:
         return SupportStiffness(belt if give.obliquity_deg else None, PAD)
     if not give.obliquity_deg:
         return SupportStiffness(None, min(pad, PAD))
-    turning, shifting = pushes[int(np.argmax(belts))], pushes[int(np.argmax(pads))]
-    if turning is shifting and belt > 0.0 and 0.0 < pad < PAD:
+    turning, shifting = int(np.argmax(belts)), int(np.argmax(pads))
+    if turning == shifting and belt > 0.0 and 0.0 < pad < PAD:
         return SupportStiffness(belt, pad)
     # One push turns the pelvis most and another moves the shoulder most, or one of the two is free: what either support
     # must exert then depends on how the other one gives.
@@ -149,36 +149,46 @@ def support_stiffness(
 
 
 class _Places:
-    """What the supports must exert where they are to be, as stiffness; below 0 where the push leaves them short of it."""
+    """What the supports must exert where they are to be, as stiffness; below 0 where the push falls short of it."""
 
-    def __init__(self, torso: TorsoModel, side: str, ratios: StiffnessRatios, give: SyntheticSupports) -> None:
-        self.torso, self.side, self.ratios = torso, side, ratios
+    def __init__(
+        self,
+        torso: TorsoModel,
+        side: str,
+        pushes: Sequence[LoadCase],
+        ratios: StiffnessRatios,
+        give: SyntheticSupports,
+    ) -> None:
+        self.torso, self.side, self.pushes, self.ratios = torso, side, pushes, ratios
+        self.last: list[TorsoState | None] = [None for _ in pushes]  # where the next solve of a push starts
         # A push bends the torso like a beam on two supports: above the pelvis it leans the way of the push.
         self.turn = -PUSH_DIRECTION[side] * math.radians(give.obliquity_deg)
         self.slide = PUSH_DIRECTION[side] * give.shoulder_mm
         self.level = EquilibriumProblem(torso, elastic_supports(torso, side, SupportStiffness(None, PAD)))
         self.hinge = EquilibriumProblem(torso, elastic_supports(torso, side, SupportStiffness(0.0, PAD)))
 
-    def both(self, push: LoadCase) -> tuple[float, float]:
+    def both(self, push: int) -> tuple[float, float]:
         """Belt, N mm/rad, and pad, N/mm, with pelvis and shoulder both where they are to be."""
-        pad = STILL if self.slide else PAD
-        found = self._solve(self.level, SupportStiffness(None, pad), SupportPlace(self.turn, self.slide), push)
+        found = self._solve(push, SupportStiffness(None, STILL if self.slide else PAD), self.slide)
         return self._belt_of(found), self._pad_of(found)
 
-    def belt(self, push: LoadCase, pad: float) -> float:
+    def belt(self, push: int, pad: float) -> float:
         """N mm/rad, with the pelvis where it is to be and the shoulder on a pad of this stiffness, N/mm."""
-        return self._belt_of(self._solve(self.level, SupportStiffness(None, pad), SupportPlace(self.turn), push))
+        return self._belt_of(self._solve(push, SupportStiffness(None, pad), 0.0))
 
-    def pad(self, push: LoadCase, belt: float) -> float:
+    def pad(self, push: int, belt: float) -> float:
         """N/mm, with the shoulder where it is to be and the pelvis in a belt of this stiffness, N mm/rad."""
-        place = SupportPlace(shoulder_mm=self.slide)
-        return self._pad_of(self._solve(self.hinge, SupportStiffness(belt, STILL), place, push))
+        return self._pad_of(self._solve(push, SupportStiffness(belt, STILL), self.slide))
 
-    def _solve(
-        self, problem: EquilibriumProblem, stiffness: SupportStiffness, place: SupportPlace, push: LoadCase
-    ) -> Equilibrium:
-        held = problem.with_supports(elastic_supports(self.torso, self.side, stiffness)).with_place(place)
-        return held.solve(push, self.ratios).require()
+    def _solve(self, push: int, stiffness: SupportStiffness, slide: float) -> Equilibrium:
+        supports = elastic_supports(self.torso, self.side, stiffness)
+        if stiffness.belt is None:
+            held = self.level.with_supports(supports).with_place(SupportPlace(self.turn, slide))
+        else:
+            held = self.hinge.with_supports(shifted_shoulder(supports, slide))
+        found = held.solve(self.pushes[push], self.ratios, self.last[push]).require()
+        self.last[push] = found.state
+        return found
 
     def _belt_of(self, found: Equilibrium) -> float:
         if not self.turn:
