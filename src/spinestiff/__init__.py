@@ -51,6 +51,7 @@ if TYPE_CHECKING:  # the same list for editors and type checkers; a test compare
     from spinestiff.mechanics.supports import Supports as Supports
     from spinestiff.mechanics.supports import three_point_supports as three_point_supports
     from spinestiff.mechanics.terms import PointSprings as PointSprings
+    from spinestiff.study.elastic_supports import SyntheticSupports as SyntheticSupports
     from spinestiff.study.runner import run_steps as run_steps
     from spinestiff.study.synthetic import Recipe as Recipe
     from spinestiff.study.synthetic import SyntheticPush as SyntheticPush
@@ -88,6 +89,7 @@ _MODULES = {
     "subject.folder": ("read_subject", "read_push", "image_corners", "image_supports"),
     "study.visit": ("open_visit",),
     "study.runner": ("run_steps",),
+    "study.elastic_supports": ("SyntheticSupports",),
     "study.synthetic": ("Recipe", "SyntheticPush", "synthesise"),
     "errors": ("SpinestiffError",),
 }

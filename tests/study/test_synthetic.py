@@ -15,6 +15,7 @@ from spinestiff.errors import EquilibriumError, SpinestiffError, SubjectError
 from spinestiff.files import file_digest
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.study import synthetic
+from spinestiff.study.elastic_supports import SyntheticSupports
 from spinestiff.study.synthetic import (
     BENDING_RANGE,
     TISSUE_RANGE,
@@ -97,6 +98,34 @@ def test_the_truth_lies_beside_the_folder_and_not_inside(finished, cheap_recipe)
     for path in finished.folder.rglob("*"):
         if path.is_file() and "results" not in path.parts:
             assert not any(word in path.read_bytes() for word in words), path
+
+
+def test_the_truth_holds_what_the_supports_gave_in_each_frame(finished):
+    truth = json.loads(finished.truth.read_text())
+    asked, pushes = truth["supports"], truth["pushes"]
+    assert 0.0 < asked["obliquity_deg"] < 4.0
+    assert 0.0 < asked["shoulder_mm"] < 4.0
+    for key, sign in (("obliquity_deg", 1.0), ("shoulder_mm", -1.0)):  # the push comes from the left
+        main, second = ([sign * frame[key] for frame in pushes[push]] for push in ("main", "second"))
+        assert main[0] == second[0] == pytest.approx(0.0, abs=1e-3)
+        assert 0.0 < main[1] < main[2] < main[3]
+        assert max(main[3], second[1]) == pytest.approx(asked[key], rel=0.02)
+    assert max(frame["shoulder_mm"] for frame in pushes["main"]) < 1e-3
+
+
+def test_given_supports_change_the_pushes_and_nothing_else(twins, tiny, tmp_path):
+    """What is drawn for the supports has a random stream of its own."""
+    level = SyntheticSupports(obliquity_deg=0.0, shoulder_mm=0.0)
+    synthesise(tmp_path / "level", replace(tiny, seed=5, supports=level))
+    truth = json.loads(truth_path(tmp_path / "level").read_text())
+    assert truth["recipe"]["supports"] == {"obliquity_deg": 0.0, "shoulder_mm": 0.0}
+    assert truth["supports"]["belt_n_mm_per_rad"] is None
+    last = truth["pushes"]["main"][-1]
+    assert last["obliquity_deg"] == pytest.approx(0.0, abs=1e-4)
+    assert abs(last["shoulder_mm"]) < 0.02
+    before, after = digests(twins[0]), digests(tmp_path / "level")
+    changed = {name for name in before if before[name] != after[name]}
+    assert changed == {"pushes/main.dcm", "pushes/second.dcm"}
 
 
 def test_the_annotation_is_the_truth_with_a_persons_error(finished):

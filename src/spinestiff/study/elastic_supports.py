@@ -19,6 +19,7 @@ from spinestiff.mechanics.places import SupportPlace, shifted_shoulder
 from spinestiff.mechanics.result import Equilibrium
 from spinestiff.mechanics.supports import SPRING_STIFFNESS, SupportKind, Supports, three_point_supports
 from spinestiff.mechanics.terms import PointSprings
+from spinestiff.words import counted
 
 PAD = SPRING_STIFFNESS[SupportKind.SHOULDER]
 LARGEST_OBLIQUITY_DEG, LARGEST_SHOULDER_MM = 4.0, 4.0  # of subjects whose supports are drawn
@@ -106,7 +107,12 @@ def elastic_supports(torso: TorsoModel, side: str, stiffness: SupportStiffness) 
 
 
 def support_stiffness(
-    torso: TorsoModel, side: str, pushes: Sequence[LoadCase], ratios: StiffnessRatios, give: SyntheticSupports
+    torso: TorsoModel,
+    side: str,
+    pushes: Sequence[LoadCase],
+    ratios: StiffnessRatios,
+    give: SyntheticSupports,
+    max_rounds: int = MAX_ROUNDS,
 ) -> SupportStiffness:
     """The stiffness at which the supports give what is asked, each under the one of ``pushes`` that moves it most.
 
@@ -117,6 +123,7 @@ def support_stiffness(
     Parameters
     ----------
     side : pushed, by all of them.
+    max_rounds : of belt and pad in turn, where different pushes move them most.
 
     Raises
     ------
@@ -136,7 +143,7 @@ def support_stiffness(
         return SupportStiffness(belt, pad)
     # One push turns the pelvis most and another moves the shoulder most, or one of the two is free: what either support
     # must exert then depends on how the other one gives.
-    for _ in range(MAX_ROUNDS):
+    for _ in range(max_rounds):
         before = belt, pad
         belt = max(0.0, places.belt(turning, pad))
         pad = min(max(0.0, places.pad(shifting, belt)), PAD)
@@ -144,7 +151,7 @@ def support_stiffness(
             return SupportStiffness(belt, pad)
     raise EquilibriumError(
         f"found no springs with which the supports give {give.obliquity_deg:g} degrees and {give.shoulder_mm:g} mm "
-        f"(after {MAX_ROUNDS} rounds {belt:.3g} N mm/rad, {pad:.3g} N/mm); ask for less, or for 0 of one"
+        f"(after {counted(max_rounds, 'round')} {belt:.3g} N mm/rad, {pad:.3g} N/mm); ask for less, or for 0 of one"
     )
 
 
