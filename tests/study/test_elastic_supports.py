@@ -76,9 +76,9 @@ def test_one_push_alone_moves_both_supports_as_asked(torso):
 
 
 def test_a_pelvis_that_nothing_holds_may_turn_by_less_than_asked(torso):
-    stiffness, given = found_and_given(torso, "left", SyntheticSupports(4.0, 1.0), levels=(8.0,), force=8.0)
+    stiffness, given = found_and_given(torso, "left", SyntheticSupports(4.0, 1.0), levels=(8.0,), force=4.0)
     assert stiffness.belt == 0.0
-    assert 0.5 < given[0, 0] < 4.0
+    assert 0.3 < given[0, 0] < 3.0
     assert given[0, 1] == pytest.approx(-1.0, rel=0.02)
 
 
@@ -86,7 +86,7 @@ def test_supports_that_give_nothing_are_the_level_ones(torso):
     none = SyntheticSupports(0.0, 0.0)
     stiffness = support_stiffness(torso, "left", [rib_push(torso, "left", 8.0, 60.0)], RATIOS, none)
     assert stiffness == SupportStiffness(None, SPRING_STIFFNESS[SupportKind.SHOULDER])
-    supports, level = elastic_supports(torso, "left", stiffness), three_point_supports(torso, "left", pelvis="clamp")
+    supports, level = elastic_supports(torso, "left", stiffness), three_point_supports(torso, "left", pelvis="level")
     assert np.array_equal(supports.held, level.held)
     assert supports.names == level.names
     assert np.array_equal(supports.springs.stiffness, level.springs.stiffness)

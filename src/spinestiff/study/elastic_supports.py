@@ -26,7 +26,8 @@ LARGEST_OBLIQUITY_DEG, LARGEST_SHOULDER_MM = 4.0, 4.0  # of subjects whose suppo
 FARTHEST_OBLIQUITY_DEG, FARTHEST_SHOULDER_MM = 20.0, 50.0  # that may be asked for
 BELT_ARM_MM = 100.0  # from the pelvis' origin to each of the belt's two springs; only their moment matters
 STILL = 1e5  # N/mm, of a pad that is to be at a place: 40 N move it by 0.4 um
-UNCHANGED = 2e-3  # of a stiffness, between rounds; what the supports give is then as near
+UNCHANGED = 1e-4  # of a stiffness, between rounds; a soft torso under a large push gives tens of times as much
+STEPS = (1 / 3, 2 / 3, 1.0)  # of a push, the first time: soft torsos take several times as many iterations at once
 MAX_ROUNDS = 20
 
 
@@ -80,7 +81,7 @@ def elastic_supports(torso: TorsoModel, side: str, stiffness: SupportStiffness) 
 
     The belt is two vertical springs beside the pelvis' origin, of the kind ``SupportKind.SPRING``.
     """
-    supports = three_point_supports(torso, side, pelvis="clamp" if stiffness.belt is None else "hinge")
+    supports = three_point_supports(torso, side, pelvis="level" if stiffness.belt is None else "hinge")
     springs = supports.springs
     pad = supports.of_kind(SupportKind.SHOULDER)
     springs = replace(springs, stiffness=np.where(pad, stiffness.shoulder, springs.stiffness))
@@ -193,8 +194,9 @@ class _Places:
             held = self.level.with_supports(supports).with_place(SupportPlace(self.turn, slide))
         else:
             held = self.hinge.with_supports(shifted_shoulder(supports, slide))
-        found = held.solve(self.pushes[push], self.ratios, self.last[push]).require()
-        self.last[push] = found.state
+        for share in STEPS if self.last[push] is None else (1.0,):
+            found = held.solve(self.pushes[push].scaled(share), self.ratios, self.last[push]).require()
+            self.last[push] = found.state
         return found
 
     def _belt_of(self, found: Equilibrium) -> float:
