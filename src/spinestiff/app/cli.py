@@ -243,7 +243,7 @@ def demo(
     cobb: Cobb = 12.0,
     curve: Curve = "thoracic",
     force: PushForce = 60.0,
-    ratios: Ratios = "0.10,0.01",
+    ratios: Ratios = "0.10,0.04",
     spine: Spine = None,
     spine_id: SpineId = None,
 ) -> None:
@@ -350,7 +350,7 @@ def _recipe(
         try:
             bending, tissue = (float(part) for part in ratios.split(","))
         except ValueError:
-            raise SubjectError(f"--ratios {ratios}: wanted two numbers BENDING,TISSUE, e.g. 0.10,0.01") from None
+            raise SubjectError(f"--ratios {ratios}: wanted two numbers BENDING,TISSUE, e.g. 0.10,0.04") from None
         chosen = (bending, tissue)
     real = None if spine is None or spine_id is None else (spine, spine_id)
     return Recipe(seed, height, cobb, curve, force, chosen, real)

@@ -15,6 +15,7 @@ from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights
 
 TRACKING, DISCREPANCY, STANCE = "tracking", "model discrepancy", "stance"
 FACTORS = (0.5, 2.0)
+SMALLEST_MM = 0.02
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,8 @@ class PriorChange:
 def variance_budget(problem: WeighedProblem, fit: WeighedFit) -> Budget:
     """By unknown, at the estimate."""
     parts = covariance_parts(problem, fit)
-    base = parts.pop(TRACKING) + parts[STANCE]
+    # A radiograph annotated by hand has no tracking error; without any it would be the exact truth.
+    base = parts.pop(TRACKING) + parts[STANCE] + SMALLEST_MM**2 * np.eye(problem.size)
 
     def spread(covariance: Floats) -> tuple[float, ...]:
         root = cholesky(covariance, lower=True)
