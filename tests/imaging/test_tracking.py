@@ -380,6 +380,20 @@ def test_a_support_that_is_not_visible_says_nothing():
     assert support_motion(frames, {}) == ()
 
 
+def test_a_shoulder_that_slides_is_known_less_well():
+    """The slide along its wall takes it out of the patient plane; a pelvis does not slide."""
+    frames = supported([[0.0, 0.0], [0.0, -20.0]])
+    pelvis, shoulder = support_motion(frames, {"pelvis": PELVIS, "shoulder": PELVIS})
+    slide = shoulder.displacement[1, 1]
+    assert slide > 5.0
+    assert pelvis.displacement[1, 1] == slide
+    off_axis = 90.0 * PLANE_MM / VIEW.source_to_patient
+    own = FLESH_MM["shoulder"] / np.sqrt(2.0)
+    assert shoulder.error[0] == pytest.approx(own)
+    assert shoulder.error[1] > np.hypot(own, 0.19 * off_axis * slide)
+    assert pelvis.error[0] == pytest.approx(FLESH_MM["pelvis"] / np.sqrt(2.0))
+
+
 def test_the_edge_of_the_skin_does_not_take_a_support_along():
     """Bone at rest beside a skin that slides: its edge has ten times the contrast."""
     column = np.arange(SHAPE[1], dtype=float)[None]

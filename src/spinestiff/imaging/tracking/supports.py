@@ -48,7 +48,8 @@ class SupportMotion:
     name : "pelvis" or "shoulder".
     displacement : (F, 2) mm at the patient plane, to the patient's left (+x) and up (+y), mean over the support's
         points: a pelvis that turns about their middle does not count as moved.
-    error : (F,) mm, standard error of the displacement along an axis.
+    error : (F,) mm, standard error of the displacement along an axis; of a shoulder with what its slide along the wall
+        adds, since with it goes a motion in depth, which seems sideways off the beam's axis.
     seen : (F,) bool; where it is False the displacement and its error mean nothing.
     turn : (F,) rad about the AP axis, +z, by the support's points.
     turn_error : (F,) rad, its standard error.
@@ -145,6 +146,9 @@ def support_motion(frames: Sequence[Radiograph], points: Mapping[str, Floats]) -
         turn_seen = np.array([each is not None for each in turns])
         seen = np.isfinite(sds[:, mine]).any(axis=1)
         away = float(np.abs(places[:, 0]).max()) / view.source_to_patient
+        if name == "shoulder":
+            # What the limit allows for counts as two standard errors.
+            error = np.hypot(error, 0.5 * away * DEPTH_OF_SLIDE * np.abs(mean[:, 1]))
         found.append(SupportMotion(name, mean, error, seen, turn, turn_error, turn_seen, away))
     return tuple(found)
 
