@@ -39,6 +39,8 @@ VOLUME_TOLERANCE = 0.02
 TRIED_SHARES = (1.0, 0.95, 1.04, 0.9, 1.08, 0.86)
 # Distances as shares of the spacing inside: along a bone and on the skin, as in the template's fine mesh.
 BONE_SHARE, SKIN_SHARE = 1.27, 1.1
+DRAWN = 0.7  # share of the candidates for points that a seed leaves, unless a bone has but a ``FEW``
+FEW = 50
 BURIED = 0.16  # of the skin's spacing: how deep a bone's points shall lie, so that no facet bares them
 NEAR = 0.11  # of the spacing: nodes this close to a bone ride on it
 GAP = 1.0 / 3.0  # of the distance to the next bone: how far a bone's tied nodes reach into the gap between the two
@@ -144,6 +146,7 @@ def mesh_tissue(
     mesher: str = DEFAULT_MESHER,
     observer: Observer | None = None,
     tried_shares: tuple[float, ...] = TRIED_SHARES,
+    seed: int = 0,
 ) -> MeshedTissue:
     """The tissue inside a skin with nodes in all bones.
 
@@ -152,7 +155,8 @@ def mesh_tissue(
     surfaces : of the 49 bones, closed, world mm, inside the skin. skin : closed, world mm.
     spacing : wanted distance of corners inside, mm.
     mesher : name of the mesher. observer : is told each try, in words.
-    tried_shares : spacings to try until a mesh passes, as shares of the wanted one.
+    tried_shares : spacings to try until a mesh passes, as shares of the wanted one. Each try draws other points.
+    seed : of the points; another one gives a mesh of as many nodes with none in the same place.
 
     Raises
     ------
@@ -168,7 +172,7 @@ def mesh_tissue(
         now = spacing * size
         say(f"mesh: try {attempt + 1}, {now:.1f} mm between corners")
         try:
-            points, tetrahedra, required = starting_mesh(surfaces, skin, now, seed=attempt)
+            points, tetrahedra, required = starting_mesh(surfaces, skin, now, (seed, attempt))
             kept = points[required]
             points, tetrahedra = improve(points, tetrahedra, required)
         except (TorsoError, QhullError) as error:
@@ -182,10 +186,11 @@ def mesh_tissue(
         volumes = signed_volumes(points[tetrahedra])
         tetrahedra = np.where((volumes < 0.0)[:, None], tetrahedra[:, [1, 0, 2, 3]], tetrahedra)
         share = float(np.abs(volumes).sum() / signed_volume(skin))
-        angle = float(least_angles(points[tetrahedra]).min())
         if abs(share - 1.0) > VOLUME_TOLERANCE:
             failures.append(f"the mesh has {share:.1%} of the skin's volume")
             continue
+        points = _with_volume(points, tetrahedra, signed_volume(skin))
+        angle = float(least_angles(points[tetrahedra]).min())
         if best is None or angle > best[0]:
             best = (angle, points, tetrahedra, share)
         if angle >= LEAST_ANGLE_DEG:
@@ -210,9 +215,12 @@ def mesh_tissue(
 
 
 def starting_mesh(
-    surfaces: Mapping[str, Surface], skin: Surface, spacing: float, seed: int = 0
+    surfaces: Mapping[str, Surface], skin: Surface, spacing: float, seed: tuple[int, ...] = (0,)
 ) -> tuple[Floats, Ints, Ints]:
-    """Corner points (n, 3), tetrahedra (t, 4) down to the skin, and the numbers of the points in bones."""
+    """Corner points (n, 3), tetrahedra (t, 4) down to the skin, and the numbers of the points in bones.
+
+    Points in bones, on the skin and inside are drawn from candidates; which of these are there goes by ``seed``.
+    """
     rng = np.random.default_rng(seed)
     skin_spacing = SKIN_SHARE * spacing
     shell = dense_points(skin, 0.2 * skin_spacing)
@@ -220,16 +228,17 @@ def starting_mesh(
     bony: list[Floats] = []
     for name in BONES:
         others = np.vstack([np.zeros((0, 3)), *bony])
-        found = _bone_points(surfaces[name], BONE_SHARE * spacing, others, depth_tree, BURIED * skin_spacing)
+        found = _bone_points(surfaces[name], BONE_SHARE * spacing, others, depth_tree, BURIED * skin_spacing, rng)
         if not len(found):
             raise TorsoError(f"{name} is too thin to hold a point of the mesh; is its surface closed?")
         bony.append(found)
     bones = np.vstack(bony)
     # The corners of the skin stand a little outside it: that makes up for the facets' cutting of its curves.
-    outer = farthest_points(shell, np.zeros((0, 3)), skin_spacing)
+    outer = farthest_points(_drawn(shell, rng), np.zeros((0, 3)), skin_spacing)
     normals = _normals(skin, outer)
     outer = outer + 0.0014 * skin_spacing**2 * normals
-    grid = _lattice(skin[0].min(0), skin[0].max(0), 0.28 * spacing)
+    step = 0.28 * spacing
+    grid = _lattice(skin[0].min(0) - step * rng.uniform(size=3), skin[0].max(0), step)
     grid = grid[enclosed(skin, grid)]
     grid = grid[depth_tree.query(grid)[0] > 0.55 * skin_spacing]
     fill = farthest_points(grid, bones, spacing)
@@ -248,7 +257,13 @@ def starting_mesh(
     return points[used], number[tetrahedra], required
 
 
-def _bone_points(surface: Surface, spacing: float, others: Floats, skin: cKDTree, buried: float) -> Floats:
+def _drawn(candidates: Floats, rng: np.random.Generator) -> Floats:
+    return candidates[rng.uniform(size=len(candidates)) < DRAWN]
+
+
+def _bone_points(
+    surface: Surface, spacing: float, others: Floats, skin: cKDTree, buried: float, rng: np.random.Generator
+) -> Floats:
     # Points a little under the surface, spread out, clear of those in other bones, deep under the skin where possible.
     candidates = under_surface(surface, (1.3, 2.5, 4.0))
     _, first = np.unique(np.floor(candidates / 2.0), axis=0, return_index=True)
@@ -259,6 +274,8 @@ def _bone_points(surface: Surface, spacing: float, others: Floats, skin: cKDTree
         found = candidates[enclosed(surface, candidates)]
         if not len(found):
             return found
+    if len(found) > FEW:
+        found = _drawn(found, rng)
     return spread_in_bone(found, skin.query(found)[0] > buried, spacing, others)
 
 
@@ -296,13 +313,15 @@ def farthest_points(candidates: Floats, chosen: Floats, spacing: float, least: i
     added: list[Floats] = []
     if not len(candidates):
         return np.zeros((0, 3))
-    distance = cKDTree(chosen).query(candidates)[0] if len(chosen) else np.full(len(candidates), np.inf)
+    # Squared, and one coordinate after another: most of the time of meshing goes here.
+    x, y, z = np.ascontiguousarray(candidates.T)
+    squared = cKDTree(chosen).query(candidates)[0] ** 2 if len(chosen) else np.full(len(candidates), np.inf)
     while True:
-        worst = int(np.argmax(distance))
-        if (distance[worst] < spacing and len(added) >= least) or distance[worst] < 1e-9:
+        worst = int(np.argmax(squared))
+        if (squared[worst] < spacing**2 and len(added) >= least) or squared[worst] < 1e-18:
             return np.array(added).reshape(-1, 3)
         added.append(candidates[worst])
-        distance = np.minimum(distance, np.linalg.norm(candidates - candidates[worst], axis=1))
+        np.minimum(squared, (x - x[worst]) ** 2 + (y - y[worst]) ** 2 + (z - z[worst]) ** 2, out=squared)
 
 
 def _normals(skin: Surface, points: Floats) -> Floats:
@@ -423,6 +442,20 @@ def pinched_corners(tetrahedra: Ints, count: int) -> np.ndarray:
     heavy = pairs[times > 2]
     pinched[heavy // count] = pinched[heavy % count] = True
     return pinched
+
+
+def _with_volume(points: Floats, tetrahedra: Ints, volume: float) -> Floats:
+    # The boundary's corners moved along their normals, all as far: a trunk's stiffness goes with the cube of its size.
+    faces = boundary(tetrahedra)
+    points = np.array(points)
+    for _ in range(2):
+        a, b, c = (points[faces[:, i]] for i in range(3))
+        slope = np.zeros_like(points)
+        for corner in range(3):
+            np.add.at(slope, faces[:, corner], np.cross(b - a, c - a) / 6.0)
+        size = np.linalg.norm(slope, axis=1)
+        points += (volume - signed_volume((points, faces))) / size.sum() * slope / np.maximum(size, 1e-12)[:, None]
+    return points
 
 
 def least_angles(p: Floats) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.importing.carried_skin import refuse_bones_outside
-from spinestiff.anatomy.meshing import DEFAULT_MESHER, SKIN_SHARE, find_mesher, mesh_tissue
+from spinestiff.anatomy.meshing import DEFAULT_MESHER, SKIN_SHARE, TRIED_SHARES, find_mesher, mesh_tissue
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.rounding import rounded
 from spinestiff.anatomy.state import TorsoState
@@ -23,6 +23,11 @@ from spinestiff.observer import Observer
 # mm between corners inside, of a 157 cm body: between the shipped meshes in nodes.
 SPACING_MM = 34.0
 REFERENCE_HEIGHT_CM = 157.0
+# Nodes of a mesh with that spacing, and how their number falls with it (2,000 to 65,000, found to 15 %).
+NODES_AT_SPACING, NODES_POWER = 6150.0, 2.3
+NODES = (2_000, 65_000)
+# Where a number of nodes is wanted, each try has the same spacing and other points.
+AS_MANY_NODES = 8 * (1.0,)
 
 
 def can_rebuild(torso: TorsoModel) -> bool:
@@ -60,7 +65,14 @@ def skin_of(torso: TorsoModel, state: TorsoState) -> Surface:
 
 
 def with_new_tissue(
-    bare: TorsoModel, skin: Surface, old: TorsoModel, state: TorsoState, observer: Observer | None = None
+    bare: TorsoModel,
+    skin: Surface,
+    old: TorsoModel,
+    state: TorsoState,
+    observer: Observer | None = None,
+    *,
+    nodes: int | None = None,
+    seed: int = 0,
 ) -> TorsoModel:
     """A torso without tissue filled anew, free of stress, up to a skin.
 
@@ -69,6 +81,7 @@ def with_new_tissue(
     bare : bones at rest in their new places. skin : closed, world mm, around them.
     old, state : a torso in the state nearest to that; an element's moduli are those of the old element nearest to it.
     observer : is told each try.
+    nodes : about how many (``NODES``); between the shipped meshes if None. seed : of the mesh's points.
 
     Raises
     ------
@@ -78,10 +91,12 @@ def with_new_tissue(
     surfaces = {
         name: (bare.surface_positions(rest, i), bare.bone_surfaces[i].faces) for i, name in enumerate(bare.bone_names)
     }
-    spacing = SPACING_MM * bare.height_cm / REFERENCE_HEIGHT_CM
+    share = 1.0 if nodes is None else (nodes / NODES_AT_SPACING) ** (-1.0 / NODES_POWER)
+    spacing = share * SPACING_MM * bare.height_cm / REFERENCE_HEIGHT_CM
     skin = rounded(skin, SKIN_SHARE * spacing)
     refuse_bones_outside(surfaces, skin)
-    made = mesh_tissue(surfaces, skin, spacing, observer=observer)
+    tries = TRIED_SHARES if nodes is None else AS_MANY_NODES
+    made = mesh_tissue(surfaces, skin, spacing, observer=observer, tried_shares=tries, seed=seed)
     middles = old.node_positions(state)[old.tissue.elements[:, :4]].mean(1)
     nearest = cKDTree(middles).query(made.nodes[made.elements[:, :4]].mean(1))[1]
     tissue = TissueMesh(

@@ -185,33 +185,64 @@ def personalise(
 
 
 def place_vertebrae(
-    torso: TorsoModel, positions: Floats, rotations: Floats, stiffness: Sequence[float] = PLACING_PULLS
+    torso: TorsoModel,
+    positions: Floats,
+    rotations: Floats,
+    stiffness: Sequence[float] = PLACING_PULLS,
+    *,
+    nodes: int | None = None,
+    seed: int = 0,
+    observer: Observer | None = None,
 ) -> TorsoModel:
     """The torso with its vertebrae at given 3D poses, ribs, shoulder girdle and tissue carried along, at rest.
+
+    Where the tissue mesh does not bear that, a new one of about as many nodes is built in the carried skin, as in
+    ``personalise`` (extra [mesh]).
 
     Parameters
     ----------
     positions : (V, 3) mm, world positions of the vertebrae's origins.
     rotations : (V, 3, 3) world_from_bone.
-    stiffness : N/mm of the springs at the box corners, in rising steps. Where an element of the mesh turns over in a
-        step, the one before will do if it leaves less than ``PLACED_MM``.
+    stiffness : N/mm of the springs at the box corners, in rising steps. Where the mesh does not bear a step, the one
+        before will do if it leaves less than ``PLACED_MM``.
+    nodes : about how many (``rebuild.NODES``) a new mesh has, which is built in any case. seed : of its points.
+    observer : is told when a mesh is built.
 
     Raises
     ------
-    TorsoError : an element turns over before the vertebrae are there.
+    EquilibriumError : the vertebrae can't be brought there.
+    TorsoError : the mesh does not bear that and no new one can be built.
     """
     problem = EquilibriumProblem(torso, pelvis_on_springs(torso))
     placed, state = torso, torso.rest_pose
+    failure: TorsoError | None = None
     for pull in stiffness:
         state = _pulled(problem, state, positions, rotations, (pull,))
+        if nodes is not None:
+            continue
         try:
-            placed = torso.rebased(state)
-        except TorsoError:
-            there = placed.rest_pose.bone_positions[torso.vertebra_bones]
-            if np.linalg.norm(there - positions, axis=1).max() > PLACED_MM:
-                raise
-            break
-    return placed
+            moved = torso.rebased(state)
+            require_quality(moved)
+        except TorsoError as error:
+            failure = error
+        else:
+            placed, failure = moved, None
+    if nodes is None:
+        off = np.linalg.norm(placed.rest_pose.bone_positions[torso.vertebra_bones] - positions, axis=1).max()
+        if failure is None or off <= PLACED_MM:
+            return placed
+        nodes = len(torso.tissue.rest_positions)
+    if not can_rebuild(torso):
+        why = f"{failure}: the tissue mesh can't be carried to this spine" if failure else "a new tissue mesh is wanted"
+        raise TorsoError(f'{why}; pip install "spinestiff[mesh]" lets one be built')
+    if observer and failure:
+        observer(f"{failure}; building a new mesh")
+    bare, without = without_tissue(torso, state)
+    made = with_new_tissue(
+        bare.rebased(without), skin_of(torso, state), torso, state, observer, nodes=nodes, seed=seed
+    )
+    require_quality(made)
+    return made
 
 
 class _Fit:

@@ -23,7 +23,7 @@ CURVES = {
     "lumbar": ((0.24, 0.20, 1.0),),
     "double": ((0.68, 0.17, 1.0), (0.26, 0.17, -0.8)),
 }
-LARGEST_COBB_DEG = 60.0
+LARGEST_COBB_DEG = 80.0
 # Vertebrae turn towards the convexity, about a third of the coronal tilt's size at the apex (Easwar et al. 2011 report
 # the coupling, its size varies).
 AXIAL_COUPLING = 0.3
@@ -45,9 +45,12 @@ def rest_vertebrae(torso: TorsoModel) -> VertebraPoses:
 def curved_spine(torso: TorsoModel, cobb_deg: float, curve: str) -> VertebraPoses:
     """The torso's spine bent sideways until its largest coronal angle is ``cobb_deg`` (above 0: left-convex).
 
+    Neighbouring vertebrae stay as far apart as they are in the torso, so that the spine's length stays and T1 comes
+    down; it stays over L5.
+
     Raises
     ------
-    SubjectError : unknown curve name or an angle outside +-60 degrees.
+    SubjectError : unknown curve name or an angle outside +-80 degrees.
     """
     if curve not in CURVES:
         raise SubjectError(f"unknown curve '{curve}'; wanted one of {', '.join(CURVES)}")
@@ -62,16 +65,23 @@ def curved_spine(torso: TorsoModel, cobb_deg: float, curve: str) -> VertebraPose
     slope = np.gradient(bump, height)
 
     def angle(amplitude: float) -> float:
-        lean = np.arctan(amplitude * slope)
+        lean = np.arcsin(amplitude * slope)
         return float(np.degrees(lean.max() - lean.min()))
 
-    amplitude = 0.0 if cobb_deg == 0.0 else brentq(lambda a: angle(a) - abs(cobb_deg), 0.0, 400.0)
+    steepest = 1.0 / np.abs(slope).max()
+    amplitude = 0.0 if cobb_deg == 0.0 else brentq(lambda a: angle(a) - abs(cobb_deg), 0.0, steepest)
     amplitude *= np.sign(cobb_deg)
     # Moving left while going up leans the left side down: a turn about z (anterior) by minus the lean.
-    tilt = -np.arctan(amplitude * slope)
+    tilt = -np.arcsin(amplitude * slope)
     axial = AXIAL_COUPLING * amplitude * np.abs(slope).max() * bump / np.abs(bump).max()
     turned = exp_so3(np.outer(tilt, [0.0, 0.0, 1.0])) @ exp_so3(np.outer(axial, [0.0, 1.0, 0.0])) @ rotations
-    return positions + np.outer(amplitude * bump, [1.0, 0.0, 0.0]), turned
+    # A spine that bends keeps its length and loses height.
+    aside, rise = np.diff(amplitude * bump), np.diff(height)
+    lower = height[0] - np.concatenate([[0.0], np.cumsum(np.sqrt(rise**2 - aside**2))])
+    placed = positions.copy()
+    placed[:, 0] += amplitude * bump
+    placed[:, 1] = positions[-1, 1] + lower - lower[-1]
+    return placed, turned
 
 
 def real_spine(torso: TorsoModel, table: str | Path, spine_id: str) -> VertebraPoses:
