@@ -1,8 +1,10 @@
 """Build the template torsos that ship with the package (a run of the package only reads them).
 
-    python tools/build_torso.py [--mesh coarse fine] [--out src/spinestiff/anatomy/data]
+    python tools/build_torso.py [--mesh coarse fine own] [--out src/spinestiff/anatomy/data]
 
-Deterministic: fixed seeds, so that the same versions of NumPy and SciPy write the same files.
+"own", the synthetic subjects', is made by another program from other points (anatomy/meshing.py; needs the extra
+[mesh]) and is not symmetric, so that it shares nothing with the estimator's two. Deterministic: fixed seeds, so that the
+same versions of NumPy, SciPy and MMG write the same files.
 """
 
 from __future__ import annotations
@@ -14,6 +16,9 @@ import numpy as np
 from tissue_mesh import Spacing, half_mesh, mirror, quadratic
 
 from spinestiff.anatomy.files import write_torso
+from spinestiff.anatomy.meshing import mesh_tissue
+from spinestiff.anatomy.names import BONES
+from spinestiff.anatomy.template import OWN_MESH
 from spinestiff.anatomy.template.assemble import Skeleton, assemble, build_skeleton
 from spinestiff.anatomy.tetrahedra import dihedral_angles
 from spinestiff.anatomy.torso import TorsoModel
@@ -27,6 +32,9 @@ SPACINGS = {
 # 64,000 nodes move alike to about 3 % (benchmarks/mesh_convergence.py).
 NEAR = 0.11
 SEED = 20260101
+# Of the synthetic subjects' mesh: mm between corners inside, triangles of the skin (rows, sides), and the seed of its
+# points, the best of four by the smallest dihedral angle.
+OWN_SPACING, OWN_SKIN, OWN_SEED = 22.0, (100, 120), 20260103
 DATA = Path(__file__).parent.parent / "src" / "spinestiff" / "anatomy" / "data"
 
 
@@ -44,6 +52,13 @@ def build(skeleton: Skeleton, spacing: Spacing, near: float = NEAR) -> TorsoMode
     return assemble(skeleton, nodes, elements, bones)
 
 
+def build_own(skeleton: Skeleton) -> TorsoModel:
+    """The synthetic subjects' torso."""
+    surfaces = dict(zip(BONES, skeleton.surfaces, strict=True))
+    made = mesh_tissue(surfaces, skeleton.skin.surface(*OWN_SKIN), OWN_SPACING, tried_shares=(1.0,), seed=OWN_SEED)
+    return assemble(skeleton, made.nodes, made.elements, made.bone_of_node)
+
+
 def report(torso: TorsoModel) -> str:
     """Figures of a mesh in a few lines."""
     tissue = torso.tissue
@@ -59,13 +74,14 @@ def report(torso: TorsoModel) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--mesh", nargs="+", choices=sorted(SPACINGS), default=sorted(SPACINGS))
+    meshes = (*SPACINGS, OWN_MESH)
+    parser.add_argument("--mesh", nargs="+", choices=meshes, default=meshes)
     parser.add_argument("--out", type=Path, default=DATA)
     arguments = parser.parse_args()
     skeleton = build_skeleton()
     arguments.out.mkdir(parents=True, exist_ok=True)
     for mesh in arguments.mesh:
-        torso = build(skeleton, SPACINGS[mesh])
+        torso = build_own(skeleton) if mesh == OWN_MESH else build(skeleton, SPACINGS[mesh])
         path = arguments.out / f"torso_{mesh}.npz"
         write_torso(path, torso)
         print(f"{path.name}: {path.stat().st_size / 1e6:.2f} MB; {report(torso)}")

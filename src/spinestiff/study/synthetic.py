@@ -1,4 +1,4 @@
-"""Synthetic subjects: a torso of known stiffness, pushed on a fine mesh and radiographed into a real subject folder.
+"""Synthetic subjects: a torso of known stiffness, pushed on a mesh of its own and radiographed into a real subject folder.
 
 The truth is written beside the folder (``DIR.truth.json``), never into it.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, stiffness_ratios
-from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.template import OWN_MESH, template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, cobb_change, tilts
@@ -33,6 +33,8 @@ from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.places import place_of_pelvis
 from spinestiff.mechanics.supports import Supports
 from spinestiff.observer import Observer
+from spinestiff.personalise.quality import mesh_quality
+from spinestiff.personalise.rebuild import NODES
 from spinestiff.personalise.shape import place_vertebrae
 from spinestiff.study.elastic_supports import (
     SupportStiffness,
@@ -52,6 +54,8 @@ ANNOTATION_SD_MM = 0.3  # of a hand-set corner, at the patient plane
 STANDING_SD_MM, STANDING_SD_RAD = 4.0, 0.012  # how differently a patient stands from one exposure to the next
 DETECTOR_WIDTH_MM = 427.0
 LARGEST_FORCE_N = 500.0  # that the gauge shows
+# Nodes of a mesh for whose skin the coarse template's, carried along in a second, is fine enough.
+CARRIED_COARSE = 6_000
 
 
 @dataclass(frozen=True)
@@ -110,7 +114,10 @@ class Recipe:
     spine : table and id of a real spine as rest shape, instead of ``cobb_deg`` and ``curve``.
     pushes : their rib levels, frames and roles; ids differ.
     shape : rows, columns of a radiograph; the detector keeps its width.
-    mesh : of the subject's tissue, "coarse" or "fine"; anything but "fine" is no test of an estimate on "coarse".
+    mesh : of the subject's tissue, carried to its shape: "own", which shares nothing with the estimator's, or one of
+        these, "coarse" or "fine", which is no test of an estimate on the same.
+    nodes : about how many, to a quarter (``rebuild.NODES``), of a mesh built for this subject alone, in its shape and
+        with points drawn by ``seed`` (extra [mesh]); goes with "own".
     acquisition : how the radiographs are taken; four a second (paper 2.1).
     lateral_exposure : of the lateral rest radiograph.
     supports : how much belt and shoulder's pad give under ``force_n``; drawn from 0 to 4 degrees and 0 to 4 mm if None.
@@ -125,7 +132,8 @@ class Recipe:
     spine: tuple[Path, str] | None = None
     pushes: tuple[SyntheticPush, ...] = DEFAULT_PUSHES
     shape: tuple[int, int] = (1024, 1024)
-    mesh: str = "fine"
+    mesh: str = OWN_MESH
+    nodes: int | None = None
     acquisition: Acquisition = field(default_factory=Acquisition)
     lateral_exposure: Exposure = LATERAL
     supports: SyntheticSupports | None = None
@@ -135,6 +143,10 @@ class Recipe:
             raise SubjectError(f"seed {self.seed}; wanted 0 or more")
         if not 0.0 < self.force_n <= LARGEST_FORCE_N:
             raise SubjectError(f"force {self.force_n} N; wanted above 0 and at most {LARGEST_FORCE_N:g}")
+        if self.nodes is not None and not NODES[0] <= self.nodes <= NODES[1]:
+            raise SubjectError(f"{self.nodes} nodes; wanted {NODES[0]} to {NODES[1]}")
+        if self.nodes is not None and self.mesh != OWN_MESH:
+            raise SubjectError(f"nodes {self.nodes} of mesh '{self.mesh}'; wanted mesh '{OWN_MESH}', or no nodes")
         low, high = RATIO_BOUNDS
         for value in self.ratios or ():
             if not low <= value <= high:
@@ -189,8 +201,9 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
         raise SubjectError(f"{truth_path(folder)}: is there already; choose another folder, nothing was written")
     say = observer or (lambda line: None)
     random = np.random.default_rng(recipe.seed)
-    say(f"shaping the {recipe.mesh} torso")
-    torso = _subject_torso(recipe)
+    say("shaping the torso")
+    torso = subject_torso(recipe, say)
+    say(f"{mesh_quality(torso)}; {len(torso.tissue.rest_positions)} nodes")
     bending, tissue = recipe.ratios or tuple(
         float(np.exp(random.uniform(*np.log(limits)))) for limits in (BENDING_RANGE, TISSUE_RANGE)
     )
@@ -244,14 +257,22 @@ def made_by(folder: str | Path, recipe: Recipe) -> bool:
     raise SubjectError(f"{folder}: holds another subject; choose another folder, nothing was written")
 
 
-def _subject_torso(recipe: Recipe) -> TorsoModel:
-    template = template_torso(recipe.height_cm, recipe.mesh)
+def subject_torso(recipe: Recipe, observer: Observer | None = None) -> TorsoModel:
+    """The recipe's torso at rest, on its own mesh.
+
+    Raises
+    ------
+    SubjectError : an impossible curve or spine.
+    EquilibriumError, TorsoError : no torso of that shape, or it needs a new mesh and the extra [mesh] is missing.
+    """
+    coarse = recipe.nodes is not None and recipe.nodes <= CARRIED_COARSE
+    template = template_torso(recipe.height_cm, "coarse" if coarse else recipe.mesh)
     poses: VertebraPoses
     if recipe.spine:
         poses = real_spine(template, *recipe.spine)
     else:
         poses = curved_spine(template, recipe.cobb_deg, recipe.curve)
-    return place_vertebrae(template, *poses)
+    return place_vertebrae(template, *poses, nodes=recipe.nodes, seed=recipe.seed, observer=observer)
 
 
 class _Acquisition:

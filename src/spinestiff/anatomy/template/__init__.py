@@ -23,11 +23,13 @@ if TYPE_CHECKING:
     from spinestiff.anatomy.template.assemble import Skeleton
 
 MESHES = ("coarse", "fine")
+# Of synthetic subjects; no estimate is made on it.
+OWN_MESH = "own"
 
 
 def template_torso(
     height_cm: float,
-    mesh: Literal["coarse", "fine"] | str = "coarse",
+    mesh: Literal["coarse", "fine", "own"] | str = "coarse",
     *,
     age_years: float | None = None,
     sex: Sex | None = None,
@@ -47,7 +49,8 @@ def template_torso(
     Parameters
     ----------
     height_cm : 120 to 200.
-    mesh : "coarse" (about 3,000 tissue nodes) or "fine" (about 10,000).
+    mesh : "coarse" (about 3,000 tissue nodes) or "fine" (about 10,000); "own" (about 15,000), made in another way and
+        sharing no point with those, for synthetic subjects. With it, the height alone.
     age_years : 8 to 100; from 18 an adult.
     sex : "female" or "male".
     mass_kg : body mass, 12 to 40 kg/m2 over the squared height; changes the skin, not the bones.
@@ -64,11 +67,13 @@ def template_torso(
     low, high = HEIGHT_RANGE_CM
     if not low <= height_cm <= high:
         raise TorsoError(f"body height {height_cm:g} cm; wanted {low:g} to {high:g} cm")
-    if mesh not in MESHES:
-        raise TorsoError(f"unknown tissue mesh '{mesh}'; known are {', '.join(MESHES)}")
+    if mesh not in (*MESHES, OWN_MESH):
+        raise TorsoError(f"unknown tissue mesh '{mesh}'; known are {', '.join((*MESHES, OWN_MESH))}")
     if all(given is None for given in (age_years, sex, mass_kg, kyphosis_deg, lordosis_deg)):
         reference = _reference(mesh)
         torso = reference.scaled(height_cm / reference.height_cm)
+    elif mesh == OWN_MESH:
+        raise TorsoError(f"the tissue mesh '{OWN_MESH}' goes with the height alone; wanted {' or '.join(MESHES)}")
     else:
         torso = _warped(body_of(height_cm, age_years, sex, mass_kg, kyphosis_deg, lordosis_deg), mesh)
     return with_options(torso, disc_shift_mm, scapulothoracic_n_per_mm, thoracolumbar)
@@ -91,7 +96,7 @@ def _skeleton(size: Proportions) -> Skeleton:
     return build_skeleton(size)
 
 
-@lru_cache(maxsize=len(MESHES))
+@lru_cache(maxsize=len(MESHES) + 1)
 def _reference(mesh: str) -> TorsoModel:
     from spinestiff.anatomy.files import read_torso
 
