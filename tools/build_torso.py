@@ -3,8 +3,8 @@
     python tools/build_torso.py [--mesh coarse fine own] [--out src/spinestiff/anatomy/data]
 
 "own", the synthetic subjects', is made by another program from other points (anatomy/meshing.py; needs the extra
-[mesh]) and is not symmetric, so that it shares nothing with the estimator's two. Deterministic: fixed seeds, so that the
-same versions of NumPy, SciPy and MMG write the same files.
+[mesh]) and is not symmetric, so that it shares nothing with the estimator's two. Deterministic: fixed seeds, so that
+the same versions of NumPy, SciPy and MMG write the same files.
 """
 
 from __future__ import annotations

@@ -363,6 +363,8 @@ def test_synth_and_demo_hand_their_options_on(spinestiff, tmp_path, monkeypatch)
     refused(spinestiff("demo", "--out", tmp_path / "y"), "far enough", 3)
     assert asked[0] == (tmp_path / "x", synthetic.Recipe(4, 150.0, -20.0, "lumbar", 80.0, (0.2, 0.03)))
     assert asked[1] == (tmp_path / "y", synthetic.Recipe(ratios=(0.1, 0.01)))
+    refused(spinestiff("synth", tmp_path / "z", "--nodes", 4000), "far enough", 3)
+    assert asked[2] == (tmp_path / "z", synthetic.Recipe(nodes=4000))
 
 
 # What is refused

@@ -73,8 +73,9 @@ def test_each_option_has_the_limits_of_its_quantity(spinestiff, tmp_path):
         ("torso", "show", "--kyphosis", 70): "20 to 50 degrees",
         ("torso", "show", "--lordosis", 5): "35 to 60 degrees",
         ("torso", "import", "none", "--out", "new", "--height", 80): "90 to 230 cm",
-        ("torso", "import", "none", "--out", "new", "--spacing", 1): "12 to 60 mm",
-        ("synth", "new", "--cobb", -61): "-60 to 60 degrees",
+        ("torso", "import", "none", "--out", "new", "--spacing", 1): "9 to 60 mm",
+        ("synth", "new", "--cobb", -81): "-80 to 80 degrees",
+        ("synth", "new", "--nodes", 2999): "3000 to 65000 nodes",
         ("synth", "new", "--force", 501): "above 0 and at most 500 N",
         ("cobb", "none", "--noise-px", 0): "above 0 and at most 1000 pixels",
     }

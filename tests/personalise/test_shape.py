@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.tetrahedra import dihedral_angles
 from spinestiff.anatomy.torso import TET10_EDGES, TorsoModel
@@ -83,13 +84,15 @@ def test_placed_vertebrae_are_where_they_were_wanted(template):
 
 
 def test_placing_ends_where_the_mesh_bears_no_more(template, monkeypatch):
-    """Where the tightest pull turns an element over the one before will do, but none that leaves more than 0.5 mm."""
+    """Where the tightest pull turns an element over the one before will do, but none that leaves more than 0.5 mm.
+
+    Without a mesher, one line then says what to do."""
     wanted = curved_spine(template, 20.0, "thoracic")
     rebased, calls = TorsoModel.rebased, []
 
     def breaking(self, state):
         calls.append(state)
-        if len(calls) == last:
+        if len(calls) >= last:
             raise TorsoError("element 7 has volume -1 mm3; wanted positive")
         return rebased(self, state)
 
@@ -100,8 +103,37 @@ def test_placing_ends_where_the_mesh_bears_no_more(template, monkeypatch):
     assert 0.01 < off < 0.5
     calls.clear()
     last = 2
-    with pytest.raises(TorsoError, match="element 7"):
+    monkeypatch.setitem(sys.modules, "mmgpy", None)
+    words = r"^element 7 .*: the tissue mesh can't be carried to this spine; pip install \"spinestiff\[mesh\]\" lets"
+    with pytest.raises(TorsoError, match=words):
         place_vertebrae(template, *wanted)
+    with pytest.raises(TorsoError, match=r"^a new tissue mesh is wanted; pip install"):
+        place_vertebrae(template, *wanted, nodes=5000)
+
+
+def test_a_carried_mesh_below_the_limits_is_no_torso(template, monkeypatch):
+    """At 80 degrees elements turn over or are flat: refused without a mesher, never handed on."""
+    monkeypatch.setitem(sys.modules, "mmgpy", None)
+    with pytest.raises(TorsoError, match=r"(too distorted|has volume -).*can't be carried to this spine"):
+        place_vertebrae(template, *curved_spine(template, 80.0, "double"))
+
+
+@pytest.mark.slow
+def test_a_spine_of_80_degrees_gets_a_new_mesh(template):
+    """The vertebrae are where they were wanted, and the mesh is fit for use, of the wanted size, and the same again."""
+    pytest.importorskip("mmgpy", reason="needs MMG (extra [mesh])")
+    wanted, lines = curved_spine(template, 80.0, "double"), []
+    placed = place_vertebrae(template, *wanted, observer=lines.append)
+    assert lines[0].endswith("building a new mesh")
+    assert mesh_quality(placed).good
+    positions, rotations = rest_vertebrae(placed)
+    assert np.abs(positions - wanted[0]).max() < 0.5
+    assert np.abs(rotations - wanted[1]).max() < 0.02
+    assert len(placed.tissue.rest_positions) == pytest.approx(len(template.tissue.rest_positions), rel=0.25)
+    again = place_vertebrae(template, *wanted)
+    assert np.array_equal(again.tissue.rest_positions, placed.tissue.rest_positions)
+    other = place_vertebrae(template, *wanted, seed=1)
+    assert cKDTree(placed.tissue.rest_positions).query(other.tissue.rest_positions)[0].mean() > 1.0
 
 
 def test_both_pictures_are_met(shaped):

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS
+from spinestiff.anatomy.template import MESHES, template_torso
 from spinestiff.errors import EquilibriumError, SpinestiffError, SubjectError
 from spinestiff.files import file_digest
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -207,6 +209,8 @@ def test_the_truth_of_the_folder_one_stands_in_has_a_name(tmp_path, monkeypatch)
         ({"force_n": 501.0}, "force 501.0 N"),
         ({"force_n": float("nan")}, "force nan N"),
         ({"seed": -1}, "seed -1; wanted 0 or more"),
+        ({"nodes": 2999}, "2999 nodes; wanted 3000 to 65000"),
+        ({"nodes": 5000, "mesh": "fine"}, "nodes 5000 of mesh 'fine'; wanted mesh 'own', or no nodes"),
         ({"pushes": ()}, "pushes none; wanted at least one"),
         ({"pushes": (PUSH, PUSH)}, "pushes main, main; wanted at least one, each with an id of its own"),
     ],
@@ -243,6 +247,29 @@ def test_a_push_that_no_subject_may_have_leaves_nothing_behind(tmp_path, tiny, w
     with pytest.raises(SpinestiffError, match=words):
         synthesise(tmp_path / "x", replace(tiny, pushes=(replace(PUSH, **wrong),)))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_default_mesh_is_none_of_the_estimators():
+    """It shares no point with those, has more of them and as much tissue."""
+    recipe = Recipe()
+    assert recipe.mesh not in MESHES
+    own = template_torso(recipe.height_cm, recipe.mesh).tissue
+    for mesh in MESHES:
+        other = template_torso(recipe.height_cm, mesh).tissue
+        assert len(own.rest_positions) > 1.2 * len(other.rest_positions)
+        assert cKDTree(other.rest_positions).query(own.rest_positions)[0].min() > 1e-3
+        assert own.corner_volumes().sum() == pytest.approx(other.corner_volumes().sum(), rel=3e-3)
+
+
+def test_a_mesh_of_a_subjects_own_is_asked_for_by_seed_and_nodes(monkeypatch):
+    """Up to 6,000 nodes the skin is the coarse template's, above the finer one's."""
+    asked = []
+    monkeypatch.setattr(synthetic, "place_vertebrae", lambda torso, *poses, **how: asked.append((torso, how)))
+    for recipe in (Recipe(seed=7, nodes=3000), Recipe(seed=8, nodes=25_000), Recipe(seed=9)):
+        synthetic.subject_torso(recipe)
+    counts = [len(torso.tissue.rest_positions) for torso, _ in asked]
+    assert counts == [len(template_torso(157.0, mesh).tissue.rest_positions) for mesh in ("coarse", "own", "own")]
+    assert [(how["seed"], how["nodes"]) for _, how in asked] == [(7, 3000), (8, 25_000), (9, None)]
 
 
 def test_a_recipes_record_names_the_table_without_its_place():

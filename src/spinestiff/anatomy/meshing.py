@@ -29,7 +29,7 @@ from spinestiff.words import counted
 GROUP = "spinestiff.meshers"
 NO_MMG = 'meshing needs MMG; install it with pip install "spinestiff[mesh]"'
 DEFAULT_MESHER = "mmg"
-SPACINGS_MM = (12.0, 60.0)
+SPACINGS_MM = (9.0, 60.0)
 LEAST_ANGLE_DEG = 5.0
 WANTED_ANGLE_DEG = 10.0
 HAUSDORFF_MM = 3.0  # of the skin from its triangles, where these may change
@@ -156,7 +156,8 @@ def mesh_tissue(
     spacing : wanted distance of corners inside, mm.
     mesher : name of the mesher. observer : is told each try, in words.
     tried_shares : spacings to try until a mesh passes, as shares of the wanted one. Each try draws other points.
-    seed : of the points; another one gives a mesh of as many nodes with none in the same place.
+    seed : of the points; another one gives another mesh of about as many nodes. Up to a third of the points in bones,
+        where there is little room, may be the same.
 
     Raises
     ------

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +17,7 @@ import typer
 from spinestiff import __version__
 from spinestiff.app import INTERRUPTED, STOPPED
 from spinestiff.app.annotate import annotate_folder, opened
-from spinestiff.app.options import cobb_limits, force_limits, height_limits, noise_limits, within
+from spinestiff.app.options import cobb_limits, force_limits, height_limits, node_limits, noise_limits, within
 from spinestiff.app.torso import torso
 from spinestiff.errors import SpinestiffError, SubjectError
 
@@ -47,6 +48,13 @@ PushForce = Annotated[
 ]
 Ratios = Annotated[str | None, typer.Option(help="True ratios BENDING,TISSUE; drawn by the seed if left out.")]
 Spine = Annotated[Path | None, typer.Option(help="Table of real spines, as rest shape instead of --cobb and --curve.")]
+Nodes = Annotated[
+    int | None,
+    typer.Option(
+        callback=within("nodes", node_limits),
+        help="About how many nodes of a tissue mesh built for this subject alone, by its seed; needs the extra [mesh].",
+    ),
+]
 TorsoFile = Annotated[Path | None, typer.Option("--torso", help="A torso file instead of a subject folder.")]
 Page = Annotated[Path | None, typer.Option("--out", help="Where the page goes; results/view.html if left out.")]
 Replace = Annotated[bool, typer.Option("--force", help="Replace a file that is there; never one that is read.")]
@@ -109,12 +117,13 @@ def synth(
     ratios: Ratios = None,
     spine: Spine = None,
     spine_id: SpineId = None,
+    nodes: Nodes = None,
 ) -> None:
     """Make a synthetic subject of known stiffness: DICOM radiographs, force log, annotation."""
     from spinestiff.app.progress import progress
     from spinestiff.study.synthetic import synthesise
 
-    recipe = _recipe(seed, height, cobb, curve, force, ratios, spine, spine_id)
+    recipe = replace(_recipe(seed, height, cobb, curve, force, ratios, spine, spine_id), nodes=nodes)
     with progress() as say:
         truth = synthesise(folder, recipe, say)
     typer.echo(f"subject: {folder}\ntruth:   {truth}")

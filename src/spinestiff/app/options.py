@@ -89,6 +89,13 @@ def spacing_limits() -> tuple[float, float]:
     return SPACINGS_MM
 
 
+def node_limits() -> tuple[float, float]:
+    """Nodes of a synthetic subject's own tissue mesh."""
+    from spinestiff.personalise.rebuild import NODES
+
+    return NODES
+
+
 def cobb_limits() -> tuple[float, float]:
     """Degrees, of a synthetic curve."""
     from spinestiff.study.spines import LARGEST_COBB_DEG

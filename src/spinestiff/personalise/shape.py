@@ -238,9 +238,7 @@ def place_vertebrae(
     if observer and failure:
         observer(f"{failure}; building a new mesh")
     bare, without = without_tissue(torso, state)
-    made = with_new_tissue(
-        bare.rebased(without), skin_of(torso, state), torso, state, observer, nodes=nodes, seed=seed
-    )
+    made = with_new_tissue(bare.rebased(without), skin_of(torso, state), torso, state, observer, nodes=nodes, seed=seed)
     require_quality(made)
     return made
 

@@ -1,4 +1,4 @@
-"""Synthetic subjects: a torso of known stiffness, pushed on a mesh of its own and radiographed into a real subject folder.
+"""Synthetic subjects: a torso of known stiffness on a mesh of its own, pushed and radiographed into a subject folder.
 
 The truth is written beside the folder (``DIR.truth.json``), never into it.
 """
