@@ -50,7 +50,7 @@ def tasks(table: Path, meshes: Sequence[str]) -> tuple[list[Task], dict[str, str
     """What is made, and by id why a spine of the table is none."""
     with table.open(newline="", encoding="utf-8-sig") as file:
         ids = list(dict.fromkeys(row["id"] for row in csv.DictReader(file)))
-    shapes, skipped = [], {}
+    shapes, skipped = [(curve, f"{cobb:g}", height) for curve in CURVES for cobb, height in CURVED], {}
     for number, spine in enumerate(ids):
         height = float(np.random.default_rng([1, number]).uniform(*HEIGHTS_CM))
         try:
@@ -59,7 +59,6 @@ def tasks(table: Path, meshes: Sequence[str]) -> tuple[list[Task], dict[str, str
             skipped[spine] = str(error).removeprefix(f"{table}: ")
             continue
         shapes.append(("spine", spine, height))
-    shapes += [(curve, f"{cobb:g}", height) for curve in CURVES for cobb, height in CURVED]
     made = [(mesh, *shape) for mesh in meshes for shape in (shapes[::EVERY_OWN] if mesh == OWN_MESH else shapes)]
     return made, skipped
 

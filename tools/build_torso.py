@@ -32,8 +32,7 @@ SPACINGS = {
 # 64,000 nodes move alike to about 3 % (benchmarks/mesh_convergence.py).
 NEAR = 0.11
 SEED = 20260101
-# Of the synthetic subjects' mesh: mm between corners inside, triangles of the skin (rows, sides), and the seed of its
-# points, the best of four by the smallest dihedral angle.
+# Of the synthetic subjects' mesh: mm between corners inside, triangles of the skin (rows, sides), seed of its points.
 OWN_SPACING, OWN_SKIN, OWN_SEED = 22.0, (100, 120), 20260103
 DATA = Path(__file__).parent.parent / "src" / "spinestiff" / "anatomy" / "data"
 

@@ -39,8 +39,7 @@ VOLUME_TOLERANCE = 0.02
 TRIED_SHARES = (1.0, 0.95, 1.04, 0.9, 1.08, 0.86)
 # Distances as shares of the spacing inside: along a bone and on the skin, as in the template's fine mesh.
 BONE_SHARE, SKIN_SHARE = 1.27, 1.1
-DRAWN = 0.7  # share of the candidates for points that a seed leaves, unless a bone has but a ``FEW``
-FEW = 50
+DRAWN = 0.7  # of the candidates for points on the skin: the share that a seed leaves
 BURIED = 0.16  # of the skin's spacing: how deep a bone's points shall lie, so that no facet bares them
 NEAR = 0.11  # of the spacing: nodes this close to a bone ride on it
 GAP = 1.0 / 3.0  # of the distance to the next bone: how far a bone's tied nodes reach into the gap between the two
@@ -156,8 +155,7 @@ def mesh_tissue(
     spacing : wanted distance of corners inside, mm.
     mesher : name of the mesher. observer : is told each try, in words.
     tried_shares : spacings to try until a mesh passes, as shares of the wanted one. Each try draws other points.
-    seed : of the points; another one gives another mesh of about as many nodes. Up to a third of the points in bones,
-        where there is little room, may be the same.
+    seed : of the points; another one gives another mesh of about as many nodes.
 
     Raises
     ------
@@ -190,7 +188,7 @@ def mesh_tissue(
         if abs(share - 1.0) > VOLUME_TOLERANCE:
             failures.append(f"the mesh has {share:.1%} of the skin's volume")
             continue
-        points = _with_volume(points, tetrahedra, signed_volume(skin))
+        points = _with_volume(points, tetrahedra, signed_volume(skin), cKDTree(points).query(kept)[1])
         angle = float(least_angles(points[tetrahedra]).min())
         if best is None or angle > best[0]:
             best = (angle, points, tetrahedra, share)
@@ -235,7 +233,7 @@ def starting_mesh(
         bony.append(found)
     bones = np.vstack(bony)
     # The corners of the skin stand a little outside it: that makes up for the facets' cutting of its curves.
-    outer = farthest_points(_drawn(shell, rng), np.zeros((0, 3)), skin_spacing)
+    outer = farthest_points(shell[rng.uniform(size=len(shell)) < DRAWN], np.zeros((0, 3)), skin_spacing)
     normals = _normals(skin, outer)
     outer = outer + 0.0014 * skin_spacing**2 * normals
     step = 0.28 * spacing
@@ -258,35 +256,32 @@ def starting_mesh(
     return points[used], number[tetrahedra], required
 
 
-def _drawn(candidates: Floats, rng: np.random.Generator) -> Floats:
-    return candidates[rng.uniform(size=len(candidates)) < DRAWN]
-
-
 def _bone_points(
     surface: Surface, spacing: float, others: Floats, skin: cKDTree, buried: float, rng: np.random.Generator
 ) -> Floats:
     # Points a little under the surface, spread out, clear of those in other bones, deep under the skin where possible.
-    candidates = under_surface(surface, (1.3, 2.5, 4.0))
+    candidates = under_surface(surface, (1.3, 2.5, 4.0), rng)
     _, first = np.unique(np.floor(candidates / 2.0), axis=0, return_index=True)
     candidates = candidates[np.sort(first)]
     found = candidates[enclosed(surface, candidates)]
     if not len(found):
-        candidates = under_surface(surface, (0.2, 0.5))
+        candidates = under_surface(surface, (0.2, 0.5), rng)
         found = candidates[enclosed(surface, candidates)]
         if not len(found):
             return found
-    if len(found) > FEW:
-        found = _drawn(found, rng)
     return spread_in_bone(found, skin.query(found)[0] > buried, spacing, others)
 
 
-def under_surface(surface: Surface, depths: Sequence[float]) -> Floats:
-    """(n, 3) mm, points ``depths`` mm under the middle of each triangle of a closed surface, if it is that thick."""
+def under_surface(surface: Surface, depths: Sequence[float], rng: np.random.Generator | None = None) -> Floats:
+    """(n, 3) mm, points ``depths`` mm under each triangle of a closed surface, if it is that thick: under its middle, or
+    around that at random."""
     vertices, faces = surface
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-12
-    return np.vstack([corners.mean(1) - d * normal for d in depths])
+    shares = np.full((len(faces), 3), 1.0 / 3.0) if rng is None else rng.dirichlet((2.0, 2.0, 2.0), len(faces))
+    places = np.einsum("fc,fcd->fd", shares, corners)
+    return np.vstack([places - d * normal for d in depths])
 
 
 def spread_in_bone(candidates: Floats, deep: np.ndarray, spacing: float, others: Floats) -> Floats:
@@ -445,8 +440,9 @@ def pinched_corners(tetrahedra: Ints, count: int) -> np.ndarray:
     return pinched
 
 
-def _with_volume(points: Floats, tetrahedra: Ints, volume: float) -> Floats:
-    # The boundary's corners moved along their normals, all as far: a trunk's stiffness goes with the cube of its size.
+def _with_volume(points: Floats, tetrahedra: Ints, volume: float, fixed: Ints) -> Floats:
+    # The boundary's corners moved along their normals, all as far, but for the bones' ``fixed`` ones: a trunk's stiffness
+    # goes with the cube of its size.
     faces = boundary(tetrahedra)
     points = np.array(points)
     for _ in range(2):
@@ -454,6 +450,7 @@ def _with_volume(points: Floats, tetrahedra: Ints, volume: float) -> Floats:
         slope = np.zeros_like(points)
         for corner in range(3):
             np.add.at(slope, faces[:, corner], np.cross(b - a, c - a) / 6.0)
+        slope[fixed] = 0.0
         size = np.linalg.norm(slope, axis=1)
         points += (volume - signed_volume((points, faces))) / size.sum() * slope / np.maximum(size, 1e-12)[:, None]
     return points
