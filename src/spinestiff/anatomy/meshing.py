@@ -273,8 +273,8 @@ def _bone_points(
 
 
 def under_surface(surface: Surface, depths: Sequence[float], rng: np.random.Generator | None = None) -> Floats:
-    """(n, 3) mm, points ``depths`` mm under each triangle of a closed surface, if it is that thick: under its middle, or
-    around that at random."""
+    """(n, 3) mm, points ``depths`` mm under each triangle of a closed surface, if it is that thick: under its middle,
+    or around that at random."""
     vertices, faces = surface
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -441,8 +441,8 @@ def pinched_corners(tetrahedra: Ints, count: int) -> np.ndarray:
 
 
 def _with_volume(points: Floats, tetrahedra: Ints, volume: float, fixed: Ints) -> Floats:
-    # The boundary's corners moved along their normals, all as far, but for the bones' ``fixed`` ones: a trunk's stiffness
-    # goes with the cube of its size.
+    # The boundary's corners moved along their normals, all as far, but for the bones' ``fixed`` ones: a trunk's
+    # stiffness goes with the cube of its size.
     faces = boundary(tetrahedra)
     points = np.array(points)
     for _ in range(2):
