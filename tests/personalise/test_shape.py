@@ -129,7 +129,7 @@ def test_a_spine_of_80_degrees_gets_a_new_mesh(template):
     positions, rotations = rest_vertebrae(placed)
     assert np.abs(positions - wanted[0]).max() < 0.5
     assert np.abs(rotations - wanted[1]).max() < 0.02
-    assert len(placed.tissue.rest_positions) == pytest.approx(len(template.tissue.rest_positions), rel=0.25)
+    assert len(placed.tissue.rest_positions) == pytest.approx(len(template.tissue.rest_positions), rel=0.5)
     again = place_vertebrae(template, *wanted)
     assert np.array_equal(again.tissue.rest_positions, placed.tissue.rest_positions)
     other = place_vertebrae(template, *wanted, seed=1)

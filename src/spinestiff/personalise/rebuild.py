@@ -23,7 +23,7 @@ from spinestiff.observer import Observer
 # mm between corners inside, of a 157 cm body: between the shipped meshes in nodes.
 SPACING_MM = 34.0
 REFERENCE_HEIGHT_CM = 157.0
-# Nodes of a mesh with that spacing, and how their number falls with it; right to a quarter.
+# Nodes of a mesh with that spacing, and how their number falls with it; 0.8 to 1.5 times that were found.
 NODES_AT_SPACING, NODES_POWER = 6150.0, 2.3
 NODES = (3_000, 65_000)
 # Where a number of nodes is wanted, each try has the same spacing and other points.

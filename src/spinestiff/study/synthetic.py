@@ -116,7 +116,7 @@ class Recipe:
     shape : rows, columns of a radiograph; the detector keeps its width.
     mesh : of the subject's tissue, carried to its shape: "own", which shares nothing with the estimator's, or one of
         these, "coarse" or "fine", which is no test of an estimate on the same.
-    nodes : about how many, to a quarter (``rebuild.NODES``), of a mesh built for this subject alone, in its shape and
+    nodes : about how many (``rebuild.NODES``; 0.8 to 1.5 times that), of a mesh built for this subject alone, in its shape and
         with points drawn by ``seed`` (extra [mesh]); goes with "own".
     acquisition : how the radiographs are taken; four a second (paper 2.1).
     lateral_exposure : of the lateral rest radiograph.
