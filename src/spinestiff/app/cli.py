@@ -32,7 +32,9 @@ app = typer.Typer(
 
 Folder = Annotated[Path, typer.Argument(help="Subject folder (docs/subject-folder.md).")]
 Force = Annotated[bool, typer.Option("--redo", help="Run even if nothing changed.")]
-Mesh = Annotated[str, typer.Option(help="Torso mesh of the estimate: coarse or fine.")]
+Mesh = Annotated[
+    str, typer.Option(help="Mesh of the estimate: fine, begun on the coarse one, or coarse alone, a quick look.")
+]
 Method = Annotated[str, typer.Option(help="weighed (by what is not known) or paper (equal weights, no intervals).")]
 Orientation = Annotated[str, typer.Option(help="Vertebra orientation in the image: procrustes or covariance.")]
 Truth = Annotated[Path | None, typer.Option(help="Truth file of a synthetic subject, for comparison only.")]
@@ -185,7 +187,7 @@ def response(folder: Folder, redo: Force = False) -> None:
 
 
 @app.command()
-def personalise(folder: Folder, mesh: Mesh = "coarse", redo: Force = False) -> None:
+def personalise(folder: Folder, mesh: Mesh = "fine", redo: Force = False) -> None:
     """Shape the torso to the rest radiographs."""
     _steps(folder, ("personalise",), redo, mesh=mesh)
 
@@ -231,7 +233,7 @@ def view(
 @app.command()
 def run(
     folder: Folder,
-    mesh: Mesh = "coarse",
+    mesh: Mesh = "fine",
     method: Method = "weighed",
     orientation: Orientation = "procrustes",
     truth: Truth = None,

@@ -182,6 +182,7 @@ def fit_stiffness(
     geometry: Floats | None = None,
     taped: bool = False,
     extent: Extent = "everything",
+    start_nuisances: Mapping[str, float] | None = None,
 ) -> StiffnessFit:
     """Stiffness ratios whose equilibria show what the radiographs show (Eq. 8).
 
@@ -200,6 +201,7 @@ def fit_stiffness(
     priors : what is known beforehand of all that is not quite known.
     geometry : (6V, 6V) covariance of the vertebrae's rest poses (dt mm, dw rad); None: known.
     taped : the trunk's size was measured.
+    start_nuisances : name -> nuisance to start from, in prior standard deviations; default 0.
     extent : "estimate" alone, with "intervals", or "everything": variance budget and other priors as well.
 
     Raises
@@ -219,7 +221,8 @@ def fit_stiffness(
     weighed: Weighed | None = None
     covariance = np.full((len(names),) * 2, np.nan)
     if method == "weighed":
-        found = _searched(asked, first, default, limits, max_iterations)
+        nuisances = np.array([(start_nuisances or {}).get(name, 0.0) for name in asked.unknowns.names])
+        found = _searched(asked, first, nuisances, default, limits, max_iterations)
         point, status = found.point.evaluation, found.status
         covariance = _covariance(found)
         weighed = _told(asked, found, limits, extent)
@@ -309,13 +312,13 @@ def _asked(
 def _searched(
     asked: WeighedProblem,
     first: Floats,
+    nuisances: Floats,
     default: Evaluation | None,
     limits: tuple[float, float],
     max_iterations: int,
 ) -> WeighedFit:
-    nothing = np.zeros(len(asked.unknowns))
     try:
-        start = asked.solve(first, nothing, None if default is None else asked.at(default))
+        start = asked.solve(first, nuisances, None if default is None else asked.at(default))
     except EquilibriumError as error:
         raise FitError(f"no equilibrium at the start of the fit, {error}") from None
     asked.trial_set.note(first, float("nan"), start.evaluation, True)

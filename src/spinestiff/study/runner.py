@@ -107,7 +107,7 @@ ALL_STEPS: Mapping[str, Step] = {
         (XRAY, BODY, REST_MARKS),
         ("rest",),
         (),
-        lambda visit: (*SHAPE, *(("skin_scan.png",) if visit.subject.scan_path else ())),
+        step_functions.outputs_of_shape,
         lambda visit: {"mesh": visit.settings.mesh},
     ),
     "estimate": Step(

@@ -15,7 +15,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.pushes import push_responses
 from spinestiff.errors import FitError, SubjectError
-from spinestiff.estimation.fit import FitStep, StiffnessFit
+from spinestiff.estimation.fit import Extent, FitStep, StiffnessFit
 from spinestiff.files import write_bytes
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
@@ -41,7 +41,7 @@ from spinestiff.study.predictions import (
 from spinestiff.study.support_notes import support_notes
 from spinestiff.study.trials import PushSet, fit_pushes
 from spinestiff.study.truth import compare_with_truth, read_truth
-from spinestiff.study.visit import Visit, load_pushes
+from spinestiff.study.visit import START, Visit, load_pushes, load_start
 from spinestiff.study.wording import response_lines
 from spinestiff.study.written import estimate_record, geometry_record, proposal_record, write_draws
 from spinestiff.subject.folder import (
@@ -133,8 +133,8 @@ def subject_template(record: SubjectRecord, mesh: str) -> TorsoModel:
 
 
 def personalise_step(visit: Visit, say: Observer) -> None:
-    """Shape the template to the rest radiographs; writes ``torso.npz``, ``personalised.json`` and, with a skin scan,
-    ``skin_scan.png``."""
+    """Shape the template to the rest radiographs; writes ``torso.npz``, ``personalised.json``, with a skin scan
+    ``skin_scan.png`` and, for the fine mesh, a coarse torso for the estimate to start on, ``torso_coarse.npz``."""
     subject = visit.subject
     scan = skin_scan(visit)
     template = starting_torso(visit)
@@ -148,21 +148,35 @@ def personalise_step(visit: Visit, say: Observer) -> None:
         if marked.vertebrae:
             pedicles[name] = marked
         provenance[name] = dict(picture.provenance)
-    from_template = subject.torso_path is None and visit.settings.mesh == "coarse"
-    finer = partial(subject_template, subject.record, "fine") if from_template else None
+    fine = partial(subject_template, subject.record, "fine")
+    finer = fine if subject.torso_path is None and visit.settings.mesh == "coarse" else None
     trunk: dict[str, TrunkSize] = {
         level: TrunkSize(size.breadth_mm, size.depth_mm) for level, size in subject.record.trunk.items()
     }
-    shaped = personalise(template, pictures, say, pedicles=pedicles, finer=finer, trunk=trunk, scan=scan)
+    shape = partial(personalise, pictures=pictures, pedicles=pedicles, trunk=trunk, scan=scan)
+    shaped = shape(template, observer=say, finer=finer)
     for warning in shaped.warnings:
         say(warning)
     visit.subject.results.mkdir(exist_ok=True)
     write_torso(visit.file("torso.npz"), shaped.torso)
+    if START in outputs_of_shape(visit):
+        say("shaping a coarse torso, too, which the estimate starts on")
+        write_torso(visit.file(START), shape(subject_template(subject.record, "coarse"), finer=fine).torso)
     if shaped.scan is not None:
         from spinestiff.study.report.torso_picture import draw_scan
 
         draw_scan(shaped.torso, shaped.scan.points, visit.file("skin_scan.png"))
     write_outcome(subject, geometry_record(shaped, provenance))
+
+
+def outputs_of_shape(visit: Visit) -> tuple[str, ...]:
+    """The files that ``personalise_step`` writes for this visit."""
+    found = ["torso.npz", GeometryRecord.FILE]
+    if visit.subject.scan_path:
+        found.append("skin_scan.png")
+    if visit.subject.torso_path is None and visit.settings.mesh == "fine":
+        found.append(START)
+    return tuple(found)
 
 
 def skin_scan(visit: Visit) -> SkinScan | None:
@@ -303,19 +317,31 @@ def view_step(visit: Visit, say: Observer) -> None:
 
 
 def fit_training(visit: Visit, pushes: PushSet, say: Observer) -> StiffnessFit:
-    """The fit of the training frames under load."""
+    """The fit of the training frames under load, begun on the coarse torso where there is one."""
 
     def progress(step: FitStep) -> None:
         tried = ", ".join(f"{name} {value:.4g}" for name, value in step.ratios.items())
         loss = "no equilibrium" if np.isnan(step.rmse_mm) else f"RMSE {step.rmse_mm:.3f} mm"
         say(f"evaluation {step.iteration}: {tried}: {loss}")
 
-    def fit(start: Mapping[str, float] | None) -> StiffnessFit:
+    def fit(on: PushSet, start: Mapping[str, float] | None, known: Mapping[str, float], extent: Extent) -> StiffnessFit:
         method = visit.settings.method
-        return fit_pushes(pushes, visit.settings.parameters, start, method, progress)  # type: ignore[arg-type]
+        return fit_pushes(on, visit.settings.parameters, start, method, progress, extent, known)  # type: ignore[arg-type]
 
+    start: Mapping[str, float] | None
+    start, known = {name: value for name, value in USUAL_RATIOS.items() if name in visit.settings.parameters}, {}
+    coarse = load_start(visit, pushes.orientation, visit.settings.method)
+    if coarse is not None:
+        say("on the coarse mesh first")
+        try:
+            rough = fit(coarse, start, known, "estimate")
+        except FitError:
+            say("no fit on the coarse mesh; starting on the fine one")
+        else:
+            start, known = rough.ratios.as_dict(), Model.of(rough).known
+            say("on the fine mesh")
     try:
-        return fit({name: value for name, value in USUAL_RATIOS.items() if name in visit.settings.parameters})
+        return fit(pushes, start, known, "everything")
     except FitError:
-        say("no fit from the usual ratios; starting from the default ones")
-        return fit(None)
+        say("no fit from there; starting from the default ratios")
+        return fit(pushes, None, {}, "everything")

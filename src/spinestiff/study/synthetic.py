@@ -116,8 +116,8 @@ class Recipe:
     shape : rows, columns of a radiograph; the detector keeps its width.
     mesh : of the subject's tissue, carried to its shape: "own", which shares nothing with the estimator's, or one of
         these, "coarse" or "fine", which is no test of an estimate on the same.
-    nodes : about how many (``rebuild.NODES``; 0.8 to 1.5 times that), of a mesh built for this subject alone, in its shape and
-        with points drawn by ``seed`` (extra [mesh]); goes with "own".
+    nodes : about how many (``rebuild.NODES``; 0.8 to 1.5 times that) of a mesh built for this subject alone, in its
+        shape and with points drawn by ``seed`` (extra [mesh]); goes with "own".
     acquisition : how the radiographs are taken; four a second (paper 2.1).
     lateral_exposure : of the lateral rest radiograph.
     supports : how much belt and shoulder's pad give under ``force_n``; drawn from 0 to 4 degrees and 0 to 4 mm if None.

@@ -222,6 +222,7 @@ def fit_pushes(
     method: Method = "weighed",
     observer: OnFitStep | None = None,
     extent: Extent = "everything",
+    start_nuisances: Mapping[str, float] | None = None,
 ) -> StiffnessFit:
     """The fit of the training frames; arguments and errors are those of ``estimation.fit.fit_stiffness``."""
     return fit_stiffness(
@@ -236,4 +237,5 @@ def fit_pushes(
         geometry=pushes.known.geometry,
         taped=pushes.known.taped,
         extent=extent,
+        start_nuisances=start_nuisances,
     )

@@ -17,7 +17,11 @@ from spinestiff.study.trials import LEVEL, PushSet, known_of, push_set, rig_of
 from spinestiff.study.truth import read_truth
 from spinestiff.subject.folder import Subject, read_subject
 from spinestiff.subject.outcomes import GeometryRecord, Tracked
-from spinestiff.subject.run_record import read_outcome, result_path
+from spinestiff.subject.run_record import read_outcome, recorded_steps, result_path
+
+
+START = "torso_coarse.npz"
+"""The coarse torso, in ``results/``."""
 
 
 @dataclass(frozen=True)
@@ -26,12 +30,12 @@ class Settings:
 
     Attributes
     ----------
-    mesh : of the estimator, "coarse" or "fine".
+    mesh : of the estimator: "fine", begun on the coarse one, or "coarse" alone, a quick look.
     method : "weighed" or "paper". orientation : "procrustes" or "covariance".
     parameters : ratios to estimate.
     """
 
-    mesh: str = "coarse"
+    mesh: str = "fine"
     method: str = "weighed"
     orientation: str = "procrustes"
     parameters: tuple[str, ...] = ("lateral_bending", "tissue")
@@ -75,6 +79,19 @@ def open_visit(folder: str | Path, settings: Settings | None = None, truth: Path
     return Visit(read_subject(folder), settings or Settings(), truth)
 
 
+def load_start(visit: Visit, orientation: Orientation, method: str) -> PushSet | None:
+    """The same trials on the coarse torso that an estimate on the fine one starts on; None where there is none.
+
+    Raises
+    ------
+    SubjectError : as ``load_pushes``.
+    """
+    recorded = recorded_steps(visit.subject).get("personalise")
+    if recorded is None or not any(name.endswith(f"/{START}") for name in recorded.outputs):
+        return None
+    return _pushes_on(visit, read_torso(result_path(visit.subject, START, "personalise")), orientation, method)
+
+
 def load_pushes(visit: Visit, orientation: Orientation, method: str) -> PushSet:
     """Trials of a visit that has been tracked and personalised; the paper's method holds the pelvis level.
 
@@ -82,6 +99,10 @@ def load_pushes(visit: Visit, orientation: Orientation, method: str) -> PushSet:
     ------
     SubjectError : an earlier step has not run, or its results are not as it left them.
     """
+    return _pushes_on(visit, visit.torso(), orientation, method)
+
+
+def _pushes_on(visit: Visit, torso: TorsoModel, orientation: Orientation, method: str) -> PushSet:
     tracked = read_outcome(visit.subject, Tracked)
     lacking = [push.id for push in visit.subject.pushes if push.id not in tracked.pushes]
     if lacking:
@@ -90,4 +111,4 @@ def load_pushes(visit: Visit, orientation: Orientation, method: str) -> PushSet:
     rig = LEVEL if method == "paper" else rig_of(record)
     covariance = np.array(read_outcome(visit.subject, GeometryRecord).covariance)
     known = known_of(record, covariance.reshape(6 * len(covariance), -1))
-    return push_set(visit.torso(), visit.subject.pushes, tracked.pushes, orientation, rig, known)
+    return push_set(torso, visit.subject.pushes, tracked.pushes, orientation, rig, known)
