@@ -328,8 +328,8 @@ def fit_training(visit: Visit, pushes: PushSet, say: Observer) -> StiffnessFit:
         method = visit.settings.method
         return fit_pushes(on, visit.settings.parameters, start, method, progress, extent, known)  # type: ignore[arg-type]
 
-    start: Mapping[str, float] | None
-    start, known = {name: value for name, value in USUAL_RATIOS.items() if name in visit.settings.parameters}, {}
+    start: Mapping[str, float] = {n: value for n, value in USUAL_RATIOS.items() if n in visit.settings.parameters}
+    known: Mapping[str, float] = {}
     coarse = load_start(visit, pushes.orientation, visit.settings.method)
     if coarse is not None:
         say("on the coarse mesh first")
