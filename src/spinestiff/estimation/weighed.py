@@ -197,15 +197,19 @@ class WeighedProblem:
         rest[channels, channels] += self.noise.tracking(factor, inflation)
         return Weights(cholesky(rest, lower=True), factor, inflation)
 
+    def as_expected(self, point: WeighedPoint) -> Weights:
+        """The covariance at a point with tracking's errors as large as predicted."""
+        rest = np.eye(self.size)
+        channels = slice(0, self.noise.size)
+        rest[channels, channels] = self._constant + self.discrepancy(point) + self.noise.tracking()
+        return Weights(cholesky(rest, lower=True), 1.0, np.ones(self.noise.size))
+
     def p_value(self, point: WeighedPoint, slope: WeighedSlope) -> float:
         """Of residuals as large, with the covariance before any scale or weight is fitted."""
         from scipy.stats import chi2
 
-        channels = slice(0, self.noise.size)
-        covariance = np.eye(self.size)
-        covariance[channels, channels] = self._constant + self.discrepancy(point) + self.noise.tracking()
-        covariance += slope.nuisances @ slope.nuisances.T
-        root = cholesky(covariance, lower=True)
+        expected = self.as_expected(point).root
+        root = cholesky(expected @ expected.T + slope.nuisances @ slope.nuisances.T, lower=True)
         free = point.values - slope.nuisances @ point.nuisances
         values, fixed = (solve_triangular(root, a, lower=True) for a in (free, slope.ratios))
         q = np.linalg.qr(fixed)[0]
