@@ -126,14 +126,16 @@ def make_subject(seed: int) -> Subject:
         name: float(np.exp(random.uniform(*np.log(limits))))
         for name, limits in (("lateral_bending", BENDING_RANGE), ("tissue", TISSUE_RANGE))
     }
-    nominal = {name: _nominal(make, height) for name, make in (("frontal", frontal_view), ("lateral", lateral_view))}
+    nominal = {
+        name: nominal_view(make, height) for name, make in (("frontal", frontal_view), ("lateral", lateral_view))
+    }
     shares = silhouette_shares(torso, nominal["frontal"], torso.rest_pose)
     seen = state_features(torso, nominal["frontal"], torso.rest_pose, shares).corners
     cobb = cobb_angle(tilts(VERTEBRAE, seen, nominal["frontal"])).degrees
     annotation = float(np.exp(random.uniform(*np.log(ANNOTATION_MM))))
     rest = {}
     for name, view in nominal.items():
-        corners = _projected(torso, _standing(view, random, lateral=name == "lateral"), torso.rest_pose)
+        corners = projected(torso, standing(view, random, lateral=name == "lateral"), torso.rest_pose)
         corners = corners + random.normal(0.0, annotation * view.magnification, corners.shape)
         names = VERTEBRAE[4:] if name == "lateral" and random.uniform() < 0.5 else VERTEBRAE
         rest[name] = (VertebraCorners(VERTEBRAE, corners).selected(names), view)
@@ -151,7 +153,7 @@ def make_subject(seed: int) -> Subject:
             states.append(state)
             reading = share * force * wrong + READING_SD_N * float(random.normal())
             told.append(round(max(reading, 0.0), 1) if share else 0.0)
-        tracked[push] = _tracked(torso, nominal["frontal"], states, told, annotation, random)
+        tracked[push] = tracked_push(torso, nominal["frontal"], states, told, annotation, random)
         records.append(
             PushRecord(
                 id=push,
@@ -200,13 +202,13 @@ def _true_torso(random: np.random.Generator, height: float, age: float, sex: Lit
     return place_vertebrae(body, *curved_spine(body, cobb, str(random.choice(list(CURVES)))), PULLS)
 
 
-def _nominal(make, height: float) -> XRayView:  # type: ignore[no-untyped-def]
+def nominal_view(make, height: float) -> XRayView:  # type: ignore[no-untyped-def]
     spine = template_torso(height).rest_pose.bone_positions[template_torso(height).vertebra_bones]
     centre = np.array([0.0, 0.5 * (spine[0, 1] + spine[-1, 1]), 0.0])
     return make(shape=(1536, 1024), centre=centre)  # type: ignore[no-any-return]
 
 
-def _standing(nominal: XRayView, random: np.random.Generator, lateral: bool) -> XRayView:
+def standing(nominal: XRayView, random: np.random.Generator, lateral: bool) -> XRayView:
     """Where source and detector really are about a patient who was placed anew."""
     nearer = 1.0 + DISTANCE_SD * float(random.normal())
     # Nearer to the source, as far from the detector.
@@ -222,12 +224,12 @@ def _standing(nominal: XRayView, random: np.random.Generator, lateral: bool) -> 
     return posed(view, shift, float(roll[0]), float(yaw[0]))
 
 
-def _projected(torso: TorsoModel, view: XRayView, state: TorsoState) -> Floats:
+def projected(torso: TorsoModel, view: XRayView, state: TorsoState) -> Floats:
     """(V, 4, 2) mm on the detector: the silhouette's corners as they lie on the bones at rest."""
     return state_features(torso, view, state, silhouette_shares(torso, view, torso.rest_pose)).corners
 
 
-def _tracked(
+def tracked_push(
     torso: TorsoModel,
     nominal: XRayView,
     states: list[TorsoState],
@@ -235,7 +237,7 @@ def _tracked(
     annotation: float,
     random: np.random.Generator,
 ) -> TrackedPush:
-    placed = _standing(nominal, random, lateral=False)
+    placed = standing(nominal, random, lateral=False)
     sway = float(np.radians(SWAY_SD_DEG) * random.normal())
     wrong = random.normal(0.0, annotation, (17, 4, 2))
     frames = []
@@ -243,7 +245,7 @@ def _tracked(
         view = placed
         if number:
             view = placed.moved(random.normal(0.0, FRAME_SHIFT_SD_MM, 2), float(random.normal(0.0, FRAME_ROLL_SD)))
-        corners = _swayed(_projected(torso, view, state), sway)
+        corners = _swayed(projected(torso, view, state), sway)
         size = TRACK_MM * np.exp(TRACK_SPREAD * random.normal(size=(17, 1))) * (number > 0)
         error = size[..., None] * (random.normal(size=(17, 1, 2)) + OWN_SHARE * random.normal(size=(17, 4, 2)))
         predicted = np.sqrt(2.0 * (1.0 + OWN_SHARE**2)) * size * np.exp(PREDICTED_WITHIN * random.normal(size=(17, 4)))

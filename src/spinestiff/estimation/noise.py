@@ -18,6 +18,7 @@ from scipy.optimize import minimize_scalar
 from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.estimation.objective import Residuals, Target
 from spinestiff.estimation.priors import Priors
+from spinestiff.imaging.features import picture_axes
 from spinestiff.imaging.tracking.quality import error_of
 
 CHANNELS = 3
@@ -101,8 +102,11 @@ class Noise:
         self.parts: dict[str, Floats] = {
             "annotation": priors.annotation_mm**2 * (alike & (sequence[:, None] == sequence))
         }
-        self.parts["place in the picture"] = _outer(self._places(seen, self._trial, priors.place_mm, 0.0))
-        self.parts["stance"] = _outer(self._places(seen, sequence, priors.stance_mm, np.deg2rad(priors.stance_deg)))
+        stance_roll = float(np.deg2rad(priors.stance_deg))
+        roll = float(np.deg2rad(priors.place_deg))
+        self.parts["place in the picture"] = _outer(self._places(seen, self._trial, priors.place_mm, roll, 0.0))
+        self.parts["posture"] = _outer(self._waves(seen, sequence, float(np.deg2rad(priors.posture_deg))))
+        self.parts["stance"] = _outer(self._places(seen, sequence, priors.stance_mm, stance_roll, priors.stance_scale))
         if geometry is not None:
             self.parts["rest geometry"] = self._of_geometry(still, geometry)
         own = np.zeros(self.size)
@@ -146,24 +150,32 @@ class Noise:
         """(n,) mm, the most probable own errors for ``solved`` = Sigma^-1 r."""
         return np.asarray(factor**2 * self._own * inflation * solved)
 
-    def _places(self, seen: Sequence[Seen], of: Ints, shift_mm: float, turn: float) -> Floats:
-        """(n, k) columns: shifts along both axes and a turn of each group of radiographs about the picture's middle."""
+    def _places(self, seen: Sequence[Seen], of: Ints, shift_mm: float, turn: float, scale: float) -> Floats:
+        """(n, k) columns of each group of radiographs: shifts along both axes, a turn and another size of the picture."""
         columns = []
         for group in dict.fromkeys(of.tolist()):
-            for axis in (0, 1, 2):
-                size = (shift_mm, shift_mm, turn)[axis]
+            for kind, size in enumerate((shift_mm, shift_mm, turn, scale)):
                 if size == 0.0:
                     continue
                 column = np.zeros(self.size)
                 for i, one in enumerate(seen):
                     if of[self.ends[i]] == group:
-                        z = one.target.z
-                        move = (
-                            np.stack([-z[..., 1], z[..., 0]], -1)
-                            if axis == 2
-                            else np.broadcast_to(np.eye(2)[axis], z.shape)
-                        )
-                        column[self.of(i)] = size * self.channels[i].apply(move)
+                        column[self.of(i)] = size * self.channels[i].apply(_place_change(one.target.z, kind))
+                columns.append(column)
+        return np.stack(columns, axis=1) if columns else np.zeros((self.size, 0))
+
+    def _waves(self, seen: Sequence[Seen], of: Ints, bend: float) -> Floats:
+        """(n, 3 k) columns: the spine of each group of radiographs bent sideways by smooth waves.
+
+        A wave's steepest tilts differ by ``bend`` rad, and its vertebrae turn with it.
+        """
+        columns = []
+        for group in dict.fromkeys(of.tolist()) if bend else ():
+            for half_waves in (1, 2, 3):
+                column = np.zeros(self.size)
+                for i, one in enumerate(seen):
+                    if of[self.ends[i]] == group:
+                        column[self.of(i)] = self.channels[i].apply(_wave(one.target, half_waves, bend))
                 columns.append(column)
         return np.stack(columns, axis=1) if columns else np.zeros((self.size, 0))
 
@@ -177,6 +189,32 @@ class Noise:
                 jacobian[where, vertebra] = own
         flat = jacobian.reshape(self.size, -1)
         return np.asarray(flat @ covariance @ flat.T)
+
+
+def _place_change(z: Floats, kind: int) -> Floats:
+    """(Nv, 4, 2) change of boxes z per mm along columns (0) or rows (1), per rad (2), per relative size (3).
+
+    Boxes are placed at their own size, so that only their places tell how large the picture is.
+    """
+    if kind < 2:
+        return np.broadcast_to(np.eye(2)[kind], z.shape)
+    if kind == 2:
+        return np.stack([-z[..., 1], z[..., 0]], -1)
+    return np.broadcast_to(z.mean(axis=1, keepdims=True), z.shape)
+
+
+def _wave(target: Target, half_waves: int, bend: float) -> Floats:
+    """(Nv, 4, 2) mm, how a sideways wave moves a target's boxes."""
+    left, up = picture_axes(target.trial.view)
+    middle = target.z.mean(axis=1)
+    height = middle @ up
+    length = max(float(np.ptp(height)), 1e-9)
+    phase = np.pi * half_waves * (height.max() - height) / length
+    tilt = 0.5 * bend * np.cos(phase)
+    aside = -0.5 * bend * length / (np.pi * half_waves) * np.sin(phase)
+    arms = target.z - middle[:, None]
+    turned = (arms @ up)[..., None] * left - (arms @ left)[..., None] * up
+    return np.asarray(aside[:, None, None] * left + tilt[:, None, None] * turned)
 
 
 def _outer(columns: Floats) -> Floats:

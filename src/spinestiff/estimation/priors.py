@@ -29,8 +29,13 @@ class Priors:
     obliquity_deg, shoulder_mm : of how far pelvis and opposite shoulder give in all, at ``support_force_n``.
     frame_obliquity_deg, frame_shoulder_mm : the part of that which is each frame's own; the rest goes with the force.
     support_force_n : N, see above.
-    place_mm : of the patient's place in each radiograph, along columns and rows, at the patient plane.
-    stance_mm, stance_deg : of where the patient stood for a sequence; wide, its first frame shows it.
+    place_mm, place_deg : of the patient's place and roll in each radiograph, along columns and rows, at the patient
+        plane; a breath and a sway between exposures.
+    posture_deg : of the spine's coronal bend between the rest radiographs and a sequence, as the largest change of
+        tilt, in each of three smooth waves: who is placed anew stands a little differently.
+    stance_mm, stance_deg, stance_scale : of where the patient stood for a sequence, along columns and rows, its roll,
+        and the relative size of the picture, which goes with the distance from the detector; wide, as its first frame
+        shows them.
     trunk : of the trunk's breadth and of its depth, relative, without a tape (6 %; children of one age and height).
     trunk_taped : the same where ``subject.json`` has the trunk's size.
     trunk_power : of tissue's resistance in (breadth, depth).
@@ -53,8 +58,11 @@ class Priors:
     frame_shoulder_mm: float = 1.0
     support_force_n: float = 60.0
     place_mm: float = 0.5
+    place_deg: float = 0.1
+    posture_deg: float = 1.5
     stance_mm: float = 20.0
     stance_deg: float = 3.0
+    stance_scale: float = 0.02
     trunk: float = 0.06
     trunk_taped: float = 0.01
     trunk_power: tuple[float, float] = (2.0, 1.0)

@@ -1,0 +1,213 @@
+"""Subjects of known stiffness for ``coverage.py``, by corners alone, with everything wrong that a real visit has wrong.
+
+The truth is a body of 10 to 16 years with its own kyphosis, lordosis, length of spine and sizes of vertebrae, a curve
+of 10 to 80 degrees, and a tissue mesh of its own points: about as many as the estimator's coarse mesh, or more. Belt
+and shoulder's pad are springs (``study.elastic_supports``). What the estimator is not told is drawn with the standard
+deviations of ``estimation.priors.Priors``: force, offset, direction, height and depth of each push, where the patient
+stood and swayed, how far the source was. The template is that of the body's age, sex and height, but of another mass,
+so that the trunk is of another size. Corners are annotated and tracked as ``judgement_subjects`` has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from judgement_subjects import (
+    AGES,
+    HEIGHT_SD_CM,
+    KYPHOSIS_DEG,
+    LARGEST_HEIGHT_CM,
+    LORDOSIS_DEG,
+    PERSON_SD,
+    SPINE_LENGTH_SD,
+    VERTEBRA_SD,
+    nominal_view,
+    projected,
+    standing,
+    tracked_push,
+)
+
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.stiffness import stiffness_ratios
+from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.template.body import usual_mass
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.curves.tilts import cobb_angle, tilts
+from spinestiff.errors import EquilibriumError
+from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.unknowns import ACTS, changed_load, load_changes
+from spinestiff.imaging.features import VertebraCorners
+from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import LoadCase, rib_push
+from spinestiff.personalise.shape import place_vertebrae
+from spinestiff.personalise.sizes import resized
+from spinestiff.study.elastic_supports import drawn_supports, elastic_supports, support_stiffness
+from spinestiff.study.spines import CURVES, curved_spine
+from spinestiff.subject.outcomes import TrackedPush
+from spinestiff.subject.records import PushRecord, Role
+
+# Ratios of the default moduli; tissue of 4.4 to 115 kPa.
+BENDING, TISSUE = (0.0075, 0.84), (0.029, 0.77)
+COBB_DEG = (10.0, 80.0)
+FORCE_N = (40.0, 80.0)
+MASS_SD = 0.15  # of the body over the usual one, in log; what the estimator is not told
+MOST_TILT = np.deg2rad(45.0)  # change of tilt at which a push ends
+LEAST_FORCE_N = 15.0
+ANNOTATION_MM = 0.3
+Acquisition = Literal["paper", "three pushes"]
+# Rib level about which a push is placed, and its frames: share of the force, role.
+PUSHES: Mapping[Acquisition, Mapping[str, tuple[float, tuple[tuple[float, Role], ...]]]] = {
+    "paper": {
+        "main": (8.0, ((0.0, "unused"), (1 / 3, "training"), (2 / 3, "training"), (1.0, "validation"))),
+    },
+    "three pushes": {
+        "high": (5.5, ((0.0, "unused"), (1.0, "training"))),
+        "middle": (8.0, ((0.0, "unused"), (1.0, "training"), (2 / 3, "validation"))),
+        "low": (10.0, ((0.0, "unused"), (1.0, "training"))),
+    },
+}
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A subject as the steps get it, and what it was made of.
+
+    Attributes
+    ----------
+    height_cm, age, sex : as told. cobb_deg : of the truth at rest. ratios : true ones.
+    rest : view name -> annotated corners and nominal view.
+    records, tracked : the pushes as told and as tracked.
+    """
+
+    seed: int
+    height_cm: float
+    age: float
+    sex: Literal["female", "male"]
+    cobb_deg: float
+    ratios: Mapping[str, float]
+    rest: Mapping[str, tuple[VertebraCorners, XRayView]]
+    records: tuple[PushRecord, ...]
+    tracked: Mapping[str, TrackedPush]
+
+
+def make_subject(seed: int, acquisition: Acquisition, nodes: int = 3000) -> Subject:
+    """The subject of a seed.
+
+    Raises
+    ------
+    SpinestiffError : this torso can't be bent that far, or can't carry even a small push.
+    """
+    random, p = np.random.default_rng([13, seed]), Priors()
+    sex: Literal["female", "male"] = "female" if random.uniform() < 0.8 else "male"
+    age = float(random.uniform(*AGES))
+    mean = float(np.interp(age, (10.0, 16.0), (138.0, 163.0) if sex == "female" else (138.0, 174.0)))
+    height = mean + float(np.clip(random.normal(0.0, HEIGHT_SD_CM), -LARGEST_HEIGHT_CM, LARGEST_HEIGHT_CM))
+    torso = _true_torso(random, height, age, sex, nodes, seed)
+    ratios = {
+        name: float(np.exp(random.uniform(*np.log(limits))))
+        for name, limits in (("lateral_bending", BENDING), ("tissue", TISSUE))
+    }
+    nominal = {
+        name: nominal_view(make, height) for name, make in (("frontal", frontal_view), ("lateral", lateral_view))
+    }
+    cobb = cobb_angle(
+        tilts(VERTEBRAE, projected(torso, nominal["frontal"], torso.rest_pose), nominal["frontal"])
+    ).degrees
+    rest = {}
+    for name, view in nominal.items():
+        corners = projected(torso, standing(view, random, lateral=name == "lateral"), torso.rest_pose)
+        corners = corners + random.normal(0.0, ANNOTATION_MM * view.magnification, corners.shape)
+        rest[name] = (VertebraCorners(VERTEBRAE, corners), view)
+    side: Literal["left", "right"] = "left" if cobb > 0.0 else "right"
+    force = float(random.uniform(*FORCE_N))
+    told_levels, truths, sites = {}, {}, {}
+    for push, (level, _) in PUSHES[acquisition].items():
+        told_levels[push] = level + float(random.uniform(-0.7, 0.7))
+        acts = np.zeros(len(ACTS))
+        angle = np.deg2rad(p.direction_deg)
+        sizes = (p.force_scale, p.force_offset_n, angle, angle, p.push_height_mm, p.push_depth_mm)
+        acts[: len(sizes)] = random.normal(0.0, sizes)
+        truths[push], sites[push] = acts, rib_push(torso, side, told_levels[push], 1.0)
+
+    def load(push: str, share: float) -> LoadCase:
+        if share == 0.0:
+            return sites[push].scaled(0.0)
+        told = sites[push].scaled(share * force)
+        return changed_load(told, load_changes(told, torso.rest_pose), truths[push])
+
+    stiffness, give = stiffness_ratios(ratios, torso.joints.kinds), drawn_supports(random)
+    while True:
+        try:
+            springs = support_stiffness(torso, side, [load(push, 1.0) for push in sites], stiffness, give)
+            problem = EquilibriumProblem(torso, elastic_supports(torso, side, springs))
+            states = {
+                push: _pushed(problem, [load(push, s) for s, _ in PUSHES[acquisition][push][1]], stiffness)
+                for push in sites
+            }
+            bent = max(_bent(torso, nominal["frontal"], state) for found in states.values() for state in found)
+        except EquilibriumError:
+            bent = 2.0 * MOST_TILT
+        if bent <= MOST_TILT:
+            break
+        force *= float(np.clip(MOST_TILT / bent, 0.5, 0.9))
+        if force < LEAST_FORCE_N:
+            raise EquilibriumError(
+                f"subject {seed}: bends by more than {np.rad2deg(MOST_TILT):.0f} degrees under any push"
+            )
+    records, tracked = [], {}
+    for push in sites:
+        frames = PUSHES[acquisition][push][1]
+        told = [round(share * force, 1) for share, _ in frames]
+        tracked[push] = tracked_push(torso, nominal["frontal"], states[push], told, ANNOTATION_MM, random)
+        records.append(
+            PushRecord(
+                id=push,
+                side=side,
+                level=round(told_levels[push], 1),
+                d21_mm=400.0,
+                d31_mm=200.0,
+                frames=push,
+                forces_n=tuple(told),
+                roles=tuple(role for _, role in frames),
+            )
+        )
+    return Subject(seed, round(height, 0), age, sex, float(cobb), ratios, rest, tuple(records), tracked)
+
+
+def _true_torso(
+    random: np.random.Generator, height: float, age: float, sex: Literal["female", "male"], nodes: int, seed: int
+) -> TorsoModel:
+    mass = usual_mass(height, age, sex) * float(np.exp(np.clip(random.normal(0.0, MASS_SD), -0.3, 0.3)))
+    body = template_torso(
+        height,
+        age_years=age,
+        sex=sex,
+        mass_kg=mass,
+        kyphosis_deg=float(random.uniform(*KYPHOSIS_DEG)),
+        lordosis_deg=float(random.uniform(*LORDOSIS_DEG)),
+    ).scaled(1.0 + float(np.clip(random.normal(0.0, SPINE_LENGTH_SD), -0.07, 0.07)))
+    body = resized(body, np.exp(random.normal(0.0, PERSON_SD) + random.normal(0.0, VERTEBRA_SD, (17, 3))))
+    cobb = float(random.uniform(*COBB_DEG)) * float(random.choice([-1.0, 1.0]))
+    curve = str(random.choice(list(CURVES)))
+    return place_vertebrae(body, *curved_spine(body, cobb, curve), nodes=nodes, seed=seed)
+
+
+def _pushed(problem: EquilibriumProblem, loads: list[LoadCase], stiffness) -> list[TorsoState]:  # type: ignore[no-untyped-def]
+    found: dict[float, TorsoState] = {0.0: problem.torso.rest_pose}
+    state = problem.torso.rest_pose
+    for load in sorted(loads, key=lambda one: one.size):
+        if load.size:
+            state = problem.solve(load, stiffness, state).require().state
+            found[load.size] = state
+    return [found[load.size] for load in loads]
+
+
+def _bent(torso: TorsoModel, view: XRayView, state: TorsoState) -> float:
+    """rad, the largest change of tilt between two vertebrae."""
+    before, after = (tilts(VERTEBRAE, projected(torso, view, s), view).superior for s in (torso.rest_pose, state))
+    return float(np.ptp(after - before))
