@@ -1,26 +1,27 @@
 """How far a person's spine may move from what the model says: a covariance learnt from variants of the model.
 
-The shipped data (``data/discrepancy.npz``, docs/discrepancy.md) come from pairs of the model and a variant of it (another
-mesh, other joints, other tissue, ...) at equal true ratios. A difference of motion, divided by the size of the model's
-own motion, is a vector over push site, vertebra and channel; its second moment over the pairs is kept as a few modes and
-a remainder of each entry by itself:
+The shipped data (``data/discrepancy.npz``, docs/discrepancy.md) come from pairs of the model and a variant of it at
+equal true ratios; a kind of variant is another mesh, other joints, other tissue and so on. A difference of motion,
+divided by the size of the model's own motion, is a vector over push site, vertebra and channel. Its second moments,
+kind by kind, are combined to a few modes and a remainder of each entry by itself:
 
-    truth - model = size * sum_s w_s (sum_k z_k phi_ks + r_s) + the frame's own part,
+    truth - model = size * sum_s w_s (sqrt(1 - o) sum_k z_k phi_ks + r_s) + size * sqrt(o) sum_k y_k sum_s w_s phi_ks,
 
-with w the weights of the learnt sites in a frame's site, z and r independent with unit and learnt variance. z belongs
-to the person, so what pushes share stays shared.
+with w the weights of the learnt sites in a frame's site, and z, y, r independent. z and r belong to the person, so what
+pushes share stays shared; y belongs to the frame.
 """
 
 from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import as_file, files
 from io import BytesIO
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 from zipfile import BadZipFile
 
@@ -39,7 +40,12 @@ SCHEMA = "spinestiff-discrepancy"
 SCHEMA_VERSION = 1
 SIDES = ("left", "right")
 Mesh = Literal["coarse", "fine"]
-MESHES: tuple[Mesh, ...] = ("coarse", "fine")
+# Kinds of variant that say nothing about an estimate on a mesh: they compare other meshes.
+NOT_OF: Mapping[Mesh, tuple[str, ...]] = {
+    "coarse": ("other fine mesh", "fine to limit"),
+    "fine": ("other mesh", "finer mesh"),
+}
+MODES = 12  # of a covariance
 # A turn counts as the shift, mm, that it gives a point at this distance: about that of a vertebra's corners.
 TURN_ARM_MM = 20.0
 CHANNELS = np.array([1.0, 1.0, TURN_ARM_MM])
@@ -78,45 +84,120 @@ class DiscrepancyFrame(ShortRepr):
 
 
 @dataclass(frozen=True, repr=False)
-class DiscrepancyModes(ShortRepr):
-    """Learnt covariance of relative differences of motion.
+class KindModes(ShortRepr):
+    """What was learnt from one kind of variant, relative to the size of the model's motion.
+
+    Attributes
+    ----------
+    pairs : how many there were.
+    modes : (K, 2, S, 17, 3) of unit variance each: left and right sites, T1 to L5, channels in mm (turns times
+        ``TURN_ARM_MM``) per mm of the motion's size.
+    remainder : (2, S, 17, 3) standard deviation of what the modes leave.
+    own_share : of the variance, what two frames of one push do not share.
+
+    Raises
+    ------
+    FitError : wrong shapes, values out of range.
+    """
+
+    pairs: int
+    modes: Floats
+    remainder: Floats
+    own_share: float
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        shape = (len(SIDES), None, len(VERTEBRAE), len(CHANNELS))
+        remainder = read_only("remainder", self.remainder, shape, FitError)
+        set_(self, "remainder", remainder)
+        set_(self, "modes", read_only("modes", self.modes, (None, *remainder.shape), FitError))
+        if (remainder < 0.0).any():
+            raise FitError("a remainder is negative")
+        for what, values in (("mode", self.modes), ("remainder", remainder)):
+            if np.abs(values).max(initial=0.0) > LARGEST_ENTRY:
+                raise FitError(f"a {what} has an entry above {LARGEST_ENTRY:g}")
+        if not 0.0 <= self.own_share <= 1.0:
+            raise FitError(f"own share {self.own_share:g}; wanted 0 to 1")
+
+    @property
+    def moment(self) -> Floats:
+        """(n, n) second moment over (side, site, vertebra, channel)."""
+        flat = self.modes.reshape(len(self.modes), -1)
+        return np.asarray(flat.T @ flat + np.diag(self.remainder.ravel() ** 2))
+
+
+@dataclass(frozen=True, repr=False)
+class DiscrepancyData(ShortRepr):
+    """All that was learnt.
 
     Attributes
     ----------
     levels : (S,) rib levels of the learnt sites, rising; each was learnt on the left and on the right.
-    modes : (K, 2, S, 17, 3) of unit variance each: left and right sites, T1 to L5, channels in mm (turns times
-        ``TURN_ARM_MM``) per mm of the motion's size.
-    remainder : (2, S, 17, 3) standard deviation of what the modes leave, independent of entry to entry.
-    own_share : standard deviation of a frame's own part over that of the part shared by the frames of a push.
+    kinds : by name.
+    inflation : of the kinds' mean second moment, so that a kind that was not learnt is covered, too.
+    untried : variance in shapes that no kind has, over the variance of those that they have, at each entry.
     made : date and hash of the code that made them.
 
     Raises
     ------
-    FitError : wrong shapes, levels out of order, values out of range.
+    FitError : levels out of order, another number of sites in a kind, values out of range.
+    """
+
+    levels: Floats
+    kinds: Mapping[str, KindModes]
+    inflation: float
+    untried: float
+    made: str = ""
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "levels", read_only("levels", self.levels, (None,), FitError))
+        set_(self, "kinds", MappingProxyType(dict(self.kinds)))
+        inside = (self.levels >= LOWEST_LEVEL) & (self.levels <= HIGHEST_LEVEL)
+        if not len(self.levels) or not inside.all() or (np.diff(self.levels) <= 0.0).any():
+            raise FitError(f"levels {self.levels.tolist()}; wanted rising rib numbers from 1 to 12")
+        for name, kind in self.kinds.items():
+            if kind.remainder.shape[1] != len(self.levels):
+                raise FitError(f"'{name}' has {kind.remainder.shape[1]} sites a side, wanted {len(self.levels)}")
+        for what, value in (("inflation", self.inflation), ("untried", self.untried)):
+            if not 0.0 <= value <= LARGEST_ENTRY:
+                raise FitError(f"{what} {value:g}; wanted 0 to {LARGEST_ENTRY:g}")
+
+    def combined(self, kinds: Sequence[str]) -> DiscrepancyModes:
+        """The covariance that some kinds, weighing alike, give together.
+
+        Raises
+        ------
+        FitError : no kind, or one that was not learnt.
+        """
+        for name in kinds:
+            if name not in self.kinds:
+                raise FitError(f"no discrepancy of the kind '{name}'; known are {', '.join(self.kinds)}")
+        if not kinds:
+            raise FitError("a discrepancy of no kind; name one at least")
+        moments = [self.kinds[name].moment for name in kinds]
+        moment = self.inflation * np.mean(moments, axis=0)
+        sizes = np.array([np.trace(own) for own in moments])
+        own = float(sizes @ [self.kinds[name].own_share for name in kinds] / max(sizes.sum(), 1e-300))
+        shape = self.kinds[kinds[0]].remainder.shape
+        values, vectors = np.linalg.eigh(moment)
+        modes = (np.sqrt(np.maximum(values, 0.0)) * vectors).T[::-1][:MODES]
+        diagonal = np.diag(moment)
+        left = np.maximum(diagonal - np.sum(modes**2, axis=0), 0.0) + self.untried * diagonal
+        return DiscrepancyModes(self.levels, modes.reshape(-1, *shape), np.sqrt(left).reshape(shape), own)
+
+
+@dataclass(frozen=True, repr=False)
+class DiscrepancyModes(ShortRepr):
+    """Covariance of relative differences of motion, as ``discrepancy_columns`` takes it.
+
+    Attributes: as of ``DiscrepancyData`` and ``KindModes``; ``own_share`` is that of the modes alone.
     """
 
     levels: Floats
     modes: Floats
     remainder: Floats
     own_share: float
-    made: str = ""
-
-    def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        set_(self, "levels", read_only("levels", self.levels, (None,), FitError))
-        shape = (len(SIDES), len(self.levels), len(VERTEBRAE), len(CHANNELS))
-        set_(self, "modes", read_only("modes", self.modes, (None, *shape), FitError))
-        set_(self, "remainder", read_only("remainder", self.remainder, shape, FitError))
-        inside = (self.levels >= LOWEST_LEVEL) & (self.levels <= HIGHEST_LEVEL)
-        if not len(self.levels) or not inside.all() or (np.diff(self.levels) <= 0.0).any():
-            raise FitError(f"levels {self.levels.tolist()}; wanted rising rib numbers from 1 to 12")
-        if (self.remainder < 0.0).any():
-            raise FitError("a remainder is negative")
-        for what, values in (("mode", self.modes), ("remainder", self.remainder)):
-            if np.abs(values).max(initial=0.0) > LARGEST_ENTRY:
-                raise FitError(f"a {what} has an entry above {LARGEST_ENTRY:g}")
-        if not 0.0 <= self.own_share <= 1.0:
-            raise FitError(f"own share {self.own_share:g}; wanted 0 to 1")
 
     def weights(self, side: str, level: float) -> Floats:
         """(2, S) of the learnt sites in a push: linear between two levels, the outermost level's beyond it."""
@@ -136,6 +217,16 @@ def plane_motion(rest: Floats, moved: Floats, view: XRayView) -> Floats:
     across = np.sum(arms[..., 0] * turned[..., 1] - arms[..., 1] * turned[..., 0], axis=1)
     along = np.sum(arms * turned, axis=(1, 2))
     return np.column_stack([b.mean(axis=1) - a.mean(axis=1), np.arctan2(across, along)])
+
+
+def as_corners(motion: Floats, boxes: Floats, view: XRayView) -> Floats:
+    """(V, 4, 2, ...) mm, how the corners of ``boxes`` (V, 4, 2) move in the picture with small motions (V, 3, ...) as
+    ``plane_motion`` gives them; the columns of a frame of ``discrepancy_columns`` are such motions."""
+    axes = np.stack(picture_axes(view), axis=1)
+    arms = (boxes - boxes.mean(axis=1, keepdims=True)) @ axes
+    quarter = np.stack([-arms[..., 1], arms[..., 0]], -1)
+    moved = motion[:, None, :2] + np.einsum("vki,v...->vki...", quarter, motion[:, 2])
+    return np.einsum("ij,vkj...->vki...", axes, moved)
 
 
 def motion_size(motion: Floats) -> float:
@@ -163,38 +254,37 @@ def discrepancy_columns(frames: Sequence[DiscrepancyFrame], modes: DiscrepancyMo
         np.einsum("f,r,rq->frq", sizes * mixed[:, side, site], modes.remainder[side, site].ravel(), np.eye(rows))
         for side, site in used
     ]
-    own = np.einsum("fg,fvck->fvcgk", modes.own_share * np.eye(count), followed)
-    parts = [followed, *(part.reshape(shape) for part in left), own.reshape(shape)]
+    own = np.einsum("fg,fvck->fvcgk", np.sqrt(modes.own_share) * np.eye(count), followed)
+    parts = [np.sqrt(1.0 - modes.own_share) * followed, *(part.reshape(shape) for part in left), own.reshape(shape)]
     return np.concatenate(parts, axis=-1) / CHANNELS[:, None]
 
 
-def write_modes(path: Path, sets: dict[Mesh, DiscrepancyModes]) -> None:
-    """Write the modes of each mesh; the same modes give the same bytes.
+def write_data(path: Path, data: DiscrepancyData) -> None:
+    """Write what was learnt; the same data give the same bytes.
 
     Raises
     ------
     FitError : the file can't be written.
     """
-    header = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, "made": {mesh: sets[mesh].made for mesh in MESHES}}
-    arrays: dict[str, Any] = {"header": np.array(json.dumps(header))}
-    for mesh in MESHES:
-        found = sets[mesh]
-        arrays |= {f"{mesh}_levels": found.levels, f"{mesh}_own_share": np.array(found.own_share)}
-        arrays |= {f"{mesh}_{key}": getattr(found, key).astype(np.float32) for key in ("modes", "remainder")}
+    header = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, "made": data.made, "kinds": list(data.kinds)}
+    header |= {"inflation": data.inflation, "untried": data.untried}
+    header |= {"pairs": [kind.pairs for kind in data.kinds.values()]}
+    header |= {"own_shares": [kind.own_share for kind in data.kinds.values()]}
+    arrays: dict[str, Any] = {"header": np.array(json.dumps(header)), "levels": data.levels}
+    for number, kind in enumerate(data.kinds.values()):
+        arrays |= {f"{key}_{number}": getattr(kind, key).astype(np.float32) for key in ("modes", "remainder")}
     stream = BytesIO()
     np.savez_compressed(stream, **arrays)
     write_bytes(Path(path), stream.getvalue(), FitError)
 
 
-def read_modes(path: Path, mesh: Mesh) -> DiscrepancyModes:
-    """The modes of a mesh from a file of ``write_modes``.
+def read_data(path: Path) -> DiscrepancyData:
+    """What ``write_data`` wrote.
 
     Raises
     ------
-    FitError : an unknown mesh, no such file, another schema version, or damaged content.
+    FitError : no such file, another schema version, or damaged content.
     """
-    if mesh not in MESHES:
-        raise FitError(f"unknown tissue mesh '{mesh}'; known are {', '.join(MESHES)}")
     regular_file(Path(path), FitError)
     try:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as stored:
@@ -203,9 +293,12 @@ def read_modes(path: Path, mesh: Mesh) -> DiscrepancyModes:
         schema, version = header["schema"], header["schema_version"]
         if schema != SCHEMA or version != SCHEMA_VERSION:
             raise FitError(f"schema '{schema}' version {version}, wanted '{SCHEMA}' version {SCHEMA_VERSION}")
-        keys = ("levels", "modes", "remainder")
-        own = float(arrays[f"{mesh}_own_share"])
-        return DiscrepancyModes(*(arrays[f"{mesh}_{key}"] for key in keys), own, str(header["made"][mesh]))
+        kinds = {
+            str(name): KindModes(int(pairs), arrays[f"modes_{number}"], arrays[f"remainder_{number}"], float(own))
+            for number, (name, pairs, own) in enumerate(zip(header["kinds"], header["pairs"], header["own_shares"]))
+        }
+        factors = float(header["inflation"]), float(header["untried"])
+        return DiscrepancyData(arrays["levels"], kinds, *factors, str(header["made"]))
     except OSError as error:
         raise FitError(f"{path}: {(error.strerror or 'unreadable').lower()}; install spinestiff anew") from None
     except (FitError, BadZipFile, zlib.error, ValueError, EOFError, KeyError, TypeError, AttributeError) as error:
@@ -213,13 +306,32 @@ def read_modes(path: Path, mesh: Mesh) -> DiscrepancyModes:
         raise FitError(f"{path} holds no discrepancy that can be read ({why}); install spinestiff anew") from None
 
 
-@lru_cache(maxsize=len(MESHES))
-def shipped_modes(mesh: Mesh) -> DiscrepancyModes:
-    """The modes that come with the package, for an estimate that ends on the "coarse" or on the "fine" mesh.
+@lru_cache(maxsize=1)
+def shipped_data() -> DiscrepancyData:
+    """What comes with the package.
 
     Raises
     ------
-    FitError : an unknown mesh, or data that are missing or damaged.
+    FitError : missing or damaged data.
     """
     with as_file(files("spinestiff.estimation") / "data" / "discrepancy.npz") as path:
-        return read_modes(path, mesh)
+        return read_data(path)
+
+
+@lru_cache(maxsize=8)
+def shipped_modes(mesh: Mesh, without: tuple[str, ...] = ()) -> DiscrepancyModes:
+    """The covariance for an estimate that ends on the "coarse" or on the "fine" mesh, ``without`` some kinds.
+
+    A kind is left out where the estimator has its cause among its own unknowns.
+
+    Raises
+    ------
+    FitError : an unknown mesh or kind, or data that are missing or damaged.
+    """
+    if mesh not in NOT_OF:
+        raise FitError(f"unknown tissue mesh '{mesh}'; known are {', '.join(NOT_OF)}")
+    data = shipped_data()
+    for name in without:
+        if name not in data.kinds:
+            raise FitError(f"no discrepancy of the kind '{name}'; known are {', '.join(data.kinds)}")
+    return data.combined([name for name in data.kinds if name not in (*NOT_OF[mesh], *without)])
