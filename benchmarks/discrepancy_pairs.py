@@ -99,7 +99,7 @@ CORNER_NOISE_MM = 0.5
 UNDER_SKIN_MM, AROUND_SPINE_MM = 25.0, 55.0
 OTHER_SEEDS = (71, 1071, 2071)
 FINEST = 17.0  # mm between points inside
-# What a subject gets: twice all that cost a second or two, one that costs more, and every other one one that costs most.
+# What a subject gets: twice all that cost a second or two, once one that costs more, every other time one of the rest.
 CHEAP = ("disc centres", "stiffening", "volume", "rib joints", "layers", "push point")
 DEARER = ("other mesh", "one-sided wall")
 DEAREST = ("geometry", "finer mesh", "proportions")
