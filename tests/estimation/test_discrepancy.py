@@ -165,10 +165,10 @@ def test_a_frame_that_is_none_is_refused(change, words) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"remainder": np.full(SHAPE, -1.0)}, "remainder is negative"),
+        ({"remainder": np.full(SHAPE, -1.0)}, "a remainder or a variance is negative"),
         ({"modes": np.full((1, *SHAPE), 1e3)}, "entry above 100"),
         ({"own_share": 1.5}, "own share 1.5"),
-        ({"ratio_variance": np.array([0.1, -0.1])}, "a variance is negative"),
+        ({"ratio_variance": np.array([0.1, -0.1])}, "a remainder or a variance is negative"),
         ({"modes": np.zeros((1, 2, 3, 17, 3))}, "wanted"),
     ],
 )
