@@ -312,7 +312,7 @@ def explained(data: DiscrepancyData, mesh: Mesh) -> dict[str, Any]:
 
 def scale_likelihoods(pairs: Sequence[Pair]) -> dict[str, float]:
     """Mean log likelihood of a pair's differences at the learnt sites under what other subjects' pairs of all kinds
-    give, relative to one size of the model's motion or to that of each channel (``MODES`` modes, ``UNTRIED`` on top)."""
+    give, relative to one size of the model's motion or to that of each channel (``MODES``, and ``UNTRIED`` on top)."""
 
     def scales(pair: Pair, each: bool) -> Floats:
         squares = np.mean(pair.model[pair.grid] ** 2, axis=1)

@@ -104,7 +104,7 @@ CHEAP = ("disc centres", "stiffening", "volume", "rib joints", "layers", "push p
 DEARER = ("other mesh", "one-sided wall")
 DEAREST = ("geometry", "finer mesh", "proportions")
 LIMIT_KINDS = ("other fine mesh", "fine to limit")
-LIMIT_EVERY = 8  # subjects
+LIMIT_EVERY = 4  # subjects
 KINDS = (*CHEAP, *DEARER, *DEAREST)
 
 

@@ -245,6 +245,16 @@ def test_what_is_written_is_read(stored, tmp_path) -> None:
     assert again.read_bytes() == stored.read_bytes()
 
 
+class Pickled:
+    """Leaves a file behind when it is unpickled."""
+
+    def __init__(self, path) -> None:
+        self.path = str(path)
+
+    def __reduce__(self):
+        return open, (self.path, "w")
+
+
 def _damaged(path, damage) -> None:
     content = path.read_bytes()
     if damage == "cut short":
@@ -266,7 +276,7 @@ def _damaged(path, damage) -> None:
         elif damage == "not finite":
             arrays["modes_0"][0, 0, 0, 0, 0] = np.nan
         elif damage == "pickled":
-            arrays["modes_0"] = np.array([{}], dtype=object)
+            arrays["modes_0"] = np.array([Pickled(path.with_name("unpickled"))], dtype=object)
         elif damage == "words for numbers":
             arrays["modes_0"] = np.array(["a"])
         elif damage == "other schema":
@@ -289,6 +299,7 @@ def test_damaged_data_end_in_one_line(stored, damage) -> None:
         read_data(stored)
     line = str(caught.value)
     assert str(stored) in line and "install spinestiff anew" in line and "\n" not in line
+    assert not stored.with_name("unpickled").exists()
 
 
 def test_a_missing_file_is_named(tmp_path) -> None:
