@@ -1,6 +1,6 @@
 """Pairs of the model and of something that differs from it in one respect, pushed alike at equal true ratios.
 
-What ``discrepancy.py`` learns from. A subject is a body of 140 to 175 cm with a curve of 10 degrees or more, a bending
+What ``discrepancy.py`` learns from. A subject is a body of 140 to 175 cm with a curve of 10 to 60 degrees, a bending
 ratio of 0.0075 to 0.84 and a tissue modulus of 0.0075 to 0.2 times 0.58 MPa, both log-uniform. A pair is one kind of
 variant of one subject:
 
@@ -76,7 +76,7 @@ from spinestiff.mechanics.supports import SPRING_STIFFNESS, SupportKind, three_p
 from spinestiff.mechanics.terms import PointSprings, TermBlocks
 from spinestiff.mechanics.tissue import element_energies
 from spinestiff.personalise.shape import personalise, place_vertebrae
-from spinestiff.study.spines import CURVES, LARGEST_COBB_DEG, curved_spine, rest_vertebrae
+from spinestiff.study.spines import CURVES, curved_spine, rest_vertebrae
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
@@ -86,7 +86,7 @@ from tissue_mesh import half_mesh, mirror, quadratic  # noqa: E402
 
 SEED = 20261122
 PELVIS = "level"
-HEIGHTS_CM, COBB_DEG = (140.0, 175.0), (10.0, 80.0)
+HEIGHTS_CM, COBB_DEG = (140.0, 175.0), (10.0, 60.0)
 BENDING = (0.0075, 0.84)
 TISSUE_MPA = (0.0075 * 0.58, 0.2 * 0.58)
 TILT_DEG = (5.0, 25.0)
@@ -284,7 +284,7 @@ class Subject:
 def subject_of(number: int) -> Subject:
     """The subject of a number."""
     random = np.random.default_rng([SEED, number])
-    height, cobb = random.uniform(*HEIGHTS_CM), random.uniform(COBB_DEG[0], min(COBB_DEG[1], LARGEST_COBB_DEG))
+    height, cobb = random.uniform(*HEIGHTS_CM), random.uniform(*COBB_DEG)
     cobb *= random.choice([-1.0, 1.0])
     curve = str(random.choice(list(CURVES)))
     bending, tissue = (np.exp(random.uniform(*np.log(ends))) for ends in (BENDING, TISSUE_MPA))
