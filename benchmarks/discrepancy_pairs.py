@@ -69,11 +69,11 @@ from spinestiff.estimation.discrepancy import SIDES, plane_motion
 from spinestiff.imaging.features import VertebraCorners, picture_axes, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.mechanics.assembly import Law, Place, Stiffness, Tangent, Unknowns, positive_part
+from spinestiff.mechanics.contact import OneSidedProblem
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.joints import joint_gradient_shares, joint_gradients, joint_hessians, joint_pose
 from spinestiff.mechanics.loads import LoadCase, rib_push
-from spinestiff.mechanics.supports import SPRING_STIFFNESS, SupportKind, three_point_supports
-from spinestiff.mechanics.terms import PointSprings, TermBlocks
+from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.mechanics.tissue import element_energies
 from spinestiff.personalise.shape import personalise, place_vertebrae
 from spinestiff.study.spines import CURVES, curved_spine, rest_vertebrae
@@ -158,25 +158,6 @@ class NeutralZone(Law):
         return self.factor * stiffness.joints * self.strains(state) ** 2 / self.theta0**2
 
 
-class Wall(PointSprings):
-    """Springs that push but do not pull: E = sum k min(n . (x - x0), 0)^2 / 2.
-
-    The equilibria are those of ``mechanics.contact`` (of least energy with the same E). Its rounds of solves with fixed
-    springs take ten times as long, and no derivative is asked for here.
-    """
-
-    def acting(self, state: TorsoState) -> PointSprings:
-        """The springs that touch."""
-        stiffness = np.where(self.extension(state) < 0.0, self.stiffness, 0.0)
-        return PointSprings(self.points, self.targets, self.directions, stiffness)
-
-    def energy(self, state: TorsoState) -> float:
-        return self.acting(state).energy(state)
-
-    def blocks(self, state: TorsoState) -> TermBlocks:
-        return self.acting(state).blocks(state)
-
-
 class Bench:
     """A torso under pushes from both sides.
 
@@ -189,13 +170,9 @@ class Bench:
         self, torso: TorsoModel, laws: tuple[NeutralZone, ...] = (), one_sided: bool = False, anterior_mm: float = 0.0
     ) -> None:
         self.torso, self.laws, self.anterior_mm = torso, laws, anterior_mm
-        supports = {side: three_point_supports(torso, side, PELVIS, wall=not one_sided) for side in SIDES}
-        back = torso.landmarks["wall"]
-        towards = np.tile([0.0, 0.0, 1.0], (len(back), 1))
-        stiffness = np.full(len(back), SPRING_STIFFNESS[SupportKind.WALL])
-        wall = (Wall(back, back.positions(torso.rest_pose), towards, stiffness),) if one_sided else ()
-        right = EquilibriumProblem(torso, supports["right"], wall, laws=laws)
-        left = right.with_supports(supports["left"])
+        problem = OneSidedProblem if one_sided else EquilibriumProblem
+        right = problem(torso, three_point_supports(torso, "right", PELVIS), laws=laws)
+        left = right.with_supports(three_point_supports(torso, "left", PELVIS))
         self.problems = {"right": right, "left": left}
         spine = rest_vertebrae(torso)[0][:, 1]
         self.view = frontal_view(centre=(0.0, float(0.5 * (spine[0] + spine[-1])), 0.0))

@@ -31,13 +31,14 @@ from zipfile import BadZipFile
 import numpy as np
 
 from spinestiff.anatomy.names import VERTEBRAE
-from spinestiff.arrays import Floats, ShortRepr, read_only
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import FitError
 from spinestiff.files import regular_file, write_bytes
 from spinestiff.imaging.features import picture_axes
 
 if TYPE_CHECKING:
     from spinestiff.imaging.projection import XRayView
+    from spinestiff.mechanics.loads import LoadCase
 
 SCHEMA = "spinestiff-discrepancy"
 SCHEMA_VERSION = 1
@@ -55,6 +56,7 @@ TURN_ARM_MM = 20.0
 CHANNELS = np.array([1.0, 1.0, TURN_ARM_MM])
 # Mirroring turns a shift to the left into one to the right, and with it the sense of a turn.
 MIRROR = np.array([-1.0, 1.0, -1.0])
+MOTION_SD = 0.05
 LOWEST_LEVEL, HIGHEST_LEVEL = 1.0, 12.0
 LARGEST_ENTRY = 100.0  # of a mode or remainder, over the size of the motion; no data of this kind have it
 
@@ -368,3 +370,16 @@ def shipped_modes(mesh: Mesh, without: tuple[str, ...] = ()) -> DiscrepancyModes
         if name not in data.kinds:
             raise FitError(f"no discrepancy of the kind '{name}'; known are {', '.join(data.kinds)}")
     return data.combined([name for name in data.kinds if name not in (*NOT_OF[mesh], *without)])
+
+
+def discrepancy_covariance(
+    loads: Sequence[LoadCase], rows: Sequence[Ints], motions: Sequence[Floats], vertebrae: Sequence[int]
+) -> Floats:
+    """(n, n) mm^2, covariance of the loaded frames' channels: motions that are too large, and more so up the spine."""
+    ends = np.concatenate([[0], np.cumsum([len(m) for m in motions])])
+    columns = np.zeros((int(ends[-1]), 2 * len(motions)))
+    for i, (own, motion, count) in enumerate(zip(rows, motions, vertebrae)):
+        height = np.repeat(1.0 - 2.0 * own / max(count - 1, 1), 3)
+        columns[ends[i] : ends[i + 1], 0] = MOTION_SD * motion
+        columns[ends[i] : ends[i + 1], 1] = MOTION_SD * motion * height
+    return np.asarray(columns @ columns.T)
