@@ -5,7 +5,7 @@ ratio of 0.0075 to 0.84 and a tissue modulus of 0.0075 to 0.2 times 0.58 MPa, bo
 variant of one subject:
 
     finer mesh       the truth on the fine mesh (10,000 nodes)
-    other mesh       the truth on a mesh of the coarse one's size from another seed
+    other mesh       the truth on a mesh of the coarse one's size from another seed (points in bones stay)
     disc centres     the truth's discs turn 3 to 12 mm farther behind
     rib joints       the truth's ribs turn 2 to 20 times more easily on their vertebrae (bench values: 11 times,
                      J Biomech 2024 163:111923)
@@ -20,7 +20,8 @@ variant of one subject:
                      with the truth's vertebral poses
     geometry         the model is what personalisation makes of the truth's corners in two views, 0.5 mm noise
     fine to limit    the truth on a mesh of 26,000 nodes, the model on the fine mesh
-    other fine mesh  the truth on a mesh of the fine one's size from another seed, the model on the fine mesh
+    other fine mesh  the truth on a mesh of the fine one's size from another seed (points in bones stay), the model on
+                     the fine mesh
 
 Every pair is pushed at ribs 5, 7.5 and 10 of each side, once with half the force, and once at any level from 4 to 11.
 The force is one under which the model's vertebrae turn by 5 to 25 degrees against each other (near a log-uniform draw).
