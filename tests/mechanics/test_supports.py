@@ -55,7 +55,10 @@ def test_supports_are_free_of_force_at_rest(torso):
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [({"side": "front"}, "push side 'front'"), ({"side": "left", "pelvis": "glued"}, "pelvis support 'glued'; wanted 'level' or 'hinge'")],
+    [
+        ({"side": "front"}, "push side 'front'"),
+        ({"side": "left", "pelvis": "glued"}, "pelvis support 'glued'; wanted 'level' or 'hinge'"),
+    ],
 )
 def test_unknown_words_are_refused(torso, arguments, message):
     with pytest.raises(TorsoError, match=message):
