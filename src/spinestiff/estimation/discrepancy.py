@@ -1,15 +1,375 @@
-"""What the model lacks, as a covariance of its motions (docs/discrepancy.md)."""
+"""How far a person's spine may move from what the model says: a covariance learnt from variants of the model.
+
+The shipped data (``data/discrepancy.npz``, docs/discrepancy.md) come from pairs of the model and a variant of it at
+equal true ratios; a kind of variant is another mesh, other joints, other tissue and so on. A difference of motion,
+divided by the size of the model's own motion, is a vector over push site, vertebra and channel. Its second moments,
+kind by kind, are combined to a few modes and a remainder of each entry by itself:
+
+    truth - model = size * sum_s w_s (sqrt(1 - o) sum_k z_k phi_ks + r_s) + size * sqrt(o) sum_k y_k sum_s w_s phi_ks
+                    + sum_p x_p d motion / d log ratio_p,
+
+with w the weights of the learnt sites in a frame's site, and z, y, r, x independent. z, r and x belong to the person,
+so what pushes share stays shared; y belongs to the frame. x is what a kind that nobody tried may do to a ratio: the
+part of a left-out kind's bias that the covariance of the others does not explain. Shapes differ from kind to kind; this
+part is what they have in common, and no number of frames makes it smaller.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import as_file, files
+from io import BytesIO
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal
+from zipfile import BadZipFile
 
 import numpy as np
 
-from spinestiff.arrays import Floats, Ints
-from spinestiff.mechanics.loads import LoadCase
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
+from spinestiff.errors import FitError
+from spinestiff.files import regular_file, write_bytes
+from spinestiff.imaging.features import picture_axes
 
+if TYPE_CHECKING:
+    from spinestiff.imaging.projection import XRayView
+    from spinestiff.mechanics.loads import LoadCase
+
+SCHEMA = "spinestiff-discrepancy"
+SCHEMA_VERSION = 1
+SIDES = ("left", "right")
+RATIOS = ("lateral_bending", "tissue")
+Mesh = Literal["coarse", "fine"]
+# Kinds of variant that say nothing about an estimate on a mesh: they compare other meshes.
+NOT_OF: Mapping[Mesh, tuple[str, ...]] = {
+    "coarse": ("other fine mesh", "fine to limit"),
+    "fine": ("other mesh", "finer mesh"),
+}
+MODES = 12  # of a covariance
+# A turn counts as the shift, mm, that it gives a point at this distance: about that of a vertebra's corners.
+TURN_ARM_MM = 20.0
+CHANNELS = np.array([1.0, 1.0, TURN_ARM_MM])
+# Mirroring turns a shift to the left into one to the right, and with it the sense of a turn.
+MIRROR = np.array([-1.0, 1.0, -1.0])
 MOTION_SD = 0.05
+LOWEST_LEVEL, HIGHEST_LEVEL = 1.0, 12.0
+LARGEST_ENTRY = 100.0  # of a mode or remainder, over the size of the motion; no data of this kind have it
+
+
+@dataclass(frozen=True, repr=False)
+class DiscrepancyFrame(ShortRepr):
+    """A loaded frame as the model has it.
+
+    Attributes
+    ----------
+    side : "left" or "right", the patient's side that is pushed.
+    level : rib level of the push, 1 to 12.
+    motion : (17, 3) the model's own motion of T1 to L5 from its unloaded state: ``plane_motion``.
+    slopes : (17, 3, 2) its derivatives in the logarithms of ``RATIOS``; None where the uncertainty that the model gives
+        a ratio (``DiscrepancyModes.ratio_sd``) is added to that of the log ratios instead, which comes to the same.
+
+    Raises
+    ------
+    FitError : an unknown side, a level out of range, another number of vertebrae, values that are not finite.
+    """
+
+    side: str
+    level: float
+    motion: Floats
+    slopes: Floats | None = None
+
+    def __post_init__(self) -> None:
+        if self.side not in SIDES:
+            raise FitError(f"push side '{self.side}'; wanted 'left' or 'right'")
+        if not LOWEST_LEVEL <= self.level <= HIGHEST_LEVEL:
+            raise FitError(f"push level {self.level:g}; wanted a rib number from 1 to 12")
+        motion = read_only("motion of the vertebrae", self.motion, (len(VERTEBRAE), 3), FitError)
+        object.__setattr__(self, "motion", motion)
+        if self.slopes is not None:
+            slopes = read_only("slopes of the motion", self.slopes, (*motion.shape, len(RATIOS)), FitError)
+            object.__setattr__(self, "slopes", slopes)
+
+
+@dataclass(frozen=True, repr=False)
+class KindModes(ShortRepr):
+    """What was learnt from one kind of variant, relative to the size of the model's motion.
+
+    Attributes
+    ----------
+    pairs : how many there were.
+    modes : (K, 2, S, 17, 3) of unit variance each: left and right sites, T1 to L5, channels in mm (turns times
+        ``TURN_ARM_MM``) per mm of the motion's size.
+    remainder : (2, S, 17, 3) standard deviation of what the modes leave.
+    own_share : of the variance, what two frames of one push do not share.
+    ratio_variance : (2,) of the logarithms of ``RATIOS``, what this kind does to them beyond what the covariance of the
+        other kinds expects.
+
+    Raises
+    ------
+    FitError : wrong shapes, values out of range.
+    """
+
+    pairs: int
+    modes: Floats
+    remainder: Floats
+    own_share: float
+    ratio_variance: Floats
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        shape = (len(SIDES), None, len(VERTEBRAE), len(CHANNELS))
+        remainder = read_only("remainder", self.remainder, shape, FitError)
+        set_(self, "remainder", remainder)
+        set_(self, "modes", read_only("modes", self.modes, (None, *remainder.shape), FitError))
+        variance = read_only("ratio variance", self.ratio_variance, (len(RATIOS),), FitError)
+        set_(self, "ratio_variance", variance)
+        if (remainder < 0.0).any() or (variance < 0.0).any():
+            raise FitError("a remainder or a variance is negative")
+        for what, values in (("mode", self.modes), ("remainder", remainder), ("ratio variance", variance)):
+            if np.abs(values).max(initial=0.0) > LARGEST_ENTRY:
+                raise FitError(f"a {what} has an entry above {LARGEST_ENTRY:g}")
+        if not 0.0 <= self.own_share <= 1.0:
+            raise FitError(f"own share {self.own_share:g}; wanted 0 to 1")
+
+    @property
+    def moment(self) -> Floats:
+        """(n, n) second moment over (side, site, vertebra, channel)."""
+        flat = self.modes.reshape(len(self.modes), -1)
+        return np.asarray(flat.T @ flat + np.diag(self.remainder.ravel() ** 2))
+
+
+@dataclass(frozen=True, repr=False)
+class DiscrepancyData(ShortRepr):
+    """All that was learnt.
+
+    Attributes
+    ----------
+    levels : (S,) rib levels of the learnt sites, rising; each was learnt on the left and on the right.
+    kinds : by name.
+    inflation : of the kinds' mean second moment, so that a kind that was not learnt is covered, too.
+    untried : variance in shapes that no kind has, over the variance of those that they have, at each entry.
+    made : date and hash of the code that made them.
+
+    Raises
+    ------
+    FitError : levels out of order, another number of sites in a kind, values out of range.
+    """
+
+    levels: Floats
+    kinds: Mapping[str, KindModes]
+    inflation: float
+    untried: float
+    made: str = ""
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "levels", read_only("levels", self.levels, (None,), FitError))
+        set_(self, "kinds", MappingProxyType(dict(self.kinds)))
+        inside = (self.levels >= LOWEST_LEVEL) & (self.levels <= HIGHEST_LEVEL)
+        if not len(self.levels) or not inside.all() or (np.diff(self.levels) <= 0.0).any():
+            raise FitError(f"levels {self.levels.tolist()}; wanted rising rib numbers from 1 to 12")
+        for name, kind in self.kinds.items():
+            if kind.remainder.shape[1] != len(self.levels):
+                raise FitError(f"'{name}' has {kind.remainder.shape[1]} sites a side, wanted {len(self.levels)}")
+        for what, value in (("inflation", self.inflation), ("untried", self.untried)):
+            if not 0.0 <= value <= LARGEST_ENTRY:
+                raise FitError(f"{what} {value:g}; wanted 0 to {LARGEST_ENTRY:g}")
+
+    def combined(self, kinds: Sequence[str]) -> DiscrepancyModes:
+        """The covariance that some kinds, weighing alike, give together.
+
+        Raises
+        ------
+        FitError : no kind, or one that was not learnt.
+        """
+        for name in kinds:
+            if name not in self.kinds:
+                raise FitError(f"no discrepancy of the kind '{name}'; known are {', '.join(self.kinds)}")
+        if not kinds:
+            raise FitError("a discrepancy of no kind; name one at least")
+        moments = [self.kinds[name].moment for name in kinds]
+        moment = self.inflation * np.mean(moments, axis=0)
+        sizes = np.array([np.trace(own) for own in moments])
+        own = float(sizes @ [self.kinds[name].own_share for name in kinds] / max(sizes.sum(), 1e-300))
+        shape = self.kinds[kinds[0]].remainder.shape
+        values, vectors = np.linalg.eigh(moment)
+        modes = (np.sqrt(np.maximum(values, 0.0)) * vectors).T[::-1][:MODES]
+        diagonal = np.diag(moment)
+        left = np.maximum(diagonal - np.sum(modes**2, axis=0), 0.0) + self.untried * diagonal
+        ratio_sd = np.sqrt(self.inflation * np.mean([self.kinds[name].ratio_variance for name in kinds], axis=0))
+        return DiscrepancyModes(self.levels, modes.reshape(-1, *shape), np.sqrt(left).reshape(shape), own, ratio_sd)
+
+
+@dataclass(frozen=True, repr=False)
+class DiscrepancyModes(ShortRepr):
+    """Covariance of relative differences of motion, as ``discrepancy_columns`` takes it.
+
+    Attributes: as of ``DiscrepancyData`` and ``KindModes``; ``own_share`` is that of the modes alone. ``ratio_sd`` (2,)
+    is the standard deviation of the logarithms of ``RATIOS`` that the model's form gives them.
+    """
+
+    levels: Floats
+    modes: Floats
+    remainder: Floats
+    own_share: float
+    ratio_sd: Floats
+
+    def weights(self, side: str, level: float) -> Floats:
+        """(2, S) of the learnt sites in a push: linear between two levels, the outermost level's beyond it."""
+        weights = np.zeros((len(SIDES), len(self.levels)))
+        for site, unit in enumerate(np.eye(len(self.levels))):
+            weights[SIDES.index(side), site] = np.interp(level, self.levels, unit)
+        return weights
+
+
+def plane_motion(rest: Floats, moved: Floats, view: XRayView) -> Floats:
+    """(V, 3) motion of vertebrae in a picture: shift to the patient's left and upwards, mm at the patient plane, and
+    turn from left towards up, rad, of the boxes ``rest`` and ``moved`` (V, 4, 2) mm (``imaging.features.Features.z``).
+    """
+    axes = np.stack(picture_axes(view), axis=1)
+    a, b = rest @ axes, moved @ axes
+    arms, turned = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=1, keepdims=True)
+    across = np.sum(arms[..., 0] * turned[..., 1] - arms[..., 1] * turned[..., 0], axis=1)
+    along = np.sum(arms * turned, axis=(1, 2))
+    return np.column_stack([b.mean(axis=1) - a.mean(axis=1), np.arctan2(across, along)])
+
+
+def as_corners(motion: Floats, boxes: Floats, view: XRayView) -> Floats:
+    """(V, 4, 2, ...) mm, how the corners of ``boxes`` (V, 4, 2) move in the picture with small motions (V, 3, ...) as
+    ``plane_motion`` gives them; the columns of a frame of ``discrepancy_columns`` are such motions."""
+    axes = np.stack(picture_axes(view), axis=1)
+    arms = (boxes - boxes.mean(axis=1, keepdims=True)) @ axes
+    quarter = np.stack([-arms[..., 1], arms[..., 0]], -1)
+    moved = motion[:, None, :2] + np.einsum("vki,v...->vki...", quarter, motion[:, 2])
+    return np.einsum("ij,vkj...->vki...", axes, moved)
+
+
+def motion_size(motion: Floats) -> float:
+    """mm, root mean square over the vertebrae of a motion (..., 3): shift and turn (times ``TURN_ARM_MM``) together."""
+    return float(np.sqrt(np.mean(np.sum((np.asarray(motion) * CHANNELS) ** 2, axis=-1))))
+
+
+def discrepancy_columns(frames: Sequence[DiscrepancyFrame], modes: DiscrepancyModes) -> Floats:
+    """(F, 17, 3, K) C with C C^T the covariance of truth - model of the frames' motions.
+
+    Rows are in the units of ``DiscrepancyFrame.motion`` (mm, mm, rad). Frames pushed at one site differ by the sizes of
+    their motions and by their own part; those of other sites share what the modes share. Where frames have slopes, the
+    last two columns are what the model's form does to the ratios, shared by all frames.
+
+    Raises
+    ------
+    FitError : some frames have slopes and others none.
+    """
+    if not frames:
+        return np.zeros((0, len(VERTEBRAE), 3, 0))
+    weights = np.stack([modes.weights(frame.side, frame.level) for frame in frames])
+    sizes = np.array([motion_size(frame.motion) for frame in frames])
+    followed = np.einsum("f,fas,kasvc->fvck", sizes, weights, modes.modes)
+    count, rows = len(frames), len(VERTEBRAE) * len(CHANNELS)
+    shape = (count, len(VERTEBRAE), len(CHANNELS), -1)
+    used = np.argwhere(weights.any(axis=0))
+    # Between two sites, independent parts keep their variance.
+    mixed = weights / np.linalg.norm(weights, axis=(1, 2), keepdims=True)
+    left = [
+        np.einsum("f,r,rq->frq", sizes * mixed[:, side, site], modes.remainder[side, site].ravel(), np.eye(rows))
+        for side, site in used
+    ]
+    own = np.einsum("fg,fvck->fvcgk", np.sqrt(modes.own_share) * np.eye(count), followed)
+    parts = [np.sqrt(1.0 - modes.own_share) * followed, *(part.reshape(shape) for part in left), own.reshape(shape)]
+    columns = np.concatenate(parts, axis=-1) / CHANNELS[:, None]
+    slopes = [frame.slopes for frame in frames if frame.slopes is not None]
+    if not slopes:
+        return columns
+    if len(slopes) < count:
+        raise FitError(f"{len(slopes)} of {count} frames have slopes; give them for all or for none")
+    return np.concatenate([columns, modes.ratio_sd * np.stack(slopes)], axis=-1)
+
+
+def write_data(path: Path, data: DiscrepancyData) -> None:
+    """Write what was learnt; the same data give the same bytes.
+
+    Raises
+    ------
+    FitError : the file can't be written.
+    """
+    header = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, "made": data.made, "kinds": list(data.kinds)}
+    header |= {"inflation": data.inflation, "untried": data.untried}
+    header |= {"pairs": [kind.pairs for kind in data.kinds.values()]}
+    header |= {"own_shares": [kind.own_share for kind in data.kinds.values()]}
+    header |= {"ratio_variances": [kind.ratio_variance.tolist() for kind in data.kinds.values()]}
+    arrays: dict[str, Any] = {"header": np.array(json.dumps(header)), "levels": data.levels}
+    for number, kind in enumerate(data.kinds.values()):
+        arrays |= {f"{key}_{number}": getattr(kind, key).astype(np.float32) for key in ("modes", "remainder")}
+    stream = BytesIO()
+    np.savez_compressed(stream, **arrays)
+    write_bytes(Path(path), stream.getvalue(), FitError)
+
+
+def read_data(path: Path) -> DiscrepancyData:
+    """What ``write_data`` wrote.
+
+    Raises
+    ------
+    FitError : no such file, another schema version, or damaged content.
+    """
+    regular_file(Path(path), FitError)
+    try:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            arrays = {key: stored[key] for key in stored.files}
+        header = json.loads(str(arrays["header"]))
+        schema, version = header["schema"], header["schema_version"]
+        if schema != SCHEMA or version != SCHEMA_VERSION:
+            raise FitError(f"schema '{schema}' version {version}, wanted '{SCHEMA}' version {SCHEMA_VERSION}")
+        told = zip(header["kinds"], header["pairs"], header["own_shares"], header["ratio_variances"])
+        kinds = {
+            str(name): KindModes(
+                int(pairs), arrays[f"modes_{number}"], arrays[f"remainder_{number}"], float(own), variance
+            )
+            for number, (name, pairs, own, variance) in enumerate(told)
+        }
+        factors = float(header["inflation"]), float(header["untried"])
+        return DiscrepancyData(arrays["levels"], kinds, *factors, str(header["made"]))
+    except OSError as error:
+        raise FitError(f"{path}: {(error.strerror or 'unreadable').lower()}; install spinestiff anew") from None
+    except (FitError, BadZipFile, zlib.error, ValueError, EOFError, KeyError, TypeError, AttributeError) as error:
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise FitError(f"{path} holds no discrepancy that can be read ({why}); install spinestiff anew") from None
+
+
+@lru_cache(maxsize=1)
+def shipped_data() -> DiscrepancyData:
+    """What comes with the package.
+
+    Raises
+    ------
+    FitError : missing or damaged data.
+    """
+    with as_file(files("spinestiff.estimation") / "data" / "discrepancy.npz") as path:
+        return read_data(path)
+
+
+@lru_cache(maxsize=8)
+def shipped_modes(mesh: Mesh, without: tuple[str, ...] = ()) -> DiscrepancyModes:
+    """The covariance for an estimate that ends on the "coarse" or on the "fine" mesh, ``without`` some kinds.
+
+    A kind is left out where the estimator has its cause among its own unknowns.
+
+    Raises
+    ------
+    FitError : an unknown mesh or kind, or data that are missing or damaged.
+    """
+    if mesh not in NOT_OF:
+        raise FitError(f"unknown tissue mesh '{mesh}'; known are {', '.join(NOT_OF)}")
+    data = shipped_data()
+    for name in without:
+        if name not in data.kinds:
+            raise FitError(f"no discrepancy of the kind '{name}'; known are {', '.join(data.kinds)}")
+    return data.combined([name for name in data.kinds if name not in (*NOT_OF[mesh], *without)])
 
 
 def discrepancy_covariance(

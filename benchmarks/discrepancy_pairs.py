@@ -1,0 +1,556 @@
+"""Pairs of the model and of something that differs from it in one respect, pushed alike at equal true ratios.
+
+What ``discrepancy.py`` learns from. A subject is a body of 140 to 175 cm with a curve of 10 to 60 degrees, a bending
+ratio of 0.0075 to 0.84 and a tissue modulus of 0.0075 to 0.2 times 0.58 MPa, both log-uniform. A pair is one kind of
+variant of one subject:
+
+    finer mesh       the truth on the fine mesh (10,000 nodes)
+    other mesh       the truth on a mesh of the coarse one's size from another seed (points in bones stay)
+    disc centres     the truth's discs turn 3 to 12 mm farther behind
+    rib joints       the truth's ribs turn 2 to 20 times more easily on their vertebrae (bench values: 11 times,
+                     J Biomech 2024 163:111923)
+    stiffening       the truth's intervertebral joints have a neutral zone: a moment k (a + (theta / theta0)^2) theta
+                     about each axis, a of 0.3 to 0.7, theta0 of 2 to 5 degrees
+    layers           the truth's tissue under the skin is 0.4 to 2.5 times as stiff, or that around the spine 1.5 to 3
+                     times
+    volume           the truth's Poisson ratio is 0.3 to 0.42 or 0.47 to 0.49 (the model's: 0.45)
+    one-sided wall   the truth's back may leave the wall, which holds the model's
+    push point       the truth is pushed 10 to 20 mm farther to the front or to the rear
+    proportions      the truth is a body of another age, sex and mass; the model is the reference body at its height
+                     with the truth's vertebral poses
+    geometry         the model is what personalisation makes of the truth's corners in two views, 0.5 mm noise
+    fine to limit    the truth on a mesh of 26,000 nodes, the model on the fine mesh
+    other fine mesh  the truth on a mesh of the fine one's size from another seed (points in bones stay), the model on
+                     the fine mesh
+
+Every pair is pushed at ribs 5, 7.5 and 10 of each side, once with half the force, and once at any level from 4 to 11.
+The force is one under which the model's vertebrae turn by 5 to 25 degrees against each other (near a log-uniform draw).
+The pelvis is held level, the opposite shoulder sideways.
+
+Equal true ratios. The ratio of a variant is the energy that its own law stores in the joints of "lateral_bending" (or
+in the tissue) over what the standard law at a ratio of 1 stores there in the same state; energies are summed over the
+variant's own equilibria under 40 N at rib 8 of either side. Where a variant has the standard law that is the ratio it
+is solved with; else that ratio is sought until the true one is the model's to 1 %, and the rest is taken out of the
+model's motion by its derivative.
+
+``run`` appends a line of JSON a pair to a file and goes on from what is there.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spinestiff.anatomy.files import read_torso, write_torso
+from spinestiff.anatomy.names import INTERVERTEBRAL
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.stiffness import (
+    DEFAULT_YOUNG_MPA,
+    ParameterGroup,
+    StiffnessRatios,
+    lame_parameters,
+    stiffness_ratios,
+)
+from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.template.assemble import assemble, build_skeleton
+from spinestiff.anatomy.template.body import usual_mass
+from spinestiff.anatomy.template.options import with_options
+from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel
+from spinestiff.arrays import Floats, Ints
+from spinestiff.errors import EquilibriumError, SpinestiffError
+from spinestiff.estimation.discrepancy import SIDES, plane_motion
+from spinestiff.imaging.features import VertebraCorners, picture_axes, silhouette_shares, state_features
+from spinestiff.imaging.projection import frontal_view, lateral_view
+from spinestiff.mechanics.assembly import Law, Place, Stiffness, Tangent, Unknowns, positive_part
+from spinestiff.mechanics.contact import OneSidedProblem
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.joints import joint_gradient_shares, joint_gradients, joint_hessians, joint_pose
+from spinestiff.mechanics.loads import LoadCase, rib_push
+from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.mechanics.tissue import element_energies
+from spinestiff.personalise.shape import personalise, place_vertebrae
+from spinestiff.study.spines import CURVES, curved_spine, rest_vertebrae
+
+ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT / "tools"))
+
+import build_torso  # noqa: E402
+from tissue_mesh import half_mesh, mirror, quadratic  # noqa: E402
+
+SEED = 20261122
+PELVIS = "level"
+HEIGHTS_CM, COBB_DEG = (140.0, 175.0), (10.0, 60.0)
+BENDING = (0.0075, 0.84)
+TISSUE_MPA = (0.0075 * 0.58, 0.2 * 0.58)
+TILT_DEG = (5.0, 25.0)
+LEVELS = (5.0, 7.5, 10.0)
+GRID = tuple((side, level) for side in SIDES for level in LEVELS)
+OFF_GRID = (4.0, 11.0)
+ENERGY_LEVEL, ENERGY_FORCE_N = 8.0, 40.0
+EQUAL = 0.01  # of log ratios
+CORNER_NOISE_MM = 0.5
+UNDER_SKIN_MM, AROUND_SPINE_MM = 25.0, 55.0
+OTHER_SEEDS = (71, 1071, 2071)
+FINEST = 17.0  # mm between points inside
+# What a subject gets: twice all that cost a second or two, once one that costs more, every other time one of the rest.
+CHEAP = ("disc centres", "stiffening", "volume", "rib joints", "layers", "push point")
+DEARER = ("other mesh", "one-sided wall")
+DEAREST = ("geometry", "finer mesh", "proportions")
+LIMIT_KINDS = ("other fine mesh", "fine to limit")
+LIMIT_EVERY = 4  # subjects
+KINDS = (*CHEAP, *DEARER, *DEAREST)
+
+
+class NeutralZone(Law):
+    """What turns k theta of some joints into k (theta / theta0)^2 theta beside the law that is there: the energy
+    k theta^4 / (4 theta0^2) in each of the ``columns`` (J, 6) of the joints' table, ``scale`` times as much.
+
+    ``scale`` (J, 6) makes up for the quadratic part's own factor, with which the joints' stiffness comes here.
+    """
+
+    def __init__(self, joints: JointTable, columns: np.ndarray, theta0: float, scale: float) -> None:
+        self.joints, self.theta0 = joints, theta0
+        self.factor = np.where(columns, scale, 0.0)
+
+    def pairs(self, unknowns: Unknowns) -> Ints:
+        return np.stack([self.joints.parent, self.joints.child], 1)
+
+    def strains(self, state: TorsoState) -> Floats:
+        """(J, 6)."""
+        pose = joint_pose(self.joints, state)
+        return np.hstack([pose.translation, pose.rotation])
+
+    def entries(self, state: TorsoState, stiffness: Floats) -> Floats:
+        """(J, 6) N mm."""
+        return 0.25 * self.factor * stiffness * self.strains(state) ** 4 / self.theta0**2
+
+    def energy(self, at: Place, stiffness: Stiffness) -> tuple[float, float]:
+        return float(self.entries(at.state, stiffness.joints).sum()), np.inf
+
+    def add_gradient(self, at: Place, stiffness: Stiffness, gradient: Floats) -> None:
+        rows = joint_gradients(self.joints, at.state, self._secant(at.state, stiffness))
+        bones = at.unknowns.bone_rows(gradient)
+        np.add.at(bones, self.joints.parent, rows[:, :6])
+        np.add.at(bones, self.joints.child, rows[:, 6:])
+
+    def add_hessian(self, at: Place, stiffness: Stiffness, tangent: Tangent, offsets: Ints, project: bool) -> None:
+        secant = self._secant(at.state, stiffness)
+        blocks = joint_hessians(self.joints, at.state, secant)
+        # theta times its slope, for each direction.
+        slopes = joint_gradient_shares(self.joints, at.state, np.ones_like(secant))
+        softer = 2.0 * self.factor * stiffness.joints / self.theta0**2
+        blocks = blocks + np.einsum("js,jsa,jsb->jab", softer, slopes, slopes)
+        blocks = positive_part(blocks) if project else blocks
+        parent, child = self.joints.parent, self.joints.child
+        tangent.add(blocks[:, :6, :6].copy(), parent, parent)
+        tangent.add(blocks[:, 6:, 6:].copy(), child, child)
+        lower = np.where((parent > child)[:, None, None], blocks[:, :6, 6:], blocks[:, 6:, :6])
+        tangent.add(lower, np.maximum(parent, child), np.minimum(parent, child), offsets)
+
+    def _secant(self, state: TorsoState, stiffness: Stiffness) -> Floats:
+        return self.factor * stiffness.joints * self.strains(state) ** 2 / self.theta0**2
+
+
+class Bench:
+    """A torso under pushes from both sides.
+
+    Parameters
+    ----------
+    laws : beside those of its joints and its tissue. one_sided : the wall only pushes. anterior_mm : of the push point.
+    """
+
+    def __init__(
+        self, torso: TorsoModel, laws: tuple[NeutralZone, ...] = (), one_sided: bool = False, anterior_mm: float = 0.0
+    ) -> None:
+        self.torso, self.laws, self.anterior_mm = torso, laws, anterior_mm
+        problem = OneSidedProblem if one_sided else EquilibriumProblem
+        right = problem(torso, three_point_supports(torso, "right", PELVIS), laws=laws)
+        left = right.with_supports(three_point_supports(torso, "left", PELVIS))
+        self.problems = {"right": right, "left": left}
+        spine = rest_vertebrae(torso)[0][:, 1]
+        self.view = frontal_view(centre=(0.0, float(0.5 * (spine[0] + spine[-1])), 0.0))
+        self.shares = silhouette_shares(torso, self.view, torso.rest_pose)
+        self.rest = state_features(torso, self.view, torso.rest_pose, self.shares).z
+
+    def load(self, side: str, level: float, force_n: float) -> LoadCase:
+        return rib_push(self.torso, side, level, force_n, self.anterior_mm)
+
+    def solve(self, side: str, load: LoadCase, ratios: StiffnessRatios, start: TorsoState | None = None) -> TorsoState:
+        """The equilibrium; raises EquilibriumError where there is none."""
+        return self.problems[side].solve(load, ratios, start).require().state
+
+    def motion(self, state: TorsoState) -> Floats:
+        """(17, 3), ``plane_motion``."""
+        return plane_motion(self.rest, state_features(self.torso, self.view, state, self.shares).z, self.view)
+
+    def linearised(
+        self, side: str, load: LoadCase, ratios: StiffnessRatios, start: TorsoState | None
+    ) -> tuple[TorsoState, Floats]:
+        """The equilibrium, and the derivative of its motion in the log ratios (17, 3, P)."""
+        found, tangent = self.problems[side].solve_linearised(load, ratios, start)
+        features = state_features(self.torso, self.view, found.state, self.shares)
+        bones = tangent.forward(ratios.groups)[: 6 * len(self.torso.bone_names)]
+        moves = bones.reshape(len(self.torso.bone_names), 6, -1)[self.torso.vertebra_bones]
+        axes = np.stack(picture_axes(self.view), axis=1)
+        corners = np.einsum("vkid,vdp,ij->vkjp", features.jacobian, moves, axes)
+        arms = features.z @ axes
+        arms = arms - arms.mean(axis=1, keepdims=True)
+        across = arms[..., 0, None] * corners[:, :, 1] - arms[..., 1, None] * corners[:, :, 0]
+        turn = across.sum(axis=1) / np.sum(arms**2, axis=(1, 2))[:, None]
+        return found.state, np.concatenate([corners.mean(axis=1), turn[:, None]], axis=1)
+
+    def true_ratios(self, ratios: StiffnessRatios) -> Floats:
+        """(P,) energy over that of the standard law at a ratio of 1 (see the module's text)."""
+        own, standard = np.zeros(len(ratios.groups)), np.zeros(len(ratios.groups))
+        for side in SIDES:
+            state = self.solve(side, self.load(side, ENERGY_LEVEL, ENERGY_FORCE_N), ratios)
+            for i, group in enumerate(ratios.groups):
+                parts = self._joints(group, state, ratios) if group.joints.any() else self._tissue(state, ratios)
+                own[i] += parts[0]
+                standard[i] += parts[1]
+        return own / standard
+
+    def _joints(self, group: ParameterGroup, state: TorsoState, ratios: StiffnessRatios) -> tuple[float, float]:
+        pose = joint_pose(self.torso.joints, state)
+        half = 0.5 * np.hstack([pose.translation, pose.rotation]) ** 2
+        stiffness = ratios.scale_joints(self.torso.joints.stiffness)
+        own = half * stiffness + sum(law.entries(state, stiffness) for law in self.laws)
+        standard = template_torso(self.torso.height_cm).joints.stiffness
+        return float(own[group.joints].sum()), float((half * standard)[group.joints].sum())
+
+    def _tissue(self, state: TorsoState, ratios: StiffnessRatios) -> tuple[float, float]:
+        problem = self.problems["right"]
+        data, stiffness = problem.potential.tissue, problem.potential.stiffness(ratios)
+        energies = element_energies(problem.potential.nodes(state), data.elements, data.gradients, data.weights)[0]
+        mu, lambda_ = lame_parameters(DEFAULT_YOUNG_MPA, 0.45)
+        own = stiffness.mu @ energies[:, 0] + stiffness.lambda_ @ energies[:, 1]
+        return float(own), float(mu * energies[:, 0].sum() + lambda_ * energies[:, 1].sum())
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A body, its curve and its ratios (of bending, and of tissue to the package's default)."""
+
+    number: int
+    height_cm: float
+    cobb_deg: float
+    curve: str
+    bending: float
+    tissue_mpa: float
+
+    @property
+    def ratios(self) -> StiffnessRatios:
+        return stiffness_ratios({"lateral_bending": self.bending, "tissue": self.tissue_mpa / DEFAULT_YOUNG_MPA})
+
+    def random(self, kind: str, draw: int = 0) -> np.random.Generator:
+        """Of one of the subject's pairs, so that a kind gives the same pair whichever others are made."""
+        return np.random.default_rng([SEED, self.number, *kind.encode(), *([draw] if draw else [])])
+
+    def shaped(self, template: TorsoModel) -> TorsoModel:
+        """A template with the subject's curve."""
+        return place_vertebrae(template, *curved_spine(template, self.cobb_deg, self.curve))
+
+
+def subject_of(number: int) -> Subject:
+    """The subject of a number."""
+    random = np.random.default_rng([SEED, number])
+    height, cobb = random.uniform(*HEIGHTS_CM), random.uniform(*COBB_DEG)
+    cobb *= random.choice([-1.0, 1.0])
+    curve = str(random.choice(list(CURVES)))
+    bending, tissue = (np.exp(random.uniform(*np.log(ends))) for ends in (BENDING, TISSUE_MPA))
+    return Subject(number, float(height), float(cobb), curve, float(bending), float(tissue))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A push: what it is for, where, and how hard, N."""
+
+    use: str
+    side: str
+    level: float
+    force_n: float
+
+
+@dataclass(frozen=True)
+class Modelled:
+    """The model's side of a pair: its frames, states and motions (17, 3) with slopes (17, 3, 2)."""
+
+    frames: tuple[Frame, ...]
+    states: tuple[TorsoState, ...]
+    motions: tuple[Floats, ...]
+    slopes: tuple[Floats, ...]
+
+
+def modelled(bench: Bench, subject: Subject) -> Modelled:
+    """The frames of a subject, with the forces that turn the model's vertebrae far enough."""
+    random, ratios = subject.random("frames"), subject.ratios
+    half = int(random.integers(len(GRID)))
+    sites = [("grid", side, level) for side, level in GRID]
+    sites.append(("off grid", str(random.choice(SIDES)), float(random.uniform(*OFF_GRID))))
+    frames, states, force, tilt = [], [], 15.0, 0.0
+    for use, side, level in sites:
+        wanted, state = float(np.exp(random.uniform(*np.log(TILT_DEG)))), None
+        for attempt in range(8):
+            force *= float(np.clip(wanted / tilt, 0.1, 10.0)) ** (1.0 if attempt < 3 else 0.5) if tilt else 1.0
+            # From the rest pose after too large a motion: it may belong to another branch.
+            state = bench.solve(side, bench.load(side, level, force), ratios, state if tilt < wanted else None)
+            turns = np.degrees(bench.motion(state)[:, 2])
+            tilt = float(turns.max() - turns.min())
+            if (attempt > 1 or abs(tilt / wanted - 1.0) < 0.25) and TILT_DEG[0] <= tilt <= TILT_DEG[1]:
+                break
+        else:
+            raise EquilibriumError(f"{tilt:.0f} degrees under {force:.0f} N at rib {level:.3g}, wanted {wanted:.0f}")
+        frames.append(Frame(use, side, level, force))
+        states.append(state)
+    frames.append(replace(frames[half], use="half", force_n=0.5 * frames[half].force_n))
+    return at_frames(bench, subject, tuple(frames), (*states, states[half]))
+
+
+def at_frames(
+    bench: Bench, subject: Subject, frames: tuple[Frame, ...], starts: tuple[TorsoState | None, ...]
+) -> Modelled:
+    """A model's states, motions and slopes in frames."""
+    found = [
+        bench.linearised(frame.side, bench.load(frame.side, frame.level, frame.force_n), subject.ratios, start)
+        for frame, start in zip(frames, starts)
+    ]
+    states, slopes = zip(*found)
+    return Modelled(frames, states, tuple(bench.motion(state) for state in states), slopes)
+
+
+# Variants
+
+
+@lru_cache(maxsize=8)
+def _family(name: str, cache: Path) -> TorsoModel:
+    """The template on a mesh that does not ship, kept in a folder; names: 'coarse SEED', 'fine SEED', 'finest'."""
+    path = cache / f"{name.replace(' ', '_')}.npz"
+    if not path.exists():
+        size, _, seed = name.partition(" ")
+        spacing = build_torso.family_spacing(FINEST) if size == "finest" else build_torso.SPACINGS[size]
+        skeleton = build_skeleton()
+        half = half_mesh(skeleton, spacing, int(seed or build_torso.SEED))
+        nodes, elements, bones = quadratic(*mirror(half), skeleton, build_torso.NEAR * spacing.inside)
+        write_torso(path, assemble(skeleton, nodes, elements, bones))
+    stored = read_torso(path)
+    like = template_torso(stored.height_cm)
+    mu, lambda_ = (np.full(len(stored.tissue.elements), m[0]) for m in (like.tissue.lame_mu, like.tissue.lame_lambda))
+    return replace(stored, joints=like.joints, tissue=replace(stored.tissue, lame_mu=mu, lame_lambda=lambda_))
+
+
+def on_mesh(name: str, height_cm: float, cache: Path) -> TorsoModel:
+    """The reference body at a height on a mesh that does not ship."""
+    torso = _family(name, cache)
+    return torso.scaled(height_cm / torso.height_cm)
+
+
+def disc_centres(base: TorsoModel, random: np.random.Generator) -> tuple[Bench, dict[str, Any]]:
+    shift = float(random.uniform(3.0, 12.0))
+    return Bench(with_options(base, disc_shift_mm=shift)), {"shift_mm": shift}
+
+
+def rib_joints(base: TorsoModel, random: np.random.Generator) -> tuple[Bench, dict[str, Any]]:
+    factor = float(np.exp(random.uniform(np.log(0.05), np.log(0.5))))
+    stiffness = np.array(base.joints.stiffness)
+    stiffness[[kind == "rib_vertebra" for kind in base.joints.kinds], 3:] *= factor
+    return Bench(replace(base, joints=replace(base.joints, stiffness=stiffness))), {"factor": factor}
+
+
+def stiffening(base: TorsoModel, random: np.random.Generator) -> tuple[Bench, dict[str, Any]]:
+    low, theta0 = float(random.uniform(0.3, 0.7)), float(np.radians(random.uniform(2.0, 5.0)))
+    columns = np.zeros((len(base.joints), 6), dtype=bool)
+    columns[[kind in INTERVERTEBRAL for kind in base.joints.kinds], 3:] = True
+    joints = replace(base.joints, stiffness=np.where(columns, low, 1.0) * base.joints.stiffness)
+    law = NeutralZone(joints, columns, theta0, 1.0 / low)
+    return Bench(replace(base, joints=joints), (law,)), {"low": low, "theta0_deg": float(np.degrees(theta0))}
+
+
+def layers(base: TorsoModel, random: np.random.Generator) -> tuple[Bench, dict[str, Any]]:
+    where = str(random.choice(["skin", "spine"]))
+    tissue = base.tissue
+    centres = tissue.rest_positions[tissue.elements[:, :4]].mean(axis=1)
+    if where == "skin":
+        points, reach = tissue.rest_positions[np.unique(tissue.boundary_faces())], UNDER_SKIN_MM
+        factor = float(np.exp(random.uniform(np.log(0.4), np.log(2.5))))
+    else:
+        points, reach = rest_vertebrae(base)[0], AROUND_SPINE_MM
+        factor = float(random.uniform(1.5, 3.0))
+    inside = np.linalg.norm(centres[:, None] - points[None], axis=2).min(axis=1) < reach
+    scale = np.where(inside, factor, 1.0)
+    other = replace(tissue, lame_mu=scale * tissue.lame_mu, lame_lambda=scale * tissue.lame_lambda)
+    found = {"where": where, "factor": factor, "share": float(inside.mean())}
+    return Bench(replace(base, tissue=other)), found
+
+
+def volume(base: TorsoModel, random: np.random.Generator) -> tuple[Bench, dict[str, Any]]:
+    poisson = float(random.choice([random.uniform(0.3, 0.42), random.uniform(0.47, 0.49)]))
+    mu, lambda_ = (np.full(len(base.tissue.elements), m) for m in lame_parameters(DEFAULT_YOUNG_MPA, poisson))
+    tissue: TissueMesh = replace(base.tissue, lame_mu=mu, lame_lambda=lambda_)
+    return Bench(replace(base, tissue=tissue)), {"poisson": poisson}
+
+
+def one_sided_wall(base: TorsoModel, random: np.random.Generator) -> tuple[Bench, dict[str, Any]]:
+    return Bench(base, one_sided=True), {}
+
+
+def push_point(base: TorsoModel, random: np.random.Generator) -> tuple[Bench, dict[str, Any]]:
+    anterior = float(random.choice([-1.0, 1.0]) * random.uniform(10.0, 20.0))
+    return Bench(base, anterior_mm=anterior), {"anterior_mm": anterior}
+
+
+# These keep the standard law where a ratio acts, so that the ratio they are solved with is the true one.
+STANDARD_LAW = ("disc centres", "rib joints", "one-sided wall", "push point")
+OF_BASE: dict[str, Callable[[TorsoModel, np.random.Generator], tuple[Bench, dict[str, Any]]]] = {
+    "disc centres": disc_centres,
+    "rib joints": rib_joints,
+    "stiffening": stiffening,
+    "layers": layers,
+    "volume": volume,
+    "one-sided wall": one_sided_wall,
+    "push point": push_point,
+}
+
+
+def other_body(subject: Subject, random: np.random.Generator) -> tuple[TorsoModel, TorsoModel, dict[str, Any]]:
+    """Truth and model of the kind "proportions"."""
+    age, sex = float(random.uniform(10.0, 18.0)), str(random.choice(["female", "male"]))
+    mass = usual_mass(subject.height_cm, age, sex) * float(np.exp(random.normal(0.0, 0.12)))  # type: ignore[arg-type]
+    body = template_torso(subject.height_cm, age_years=age, sex=sex, mass_kg=mass)  # type: ignore[arg-type]
+    truth = subject.shaped(body)
+    model = place_vertebrae(template_torso(subject.height_cm), *rest_vertebrae(truth))
+    return truth, model, {"age": age, "sex": sex, "mass_kg": mass}
+
+
+def personalised(truth: TorsoModel, random: np.random.Generator) -> TorsoModel:
+    """What personalisation makes of the truth's corners in a frontal and a lateral view."""
+    spine = rest_vertebrae(truth)[0][:, 1]
+    pictures = {}
+    for name, make in (("frontal", frontal_view), ("lateral", lateral_view)):
+        view = make(
+            sid=1500.0, source_to_patient=1340.0, shape=(1536, 1024), centre=(0.0, 0.5 * (spine[0] + spine[-1]), 0.0)
+        )
+        shares = silhouette_shares(truth, view, truth.rest_pose)
+        corners = state_features(truth, view, truth.rest_pose, shares).corners
+        noisy = corners + random.normal(0.0, CORNER_NOISE_MM * view.magnification, corners.shape)
+        pictures[name] = (VertebraCorners(truth.vertebrae, noisy), view)
+    return personalise(template_torso(truth.height_cm), pictures).torso
+
+
+# Campaign
+
+
+def equal_ratios(bench: Bench, wanted: StiffnessRatios) -> tuple[StiffnessRatios, Floats]:
+    """Ratios at which a variant's true ones are ``wanted``, and the logarithm of what is left between them (P,)."""
+    tried, left = wanted, np.zeros(len(wanted.groups))
+    for _ in range(8):
+        left = np.log(bench.true_ratios(tried) / wanted.values)
+        if np.abs(left).max() < EQUAL:
+            return tried, left
+        tried = tried.with_values(tried.values * np.exp(-left))
+    raise EquilibriumError(f"true ratios do not meet the model's: {np.exp(left).round(3).tolist()} of them")
+
+
+def pair(subject: Subject, kind: str, draw: int, base: tuple[Bench, Modelled], cache: Path) -> dict[str, Any]:
+    """One pair as it is written."""
+    random, (bench, model) = subject.random(kind, draw), base
+    parameters: dict[str, Any] = {}
+    left, ratios, starts = np.zeros(2), subject.ratios, model.states
+    if kind in OF_BASE:
+        truth, parameters = OF_BASE[kind](bench.torso, random)
+        if kind not in STANDARD_LAW:
+            ratios, left = equal_ratios(truth, subject.ratios)
+    elif kind == "geometry":
+        truth = bench
+        shaped = Bench(personalised(bench.torso, random))
+        model = at_frames(shaped, subject, model.frames, (None,) * len(model.frames))
+    elif kind == "proportions":
+        body, reference, parameters = other_body(subject, random)
+        truth, starts = Bench(body), (None,) * len(model.frames)
+        model = at_frames(Bench(reference), subject, model.frames, starts)
+    else:
+        seed = int(random.choice(OTHER_SEEDS)) if kind == "other mesh" else OTHER_SEEDS[0]
+        names = {"other mesh": f"coarse {seed}", "other fine mesh": f"fine {seed}", "fine to limit": "finest"}
+        fine = kind == "finer mesh"
+        template = template_torso(subject.height_cm, "fine") if fine else on_mesh(names[kind], subject.height_cm, cache)
+        truth, starts = Bench(subject.shaped(template)), (None,) * len(model.frames)
+        parameters = {} if fine else {"mesh": names[kind]}
+    frames = []
+    for frame, start, motion, slope in zip(model.frames, starts, model.motions, model.slopes):
+        load = truth.load(frame.side, frame.level, frame.force_n)
+        true = truth.motion(truth.solve(frame.side, load, ratios, start))
+        frames.append(
+            {
+                **frame.__dict__,
+                "model": rounded(motion + slope @ left),
+                "truth": rounded(true),
+                "slope": rounded(slope),
+            }
+        )
+    told = {key: value for key, value in subject.__dict__.items() if key != "number"}
+    own = {"kind": kind, "draw": draw, "subject": subject.number}
+    return {**own, **told, "parameters": parameters, "frames": frames}
+
+
+def rounded(values: Floats) -> list[Any]:
+    """To a ten thousandth of a mm and a ten millionth of a rad."""
+    values = np.array(values)
+    values[:, :2], values[:, 2] = values[:, :2].round(4), values[:, 2].round(7)
+    return values.tolist()
+
+
+def tasks(count: int) -> Iterator[tuple[int, str, tuple[tuple[str, int], ...]]]:
+    """Subject, mesh of its model, kinds with the number of their draw."""
+    for number in range(count):
+        dearest = (DEAREST[number // 2 % len(DEAREST)],) if number % 2 else ()
+        once = (*CHEAP, DEARER[number // 2 % len(DEARER)], *dearest)
+        yield number, "coarse", (*((kind, 0) for kind in once), *((kind, 1) for kind in CHEAP))
+        if number % LIMIT_EVERY == LIMIT_EVERY - 1:
+            yield number, "fine", tuple((kind, 0) for kind in LIMIT_KINDS)
+
+
+def run(path: Path, count: int, cache: Path, say: Callable[[str], None] = print) -> None:
+    """Make the pairs of the first ``count`` subjects; those that are in the file already are left as they are."""
+    cache.mkdir(parents=True, exist_ok=True)
+    done = {(row["subject"], row["kind"], row["draw"]) for row in read(path)}
+    for number, mesh, kinds in tasks(count):
+        todo = [(kind, draw) for kind, draw in kinds if (number, kind, draw) not in done]
+        if not todo:
+            continue
+        subject, began = subject_of(number), time.process_time()
+        try:
+            bench = Bench(subject.shaped(template_torso(subject.height_cm, mesh)))
+            base = bench, modelled(bench, subject)
+        except SpinestiffError as error:
+            for kind, draw in todo:
+                _append(path, {"kind": kind, "draw": draw, "subject": number, "failed": f"model: {error}"})
+            say(f"{number} {mesh}: {error}")
+            continue
+        for kind, draw in todo:
+            own = time.process_time()
+            try:
+                row = pair(subject, kind, draw, base, cache)
+            except SpinestiffError as error:
+                row = {"kind": kind, "draw": draw, "subject": number, "failed": str(error)}
+                say(f"{number} {kind}: {error}")
+            _append(path, {**row, "cpu_s": round(time.process_time() - own, 2)})
+        say(f"{number} {mesh}: {len(todo)} pairs, {time.process_time() - began:.0f} CPU s")
+
+
+def read(path: Path) -> list[dict[str, Any]]:
+    """The rows that were written, failed ones with their cause under "failed"."""
+    if not path.exists():
+        return []
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
+
+
+def _append(path: Path, row: dict[str, Any]) -> None:
+    with path.open("a", encoding="utf-8") as file:
+        print(json.dumps(row), file=file, flush=True)

@@ -1,0 +1,168 @@
+"""benchmarks/discrepancy_pairs.py and discrepancy.py: laws of the variants, true ratios, and what is learnt."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spinestiff.anatomy.state import retract
+from spinestiff.anatomy.template import template_torso
+from spinestiff.estimation.discrepancy import MIRROR
+from spinestiff.mechanics.assembly import Place
+from spinestiff.mechanics.contact import solve_with_contact
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.potential import Potential
+from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.verification.models import toy_torso
+
+FOLDER = Path(__file__).parents[2] / "benchmarks"
+
+
+def _load(name: str):
+    spec = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+pairs = _load("discrepancy_pairs")
+discrepancy = _load("discrepancy")
+
+
+@pytest.fixture(scope="module")
+def bench():
+    return pairs.Bench(template_torso(157.0))
+
+
+def test_the_neutral_zones_derivatives_are_those_of_its_energy() -> None:
+    torso, random = toy_torso(), np.random.default_rng(2)
+    columns = np.ones((len(torso.joints), 6), dtype=bool)
+    law = pairs.NeutralZone(torso.joints, columns, 0.05, 1.5)
+    potential = Potential(torso, [law])
+    stiffness, unknowns = potential.stiffness(None), potential.unknowns
+    state = retract(torso.rest_pose, random.normal(0.0, 0.05, potential.dofs))
+    step, h = random.normal(0.0, 1.0, potential.dofs), 1e-5
+
+    def gradient(at):
+        found = np.zeros(potential.dofs)
+        law.add_gradient(Place(unknowns, at), stiffness, found)
+        return found
+
+    def energy(t):
+        return law.energy(Place(unknowns, retract(state, t * step)), stiffness)[0]
+
+    np.testing.assert_allclose((energy(h) - energy(-h)) / (2 * h), gradient(state) @ step, rtol=1e-6)
+    # The same potential with and without the law; second derivative along the step.
+    bare = Potential(torso).hessian(state, stiffness, ())
+    matrix = potential.hessian(state, stiffness, ()) - bare
+    rows, columns_ = potential.pattern.indices, np.repeat(np.arange(potential.dofs), np.diff(potential.pattern.indptr))
+    products = matrix * step[rows] * step[columns_] * np.where(rows == columns_, 1.0, 2.0)
+    second = (energy(h) - 2.0 * energy(0.0) + energy(-h)) / h**2
+    np.testing.assert_allclose(products.sum(), second, rtol=1e-3)
+
+
+def test_the_wall_that_only_pushes_has_the_equilibria_of_contact(bench) -> None:
+    ratios = pairs.stiffness_ratios({"lateral_bending": 0.3, "tissue": 0.3})
+    one_sided = pairs.Bench(bench.torso, one_sided=True)
+    load = bench.load("right", 8.0, 30.0)
+    problem = EquilibriumProblem(bench.torso, three_point_supports(bench.torso, "right", pairs.PELVIS))
+    contact = solve_with_contact(problem, load, ratios)
+    assert 0 < contact.touching[contact.one_sided].sum() < contact.one_sided.sum()
+    found = one_sided.solve("right", load, ratios)
+    np.testing.assert_allclose(found.bone_positions, contact.equilibrium.state.bone_positions, atol=1e-6)
+
+
+def test_the_standard_laws_true_ratios_are_those_it_is_solved_with(bench) -> None:
+    ratios = pairs.stiffness_ratios({"lateral_bending": 0.3, "tissue": 0.7})
+    np.testing.assert_allclose(bench.true_ratios(ratios), ratios.values, rtol=1e-12)
+
+
+def test_a_variants_ratios_are_sought_until_the_true_ones_are_the_models(bench) -> None:
+    wanted = pairs.stiffness_ratios({"lateral_bending": 0.3, "tissue": 0.7})
+    stiffer, _ = pairs.stiffening(bench.torso, np.random.default_rng(1))
+    found, left = pairs.equal_ratios(stiffer, wanted)
+    assert found.values[0] != pytest.approx(0.3, rel=0.1)
+    np.testing.assert_allclose(stiffer.true_ratios(found), wanted.values * np.exp(left), rtol=1e-6)
+    assert np.abs(left).max() < pairs.EQUAL
+
+
+def test_slopes_are_derivatives_of_motions(bench) -> None:
+    ratios = pairs.stiffness_ratios({"lateral_bending": 0.3, "tissue": 0.7})
+    load = bench.load("left", 7.0, 30.0)
+    state, slope = bench.linearised("left", load, ratios, None)
+    for i in range(2):
+        ends = [
+            bench.motion(bench.solve("left", load, ratios.with_values(ratios.values * np.exp(h * np.eye(2)[i])), state))
+            for h in (1e-3, -1e-3)
+        ]
+        np.testing.assert_allclose(slope[..., i], (ends[0] - ends[1]) / 2e-3, atol=1e-5 * np.abs(slope[..., i]).max())
+
+
+# What is learnt, from pairs whose differences are drawn
+
+
+def _pair(kind: str, number: int, scale: float = 0.03):
+    random = np.random.default_rng([number, *kind.encode()])
+    frames = [{"use": "grid", "side": side, "level": level} for side, level in pairs.GRID]
+    frames += [{"use": "off grid", "side": "left", "level": 6.2}, {**frames[4], "use": "half"}]
+    count = len(frames)
+    model = random.normal(0.0, 5.0, (count, 17, 3))
+    model[7] = 0.5 * model[4]
+    difference = scale * random.normal(0.0, 5.0, (count, 17, 3))
+    difference[7] = 0.5 * difference[4]
+    return discrepancy.Pair(kind, number, tuple(frames), model, difference, random.normal(0.0, 2.0, (count, 17, 3, 2)))
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    return [_pair(kind, number) for kind in ("layers", "volume", "finer mesh") for number in range(8)]
+
+
+def test_a_kinds_moment_is_that_of_its_pairs_and_their_mirror_images(drawn) -> None:
+    own = [pair for pair in drawn if pair.kind == "layers"]
+    learnt = discrepancy.learn_kind(own)
+    wanted = np.mean([np.mean(pair.relative(pair.grid) ** 2) for pair in own])
+    assert np.mean(np.diag(learnt.moment)) == pytest.approx(wanted, rel=1e-9)
+    sign = np.tile(MIRROR, (2, 3, 17, 1))
+    there = sign.ravel()[:, None] * learnt.moment * sign.ravel()
+    swapped = there.reshape(2, 153, 2, 153)[::-1, :, ::-1].reshape(306, 306)
+    np.testing.assert_allclose(swapped, learnt.moment, atol=1e-12)
+
+
+def test_frames_in_proportion_have_no_own_share(drawn) -> None:
+    assert discrepancy.own_share(drawn) == pytest.approx(0.0, abs=1e-12)
+    pair = drawn[0]
+    other = pair.difference.copy()
+    other[7] = -other[7]
+    turned = discrepancy.Pair(pair.kind, 0, pair.frames, pair.model, other, pair.slopes)
+    assert discrepancy.own_share([turned]) == pytest.approx(2.0)
+
+
+def test_a_kind_like_the_others_is_covered_and_one_far_larger_is_not(drawn) -> None:
+    found = discrepancy.coverages(discrepancy.leave_one_out(drawn, 1.0, 0.3))
+    assert found["pooled"]["both"] > 0.9
+    larger = [*drawn, *(_pair("stiffening", number, scale=0.4) for number in range(8))]
+    found = discrepancy.coverages(discrepancy.leave_one_out(larger, 1.0, 0.3))
+    assert found["by_kind"]["stiffening"]["both"] < 0.5
+
+
+def test_a_truth_that_left_the_branch_is_told(drawn) -> None:
+    assert not any(pair.buckled for pair in drawn)
+    assert _pair("one-sided wall", 1, scale=1.5).buckled
+
+
+def test_pairs_are_read_up_to_the_line_that_was_cut(tmp_path) -> None:
+    path = tmp_path / "pairs.jsonl"
+    path.write_text('{"kind": "layers", "subject": 0}\n{"kind": "vol', encoding="utf-8")
+    assert pairs.read(path) == [{"kind": "layers", "subject": 0}]
+
+
+def test_each_subject_and_kind_is_drawn_from_its_own_seed() -> None:
+    assert pairs.subject_of(3) == pairs.subject_of(3) != pairs.subject_of(4)
+    draws = (("layers", 0), ("layers", 0), ("layers", 1), ("volume", 0))
+    first, again, *others = (pairs.subject_of(3).random(*draw).random() for draw in draws)
+    assert first == again and first not in others
