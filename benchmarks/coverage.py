@@ -3,9 +3,9 @@
     python benchmarks/coverage.py --acquisition paper --first 0 --count 60 --log FILE
     python benchmarks/coverage.py --summary FILE...
 
-The first makes and estimates subjects and writes one line each as it goes; a log that exists is gone on with. The second
-prints how often the truth lies inside, by ratio and jointly, for closed and for open intervals, with the standard errors
-of so many subjects. All of it is synthetic.
+The first makes and estimates subjects and writes one line each as it goes; a log that exists is gone on with. The
+second prints how often the truth lies inside, by ratio and jointly, for closed and for open intervals, with the
+standard errors of so many subjects. All of it is synthetic.
 """
 
 from __future__ import annotations

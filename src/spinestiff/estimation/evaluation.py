@@ -18,7 +18,7 @@ from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios, parame
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.objective import Residuals, Trial, make_target, residuals, root_mean_square
-from spinestiff.estimation.unknowns import ACTS, LOADING, PLACING, changed_load, load_changes, place_of
+from spinestiff.estimation.unknowns import ACTS, LOADING, PLACING, SCALING, changed_load, load_changes, place_of
 from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
@@ -121,9 +121,10 @@ def acted(
     """What has to be solved where a trial's acts (len(ACTS),) are not 0. ``changes``: of ``load``, if known."""
     if not acts.any():
         return problem, load, ratios
-    tissue = parameter_group("tissue", problem.torso.joints.kinds)
+    scaled = tuple(parameter_group(name, problem.torso.joints.kinds) for name in SCALING.values())
     groups, values = ((), np.empty(0)) if ratios is None else (ratios.groups, ratios.values)
-    ratios = StiffnessRatios((*groups, tissue), np.append(values, np.exp(acts[ACTS.index("tissue")])))
+    sizes = [float(np.exp(acts[ACTS.index(act)])) for act in SCALING]
+    ratios = StiffnessRatios((*groups, *scaled), np.concatenate([values, sizes]))
     changes = load_changes(load, problem.torso.rest_pose) if changes is None else changes
     return problem.with_place(place_of(acts)), changed_load(load, changes, acts), ratios
 
@@ -144,7 +145,7 @@ class TrialSet:
         self.cost = FitCost()
         self.history: list[FitStep] = []
         self._observer = observer
-        self._tissue = parameter_group("tissue", problems[0].torso.joints.kinds)
+        self._scaled = tuple(parameter_group(name, problems[0].torso.joints.kinds) for name in SCALING.values())
         self._changes = [load_changes(t.load, p.torso.rest_pose) for p, t in zip(problems, trials)]
 
     def ratios(self, log_ratios: Floats) -> StiffnessRatios:
@@ -194,9 +195,9 @@ class TrialSet:
             if not with_acts:
                 moves.append(linearisation.forward(self.groups))
                 continue
-            both = linearisation.forward((*self.groups, self._tissue))
-            moves.append(both[:, :-1])
-            acted.append(self._acted(i, linearisation, point.acts[i], both[:, -1]))
+            both = linearisation.forward((*self.groups, *self._scaled))
+            moves.append(both[:, : len(self.groups)])
+            acted.append(self._acted(i, linearisation, point.acts[i], both[:, len(self.groups) :]))
         return Slope(tuple(tangents), tuple(moves), tuple(acted) if with_acts else None)
 
     def jacobian(self, point: Evaluation, slope: Slope) -> Floats:
@@ -230,9 +231,9 @@ class TrialSet:
         problem, load, ratios = self._asked(i, point.log_ratios, point.acts[i])
         return problem.linearise(point.equilibria[i], load, ratios)
 
-    def _acted(self, i: int, linearisation: Linearisation, acts: Floats, tissue: Floats) -> Floats:
-        columns = np.zeros((len(tissue), len(ACTS)))
-        columns[:, ACTS.index("tissue")] = tissue
+    def _acted(self, i: int, linearisation: Linearisation, acts: Floats, scaled: Floats) -> Floats:
+        columns = np.zeros((len(scaled), len(ACTS)))
+        columns[:, [ACTS.index(act) for act in SCALING]] = scaled
         # The force acts by its log on the load alone, which it scales.
         changes = (self._changes[i][0].scaled(float(np.exp(acts[0]))), *self._changes[i][1:])
         columns[:, : len(LOADING)] = linearisation.load_derivatives(changes)

@@ -151,7 +151,7 @@ class Noise:
         return np.asarray(factor**2 * self._own * inflation * solved)
 
     def _places(self, seen: Sequence[Seen], of: Ints, shift_mm: float, turn: float, scale: float) -> Floats:
-        """(n, k) columns of each group of radiographs: shifts along both axes, a turn and another size of the picture."""
+        """(n, k) columns of each group of radiographs: shifts along both axes, a turn, another size of the picture."""
         columns = []
         for group in dict.fromkeys(of.tolist()):
             for kind, size in enumerate((shift_mm, shift_mm, turn, scale)):

@@ -21,11 +21,25 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.places import SupportPlace
 
-ACTS = ("force", "offset", "upward", "forward", "height", "depth", "obliquity", "shoulder", "tissue", "motion")
-UNITS = ("", "N", "rad", "rad", "mm", "mm", "rad", "mm", "", "")
-"""Of each act. Force and tissue act by their logs, motion by the relative size of what is seen to move."""
+ACTS = (
+    "force",
+    "offset",
+    "upward",
+    "forward",
+    "height",
+    "depth",
+    "obliquity",
+    "shoulder",
+    "bending",
+    "tissue",
+    "motion",
+)
+UNITS = ("", "N", "rad", "rad", "mm", "mm", "rad", "mm", "", "", "")
+"""Of each act. Force, bending and tissue act by their logs, motion by the relative size of what is seen to move."""
 LOADING = ACTS[:6]
 PLACING = ("obliquity", "shoulder")
+SCALING = {"bending": "lateral_bending", "tissue": "tissue"}
+"""Acts that scale a group of stiffnesses, and the group's name."""
 
 
 @dataclass(frozen=True)
@@ -85,11 +99,19 @@ class Unknowns(ShortRepr):
 
 
 def unknowns_of(
-    trials: Sequence[Trial], problems: Sequence[EquilibriumProblem], priors: Priors, taped: bool = False
+    trials: Sequence[Trial],
+    problems: Sequence[EquilibriumProblem],
+    priors: Priors,
+    taped: bool = False,
+    form: Mapping[str, float] | None = None,
 ) -> Unknowns:
     """The nuisance parameters of these trials; what a prior says is known is none.
 
-    ``taped``: the trunk's size was measured.
+    Parameters
+    ----------
+    taped : the trunk's size was measured.
+    form : of the acts in ``SCALING``, standard deviation of what the model's form does to a ratio
+        (``discrepancy.DiscrepancyModes.ratio_sd``).
     """
     p = priors
     loaded = np.array([trial.load.size > 0.0 for trial in trials])
@@ -139,6 +161,8 @@ def unknowns_of(
     for name, power in zip(("breadth", "depth"), p.trunk_power):
         add(f"trunk {name}", "trunk size", "tissue", trunk * power, loaded)
     add("source distance", "source distance", "motion", p.source_distance, loaded)
+    for act, sd in (form or {}).items():
+        add(f"what the model's form does to {act}", f"form of the model, {act}", act, sd, loaded)
     return Unknowns(tuple(found), len(trials))
 
 

@@ -22,14 +22,23 @@ from scipy.optimize import lsq_linear
 
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
-from spinestiff.estimation.discrepancy import discrepancy_covariance
+from spinestiff.estimation.discrepancy import (
+    DiscrepancyFrame,
+    as_corners,
+    discrepancy_columns,
+    form_of,
+    modes_of,
+    plane_motion,
+    pushed_site,
+    relative_covariance,
+)
 from spinestiff.estimation.evaluation import Evaluation, Slope, TrialSet, compliance_step, log_step
 from spinestiff.estimation.noise import Noise, Seen, restricted_factor
 from spinestiff.estimation.objective import Trial, make_target, residuals
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS, Unknowns, unknowns_of
-from spinestiff.imaging.features import Orientation
+from spinestiff.imaging.features import Orientation, state_features
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 
 # The search ends once an undamped step promises less than this decrease of phi (a step of a thousandth of an sd).
@@ -106,7 +115,10 @@ class WeighedProblem:
         taped: bool,
     ) -> None:
         self.trial_set, self.priors = trial_set, priors
-        self.unknowns: Unknowns = unknowns_of(trial_set.trials, trial_set.problems, priors, taped)
+        self._modes = modes_of(trial_set.problems[0].torso)
+        self.unknowns: Unknowns = unknowns_of(
+            trial_set.trials, trial_set.problems, priors, taped, form_of(trial_set.problems[0].torso)
+        )
         targets = [make_target(problem.torso, trial, orientation) for problem, trial in still]
         both = (*trial_set.targets, *targets)
         problems = (*trial_set.problems, *(problem for problem, _ in still))
@@ -220,13 +232,31 @@ class WeighedProblem:
         """(n, n) mm^2 of all channels: what the model lacks, as large as it moves at ``point``."""
         covariance = np.zeros((self.noise.size, self.noise.size))
         end = int(self.noise.ends[self._loaded])
-        covariance[:end, :end] = discrepancy_covariance(
-            [t.trial.load for t in self.trial_set.targets],
-            [channels.rows for channels in self.noise.channels[: self._loaded]],
-            self.motions(point),
-            [len(p.torso.vertebrae) for p in self.trial_set.problems],
-        )
+        if self._modes is None:
+            covariance[:end, :end] = relative_covariance(self.motions(point), end)
+            return covariance
+        frames = [
+            DiscrepancyFrame(*pushed_site(target.trial.load, problem.torso), self._whole_motion(i, point))
+            for i, (target, problem) in enumerate(zip(self.trial_set.targets, self.trial_set.problems))
+        ]
+        columns = discrepancy_columns(frames, self._modes)
+        rows = []
+        for i, target in enumerate(self.trial_set.targets):
+            moved = as_corners(columns[i][target.rows], target.z, target.trial.view)
+            rows.append(self.noise.channels[i].apply(moved))
+        whole = np.concatenate(rows)
+        covariance[:end, :end] = whole @ whole.T
         return covariance
+
+    def _whole_motion(self, i: int, point: WeighedPoint) -> Floats:
+        """(17, 3) of all vertebrae, seen or not, as ``discrepancy`` has motions."""
+        target, torso = self.trial_set.targets[i], self.trial_set.problems[i].torso
+        view, state = target.trial.view, point.evaluation.equilibria[i].state
+        rest, now = (
+            state_features(torso, view, s, target.shares, target.orientation, target.used).z
+            for s in (torso.rest_pose, state)
+        )
+        return plane_motion(rest, now, view)
 
     def _inflation(self, marginal: Floats, free: Floats, fixed: Floats, factor: float, before: Floats) -> Floats:
         whole = cho_factor(marginal + self.noise.tracking(factor, before), lower=True)

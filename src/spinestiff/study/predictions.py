@@ -18,6 +18,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.curves.tilts import CobbChange, change_between, cobb_change, tilts
 from spinestiff.errors import SpinestiffError, SubjectError
+from spinestiff.estimation.discrepancy import form_of
 from spinestiff.estimation.evaluation import acted
 from spinestiff.estimation.fit import StiffnessFit
 from spinestiff.estimation.objective import Target, make_target, residuals
@@ -86,7 +87,8 @@ def predicted_acts(pushes: PushSet, items: Sequence[PushTrial], model: Model) ->
     Supports that were measured in a frame are where that and the prediction together put them.
     """
     trials = [item.trial for item in items]
-    unknowns = unknowns_of(trials, [pushes.problems[t.push] for t in items], pushes.known.priors, pushes.known.taped)
+    problems = [pushes.problems[t.push] for t in items]
+    unknowns = unknowns_of(trials, problems, pushes.known.priors, pushes.known.taped, form_of(pushes.torso))
     acts = np.array(acts_by_name(unknowns, model.known))
     if not model.known:
         return acts

@@ -19,7 +19,6 @@ from spinestiff.subject.folder import Subject, read_subject
 from spinestiff.subject.outcomes import GeometryRecord, Tracked
 from spinestiff.subject.run_record import read_outcome, recorded_steps, result_path
 
-
 START = "torso_coarse.npz"
 """The coarse torso, in ``results/``."""
 
