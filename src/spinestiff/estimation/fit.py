@@ -148,6 +148,11 @@ class StiffnessFit(ShortRepr):
         return tuple(step.loss for step in self.history if step.accepted)
 
     @property
+    def standard_nuisances(self) -> dict[str, float]:
+        """Name -> what was found of each nuisance, in its prior's standard deviations."""
+        return {} if self.weighed is None else {one.name: one.standard for one in self.weighed.nuisances}
+
+    @property
     def likely(self) -> Likely | None:
         """Intervals, profiles and draws, if asked for."""
         return None if self.weighed is None else self.weighed.likely

@@ -11,7 +11,7 @@ from spinestiff.curves.tilts import CobbChange
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.imaging.features import rmse, target_features
 from spinestiff.study.predictions import Model, Prediction, Predictions
-from spinestiff.study.trials import PushSet, PushTrial, fit_pushes
+from spinestiff.study.trials import PushSet, PushTrial, fit_from_coarse
 from spinestiff.subject.outcomes import CobbChangeRecord, HeldOutFrame
 
 BASELINES = ("rest", "default", "fit", "fitted_supports", "extrapolation", "single_ratio", "truth")
@@ -61,10 +61,13 @@ def change_record(change: CobbChange) -> CobbChangeRecord:
     )
 
 
-def single_ratio(pushes: PushSet, start: float = 1.0) -> Model | None:
-    """One common ratio for all stiffnesses, fitted to the training frames from ``start``; None if that fit fails."""
+def single_ratio(pushes: PushSet, start: float = 1.0, coarse: PushSet | None = None) -> Model | None:
+    """One common ratio for all stiffnesses, fitted to the training frames from ``start``; None if that fit fails.
+
+    ``coarse``: the same trials on a coarse torso to begin on.
+    """
     try:
-        fit = fit_pushes(pushes, ("everything",), {"everything": start}, extent="estimate")
+        fit = fit_from_coarse(coarse, pushes, ("everything",), {"everything": start}, extent="estimate")
     except (FitError, EquilibriumError):
         return None
     return Model.of(fit) if fit.status.usable else None

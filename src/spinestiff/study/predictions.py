@@ -77,8 +77,7 @@ class Model:
     @classmethod
     def of(cls, fit: StiffnessFit) -> Model:
         """The model that a fit found."""
-        found = () if fit.weighed is None else fit.weighed.nuisances
-        return cls(fit.ratios, {one.name: one.standard for one in found})
+        return cls(fit.ratios, fit.standard_nuisances)
 
 
 def predicted_acts(pushes: PushSet, items: Sequence[PushTrial], model: Model) -> Floats:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
@@ -15,7 +14,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.pushes import push_responses
 from spinestiff.errors import FitError, SubjectError
-from spinestiff.estimation.fit import Extent, FitStep, StiffnessFit
+from spinestiff.estimation.fit import FitStep, StiffnessFit
 from spinestiff.files import write_bytes
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
@@ -39,7 +38,7 @@ from spinestiff.study.predictions import (
     write_solved,
 )
 from spinestiff.study.support_notes import support_notes
-from spinestiff.study.trials import PushSet, fit_pushes
+from spinestiff.study.trials import PushSet, fit_from_coarse, fit_pushes
 from spinestiff.study.truth import compare_with_truth, read_truth
 from spinestiff.study.visit import START, Visit, load_pushes, load_start
 from spinestiff.study.wording import response_lines
@@ -252,7 +251,8 @@ def assess_step(visit: Visit, say: Observer) -> None:
     fit = estimated_model(estimate, pushes)
     models = {"default": Model(), "fit": fit}
     say("fitting the one-ratio baseline")
-    single = single_ratio(pushes, float(np.exp(np.mean(np.log(list(estimate.values.values()))))))
+    coarse = load_start(visit, estimate.orientation, estimate.method)
+    single = single_ratio(pushes, float(np.exp(np.mean(np.log(list(estimate.values.values()))))), coarse)
     if single is not None:
         models["single_ratio"] = single
     if visit.truth is not None:
@@ -324,24 +324,11 @@ def fit_training(visit: Visit, pushes: PushSet, say: Observer) -> StiffnessFit:
         loss = "no equilibrium" if np.isnan(step.rmse_mm) else f"RMSE {step.rmse_mm:.3f} mm"
         say(f"evaluation {step.iteration}: {tried}: {loss}")
 
-    def fit(on: PushSet, start: Mapping[str, float] | None, known: Mapping[str, float], extent: Extent) -> StiffnessFit:
-        method = visit.settings.method
-        return fit_pushes(on, visit.settings.parameters, start, method, progress, extent, known)  # type: ignore[arg-type]
-
-    start: Mapping[str, float] = {n: value for n, value in USUAL_RATIOS.items() if n in visit.settings.parameters}
-    known: Mapping[str, float] = {}
-    coarse = load_start(visit, pushes.orientation, visit.settings.method)
-    if coarse is not None:
-        say("on the coarse mesh first")
-        try:
-            rough = fit(coarse, start, known, "estimate")
-        except FitError:
-            say("no fit on the coarse mesh; starting on the fine one")
-        else:
-            start, known = rough.ratios.as_dict(), Model.of(rough).known
-            say("on the fine mesh")
+    names, method = visit.settings.parameters, visit.settings.method
+    usual = {name: value for name, value in USUAL_RATIOS.items() if name in names}
+    coarse = load_start(visit, pushes.orientation, method)
     try:
-        return fit(pushes, start, known, "everything")
+        return fit_from_coarse(coarse, pushes, names, usual, method, progress, say)  # type: ignore[arg-type]
     except FitError:
         say("no fit from there; starting from the default ratios")
-        return fit(pushes, None, {}, "everything")
+        return fit_pushes(pushes, names, None, method, progress)  # type: ignore[arg-type]

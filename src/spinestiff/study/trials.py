@@ -17,6 +17,7 @@ from spinestiff.imaging.features import Orientation
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.push import PushSite, Rig, push_load, push_problem
+from spinestiff.observer import Observer
 from spinestiff.personalise.pose import ViewPose, align_view
 from spinestiff.subject.outcomes import TrackedFrame, TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
@@ -196,6 +197,30 @@ def push_set(
     if not any(t.role == "training" and t.force_n > 0.0 for t in trials):
         raise SubjectError("no training frame is left after tracking; see the messages of the tracking step")
     return PushSet(torso, problems, tuple(trials), poses, tuple(warnings), orientation, known or Known())
+
+
+def fit_from_coarse(
+    coarse: PushSet | None,
+    pushes: PushSet,
+    names: Sequence[str],
+    start: Mapping[str, float],
+    method: Method = "weighed",
+    observer: OnFitStep | None = None,
+    say: Observer = lambda line: None,
+    extent: Extent = "everything",
+) -> StiffnessFit:
+    """The fit of the training frames, begun where the same trials on a coarse torso end; see ``fit_pushes``."""
+    known: Mapping[str, float] = {}
+    if coarse is not None:
+        say("on the coarse mesh first")
+        try:
+            rough = fit_pushes(coarse, names, start, method, observer, "estimate")
+        except FitError:
+            say("no fit on the coarse mesh")
+        else:
+            start, known = rough.ratios.as_dict(), rough.standard_nuisances
+        say("on the fine mesh")
+    return fit_pushes(pushes, names, start, method, observer, extent, known)
 
 
 def rise_of(
