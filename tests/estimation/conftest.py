@@ -1,233 +1,213 @@
-"""A small planar spine of springs with the interface of an equilibrium problem, so that fits run in milliseconds."""
+"""A short spine in a block of tissue, on the supports of a push and small enough that a fit takes a second."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 
 from spinestiff.anatomy.names import VERTEBRAE
-from spinestiff.anatomy.points import PointsOnBones, rotation_second_derivative
-from spinestiff.anatomy.state import TorsoState, retract
-from spinestiff.anatomy.stiffness import StiffnessRatios, stiffness_ratios
+from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios, lame_parameters, stiffness_ratios
 from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel, joint_frames
+from spinestiff.estimation.emulator import Place
+from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.objective import Trial
+from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.profiles import Likely, likely_ratios
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, search
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
-from spinestiff.mechanics.equilibrium import Equilibrium, SolveStatus
-from spinestiff.mechanics.loads import LoadCase
+from spinestiff.imaging.tracking.quality import quality_of
+from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
+from spinestiff.mechanics.loads import LoadCase, no_load
+from spinestiff.mechanics.places import AT_REST, SupportPlace
+from spinestiff.mechanics.result import SolveStatus
+from spinestiff.mechanics.supports import SupportKind, Supports
+from spinestiff.mechanics.terms import PointSprings
+from spinestiff.verification.models import box_mesh
 
-NAMES = VERTEBRAE[4:]
-LINK, BEND, WALL, HARDENING = 500.0, 4e5, 3.0, 4e-3
-PLANAR = np.array([0, 1, 5])
-SOFT = {"lateral_bending": 0.1, "tissue": 0.03}
-
-
-def planar_torso(count: int = len(NAMES)) -> TorsoModel:
-    """A column of vertebrae, 25 mm apart; the last one is held."""
-    names = NAMES[:count]
-    positions = np.stack([np.zeros(count), 300.0 - 25.0 * np.arange(count), np.zeros(count)], 1)
-    rest = TorsoState(positions, np.tile(np.eye(3), (count, 1, 1)), np.empty((0, 3)))
-    parent, child = np.arange(1, count), np.arange(count - 1)
-    centre = 0.5 * (positions[1:] + positions[:-1])
-    frames = joint_frames(rest, parent, child, centre, np.tile(np.eye(3), (count - 1, 1, 1)))
-    joints = JointTable(
-        tuple(f"{b}-{a}" for a, b in zip(names, names[1:])),
-        ("thoracic",) * (count - 1),
-        parent,
-        child,
-        frames["parent_position"],
-        frames["parent_axes"],
-        frames["child_position"],
-        frames["child_axes"],
-        np.ones((count - 1, 6)),
-    )
-    tissue = TissueMesh(np.empty((0, 3)), np.empty((0, 4)), np.empty(0), np.empty(0), np.empty(0))
-    corners = np.array([[x, y, z] for y in (9, -9) for x in (16, -16) for z in (13, -13)], dtype=float)
-    return TorsoModel(names, rest, joints, tissue, np.tile(corners, (count, 1, 1)), (), {}, 160.0, names)
-
-
-@dataclass
-class PlanarLinearisation:
-    """K and the ratios' gradients, dense."""
-
-    problem: PlanarSpine
-    state: TorsoState
-    load: LoadCase
-    ratios: StiffnessRatios | None
-
-    def __post_init__(self) -> None:
-        self.hessian = self.problem.derivatives(self.state, self.load, self.ratios)[1]
-
-    def solve(self, rhs: np.ndarray) -> np.ndarray:
-        out = np.zeros(rhs.shape)
-        out[self.problem.free] = np.linalg.solve(self.hessian, rhs[self.problem.free])
-        return out
-
-    def shares(self, groups) -> np.ndarray:
-        return np.stack([self.problem.share(self.state, g, self.ratios) for g in groups], 1)
-
-    def forward(self, groups) -> np.ndarray:
-        return -self.solve(self.shares(groups))
-
-    def adjoint(self, gradient: np.ndarray, groups) -> np.ndarray:
-        return -self.shares(groups).T @ self.solve(gradient)
-
-    def load_derivative(self, change) -> np.ndarray:
-        blocks = change.blocks(self.state)
-        rhs = np.zeros(self.state.dofs)
-        np.add.at(rhs.reshape(-1, 6), blocks.bone, -blocks.gradient)
-        return self.solve(rhs)
-
-
-class PlanarSpine:
-    """Links, bending springs between vertebrae and a hardening foundation ("tissue") under each."""
-
-    def __init__(self, torso: TorsoModel, fails_below: float = 0.0) -> None:
-        self.torso, self.fails_below, self.solves = torso, fails_below, 0
-        joints = torso.joints
-        self.upper = PointsOnBones(joints.child, joints.child_position)
-        self.lower = PointsOnBones(joints.parent, joints.parent_position)
-        bones = np.arange(len(torso.bone_names) - 1)
-        self.free = (6 * bones[:, None] + PLANAR).reshape(-1)
-
-    def factors(self, ratios: StiffnessRatios | None) -> tuple[np.ndarray, float]:
-        ones = np.ones((len(self.torso.joints), 6))
-        if ratios is None:
-            return ones, 1.0
-        mu, _ = ratios.scale_tissue(np.ones(1), np.ones(1))
-        return ratios.scale_joints(ones), float(mu[0])
-
-    def parts(self, state: TorsoState):
-        """Energy, gradient and Hessian of links and bending, per joint, and of the tissue."""
-        turn = np.arctan2(state.bone_rotations[:, 1, 0], state.bone_rotations[:, 0, 0])
-        n, joints = state.dofs, self.torso.joints
-        gap = self.upper.positions(state) - self.lower.positions(state)
-        up, low = self.upper.jacobian(state), self.lower.jacobian(state)
-        result = []
-        for j, (a, b) in enumerate(zip(joints.child, joints.parent)):
-            rows = np.concatenate([6 * a + np.arange(6), 6 * b + np.arange(6)])
-            slope = np.hstack([up[j], -low[j]])
-            hessian = LINK * slope.T @ slope
-            second = LINK * rotation_second_derivative(
-                np.stack([gap[j], -gap[j]]), np.stack([self.upper.arms(state)[j], self.lower.arms(state)[j]])
-            )
-            hessian[3:6, 3:6] += second[0]
-            hessian[9:, 9:] += second[1]
-            link = (0.5 * LINK * gap[j] @ gap[j], rows, LINK * slope.T @ gap[j], hessian)
-            d = np.zeros(12)
-            d[5], d[11] = 1.0, -1.0
-            angle = turn[a] - turn[b]
-            bend = (0.5 * BEND * angle**2, rows, BEND * angle * d, BEND * np.outer(d, d))
-            result.append((link, bend))
-        x = state.bone_positions[:, 0] - self.torso.rest_pose.bone_positions[:, 0]
-        tissue = np.zeros(n)
-        tissue[::6] = WALL * x + HARDENING * x**3
-        stiff = np.zeros(n)
-        stiff[::6] = WALL + 3.0 * HARDENING * x**2
-        energy = float(np.sum(0.5 * WALL * x**2 + 0.25 * HARDENING * x**4))
-        return result, (energy, tissue, stiff)
-
-    def energy(self, state, load, ratios) -> float:
-        scale, tissue = self.factors(ratios)
-        joints, (e, _, _) = self.parts(state)
-        own = sum(link[0] * s[1] + bend[0] * s[5] for (link, bend), s in zip(joints, scale))
-        return own + tissue * e + load.energy(state)
-
-    def derivatives(self, state, load, ratios) -> tuple[np.ndarray, np.ndarray]:
-        scale, tissue = self.factors(ratios)
-        joints, (_, g, h) = self.parts(state)
-        gradient, hessian = tissue * g, np.diag(tissue * h)
-        for (link, bend), s in zip(joints, scale):
-            for part, factor in ((link, s[1]), (bend, s[5])):
-                gradient[part[1]] += factor * part[2]
-                hessian[np.ix_(part[1], part[1])] += factor * part[3]
-        blocks = load.blocks(state)
-        for bone, bg, bh in zip(blocks.bone, blocks.gradient, blocks.hessian):
-            rows = 6 * bone + np.arange(6)
-            gradient[rows] += bg
-            hessian[np.ix_(rows, rows)] += bh
-        return gradient[self.free], hessian[np.ix_(self.free, self.free)]
-
-    def share(self, state, group, ratios) -> np.ndarray:
-        scale, tissue = self.factors(ratios)
-        joints, (_, g, _) = self.parts(state)
-        total = tissue * g * float(group.mu)
-        for (link, bend), s, mask in zip(joints, scale, group.joints):
-            total[link[1]] += s[1] * link[2] * mask[1]
-            total[bend[1]] += s[5] * bend[2] * mask[5]
-        return total
-
-    def solve(self, load, ratios=None, start=None) -> Equilibrium:
-        self.solves += 1
-        state = start.state if isinstance(start, PlanarLinearisation) else start or self.torso.rest_pose
-        status, steps, norm = SolveStatus.ITERATION_LIMIT, 0, np.inf
-        if ratios is not None and ratios.values.min() < self.fails_below:
-            return Equilibrium(state, SolveStatus.STALLED, 0.0, 1.0, 0.0, (), (), 0, 1.0)
-        for steps in range(100):  # noqa: B007
-            gradient, hessian = self.derivatives(state, load, ratios)
-            norm = np.abs(gradient).max()
-            if norm < 1e-8:
-                status = SolveStatus.CONVERGED
-                break
-            dx = np.zeros(state.dofs)
-            dx[self.free] = -np.linalg.solve(hessian, gradient)
-            dx *= min(1.0, 0.3 / np.abs(dx[5::6]).max())
-            energy, step = self.energy(state, load, ratios), 1.0
-            while step > 1e-3 and self.energy(retract(state, step * dx), load, ratios) > energy + 1e-9 * abs(energy):
-                step *= 0.5
-            state = retract(state, step * dx)
-        return Equilibrium(state, status, 0.0, float(norm), 1e-8, (), (), steps, 1.0)
-
-    def linearise(self, equilibrium, load, ratios=None) -> PlanarLinearisation:
-        equilibrium.require()
-        return PlanarLinearisation(self, equilibrium.state, load, ratios)
-
-
+NAMES = (*VERTEBRAE[8:], "pelvis")
+SPACING = 30.0
+TRUTH = {"lateral_bending": 0.3, "tissue": 0.4}
+LIMITS = (float(np.log(0.01)), float(np.log(10.0)))
 VIEW = frontal_view(centre=(0, 150, 0))
 
 
-def push(force: float, bone: int = 4) -> LoadCase:
-    return LoadCase(PointsOnBones(np.array([bone]), [[-40.0, 0, 0]]), [[force, 0, 0]], f"{force:g} N")
+def column_torso() -> TorsoModel:
+    """T9 to L5 and a pelvis, 30 mm apart, in the middle of a block of soft tissue."""
+    count = len(NAMES)
+    positions = np.stack([np.zeros(count), SPACING * np.arange(count)[::-1], np.zeros(count)], 1)
+    nodes, elements = box_mesh((4, 9, 2), (160.0, SPACING * (count - 1), 80.0), 4)
+    nodes = nodes - [80.0, 0.0, 40.0]
+    near = np.linalg.norm(nodes[:, None] - positions, axis=-1)
+    bone_of_node = np.where(near.min(1) < 18.0, near.argmin(1), -1)
+    # The sides go with the pelvis, so that tissue is a bed for the spine, unlike its joints.
+    bone_of_node[(nodes[:, 1] < 1.0) | (np.abs(nodes[:, 0]) > 79.0)] = count - 1
+    rest = TorsoState(positions, np.tile(np.eye(3), (count, 1, 1)), nodes[bone_of_node < 0])
+    parent, child = np.arange(1, count), np.arange(count - 1)
+    centres = 0.5 * (positions[1:] + positions[:-1])
+    mu, lam = lame_parameters(0.02, 0.4)
+    stiffness = np.tile([200.0, 800.0, 200.0, 1e5, 1e5, 1e5], (count - 1, 1))
+    joints = JointTable(
+        tuple(f"{b}-{a}" for a, b in zip(NAMES, NAMES[1:])),
+        ("thoracic",) * (count - 1),
+        parent,
+        child,
+        stiffness=stiffness,
+        **joint_frames(rest, parent, child, centres, np.tile(np.eye(3), (count - 1, 1, 1))),
+    )
+    tissue = TissueMesh(nodes, elements, bone_of_node, np.full(len(elements), mu), np.full(len(elements), lam))
+    box = np.array([[x, y, z] for y in (9, -9) for x in (16, -16) for z in (13, -13)], dtype=float)
+    return TorsoModel(NAMES, rest, joints, tissue, np.tile(box, (count - 1, 1, 1)), (), {}, 160.0, NAMES[:-1])
 
 
-def shown(problem: PlanarSpine, load: LoadCase, ratios: StiffnessRatios, error: float = 0.0, seed: int = 0) -> Trial:
-    """A trial whose corners are the simulated ones, with white errors of sd ``error`` mm at the patient plane."""
-    state = problem.solve(load, ratios).require().state
-    shares = silhouette_shares(problem.torso, VIEW, problem.torso.rest_pose)
-    corners = state_features(problem.torso, VIEW, state, shares).corners
-    noise = np.random.default_rng(seed).standard_normal(corners.shape)
-    corners = corners + error * VIEW.magnification * noise
-    visible = slice(0, len(problem.torso.vertebrae) - 1)
-    return Trial(load, VertebraCorners(problem.torso.vertebrae[visible], corners[visible]), VIEW, load.label, "push 1")
+def column_supports(torso: TorsoModel) -> Supports:
+    """The pelvis held, a pad at the uppermost vertebra and a wall that keeps it from leaning forward."""
+    held = np.zeros((len(torso.bone_names), 6), dtype=bool)
+    held[torso.bone("pelvis")] = True
+    points = PointsOnBones(np.array([0, 0, 4]), np.array([[5.0, 10.0, 0.0], [0.0, 0.0, -10.0], [0.0, 0.0, -10.0]]))
+    kinds = (SupportKind.SHOULDER, SupportKind.WALL, SupportKind.WALL)
+    springs = PointSprings(
+        points, points.positions(torso.rest_pose), np.eye(3)[[0, 2, 2]], np.array([1e3, 1e2, 1e2])
+    )
+    return Supports(held, springs, tuple(NAMES[bone] for bone in points.bone), kinds)
+
+
+class BrittleProblem(EquilibriumProblem):
+    """Has no equilibrium where a ratio is below ``fails_below``."""
+
+    fails_below = 0.0
+
+    def solve(self, load: LoadCase, ratios: StiffnessRatios | None = None, *args, **kwargs) -> Equilibrium:
+        found = super().solve(load, ratios, *args, **kwargs)
+        lost = 0.0 if ratios is None else self.fails_below - ratios.values.min()
+        return replace(found, status=SolveStatus.STALLED) if lost > 0.0 else found
+
+
+@dataclass(frozen=True)
+class Column:
+    """The short spine's problem, and what radiographs of it show."""
+
+    problem: EquilibriumProblem
+    truth: Mapping[str, float] = field(default_factory=lambda: dict(TRUTH))
+    limits: tuple[float, float] = LIMITS
+
+    @property
+    def groups(self) -> tuple[ParameterGroup, ...]:
+        return self.ratios(self.truth).groups
+
+    @property
+    def torso(self) -> TorsoModel:
+        return self.problem.torso
+
+    def ratios(self, values: Mapping[str, float]) -> StiffnessRatios:
+        return stiffness_ratios(dict(values), self.torso.joints.kinds)
+
+    def push(self, force: float, bones: Sequence[int] = (3, 4)) -> LoadCase:
+        """From the right onto a place beside two vertebrae."""
+        offset = np.tile([-40.0, 0.0, 5.0], (len(bones), 1))
+        forces = np.tile([force / len(bones), 0.0, 0.0], (len(bones), 1))
+        return LoadCase(PointsOnBones(np.array(bones), offset), forces, f"{force:g} N")
+
+    def corners(self, state: TorsoState) -> np.ndarray:
+        shares = silhouette_shares(self.torso, VIEW, self.torso.rest_pose)
+        return state_features(self.torso, VIEW, state, shares).corners
+
+    def shown(self, load: LoadCase, state: TorsoState, errors: np.ndarray | float = 0.0, **facts) -> Trial:
+        """A radiograph of a state, ``errors`` (9, 4, 2) in mm at the patient plane."""
+        seen = self.corners(state) + VIEW.magnification * np.asarray(errors)
+        quality = np.full(seen.shape[:2], float(quality_of(np.array(0.1))))
+        return Trial(load, VertebraCorners(self.torso.vertebrae, seen, quality), VIEW, **facts)
+
+    def trials(
+        self,
+        truth: Mapping[str, float] = TRUTH,
+        forces: Sequence[float] = (40.0, 100.0),
+        annotation: float = 0.0,
+        tracking: float = 0.0,
+        seed: int = 0,
+        places: Sequence[SupportPlace] = (),
+        gauge: float = 1.0,
+        bones: Sequence[int] = (3, 4),
+        push: str = "push 1",
+    ) -> list[Trial]:
+        """The unloaded frame, annotated by hand, and loaded ones of one push; ``annotation``, ``tracking``: sds, mm."""
+        random = np.random.default_rng(seed)
+        shape = (len(self.torso.vertebrae), 4, 2)
+        common = annotation * random.normal(size=shape)
+        found = [self.shown(no_load(), self.torso.rest_pose, common, label=f"{push} rest", push=push, annotated=True)]
+        for force, place in zip(forces, places or (AT_REST,) * len(forces)):
+            load = self.push(force, bones)
+            placed = self.problem.with_place(place)
+            state = placed.solve(load.scaled(gauge), self.ratios(truth)).require().state
+            errors = common + tracking * random.normal(size=shape)
+            found.append(self.shown(load, state, errors, label=f"{push} {force:g} N", push=push))
+        return found
+
+    def trial_set(self, trials: Sequence[Trial], names: Sequence[str] = tuple(TRUTH)) -> TrialSet:
+        groups = self.ratios(dict.fromkeys(names, 1.0)).groups
+        return TrialSet([self.problem] * len(trials), trials, groups, "procrustes", None)
+
+    def weighed(
+        self, trials: Sequence[Trial], priors: Priors | None = None, names: Sequence[str] = tuple(TRUTH)
+    ) -> WeighedProblem:
+        loaded = [trial for trial in trials if trial.load.size]
+        still = [(self.problem, trial) for trial in trials if not trial.load.size]
+        return WeighedProblem(self.trial_set(loaded, names), still, "procrustes", priors or Priors(), None, False)
+
+    def searched(
+        self, problem: WeighedProblem, start: Sequence[float] = (1.0, 1.0), max_evaluations: int = 50
+    ) -> WeighedFit:
+        """Where the weighed search ends from ratios to ``start`` at."""
+        first = problem.solve(np.log(start), np.zeros(len(problem.unknowns)))
+        return search(problem, first, self.limits, max_evaluations)
+
+
+@pytest.fixture(scope="session")
+def column() -> Column:
+    torso = column_torso()
+    return Column(EquilibriumProblem(torso, column_supports(torso)))
 
 
 @pytest.fixture
-def spine() -> PlanarSpine:
-    return PlanarSpine(planar_torso())
+def brittle(column):
+    """A problem that fails below a ratio."""
 
-
-@pytest.fixture
-def show():
-    return shown
-
-
-@pytest.fixture
-def push_by():
-    return push
-
-
-@pytest.fixture
-def planar_spine_type():
-    return PlanarSpine
-
-
-@pytest.fixture
-def trials(spine, show, push_by):
-    def make(truth=SOFT, error=0.0, forces=(30.0, 60.0), problem=None):
-        problem = problem or spine
-        ratios = stiffness_ratios(truth, problem.torso.joints.kinds)
-        return [show(problem, push_by(force), ratios, error, seed) for seed, force in enumerate(forces)]
+    def make(fails_below: float) -> BrittleProblem:
+        problem = BrittleProblem(column.torso, column.problem.supports)
+        problem.fails_below = fails_below
+        return problem
 
     return make
+
+
+@pytest.fixture(scope="session")
+def clean(column) -> list[Trial]:
+    """A sequence without errors."""
+    return column.trials()
+
+
+@pytest.fixture(scope="session")
+def noisy(column) -> list[Trial]:
+    """A sequence with errors of annotation and tracking, and supports that gave way."""
+    places = [SupportPlace(np.deg2rad(2.0) * share, 2.0 * share) for share in (0.5, 1.0)]
+    return column.trials(annotation=0.3, tracking=0.12, places=places, gauge=1.02, seed=3)
+
+
+@pytest.fixture(scope="session")
+def asked(column, noisy) -> WeighedProblem:
+    return column.weighed(noisy)
+
+
+@pytest.fixture(scope="session")
+def found(column, asked) -> WeighedFit:
+    return column.searched(asked)
+
+
+@pytest.fixture(scope="session")
+def likely(column, asked, found) -> Likely:
+    return likely_ratios(asked, found, [Place(*place) for place in found.visited], column.limits)

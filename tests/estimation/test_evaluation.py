@@ -1,69 +1,101 @@
-"""Trials in equilibrium: adjoint and forward derivatives, push errors, predicted starts."""
+"""Trials in equilibrium: adjoint and forward derivatives, all acts of what is not quite known, predicted starts."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from spinestiff.anatomy.stiffness import stiffness_ratios
-from spinestiff.estimation.evaluation import TrialSet, compliance_step, log_step
-from spinestiff.estimation.uncertainty import UncertaintySettings
+from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.estimation.evaluation import acted, compliance_step, log_step
+from spinestiff.estimation.unknowns import ACTS
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import LoadCase
+from spinestiff.mechanics.terms import PointSprings
 
-TRUTH = {"lateral_bending": 0.1, "tissue": 0.03}
+HERE = np.log([0.25, 0.5])
+# Acts at which derivatives are taken: none is 0, so that none's derivative is that at rest.
+GIVEN = np.array([0.05, -2.0, 0.04, -0.03, 3.0, -4.0, 0.03, -2.0, 0.1, 0.02])
+STEPS = {"force": 1e-3, "offset": 0.05, "upward": 1e-3, "forward": 1e-3, "height": 1.0, "depth": 1.0}
+STEPS |= {"obliquity": 5e-4, "shoulder": 0.02, "tissue": 1e-3}
 
 
-def test_adjoint_gradient_is_forward_gradient_and_the_difference_quotient(spine, trials) -> None:
-    groups = stiffness_ratios(TRUTH, spine.torso.joints.kinds).groups
-    trial_set = TrialSet([spine] * 2, trials(error=0.5), groups, "procrustes", None)
-    here = np.log([0.3, 0.2])
-    point = trial_set.solve(here)
+def test_adjoint_gradient_is_forward_gradient_and_the_difference_quotient(column, clean) -> None:
+    trial_set = column.trial_set(clean[1:])
+    point = trial_set.solve(HERE)
     slope = trial_set.slope(point)
-    adjoint, forward = trial_set.gradient(point), slope.jacobian.T @ point.values
+    adjoint, forward = trial_set.gradient(point), trial_set.jacobian(point, slope).T @ point.values
     assert np.abs(adjoint).min() > 1.0
-    assert np.allclose(adjoint, forward, rtol=1e-10)
-    for i in range(2):
-        step = np.zeros(2)
-        step[i] = 1e-4
-        quotient = (trial_set.solve(here + step).loss - trial_set.solve(here - step).loss) / 2e-4
-        assert adjoint[i] == pytest.approx(quotient, rel=1e-6)
+    assert np.allclose(adjoint, forward, rtol=1e-9)
+    for step in 1e-3 * np.eye(2):
+        quotient = (trial_set.solve(HERE + step).loss - trial_set.solve(HERE - step).loss) / 2e-3
+        assert adjoint @ step / 1e-3 == pytest.approx(quotient, rel=1e-5)
 
 
-def test_push_error_columns_are_difference_quotients(spine, trials) -> None:
-    groups = stiffness_ratios(TRUTH, spine.torso.joints.kinds).groups
-    trial = trials(forces=(50.0,))[0]
-    trial_set = TrialSet([spine], [trial], groups, "procrustes", None)
-    here = np.log(list(TRUTH.values()))
-    slope = trial_set.slope(trial_set.solve(here))
-
-    def at(load):
-        other = TrialSet([spine], [trial.__class__(load, trial.corners, trial.view)], groups, "procrustes", None)
-        return other.solve(here).values
-
-    quotient = (at(trial.load.scaled(1.001)) - at(trial.load.scaled(0.999))) / 0.002
-    assert np.abs(quotient).max() > 1.0
-    assert np.allclose(slope.responses[0][:, 0], quotient, atol=1e-4 * np.abs(quotient).max())
-    load = trial.load
-    places = load.points.positions(spine.torso.rest_pose)
-    moved = [
-        load.__class__(load.points.at(spine.torso.rest_pose, load.points.bone, places + [0, dy, 0]), load.forces)
-        for dy in (0.1, -0.1)
-    ]
-    quotient = (at(moved[0]) - at(moved[1])) / 0.2
-    assert np.allclose(slope.responses[0][:, 1], quotient, atol=1e-2 * np.abs(quotient).max())
+@pytest.mark.parametrize("bones", [(3, 4), (4,)], ids=["two points", "one point"])
+@pytest.mark.parametrize("act", STEPS)
+def test_derivative_of_each_act_against_differences_of_whole_solves(column, act, bones) -> None:
+    """The tenth, motion, moves no state (tests/estimation/test_weighed.py)."""
+    trial_set = column.trial_set(column.trials(forces=(60.0,), bones=bones)[1:])
+    point = trial_set.solve(HERE, acts=GIVEN[None])
+    column_of = trial_set.slope(point, with_acts=True).acted[0][:, [ACTS.index(act)]]
+    slope = point.residuals[0].moved(column_of)[..., 0]
+    step = STEPS[act] * np.eye(len(ACTS))[ACTS.index(act)]
+    # Fourth order: a bone's turn makes the second one visible.
+    far, near, ahead, farther = (
+        trial_set.solve(HERE, point, acts=(GIVEN + k * step)[None]).residuals[0].difference for k in (-2, -1, 1, 2)
+    )
+    quotient = (8.0 * (ahead - near) - (farther - far)) / (12.0 * STEPS[act])
+    assert np.abs(quotient).max() > 1e-3
+    assert np.allclose(slope, quotient, atol=2e-6 * np.abs(quotient).max())
 
 
-def test_an_equilibrium_starts_on_the_last_tangent(spine, trials, monkeypatch) -> None:
-    groups = stiffness_ratios(TRUTH, spine.torso.joints.kinds).groups
-    trial_set = TrialSet([spine] * 2, trials(), groups, "procrustes", None)
-    near = trial_set.solve(np.log([0.12, 0.04]))
-    slope, ahead = trial_set.slope(near), np.log([0.115, 0.039])
-    plain, starts, real = trial_set.solve(ahead, near), [], spine.solve
+def test_a_push_on_tissue_nodes_has_no_height_nor_depth(column, clean) -> None:
+    none = PointsOnBones(np.empty(0, np.int64), np.empty((0, 3)))
+    nodes = np.arange(5)
+    load = LoadCase(none, np.empty((0, 3)), "pressed", nodes, np.tile([4.0, 0.0, 0.0], (5, 1)))
+    trial_set = column.trial_set([replace(clean[1], load=load)])
+    point = trial_set.solve(HERE)
+    moved = np.abs(trial_set.slope(point, with_acts=True).acted[0]).max(axis=0)
+    assert {act for act, size in zip(ACTS, moved) if size == 0.0} == {"height", "depth", "motion"}
+
+
+def test_all_stiffness_and_the_force_are_one_scale(column) -> None:
+    """Twice the force on a torso twice as stiff, held by nothing but its pelvis, is the same picture (Eq. 4)."""
+    supports = column.problem.supports
+    springs = PointSprings(supports.springs.points[[]], np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+    free = EquilibriumProblem(column.torso, replace(supports, springs=springs, names=(), kinds=()))
+    own = replace(column, problem=free)
+    trial_set = own.trial_set(own.trials()[1:], ("everything",))
+    point = trial_set.solve(np.log([0.5]))
+    slope = trial_set.slope(point, with_acts=True)
+    for part, moves, acts in zip(point.residuals, slope.moves, slope.acted):
+        stiffness, force = part.moved(moves)[..., 0], part.moved(acts)[..., ACTS.index("force")]
+        assert np.abs(force).max() > 1.0
+        assert np.allclose(stiffness, -force, atol=1e-8 * np.abs(force).max())
+
+
+def test_acts_of_nothing_are_not_there(column, clean) -> None:
+    problem, load, ratios = column.problem, clean[1].load, column.ratios(column.truth)
+    assert acted(problem, load, ratios, np.zeros(len(ACTS))) == (problem, load, ratios)
+    other, pushed, scaled = acted(problem, load, ratios, GIVEN)
+    assert other is not problem
+    assert pushed.size > load.size
+    assert scaled.values[-1] == pytest.approx(np.exp(0.1))
+
+
+def test_an_equilibrium_starts_on_the_last_tangent(column, clean, monkeypatch) -> None:
+    trial_set = column.trial_set(clean[1:])
+    near = trial_set.solve(np.log([0.32, 0.44]))
+    slope, ahead = trial_set.slope(near), np.log([0.31, 0.42])
+    plain, starts, real = trial_set.solve(ahead, near), [], column.problem.solve
 
     def solve(load, ratios, start):
         starts.append(start)
         return real(load, ratios, start)
 
-    monkeypatch.setattr(spine, "solve", solve)
+    monkeypatch.setattr(column.problem, "solve", solve)
     warm = trial_set.solve(ahead, near, slope)
     assert tuple(starts) == slope.tangents
     assert np.allclose(warm.values, plain.values, atol=1e-7)
@@ -74,23 +106,3 @@ def test_compliance_steps_are_exact_for_a_spring_and_first_order_in_the_log() ->
     assert np.allclose(log_step(compliance_step(change)), change)
     assert compliance_step(change)[0] == pytest.approx(1.0 - 10.0)
     assert compliance_step(np.array([1e-6]))[0] == pytest.approx(1e-6, rel=1e-5)
-
-
-def test_frames_of_a_push_share_its_errors_and_pushes_do_not(spine, trials) -> None:
-    first, second, third = trials(forces=(20.0, 40.0, 50.0))
-    apart = third.__class__(third.load, third.corners, third.view, third.label, "push 2")
-    trial_set = TrialSet(
-        [spine] * 3,
-        [first, second, apart],
-        stiffness_ratios(TRUTH, spine.torso.joints.kinds).groups,
-        "procrustes",
-        None,
-    )
-    slope = trial_set.slope(trial_set.solve(np.log(list(TRUTH.values()))))
-    found = {n.name: n for n in trial_set.nuisances(slope, UncertaintySettings(force_sd=0.03))}
-    touched = {name: np.abs(n.column.reshape(3, -1)).max(axis=1) > 0.0 for name, n in found.items()}
-    for what in ("force", "push height"):
-        assert touched[f"{what} of push 1"].tolist() == [True, True, False]
-        assert touched[f"{what} of push 2"].tolist() == [False, False, True]
-    assert found["force of push 2"].sd == 0.03
-    assert [touched[name].sum() for name in found if name.startswith("place")] == [1] * 6

@@ -1,0 +1,155 @@
+"""What of a push is not quite known: which frames share it, what it does to a load and to the supports."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.unknowns import (
+    ACTS,
+    acts_by_name,
+    changed_load,
+    load_changes,
+    place_of,
+    unknowns_of,
+)
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import LoadCase
+
+# What belongs to pictures and not to pushes.
+OF_PICTURES = ("place_mm", "stance_mm", "stance_deg", "annotation_mm", "tracking_mm", "tracking_shared_mm")
+
+
+@pytest.fixture(scope="module")
+def trials(column):
+    """Two frames of a push from the right, one of a push from the left, and an unloaded one."""
+    still, first, second = column.trials(forces=(20.0, 40.0))
+    other = replace(first, load=column.push(-30.0), label="left", push="push 2")
+    return [first, second, other, still]
+
+
+def of(column, trials, priors=None, taped=False):
+    return unknowns_of(trials, [column.problem] * len(trials), priors or Priors(), taped)
+
+
+def touched(unknowns, name):
+    size = unknowns.acts[:, :, unknowns.names.index(name)]
+    return np.abs(size).max(axis=1)
+
+
+def test_frames_of_a_push_share_its_errors_and_pushes_do_not(column, trials) -> None:
+    found = of(column, trials, Priors(force_scale=0.03))
+    for what in ("force", "force offset", "direction upward", "direction forward", "height", "depth"):
+        assert (touched(found, f"{what} of push 1") > 0.0).tolist() == [True, True, False, False]
+        assert (touched(found, f"{what} of push 2") > 0.0).tolist() == [False, False, True, False]
+    assert touched(found, "force of push 2")[2] == 0.03
+    assert touched(found, "direction upward of push 1")[0] == pytest.approx(np.deg2rad(3.0))
+    for i, trial in enumerate(trials[:3]):
+        for what in ("breathing", "obliquity", "shoulder"):
+            assert np.flatnonzero(touched(found, f"{what} in {trial.label}")).tolist() == [i]
+    for what in ("trunk breadth", "trunk depth", "source distance"):
+        assert (touched(found, what) > 0.0).tolist() == [True, True, True, False]
+
+
+def test_supports_give_with_the_force_for_each_side_and_as_much_in_all_as_the_prior_says(column, trials) -> None:
+    found = of(column, trials)
+    right, left = (touched(found, f"obliquity under pushes from the {side}") for side in ("right", "left"))
+    assert right[1] == 2.0 * right[0] > 0.0
+    assert (right[2], left[0], left[1], left[3]) == (0.0, 0.0, 0.0, 0.0)
+    for act, total in (("obliquity", np.deg2rad(3.0)), ("shoulder", 3.0)):
+        at_60 = of(column, [replace(trials[0], load=column.push(60.0))])
+        sizes = at_60.acts[0, ACTS.index(act)]
+        assert np.sqrt(np.sum(sizes**2)) == pytest.approx(total)
+
+
+def test_an_unknown_whose_standard_deviation_is_0_is_none(column, trials) -> None:
+    kept = Priors()
+    names = [f.name for f in fields(Priors) if f.name not in OF_PICTURES]
+    names = [n for n in names if not n.startswith(("tracking", "support_force"))]
+    everything = replace(kept, **{n: (0.0, 0.0) if n == "trunk_power" else 0.0 for n in names})
+    assert len(of(column, trials, everything)) == 0
+    assert of(column, trials, everything).acts.shape == (4, len(ACTS), 0)
+    groups = set(of(column, trials).groups)
+    for name, gone in (
+        ("force_scale", {"force scale"}),
+        ("force_offset_n", {"force offset"}),
+        ("direction_deg", {"push direction"}),
+        ("push_height_mm", {"push height"}),
+        ("push_depth_mm", {"push depth"}),
+        ("breathing_mm", {"breathing"}),
+        ("frame_obliquity_deg", {"obliquity of a frame"}),
+        ("frame_shoulder_mm", {"shoulder of a frame"}),
+        ("trunk", {"trunk size"}),
+        ("source_distance", {"source distance"}),
+    ):
+        assert groups - set(of(column, trials, kept.scaled(name, 0.0)).groups) == gone
+
+
+def test_a_taped_trunk_is_known_better(column, trials) -> None:
+    loose, tight = (touched(of(column, trials, taped=taped), "trunk breadth")[0] for taped in (False, True))
+    assert (loose, tight) == (pytest.approx(0.12), pytest.approx(0.02))
+
+
+def test_groups_cover_all_unknowns_once(column, trials) -> None:
+    found = of(column, trials)
+    assert sum(found.in_group(group).astype(int) for group in found.groups).tolist() == [1] * len(found)
+
+
+def test_a_hinged_pelvis_has_no_obliquity_of_its_own(column, trials) -> None:
+    held = column.problem.supports.held.copy()
+    held[column.torso.bone("pelvis"), 5] = False
+    hinged = EquilibriumProblem(column.torso, replace(column.problem.supports, held=held))
+    found = unknowns_of(trials, [hinged] * 4, Priors())
+    assert not any(unknown.act == "obliquity" for unknown in found.each)
+    assert any(unknown.act == "shoulder" for unknown in found.each)
+
+
+def test_acts_by_name(column, trials) -> None:
+    found = of(column, trials)
+    acts = acts_by_name(found, {"force of push 1": 2.0, "shoulder in left": -1.0, "of another day": 3.0})
+    assert acts[:, ACTS.index("force")].tolist() == [0.04, 0.04, 0.0, 0.0]
+    assert acts[:, ACTS.index("shoulder")].tolist() == [0.0, 0.0, -1.0, 0.0]
+    assert np.count_nonzero(acts) == 3
+
+
+@pytest.mark.parametrize("force", [50.0, -50.0])
+@pytest.mark.parametrize("bones", [(3, 4), (4,)])
+def test_what_each_act_does_to_a_load(column, force, bones) -> None:
+    rest, load = column.torso.rest_pose, column.push(force, bones)
+    changes = load_changes(load, rest)
+
+    def with_act(name, size):
+        return changed_load(load, changes, size * np.eye(len(ACTS))[ACTS.index(name)])
+
+    assert np.allclose(with_act("force", 0.1).total, np.exp(0.1) * load.total)
+    assert np.allclose(with_act("offset", 3.0).total, load.total + [np.sign(force) * 3.0, 0.0, 0.0])
+    assert with_act("upward", 0.1).total == pytest.approx([force, 5.0, 0.0])
+    assert with_act("forward", 0.1).total == pytest.approx([force, 0.0, 5.0])
+    # Higher or farther to the front: the same force, and its moment grows by arm x force.
+    for name, arm in (("height", [0.0, 2.0, 0.0]), ("depth", [0.0, 0.0, 2.0])):
+        moved = with_act(name, 2.0)
+        assert moved.total == pytest.approx(load.total)
+        assert moved.moment(rest) - load.moment(rest) == pytest.approx(np.cross(arm, load.total), abs=1e-9)
+    for name in ("obliquity", "shoulder", "tissue", "motion"):
+        assert np.allclose(with_act(name, 0.1).forces, load.forces)
+
+
+def test_a_push_on_tissue_has_no_point_of_its_own_and_no_load_has_no_acts(column) -> None:
+    none = PointsOnBones(np.empty(0, np.int64), np.empty((0, 3)))
+    pressed = LoadCase(none, np.empty((0, 3)), "pressed", np.array([0]), np.array([[5.0, 0.0, 0.0]]))
+    changes = load_changes(pressed, column.torso.rest_pose)
+    assert [change.size for change in changes[4:]] == [0.0, 0.0]
+    moved = changed_load(pressed, changes, np.array([0.0, 1.0, 0.1, 0.0, 9.0, 9.0, 0.0, 0.0, 0.0, 0.0]))
+    assert moved.total == pytest.approx([6.0, 0.5, 0.0])
+    still = LoadCase(none, np.empty((0, 3)))
+    assert changed_load(still, load_changes(still, column.torso.rest_pose), np.ones(len(ACTS))).size == 0.0
+
+
+def test_the_place_of_the_supports_is_what_the_acts_say() -> None:
+    acts = np.zeros(len(ACTS))
+    acts[[ACTS.index("obliquity"), ACTS.index("shoulder")]] = 0.05, -2.0
+    assert (place_of(acts).obliquity, place_of(acts).shoulder_mm) == (0.05, -2.0)
