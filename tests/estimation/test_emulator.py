@@ -1,0 +1,108 @@
+"""Kriging through values and slopes, and phi read from it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from spinestiff.estimation.emulator import Emulator, Kriging, Place
+from spinestiff.estimation.weighed import phi, reduced
+
+PLACES = np.array([[0.0, 0.0], [0.6, 0.1], [-0.5, 0.4], [0.2, -0.7], [-0.3, -0.4], [0.7, 0.7], [-0.6, -0.6]])
+
+
+def cubic(where):
+    """Three cubic functions of two variables, and their slopes (K, 3, 2)."""
+    x, y = where.T
+    values = np.stack([1.0 + 2.0 * x - y, x**2 - x * y + 0.5 * y**2, x**3 - 2.0 * x * y**2 + y], 1)
+    slopes = np.stack(
+        [
+            np.stack([2.0 + 0.0 * x, -1.0 + 0.0 * x], 1),
+            np.stack([2.0 * x - y, y - x], 1),
+            np.stack([3.0 * x**2 - 2.0 * y**2, 1.0 - 4.0 * x * y], 1),
+        ],
+        1,
+    )
+    return values, slopes
+
+
+def test_values_and_slopes_are_met_where_they_are_known() -> None:
+    values, slopes = cubic(PLACES)
+    found = Kriging(PLACES, values, slopes)
+    assert np.allclose(found.at(PLACES), values, atol=1e-3)
+    for i, step in enumerate(1e-4 * np.eye(2)):
+        quotient = (found.at(PLACES + step) - found.at(PLACES - step)) / 2e-4
+        assert np.allclose(quotient, slopes[..., i], atol=1e-3)
+
+
+def test_a_cubic_is_met_between_places_and_slopes_help() -> None:
+    values, slopes = cubic(PLACES)
+    between = np.array([[0.3, 0.05], [-0.2, 0.2], [0.1, -0.3], [0.4, 0.4], [-0.4, -0.5]])
+    wanted = cubic(between)[0]
+    with_slopes, without = (Kriging(PLACES, values, given).at(between) - wanted for given in (slopes, None))
+    # Of values that vary by about 2.
+    assert np.abs(with_slopes).max() < 0.02
+    assert np.abs(without).max() > 2.0 * np.abs(with_slopes).max()
+
+
+def test_one_place_is_first_order_around_it() -> None:
+    values, slopes = cubic(PLACES[:1])
+    found = Kriging(PLACES[:1], values, slopes).at(np.array([[0.2, -0.1]]))
+    assert np.allclose(found, values + slopes[0] @ [0.2, -0.1])
+
+
+@pytest.fixture(scope="module")
+def emulator(likely) -> Emulator:
+    return likely.emulator
+
+
+def test_phi_is_the_models_where_the_model_was_solved(likely, found, emulator) -> None:
+    for place in likely.places:
+        if not (np.abs(emulator.log_ratios - place.point.log_ratios).max(axis=1) < 1e-9).any():
+            continue
+        model = reduced(place.point, place.slope, found.weights)
+        solved = 0.5 * float(model.values @ model.values)
+        assert emulator.phi(place.point.log_ratios)[0] == pytest.approx(solved, abs=0.01)
+        assert np.allclose(emulator.nuisances(place.point.log_ratios)[0], model.nuisances, atol=0.03)
+    assert emulator.phi(found.point.log_ratios)[0] == pytest.approx(phi(found.point, found.weights), abs=1e-3)
+
+
+def test_phi_and_nuisances_between_places_against_the_model(asked, found, emulator) -> None:
+    """At a place half an sd away from the estimate, where nothing was solved, with nuisances searched for."""
+    where = found.point.log_ratios + [0.12, -0.1]
+    assert np.abs(emulator.log_ratios - where).max(axis=1).min() > 0.05
+    nuisances, covariance = emulator.nuisances(where)
+    point, slope, most = found.point, found.slope, nuisances
+    for _ in range(4):
+        point = asked.solve(where, most, point, slope)
+        slope = asked.slope(point)
+        most = reduced(point, slope, found.weights).nuisances
+    assert emulator.phi(where)[0] == pytest.approx(phi(point, found.weights), abs=0.01)
+    assert np.allclose(nuisances, most, atol=0.02)
+    columns = found.weights.whiten(slope.nuisances)
+    exact = np.linalg.inv(np.eye(len(most)) + columns.T @ columns)
+    assert np.allclose(covariance, exact, atol=0.02)
+
+
+def test_wider_priors_lower_phi_as_the_model_with_them_says(found) -> None:
+    """One place: twice the prior sd of all nuisances is twice the columns."""
+    place = Place(found.point, found.slope)
+    wide = Emulator([place], found.weights, np.full(len(found.point.nuisances), 2.0))
+    whitened = found.weights.whiten(np.column_stack([found.slope.nuisances, found.point.values]))
+    columns, free = 2.0 * whitened[:, :-1], whitened[:, -1] - whitened[:, :-1] @ found.point.nuisances
+    best = np.linalg.solve(np.eye(columns.shape[1]) + columns.T @ columns, -columns.T @ free)
+    wanted = 0.5 * float(np.sum((free + columns @ best) ** 2) + best @ best)
+    assert wide.phi(found.point.log_ratios)[0] == pytest.approx(wanted, rel=1e-9)
+    assert wanted < phi(found.point, found.weights)
+    # Still in units of the narrow ones.
+    assert np.allclose(wide.nuisances(found.point.log_ratios)[0], 2.0 * best)
+
+
+def test_places_that_tell_nothing_are_left_out(asked, found, likely) -> None:
+    estimate = Place(found.point, found.slope)
+    near = asked.solve(found.point.log_ratios + 0.01, found.point.nuisances, found.point, found.slope)
+    strange = asked.solve(found.point.log_ratios + 0.2, found.point.nuisances + 3.0, found.point, found.slope)
+    high = asked.solve(found.point.log_ratios + [2.0, 2.0], found.point.nuisances, found.point, found.slope)
+    others = [Place(point, asked.slope(point)) for point in (near, strange, high)]
+    assert len(Emulator([estimate, *others], found.weights).log_ratios) == 1
+    assert len(Emulator(likely.places, found.weights).log_ratios) > 3

@@ -1,0 +1,259 @@
+"""The weighed fit: derivatives of its residuals, what shared errors cost, how its search ends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from spinestiff.anatomy.stiffness import StiffnessRatios
+from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.status import FitStatus
+from spinestiff.estimation.unknowns import ACTS
+from spinestiff.estimation.weighed import WeighedPoint, phi, reduced
+from spinestiff.imaging.features import VertebraCorners
+from spinestiff.mechanics.places import SupportPlace
+
+EXACT = Priors(
+    force_scale=0.0,
+    force_offset_n=0.0,
+    direction_deg=0.0,
+    push_height_mm=0.0,
+    push_depth_mm=0.0,
+    breathing_mm=0.0,
+    obliquity_deg=0.0,
+    shoulder_mm=0.0,
+    frame_obliquity_deg=0.0,
+    frame_shoulder_mm=0.0,
+    trunk=0.0,
+    source_distance=0.0,
+)
+
+
+def sd_of(found):
+    model = reduced(found.point, found.slope, found.weights)
+    return np.sqrt(np.diag(np.linalg.inv(model.ratios.T @ model.ratios)))
+
+
+def logs(found):
+    return found.point.log_ratios
+
+
+def with_supports(trials, **supports):
+    """Measured ones in the last frame."""
+    return [*trials[:-1], replace(trials[-1], supports=supports)]
+
+
+def displaced(trial, vertebra, by):
+    """One vertebra's corners shifted by (2,) mm at the patient plane."""
+    corners = trial.corners.corners.copy()
+    corners[trial.corners.vertebrae.index(vertebra)] += trial.view.magnification * np.asarray(by)
+    return replace(trial, corners=VertebraCorners(trial.corners.vertebrae, corners, trial.corners.quality))
+
+
+def test_derivatives_in_ratios_and_all_unknowns_against_differences_of_whole_solves(column, noisy) -> None:
+    """At ratios and unknowns that are not those at the start; together they reach all ten acts."""
+    asked = column.weighed(with_supports(noisy, obliquity=(0.02, 0.005), shoulder=(-1.0, 0.4)))
+    assert {unknown.act for unknown in asked.unknowns.each} == set(ACTS)
+    m = len(asked.unknowns)
+    here, nuisances = np.log([0.35, 0.3]), np.random.default_rng(0).normal(0.0, 0.7, m)
+    point = asked.solve(here, nuisances)
+    slope = asked.slope(point)
+    for i in range(2 + m):
+        step = 2e-3 * np.eye(2 + m)[i]
+        ahead, behind = (asked.solve(here + s * step[:2], nuisances + s * step[2:], point).values for s in (1, -1))
+        quotient = (ahead - behind) / 4e-3
+        exact = slope.ratios[:, i] if i < 2 else slope.nuisances[:, i - 2]
+        assert np.abs(quotient).max() > 1e-4
+        assert np.allclose(exact, quotient, atol=2e-4 * np.abs(quotient).max()), i
+
+
+def test_a_frame_without_force_is_seen_at_rest_whatever_the_ratios(asked) -> None:
+    one, other = (asked.solve(np.log(ratios), np.zeros(len(asked.unknowns))) for ratios in ([1.0, 1.0], [0.3, 0.4]))
+    still = asked.noise.of(2)
+    assert np.array_equal(one.values[still], other.values[still])
+    slope = asked.slope(other)
+    assert not slope.ratios[still].any()
+    assert not slope.nuisances[still].any()
+    assert np.abs(one.values - other.values).max() > 1.0
+
+
+def test_ratios_are_recovered_without_errors(column, clean) -> None:
+    for truth, data in ((column.truth, clean), ({"lateral_bending": 1.5, "tissue": 0.7}, None)):
+        found = column.searched(column.weighed(data or column.trials(truth)))
+        assert found.status is FitStatus.CONVERGED
+        assert np.allclose(logs(found), np.log(list(truth.values())), atol=0.02 * sd_of(found))
+        assert np.abs(found.point.nuisances).max(initial=0.0) < 0.01
+
+
+def test_errors_fall_where_standard_deviations_say(column) -> None:
+    """Subjects with errors drawn from the priors: squared error over variance is 1 on average."""
+    squares = []
+    for seed in range(8):
+        random = np.random.default_rng(seed)
+        place = SupportPlace(np.deg2rad(3.0) * random.normal(), 3.0 * random.normal())
+        places = [SupportPlace(share * place.obliquity, share * place.shoulder_mm) for share in (0.67, 1.67)]
+        data = column.trials(
+            annotation=0.3, tracking=0.12, places=places, gauge=1.0 + 0.02 * random.normal(), seed=100 + seed
+        )
+        found = column.searched(column.weighed(data))
+        squares.append(((logs(found) - np.log(list(column.truth.values()))) / sd_of(found)) ** 2)
+    # Chi-squared with about 16 degrees of freedom, smaller by what is known here and not to the fit.
+    assert 0.1 < np.mean(squares) < 2.2
+
+
+def test_a_common_scale_of_stiffness_is_never_known_better_than_the_force(column) -> None:
+    """Two pushes with a calibration each know it by the root of two better, one push with two frames does not."""
+    priors = replace(EXACT, force_scale=0.3)
+    one = column.trials()
+    two = [*column.trials(forces=(40.0,)), *column.trials(forces=(40.0,), bones=(5, 6), push="push 2")]
+    for data, pushes in ((one, 1), (two, 2)):
+        found = column.searched(column.weighed(data, priors, ("everything",)), (1.0,))
+        assert sd_of(found)[0] >= 0.3 / np.sqrt(pushes)
+        assert sd_of(found)[0] < 0.4 / np.sqrt(pushes)
+    # An offset of 6 N is 15 % of the one frame's 40 N.
+    asked = column.weighed(two[:2], replace(EXACT, force_scale=0.2, force_offset_n=6.0), ("everything",))
+    assert sd_of(column.searched(asked, (1.0,)))[0] >= 0.25
+
+
+def test_an_annotation_error_that_all_frames_share_moves_next_to_nothing(column, clean) -> None:
+    before = column.searched(column.weighed(clean))
+    everywhere = [displaced(trial, "L1", (0.6, 0.0)) for trial in clean]
+    alone = [*clean[:2], displaced(clean[2], "L1", (0.6, 0.0))]
+    moved = [np.abs(logs(column.searched(column.weighed(data))) - logs(before)) / sd_of(before) for data in (everywhere, alone)]
+    assert moved[0].max() < 0.03
+    assert moved[1].max() > 5.0 * moved[0].max()
+
+
+def obliquity_of(asked, found):
+    """Of the last frame: estimate and standard deviation, rad."""
+    row = asked.unknowns.acts[-1, ACTS.index("obliquity")]
+    columns = found.weights.whiten(np.column_stack([found.slope.nuisances, found.slope.ratios]))
+    prior = np.diag(np.r_[np.ones(len(row)), 0.0, 0.0])
+    covariance = np.linalg.inv(columns.T @ columns + prior)[: len(row), : len(row)]
+    return row @ found.point.nuisances, float(np.sqrt(row @ covariance @ row))
+
+
+def test_measured_supports_pull_as_their_standard_deviation_says(column, asked, found, noisy) -> None:
+    before, sd = obliquity_of(asked, found)
+    measured = before + 0.5 * sd
+    for own in (1e-3 * sd, sd, 2.0 * sd, 1e3 * sd):
+        other = column.weighed(with_supports(noisy, obliquity=(measured, own)))
+        after, left = obliquity_of(other, column.searched(other))
+        share = sd**2 / (sd**2 + own**2)
+        assert (after - before) / (measured - before) == pytest.approx(share, abs=0.1)
+        assert left == pytest.approx(sd * np.sqrt(1.0 - share), abs=0.06 * sd)
+
+
+def test_what_is_known_exactly_is_no_unknown_and_the_fit_goes_on(column, clean) -> None:
+    asked = column.weighed(clean, EXACT)
+    assert len(asked.unknowns) == 0
+    found = column.searched(asked)
+    assert found.status is FitStatus.CONVERGED
+    assert np.exp(logs(found)) == pytest.approx(list(column.truth.values()), rel=1e-3)
+
+
+def test_a_grossly_wrong_vertebra_is_inflated_and_hardly_moves_the_estimate(column, noisy, asked, found) -> None:
+    wrong = [*noisy[:2], displaced(noisy[2], "T12", (6.0, -4.0))]
+    other = column.weighed(wrong)
+    after = column.searched(other)
+    inflation = after.weights.inflation.reshape(-1, 3)[:, 0]
+    names = [(i, name) for i in range(3) for name in other.noise.seen[i].target.trial.corners.vertebrae]
+    assert {name for name, size in zip(names, inflation) if size > 2.0} == {(1, "T12")}
+    assert inflation.max() > 50.0
+    assert (found.weights.inflation < 2.0).all()
+    assert (np.abs(logs(after) - logs(found)) < 0.5 * sd_of(found)).all()
+    assert asked.noise.size == other.noise.size
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_the_size_of_tracking_errors_is_found_from_the_fits_residuals(column, factor) -> None:
+    """Corners with errors of ``factor`` times what their quality says."""
+    priors = Priors(tracking_mm=0.05, tracking_shared_mm=0.0)
+    size = np.sqrt(0.05**2 + 0.5 * 0.1**2)
+    found = [
+        column.searched(column.weighed(column.trials(tracking=factor * size, seed=seed), priors)).weights.tracking_factor
+        for seed in range(4)
+    ]
+    # About 40 free channels in each.
+    assert np.exp(np.mean(np.log(found))) == pytest.approx(factor, rel=0.15)
+
+
+def simulated(asked, point, slope, random):
+    """Values of channels as the covariance before any scale is fitted has them, and any ratios' motion."""
+    n = asked.noise.size
+    covariance = asked.noise.constant + asked.discrepancy(point) + asked.noise.tracking()
+    seen = np.linalg.cholesky(covariance + 1e-9 * np.eye(n)) @ random.normal(size=n)
+    return seen + slope.nuisances @ random.normal(size=slope.nuisances.shape[1]) + slope.ratios @ random.normal(size=2)
+
+
+def test_p_value_is_uniform_for_errors_as_expected(asked, found) -> None:
+    random = np.random.default_rng(5)
+    nothing = np.zeros(len(asked.unknowns))
+    values = [
+        asked.p_value(
+            WeighedPoint(nothing, found.point.evaluation, simulated(asked, found.point, found.slope, random)), found.slope
+        )
+        for _ in range(150)
+    ]
+    assert kstest(values, "uniform").pvalue > 0.01
+
+
+def test_p_value_is_tiny_where_forces_are_swapped(column, noisy, asked, found) -> None:
+    assert asked.p_value(found.point, found.slope) > 0.05
+    rest, weak, strong = noisy
+    swapped = [rest, replace(weak, load=strong.load), replace(strong, load=weak.load)]
+    other = column.weighed(swapped)
+    after = column.searched(other)
+    assert other.p_value(after.point, after.slope) < 1e-6
+
+
+def test_any_start_ends_at_the_same_place(column, asked, found) -> None:
+    for start in ((0.02, 0.02), (5.0, 5.0), (0.02, 5.0), (5.0, 0.02), (0.3, 0.4)):
+        other = column.searched(asked, start)
+        assert other.status is FitStatus.CONVERGED
+        assert phi(other.point, other.weights) == pytest.approx(phi(found.point, found.weights), abs=1e-6)
+        assert (np.abs(logs(other) - logs(found)) < 0.01 * sd_of(found)).all()
+
+
+def test_nuisances_are_eliminated_as_a_covariance_would(asked, found) -> None:
+    """Least squares over nuisances with priors equals generalised least squares with their covariance added."""
+    model = reduced(found.point, found.slope, found.weights)
+    root = found.weights.root
+    covariance = root @ root.T + found.slope.nuisances @ found.slope.nuisances.T
+    free = found.point.values - found.slope.nuisances @ found.point.nuisances
+    wanted = found.slope.ratios.T @ np.linalg.solve(covariance, np.column_stack([found.slope.ratios, free]))
+    assert np.allclose(model.ratios.T @ np.column_stack([model.ratios, model.values]), wanted, rtol=1e-6, atol=1e-6)
+    moved = free + found.slope.ratios @ [0.1, -0.2]
+    columns = np.vstack([found.weights.whiten(found.slope.nuisances), np.eye(len(asked.unknowns))])
+    best = np.linalg.lstsq(columns, -np.r_[found.weights.whiten(moved), np.zeros(len(asked.unknowns))], rcond=None)[0]
+    assert np.allclose(model.nuisances + model.follow @ [0.1, -0.2], best, atol=1e-9)
+
+
+def test_a_search_that_runs_out_of_evaluations_has_not_converged(column, asked) -> None:
+    for limit in (1, 2):
+        ended = column.searched(asked, max_evaluations=limit)
+        assert ended.status is FitStatus.ITERATION_LIMIT
+        assert not ended.status.usable
+
+
+def test_a_search_among_failing_equilibria_stalls(column, noisy, brittle) -> None:
+    """Above the minimum nothing fails, below it all: the last step has nowhere to go."""
+    own = replace(column, problem=brittle(0.37))
+    ended = own.searched(own.weighed(column.trials({"lateral_bending": 0.2, "tissue": 0.2})))
+    assert ended.status is FitStatus.STALLED
+    assert (np.exp(logs(ended)) >= 0.37).all()
+
+
+def test_a_ratio_outside_the_limits_ends_at_them(column, clean) -> None:
+    narrow = replace(column, limits=(np.log(0.5), np.log(5.0)))
+    ended = narrow.searched(narrow.weighed(clean))
+    assert ended.status is FitStatus.CONVERGED
+    assert logs(ended).min() == pytest.approx(np.log(0.5), abs=1e-9)
+
+
+def test_ratios_as_asked_are_those_that_are_solved(column, asked, found) -> None:
+    assert isinstance(asked.trial_set.ratios(logs(found)), StiffnessRatios)
+    assert asked.trial_set.ratios(logs(found)).names == tuple(column.truth)
