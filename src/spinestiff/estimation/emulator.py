@@ -20,11 +20,11 @@ from spinestiff.estimation.weighed import Reduced, WeighedPoint, WeighedSlope, W
 # Correlation length in log ratio: residuals change their course over a factor of four or so.
 LENGTH = 1.5
 # Relative variance that keeps places close to each other from being at odds.
-NUGGET = 1e-6
+NUGGET = 1e-8
 # A place whose nuisances are farther than this from the most probable ones there tells of another part of the space,
 # one whose phi is this much higher than the estimate's of nothing that matters, one as near as this to another of no
 # more than that.
-FARTHEST_NUISANCES, HIGHEST, NEAREST = 1.0, 30.0, 0.03
+FARTHEST_NUISANCES, HIGHEST, NEAREST = 0.3, 30.0, 0.03
 _CHUNK = 64
 
 
@@ -60,6 +60,12 @@ class Kriging:
     def at(self, where: Floats) -> Floats:
         """(S, R) values at places (S, P)."""
         return np.asarray(self._first_order(where) + self._covariance(where, False) @ self._solved)
+
+    def slopes(self, where: Floats) -> Floats:
+        """(S, R, P) of the values at places (S, P); only where slopes were given."""
+        count, p = where.shape
+        found = self._covariance(where, True)[count:] @ self._solved
+        return np.asarray(found.reshape(p, count, -1).transpose(1, 2, 0) + self._slope)
 
     def _first_order(self, where: Floats) -> Floats:
         return np.asarray(self._value + (where - self._base) @ self._slope.T)
@@ -114,18 +120,21 @@ class Emulator:
         self.log_ratios = np.array([place.point.log_ratios for place, _ in kept])
         m = kept[0][0].slope.nuisances.shape[1]
         sds = np.ones(m) if prior_sds is None else prior_sds
+        # Residuals are a smooth function of the ratios only together with nuisances that are one. Those that a search
+        # came by with are none: residuals are taken, to first order, at the most probable ones, as interpolated.
+        most, follow = (np.array([getattr(model, name) for _, model in kept]) for name in ("nuisances", "follow"))
+        self._nuisances = Kriging(self.log_ratios, most, follow)
+        smooth, along = self._nuisances.at(self.log_ratios), self._nuisances.slopes(self.log_ratios)
         values, slopes, columns = [], [], []
-        for place, model in kept:
-            whitened = weights.whiten(np.column_stack([place.point.values, place.slope.ratios, place.slope.nuisances]))
+        for (place, _), nuisances, change in zip(kept, smooth, along):
+            there = place.point.values + place.slope.nuisances @ (nuisances - place.point.nuisances)
+            whitened = weights.whiten(np.column_stack([there, place.slope.ratios, place.slope.nuisances]))
             p = place.slope.ratios.shape[1]
             values.append(whitened[:, 0])
             columns.append(whitened[:, 1 + p :])
-            slopes.append(whitened[:, 1 : 1 + p] + columns[-1] @ model.follow)
-        nuisances = np.array([place.point.nuisances for place, _ in kept])
-        follow = np.array([model.follow for _, model in kept])
+            slopes.append(whitened[:, 1 : 1 + p] + columns[-1] @ change)
         self._rows, self._m, self._sds = len(values[0]), m, sds
         self._residuals = Kriging(self.log_ratios, np.array(values), np.array(slopes))
-        self._nuisances = Kriging(self.log_ratios, nuisances, follow)
         self._columns = Kriging(self.log_ratios, np.array(columns).reshape(len(kept), -1), None)
 
     def phi(self, log_ratios: Floats) -> Floats:

@@ -25,7 +25,7 @@ WIDTH_FACTOR = 1.0
 CLOSE_ENOUGH = 0.1
 MOST_ROUNDS = 4
 # Nuisances that the emulator has wrong by this much are solved for once more.
-FAR_OFF = 0.5
+FAR_OFF = 0.3
 # Steps of a profile, in standard deviations, and how far beyond the linear end it is followed at most.
 STEP, FARTHEST = 0.35, 6.0
 # A profile that rises by less than this anywhere inside the bounds is flat.
