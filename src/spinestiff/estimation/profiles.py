@@ -100,7 +100,7 @@ def likely_ratios(
     low, high = (np.array([where[i // 2] for i, (where, _) in enumerate(ends) if i % 2 == side]) for side in (0, 1))
     opens = [np.array([is_open for i, (_, is_open) in enumerate(ends) if i % 2 == side]) for side in (0, 1)]
     kinds = tuple(
-        _kind(profile, fit.point.log_ratios[i], bool(opens[0][i]), bool(opens[1][i]), limits, rise)
+        profile_kind(profile, fit.point.log_ratios[i], bool(opens[0][i]), bool(opens[1][i]), limits, rise)
         for i, profile in enumerate(profiles)
     )
     draws, effective = _draws(emulator, fit.point.log_ratios, covariance, limits)
@@ -236,9 +236,16 @@ class _Tracer:
         return start, float(found.fun) - self._least
 
 
-def _kind(
+def profile_kind(
     profile: Profile, best: float, open_low: bool, open_high: bool, limits: tuple[float, float], rise: float
 ) -> str:
+    """The word for a profile (``Likely.kinds``).
+
+    Parameters
+    ----------
+    best : the estimate, log. open_low, open_high : the interval's end is the fit's bound.
+    limits : the fit's bounds, log. rise : of phi at an interval's end.
+    """
     if min(best - limits[0], limits[1] - best) < 1e-6:
         return "at a bound"
     if profile.rise.max() < FLAT or (open_low and open_high):

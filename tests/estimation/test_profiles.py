@@ -1,0 +1,178 @@
+"""Ends of intervals, the joint region and draws, against the model itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from spinestiff.estimation.emulator import Place
+from spinestiff.estimation.profiles import Profile, likely_ratios, profile_kind, region_rise, rise_at
+from spinestiff.estimation.weighed import phi, reduced
+
+
+def sd_of(found):
+    model = reduced(found.point, found.slope, found.weights)
+    return np.sqrt(np.diag(np.linalg.inv(model.ratios.T @ model.ratios)))
+
+
+def least_rise(asked, found, i, where):
+    """Of phi over the estimate's with log ratio ``i`` given, by Gauss-Newton steps of all else on the model."""
+    point, slope, q, nuisances = found.point, found.slope, np.array(where), found.point.nuisances
+    for _ in range(6):
+        point = asked.solve(q, nuisances, point, slope)
+        slope = asked.slope(point)
+        model = reduced(point, slope, found.weights)
+        others = [j for j in range(len(q)) if j != i]
+        step = np.linalg.lstsq(model.ratios[:, others], -model.values, rcond=None)[0]
+        q[others] += step
+        nuisances = model.nuisances + model.follow[:, others] @ step
+        if np.abs(step).max() < 1e-4:
+            break
+    left = model.values + model.ratios[:, others] @ step
+    return 0.5 * float(left @ left) - phi(found.point, found.weights), q
+
+
+@pytest.mark.parametrize("i", [0, 1])
+@pytest.mark.parametrize("side", ["low", "high"])
+def test_ends_are_where_the_models_profile_has_risen_enough(asked, found, likely, i, side) -> None:
+    """phi minimised over nuisances and the other ratio on the model rises by 3.84/2 within 2 % of a standard deviation."""
+    end = float(getattr(likely, side)[i])
+    profile = likely.profiles[i]
+    start = profile.others[np.argmin(np.abs(profile.log_ratios - end))].copy()
+    start[i] = end
+    rise, other = least_rise(asked, found, i, start)
+    sd = sd_of(found)[i]
+    step = 0.1 * sd * (1.0 if side == "high" else -1.0)
+    farther, _ = least_rise(asked, found, i, other + step * np.eye(2)[i])
+    steepness = (farther - rise) / step
+    assert rise == pytest.approx(0.5 * chi2.ppf(0.95, 1), abs=0.05)
+    assert abs(0.5 * chi2.ppf(0.95, 1) - rise) / abs(steepness) < 0.02 * sd
+
+
+def test_ends_lie_about_two_standard_deviations_apart(found, likely) -> None:
+    width = (likely.high - likely.low) / (2.0 * 1.96 * sd_of(found))
+    assert ((width > 0.7) & (width < 1.5)).all()
+    assert ((likely.low < found.point.log_ratios) & (found.point.log_ratios < likely.high)).all()
+    assert likely.kinds == ("bounded", "bounded")
+    assert not likely.open_low.any()
+    assert not likely.open_high.any()
+
+
+def test_profiles_rise_from_the_estimate_to_both_sides(found, likely) -> None:
+    for i, profile in enumerate(likely.profiles):
+        assert (np.diff(profile.log_ratios) > 0.0).all()
+        assert np.array_equal(profile.others[:, i], profile.log_ratios)
+        lowest = int(np.argmin(profile.rise))
+        assert profile.log_ratios[lowest] == pytest.approx(found.point.log_ratios[i], abs=0.2 * sd_of(found)[i])
+        assert profile.rise[lowest] == pytest.approx(0.0, abs=0.02)
+        assert (np.diff(profile.rise[: lowest + 1]) < 0.0).all()
+        assert (np.diff(profile.rise[lowest:]) > 0.0).all()
+
+
+def test_the_regions_outline_has_risen_by_the_joint_limit(asked, found, likely) -> None:
+    assert region_rise(2) == pytest.approx(chi2.ppf(0.95, 2))
+    outline = likely.region
+    assert np.allclose(outline[0], outline[-1])
+    for where in outline[:: len(outline) // 4]:
+        assert rise_at(asked, found, where) == pytest.approx(5.991, abs=0.2)
+    # The joint region reaches farther than either interval.
+    assert (outline.min(0) < likely.low).all()
+    assert (outline.max(0) > likely.high).all()
+
+
+def test_rise_is_0_at_the_estimate(asked, found) -> None:
+    assert rise_at(asked, found, found.point.log_ratios) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_draws_are_those_of_the_posterior(found, likely) -> None:
+    """Quantiles of each ratio and the correlation, against sums over a grid."""
+    sd, best = sd_of(found), found.point.log_ratios
+    axes = [best[i] + sd[i] * np.linspace(-5.0, 5.0, 81) for i in (0, 1)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
+    weight = np.exp(-likely.emulator.phi(grid) + likely.emulator.phi(best))
+    weight /= weight.sum()
+    ratios, nuisances = likely.draws
+    assert likely.effective > 500.0
+    for i in (0, 1):
+        order = np.argsort(grid[:, i], kind="stable")
+        cumulative = np.cumsum(weight[order])
+        for level in (0.1, 0.5, 0.9):
+            exact = grid[order, i][np.searchsorted(cumulative, level)]
+            # 500 draws: 0.06 to 0.08 sd by chance; a grid step is 0.125.
+            assert np.quantile(ratios[:, i], level) == pytest.approx(exact, abs=0.25 * sd[i])
+        assert np.mean((ratios[:, i] > likely.low[i]) & (ratios[:, i] < likely.high[i])) == pytest.approx(0.95, abs=0.03)
+    centred = grid - weight @ grid
+    covariance = centred.T @ (weight[:, None] * centred)
+    correlation = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
+    assert np.corrcoef(ratios.T)[0, 1] == pytest.approx(correlation, abs=0.1)
+    assert nuisances.shape == (500, len(found.point.nuisances))
+
+
+def test_drawn_nuisances_spread_as_the_fit_says(found, likely) -> None:
+    columns = found.weights.whiten(np.column_stack([found.slope.nuisances, found.slope.ratios]))
+    m = len(found.point.nuisances)
+    covariance = np.linalg.inv(columns.T @ columns + np.diag(np.r_[np.ones(m), 0.0, 0.0]))[:m, :m]
+    spread = np.std(likely.draws[1], axis=0)
+    assert np.allclose(spread, np.sqrt(np.diag(covariance)), rtol=0.2)
+    assert np.allclose(likely.draws[1].mean(0), found.point.nuisances, atol=0.25)
+
+
+def ended(column, trials, names=("lateral_bending", "tissue"), start=(1.0, 1.0)):
+    asked = column.weighed(trials, names=names)
+    found = column.searched(asked, start)
+    return likely_ratios(asked, found, [Place(*place) for place in found.visited], column.limits)
+
+
+def test_what_the_pictures_do_not_show_is_flat(column, clean) -> None:
+    """Flexion does next to nothing in the frontal plane."""
+    likely = ended(column, clean, ("lateral_bending", "flexion_extension"))
+    assert likely.kinds == ("bounded", "flat")
+    assert (likely.open_low[1], likely.open_high[1]) == (True, True)
+    assert (likely.low[1], likely.high[1]) == pytest.approx(column.limits)
+
+
+def test_tissue_too_soft_to_be_felt_is_known_to_one_side(column) -> None:
+    likely = ended(column, column.trials({"lateral_bending": 1.0, "tissue": 0.03}, annotation=0.2, tracking=0.1))
+    assert likely.kinds[1] in ("one-sided", "at a bound")
+    assert likely.open_low[1]
+    assert not likely.open_high[1]
+    assert likely.high[1] > np.log(0.03)
+
+
+def test_one_ratio_alone_has_an_interval_and_no_region(column, noisy) -> None:
+    likely = ended(column, noisy, ("everything",), (1.0,))
+    assert likely.kinds == ("bounded",)
+    assert likely.region is None
+    assert likely.draws[0].shape == (500, 1)
+
+
+def curve(height):
+    at = np.linspace(-2.0, 2.0, 41)
+    return Profile(at, at[:, None], height(at) - height(at).min())
+
+
+@pytest.mark.parametrize(
+    ("height", "best", "opens", "word"),
+    [
+        (lambda x: 2.0 * x**2, 0.0, (False, False), "bounded"),
+        (lambda x: 0.05 * x**2, 0.0, (False, False), "flat"),
+        (lambda x: 2.0 * x**2, 0.0, (True, True), "flat"),
+        (lambda x: 2.0 * x**2, 0.0, (True, False), "one-sided"),
+        (lambda x: 2.0 * x**2, 0.0, (False, True), "one-sided"),
+        (lambda x: 2.0 * x**2, -3.0, (True, False), "at a bound"),
+        (lambda x: (x**2 - 1.0) ** 2 + 0.1 * x, -1.0, (False, False), "several minima"),
+        (lambda x: 0.05 * (x**2 - 1.0) ** 2 + x**2, 0.0, (False, False), "bounded"),
+    ],
+)
+def test_a_profile_gets_its_word(height, best, opens, word) -> None:
+    assert profile_kind(curve(height), best, *opens, (-3.0, 3.0), 1.92) == word
+
+
+def test_an_estimate_at_a_limit_has_its_word(column, clean) -> None:
+    narrow = replace(column, limits=(float(np.log(0.35)), float(np.log(5.0))))
+    likely = ended(narrow, clean)
+    assert likely.kinds[0] == "at a bound"
+    assert likely.low[0] == pytest.approx(np.log(0.35))
