@@ -239,10 +239,11 @@ def fit_stiffness(
     intervals, opens = _ends(names, likely)
     edge = np.minimum(point.log_ratios - limits[0], limits[1] - point.log_ratios) < 1e-6
     if status is FitStatus.CONVERGED:
-        if edge.any():
-            status = FitStatus.AT_BOUND
-        elif likely is not None and not (likely.high - likely.low).max() < WIDEST_INTERVAL * (limits[1] - limits[0]):
+        # An estimate may end at a bound for no reason but that nothing holds it elsewhere.
+        if likely is not None and not (likely.high - likely.low).max() < WIDEST_INTERVAL * (limits[1] - limits[0]):
             status = FitStatus.NOT_IDENTIFIABLE
+        elif edge.any():
+            status = FitStatus.AT_BOUND
     trial_set.cost.seconds = time.perf_counter() - began
     return StiffnessFit(
         ratios=trial_set.ratios(point.log_ratios),

@@ -90,12 +90,18 @@ def likely_ratios(
     # A direction without any information gets the bounds' own width.
     covariance = np.asarray(np.linalg.inv(precision + np.eye(len(precision)) / (limits[1] - limits[0]) ** 2), float)
     rise = 0.5 * region_rise(1)
+    candidates, density = _candidates(fit.point.log_ratios, covariance, limits)
     for _ in range(MOST_ROUNDS):
         emulator = Emulator(places, fit.weights)
         tracer = _Tracer(emulator, fit.point.log_ratios, covariance, limits)
         profiles = [tracer.profile(i, rise) for i in range(len(precision))]
         ends = [tracer.end(profile, i, sign, rise) for i, profile in enumerate(profiles) for sign in (-1.0, 1.0)]
-        if not _solve_ends(problem, fit, emulator, places, [where for where, _ in ends]):
+        wanted = [where for where, _ in ends]
+        heights = emulator.phi(candidates)
+        if heights.min() < emulator.phi(fit.point.log_ratios)[0] - CLOSE_ENOUGH:
+            # Lower than the estimate: a hole between places, which would draw the draws.
+            wanted.append(candidates[int(np.argmin(heights))])
+        if not _solve_ends(problem, fit, emulator, places, wanted):
             break
     low, high = (np.array([where[i // 2] for i, (where, _) in enumerate(ends) if i % 2 == side]) for side in (0, 1))
     opens = [np.array([is_open for i, (_, is_open) in enumerate(ends) if i % 2 == side]) for side in (0, 1)]
@@ -103,7 +109,7 @@ def likely_ratios(
         profile_kind(profile, fit.point.log_ratios[i], bool(opens[0][i]), bool(opens[1][i]), limits, rise)
         for i, profile in enumerate(profiles)
     )
-    draws, effective = _draws(emulator, fit.point.log_ratios, covariance, limits)
+    draws, effective = _draws(emulator, candidates, density)
     region = _region(emulator, fit.point.log_ratios, low, high) if len(precision) == 2 else None
     open_low, open_high = opens
     return Likely(
@@ -246,10 +252,10 @@ def profile_kind(
     best : the estimate, log. open_low, open_high : the interval's end is the fit's bound.
     limits : the fit's bounds, log. rise : of phi at an interval's end.
     """
-    if min(best - limits[0], limits[1] - best) < 1e-6:
-        return "at a bound"
     if profile.rise.max() < FLAT or (open_low and open_high):
         return "flat"
+    if min(best - limits[0], limits[1] - best) < 1e-6:
+        return "at a bound"
     if open_low or open_high:
         return "one-sided"
     inside = profile.rise[profile.rise <= rise]
@@ -275,16 +281,18 @@ def _region(emulator: Emulator, best: Floats, low: Floats, high: Floats) -> Floa
     return np.asarray(np.array([axis[0] for axis in axes]) + outline * steps)
 
 
-def _draws(
-    emulator: Emulator, best: Floats, covariance: Floats, limits: tuple[float, float]
-) -> tuple[tuple[Floats, Floats], float]:
-    """Equally probable draws inside the bounds: wide candidates, weighed by exp(-phi) and drawn again."""
-    random = np.random.default_rng(0)
-    wide = multivariate_t(best, 1.3 * WIDTH_FACTOR**2 * covariance, df=4, seed=random)
+def _candidates(best: Floats, covariance: Floats, limits: tuple[float, float]) -> tuple[Floats, Floats]:
+    """Places (C, P) inside the bounds, more widely spread than draws will be, and their log density (C,)."""
+    wide = multivariate_t(best, 1.3 * WIDTH_FACTOR**2 * covariance, df=4, seed=np.random.default_rng(0))
     candidates = np.atleast_2d(wide.rvs(CANDIDATES).reshape(CANDIDATES, -1))
-    inside = np.all((candidates >= limits[0]) & (candidates <= limits[1]), axis=1)
-    candidates = candidates[inside]
-    log_weight = -emulator.phi(candidates) / WIDTH_FACTOR**2 - np.atleast_1d(wide.logpdf(candidates))
+    candidates = candidates[np.all((candidates >= limits[0]) & (candidates <= limits[1]), axis=1)]
+    return candidates, np.atleast_1d(wide.logpdf(candidates))
+
+
+def _draws(emulator: Emulator, candidates: Floats, density: Floats) -> tuple[tuple[Floats, Floats], float]:
+    """Equally probable draws: candidates weighed by exp(-phi) over their own density, and drawn again."""
+    random = np.random.default_rng(1)
+    log_weight = -emulator.phi(candidates) / WIDTH_FACTOR**2 - density
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
     # Systematic resampling: one uniform number, evenly spaced places on the cumulative weight.

@@ -1,0 +1,86 @@
+"""The variance budget, and the estimate with other priors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from spinestiff.estimation.budget import DISCREPANCY, STANCE, TRACKING, covariance_parts, prior_changes, variance_budget
+from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.weighed import reduced
+
+
+@pytest.fixture(scope="module")
+def budget(asked, found):
+    return variance_budget(asked, found)
+
+
+def sd_of(found):
+    model = reduced(found.point, found.slope, found.weights)
+    return np.sqrt(np.diag(np.linalg.inv(model.ratios.T @ model.ratios)))
+
+
+def test_every_unknown_and_every_part_of_the_noise_has_a_row(asked, budget) -> None:
+    wanted = {*asked.unknowns.groups, *asked.noise.parts, DISCREPANCY} - {STANCE}
+    assert {row.name for row in budget.rows} == wanted
+    assert len(budget.rows) == len(wanted)
+
+
+def test_together_is_at_least_each_alone_and_without_is_at_most_together(budget) -> None:
+    together, tracking = np.square(budget.together), np.square(budget.tracking)
+    assert (tracking > 0.0).all()
+    for row in budget.rows:
+        alone, without = np.square(row.alone), np.square(row.without)
+        assert (alone <= together * (1.0 + 1e-6)).all(), row.name
+        assert (alone >= tracking * (1.0 - 1e-6)).all(), row.name
+        assert (without <= together * (1.0 + 1e-6)).all(), row.name
+    # No row is for show: each adds something that its absence spares.
+    assert max(max(np.square(row.alone) / tracking) for row in budget.rows) > 1.5
+    assert min(min(np.square(row.without) / together) for row in budget.rows) < 0.95
+
+
+def test_together_is_the_fits_own_standard_deviation(found, budget) -> None:
+    """But for the 0.02 mm that keep a frame annotated by hand from being the exact truth."""
+    assert np.allclose(budget.together, sd_of(found), rtol=0.03)
+
+
+def test_parts_add_up_to_the_fits_covariance(asked, found) -> None:
+    parts = covariance_parts(asked, found)
+    fixed = sum(parts[name] for name in (TRACKING, DISCREPANCY, *asked.noise.parts))
+    assert np.allclose(fixed, found.weights.root @ found.weights.root.T, atol=1e-9 * np.abs(fixed).max())
+    moved = sum(parts[name] for name in asked.unknowns.groups)
+    assert np.allclose(moved, found.slope.nuisances @ found.slope.nuisances.T, atol=1e-9)
+
+
+def test_without_one_unknown_is_what_a_fit_without_it_would_say(column, noisy, found, budget) -> None:
+    """Linear at another estimate, so to some percent."""
+    exact = column.searched(column.weighed(noisy, replace(Priors(), force_scale=0.0)))
+    row = next(row for row in budget.rows if row.name == "force scale")
+    gain = np.array(row.without) / np.array(budget.together)
+    assert np.allclose(gain, sd_of(exact) / sd_of(found), rtol=0.05)
+
+
+def test_other_priors_against_fits_with_them(column, noisy, asked, found, likely) -> None:
+    changes = prior_changes(asked, found, likely.places, column.limits)
+    assert {change.name for change in changes} == {*asked.unknowns.groups, *asked.noise.parts, DISCREPANCY}
+    assert {change.factor for change in changes} == {0.5, 2.0}
+    names = (("force scale", "force_scale"), ("push height", "push_height_mm"), ("annotation", "annotation_mm"))
+    for name, prior in names:
+        for factor in (0.5, 2.0):
+            again = column.searched(column.weighed(noisy, Priors().scaled(prior, factor)))
+            change = next(change for change in changes if (change.name, change.factor) == (name, factor))
+            apart = (np.log(change.ratios) - again.point.log_ratios) / sd_of(found)
+            assert np.abs(apart).max() < 0.05, (name, factor)
+            assert np.allclose(change.sd, sd_of(again), rtol=0.1), (name, factor)
+
+
+def test_the_estimate_hardly_depends_on_a_prior_that_explains_nothing(asked, found, likely, column) -> None:
+    changes = prior_changes(asked, found, likely.places, column.limits)
+    for change in changes:
+        apart = (np.log(change.ratios) - found.point.log_ratios) / sd_of(found)
+        assert np.abs(apart).max() < 1.0, change.name
+    moved = {change.name: np.abs(np.log(change.ratios) - found.point.log_ratios).max() for change in changes}
+    assert moved["source distance"] < 0.1 * sd_of(found).max()
+    assert max(moved.values()) > 0.0
