@@ -78,14 +78,14 @@ def column_supports(torso: TorsoModel) -> Supports:
 
 
 class BrittleProblem(EquilibriumProblem):
-    """Has no equilibrium where a ratio is below ``fails_below``."""
+    """Has no equilibrium where the ratio of lateral bending is below ``fails_below``."""
 
     fails_below = 0.0
 
     def solve(self, load: LoadCase, ratios: StiffnessRatios | None = None, *args, **kwargs) -> Equilibrium:
         found = super().solve(load, ratios, *args, **kwargs)
-        lost = 0.0 if ratios is None else self.fails_below - ratios.values.min()
-        return replace(found, status=SolveStatus.STALLED) if lost > 0.0 else found
+        bending = 1.0 if ratios is None else ratios.scale_joints(np.ones((len(self.torso.joints), 6)))[0, 5]
+        return replace(found, status=SolveStatus.STALLED) if bending < self.fails_below else found
 
 
 @dataclass(frozen=True)

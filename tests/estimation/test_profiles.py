@@ -136,7 +136,7 @@ def test_what_the_pictures_do_not_show_is_flat(column, clean) -> None:
 
 
 def test_a_hole_between_places_is_solved_and_not_drawn_from(column, clean) -> None:
-    """Flexion is known to one side: after a first round the emulator has a place between far lower than the estimate."""
+    """Flexion is known to one side: at first the emulator has places far lower than the estimate."""
     asked = column.weighed(clean, names=("lateral_bending", "flexion_extension"))
     found = column.searched(asked)
     likely = likely_ratios(asked, found, [Place(*place) for place in found.visited], column.limits)

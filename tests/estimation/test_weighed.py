@@ -245,7 +245,7 @@ def test_a_search_among_failing_equilibria_stalls(column, noisy, brittle) -> Non
     own = replace(column, problem=brittle(0.37))
     ended = own.searched(own.weighed(column.trials({"lateral_bending": 0.2, "tissue": 0.2})))
     assert ended.status is FitStatus.STALLED
-    assert (np.exp(logs(ended)) >= 0.37).all()
+    assert np.exp(logs(ended))[0] >= 0.37
 
 
 def test_a_ratio_outside_the_limits_ends_at_them(column, clean) -> None:

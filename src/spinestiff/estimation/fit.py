@@ -45,6 +45,8 @@ Method = Literal["weighed", "paper"]
 METHODS: tuple[Method, ...] = ("weighed", "paper")
 # An interval that covers more of the bounds (in log) than this says that the data can't tell.
 WIDEST_INTERVAL = 0.9
+# Of the ratios' precision: beyond, what parts two combinations of ratios is rounding.
+WORST_CONDITION = 1e12
 Extent = Literal["estimate", "intervals", "everything"]
 
 
@@ -240,7 +242,8 @@ def fit_stiffness(
     edge = np.minimum(point.log_ratios - limits[0], limits[1] - point.log_ratios) < 1e-6
     if status is FitStatus.CONVERGED:
         # An estimate may end at a bound for no reason but that nothing holds it elsewhere.
-        if likely is not None and not (likely.high - likely.low).max() < WIDEST_INTERVAL * (limits[1] - limits[0]):
+        widest = 0.0 if likely is None else (likely.high - likely.low).max() / (limits[1] - limits[0])
+        if widest >= WIDEST_INTERVAL or np.isinf(covariance).any():
             status = FitStatus.NOT_IDENTIFIABLE
         elif edge.any():
             status = FitStatus.AT_BOUND
@@ -334,10 +337,9 @@ def _searched(
 def _covariance(found: WeighedFit) -> Floats:
     model = reduced(found.point, found.slope, found.weights)
     precision = model.ratios.T @ model.ratios
-    try:
-        return np.asarray(np.linalg.inv(precision))
-    except np.linalg.LinAlgError:
+    if not np.linalg.cond(precision) < WORST_CONDITION:
         return np.full(precision.shape, np.inf)
+    return np.asarray(np.linalg.inv(precision))
 
 
 def _told(asked: WeighedProblem, found: WeighedFit, limits: tuple[float, float], extent: Extent) -> Weighed:

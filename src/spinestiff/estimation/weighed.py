@@ -46,6 +46,9 @@ SMALLEST_DECREASE = 5e-7
 # One step changes a ratio by at most these factors: beyond, the linear model says nothing.
 LARGEST_SOFTENING, LARGEST_STIFFENING = 8.0, 8.0
 SHORTEST_STEP = 1.0 / 64.0
+# Weight of a step's own length: along a direction that the data say nothing of, a step is short and not as long as
+# rounding makes it; its cost is below the smallest decrease.
+SHORT = 1e-4
 _MOTION = ACTS.index("motion")
 
 
@@ -371,7 +374,9 @@ def gauss_newton_step(
     low = np.maximum(limits[0] - point.log_ratios, -np.log(LARGEST_SOFTENING))
     high = np.minimum(limits[1] - point.log_ratios, np.log(LARGEST_STIFFENING))
     floor, ceiling = compliance_step(low) - 1e-14, compliance_step(high) + 1e-14
-    triangle = np.asarray(np.linalg.qr(np.column_stack([model.ratios, model.values]), mode="r"))
+    kept_short = np.hstack([SHORT * np.eye(len(low)), np.zeros((len(low), 1))])
+    rows = np.vstack([np.column_stack([model.ratios, model.values]), kept_short])
+    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
     p = lsq_linear(triangle[:, :-1], -triangle[:, -1], (floor, ceiling), method="bvls").x
     left = model.values + model.ratios @ p
     predicted = phi(point, weights) - 0.5 * float(left @ left)
