@@ -1,0 +1,164 @@
+"""What the weighed fit costs, and whether it ends at one place from everywhere: many starts, one subject.
+
+The subject is the coarse template under one push at rib level 8 from the right, 40 and 60 N, with an unloaded frame;
+corners are simulated with errors of annotation, tracking, gauge and supports. Starts are log-uniform over the ratios
+that subjects have. ``python benchmarks/estimator_work.py [--starts N] [--write]`` prints evaluations, factorisations
+and CPU time of each fit, how far phi (by the best fit's weights) and the ratios (in standard deviations) lie apart, and
+what intervals and variance budget cost on top.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+from spinestiff.anatomy.stiffness import RATIO_BOUNDS, stiffness_ratios
+from spinestiff.anatomy.template import template_torso
+from spinestiff.errors import EquilibriumError
+from spinestiff.estimation.budget import prior_changes, variance_budget
+from spinestiff.estimation.emulator import Place
+from spinestiff.estimation.evaluation import FitCost, TrialSet
+from spinestiff.estimation.objective import Trial
+from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.profiles import likely_ratios
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, phi, reduced, search
+from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
+from spinestiff.imaging.projection import frontal_view
+from spinestiff.imaging.tracking.quality import quality_of
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import no_load, rib_push
+from spinestiff.mechanics.places import SupportPlace
+from spinestiff.mechanics.supports import three_point_supports
+
+TRUTH = {"lateral_bending": 0.1, "tissue": 0.04}
+STARTS = ((0.0075, 0.84), (0.0075, 0.2))
+FORCES, LEVEL, GAUGE = (40.0, 60.0), 8, 1.02
+ANNOTATION_MM, TRACKING_MM = 0.3, 0.1
+# At the larger force; of the smaller one its share.
+OBLIQUITY, SHOULDER_MM = float(np.deg2rad(2.0)), 2.0
+LIMITS = (float(np.log(RATIO_BOUNDS[0])), float(np.log(RATIO_BOUNDS[1])))
+MOST_EVALUATIONS = 80
+
+
+def subject(seed: int) -> WeighedProblem:
+    """The simulated subject, ready to be fitted."""
+    torso = template_torso(157.0, "coarse")
+    problem = EquilibriumProblem(torso, three_point_supports(torso, "right"))
+    view, random, truth = frontal_view(), np.random.default_rng(seed), stiffness_ratios(TRUTH)
+    shares = silhouette_shares(torso, view, torso.rest_pose)
+    common = ANNOTATION_MM * random.normal(size=(len(torso.vertebrae), 4, 2))
+    quality = np.full(common.shape[:2], float(quality_of(np.array(TRACKING_MM))))
+
+    def seen(state, own: float) -> VertebraCorners:
+        errors = common + own * random.normal(size=common.shape)
+        corners = state_features(torso, view, state, shares).corners + view.magnification * errors
+        return VertebraCorners(torso.vertebrae, corners, quality)
+
+    still = Trial(no_load(), seen(torso.rest_pose, 0.0), view, "rest", "push", annotated=True)
+    trials = []
+    for force in FORCES:
+        share = force / max(FORCES)
+        placed = problem.with_place(SupportPlace(share * OBLIQUITY, share * SHOULDER_MM))
+        state = placed.solve(rib_push(torso, "right", LEVEL, GAUGE * force), truth).require().state
+        load = rib_push(torso, "right", LEVEL, force)
+        trials.append(Trial(load, seen(state, TRACKING_MM), view, f"{force:g} N", "push"))
+    trial_set = TrialSet([problem] * len(trials), trials, truth.groups, "procrustes", None)
+    return WeighedProblem(trial_set, [(problem, still)], "procrustes", Priors(), None, False)
+
+
+def fitted(problem: WeighedProblem, ratios: list[float]) -> tuple[WeighedFit | None, dict[str, object]]:
+    """A fit from a start, and its work."""
+    trial_set = problem.trial_set
+    trial_set.cost, trial_set.history[:] = FitCost(), []
+    began = time.process_time()
+    found, status = None, "no equilibrium at the start"
+    try:
+        first = problem.solve(np.log(ratios), np.zeros(len(problem.unknowns)))
+        found = search(problem, first, LIMITS, MOST_EVALUATIONS)
+        status = found.status.name
+    except EquilibriumError:
+        pass
+    return found, {
+        "start": [round(value, 5) for value in ratios],
+        "status": status,
+        "evaluations": len(trial_set.history) + 1,
+        "factorisations": trial_set.cost.factorisations,
+        "cpu_s": round(time.process_time() - began, 2),
+    }
+
+
+def campaign(starts: int, seed: int) -> dict[str, object]:
+    """All fits, compared with the first of the least phi, and the uncertainty's work there."""
+    problem, random = subject(seed), np.random.default_rng(seed + 1)
+    fits, records = [], []
+    for _ in range(starts):
+        ratios = [float(np.exp(random.uniform(*np.log(ends)))) for ends in STARTS]
+        found, record = fitted(problem, ratios)
+        print(record, flush=True)
+        fits.append(found)
+        records.append(record)
+    ended = [(found, record) for found, record in zip(fits, records) if found is not None and found.status.usable]
+    best = min((found for found, _ in ended), key=lambda found: phi(found.point, found.weights))
+    model = reduced(best.point, best.slope, best.weights)
+    sd = np.sqrt(np.diag(np.linalg.inv(model.ratios.T @ model.ratios)))
+    for found, record in ended:
+        record["phi_over_least"] = float(phi(found.point, best.weights) - phi(best.point, best.weights))
+        record["apart_sd"] = float(np.abs((found.point.log_ratios - best.point.log_ratios) / sd).max())
+    trial_set = problem.trial_set
+    trial_set.cost, trial_set.history[:] = FitCost(), []
+    began = time.process_time()
+    likely = likely_ratios(problem, best, [Place(*place) for place in best.visited], LIMITS)
+    variance_budget(problem, best)
+    prior_changes(problem, best, likely.places, LIMITS)
+    names = list(TRUTH)
+    work = {
+        "evaluations": len(trial_set.history),
+        "factorisations": trial_set.cost.factorisations,
+        "cpu_s": round(time.process_time() - began, 2),
+    }
+
+    def spread(what: str) -> dict[str, float]:
+        values = [record[what] for record in records if record["status"] == "CONVERGED"]
+        return {"median": float(np.median(values)), "worst": float(np.max(values))}
+
+    return {
+        "date": datetime.date.today().isoformat(),
+        "load_average": [round(value, 1) for value in os.getloadavg()],
+        "truth": TRUTH,
+        "estimate": dict(zip(names, np.exp(best.point.log_ratios).round(5).tolist())),
+        "sd_of_log": dict(zip(names, sd.round(4).tolist())),
+        "interval95": {
+            name: np.exp([low, high]).round(5).tolist() for name, low, high in zip(names, likely.low, likely.high)
+        },
+        "kinds": dict(zip(names, likely.kinds)),
+        "starts": starts,
+        "statuses": {name: [r["status"] for r in records].count(name) for name in {str(r["status"]) for r in records}},
+        "fit": {what: spread(what) for what in ("evaluations", "factorisations", "cpu_s")},
+        "phi_over_least": max(float(str(record["phi_over_least"])) for _, record in ended),
+        "apart_sd": max(float(str(record["apart_sd"])) for _, record in ended),
+        "uncertainty": work,
+        "fits": records,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--starts", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--write", action="store_true", help="to results/estimator_work.json")
+    options = parser.parse_args()
+    result = campaign(options.starts, options.seed)
+    print(json.dumps({key: value for key, value in result.items() if key != "fits"}, indent=1))
+    if options.write:
+        path = Path(__file__).parent / "results" / "estimator_work.json"
+        path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
