@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS
@@ -253,8 +252,3 @@ def test_a_ratio_outside_the_limits_ends_at_them(column, clean) -> None:
     ended = narrow.searched(narrow.weighed(clean))
     assert ended.status is FitStatus.CONVERGED
     assert logs(ended).min() == pytest.approx(np.log(0.5), abs=1e-9)
-
-
-def test_ratios_as_asked_are_those_that_are_solved(column, asked, found) -> None:
-    assert isinstance(asked.trial_set.ratios(logs(found)), StiffnessRatios)
-    assert asked.trial_set.ratios(logs(found)).names == tuple(column.truth)
