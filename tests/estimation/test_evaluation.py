@@ -16,9 +16,9 @@ from spinestiff.mechanics.terms import PointSprings
 
 HERE = np.log([0.25, 0.5])
 # Acts at which derivatives are taken: none is 0, so that none's derivative is that at rest.
-GIVEN = np.array([0.05, -2.0, 0.04, -0.03, 3.0, -4.0, 0.03, -2.0, 0.1, 0.02])
+GIVEN = np.array([0.05, -2.0, 0.04, -0.03, 3.0, -4.0, 0.03, -2.0, -0.05, 0.1, 0.02])
 STEPS = {"force": 1e-3, "offset": 0.05, "upward": 1e-3, "forward": 1e-3, "height": 1.0, "depth": 1.0}
-STEPS |= {"obliquity": 5e-4, "shoulder": 0.02, "tissue": 1e-3}
+STEPS |= {"obliquity": 5e-4, "shoulder": 0.02, "bending": 1e-3, "tissue": 1e-3}
 
 
 def test_adjoint_gradient_is_forward_gradient_and_the_difference_quotient(column, clean) -> None:
@@ -36,7 +36,7 @@ def test_adjoint_gradient_is_forward_gradient_and_the_difference_quotient(column
 @pytest.mark.parametrize("bones", [(3, 4), (4,)], ids=["two points", "one point"])
 @pytest.mark.parametrize("act", STEPS)
 def test_derivative_of_each_act_against_differences_of_whole_solves(column, act, bones) -> None:
-    """The tenth, motion, moves no state (tests/estimation/test_weighed.py)."""
+    """The last, motion, moves no state (tests/estimation/test_weighed.py)."""
     trial_set = column.trial_set(column.trials(forces=(60.0,), bones=bones)[1:])
     point = trial_set.solve(HERE, acts=GIVEN[None])
     column_of = trial_set.slope(point, with_acts=True).acted[0][:, [ACTS.index(act)]]

@@ -14,6 +14,7 @@ from spinestiff.estimation import fit as fitting
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fit import FitStatus, fit_stiffness, likelihood_rise
 from spinestiff.estimation.objective import Trial
+from spinestiff.estimation.unknowns import ACTS
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -55,7 +56,7 @@ def test_a_fit_tells_what_it_found(column, whole, noisy) -> None:
     told = whole.weighed
     assert whole.status is FitStatus.CONVERGED
     assert told.p_value > 0.05
-    assert told.acts.shape == (2, 10)
+    assert told.acts.shape == (2, len(ACTS))
     assert told.outlying == ()
     assert told.budget is not None
     assert told.changes

@@ -65,7 +65,7 @@ def test_all_parts_are_symmetric_and_no_variance_is_negative(column, targets) ->
     random = np.random.default_rng(0)
     root = random.normal(size=(6 * len(column.torso.vertebrae), 12))
     noise = noise_of(column, targets, geometry=0.01 * root @ root.T)
-    assert set(noise.parts) == {"annotation", "place in the picture", "stance", "rest geometry"}
+    assert set(noise.parts) == {"annotation", "place in the picture", "posture", "stance", "rest geometry"}
     for part in (*noise.parts.values(), noise.tracking(), noise.tracking(1.7, random.uniform(1.0, 4.0, noise.size))):
         assert part.shape == (noise.size, noise.size)
         assert np.allclose(part, part.T, atol=1e-12)
@@ -88,8 +88,8 @@ def test_an_annotation_error_is_one_for_a_vertebra_of_a_sequence(noise) -> None:
 @pytest.mark.parametrize(
     ("part", "groups", "size"),
     [
-        ("place in the picture", range(5), (0.5, 0.5, 0.0)),
-        ("stance", (0, 0, 0, 1, 1), (20.0, 20.0, np.deg2rad(3.0))),
+        ("place in the picture", range(5), (0.5, 0.5, np.deg2rad(0.1), 0.0)),
+        ("stance", (0, 0, 0, 1, 1), (20.0, 20.0, np.deg2rad(3.0), 0.02)),
     ],
 )
 def test_a_picture_or_a_sequence_moves_as_a_whole(noise, targets, part, groups, size) -> None:
@@ -97,11 +97,12 @@ def test_a_picture_or_a_sequence_moves_as_a_whole(noise, targets, part, groups, 
     covariance, combination = noise.parts[part], np.random.default_rng(1).normal(size=noise.size)
     variance = 0.0
     for group in set(groups):
-        for axis in range(3):
+        for axis in range(4):
             moved = []
             for one, channels, own in zip(targets, noise.channels, groups):
                 z = one.z
-                step = np.stack([-z[..., 1], z[..., 0]], -1) if axis == 2 else np.zeros(z.shape) + np.eye(2)[axis]
+                turned, larger = np.stack([-z[..., 1], z[..., 0]], -1), np.zeros(z.shape) + z.mean(1, keepdims=True)
+                step = np.zeros(z.shape) + np.eye(2)[axis] if axis < 2 else (turned, larger)[axis - 2]
                 moved.append((own == group) * size[axis] * channels.apply(step))
             variance += float(combination @ np.concatenate(moved)) ** 2
     assert combination @ covariance @ combination == pytest.approx(variance, rel=1e-9)

@@ -21,7 +21,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
 
 # What belongs to pictures and not to pushes.
-OF_PICTURES = ("place_mm", "stance_mm", "stance_deg", "annotation_mm", "tracking_mm", "tracking_shared_mm")
+OF_PICTURES = ("place_mm", "place_deg", "posture_deg", "stance_mm", "stance_deg", "stance_scale", "annotation_mm")
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +134,7 @@ def test_what_each_act_does_to_a_load(column, force, bones) -> None:
         moved = with_act(name, 2.0)
         assert moved.total == pytest.approx(load.total)
         assert moved.moment(rest) - load.moment(rest) == pytest.approx(np.cross(arm, load.total), abs=1e-9)
-    for name in ("obliquity", "shoulder", "tissue", "motion"):
+    for name in ("obliquity", "shoulder", "bending", "tissue", "motion"):
         assert np.allclose(with_act(name, 0.1).forces, load.forces)
 
 
@@ -143,7 +143,7 @@ def test_a_push_on_tissue_has_no_point_of_its_own_and_no_load_has_no_acts(column
     pressed = LoadCase(none, np.empty((0, 3)), "pressed", np.array([0]), np.array([[5.0, 0.0, 0.0]]))
     changes = load_changes(pressed, column.torso.rest_pose)
     assert [change.size for change in changes[4:]] == [0.0, 0.0]
-    moved = changed_load(pressed, changes, np.array([0.0, 1.0, 0.1, 0.0, 9.0, 9.0, 0.0, 0.0, 0.0, 0.0]))
+    moved = changed_load(pressed, changes, np.array([0.0, 1.0, 0.1, 0.0, 9.0, 9.0, *np.zeros(len(ACTS) - 6)]))
     assert moved.total == pytest.approx([6.0, 0.5, 0.0])
     still = LoadCase(none, np.empty((0, 3)))
     assert changed_load(still, load_changes(still, column.torso.rest_pose), np.ones(len(ACTS))).size == 0.0

@@ -53,9 +53,12 @@ def displaced(trial, vertebra, by):
 
 
 def test_derivatives_in_ratios_and_all_unknowns_against_differences_of_whole_solves(column, noisy) -> None:
-    """At ratios and unknowns that are not those at the start; together they reach all ten acts."""
+    """At ratios and unknowns that are not those at the start; together they reach all acts but one.
+
+    Bending acts by the model's form, which is learnt of the whole torso; tests/estimation/test_evaluation.py has it.
+    """
     asked = column.weighed(with_supports(noisy, obliquity=(0.02, 0.005), shoulder=(-1.0, 0.4)))
-    assert {unknown.act for unknown in asked.unknowns.each} == set(ACTS)
+    assert {unknown.act for unknown in asked.unknowns.each} == {*ACTS} - {"bending"}
     m = len(asked.unknowns)
     here, nuisances = np.log([0.35, 0.3]), np.random.default_rng(0).normal(0.0, 0.7, m)
     point = asked.solve(here, nuisances)
