@@ -76,25 +76,6 @@ def test_other_priors_against_fits_with_them(column, noisy, asked, found, likely
             assert np.allclose(change.sd, sd_of(again), rtol=0.1), (name, factor)
 
 
-def test_a_part_of_the_noise_with_another_size_against_generalised_least_squares(asked, found, likely, column) -> None:
-    """The covariance's own change, factor^2 - 1 of the part, at the estimate: to what curvature adds."""
-    changes = prior_changes(asked, found, likely.places, column.limits)
-    parts = covariance_parts(asked, found)
-    whole = sum(part for name, part in parts.items())
-
-    def sd_with(part, factor):
-        precision = found.slope.ratios.T @ np.linalg.solve(whole + (factor**2 - 1.0) * part, found.slope.ratios)
-        return np.sqrt(np.diag(np.linalg.inv(precision)))
-
-    narrow, wide = (
-        next(change.sd[0] for change in changes if (change.name, change.factor) == (DISCREPANCY, factor))
-        for factor in (0.5, 2.0)
-    )
-    wanted = sd_with(parts[DISCREPANCY], 2.0)[0] / sd_with(parts[DISCREPANCY], 0.5)[0]
-    assert wanted > 1.1
-    assert wide / narrow == pytest.approx(wanted, rel=0.04)
-
-
 def test_the_estimate_hardly_depends_on_a_prior_that_explains_nothing(asked, found, likely, column) -> None:
     changes = prior_changes(asked, found, likely.places, column.limits)
     for change in changes:
