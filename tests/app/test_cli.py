@@ -185,16 +185,16 @@ def test_a_report_with_another_truth_asks_for_its_comparison(spinestiff, subject
 def test_redo_reaches_the_step(spinestiff, subject, finished, monkeypatch):
     asked = []
 
-    def fit(problems, trials, names, method, start, orientation, observer):
-        asked.append((method, orientation))
+    def fit(pushes, names, start, method, observer):
+        asked.append((method, pushes.orientation))
         return finished.fit
 
-    monkeypatch.setattr(steps, "fit_stiffness", fit)
+    monkeypatch.setattr(steps, "fit_pushes", fit)
     assert spinestiff("estimate", subject).status == 0
     assert asked == []
     assert spinestiff("estimate", subject, "--redo").status == 0
-    assert spinestiff("estimate", subject, "--method", "lbfgsb", "--orientation", "covariance").status == 0
-    assert asked == [("lm", "procrustes"), ("lbfgsb", "covariance")]
+    assert spinestiff("estimate", subject, "--method", "paper", "--orientation", "covariance").status == 0
+    assert asked == [("weighed", "procrustes"), ("paper", "covariance")]
 
 
 @pytest.fixture
@@ -465,7 +465,7 @@ def test_impossible_subjects_are_refused(spinestiff, tmp_path, monkeypatch, argu
     [
         (("run", "--mesh", "huge"), "unknown mesh 'huge'; wanted one of coarse, fine"),
         (("personalise", "--mesh", ""), "unknown mesh ''"),
-        (("run", "--method", "guess"), "unknown method 'guess'; wanted one of lm, lbfgsb"),
+        (("run", "--method", "guess"), "unknown method 'guess'; wanted one of weighed, paper"),
         (("estimate", "--orientation", "up"), "unknown orientation 'up'"),
         (("assess", "--truth", "none.json"), r"none\.json: no such file"),
         (("run", "--truth", "subject.json"), r"subject\.json: holds no true ratios"),
@@ -600,7 +600,7 @@ def test_a_failed_computation_ends_with_3_and_keeps_the_estimate(spinestiff, sub
     def fails(*args, **kwargs):
         raise error
 
-    monkeypatch.setattr(steps, "fit_stiffness", fails)
+    monkeypatch.setattr(steps, "fit_pushes", fails)
     before = digests(subject)
     refused(spinestiff("estimate", subject, "--redo"), " here$", 3)
     assert digests(subject) == before

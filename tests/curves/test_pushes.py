@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from results import altered
-from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses, rest_reading, usable_frames
+from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses, rest_reading, seen_frames
 from spinestiff.errors import SubjectError
 from spinestiff.study.assessment import change_record
 from spinestiff.study.steps import stored_predictions
@@ -119,7 +119,7 @@ def test_dropped_frames_are_not_used_and_others_know_their_annotation(subject):
         content["pushes"]["main"]["annotated_frames"] = [0, 3]
 
     altered(subject, Tracked, change)
-    found = usable_frames(read_outcome(read_subject(subject), Tracked).pushes["main"])
+    found = seen_frames(read_outcome(read_subject(subject), Tracked).pushes["main"])
     assert [(frame.frame, frame.force_n, frame.origin) for frame in found] == [(0, 0.0, 0), (2, 22.5, 3), (3, 30.0, 3)]
     # Towards the patient's left, upwards, in millimetres of the patient.
     left, right = found[0].points[:, 0], found[0].points[:, 1]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from spinestiff.estimation.uncertainty import UncertaintySettings
 
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.estimation.evaluation import TrialSet, compliance_step, log_step
-from spinestiff.estimation.uncertainty import UncertaintySettings
 
 TRUTH = {"lateral_bending": 0.1, "tissue": 0.03}
 

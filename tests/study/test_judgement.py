@@ -12,7 +12,6 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import TrackingError
-from spinestiff.estimation.fit import fit_stiffness
 from spinestiff.imaging.dicom.identity import Identity
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view, lateral_view
@@ -22,7 +21,7 @@ from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.shape import personalise, place_vertebrae
 from spinestiff.study.judgement import LIMITS, RestShape, failed, judge
 from spinestiff.study.spines import curved_spine
-from spinestiff.study.trials import push_set
+from spinestiff.study.trials import fit_pushes, push_set
 from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
 
@@ -115,13 +114,7 @@ def sound():
     tracked = TrackedPush.of(view, FORCES, frames)
     shaped = personalise(template_torso(HEIGHT), rest)
     pushes = push_set(shaped.torso, record.pushes, {"main": tracked})
-    fit = fit_stiffness(
-        [pushes.problems["main"]] * 2,
-        [t.trial for t in pushes.training],
-        start=RATIOS,
-        max_iterations=3,
-        intervals="linear",
-    )
+    fit = fit_pushes(pushes, ("lateral_bending", "tissue"), RATIOS, extent="estimate")
     images = ("rest/frontal", "rest/lateral", "push/main")
     return Case(record, rest, tracked, shaped, fit, dict.fromkeys(images, PERSON))
 

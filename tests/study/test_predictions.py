@@ -18,9 +18,11 @@ from spinestiff.errors import SubjectError
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import SolveStatus
+from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study.predictions import (
     REST,
     STATES_SCHEMA,
+    Model,
     Solved,
     of_equilibria,
     predict,
@@ -41,6 +43,7 @@ class Noting:
 
     def __init__(self, torso, fails=()):
         self.torso, self.fails, self.asked = torso, fails, []
+        self.supports = three_point_supports(torso, "right")
 
     def solve(self, load, model, start):
         self.asked.append((round(load.size), model, start))
@@ -84,7 +87,7 @@ def quiet(line):
 def test_every_frame_is_solved_once_from_the_least_force_up(torso, rest):
     pushes, problem = noting(make_set(torso, [rest] * 4, (0.0, 30.0, 10.0, 20.0)))
     lines = []
-    found = predict(pushes, {"default": None, "fit": SOFT}, {}, lines.append)
+    found = predict(pushes, {"default": Model(), "fit": Model(SOFT)}, {}, lines.append)
     assert [(force, model) for force, model, _ in problem.asked] == [
         (force, model) for force in (10, 20, 30) for model in (None, SOFT)
     ]
@@ -101,20 +104,20 @@ def test_every_frame_is_solved_once_from_the_least_force_up(torso, rest):
 def test_what_is_known_is_not_solved_again(torso, rest):
     pushes, problem = noting(make_set(torso, [rest] * 4, (0.0, 30.0, 10.0, 20.0)))
     known = Solved(torso.rest_pose, np.ones((1, 3)))
-    found = predict(pushes, {"fit": SOFT}, {("main", 2, "fit"): known}, quiet)
+    found = predict(pushes, {"fit": Model(SOFT)}, {("main", 2, "fit"): known}, quiet)
     assert [force for force, _, _ in problem.asked] == [20, 30]
     # It is where the next one starts, and it is among what is stored.
     assert problem.asked[0][2] is known.state
     assert stored(found)["main", 2, "fit"] is known
     assert set(stored(found)) == {("main", frame, "fit") for frame in (1, 2, 3)}
     again, problem = noting(pushes)
-    predict(again, {"fit": SOFT}, stored(found), quiet)
+    predict(again, {"fit": Model(SOFT)}, stored(found), quiet)
     assert problem.asked == []
 
 
 def test_other_models_predict_the_held_out_frames_alone(torso, rest):
     pushes, problem = noting(make_set(torso, [rest] * 4, (0.0, 30.0, 10.0, 20.0)))
-    found = predict(pushes, {"fit": SOFT, "truth": None}, {}, quiet)
+    found = predict(pushes, {"fit": Model(SOFT), "truth": Model()}, {}, quiet)
     assert [force for force, model, _ in problem.asked if model is None] == [30]
     assert ["truth" in p.states for p in found.frames] == [True, False, False]
     assert [p.item.role for p in found.of_role("validation", "training")] == ["validation", "training"]
@@ -123,7 +126,7 @@ def test_other_models_predict_the_held_out_frames_alone(torso, rest):
 def test_a_model_without_an_equilibrium_is_said_and_left_out(torso, rest):
     pushes, problem = noting(make_set(torso, [rest] * 4, (0.0, 30.0, 10.0, 20.0)), (20, None))
     lines = []
-    found = predict(pushes, {"default": None, "fit": SOFT}, {}, lines.append)
+    found = predict(pushes, {"default": Model(), "fit": Model(SOFT)}, {}, lines.append)
     by_force = {p.item.force_n: p for p in found.frames}
     assert set(by_force[20.0].states) == {REST, "fit"} and set(by_force[30.0].states) == {REST, "fit", "default"}
     assert any(line.startswith("push 'main' frame 3: no prediction by 'default': ") for line in lines)

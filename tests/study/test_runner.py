@@ -87,7 +87,7 @@ def test_the_record_of_a_run(finished):
             assert digest == input_digest(subject, name), name
     assert run["steps"]["estimate"]["seconds"] > 0.1
     assert run["steps"]["personalise"]["settings"] == {"mesh": "coarse"}
-    assert run["steps"]["estimate"]["settings"]["method"] == "lm"
+    assert run["steps"]["estimate"]["settings"]["method"] == "weighed"
     assert run["steps"]["estimate"]["settings"]["parameters"] == ["lateral_bending", "tissue"]
     assert run["steps"]["assess"]["settings"] == {"truth": file_digest(finished.truth)}
 
@@ -197,8 +197,8 @@ def test_frames_follow_the_roles(subject, dry):
 
 
 def test_a_setting_has_its_step_and_what_follows_redone(subject, dry):
-    assert dry(opened(subject, method="lbfgsb")) == AFTER["estimate"]
-    assert dry(opened(subject, method="lbfgsb", orientation="covariance")) == AFTER["estimate"]
+    assert dry(opened(subject, method="paper")) == AFTER["estimate"]
+    assert dry(opened(subject, method="paper", orientation="covariance")) == AFTER["estimate"]
     assert dry(opened(subject, mesh="fine")) == AFTER["personalise"]
 
 

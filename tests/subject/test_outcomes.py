@@ -111,8 +111,8 @@ def examples():
             "determined": "not determined",
             "checks": (Check(name="a", value=None, limit=third, passed=None, text="not possible"),),
             "parameters": ("tissue",), "ratios": {"tissue": ratio}, "plain": {"tissue_young": plain},
-            "covariance_log": ((None,),), "correlation": None, "condition": 1.0, "region": ((third, 0.5),),
-            "region_size": None, "training_rmse_mm": {"default": None, "fit": third}, "method": "lm",
+            "covariance_log": ((None,),), "correlation": None, "region": ((third, 0.5),),
+            "region_size": None, "training_rmse_mm": {"default": None, "fit": third}, "method": "weighed",
             "orientation": "covariance", "bounds": (0.005, 5.0), "poses": {"a": pose()}, "notes": ("ü", ""),
             "reactions_n": {
                 "push": "a", "f3": 20.0, "shoulder": third, "pelvis": 1.0, "pelvis_moment_nm": third,

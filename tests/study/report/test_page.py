@@ -30,7 +30,7 @@ from spinestiff.imaging.tracking import SupportMotion
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.study.predictions import predict, stored, write_solved
+from spinestiff.study.predictions import Model, predict, stored, write_solved
 from spinestiff.study.report import page as report
 from spinestiff.study.report.content import _strip
 from spinestiff.study.report.page import write_report
@@ -137,8 +137,8 @@ def make_visit(folder: Path, side: int = 256, seed: int = 1) -> Visit:
         register(made.subject, outcome.STEP, outcome.FILE)
     write_outcome(made.subject, push_responses(made.subject))
     register(made.subject, "response", Responses.FILE)
-    pushes = load_pushes(made, "procrustes")
-    models = {"default": None, "fit": stiffness_ratios(ESTIMATE, torso.joints.kinds)}
+    pushes = load_pushes(made, "procrustes", "weighed")
+    models = {"default": Model(), "fit": Model(stiffness_ratios(ESTIMATE, torso.joints.kinds))}
     write_solved(made.file("predictions.npz"), stored(predict(pushes, models, {}, lambda line: None)))
     write_outcome(made.subject, assessment_record())
     register(made.subject, "assess", "predictions.npz", Assessment.FILE)
@@ -216,7 +216,6 @@ def estimate_record() -> Estimate:
         },
         "covariance_log": [[0.005, -0.002], [-0.002, 0.03]],
         "correlation": -0.42,
-        "condition": 18.0,
         "parameters": ["lateral_bending", "tissue"],
         "region_size": 6.5,
         "region": region.tolist(),
@@ -229,7 +228,7 @@ def estimate_record() -> Estimate:
             {"ratios": dict(zip(ESTIMATE, step)), "loss": 10.0 / (i + 1), "rmse_mm": 5.0 / (i + 1), "accepted": i != 3}
             for i, step in enumerate(steps)
         ],
-        "method": "lm",
+        "method": "weighed",
         "orientation": "procrustes",
         "bounds": [0.005, 5.0],
         "poses": {key: {"shift_mm": [0.4, 1.0], "roll_deg": -0.3, "yaw_deg": 0.0, "rms_mm": 1.0} for key in PUSHES},

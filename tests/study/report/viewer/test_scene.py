@@ -9,9 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from spinestiff.anatomy.template import template_torso
-from spinestiff.mechanics.loads import rib_push
+from spinestiff.estimation.evaluation import acted
+from spinestiff.study.predictions import predicted_acts
 from spinestiff.study.report.viewer.scene import Scene, packed, scene_record, skin_faces, unpacked, visit_scene
-from spinestiff.study.steps import estimated_ratios
+from spinestiff.study.steps import estimated_model
 
 
 @pytest.fixture(scope="module")
@@ -69,12 +70,14 @@ def test_steps_are_the_equilibria(viewed, record):
 def test_a_step_is_what_a_solve_gives(viewed, record):
     """The way from the force to the picture, once more and on its own."""
     pushes = viewed.predictions.pushes
-    ratios = estimated_ratios(viewed.estimate, pushes)
+    model = estimated_model(viewed.estimate, pushes)
+    (item,) = [t for t in pushes.of_role("validation") if t.push == "main"]
+    (acts,) = predicted_acts(pushes, [item], model)
     push = push_of(record, "main")
     step = push["models"]["fit"][-1]
     assert step["force"] == 30.0
-    load = rib_push(pushes.torso, push["side"], push["level"], 30.0)
-    solved = pushes.problems["main"].solve(load, ratios).require()
+    asked, load, ratios = acted(pushes.problems["main"], item.trial.load, model.ratios, acts)
+    solved = asked.solve(load, ratios).require()
     close_to(record, (pushes.torso, solved.state), step["state"])
     # The wall's points of a scapula share its name.
     assert len(solved.reactions) == len(push["supports"]) == 20
