@@ -187,7 +187,11 @@ def test_a_prediction_that_is_the_truth_has_no_error(torso):
     pushed = VertebraCorners(torso.vertebrae, state_features(torso, view, state, shares).corners)
     lines = []
     found = make_set(torso, [rest, rest, rest, pushed])
-    models = {"default": Model(), "fit": Model(stiffness_ratios(wrong, kinds)), "truth": Model(stiffness_ratios(true, kinds))}
+    models = {
+        "default": Model(),
+        "fit": Model(stiffness_ratios(wrong, kinds)),
+        "truth": Model(stiffness_ratios(true, kinds)),
+    }
     (frame,) = assess(predict(found, models, {}, lines.append, everywhere=()))
     assert frame.rmse_mm["truth"] < 1e-4
     assert frame.rmse_mm["fit"] > 10.0 * frame.rmse_mm["truth"]

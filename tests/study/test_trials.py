@@ -165,9 +165,7 @@ def test_pushes_from_both_sides_and_at_several_sites_are_fitted_together(torso):
     found = push_set(torso, records, pictures)
     training = found.training
     assert [t.push for t in training] == ["right-8", "left-9"]
-    fit = fit_pushes(
-        found, ("lateral_bending", "tissue"), {"lateral_bending": 0.17, "tissue": 0.06}, extent="estimate"
-    )
+    fit = fit_pushes(found, ("lateral_bending", "tissue"), {"lateral_bending": 0.17, "tissue": 0.06}, extent="estimate")
     assert fit.ratios.as_dict() == pytest.approx(truth, rel=0.02)
     (item,) = found.of_role("validation")
     predicted = found.problems[item.push].solve(item.trial.load, fit.ratios, fit.equilibria[1].state).require().state
