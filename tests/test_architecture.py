@@ -48,7 +48,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "jpeg_ls": ("imaging/dicom/decoding.py",),
     "openjpeg": ("imaging/dicom/decoding.py",),
     "cv2": ("imaging/*",),
-    "skimage": ("imaging/*", "estimation/intervals.py"),
+    "skimage": ("imaging/*", "estimation/profiles.py"),
     "numba": ("mechanics/*", "imaging/synthetic/path_length.py", "imaging/synthetic/texture.py"),
     "rslab": ("mechanics/factor.py",),
     "matplotlib": (

@@ -22,7 +22,7 @@ BLOCKS = {
     "conventions.md": 1,
     "mechanics.md": 1,
     "subject-folder.md": 1,
-    "synthetic-radiographs.md": 1,
+    "synthetic-radiographs.md": 2,
 }
 COMMANDS = {
     "demo": "python3 -m venv .venv && .venv/bin/pip install -e . && .venv/bin/spinestiff demo",

@@ -257,7 +257,7 @@ def uncertainty_content(estimate: Estimate, predictions: Predictions) -> dict[st
         "changes_limit": f"{MOVED_SD:g}",
         "titles": [ratio_title(name) for name in estimate.parameters],
         "p_value": "" if estimate.p_value is None else number(estimate.p_value, 2),
-        "expected": any(check.name == "residuals as expected" and check.passed for check in estimate.checks),
+        "expected": "residuals as expected" not in [check.name for check in estimate.failed],
         "tracking_factor": "" if estimate.tracking_factor is None else number(estimate.tracking_factor, 2),
     }
 
@@ -279,8 +279,12 @@ def budget_bars(estimate: Estimate) -> tuple[tuple[str, ...], dict[str, Floats]]
     }
     most = np.max([rows.max(axis=1) for rows in share.values()], axis=0)
     shown = np.argsort(-most, kind="stable")[:MOST_BARS]
-    titles = tuple(unknown_title(estimate.budget[i].name) for i in shown)
+    titles = tuple(_unknown(estimate.budget[i].name) for i in shown)
     return titles, {name: np.maximum(rows[shown], 0.0) for name, rows in share.items()}
+
+
+def _unknown(name: str) -> str:
+    return unknown_title(name).replace("'", "’")
 
 
 def _gain(estimate: Estimate, name: str) -> dict[str, str]:
@@ -290,7 +294,7 @@ def _gain(estimate: Estimate, name: str) -> dict[str, str]:
     if first is not None and first.name in UNMEASURABLE:
         found["model"] = factor95(first.without[name])
     if row is not None:
-        found |= {"what": unknown_title(row.name), "then": factor95(row.without[name])}
+        found |= {"what": _unknown(row.name), "then": factor95(row.without[name])}
     return found
 
 
@@ -338,7 +342,7 @@ def _prior_changes(estimate: Estimate) -> list[dict[str, Any]]:
         if max(moved.values()) > MOVED_SD:
             rows.append(
                 {
-                    "title": unknown_title(change.name),
+                    "title": _unknown(change.name),
                     "factor": "halved" if change.factor < 1.0 else "doubled",
                     "cells": [
                         {"value": number(change.ratios[name], 2), "factor": factor95(change.sd_log[name])}
