@@ -122,7 +122,7 @@ def test_wrong_usage_ends_with_2(spinestiff, arguments):
 
 def test_run_on_a_finished_subject_prints_the_result(spinestiff, subject, finished):
     before = digests(subject)
-    result = spinestiff("run", subject, "--truth", finished.truth)
+    result = spinestiff("run", subject, "--mesh", "coarse", "--truth", finished.truth)
     assert result.status == 0
     assert [line.split(maxsplit=2)[2] for line in result.lines] == [
         f"{step}: up to date" for step in ("track", "response", "personalise", "estimate", "assess", "report")
@@ -148,7 +148,7 @@ def test_every_step_runs_by_its_own_name(spinestiff, subject, finished, no_repor
     answered = spinestiff("response", subject, "--redo")
     assert answered.status == 0
     assert answered.out.splitlines()[1:] == response_lines(read_outcome(read_subject(subject), Responses))
-    result = spinestiff("personalise", subject, "--redo")
+    result = spinestiff("personalise", subject, "--mesh", "coarse", "--redo")
     assert result.status == 0
     assert "corner sd 16.00 mm" in result.err
     assessed = spinestiff("assess", subject, "--truth", finished.truth)
@@ -362,7 +362,7 @@ def test_synth_and_demo_hand_their_options_on(spinestiff, tmp_path, monkeypatch)
     refused(spinestiff("synth", tmp_path / "x", *options, "--ratios", "0.2,0.03"), "far enough", 3)
     refused(spinestiff("demo", "--out", tmp_path / "y"), "far enough", 3)
     assert asked[0] == (tmp_path / "x", synthetic.Recipe(4, 150.0, -20.0, "lumbar", 80.0, (0.2, 0.03)))
-    assert asked[1] == (tmp_path / "y", synthetic.Recipe(ratios=(0.1, 0.01)))
+    assert asked[1] == (tmp_path / "y", synthetic.Recipe(ratios=(0.1, 0.04)))
     refused(spinestiff("synth", tmp_path / "z", "--nodes", 4000), "far enough", 3)
     assert asked[2] == (tmp_path / "z", synthetic.Recipe(nodes=4000))
 
@@ -614,7 +614,7 @@ def test_an_absurd_force_ends_with_3_and_keeps_the_estimate(spinestiff, subject,
 
     edit("subject.json", lambda c: c["pushes"][0].update(forces_n=[0.0, 400.0, 450.0, 500.0]))(subject)
     spinestiff("track", subject)
-    spinestiff("personalise", subject)
+    spinestiff("personalise", subject, "--mesh", "coarse")
     monkeypatch.setattr(EquilibriumProblem, "solve", short)
     before = digests(subject)
     refused(spinestiff("estimate", subject), r"equilibrium", 3)

@@ -28,7 +28,7 @@ def truth_of(subject):
 
 
 def opened(subject, **settings):
-    return open_visit(subject, Settings(**settings), truth_of(subject))
+    return open_visit(subject, Settings(**{"mesh": "coarse", **settings}), truth_of(subject))
 
 
 def edited(subject, name, change):
@@ -205,24 +205,24 @@ def test_a_setting_has_its_step_and_what_follows_redone(subject, dry):
 def test_another_truth_touches_the_comparison_only(subject, dry, tmp_path):
     other = tmp_path / "other.truth.json"
     write_json(other, {"ratios": {"lateral_bending": 0.3, "tissue": 0.05}})
-    assert dry(open_visit(subject, truth=other)) == ["assess", "report"]
-    assert dry(open_visit(subject, truth=other)) == []
+    assert dry(open_visit(subject, Settings(mesh="coarse"), other)) == ["assess", "report"]
+    assert dry(open_visit(subject, Settings(mesh="coarse"), other)) == []
 
 
 def test_without_a_truth_what_was_compared_with_one_stays(subject, dry):
     before = digests(subject)
     lines = []
-    assert dry(open_visit(subject), observer=lines.append) == []
+    assert dry(open_visit(subject, Settings(mesh="coarse")), observer=lines.append) == []
     assert lines == UP_TO_DATE
     assert digests(subject) == before
 
 
 def test_what_is_redone_without_a_truth_is_compared_with_none(subject, dry):
     annotate_anew(subject)
-    assert dry(open_visit(subject)) == ["track", "response", *AFTER["estimate"]]
+    assert dry(open_visit(subject, Settings(mesh="coarse"))) == ["track", "response", *AFTER["estimate"]]
     run = read_json(subject / "results" / "run.json")["steps"]
     assert run["assess"]["settings"] == run["report"]["settings"] == {"truth": None}
-    assert dry(open_visit(subject)) == []
+    assert dry(open_visit(subject, Settings(mesh="coarse"))) == []
     assert dry(opened(subject)) == ["assess", "report"]
 
 

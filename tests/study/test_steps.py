@@ -37,7 +37,7 @@ def digests(folder):
 
 
 def opened(subject, **settings):
-    return open_visit(subject, Settings(**settings), subject.with_name("girl.truth.json"))
+    return open_visit(subject, Settings(**{"mesh": "coarse", **settings}), subject.with_name("girl.truth.json"))
 
 
 def annotate_anew(subject):
@@ -246,8 +246,12 @@ def test_a_frame_whose_supports_moved_is_found_and_kept(subject):
 
 
 def test_assess_solves_no_training_frame_again(subject, finished, solved, monkeypatch):
-    """Of default and estimated stiffness only what the fit never saw; the one-ratio baseline is a fit of its own."""
+    """Of default and estimated stiffness only what the fit never saw.
+
+    The one-ratio baseline is a fit of its own, and so are the held-out frames' supports.
+    """
     monkeypatch.setattr(steps, "single_ratio", lambda *args: None)
+    monkeypatch.setattr(steps, "with_fitted_supports", lambda predictions, model: predictions)
     visit = open_visit(subject)
     assert run_steps(visit, ("assess",), force=True) == ["assess"]
     assert sorted((label, ratios is None) for label, ratios in solved) == [
@@ -294,9 +298,14 @@ def test_a_fit_at_a_bound_is_written_with_its_status(subject, finished, monkeypa
 
 
 def test_what_is_not_finite_is_written_as_null(subject, finished, monkeypatch):
-    spread = replace(finished.fit.uncertainty, covariance=np.full((2, 2), np.inf))
-    intervals = replace(finished.fit.intervals, high=np.full(2, np.inf), region=None)
-    broken = replace(finished.fit, uncertainty=spread, intervals=intervals, default_rmse_mm=float("nan"))
+    fit = finished.fit
+    broken = replace(
+        fit,
+        covariance=np.full((2, 2), np.inf),
+        intervals95={name: (low, np.inf) for name, (low, _) in fit.intervals95.items()},
+        weighed=replace(fit.weighed, likely=replace(fit.likely, region=None)),
+        default_rmse_mm=float("nan"),
+    )
     monkeypatch.setattr(steps, "fit_pushes", lambda *args, **kwargs: broken)
     visit = opened(subject)
     run_steps(visit, ("estimate",), force=True)
@@ -314,8 +323,8 @@ def test_what_is_not_finite_is_written_as_null(subject, finished, monkeypatch):
 
 def test_open_ends_reach_the_file(subject, finished, monkeypatch):
     """An end at the fit's bound is open, and what is open at both ends is not determined."""
-    intervals = replace(finished.fit.intervals, open_low=np.array([False, True]), open_high=np.array([True, True]))
-    monkeypatch.setattr(steps, "fit_pushes", lambda *args, **kwargs: replace(finished.fit, intervals=intervals))
+    opens = {"lateral_bending": (False, True), "tissue": (True, True)}
+    monkeypatch.setattr(steps, "fit_pushes", lambda *args, **kwargs: replace(finished.fit, open_ends=opens))
     visit = opened(subject)
     run_steps(visit, ("estimate",), force=True)
     record = read_outcome(visit.subject, Estimate)

@@ -42,12 +42,11 @@ def test_the_truth_is_measured_on_the_model(finished, made, tmp_path):
     assert stiff.inside is False
 
 
-def test_without_a_covariance_there_is_no_distance(finished, made):
+def test_without_a_region_there_is_no_distance(finished, made):
     estimate, pushes = made
-    for unknown in ({"covariance_log": ((None, None), (None, None))}, {"region_size": None}):
-        found = compare_with_truth(estimate.model_copy(update=unknown), pushes, finished.truth)
-        assert (found.distance2, found.inside) == (None, None)
-        assert found.truth == read_json(finished.truth)["ratios"]
+    found = compare_with_truth(estimate.model_copy(update={"region_size": None}), pushes, finished.truth)
+    assert (found.distance2, found.inside) == (None, None)
+    assert found.truth == read_json(finished.truth)["ratios"]
 
 
 def test_a_comparison_is_read_for_its_own_truth_alone(finished, subject, tmp_path):

@@ -158,7 +158,7 @@ def geometry_record(views: dict[str, XRayView], names: tuple[str, ...]) -> Geome
             "length_scale": 1.0,
             "size_scale": dict.fromkeys(names, (1.0, 1.0, 1.0)),
             "corner_sd_mm": 0.4,
-            "covariance": [],
+            "covariance": (1e-6 * np.eye(6 * len(names))).reshape(len(names), 6, -1).tolist(),
             "mesh": {"path": "rebuilt", "nodes": 6115, "smallest_j": 1.0, "smallest_dihedral_deg": 7.4},
             "poses": dict.fromkeys(views, pose),
             "views": {name: ViewRecord.of(view) for name, view in views.items()},
@@ -195,6 +195,9 @@ def estimate_record() -> Estimate:
         RatioEstimate.of(value, ends, (False, False), False)
         for value, ends in ((0.2, (0.173, 0.231)), (0.05, (0.034, 0.074)))
     )
+    bending, tissue = (
+        one.model_copy(update={"profile": kind}) for one, kind in ((bending, "bounded"), (tissue, "flat"))
+    )
 
     def plain(value: float, of: RatioEstimate, unit: str) -> dict:
         return {
@@ -228,6 +231,27 @@ def estimate_record() -> Estimate:
             {"ratios": dict(zip(ESTIMATE, step)), "loss": 10.0 / (i + 1), "rmse_mm": 5.0 / (i + 1), "accepted": i != 3}
             for i, step in enumerate(steps)
         ],
+        "nuisances": [
+            {
+                "name": "obliquity under pushes from the left", "group": "obliquity by force", "unit": "rad",
+                "value": 0.02, "sd": 0.01, "prior_sd": 0.025, "standard": 0.5,
+            },
+        ],
+        "supports": [{"push": "main", "frame": 1, "obliquity_deg": 0.7, "shoulder_mm": 0.0}],
+        "sd_log": {"lateral_bending": 0.4, "tissue": 0.2},
+        "sd_log_tracking": {"lateral_bending": 0.1, "tissue": 0.05},
+        "budget": [
+            budget_row("model discrepancy", (0.3, 0.10), (0.25, 0.19)),
+            budget_row("trunk size", (0.1, 0.18), (0.4, 0.10)),
+            budget_row("push height", (0.2, 0.06), (0.3, 0.2)),
+        ],
+        "prior_changes": [
+            prior_change("push height", 0.5, (0.21, 0.05), (0.35, 0.2)),
+            prior_change("push height", 2.0, (0.18, 0.05), (0.5, 0.2)),
+            prior_change("trunk size", 2.0, (0.2, 0.06), (0.4, 0.35)),
+        ],
+        "p_value": 0.42,
+        "tracking_factor": 1.13,
         "method": "weighed",
         "orientation": "procrustes",
         "bounds": [0.005, 5.0],
@@ -235,6 +259,14 @@ def estimate_record() -> Estimate:
         "cost": {"equilibria": 9, "newton_iterations": 40, "factorisations": 61, "seconds": 12.3},
         "notes": ["push 'main' frame 1: 1 vertebra lost"],
     })  # fmt: skip
+
+
+def budget_row(name: str, alone: tuple[float, float], without: tuple[float, float]) -> dict:
+    return {"name": name, "alone": dict(zip(ESTIMATE, alone)), "without": dict(zip(ESTIMATE, without))}
+
+
+def prior_change(name: str, factor: float, ratios: tuple[float, float], sd: tuple[float, float]) -> dict:
+    return {"name": name, "factor": factor, "ratios": dict(zip(ESTIMATE, ratios)), "sd_log": dict(zip(ESTIMATE, sd))}
 
 
 def assessment_record() -> Assessment:
