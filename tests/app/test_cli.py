@@ -18,14 +18,14 @@ from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.study import steps
-from spinestiff.study.wording import estimated, response_lines
+from spinestiff.study.wording import estimated, response_lines, uncertainty_lines
 from spinestiff.subject.folder import read_subject
 from spinestiff.subject.outcomes import Assessment, Estimate, Responses
 from spinestiff.subject.run_record import read_outcome
 from spinestiff.verification.outcome import Check
 
 COMMANDS = {
-    "synth": ("--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
+    "synth": ("--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id", "--nodes"),
     "inspect": ("--json",),
     "annotate": ("--port", "--no-browser"),
     "track": ("--redo",),
@@ -134,6 +134,8 @@ def test_run_on_a_finished_subject_prints_the_result(spinestiff, subject, finish
     for name, value in finished.fit.ratios.as_dict().items():
         assert re.search(rf"{name} +│ +{estimated(estimate.ratios[name])} ", result.out)
         assert float(estimated(estimate.ratios[name])) == pytest.approx(value, rel=0.05)
+    told = uncertainty_lines(estimate)
+    assert 2 <= len(told) <= 3 and all(f"{line}\n" in result.out for line in told)
     notes = (*estimate.notes, *read_outcome(read_subject(subject), Assessment).notes)
     assert notes
     assert [f"note: {text}" in result.out for text in notes] == [True] * len(notes)
@@ -185,7 +187,7 @@ def test_a_report_with_another_truth_asks_for_its_comparison(spinestiff, subject
 def test_redo_reaches_the_step(spinestiff, subject, finished, monkeypatch):
     asked = []
 
-    def fit(pushes, names, start, method, observer):
+    def fit(pushes, names, start, method, observer, extent, nuisances):
         asked.append((method, pushes.orientation))
         return finished.fit
 
@@ -449,7 +451,7 @@ def test_bad_arguments_are_refused_at_once(spinestiff, tmp_path, monkeypatch, ar
     ("arguments", "words"),
     [
         (("--curve", "zigzag"), "unknown curve 'zigzag'; wanted one of"),
-        (("--cobb", "90"), "--cobb 90: wanted -60 to 60 degrees"),
+        (("--cobb", "90"), "--cobb 90: wanted -80 to 80 degrees"),
         (("--height", "90"), "--height 90: wanted 120 to 200 cm"),
         (("--spine", "none.csv", "--spine-id", "a"), r"none\.csv: no such file"),
     ],

@@ -219,8 +219,11 @@ def test_a_failed_baseline_fit_makes_no_prediction(pushes, finished, monkeypatch
     asked = []
     monkeypatch.setattr(assessment, "fit_pushes", lambda *args, **kwargs: asked.append(args) or finished.fit)
     assert single_ratio(pushes) == Model.of(finished.fit)
-    ((fitted, names, start),) = asked
-    assert fitted is pushes and names == ("everything",) and start == {"everything": 1.0}
+    single_ratio(pushes, 0.1, "paper")
+    expected = [
+        (pushes, ("everything",), {"everything": start}, how) for start, how in ((1.0, "weighed"), (0.1, "paper"))
+    ]
+    assert asked == expected
 
 
 def test_what_is_written_of_a_whole_subject(finished):

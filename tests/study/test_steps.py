@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,9 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.fit import FitStatus
 from spinestiff.estimation.profiles import region_rise
+from spinestiff.estimation.unknowns import ACTS
 from spinestiff.files import file_digest, read_json, write_json
+from spinestiff.mechanics.contact import OneSidedProblem
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.study import steps, written
 from spinestiff.study.runner import ALL_STEPS, run_steps
@@ -134,6 +137,73 @@ def test_the_estimate(finished):
     assert record.orientation == fit.orientation == "procrustes"
     assert set(record.poses) == {"main", "second"}
     assert set(fit.warnings) <= set(record.notes)
+
+
+def test_what_only_the_weighed_fit_tells(finished):
+    record, fit = result(finished, Estimate), finished.fit
+    assert [one.name for one in record.nuisances] == [one.name for one in fit.weighed.nuisances]
+    units = {one.name: one.unit for one in record.nuisances}
+    assert units["force offset of main"] == "N" and units["obliquity under pushes from the left"] == "rad"
+    assert units["force of main"] == ""
+    assert [(place.push, place.frame) for place in record.supports] == [("main", 1), ("main", 2)]
+    first, second = (place.obliquity_deg for place in record.supports)
+    acts = fit.weighed.acts[:, ACTS.index("obliquity")]
+    assert (first, second) == pytest.approx(np.degrees(acts).tolist())
+    for name, kind in zip(fit.names, fit.likely.kinds, strict=True):
+        assert record.ratios[name].profile == kind
+    for row in record.budget:
+        for name in fit.names:
+            assert record.sd_log_tracking[name] <= row.alone[name] + 1e-9
+            assert row.without[name] <= record.sd_log[name] + 1e-9
+            assert row.alone[name] <= record.sd_log[name] + 1e-9
+    assert {(change.name, change.factor) for change in record.prior_changes} >= {
+        (name, factor) for name in ("force scale", "annotation", "model discrepancy") for factor in (0.5, 2.0)
+    }
+    assert (record.p_value, record.tracking_factor) == (fit.weighed.p_value, fit.weighed.tracking_factor)
+
+
+def test_the_draws_are_ratios_and_nuisances_row_by_row(finished):
+    lines = (finished.folder / "results" / "posterior.csv").read_text(encoding="utf-8").splitlines()
+    ratios, nuisances = finished.fit.likely.draws
+    names = next(csv.reader(lines))
+    assert names == [*finished.fit.names, *(one.name for one in finished.fit.weighed.nuisances)]
+    table = np.array([[float(cell) for cell in row] for row in csv.reader(lines[1:])])
+    np.testing.assert_allclose(table, np.hstack([np.exp(ratios), nuisances]), rtol=1e-5, atol=1e-9)
+    assert len(table) >= 100
+    # Of one kind with the intervals.
+    for column, name in enumerate(finished.fit.names):
+        low, high = finished.fit.intervals95[name]
+        assert 0.85 < np.mean((table[:, column] > low) & (table[:, column] < high)) <= 1.0
+    record = read_json(finished.folder / "results" / "run.json")["steps"]["estimate"]
+    assert "results/posterior.csv" in record["outputs"]
+
+
+def test_the_paper_s_method_is_level_and_has_no_intervals(subject, finished, monkeypatch):
+    """The steps around it for real; the fit itself is tested where it lives."""
+    content = read_json(subject / "subject.json")
+    write_json(subject / "subject.json", {**content, "pelvis": "hinge", "wall": "one-sided"})
+    asked = []
+    nothing = (float("nan"), float("nan"))
+    paper = replace(
+        finished.fit, method="paper", weighed=None, intervals95=dict.fromkeys(finished.fit.names, nothing),
+        open_ends=dict.fromkeys(finished.fit.names, (False, False)), covariance=np.full((2, 2), np.nan),
+    )  # fmt: skip
+    monkeypatch.setattr(steps, "fit_pushes", lambda pushes, *args: asked.append((pushes, args)) or paper)
+    visit = opened(subject, method="paper")
+    assert visit.file("posterior.csv").exists()
+    run_steps(visit, ("estimate",))
+    ((pushes, args),) = asked
+    assert "paper" in args
+    assert all(p.supports.held[pushes.torso.bone("pelvis")].all() for p in pushes.problems.values())
+    assert not any(isinstance(p, OneSidedProblem) for p in pushes.problems.values())
+    assert pushes.known.priors.obliquity_deg == 0.0
+    record = read_outcome(visit.subject, Estimate)
+    assert all((one.low, one.high, one.profile) == (None, None, None) for one in record.ratios.values())
+    assert (record.p_value, record.budget, record.nuisances, record.region) == (None, (), (), None)
+    assert any("equal weights with the pelvis level: it has no intervals" in note for note in record.notes)
+    assert {check.name: check.passed for check in record.checks}["residuals as expected"] is None
+    # Draws of an earlier estimate are none of this one.
+    assert not visit.file("posterior.csv").exists()
 
 
 def test_the_estimate_is_judged(finished):

@@ -8,6 +8,7 @@ import pytest
 from results import altered
 from spinestiff.anatomy.files import read_torso
 from spinestiff.errors import SubjectError, TorsoError
+from spinestiff.files import read_json, write_json
 from spinestiff.study.predictions import Model
 from spinestiff.study.steps import estimated_model
 from spinestiff.study.visit import Settings, load_pushes, open_visit
@@ -20,6 +21,26 @@ def test_unknown_settings_are_refused(wrong):
     ((what, value),) = wrong.items()
     with pytest.raises(SubjectError, match=f"unknown {what} '{value}'; wanted one of "):
         Settings(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("priors", "words"),
+    [
+        ({"force": 0.1}, r"subject\.json: priors\.force: unknown prior; wanted one of annotation_mm, "),
+        ({"force_scale": -0.1}, r"subject\.json: priors\.force_scale: found -0\.1, wanted "),
+        ({"force_scale": "2 %"}, r"subject\.json: priors\.force_scale: "),
+        (
+            {"frame_shoulder_mm": 4},
+            r"json: prior frame_shoulder_mm 4 is a part of shoulder_mm 3; wanted less$",
+        ),
+    ],
+)
+def test_impossible_priors_are_refused_before_any_step(subject, priors, words):
+    content = read_json(subject / "subject.json")
+    write_json(subject / "subject.json", {**content, "priors": priors})
+    with pytest.raises(SubjectError, match=words) as caught:
+        open_visit(subject)
+    assert "\n" not in str(caught.value)
 
 
 def test_ratios_are_read_back(finished):
