@@ -114,12 +114,12 @@ def finish(folder, recipe):
         infest(path, np.random.default_rng(number), 60)
 
     def fit_and_keep(*args, **kwargs):
-        fits.append(fit_pushes(*args, **kwargs))
+        fits.append(fit_from_coarse(*args, **kwargs))
         return fits[-1]
 
-    fit_pushes = steps.fit_pushes
+    fit_from_coarse = steps.fit_from_coarse
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(steps, "fit_pushes", fit_and_keep)
+        patch.setattr(steps, "fit_from_coarse", fit_and_keep)
         patch.setattr("spinestiff.study.report.page.write_report", stub_report)
         ran = runner.run_steps(open_visit(folder, Settings(mesh="coarse"), truth), observer=lines.append)
     assert ran == list(runner.STEPS)

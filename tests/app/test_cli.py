@@ -187,11 +187,11 @@ def test_a_report_with_another_truth_asks_for_its_comparison(spinestiff, subject
 def test_redo_reaches_the_step(spinestiff, subject, finished, monkeypatch):
     asked = []
 
-    def fit(pushes, names, start, method, observer, extent, nuisances):
+    def fit(coarse, pushes, names, start, method, observer, say):
         asked.append((method, pushes.orientation))
         return finished.fit
 
-    monkeypatch.setattr(steps, "fit_pushes", fit)
+    monkeypatch.setattr(steps, "fit_from_coarse", fit)
     assert spinestiff("estimate", subject).status == 0
     assert asked == []
     assert spinestiff("estimate", subject, "--redo").status == 0
@@ -602,6 +602,7 @@ def test_a_failed_computation_ends_with_3_and_keeps_the_estimate(spinestiff, sub
     def fails(*args, **kwargs):
         raise error
 
+    monkeypatch.setattr(steps, "fit_from_coarse", fails)
     monkeypatch.setattr(steps, "fit_pushes", fails)
     before = digests(subject)
     refused(spinestiff("estimate", subject, "--redo"), " here$", 3)

@@ -210,20 +210,18 @@ def test_a_failed_baseline_fit_makes_no_prediction(pushes, finished, monkeypatch
         def fails(*args, error=error, **kwargs):
             raise error
 
-        monkeypatch.setattr(assessment, "fit_pushes", fails)
+        monkeypatch.setattr(assessment, "fit_from_coarse", fails)
         assert single_ratio(pushes) is None
     monkeypatch.setattr(
-        assessment, "fit_pushes", lambda *args, **kwargs: replace(finished.fit, status=FitStatus.STALLED)
+        assessment, "fit_from_coarse", lambda *args, **kwargs: replace(finished.fit, status=FitStatus.STALLED)
     )
     assert single_ratio(pushes) is None
     asked = []
-    monkeypatch.setattr(assessment, "fit_pushes", lambda *args, **kwargs: asked.append(args) or finished.fit)
+    monkeypatch.setattr(assessment, "fit_from_coarse", lambda *args, **kwargs: asked.append(args) or finished.fit)
     assert single_ratio(pushes) == Model.of(finished.fit)
-    single_ratio(pushes, 0.1, "paper")
-    expected = [
-        (pushes, ("everything",), {"everything": start}, how) for start, how in ((1.0, "weighed"), (0.1, "paper"))
-    ]
-    assert asked == expected
+    single_ratio(pushes, 0.1, pushes, "paper")
+    wanted = ((None, 1.0, "weighed"), (pushes, 0.1, "paper"))
+    assert asked == [(coarse, pushes, ("everything",), {"everything": start}, how) for coarse, start, how in wanted]
 
 
 def test_what_is_written_of_a_whole_subject(finished):

@@ -188,7 +188,7 @@ def test_the_paper_s_method_is_level_and_has_no_intervals(subject, finished, mon
         finished.fit, method="paper", weighed=None, intervals95=dict.fromkeys(finished.fit.names, nothing),
         open_ends=dict.fromkeys(finished.fit.names, (False, False)), covariance=np.full((2, 2), np.nan),
     )  # fmt: skip
-    monkeypatch.setattr(steps, "fit_pushes", lambda pushes, *args: asked.append((pushes, args)) or paper)
+    monkeypatch.setattr(steps, "fit_from_coarse", lambda coarse, pushes, *args: asked.append((pushes, args)) or paper)
     visit = opened(subject, method="paper")
     assert visit.file("posterior.csv").exists()
     run_steps(visit, ("estimate",))
@@ -351,7 +351,7 @@ def test_the_view_solves_nothing(subject, solved):
 @pytest.mark.parametrize("status", [FitStatus.ITERATION_LIMIT, FitStatus.STALLED])
 def test_a_fit_without_a_minimum_is_no_estimate(subject, finished, monkeypatch, status):
     before = digests(subject)
-    monkeypatch.setattr(steps, "fit_pushes", lambda *args, **kwargs: replace(finished.fit, status=status))
+    monkeypatch.setattr(steps, "fit_from_coarse", lambda *args, **kwargs: replace(finished.fit, status=status))
     with pytest.raises(FitError, match="no estimate: "):
         run_steps(opened(subject), ("estimate",), force=True)
     assert digests(subject) == before
@@ -359,7 +359,7 @@ def test_a_fit_without_a_minimum_is_no_estimate(subject, finished, monkeypatch, 
 
 @pytest.mark.parametrize("status", [FitStatus.AT_BOUND, FitStatus.NOT_IDENTIFIABLE])
 def test_a_fit_at_a_bound_is_written_with_its_status(subject, finished, monkeypatch, status):
-    monkeypatch.setattr(steps, "fit_pushes", lambda *args, **kwargs: replace(finished.fit, status=status))
+    monkeypatch.setattr(steps, "fit_from_coarse", lambda *args, **kwargs: replace(finished.fit, status=status))
     visit = opened(subject)
     run_steps(visit, ("estimate",), force=True)
     estimate = read_outcome(visit.subject, Estimate)
@@ -376,7 +376,7 @@ def test_what_is_not_finite_is_written_as_null(subject, finished, monkeypatch):
         weighed=replace(fit.weighed, likely=replace(fit.likely, region=None)),
         default_rmse_mm=float("nan"),
     )
-    monkeypatch.setattr(steps, "fit_pushes", lambda *args, **kwargs: broken)
+    monkeypatch.setattr(steps, "fit_from_coarse", lambda *args, **kwargs: broken)
     visit = opened(subject)
     run_steps(visit, ("estimate",), force=True)
     record = read_outcome(visit.subject, Estimate)
@@ -394,7 +394,7 @@ def test_what_is_not_finite_is_written_as_null(subject, finished, monkeypatch):
 def test_open_ends_reach_the_file(subject, finished, monkeypatch):
     """An end at the fit's bound is open, and what is open at both ends is not determined."""
     opens = {"lateral_bending": (False, True), "tissue": (True, True)}
-    monkeypatch.setattr(steps, "fit_pushes", lambda *args, **kwargs: replace(finished.fit, open_ends=opens))
+    monkeypatch.setattr(steps, "fit_from_coarse", lambda *args, **kwargs: replace(finished.fit, open_ends=opens))
     visit = opened(subject)
     run_steps(visit, ("estimate",), force=True)
     record = read_outcome(visit.subject, Estimate)

@@ -90,8 +90,11 @@ def has_intervals(estimate: Estimate) -> bool:
 UNKNOWNS = {
     "annotation": "corners set by hand",
     "place in the picture": "the patient's place in each picture",
+    "posture": "the spine's posture in each sequence",
     "rest geometry": "the spine's shape at rest",
     "model discrepancy": "what the model lacks",
+    "form of the model, bending": "what the model's form does to bending",
+    "form of the model, tissue": "what the model's form does to tissue",
     "force scale": "the gauge's scale",
     "force offset": "the gauge's zero",
     "push direction": "the push's direction",
@@ -106,7 +109,7 @@ UNKNOWNS = {
     "source distance": "the source's distance",
 }
 """What is not quite known, by its name in the variance budget."""
-UNMEASURABLE = ("model discrepancy",)
+UNMEASURABLE = ("model discrepancy", "form of the model, bending", "form of the model, tissue")
 
 
 def unknown_title(name: str) -> str:
