@@ -541,7 +541,7 @@ def test_supports_are_told_by_frame(page: Page) -> None:
 
 
 def test_other_priors_are_told_where_they_matter(page: Page, visit: Visit, tmp_path: Path) -> None:
-    rows = "The push’s height doubled 0.18 2.7 0.050 1.48 The trunk’s size doubled 0.20 2.2 0.060 1.99"
+    rows = "The push’s height doubled 0.18 0.050 The trunk’s size doubled 0.20 0.060"
     assert rows in page.words and "halved" not in page.words.split("moves a ratio")[1].split("Residuals")[0]
     assert "p = 0.42 if all errors are as expected. Tracking’s errors were 1.1 times" in page.words
 

@@ -344,10 +344,7 @@ def _prior_changes(estimate: Estimate) -> list[dict[str, Any]]:
                 {
                     "title": _unknown(change.name),
                     "factor": "halved" if change.factor < 1.0 else "doubled",
-                    "cells": [
-                        {"value": number(change.ratios[name], 2), "factor": factor95(change.sd_log[name])}
-                        for name in estimate.parameters
-                    ],
+                    "cells": [number(change.ratios[name], 2) for name in estimate.parameters],
                 }
             )
     return rows
