@@ -33,7 +33,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, tilts
-from spinestiff.estimation.fit import StiffnessFit, fit_stiffness
+from spinestiff.estimation.fit import StiffnessFit
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.tracking.quality import quality_of
@@ -45,7 +45,7 @@ from spinestiff.personalise.shape import Personalised, personalise, place_verteb
 from spinestiff.personalise.sizes import resized
 from spinestiff.study.spines import CURVES, curved_spine
 from spinestiff.study.synthetic import BENDING_RANGE, TISSUE_RANGE
-from spinestiff.study.trials import PushSet, push_set
+from spinestiff.study.trials import Known, PushSet, fit_pushes, push_set
 from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord, Role
 
@@ -69,7 +69,6 @@ TRACK_MM, TRACK_SPREAD, OWN_SHARE, PREDICTED_WITHIN, LOST = 0.09, 0.7, 0.5, 0.3,
 FORCE_SD, READING_SD_N, HEIGHT_SD_LEVELS = 0.02, 0.5, 0.2
 FORCE_N = (30.0, 90.0)
 PULLS = (30.0, 1000.0)  # N/mm, that bring the vertebrae of the truth to their places
-FIT_EVALUATIONS = 3
 PUSHES: Mapping[str, tuple[tuple[float, Role], ...]] = {
     "main": ((0.0, "unused"), (1 / 3, "training"), (2 / 3, "training"), (1.0, "validation")),
     "second": ((0.0, "unused"), (0.5, "unused"), (1.0, "validation")),
@@ -172,20 +171,13 @@ def make_subject(seed: int) -> Subject:
 def estimate(subject: Subject) -> Estimated:
     """Personalised and fitted as the steps do it, but for the intervals."""
     shaped = personalise(template_torso(subject.height_cm), subject.rest)
-    pushes = push_set(shaped.torso, subject.records, subject.tracked)
+    pushes = push_set(shaped.torso, subject.records, subject.tracked, known=Known(geometry=shaped.covariance))
     return Estimated(shaped, fitted(pushes, subject.ratios))
 
 
 def fitted(pushes: PushSet, start: Mapping[str, float]) -> StiffnessFit:
-    """The fit of the training frames, begun at the truth: after so few steps the residuals hardly change any more."""
-    training = pushes.training
-    return fit_stiffness(
-        [pushes.problems[t.push] for t in training],
-        [t.trial for t in training],
-        start=start,
-        max_iterations=FIT_EVALUATIONS,
-        intervals="linear",
-    )
+    """The fit of the training frames, begun at the truth."""
+    return fit_pushes(pushes, ("lateral_bending", "tissue"), start, extent="estimate")
 
 
 def _true_torso(random: np.random.Generator, height: float, age: float, sex: Literal["female", "male"]) -> TorsoModel:

@@ -105,7 +105,7 @@ def finish(folder, recipe):
     """A subject folder made and taken through all steps: the fields of ``Finished``."""
     from spinestiff.study import runner, steps
     from spinestiff.study.synthetic import synthesise
-    from spinestiff.study.visit import open_visit
+    from spinestiff.study.visit import Settings, open_visit
 
     fits, lines = [], []
     truth = synthesise(folder, recipe)
@@ -114,14 +114,14 @@ def finish(folder, recipe):
         infest(path, np.random.default_rng(number), 60)
 
     def fit_and_keep(*args, **kwargs):
-        fits.append(fit_stiffness(*args, **kwargs))
+        fits.append(fit_from_coarse(*args, **kwargs))
         return fits[-1]
 
-    fit_stiffness = steps.fit_stiffness
+    fit_from_coarse = steps.fit_from_coarse
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(steps, "fit_stiffness", fit_and_keep)
+        patch.setattr(steps, "fit_from_coarse", fit_and_keep)
         patch.setattr("spinestiff.study.report.page.write_report", stub_report)
-        ran = runner.run_steps(open_visit(folder, truth=truth), observer=lines.append)
+        ran = runner.run_steps(open_visit(folder, Settings(mesh="coarse"), truth), observer=lines.append)
     assert ran == list(runner.STEPS)
     return folder, truth, fits[0], tuple(lines)
 

@@ -63,7 +63,7 @@ def test_a_torso_and_its_equilibrium_print_one_short_line_each(case):
         assert repr(thing).startswith(f"{type(thing).__name__}(")
     assert repr(torso).startswith("TorsoModel(157 cm, 49 bones, 67 joints, ")
     assert repr(torso.rest_pose).startswith("TorsoState(49 bones, ")
-    assert repr(problem).startswith(f"EquilibriumProblem(49 bones, {problem.potential.dofs} unknowns, 5 held, ")
+    assert repr(problem).startswith(f"EquilibriumProblem(49 bones, {problem.potential.dofs} unknowns, 6 held, ")
     assert repr(load) == "LoadCase('pushed', 5 N at 2 points and 0 tissue nodes)"
     assert repr(ratios) == "StiffnessRatios(tissue=0.5)"
     assert repr(found).startswith("Equilibrium(CONVERGED, energy ")

@@ -22,7 +22,7 @@ BLOCKS = {
     "conventions.md": 1,
     "mechanics.md": 1,
     "subject-folder.md": 1,
-    "synthetic-radiographs.md": 1,
+    "synthetic-radiographs.md": 2,
 }
 COMMANDS = {
     "demo": "python3 -m venv .venv && .venv/bin/pip install -e . && .venv/bin/spinestiff demo",
@@ -155,3 +155,14 @@ def test_readme_gives_the_two_commands_that_ci_runs() -> None:
         for step in command.split(" && "):
             assert step in script[position:], f".ci/run does not run, in this order: {step}"
             position += script[position:].index(step) + 1
+
+
+def test_the_table_of_priors_has_those_that_a_fit_takes() -> None:
+    from dataclasses import fields
+
+    from spinestiff.estimation.priors import Priors
+
+    page = (ROOT / "docs" / "subject-folder.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| ([\d.]+) \| [\w ]+ \| \S", page, re.MULTILINE)
+    usual = {field.name: field.default for field in fields(Priors) if field.name != "trunk_power"}
+    assert {name: float(value) for name, value in rows} == usual

@@ -437,8 +437,8 @@ FAULTS = (
     Fault(
         "fit: image loss pulls the wrong way (Eq. 11 as printed)",
         "estimation/objective.py",
-        'blocks = np.einsum("v,vki,vkic->vc", self.weights, self.fitted, self.jacobian)',
-        'blocks = -np.einsum("v,vki,vkic->vc", self.weights, self.fitted, self.jacobian)',
+        'blocks = np.einsum("v,vki,vkic->vc", self.weights, self.difference, self.jacobian)',
+        'blocks = -np.einsum("v,vki,vkic->vc", self.weights, self.difference, self.jacobian)',
         CHECKS,
     ),
     Fault(

@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # the same list for editors and type checkers; a test compare
     from spinestiff.errors import SpinestiffError as SpinestiffError
     from spinestiff.estimation.fit import fit_stiffness as fit_stiffness
     from spinestiff.estimation.objective import Trial as Trial
+    from spinestiff.estimation.priors import Priors as Priors
     from spinestiff.imaging.features import VertebraCorners as VertebraCorners
     from spinestiff.imaging.features import rmse as rmse
     from spinestiff.imaging.features import silhouette_shares as silhouette_shares
@@ -48,6 +49,7 @@ if TYPE_CHECKING:  # the same list for editors and type checkers; a test compare
     from spinestiff.mechanics.loads import LoadCase as LoadCase
     from spinestiff.mechanics.loads import rib_push as rib_push
     from spinestiff.mechanics.mechanisms import require_no_mechanism as require_no_mechanism
+    from spinestiff.mechanics.places import SupportPlace as SupportPlace
     from spinestiff.mechanics.supports import Supports as Supports
     from spinestiff.mechanics.supports import three_point_supports as three_point_supports
     from spinestiff.mechanics.terms import PointSprings as PointSprings
@@ -73,6 +75,7 @@ _MODULES = {
     "mechanics.equilibrium": ("EquilibriumProblem",),
     "mechanics.loads": ("LoadCase", "rib_push"),
     "mechanics.supports": ("Supports", "three_point_supports"),
+    "mechanics.places": ("SupportPlace",),
     "mechanics.terms": ("PointSprings",),
     "mechanics.mechanisms": ("require_no_mechanism",),
     "mechanics.differentiable": ("DifferentiableEquilibrium", "Pose"),
@@ -84,6 +87,7 @@ _MODULES = {
     "imaging.synthetic.collimation": ("Collimation",),
     "estimation.objective": ("Trial",),
     "estimation.fit": ("fit_stiffness",),
+    "estimation.priors": ("Priors",),
     "curves.cobb": ("read_cobb",),
     "curves.corner_files": ("read_corner_file", "read_corners", "write_corners"),
     "subject.folder": ("read_subject", "read_push", "image_corners", "image_supports"),

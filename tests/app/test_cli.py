@@ -18,14 +18,14 @@ from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.study import steps
-from spinestiff.study.wording import estimated, response_lines
+from spinestiff.study.wording import estimated, response_lines, uncertainty_lines
 from spinestiff.subject.folder import read_subject
 from spinestiff.subject.outcomes import Assessment, Estimate, Responses
 from spinestiff.subject.run_record import read_outcome
 from spinestiff.verification.outcome import Check
 
 COMMANDS = {
-    "synth": ("--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
+    "synth": ("--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id", "--nodes"),
     "inspect": ("--json",),
     "annotate": ("--port", "--no-browser"),
     "track": ("--redo",),
@@ -122,7 +122,7 @@ def test_wrong_usage_ends_with_2(spinestiff, arguments):
 
 def test_run_on_a_finished_subject_prints_the_result(spinestiff, subject, finished):
     before = digests(subject)
-    result = spinestiff("run", subject, "--truth", finished.truth)
+    result = spinestiff("run", subject, "--mesh", "coarse", "--truth", finished.truth)
     assert result.status == 0
     assert [line.split(maxsplit=2)[2] for line in result.lines] == [
         f"{step}: up to date" for step in ("track", "response", "personalise", "estimate", "assess", "report")
@@ -134,6 +134,8 @@ def test_run_on_a_finished_subject_prints_the_result(spinestiff, subject, finish
     for name, value in finished.fit.ratios.as_dict().items():
         assert re.search(rf"{name} +│ +{estimated(estimate.ratios[name])} ", result.out)
         assert float(estimated(estimate.ratios[name])) == pytest.approx(value, rel=0.05)
+    told = uncertainty_lines(estimate)
+    assert 2 <= len(told) <= 3 and all(f"{line}\n" in result.out for line in told)
     notes = (*estimate.notes, *read_outcome(read_subject(subject), Assessment).notes)
     assert notes
     assert [f"note: {text}" in result.out for text in notes] == [True] * len(notes)
@@ -148,7 +150,7 @@ def test_every_step_runs_by_its_own_name(spinestiff, subject, finished, no_repor
     answered = spinestiff("response", subject, "--redo")
     assert answered.status == 0
     assert answered.out.splitlines()[1:] == response_lines(read_outcome(read_subject(subject), Responses))
-    result = spinestiff("personalise", subject, "--redo")
+    result = spinestiff("personalise", subject, "--mesh", "coarse", "--redo")
     assert result.status == 0
     assert "corner sd 16.00 mm" in result.err
     assessed = spinestiff("assess", subject, "--truth", finished.truth)
@@ -185,16 +187,16 @@ def test_a_report_with_another_truth_asks_for_its_comparison(spinestiff, subject
 def test_redo_reaches_the_step(spinestiff, subject, finished, monkeypatch):
     asked = []
 
-    def fit(problems, trials, names, method, start, orientation, observer):
-        asked.append((method, orientation))
+    def fit(coarse, pushes, names, start, method, observer, say):
+        asked.append((method, pushes.orientation))
         return finished.fit
 
-    monkeypatch.setattr(steps, "fit_stiffness", fit)
+    monkeypatch.setattr(steps, "fit_from_coarse", fit)
     assert spinestiff("estimate", subject).status == 0
     assert asked == []
     assert spinestiff("estimate", subject, "--redo").status == 0
-    assert spinestiff("estimate", subject, "--method", "lbfgsb", "--orientation", "covariance").status == 0
-    assert asked == [("lm", "procrustes"), ("lbfgsb", "covariance")]
+    assert spinestiff("estimate", subject, "--method", "paper", "--orientation", "covariance").status == 0
+    assert asked == [("weighed", "procrustes"), ("paper", "covariance")]
 
 
 @pytest.fixture
@@ -362,7 +364,7 @@ def test_synth_and_demo_hand_their_options_on(spinestiff, tmp_path, monkeypatch)
     refused(spinestiff("synth", tmp_path / "x", *options, "--ratios", "0.2,0.03"), "far enough", 3)
     refused(spinestiff("demo", "--out", tmp_path / "y"), "far enough", 3)
     assert asked[0] == (tmp_path / "x", synthetic.Recipe(4, 150.0, -20.0, "lumbar", 80.0, (0.2, 0.03)))
-    assert asked[1] == (tmp_path / "y", synthetic.Recipe(ratios=(0.1, 0.01)))
+    assert asked[1] == (tmp_path / "y", synthetic.Recipe(ratios=(0.1, 0.04)))
     refused(spinestiff("synth", tmp_path / "z", "--nodes", 4000), "far enough", 3)
     assert asked[2] == (tmp_path / "z", synthetic.Recipe(nodes=4000))
 
@@ -449,7 +451,7 @@ def test_bad_arguments_are_refused_at_once(spinestiff, tmp_path, monkeypatch, ar
     ("arguments", "words"),
     [
         (("--curve", "zigzag"), "unknown curve 'zigzag'; wanted one of"),
-        (("--cobb", "90"), "--cobb 90: wanted -60 to 60 degrees"),
+        (("--cobb", "90"), "--cobb 90: wanted -80 to 80 degrees"),
         (("--height", "90"), "--height 90: wanted 120 to 200 cm"),
         (("--spine", "none.csv", "--spine-id", "a"), r"none\.csv: no such file"),
     ],
@@ -465,7 +467,7 @@ def test_impossible_subjects_are_refused(spinestiff, tmp_path, monkeypatch, argu
     [
         (("run", "--mesh", "huge"), "unknown mesh 'huge'; wanted one of coarse, fine"),
         (("personalise", "--mesh", ""), "unknown mesh ''"),
-        (("run", "--method", "guess"), "unknown method 'guess'; wanted one of lm, lbfgsb"),
+        (("run", "--method", "guess"), "unknown method 'guess'; wanted one of weighed, paper"),
         (("estimate", "--orientation", "up"), "unknown orientation 'up'"),
         (("assess", "--truth", "none.json"), r"none\.json: no such file"),
         (("run", "--truth", "subject.json"), r"subject\.json: holds no true ratios"),
@@ -600,7 +602,8 @@ def test_a_failed_computation_ends_with_3_and_keeps_the_estimate(spinestiff, sub
     def fails(*args, **kwargs):
         raise error
 
-    monkeypatch.setattr(steps, "fit_stiffness", fails)
+    monkeypatch.setattr(steps, "fit_from_coarse", fails)
+    monkeypatch.setattr(steps, "fit_pushes", fails)
     before = digests(subject)
     refused(spinestiff("estimate", subject, "--redo"), " here$", 3)
     assert digests(subject) == before
@@ -614,7 +617,7 @@ def test_an_absurd_force_ends_with_3_and_keeps_the_estimate(spinestiff, subject,
 
     edit("subject.json", lambda c: c["pushes"][0].update(forces_n=[0.0, 400.0, 450.0, 500.0]))(subject)
     spinestiff("track", subject)
-    spinestiff("personalise", subject)
+    spinestiff("personalise", subject, "--mesh", "coarse")
     monkeypatch.setattr(EquilibriumProblem, "solve", short)
     before = digests(subject)
     refused(spinestiff("estimate", subject), r"equilibrium", 3)

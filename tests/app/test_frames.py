@@ -42,7 +42,8 @@ def test_a_proposal_for_a_subject_without_roles(spinestiff, subject, capfd):
         ("second", 1, "unused", "validation"),
     ]
     assert all(0.9 < frame["sharpness"] <= 1.0 and frame["vertebrae"] > 10 for frame in found)
-    assert all(frame["supports"]["shoulder"]["mm"] < 0.5 for frame in found)
+    # The pad gives by at most 4 mm.
+    assert all(frame["supports"]["shoulder"]["mm"] < 5.0 for frame in found)
     assert cv2.imread(str(subject / "results/frames.png")).shape[0] > 1000
     assert json.loads(path.read_text()) == json.loads(chosen)
     # What people see of the same.

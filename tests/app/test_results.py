@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -40,7 +41,7 @@ def damages(content):
     }
     if content.startswith(b"{"):
         text = content.decode()
-        digit = max(index for index, letter in enumerate(text) if letter.isdigit())
+        digit = next(re.finditer(r"(?<=[\s\[:-])\d", text)).start()
         edited = text[:digit] + str((int(text[digit]) + 1) % 10) + text[digit + 1 :]
         assert json.loads(edited) != json.loads(text)
         later = {**json.loads(text), "schema_version": 99}

@@ -12,6 +12,7 @@ from spinestiff.mechanics.factor import default_backend
 from spinestiff.subject.outcomes import Estimate, HeldOutFrame, PlainStiffness, RatioEstimate
 from spinestiff.verification.outcome import Check
 
+NAN = float("nan")
 RATIOS = {
     "lateral_bending": RatioEstimate.of(0.10234, (0.0952, 0.1101), (False, False), False),
     "tissue": RatioEstimate.of(0.005, (0.005, 0.0123), (True, False), True),
@@ -27,6 +28,7 @@ ASSESSMENT = {
         "rest": 9.0,
         "default": 7.126,
         "fit": 1.234,
+        "fitted_supports": 0.5,
         "extrapolation": None,
         "single_ratio": 2.0,
         "truth": None,
@@ -56,7 +58,7 @@ def estimate(**changed):
         "tissue_young": PlainStiffness.model_validate(NONE),
     }
     given = {"status": "CONVERGED", "determined": "weakly determined", "parameters": tuple(RATIOS), "ratios": RATIOS}
-    return Estimate.model_construct(**given, plain=plain, **changed)
+    return Estimate.model_construct(**{"method": "weighed", **given, "plain": plain, **changed})
 
 
 def test_estimate(printed):
@@ -74,9 +76,16 @@ def test_a_doubtful_estimate_says_so_above_its_numbers(printed):
     assert text.index("Estimate: doubtful") < text.index("lateral_bending")
 
 
+def test_the_paper_s_estimate_says_that_it_has_no_intervals(printed):
+    ratios = {name: RatioEstimate.of(one.value, (NAN, NAN), (False, False), False) for name, one in RATIOS.items()}
+    text = printed(tables.estimate_table(estimate(method="paper", ratios=ratios, determined="not determined")))
+    assert "Estimate: no intervals" in text and "determined" not in text
+    assert row_of(text, "lateral_bending")[1:4] == ["0.10", "not available", "no intervals"]
+
+
 def test_assessment(printed):
     text = printed(tables.assessment_table([HeldOutFrame.model_validate(ASSESSMENT)]))
-    assert row_of(text, "main 6") == ["main 6", "60", "9.00", "7.13", "1.23", "-", "2.00", "-", "-7.0", "-"]
+    assert row_of(text, "main 6") == ["main 6", "60", "9.00", "7.13", "1.23", "0.50", "-", "2.00", "-", "-7.0", "-"]
 
 
 def test_cobb(printed):

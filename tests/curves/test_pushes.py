@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from results import altered
-from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses, rest_reading, usable_frames
+from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses, rest_reading, seen_frames
 from spinestiff.errors import SubjectError
 from spinestiff.study.assessment import change_record
 from spinestiff.study.steps import stored_predictions
@@ -113,14 +113,15 @@ def test_n_per_degree_of_a_subject(finished):
         assert found.flexibility.low < found.flexibility.percent < found.flexibility.high
 
 
-def test_dropped_frames_are_not_used_and_others_know_their_annotation(subject):
+def test_every_frame_is_seen_and_knows_its_annotation(subject):
     def change(content):
-        content["pushes"]["main"]["frames"][1]["dropped"] = "frame 1: the pelvis moved"
         content["pushes"]["main"]["annotated_frames"] = [0, 3]
 
     altered(subject, Tracked, change)
-    found = usable_frames(read_outcome(read_subject(subject), Tracked).pushes["main"])
-    assert [(frame.frame, frame.force_n, frame.origin) for frame in found] == [(0, 0.0, 0), (2, 22.5, 3), (3, 30.0, 3)]
+    found = seen_frames(read_outcome(read_subject(subject), Tracked).pushes["main"])
+    assert [(frame.frame, frame.force_n, frame.origin) for frame in found] == [
+        (0, 0.0, 0), (1, 15.0, 0), (2, 22.5, 3), (3, 30.0, 3),
+    ]  # fmt: skip
     # Towards the patient's left, upwards, in millimetres of the patient.
     left, right = found[0].points[:, 0], found[0].points[:, 1]
     assert np.all(left[:, 0] > right[:, 0]) and found[0].points[0, 0, 1] > found[0].points[-1, 0, 1]

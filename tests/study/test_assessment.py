@@ -16,7 +16,7 @@ from spinestiff.imaging.features import VertebraCorners, silhouette_shares, stat
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.study import assessment
 from spinestiff.study.assessment import BASELINES, assess, change_record, extrapolated, single_ratio
-from spinestiff.study.predictions import Solved, predict, predictions_of
+from spinestiff.study.predictions import Model, Solved, predict, predictions_of
 from spinestiff.study.trials import push_set
 from spinestiff.subject.folder import read_subject
 from spinestiff.subject.outcomes import Assessment, CobbChangeRecord
@@ -187,7 +187,11 @@ def test_a_prediction_that_is_the_truth_has_no_error(torso):
     pushed = VertebraCorners(torso.vertebrae, state_features(torso, view, state, shares).corners)
     lines = []
     found = make_set(torso, [rest, rest, rest, pushed])
-    models = {"default": None, "fit": stiffness_ratios(wrong, kinds), "truth": stiffness_ratios(true, kinds)}
+    models = {
+        "default": Model(),
+        "fit": Model(stiffness_ratios(wrong, kinds)),
+        "truth": Model(stiffness_ratios(true, kinds)),
+    }
     (frame,) = assess(predict(found, models, {}, lines.append, everywhere=()))
     assert frame.rmse_mm["truth"] < 1e-4
     assert frame.rmse_mm["fit"] > 10.0 * frame.rmse_mm["truth"]
@@ -206,18 +210,18 @@ def test_a_failed_baseline_fit_makes_no_prediction(pushes, finished, monkeypatch
         def fails(*args, error=error, **kwargs):
             raise error
 
-        monkeypatch.setattr(assessment, "fit_stiffness", fails)
+        monkeypatch.setattr(assessment, "fit_from_coarse", fails)
         assert single_ratio(pushes) is None
     monkeypatch.setattr(
-        assessment, "fit_stiffness", lambda *args, **kwargs: replace(finished.fit, status=FitStatus.STALLED)
+        assessment, "fit_from_coarse", lambda *args, **kwargs: replace(finished.fit, status=FitStatus.STALLED)
     )
     assert single_ratio(pushes) is None
     asked = []
-    monkeypatch.setattr(assessment, "fit_stiffness", lambda *args, **kwargs: asked.append(args) or finished.fit)
-    assert single_ratio(pushes) is finished.fit.ratios
-    problems, trials, names = asked[0]
-    assert len(problems) == len(trials) == 2
-    assert names == ("everything",)
+    monkeypatch.setattr(assessment, "fit_from_coarse", lambda *args, **kwargs: asked.append(args) or finished.fit)
+    assert single_ratio(pushes) == Model.of(finished.fit)
+    single_ratio(pushes, 0.1, pushes, "paper")
+    wanted = ((None, 1.0, "weighed"), (pushes, 0.1, "paper"))
+    assert asked == [(coarse, pushes, ("everything",), {"everything": start}, how) for coarse, start, how in wanted]
 
 
 def test_what_is_written_of_a_whole_subject(finished):

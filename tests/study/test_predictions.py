@@ -15,18 +15,25 @@ from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.curves.tilts import change_between
 from spinestiff.errors import SubjectError
+from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.unknowns import ACTS
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import SolveStatus
+from spinestiff.mechanics.places import SupportPlace
+from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study.predictions import (
     REST,
     STATES_SCHEMA,
+    Model,
     Solved,
     of_equilibria,
     predict,
+    predicted_acts,
     predictions_of,
     read_solved,
     stored,
+    with_fitted_supports,
     write_solved,
 )
 from spinestiff.study.trials import push_set
@@ -41,6 +48,7 @@ class Noting:
 
     def __init__(self, torso, fails=()):
         self.torso, self.fails, self.asked = torso, fails, []
+        self.supports = three_point_supports(torso, "right")
 
     def solve(self, load, model, start):
         self.asked.append((round(load.size), model, start))
@@ -84,7 +92,7 @@ def quiet(line):
 def test_every_frame_is_solved_once_from_the_least_force_up(torso, rest):
     pushes, problem = noting(make_set(torso, [rest] * 4, (0.0, 30.0, 10.0, 20.0)))
     lines = []
-    found = predict(pushes, {"default": None, "fit": SOFT}, {}, lines.append)
+    found = predict(pushes, {"default": Model(), "fit": Model(SOFT)}, {}, lines.append)
     assert [(force, model) for force, model, _ in problem.asked] == [
         (force, model) for force in (10, 20, 30) for model in (None, SOFT)
     ]
@@ -101,20 +109,20 @@ def test_every_frame_is_solved_once_from_the_least_force_up(torso, rest):
 def test_what_is_known_is_not_solved_again(torso, rest):
     pushes, problem = noting(make_set(torso, [rest] * 4, (0.0, 30.0, 10.0, 20.0)))
     known = Solved(torso.rest_pose, np.ones((1, 3)))
-    found = predict(pushes, {"fit": SOFT}, {("main", 2, "fit"): known}, quiet)
+    found = predict(pushes, {"fit": Model(SOFT)}, {("main", 2, "fit"): known}, quiet)
     assert [force for force, _, _ in problem.asked] == [20, 30]
     # It is where the next one starts, and it is among what is stored.
     assert problem.asked[0][2] is known.state
     assert stored(found)["main", 2, "fit"] is known
     assert set(stored(found)) == {("main", frame, "fit") for frame in (1, 2, 3)}
     again, problem = noting(pushes)
-    predict(again, {"fit": SOFT}, stored(found), quiet)
+    predict(again, {"fit": Model(SOFT)}, stored(found), quiet)
     assert problem.asked == []
 
 
 def test_other_models_predict_the_held_out_frames_alone(torso, rest):
     pushes, problem = noting(make_set(torso, [rest] * 4, (0.0, 30.0, 10.0, 20.0)))
-    found = predict(pushes, {"fit": SOFT, "truth": None}, {}, quiet)
+    found = predict(pushes, {"fit": Model(SOFT), "truth": Model()}, {}, quiet)
     assert [force for force, model, _ in problem.asked if model is None] == [30]
     assert ["truth" in p.states for p in found.frames] == [True, False, False]
     assert [p.item.role for p in found.of_role("validation", "training")] == ["validation", "training"]
@@ -123,7 +131,7 @@ def test_other_models_predict_the_held_out_frames_alone(torso, rest):
 def test_a_model_without_an_equilibrium_is_said_and_left_out(torso, rest):
     pushes, problem = noting(make_set(torso, [rest] * 4, (0.0, 30.0, 10.0, 20.0)), (20, None))
     lines = []
-    found = predict(pushes, {"default": None, "fit": SOFT}, {}, lines.append)
+    found = predict(pushes, {"default": Model(), "fit": Model(SOFT)}, {}, lines.append)
     by_force = {p.item.force_n: p for p in found.frames}
     assert set(by_force[20.0].states) == {REST, "fit"} and set(by_force[30.0].states) == {REST, "fit", "default"}
     assert any(line.startswith("push 'main' frame 3: no prediction by 'default': ") for line in lines)
@@ -163,6 +171,105 @@ def test_a_change_is_measured_from_the_least_force(torso, rest):
     assert change.levels == measured.levels
     unloaded = predictions_of(make_set(torso, [rest, bent], (0.0, 30.0), ("unused", "training")), {})
     assert unloaded.before(unloaded.frames[-1].item, "fit") is torso.rest_pose
+
+
+# What is not quite known, in frames that a fit has not seen
+
+DEGREE = np.pi / 180.0
+ELASTIC = np.sqrt(3.0**2 - 1.0**2) * DEGREE
+
+
+def with_supports(pushes, **seen):
+    """The same set, with the supports of its frames measured: frame -> name -> value and sd."""
+    measured = {int(name[1:]): found for name, found in seen.items()}
+    trials = tuple(replace(t, trial=replace(t.trial, supports=measured.get(t.frame, {}))) for t in pushes.trials)
+    return replace(pushes, trials=trials)
+
+
+@pytest.fixture(scope="module")
+def pushed(torso, rest):
+    """Two held-out frames, one of them of less force, and a training frame."""
+    return make_set(torso, [rest] * 4, (0.0, 60.0, 40.0, 30.0), ("unused", "validation", "training", "validation"))
+
+
+def acts_of(pushes, known, *frames):
+    items = [next(t for t in pushes.trials if t.frame == frame) for frame in frames]
+    return [dict(zip(ACTS, row)) for row in predicted_acts(pushes, items, Model(SOFT, known))]
+
+
+KNOWN = {
+    "obliquity under pushes from the right": 0.5,
+    "obliquity in push 'main' frame 2": 2.0,
+    "breathing in push 'main' frame 2": 1.0,
+    "force of main": -1.5,
+    "trunk breadth": 1.0,
+}
+
+
+def test_held_out_frames_take_what_they_share_and_no_frame_s_own_part(pushed):
+    full, training, less = acts_of(pushed, KNOWN, 1, 2, 3)
+    assert full["obliquity"] == pytest.approx(0.5 * ELASTIC)
+    assert less["obliquity"] == pytest.approx(0.5 * 0.5 * ELASTIC)
+    assert training["obliquity"] == pytest.approx(0.5 * ELASTIC * 40.0 / 60.0 + 2.0 * DEGREE)
+    assert [found["force"] for found in (full, training, less)] == pytest.approx([-0.03] * 3)
+    assert [found["tissue"] for found in (full, training, less)] == pytest.approx([0.12] * 3)
+    assert [found["height"] for found in (full, training, less)] == [0.0, 2.0, 0.0]
+    assert full["shoulder"] == 0.0
+
+
+def test_a_push_from_the_other_side_shares_neither_supports_nor_gauge(pushed, torso, rest):
+    push = PushRecord(
+        id="other", side="left", level=8.0, d21_mm=400.0, d31_mm=200.0, frames="o.dcm", forces_n=(0.0, 60.0),
+        roles=("unused", "training"),
+    )  # fmt: skip
+    other = push_set(torso, [push], {"other": tracked_push(frontal_view(), (0.0, 60.0), [rest, rest])})
+    (found,) = acts_of(other, KNOWN, 1)
+    assert {name for name, value in found.items() if value} == {"tissue"}
+
+
+def test_measured_supports_of_a_held_out_frame_count_as_far_as_they_are_sure(pushed):
+    """The frame's own degree about what the compliance says, beside a measurement: the mean by their precisions."""
+    expected, sd = 0.5 * ELASTIC, 0.5 * DEGREE
+    seen = with_supports(pushed, f1={"obliquity": (3.0 * DEGREE, sd), "shoulder": (-2.0, 1e-6)})
+    (found,) = acts_of(seen, KNOWN, 1)
+    assert found["obliquity"] == pytest.approx(expected + (3.0 * DEGREE - expected) / (1.0 + 0.5**2))
+    # Nothing is known of this side's shoulder.
+    assert found["shoulder"] == pytest.approx(-2.0)
+    # What a fit has seen of a frame is in what it found, and is not counted again.
+    fitted = with_supports(pushed, f2={"obliquity": (9.0 * DEGREE, sd)})
+    (training,), (before,) = acts_of(fitted, KNOWN, 2), acts_of(pushed, KNOWN, 2)
+    assert training["obliquity"] == before["obliquity"]
+
+
+def test_default_stiffness_is_pushed_as_the_gauge_says_on_a_level_pelvis(pushed):
+    seen = with_supports(pushed, f1={"obliquity": (3.0 * DEGREE, 0.5 * DEGREE)})
+    (found,) = acts_of(seen, {}, 1)
+    assert not any(found.values())
+
+
+@pytest.mark.slow
+def test_fitted_supports_stand_beside_and_change_no_prediction(torso, rest):
+    """A held-out frame whose pelvis turned by 2.5 degrees: its prediction knows nothing of it."""
+    forces, roles = (0.0, 20.0, 30.0), ("unused", "training", "validation")
+    pushes = make_set(torso, [rest] * 3, forces, roles)
+    (item,) = pushes.of_role("validation")
+    problem = pushes.problems["main"].with_place(SupportPlace(2.5 * DEGREE, 0.0))
+    state = problem.solve(item.trial.load, SOFT).require().state
+    shares = silhouette_shares(torso, frontal_view(), torso.rest_pose)
+    seen = VertebraCorners(torso.vertebrae, state_features(torso, frontal_view(), state, shares).corners)
+    pushes = make_set(torso, [rest, rest, seen.selected(rest.vertebrae)], forces, roles)
+    alone = predict(pushes, {"fit": Model(SOFT, {"force of main": 0.0})}, {}, quiet)
+    both = with_fitted_supports(alone, Model(SOFT, {"force of main": 0.0}))
+    (before,), (after,) = alone.of_role("validation"), both.of_role("validation")
+    assert after.solved["fit"] is before.solved["fit"]
+    turn = after.states["fitted_supports"].bone_rotations[torso.bone("pelvis")] @ (
+        torso.rest_pose.bone_rotations[torso.bone("pelvis")].T
+    )
+    assert np.degrees(np.arctan2(turn[1, 0], turn[0, 0])) == pytest.approx(2.5, abs=0.1)
+    assert after.rmse(torso, "fitted_supports") < 0.1 < 1.0 < after.rmse(torso, "fit")
+    level = replace(pushes, known=replace(pushes.known, priors=Priors(obliquity_deg=0.0, frame_obliquity_deg=0.0)))
+    (without,) = with_fitted_supports(replace(alone, pushes=level), Model(SOFT)).of_role("validation")
+    assert "fitted_supports" not in without.solved
 
 
 # Stored

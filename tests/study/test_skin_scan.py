@@ -12,7 +12,7 @@ from spinestiff.anatomy.files import read_torso
 from spinestiff.errors import SubjectError
 from spinestiff.personalise.skin_surface import skin_surface
 from spinestiff.study.runner import run_steps
-from spinestiff.study.visit import open_visit
+from spinestiff.study.visit import Settings, open_visit
 from spinestiff.subject.folder import read_subject
 from spinestiff.subject.outcomes import GeometryRecord
 from spinestiff.subject.run_record import read_outcome
@@ -39,7 +39,7 @@ def test_the_personalise_step_takes_the_scan(subject):
     trimesh.Trimesh(scanned, mesh.faces, process=False).export(subject / "scan.ply")
     stated(subject)
     lines = []
-    assert run_steps(open_visit(subject), ("personalise",), lines.append) == ["personalise"]
+    assert run_steps(open_visit(subject, Settings(mesh="coarse")), ("personalise",), lines.append) == ["personalise"]
     found = read_outcome(read_subject(subject), GeometryRecord).skin_scan
     assert found.before_mm[0] > 5.0
     assert found.after_mm[0] < 2.0
@@ -50,7 +50,7 @@ def test_the_personalise_step_takes_the_scan(subject):
     np.testing.assert_allclose(after.rest_pose.bone_positions, before.rest_pose.bone_positions, atol=1e-6)
     assert np.linalg.norm(after.tissue.rest_positions - before.tissue.rest_positions, axis=1).max() > 5.0
     assert (subject / "results" / "skin_scan.png").read_bytes()[:4] == b"\x89PNG"
-    assert run_steps(open_visit(subject), ("personalise",)) == []
+    assert run_steps(open_visit(subject, Settings(mesh="coarse")), ("personalise",)) == []
 
 
 def test_a_wrong_unit_ends_before_anything_is_written(subject):
@@ -58,5 +58,5 @@ def test_a_wrong_unit_ends_before_anything_is_written(subject):
     trimesh.creation.box((300.0, 200.0, 500.0)).export(subject / "scan.ply")
     stated(subject)
     with pytest.raises(SubjectError, match=r"scan.ply extends 5000 mm along up, .* check unit \(cm\) and axes"):
-        run_steps(open_visit(subject), ("personalise",))
+        run_steps(open_visit(subject, Settings(mesh="coarse")), ("personalise",))
     assert (subject / "results" / "personalised.json").read_bytes() == before

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,10 @@ from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.fit import FitStatus
+from spinestiff.estimation.profiles import region_rise
+from spinestiff.estimation.unknowns import ACTS
 from spinestiff.files import file_digest, read_json, write_json
+from spinestiff.mechanics.contact import OneSidedProblem
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.study import steps, written
 from spinestiff.study.runner import ALL_STEPS, run_steps
@@ -36,7 +40,7 @@ def digests(folder):
 
 
 def opened(subject, **settings):
-    return open_visit(subject, Settings(**settings), subject.with_name("girl.truth.json"))
+    return open_visit(subject, Settings(**{"mesh": "coarse", **settings}), subject.with_name("girl.truth.json"))
 
 
 def annotate_anew(subject):
@@ -114,26 +118,92 @@ def test_the_estimate(finished):
     assert record.fit_status_text == fit.status.value
     assert record.parameters == fit.names == ("lateral_bending", "tissue")
     assert record.values == fit.ratios.as_dict()
-    for row, (name, entry) in enumerate(record.ratios.items()):
+    for name, entry in record.ratios.items():
         assert entry.low < entry.value == fit.ratios.as_dict()[name] < entry.high
         assert (entry.low, entry.high) == fit.intervals95[name]
         assert entry.at_bound is False
-        assert (entry.open_low, entry.open_high) == (fit.intervals.open_low[row], fit.intervals.open_high[row])
+        assert (entry.open_low, entry.open_high) == fit.open_ends[name]
         assert entry.determined == entry.determination
     assert record.correlation == pytest.approx(fit.correlation[0, 1])
     assert -1.0 <= record.correlation <= 1.0
-    assert record.condition == fit.condition >= 1.0
     assert record.training_rmse_mm.model_dump() == {"default": fit.default_rmse_mm, "fit": fit.rmse_mm}
     assert fit.rmse_mm < 0.6 * fit.default_rmse_mm
     assert set(record.cost.model_dump()) == {"equilibria", "newton_iterations", "factorisations", "seconds"}
     assert all(value > 0 for value in record.cost.model_dump().values())
     assert len(record.history) == len(fit.history)
-    assert np.array(record.covariance_log) == pytest.approx(fit.uncertainty.covariance)
-    assert record.region == tuple(map(tuple, np.exp(fit.intervals.region).tolist()))
-    assert record.region_size == fit.uncertainty.region_size
+    assert np.array(record.covariance_log) == pytest.approx(fit.covariance)
+    assert record.region == tuple(map(tuple, np.exp(fit.likely.region).tolist()))
+    assert record.region_size == region_rise(2)
     assert record.orientation == fit.orientation == "procrustes"
     assert set(record.poses) == {"main", "second"}
     assert set(fit.warnings) <= set(record.notes)
+
+
+def test_what_only_the_weighed_fit_tells(finished):
+    record, fit = result(finished, Estimate), finished.fit
+    assert [one.name for one in record.nuisances] == [one.name for one in fit.weighed.nuisances]
+    units = {one.name: one.unit for one in record.nuisances}
+    assert units["force offset of main"] == "N" and units["obliquity under pushes from the left"] == "rad"
+    assert units["force of main"] == ""
+    assert [(place.push, place.frame) for place in record.supports] == [("main", 1), ("main", 2)]
+    first, second = (place.obliquity_deg for place in record.supports)
+    acts = fit.weighed.acts[:, ACTS.index("obliquity")]
+    assert (first, second) == pytest.approx(np.degrees(acts).tolist())
+    for name, kind in zip(fit.names, fit.likely.kinds, strict=True):
+        assert record.ratios[name].profile == kind
+    for row in record.budget:
+        for name in fit.names:
+            assert record.sd_log_tracking[name] <= row.alone[name] + 1e-9
+            assert row.without[name] <= record.sd_log[name] + 1e-9
+            assert row.alone[name] <= record.sd_log[name] + 1e-9
+    assert {(change.name, change.factor) for change in record.prior_changes} >= {
+        (name, factor) for name in ("force scale", "annotation", "model discrepancy") for factor in (0.5, 2.0)
+    }
+    assert (record.p_value, record.tracking_factor) == (fit.weighed.p_value, fit.weighed.tracking_factor)
+
+
+def test_the_draws_are_ratios_and_nuisances_row_by_row(finished):
+    lines = (finished.folder / "results" / "posterior.csv").read_text(encoding="utf-8").splitlines()
+    ratios, nuisances = finished.fit.likely.draws
+    names = next(csv.reader(lines))
+    assert names == [*finished.fit.names, *(one.name for one in finished.fit.weighed.nuisances)]
+    table = np.array([[float(cell) for cell in row] for row in csv.reader(lines[1:])])
+    np.testing.assert_allclose(table, np.hstack([np.exp(ratios), nuisances]), rtol=1e-5, atol=1e-9)
+    assert len(table) >= 100
+    # Of one kind with the intervals.
+    for column, name in enumerate(finished.fit.names):
+        low, high = finished.fit.intervals95[name]
+        assert 0.85 < np.mean((table[:, column] > low) & (table[:, column] < high)) <= 1.0
+    record = read_json(finished.folder / "results" / "run.json")["steps"]["estimate"]
+    assert "results/posterior.csv" in record["outputs"]
+
+
+def test_the_paper_s_method_is_level_and_has_no_intervals(subject, finished, monkeypatch):
+    """The steps around it for real; the fit itself is tested where it lives."""
+    content = read_json(subject / "subject.json")
+    write_json(subject / "subject.json", {**content, "pelvis": "hinge", "wall": "one-sided"})
+    asked = []
+    nothing = (float("nan"), float("nan"))
+    paper = replace(
+        finished.fit, method="paper", weighed=None, intervals95=dict.fromkeys(finished.fit.names, nothing),
+        open_ends=dict.fromkeys(finished.fit.names, (False, False)), covariance=np.full((2, 2), np.nan),
+    )  # fmt: skip
+    monkeypatch.setattr(steps, "fit_from_coarse", lambda coarse, pushes, *args: asked.append((pushes, args)) or paper)
+    visit = opened(subject, method="paper")
+    assert visit.file("posterior.csv").exists()
+    run_steps(visit, ("estimate",))
+    ((pushes, args),) = asked
+    assert "paper" in args
+    assert all(p.supports.held[pushes.torso.bone("pelvis")].all() for p in pushes.problems.values())
+    assert not any(isinstance(p, OneSidedProblem) for p in pushes.problems.values())
+    assert pushes.known.priors.obliquity_deg == 0.0
+    record = read_outcome(visit.subject, Estimate)
+    assert all((one.low, one.high, one.profile) == (None, None, None) for one in record.ratios.values())
+    assert (record.p_value, record.budget, record.nuisances, record.region) == (None, (), (), None)
+    assert any("equal weights with the pelvis level: it has no intervals" in note for note in record.notes)
+    assert {check.name: check.passed for check in record.checks}["residuals as expected"] is None
+    # Draws of an earlier estimate are none of this one.
+    assert not visit.file("posterior.csv").exists()
 
 
 def test_the_estimate_is_judged(finished):
@@ -161,7 +231,7 @@ def test_a_failed_check_makes_the_estimate_doubtful(subject, finished):
         dataset.save_as(subject / f"{name}.dcm")
     visit = open_visit(subject)
     geometry = read_outcome(visit.subject, GeometryRecord)
-    record = written.estimate_record(visit, load_pushes(visit, "procrustes"), finished.fit, geometry)
+    record = written.estimate_record(visit, load_pushes(visit, "procrustes", "weighed"), finished.fit, geometry)
     assert record.status == "DOUBTFUL"
     assert record.fit_status == finished.fit.status.name
     assert [check.name for check in record.failed] == ["same patient", "size of the force"]
@@ -235,7 +305,7 @@ def test_a_frame_whose_supports_moved_is_found_and_kept(subject):
     assert frames[1].shoulder_mm.value == pytest.approx(6.7, abs=1.0)
     assert max(frames[3].support_motion_mm.values()) < 3.0
     assert any(line.startswith("track: push 'main' frame 1: the ") for line in lines)
-    pushes = load_pushes(visit, "procrustes")
+    pushes = load_pushes(visit, "procrustes", "weighed")
     assert [t.frame for t in pushes.of_role("training")] == [1, 2]
     (warning,) = [w for w in pushes.warnings if "moved by" in w]
     assert warning.startswith("push 'main' frame 1: the ")
@@ -246,8 +316,12 @@ def test_a_frame_whose_supports_moved_is_found_and_kept(subject):
 
 
 def test_assess_solves_no_training_frame_again(subject, finished, solved, monkeypatch):
-    """Of default and estimated stiffness only what the fit never saw; the one-ratio baseline is a fit of its own."""
+    """Of default and estimated stiffness only what the fit never saw.
+
+    The one-ratio baseline is a fit of its own, and so are the held-out frames' supports.
+    """
     monkeypatch.setattr(steps, "single_ratio", lambda *args: None)
+    monkeypatch.setattr(steps, "with_fitted_supports", lambda predictions, model: predictions)
     visit = open_visit(subject)
     assert run_steps(visit, ("assess",), force=True) == ["assess"]
     assert sorted((label, ratios is None) for label, ratios in solved) == [
@@ -277,7 +351,7 @@ def test_the_view_solves_nothing(subject, solved):
 @pytest.mark.parametrize("status", [FitStatus.ITERATION_LIMIT, FitStatus.STALLED])
 def test_a_fit_without_a_minimum_is_no_estimate(subject, finished, monkeypatch, status):
     before = digests(subject)
-    monkeypatch.setattr(steps, "fit_stiffness", lambda *args, **kwargs: replace(finished.fit, status=status))
+    monkeypatch.setattr(steps, "fit_from_coarse", lambda *args, **kwargs: replace(finished.fit, status=status))
     with pytest.raises(FitError, match="no estimate: "):
         run_steps(opened(subject), ("estimate",), force=True)
     assert digests(subject) == before
@@ -285,7 +359,7 @@ def test_a_fit_without_a_minimum_is_no_estimate(subject, finished, monkeypatch, 
 
 @pytest.mark.parametrize("status", [FitStatus.AT_BOUND, FitStatus.NOT_IDENTIFIABLE])
 def test_a_fit_at_a_bound_is_written_with_its_status(subject, finished, monkeypatch, status):
-    monkeypatch.setattr(steps, "fit_stiffness", lambda *args, **kwargs: replace(finished.fit, status=status))
+    monkeypatch.setattr(steps, "fit_from_coarse", lambda *args, **kwargs: replace(finished.fit, status=status))
     visit = opened(subject)
     run_steps(visit, ("estimate",), force=True)
     estimate = read_outcome(visit.subject, Estimate)
@@ -294,10 +368,15 @@ def test_a_fit_at_a_bound_is_written_with_its_status(subject, finished, monkeypa
 
 
 def test_what_is_not_finite_is_written_as_null(subject, finished, monkeypatch):
-    spread = replace(finished.fit.uncertainty, covariance=np.full((2, 2), np.inf))
-    intervals = replace(finished.fit.intervals, high=np.full(2, np.inf), region=None)
-    broken = replace(finished.fit, uncertainty=spread, intervals=intervals, default_rmse_mm=float("nan"))
-    monkeypatch.setattr(steps, "fit_stiffness", lambda *args, **kwargs: broken)
+    fit = finished.fit
+    broken = replace(
+        fit,
+        covariance=np.full((2, 2), np.inf),
+        intervals95={name: (low, np.inf) for name, (low, _) in fit.intervals95.items()},
+        weighed=replace(fit.weighed, likely=replace(fit.likely, region=None)),
+        default_rmse_mm=float("nan"),
+    )
+    monkeypatch.setattr(steps, "fit_from_coarse", lambda *args, **kwargs: broken)
     visit = opened(subject)
     run_steps(visit, ("estimate",), force=True)
     record = read_outcome(visit.subject, Estimate)
@@ -314,8 +393,8 @@ def test_what_is_not_finite_is_written_as_null(subject, finished, monkeypatch):
 
 def test_open_ends_reach_the_file(subject, finished, monkeypatch):
     """An end at the fit's bound is open, and what is open at both ends is not determined."""
-    intervals = replace(finished.fit.intervals, open_low=np.array([False, True]), open_high=np.array([True, True]))
-    monkeypatch.setattr(steps, "fit_stiffness", lambda *args, **kwargs: replace(finished.fit, intervals=intervals))
+    opens = {"lateral_bending": (False, True), "tissue": (True, True)}
+    monkeypatch.setattr(steps, "fit_from_coarse", lambda *args, **kwargs: replace(finished.fit, open_ends=opens))
     visit = opened(subject)
     run_steps(visit, ("estimate",), force=True)
     record = read_outcome(visit.subject, Estimate)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -10,7 +12,7 @@ from results import tracked_push
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SubjectError
-from spinestiff.estimation.fit import fit_stiffness
+from spinestiff.estimation.priors import Priors
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.tracking.quality import usable_corners
@@ -19,7 +21,8 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.push import Rig, push_problem
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.study.trials import push_set, rig_of
+from spinestiff.study.trials import Known, fit_pushes, known_of, push_set, rig_of
+from spinestiff.subject.outcomes import Measured
 from spinestiff.subject.records import PushRecord, SubjectRecord
 
 STOOD = ((6.0, -4.0), 0.02)
@@ -137,10 +140,9 @@ def test_a_one_sided_wall_is_fitted_like_any_other(torso):
     ratios = {}
     for name, how in (("one-sided", one_sided), ("bilateral", rig)):
         found = push_set(torso, [push], {"main": tracked(*shown)}, rig=how)
-        fit = fit_stiffness(
-            [found.problems["main"]], [found.training[0].trial], start={"lateral_bending": 0.19, "tissue": 0.052},
-            intervals="linear",
-        )  # fmt: skip
+        fit = fit_pushes(
+            found, ("lateral_bending", "tissue"), {"lateral_bending": 0.19, "tissue": 0.052}, extent="estimate"
+        )
         ratios[name] = fit.ratios.as_dict()
     assert ratios["one-sided"] == pytest.approx(truth, rel=5e-3)
     assert ratios["bilateral"] != pytest.approx(truth, rel=5e-3)
@@ -167,10 +169,7 @@ def test_pushes_from_both_sides_and_at_several_sites_are_fitted_together(torso):
     found = push_set(torso, records, pictures)
     training = found.training
     assert [t.push for t in training] == ["right-8", "left-9"]
-    fit = fit_stiffness(
-        [found.problems[t.push] for t in training], [t.trial for t in training],
-        start={"lateral_bending": 0.17, "tissue": 0.06}, intervals="linear",
-    )  # fmt: skip
+    fit = fit_pushes(found, ("lateral_bending", "tissue"), {"lateral_bending": 0.17, "tissue": 0.06}, extent="estimate")
     assert fit.ratios.as_dict() == pytest.approx(truth, rel=0.02)
     (item,) = found.of_role("validation")
     predicted = found.problems[item.push].solve(item.trial.load, fit.ratios, fit.equilibria[1].state).require().state
@@ -190,6 +189,68 @@ def test_a_frame_whose_support_moved_is_kept_and_named(torso, corners):
     assert unused.warnings == ()
 
 
+def subject_with(**said):
+    content = {"schema_version": 1, "id": "x", "age": 13, "sex": "female", "height_cm": 157}
+    return SubjectRecord.model_validate({**content, "pushes": [record().model_dump()], **said})
+
+
+def test_priors_of_a_subject_replace_the_usual_ones():
+    known = known_of(subject_with(priors={"force_scale": 0.005, "obliquity_deg": 5}), None)
+    assert known.priors == replace(Priors(), force_scale=0.005, obliquity_deg=5.0)
+    assert known_of(subject_with(), None) == Known()
+    taped = subject_with(trunk={"T9": {"breadth_mm": 245.0, "depth_mm": 172.0}})
+    assert known_of(taped, None).taped
+
+
+@pytest.mark.parametrize(
+    ("pelvis", "zero"),
+    [
+        ("level", ("obliquity_deg", "frame_obliquity_deg")),
+        ("hinge", ("obliquity_deg", "frame_obliquity_deg")),
+        ("dead-loads", ("obliquity_deg", "frame_obliquity_deg", "shoulder_mm", "frame_shoulder_mm")),
+    ],
+)
+def test_what_the_rig_decides_is_no_unknown(pelvis, zero):
+    assert known_of(subject_with(pelvis=pelvis), None).priors == replace(Priors(), **dict.fromkeys(zero, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("priors", "words"),
+    [
+        ({"force": 0.1}, r"subject\.json: priors\.force: unknown prior; wanted one of annotation_mm, .*trunk_taped$"),
+        ({"trunk_power": 2.0}, r"priors\.trunk_power: unknown prior"),
+        ({"frame_obliquity_deg": 4.0}, "prior frame_obliquity_deg 4 is a part of obliquity_deg 3; wanted less$"),
+        ({"shoulder_mm": 0.5}, "prior frame_shoulder_mm 1 is a part of shoulder_mm 0.5; wanted less$"),
+        ({"tracking_mm": 0.0}, "prior tracking_mm 0; wanted above 0$"),
+    ],
+)
+def test_impossible_priors_are_one_line(priors, words):
+    with pytest.raises(SubjectError, match=words) as caught:
+        known_of(subject_with(priors=priors), None)
+    assert str(caught.value).startswith("subject.json: ") and "\n" not in str(caught.value)
+
+
+def test_supports_that_were_seen_come_with_their_frame(torso, corners):
+    frames = tracked(corners, corners, corners)
+    seen = {"obliquity_deg": {"value": 1.8, "sd": 0.2}, "shoulder_mm": {"value": -1.5, "sd": 0.3}}
+    second = frames.frames[1].model_copy(update={name: Measured(**found) for name, found in seen.items()})
+    frames = frames.model_copy(update={"frames": (frames.frames[0], second, frames.frames[2])})
+    found = push_set(torso, [record()], {"main": frames})
+    first, second, third = (t.trial.supports for t in found.trials)
+    assert first == third == {}
+    assert second["obliquity"] == pytest.approx((np.pi / 100.0, np.pi / 900.0))
+    assert second["shoulder"] == (-1.5, 0.3)
+
+
+def test_a_fit_sees_the_training_frames_and_all_unloaded_ones_of_their_pushes(torso, corners):
+    pushes = [
+        record((0.0, 20.0, 40.0, 0.0), ("unused", "training", "validation", "unused")),
+        record(name="other", roles=("unused", "unused", "validation")),
+    ]
+    found = push_set(torso, pushes, {p.id: tracked(*[corners] * len(p.forces_n)) for p in pushes})
+    assert [(t.push, t.frame) for t in found.fitted] == [("main", 1), ("main", 0), ("main", 3)]
+
+
 def test_lost_vertebrae_are_left_out_and_counted(torso, corners):
     poor = with_quality(corners, T5=0.0, T8=[1.0, 1.0, 0.01, 0.01], L1=[1.0, 1.0, 1.0, 0.01])
     found = push_set(torso, [record()], {"main": tracked(corners, poor, corners)})
@@ -207,7 +268,6 @@ def test_a_frame_that_lost_all_is_left_out(torso, corners):
     assert found.warnings == ("push 'main' frame 2: dropped, no vertebrae left (wanted 3)",)
     first_lost = push_set(torso, [record()], {"main": tracked(nothing, corners, corners)})
     assert [t.frame for t in first_lost.trials] == [1, 2]
-    assert first_lost.trials[1].trial.reference is None
 
 
 def test_no_training_frame_left_is_refused(torso, corners):
@@ -224,7 +284,6 @@ def test_a_push_without_an_unloaded_frame_is_warned_of(torso, corners):
         "push 'main': its least force is 5 N, so that where the patient stood is read under load; "
         "record a frame without force",
     )
-    assert found.trials[1].trial.reference is None
 
 
 def test_the_reference_is_the_least_loaded_frame_that_can_be_used(torso, corners):

@@ -24,7 +24,7 @@ def with_truth(tmp_path, **ratios):
 def made(finished):
     """The finished subject's estimate and trials."""
     visit = open_visit(finished.folder)
-    return read_outcome(visit.subject, Estimate), load_pushes(visit, "procrustes")
+    return read_outcome(visit.subject, Estimate), load_pushes(visit, "procrustes", "weighed")
 
 
 def test_the_truth_is_measured_on_the_model(finished, made, tmp_path):
@@ -33,7 +33,7 @@ def test_the_truth_is_measured_on_the_model(finished, made, tmp_path):
     at_estimate = compare_with_truth(*made, with_truth(tmp_path, **fit.ratios.as_dict()))
     assert at_estimate.distance2 < 1e-6
     assert at_estimate.inside is True
-    direction = np.linalg.cholesky(fit.uncertainty.covariance) @ np.array([0.6, 0.8])
+    direction = np.linalg.cholesky(fit.covariance) @ np.array([0.6, 0.8])
     near = dict(zip(fit.names, np.exp(np.log(fit.ratios.values) + 0.003 * direction).tolist()))
     assert compare_with_truth(*made, with_truth(tmp_path, **near)).distance2 == pytest.approx(0.003**2, rel=0.15)
     stiff = compare_with_truth(*made, with_truth(tmp_path, lateral_bending=1.0, tissue=1.0))
@@ -42,12 +42,11 @@ def test_the_truth_is_measured_on_the_model(finished, made, tmp_path):
     assert stiff.inside is False
 
 
-def test_without_a_covariance_there_is_no_distance(finished, made):
+def test_without_a_region_there_is_no_distance(finished, made):
     estimate, pushes = made
-    for unknown in ({"covariance_log": ((None, None), (None, None))}, {"region_size": None}):
-        found = compare_with_truth(estimate.model_copy(update=unknown), pushes, finished.truth)
-        assert (found.distance2, found.inside) == (None, None)
-        assert found.truth == read_json(finished.truth)["ratios"]
+    found = compare_with_truth(estimate.model_copy(update={"region_size": None}), pushes, finished.truth)
+    assert (found.distance2, found.inside) == (None, None)
+    assert found.truth == read_json(finished.truth)["ratios"]
 
 
 def test_a_comparison_is_read_for_its_own_truth_alone(finished, subject, tmp_path):

@@ -8,7 +8,9 @@ import pytest
 from results import altered
 from spinestiff.anatomy.files import read_torso
 from spinestiff.errors import SubjectError, TorsoError
-from spinestiff.study.steps import estimated_ratios
+from spinestiff.files import read_json, write_json
+from spinestiff.study.predictions import Model
+from spinestiff.study.steps import estimated_model
 from spinestiff.study.visit import Settings, load_pushes, open_visit
 from spinestiff.subject.outcomes import Estimate, Tracked
 from spinestiff.subject.run_record import read_outcome
@@ -21,18 +23,39 @@ def test_unknown_settings_are_refused(wrong):
         Settings(**wrong)
 
 
+@pytest.mark.parametrize(
+    ("priors", "words"),
+    [
+        ({"force": 0.1}, r"subject\.json: priors\.force: unknown prior; wanted one of annotation_mm, "),
+        ({"force_scale": -0.1}, r"subject\.json: priors\.force_scale: found -0\.1, wanted "),
+        ({"force_scale": "2 %"}, r"subject\.json: priors\.force_scale: "),
+        (
+            {"frame_shoulder_mm": 4},
+            r"json: prior frame_shoulder_mm 4 is a part of shoulder_mm 3; wanted less$",
+        ),
+    ],
+)
+def test_impossible_priors_are_refused_before_any_step(subject, priors, words):
+    content = read_json(subject / "subject.json")
+    write_json(subject / "subject.json", {**content, "priors": priors})
+    with pytest.raises(SubjectError, match=words) as caught:
+        open_visit(subject)
+    assert "\n" not in str(caught.value)
+
+
 def test_ratios_are_read_back(finished):
     visit = open_visit(finished.folder)
-    pushes = load_pushes(visit, "procrustes")
-    ratios = estimated_ratios(read_outcome(visit.subject, Estimate), pushes)
-    assert ratios.as_dict() == finished.fit.ratios.as_dict()
+    pushes = load_pushes(visit, "procrustes", "weighed")
+    model = estimated_model(read_outcome(visit.subject, Estimate), pushes)
+    assert model.ratios.as_dict() == finished.fit.ratios.as_dict()
+    assert model.known == Model.of(finished.fit).known
     torso = read_torso(finished.folder / "results" / "torso.npz")
     np.testing.assert_array_equal(pushes.torso.rest_pose.bone_positions, torso.rest_pose.bone_positions)
 
 
 @pytest.mark.parametrize("orientation", ["procrustes", "covariance"])
 def test_trials_keep_the_orientation_that_was_asked(finished, orientation):
-    assert load_pushes(open_visit(finished.folder), orientation).orientation == orientation
+    assert load_pushes(open_visit(finished.folder), orientation, "weighed").orientation == orientation
 
 
 @pytest.mark.parametrize(
@@ -48,13 +71,13 @@ def test_trials_keep_the_orientation_that_was_asked(finished, orientation):
 def test_a_tracked_file_that_is_not_whole_is_refused(subject, damage, field):
     altered(subject, Tracked, lambda content: damage(content["pushes"]["main"]))
     with pytest.raises(SubjectError, match=rf"tracked\.json: .*{field}.*; run spinestiff track {subject} again"):
-        load_pushes(open_visit(subject), "procrustes")
+        load_pushes(open_visit(subject), "procrustes", "weighed")
 
 
 def test_a_tracked_file_of_other_frames_is_refused(subject):
     altered(subject, Tracked, lambda content: content["pushes"]["main"]["frames"].pop())
     with pytest.raises(SubjectError, match="push 'main': 3 tracked frames for 4 forces_n; run spinestiff track again"):
-        load_pushes(open_visit(subject), "procrustes")
+        load_pushes(open_visit(subject), "procrustes", "weighed")
 
 
 def test_a_torso_is_read_only_as_it_was_written(subject):

@@ -10,16 +10,31 @@ import pytest
 
 from spinestiff.study.wording import (
     MISSING,
+    UNKNOWNS,
     badge,
     estimated,
+    factor95,
     fixed,
     interval,
     listed,
+    most_costly,
     number,
     response_lines,
+    uncertainty_lines,
 )
+from spinestiff.subject.folder import read_subject
 from spinestiff.subject.outcome_parts import Quantity
-from spinestiff.subject.outcomes import AngleResponse, Flexibility, ForcePerDegree, PushResponse, Responses
+from spinestiff.subject.outcomes import (
+    AngleResponse,
+    BudgetRecord,
+    Estimate,
+    Flexibility,
+    ForcePerDegree,
+    PushResponse,
+    Responses,
+    SupportPlaceRecord,
+)
+from spinestiff.subject.run_record import read_outcome
 
 
 def quantity(value, low, high, opens=(False, False)):
@@ -93,7 +108,71 @@ def test_a_value_has_the_digits_that_its_interval_leaves_it(of, text):
     ],
 )
 def test_the_badge_is_never_how_the_search_ended(status, determined, word):
-    assert badge(SimpleNamespace(status=status, determined=determined)) == word
+    assert badge(SimpleNamespace(status=status, determined=determined, method="weighed")) == word
+
+
+def test_a_method_without_intervals_determines_nothing():
+    estimate = SimpleNamespace(status="CONVERGED", determined="not determined", method="paper")
+    assert badge(estimate) == "no intervals"
+    assert badge(SimpleNamespace(**{**vars(estimate), "status": "DOUBTFUL"})) == "doubtful"
+
+
+@pytest.mark.parametrize(
+    ("sd", "text"),
+    [(0.0, "1.00"), (0.2, "1.48"), (0.4, "2.2"), (2.0, "50"), (4.0, "more than 1000"), (1e3, "more than 1000")],
+)
+def test_factor95(sd, text):
+    assert factor95(sd) == text
+
+
+def budgeted(**changed):
+    rows = {
+        "model discrepancy": {"bending": 0.2, "tissue": 0.19},
+        "trunk size": {"bending": 0.41, "tissue": 0.05},
+        "push height": {"bending": 0.3, "tissue": 0.2},
+    }
+    return SimpleNamespace(
+        **{
+            "sd_log": {"bending": 0.4, "tissue": 0.2},
+            "budget": [BudgetRecord(name=name, alone=without, without=without) for name, without in rows.items()],
+            "supports": [SupportPlaceRecord(push="a", frame=i, obliquity_deg=turn, shoulder_mm=0.0) for i, turn in
+                         enumerate((2.44, -0.31))],
+            **changed,
+        }
+    )  # fmt: skip
+
+
+def test_what_costs_most_and_what_of_it_can_be_measured():
+    estimate = budgeted()
+    assert most_costly(estimate, "bending").name == "model discrepancy"
+    assert most_costly(estimate, "bending", measurable=True).name == "push height"
+    assert most_costly(estimate, "tissue", measurable=True).name == "trunk size"
+    assert most_costly(budgeted(budget=[]), "tissue") is None
+    # Where each is known as well as all together, nothing would be gained.
+    assert most_costly(budgeted(sd_log={"bending": 0.2, "tissue": 0.05}), "bending") is None
+
+
+def test_uncertainty_lines():
+    assert uncertainty_lines(budgeted()) == [
+        "bending: known within a factor of 2.2 (95 %, to first order), of 1.48 if what the model lacks were known",
+        "tissue: known within a factor of 1.48 (95 %, to first order), of 1.10 if the trunk's size were known",
+        "pelvis in the training frames: turned by −0.3° to 2.4°",
+    ]
+    assert uncertainty_lines(budgeted(sd_log={}, supports=[])) == []
+
+
+def test_no_more_than_two_ratios_are_told_of():
+    sds = {"bending": 0.4, "tissue": 0.2, "other": 0.3}
+    rows = [BudgetRecord(name="trunk size", alone=sds, without=dict.fromkeys(sds, 0.1))]
+    lines = uncertainty_lines(budgeted(sd_log=sds, budget=rows))
+    assert [line.split(":")[0] for line in lines] == ["bending", "other", "pelvis in the training frames"]
+
+
+def test_every_unknown_has_words(finished):
+    """Of a whole fit, with those that only other subjects have."""
+    groups = {row.name for row in read_outcome(read_subject(finished.folder), Estimate).budget}
+    assert groups <= set(UNKNOWNS)
+    assert set(UNKNOWNS) == groups
 
 
 @pytest.mark.parametrize(

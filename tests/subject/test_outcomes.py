@@ -28,6 +28,7 @@ from spinestiff.subject.outcomes import (
     GeometryRecord,
     Measured,
     RatioEstimate,
+    Responses,
     Tracked,
     TrackedPush,
 )
@@ -111,13 +112,26 @@ def examples():
             "determined": "not determined",
             "checks": (Check(name="a", value=None, limit=third, passed=None, text="not possible"),),
             "parameters": ("tissue",), "ratios": {"tissue": ratio}, "plain": {"tissue_young": plain},
-            "covariance_log": ((None,),), "correlation": None, "condition": 1.0, "region": ((third, 0.5),),
-            "region_size": None, "training_rmse_mm": {"default": None, "fit": third}, "method": "lm",
+            "covariance_log": ((None,),), "correlation": None, "region": ((third, 0.5),),
+            "region_size": None, "training_rmse_mm": {"default": None, "fit": third}, "method": "weighed",
             "orientation": "covariance", "bounds": (0.005, 5.0), "poses": {"a": pose()}, "notes": ("ü", ""),
             "reactions_n": {
                 "push": "a", "f3": 20.0, "shoulder": third, "pelvis": 1.0, "pelvis_moment_nm": third,
                 "wall_pull": 0.0, "eq2_shoulder": 2.0, "eq1_pelvis": 3.0,
             },
+            "nuisances": (
+                {
+                    "name": "force of a", "group": "force scale", "unit": "", "value": third, "sd": 0.01,
+                    "prior_sd": 0.02, "standard": 1.0,
+                },
+            ),
+            "supports": ({"push": "a", "frame": 1, "obliquity_deg": third, "shoulder_mm": -1.0},),
+            "sd_log": {"tissue": third}, "sd_log_tracking": {"tissue": 0.1},
+            "budget": ({"name": "force scale", "alone": {"tissue": 0.2}, "without": {"tissue": third}},),
+            "prior_changes": (
+                {"name": "force scale", "factor": 0.5, "ratios": {"tissue": third}, "sd_log": {"tissue": 0.1}},
+            ),
+            "p_value": third, "tracking_factor": 1.0, "outlying": {"T8 in push 'a' frame 1": 3.0},
             "history": ({"ratios": {"tissue": third}, "loss": None, "rmse_mm": None, "accepted": False},),
             "cost": {"equilibria": 1, "newton_iterations": 2, "factorisations": 3, "seconds": third},
         }
@@ -127,8 +141,16 @@ def examples():
         "push": "a", "frame": 1, "force_n": 20.0, "rmse_mm": {"rest": third, "truth": None},
         "cobb_change_deg": {"measured": change, "fit": None},
     }  # fmt: skip
+    angle = {
+        "levels": ("T5", "T11"), "frames": (0, 1), "rest_deg": 25.0, "change_deg": -third, "change_sd_deg": 0.5,
+        "n_per_degree": {"value": None, "low": third, "high": None}, "scatter": None,
+    }  # fmt: skip
+    flexibility = {"percent": None, "low": None, "high": None}
+    answered = {"force_n": 20.0, "tilt": angle, "curve": angle, "flexibility": flexibility}
+    responses = Responses.model_validate({"gauge_scale_sd": third, "gauge_zero_sd_n": 1.5, "pushes": {"a": answered}})
     return [
         tracked,
+        responses,
         FrameProposals.model_validate({"frames": (proposal,)}),
         geometry,
         estimate,

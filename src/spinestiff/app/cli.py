@@ -440,6 +440,7 @@ def _print_response(visit: Any) -> None:
 
 def _print_estimate(visit: Any) -> None:
     from spinestiff.app import tables
+    from spinestiff.study.wording import uncertainty_lines
     from spinestiff.subject.outcomes import Estimate
     from spinestiff.subject.run_record import read_outcome
 
@@ -447,6 +448,8 @@ def _print_estimate(visit: Any) -> None:
     for check in estimate.failed:
         typer.echo(f"DOUBTFUL: {check.name}: {check.text}")
     tables.show(tables.estimate_table(estimate))
+    for line in uncertainty_lines(estimate):
+        typer.echo(line)
     if estimate.fit_status != "CONVERGED":
         typer.echo(f"fit: {estimate.fit_status_text}")
     for check in estimate.checks:

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from spinestiff.study.wording import badge, estimated, interval
+from spinestiff.study.wording import NO_INTERVALS, badge, estimated, has_intervals, interval
 
 if TYPE_CHECKING:
     from spinestiff.subject.outcomes import Estimate, FrameProposal, HeldOutFrame
@@ -73,7 +73,8 @@ def estimate_table(estimate: Estimate) -> Table:
     for name in estimate.parameters:
         ratio = estimate.ratios[name]
         at_bound = "yes" if ratio.at_bound else "no"
-        table.add_row(escape(name), estimated(ratio), interval(ratio), ratio.determined, at_bound)
+        known = ratio.determined if has_intervals(estimate) else NO_INTERVALS
+        table.add_row(escape(name), estimated(ratio), interval(ratio), known, at_bound)
     table.add_section()
     for name, title in PLAIN.items():
         found = estimate.plain[name]
@@ -84,7 +85,7 @@ def estimate_table(estimate: Estimate) -> Table:
 
 def assessment_table(frames: Sequence[HeldOutFrame]) -> Table:
     """RMSE of every held-out frame by predictor, and the change of the Cobb angle (tilt form)."""
-    names = ("rest", "default", "fit", "extrapolation", "single_ratio", "truth")
+    names = ("rest", "default", "fit", "fitted_supports", "extrapolation", "single_ratio", "truth")
     table = _table(
         "Held-out frames: corner RMSE, mm, and change of tilt, degrees",
         "frame",

@@ -9,6 +9,7 @@ import numpy as np
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import CobbChange
 from spinestiff.errors import EquilibriumError, FitError
+from spinestiff.estimation.fit import Method
 from spinestiff.imaging.features import rmse, target_features
 from spinestiff.study.predictions import Model, Prediction, Predictions
 from spinestiff.study.trials import PushSet, PushTrial, fit_from_coarse
@@ -61,13 +62,15 @@ def change_record(change: CobbChange) -> CobbChangeRecord:
     )
 
 
-def single_ratio(pushes: PushSet, start: float = 1.0, coarse: PushSet | None = None) -> Model | None:
+def single_ratio(
+    pushes: PushSet, start: float = 1.0, coarse: PushSet | None = None, method: Method = "weighed"
+) -> Model | None:
     """One common ratio for all stiffnesses, fitted to the training frames from ``start``; None if that fit fails.
 
     ``coarse``: the same trials on a coarse torso to begin on.
     """
     try:
-        fit = fit_from_coarse(coarse, pushes, ("everything",), {"everything": start}, extent="estimate")
+        fit = fit_from_coarse(coarse, pushes, ("everything",), {"everything": start}, method, extent="estimate")
     except (FitError, EquilibriumError):
         return None
     return Model.of(fit) if fit.status.usable else None

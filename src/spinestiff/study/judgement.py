@@ -66,6 +66,7 @@ class Limits:
     fall_mm, fall_share : by which the bending may fall from one frame to one of more force, or differ between two of
         the same: absolute, and as a share of the greatest bending of the push.
     against_mm : by which a spine may move against the push.
+    p_value : of the fit's residuals, if all errors are as expected.
     """
 
     force_n: tuple[float, float] = (15.0, 150.0)
@@ -89,6 +90,7 @@ class Limits:
     fall_mm: float = 0.2
     fall_share: float = 0.03
     against_mm: float = 1.0
+    p_value: float = 1e-3
 
     def rest_limit(self, sd: float) -> float:
         """mm, for corners of this standard deviation."""
@@ -157,7 +159,16 @@ def judge(
     sd = float(np.clip(shape.corner_sd_mm, limits.least_sd_mm, limits.most_sd_mm))
     for push in record.pushes:
         found += _unloaded(pushes, push, sd, limits)
-    return (*found, *_training(pushes, fit, limits))
+    return (*found, *_training(pushes, fit, limits), _residuals(fit, limits))
+
+
+def outlying_notes(fit: StiffnessFit) -> tuple[str, ...]:
+    """The vertebrae that count for less in a fit since their own errors are larger than usual: no sign of a mistake."""
+    found = () if fit.weighed is None else fit.weighed.outlying
+    return tuple(
+        f"{label}: {vertebra} counts for less, its own error is {size:.1f} times what is usual"
+        for label, vertebra, size in found
+    )
 
 
 def failed(checks: Sequence[Check]) -> tuple[Check, ...]:
@@ -529,6 +540,30 @@ class _Motion:
         worst = int(np.argmax(found))
         limit = float(np.hypot(limits.stray_moved_mm, limits.stray_moved_share * np.sqrt(self.moved2.mean())))
         return float(found[worst]), limit, self.vertebrae[sure[worst]], self.label
+
+
+def _residuals(fit: StiffnessFit, limits: Limits) -> Check:
+    """Whether all that is not quite known explains what the fit leaves, before any of it is made larger to do so."""
+    name, found = "residuals as expected", fit.weighed
+    if found is None:
+        return _impossible(name, "the paper's estimator expects no size of the errors")
+    passed = found.p_value >= limits.p_value
+    by_vertebra: dict[str, list[str]] = {}
+    for label, vertebra, _ in found.outlying:
+        by_vertebra.setdefault(vertebra, []).append(label)
+    outlying = [f"{vertebra} ({', '.join(labels)})" for vertebra, labels in by_vertebra.items()]
+    text = (
+        f"the expected errors explain {'the' if passed else 'no such'} residuals (p = {found.p_value:.2g}); tracking's "
+        f"errors are {found.tracking_factor:.2f} times what tracking expects, and "
+        f"{'outlying are ' + ', '.join(outlying) if outlying else 'no vertebra is outlying'}"
+    )
+    causes = (
+        "exchanged forces, forces of another push, the wrong rib level or side, a patient who moved, rest pictures of "
+        "another posture, lost tracking"
+    )
+    if by_vertebra and len(by_vertebra) <= FEW:
+        causes = f"the corners of {' and '.join(by_vertebra)}, then for {causes}"
+    return _check(name, text, found.p_value, limits.p_value, passed, causes)
 
 
 def _at_rest(pushes: PushSet, item: PushTrial) -> Floats:

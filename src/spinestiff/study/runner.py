@@ -115,7 +115,11 @@ ALL_STEPS: Mapping[str, Step] = {
         (PUSHES, ROLES, BODY, SUPPORTS),
         ("rest", "push"),
         ("tracked.json", *SHAPE),
-        lambda visit: ("estimate.json", "training.npz"),
+        lambda visit: (
+            "estimate.json",
+            "training.npz",
+            *(("posterior.csv",) if visit.settings.method == "weighed" else ()),
+        ),
         lambda visit: {
             "method": visit.settings.method,
             "orientation": visit.settings.orientation,

@@ -252,7 +252,8 @@ def assess_step(visit: Visit, say: Observer) -> None:
     models = {"default": Model(), "fit": fit}
     say("fitting the one-ratio baseline")
     coarse = load_start(visit, estimate.orientation, estimate.method)
-    single = single_ratio(pushes, float(np.exp(np.mean(np.log(list(estimate.values.values()))))), coarse)
+    middle = float(np.exp(np.mean(np.log(list(estimate.values.values())))))
+    single = single_ratio(pushes, middle, coarse, estimate.method)  # type: ignore[arg-type]
     if single is not None:
         models["single_ratio"] = single
     if visit.truth is not None:

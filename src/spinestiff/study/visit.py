@@ -13,7 +13,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import SubjectError
 from spinestiff.estimation.fit import METHODS
 from spinestiff.imaging.features import ORIENTATIONS, Orientation
-from spinestiff.study.trials import LEVEL, PushSet, known_of, push_set, rig_of
+from spinestiff.study.trials import PushSet, known_of, push_set, rig_of
 from spinestiff.study.truth import read_truth
 from spinestiff.subject.folder import Subject, read_subject
 from spinestiff.subject.outcomes import GeometryRecord, Tracked
@@ -75,7 +75,9 @@ def open_visit(folder: str | Path, settings: Settings | None = None, truth: Path
     """Read and check a subject folder (and the truth file) for the steps. Raises SubjectError."""
     if truth is not None:
         read_truth(truth)
-    return Visit(read_subject(folder), settings or Settings(), truth)
+    subject = read_subject(folder)
+    known_of(subject.record, None)
+    return Visit(subject, settings or Settings(), truth)
 
 
 def load_start(visit: Visit, orientation: Orientation, method: str) -> PushSet | None:
@@ -107,7 +109,8 @@ def _pushes_on(visit: Visit, torso: TorsoModel, orientation: Orientation, method
     if lacking:
         raise SubjectError(f"{visit.file(Tracked.FILE)}: no push '{lacking[0]}'; run spinestiff track again")
     record = visit.subject.record
-    rig = LEVEL if method == "paper" else rig_of(record)
+    if method == "paper":
+        record = record.model_copy(update={"pelvis": "level", "wall": "bilateral"})
     covariance = np.array(read_outcome(visit.subject, GeometryRecord).covariance)
     known = known_of(record, covariance.reshape(6 * len(covariance), -1))
-    return push_set(torso, visit.subject.pushes, tracked.pushes, orientation, rig, known)
+    return push_set(torso, visit.subject.pushes, tracked.pushes, orientation, rig_of(record), known)

@@ -6,9 +6,10 @@ import math
 from collections.abc import Iterable
 
 from spinestiff.subject.outcome_parts import Quantity
-from spinestiff.subject.outcomes import AngleResponse, Estimate, Flexibility, PushResponse, Responses
+from spinestiff.subject.outcomes import AngleResponse, BudgetRecord, Estimate, Flexibility, PushResponse, Responses
 
 MISSING = "not available"
+NO_INTERVALS = "no intervals"
 AT_AN_END = 1.001
 """Factor within which a value is its interval's end."""
 SURE = 0.05
@@ -75,8 +76,74 @@ def _bound(value: float) -> str:
 
 
 def badge(estimate: Estimate) -> str:
-    """The word or two that stand above a result: doubtful, or how far it is determined."""
-    return "doubtful" if estimate.status == "DOUBTFUL" else estimate.determined
+    """The word or two that stand above a result: doubtful, or how far it is determined, if its method tells."""
+    if estimate.status == "DOUBTFUL":
+        return "doubtful"
+    return estimate.determined if has_intervals(estimate) else NO_INTERVALS
+
+
+def has_intervals(estimate: Estimate) -> bool:
+    """Whether the estimate's method gives intervals."""
+    return estimate.method != "paper"
+
+
+UNKNOWNS = {
+    "annotation": "corners set by hand",
+    "place in the picture": "the patient's place in each picture",
+    "posture": "the spine's posture in each sequence",
+    "rest geometry": "the spine's shape at rest",
+    "model discrepancy": "what the model lacks",
+    "form of the model, bending": "what the model's form does to bending",
+    "form of the model, tissue": "what the model's form does to tissue",
+    "force scale": "the gauge's scale",
+    "force offset": "the gauge's zero",
+    "push direction": "the push's direction",
+    "push height": "the push's height",
+    "push depth": "the push's place front to back",
+    "obliquity by force": "how far the pelvis gives",
+    "shoulder by force": "how far the shoulder gives",
+    "breathing": "breath from frame to frame",
+    "obliquity of a frame": "the pelvis' obliquity in each frame",
+    "shoulder of a frame": "the shoulder's place in each frame",
+    "trunk size": "the trunk's size",
+    "source distance": "the source's distance",
+}
+"""What is not quite known, by its name in the variance budget."""
+UNMEASURABLE = ("model discrepancy", "form of the model, bending", "form of the model, tissue")
+
+
+def unknown_title(name: str) -> str:
+    """An unknown of the variance budget in words."""
+    return UNKNOWNS.get(name, name)
+
+
+def factor95(sd_log: float) -> str:
+    """The factor either way within which a value lies with 95 %, from the standard deviation of its log."""
+    factor = math.exp(HALF_WIDTH_95 * sd_log) if sd_log < 20.0 else math.inf
+    return number(factor, 3 if factor < 2.0 else 2) if factor < 1000.0 else "more than 1000"
+
+
+def most_costly(estimate: Estimate, ratio: str, measurable: bool = False) -> BudgetRecord | None:
+    """The unknown without which a ratio would be known best; None where knowing none helps or there is no budget."""
+    rows = [row for row in estimate.budget if not (measurable and row.name in UNMEASURABLE)]
+    best = min(rows, key=lambda row: row.without[ratio], default=None)
+    return best if best is not None and best.without[ratio] < estimate.sd_log[ratio] else None
+
+
+def uncertainty_lines(estimate: Estimate) -> list[str]:
+    """What knowing more would gain for the two ratios that are known least, and how far the pelvis turned."""
+    lines = []
+    for name in sorted(estimate.sd_log, key=lambda name: -estimate.sd_log[name])[:2]:
+        row = most_costly(estimate, name)
+        if row is not None:
+            lines.append(
+                f"{name}: known within a factor of {factor95(estimate.sd_log[name])} (95 %, to first order), of "
+                f"{factor95(row.without[name])} if {unknown_title(row.name)} were known"
+            )
+    turns = [place.obliquity_deg for place in estimate.supports]
+    if any(turns):
+        lines.append(f"pelvis in the training frames: turned by {fixed(min(turns))}° to {fixed(max(turns), 1)}°")
+    return lines
 
 
 def response_lines(responses: Responses) -> list[str]:

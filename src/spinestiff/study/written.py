@@ -20,7 +20,7 @@ from spinestiff.personalise.pose import ViewPose
 from spinestiff.personalise.scanned_skin import ScanFit
 from spinestiff.personalise.shape import Personalised
 from spinestiff.study.frame_selection import Proposal
-from spinestiff.study.judgement import RestShape, failed, judge
+from spinestiff.study.judgement import RestShape, failed, judge, outlying_notes
 from spinestiff.study.plain import plain_stiffness
 from spinestiff.study.trials import PushSet
 from spinestiff.study.visit import Visit
@@ -45,6 +45,10 @@ from spinestiff.subject.outcomes import (
 )
 from spinestiff.subject.records import PushRecord
 
+PAPER_NOTE = (
+    "the paper's estimator, equal weights with the pelvis level: it has no intervals; spinestiff estimate --method "
+    "weighed has"
+)
 LEAST_FIRST: tuple[Determination, ...] = ("not determined", "weakly determined", "determined")
 
 
@@ -116,7 +120,14 @@ def estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry: 
             factorisations=fit.cost.factorisations,
             seconds=round(fit.cost.seconds, 3),
         ),
-        notes=(*visit.subject.warnings, *geometry.warnings, *pushes.warnings, *fit.warnings),
+        notes=(
+            *visit.subject.warnings,
+            *geometry.warnings,
+            *pushes.warnings,
+            *fit.warnings,
+            *outlying_notes(fit),
+            *((PAPER_NOTE,) if fit.method == "paper" else ()),
+        ),
     )
 
 

@@ -15,6 +15,7 @@ from spinestiff.study.report.figures import (
     MEASURED,
     MEASURED_ON_DARK,
     SIMULATED_ON_DARK,
+    BudgetBars,
     CurveChange,
     Overlay,
     Panel,
@@ -22,6 +23,7 @@ from spinestiff.study.report.figures import (
     TiltChange,
     as_png,
     as_svg,
+    draw_budget,
     draw_curve_changes,
     draw_overlay,
     draw_ratio_map,
@@ -141,6 +143,23 @@ def test_ratio_map_ends_at_the_bounds_of_the_fit(ratio_map: RatioMap) -> None:
 def test_ratio_map_without_region_or_truth(ratio_map: RatioMap) -> None:
     bare = replace(ratio_map, region=np.empty((0, 2)), truth=None)
     assert not draw_ratio_map(bare).axes[1].patches
+
+
+def test_budget_bars_stand_at_their_unknowns_the_most_costly_on_top() -> None:
+    shares = {"Bending": np.array([[0.1, 0.4], [0.3, 0.0]]), "Tissue": np.array([[0.7, 0.72], [0.0, 0.02]])}
+    figure = draw_budget(BudgetBars(("trunk", "gauge"), shares))
+    assert [axis.get_title() for axis in figure.axes] == ["Bending", "Tissue"]
+    for axis, rows in zip(figure.axes, shares.values()):
+        alone, gain = axis.containers
+        np.testing.assert_allclose([bar.get_width() for bar in alone], 100.0 * rows[:, 0])
+        np.testing.assert_allclose([bar.get_width() for bar in gain], 100.0 * rows[:, 1])
+        for bars, colour in ((alone, "#a9a9a9"), (gain, FIT.lower())):
+            assert {to_hex(bar.get_facecolor()) for bar in bars} == {colour}
+        assert axis.get_xlim()[1] >= 100.0 * rows.max() and axis.get_ylim()[0] > axis.get_ylim()[1]
+        for row, (above, below) in enumerate(zip(alone, gain)):
+            assert above.get_y() + above.get_height() == pytest.approx(row - 0.01, abs=1e-9)
+            assert below.get_y() == pytest.approx(row + 0.01, abs=1e-9)
+    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == ["trunk", "gauge"]
 
 
 def test_files_are_the_same_each_time_and_hold_no_date(ratio_map: RatioMap) -> None:

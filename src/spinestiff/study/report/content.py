@@ -7,11 +7,28 @@ from typing import Any
 
 import numpy as np
 
+from spinestiff.arrays import Floats
 from spinestiff.curves.pushes import rest_reading
+from spinestiff.estimation.unknowns import ACTS, PLACING, unknowns_of
 from spinestiff.study.plain import BENDING
+from spinestiff.study.predictions import Model, Predictions, predicted_acts
 from spinestiff.study.truth import read_truth
 from spinestiff.study.visit import Visit
-from spinestiff.study.wording import MISSING, badge, estimated, fixed, interval, listed, number, response_texts
+from spinestiff.study.wording import (
+    MISSING,
+    UNMEASURABLE,
+    badge,
+    estimated,
+    factor95,
+    fixed,
+    has_intervals,
+    interval,
+    listed,
+    most_costly,
+    number,
+    response_texts,
+    unknown_title,
+)
 from spinestiff.subject.outcome_parts import Determination, PoseRecord
 from spinestiff.subject.outcomes import (
     Assessment,
@@ -55,9 +72,11 @@ PREDICTORS = {
     "single_ratio": "Model, one ratio for all stiffnesses",
     "extrapolation": "No model: training motion scaled by force",
     "fit": "Model, estimated stiffness",
+    "fitted_supports": "The same, supports fitted to the frame’s own vertebrae: no prediction",
     "truth": "Model, true ratios (known for synthetic subjects only)",
 }
-ORACLE = "truth"
+# Neither competes: one knows the truth, the other the frame.
+INFORMED = ("truth", "fitted_supports")
 EQUAL_MM = 0.1  # mean errors that differ by less are called equal
 MODELS = {"rest": "Rest pose, no motion", "default": "Default stiffness", "fit": "Estimated stiffness"}
 DETERMINATIONS: dict[Determination, str] = {
@@ -65,6 +84,21 @@ DETERMINATIONS: dict[Determination, str] = {
     "weakly determined": "The radiographs tell at least one ratio only within a factor of up to 10, or from one side.",
     "not determined": "The radiographs do not determine at least one ratio; its interval says what they allow.",
 }
+
+
+NO_INTERVALS_TEXT = (
+    "The paper’s estimator, equal weights with the pelvis level, has no intervals: nothing says how far the "
+    "radiographs determine the ratios."
+)
+PROFILES = {
+    "bounded": "Less likely to both sides: the radiographs bound it.",
+    "one-sided": "Less likely to one side alone: the other end of its interval is the fit’s bound.",
+    "flat": "About as likely anywhere within the fit’s bounds: the radiographs say nothing of it.",
+    "at a bound": "Most likely at the fit’s bound.",
+    "several minima": "Likely in several places with less likely ones between: the value is one of them.",
+}
+MOST_BARS = 10
+MOVED_SD = 0.2  # of a ratio's log, by other priors: what is worth a row
 
 
 def ratio_title(name: str) -> str:
@@ -115,7 +149,7 @@ def result_content(visit: Visit, estimate: Estimate, assessment: Assessment) -> 
                 "value": estimated(ratio),
                 "percent": number(100.0 * ratio.value, 2),
                 "interval": interval(ratio),
-                "determined": ratio.determined,
+                "determined": ratio.determined if has_intervals(estimate) else "",
                 "at_bound": ratio.at_bound,
                 "truth": number(truth[name]) if name in truth else "",
                 "plain": [
@@ -135,7 +169,7 @@ def result_content(visit: Visit, estimate: Estimate, assessment: Assessment) -> 
         "doubtful": estimate.status == "DOUBTFUL",
         "badge": badge(estimate),
         "good": estimate.status == "CONVERGED" and estimate.determined == "determined",
-        "badge_text": DETERMINATIONS[estimate.determined],
+        "badge_text": DETERMINATIONS[estimate.determined] if has_intervals(estimate) else NO_INTERVALS_TEXT,
         "fit_text": "" if estimate.fit_status == "CONVERGED" else estimate.fit_status_text,
         "failed": [f"{check.name}: {check.text}" for check in estimate.failed],
         "ratios": ratios,
@@ -206,6 +240,116 @@ def certainty_content(estimate: Estimate, comparison: Comparison | None) -> dict
     }
 
 
+def uncertainty_content(estimate: Estimate, predictions: Predictions) -> dict[str, Any] | None:
+    """Where the uncertainty comes from; None for a method that does not tell."""
+    if not has_intervals(estimate):
+        return None
+    return {
+        "profiles": [
+            {"title": ratio_title(name), "text": PROFILES[kind]}
+            for name in estimate.parameters
+            for kind in [estimate.ratios[name].profile]
+            if kind is not None
+        ],
+        "gains": [_gain(estimate, name) for name in estimate.parameters if estimate.budget],
+        "supports": _support_places(estimate, predictions),
+        "changes": _prior_changes(estimate),
+        "changes_limit": f"{MOVED_SD:g}",
+        "titles": [ratio_title(name) for name in estimate.parameters],
+        "p_value": "" if estimate.p_value is None else number(estimate.p_value, 2),
+        "expected": "residuals as expected" not in [check.name for check in estimate.failed],
+        "tracking_factor": "" if estimate.tracking_factor is None else number(estimate.tracking_factor, 2),
+    }
+
+
+def budget_bars(estimate: Estimate) -> tuple[tuple[str, ...], dict[str, Floats]]:
+    """The unknowns that cost most, the largest first, and of each ratio (n, 2) shares of the variance of its log.
+
+    The first share is what the unknown adds where all others are known, the second what knowing it takes away.
+    """
+    share = {
+        name: np.array(
+            [
+                [row.alone[name] ** 2 - estimate.sd_log_tracking[name] ** 2, sd**2 - row.without[name] ** 2]
+                for row in estimate.budget
+            ]
+        ).reshape(-1, 2)
+        / sd**2
+        for name, sd in estimate.sd_log.items()
+    }
+    most = np.max([rows.max(axis=1) for rows in share.values()], axis=0)
+    shown = np.argsort(-most, kind="stable")[:MOST_BARS]
+    titles = tuple(_unknown(estimate.budget[i].name) for i in shown)
+    return titles, {name: np.maximum(rows[shown], 0.0) for name, rows in share.items()}
+
+
+def _unknown(name: str) -> str:
+    return unknown_title(name).replace("'", "’")
+
+
+def _gain(estimate: Estimate, name: str) -> dict[str, str]:
+    """What would be gained most for a ratio, and by measuring what."""
+    found = {"title": ratio_title(name), "now": factor95(estimate.sd_log[name]), "model": "", "what": "", "then": ""}
+    first, row = most_costly(estimate, name), most_costly(estimate, name, measurable=True)
+    if first is not None and first.name in UNMEASURABLE:
+        found["model"] = factor95(first.without[name])
+    if row is not None:
+        found |= {"what": _unknown(row.name), "then": factor95(row.without[name])}
+    return found
+
+
+def _support_places(estimate: Estimate, predictions: Predictions) -> list[dict[str, str]]:
+    """Obliquity and shoulder by frame: as fitted or, if held out, as predicted; as expected before; as tracked."""
+    pushes, known = predictions.pushes, {one.name: one.standard for one in estimate.nuisances}
+    items = [p.item for p in predictions.of_role("training", "validation")]
+    if not items:
+        return []
+    unknowns = unknowns_of(
+        [t.trial for t in items], [pushes.problems[t.push] for t in items], pushes.known.priors, pushes.known.taped
+    )
+    places = [ACTS.index(name) for name in PLACING]
+    found = predicted_acts(pushes, items, Model(known=known))[:, places]
+    before = np.sqrt(np.sum(unknowns.acts[:, places] ** 2, axis=2))
+    rows = []
+    for item, values, sds in zip(items, found, before):
+        cells = {}
+        for name, value, sd, (scale, unit, digits) in zip(PLACING, values, sds, SUPPORT_UNITS):
+            seen = item.trial.supports.get(name)
+            cells[name] = f"{fixed(scale * value, digits, True)}{unit}"
+            cells[f"{name}_prior"] = f"±{fixed(scale * sd, digits)}{unit}"
+            cells[f"{name}_seen"] = (
+                "not seen"
+                if seen is None
+                else f"{fixed(scale * seen[0], digits, True)}{unit} ±{fixed(scale * seen[1], digits)}{unit}"
+            )
+        role = "predicted" if item.role == "validation" else "fitted"
+        rows.append({"title": f"“{item.push}”, frame {item.frame}, {item.force_n:.0f} N", "role": role, **cells})
+    return rows
+
+
+SUPPORT_UNITS = ((180.0 / np.pi, "°", 1), (1.0, " mm", 1))
+"""By which obliquity and shoulder are shown: factor, unit and decimals."""
+
+
+def _prior_changes(estimate: Estimate) -> list[dict[str, Any]]:
+    """Other priors that move a ratio by more than a part of its standard deviation."""
+    rows = []
+    for change in estimate.prior_changes:
+        moved = {
+            name: abs(np.log(change.ratios[name] / value)) / estimate.sd_log[name]
+            for name, value in estimate.values.items()
+        }
+        if max(moved.values()) > MOVED_SD:
+            rows.append(
+                {
+                    "title": _unknown(change.name),
+                    "factor": "halved" if change.factor < 1.0 else "doubled",
+                    "cells": [number(change.ratios[name], 2) for name in estimate.parameters],
+                }
+            )
+    return rows
+
+
 def comparison_content(assessment: Assessment) -> dict[str, Any]:
     """Mean errors over the held-out frames, and what the estimate is worth beside the best simpler predictor."""
     means = {}
@@ -213,7 +357,7 @@ def comparison_content(assessment: Assessment) -> dict[str, Any]:
         values = [frame.rmse_mm.get(name) for frame in assessment.frames]
         if values and all(value is not None for value in values):
             means[name] = float(np.mean([value for value in values if value is not None]))
-    rivals = {name: value for name, value in means.items() if name not in ("fit", ORACLE)}
+    rivals = {name: value for name, value in means.items() if name not in ("fit", *INFORMED)}
     best = min(rivals, key=lambda name: rivals[name]) if rivals else ""
     verdict = ""
     if best and "fit" in means:
@@ -255,8 +399,8 @@ def _frame_title(frame: HeldOutFrame) -> str:
 
 
 def _best(errors: Mapping[str, float | None]) -> list[str]:
-    """The predictors with the least error as printed; the oracle doesn't compete."""
-    known = {name: round(value, 2) for name, value in errors.items() if value is not None and name != ORACLE}
+    """The predictors with the least error as printed; those that know more don't compete."""
+    known = {name: round(value, 2) for name, value in errors.items() if value is not None and name not in INFORMED}
     return [name for name, value in known.items() if value == min(known.values())]
 
 

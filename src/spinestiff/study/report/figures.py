@@ -177,6 +177,20 @@ class RatioMap:
     truth: Floats | None = None
 
 
+@dataclass(frozen=True)
+class BudgetBars:
+    """What unknowns do to the variance of ratios.
+
+    Attributes
+    ----------
+    unknowns : (n,) in words, the most costly first.
+    shares : ratio, in words -> (n, 2) shares of its variance: what the unknown adds alone, what knowing it takes away.
+    """
+
+    unknowns: tuple[str, ...]
+    shares: Mapping[str, Floats]
+
+
 def as_png(figure: Figure) -> bytes:
     """The figure as PNG."""
     return _saved(figure, "png", {"Software": None})
@@ -344,6 +358,30 @@ def draw_tilt_changes(changes: Sequence[TiltChange], columns: int = 4) -> Figure
             axis.set_title(change.title, fontsize=10)
             axis.set_xlabel("change of tilt, degrees")
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    return figure
+
+
+def draw_budget(bars: BudgetBars) -> Figure:
+    """Two bars an unknown, one panel a ratio."""
+    count, rows = len(bars.shares), np.arange(len(bars.unknowns))
+    with rc_context(STYLE):
+        figure = Figure(figsize=(2.9 + 3.4 * count, 1.4 + 0.42 * len(rows)), layout="constrained")
+        axes = figure.subplots(1, count, squeeze=False, sharey=True)[0]
+        handles: list[Any] = []
+        for axis, (title, shares) in zip(axes, bars.shares.items()):
+            handles = [
+                axis.barh(
+                    rows - 0.19, 100.0 * shares[:, 0], 0.36, color="#A9A9A9", label="adds where all else is known"
+                ),
+                axis.barh(rows + 0.19, 100.0 * shares[:, 1], 0.36, color=FIT, label="would go away if it were known"),
+            ]
+            axis.set_title(title, fontsize=11)
+            axis.set_xlabel("percent of the variance")
+            axis.set_xlim(0.0, max(1.05 * axis.get_xlim()[1], 5.0))
+            axis.set_ylim(len(rows) - 0.5, -0.5)
+            axis.grid(visible=False, axis="y")
+        axes[0].set_yticks(rows, bars.unknowns)
+        figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
 
 

@@ -26,19 +26,23 @@ from spinestiff.observer import Observer
 from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.report.content import (
     MODELS,
+    budget_bars,
     certainty_content,
     check_rows,
     comparison_content,
     geometry_content,
     millimetre_rows,
     prediction_content,
+    ratio_title,
     reaction_rows,
     response_content,
     result_content,
     subject_content,
     support_rows,
+    uncertainty_content,
 )
 from spinestiff.study.report.figures import (
+    BudgetBars,
     CurveChange,
     Overlay,
     Panel,
@@ -46,6 +50,7 @@ from spinestiff.study.report.figures import (
     TiltChange,
     as_png,
     as_svg,
+    draw_budget,
     draw_curve_changes,
     draw_overlay,
     draw_ratio_map,
@@ -119,6 +124,7 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
         "comparison": comparison_content(assessment),
         "prediction": prediction_content(assessment),
         "certainty": certainty_content(estimate, comparison),
+        "uncertainty": uncertainty_content(estimate, predictions),
         "reactions": reaction_rows(estimate.reactions_n),
         "reaction_push": estimate.reactions_n.push,
         "supports": support_rows(tracked),
@@ -135,6 +141,7 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
         "rest": [album.add(*_rest_picture(visit, torso, view, geometry)) for view in geometry.views],
         "curves": album.add(*_curve_picture(predictions)),
         "region": None if region is None else album.add(*region),
+        "budget": album.add(*_budget_picture(estimate)) if estimate.budget else None,
         "levels": album.add(*_tilt_picture(visit, predictions)),
         "scene": component(scene),
         "script_hash": script_hash(),
@@ -338,7 +345,21 @@ def _region_picture(visit: Visit, estimate: Estimate) -> tuple[str, Figure, str,
         "Both ratios on logarithmic axes: the fit’s accepted steps (left) and the joint 95 % region (right). The bars "
         "are the 95 % intervals of each ratio alone; the region holds both at once and is wider. It ends where the "
         "axes end: these are the bounds of the fit."
-        f"Joint 95 % region of the two ratios around the estimate {number(values[0])} and {number(values[1])}, "
-        f"and the fit’s {counted(len(path), 'accepted step')} from the start."
     )
     return "joint-region", figure, alt, caption
+
+
+def _budget_picture(estimate: Estimate) -> tuple[str, Figure, str, str]:
+    titles, shares = budget_bars(estimate)
+    figure = draw_budget(BudgetBars(titles, {ratio_title(name): rows for name, rows in shares.items()}))
+    words = [
+        f"{ratio_title(name).lower()}: {titles[int(np.argmax(rows[:, 1]))]}, {100.0 * rows[:, 1].max():.0f} %"
+        for name, rows in shares.items()
+    ]
+    alt = f"Share of each ratio’s variance by unknown. Most would be gained by knowing, for {listed(words)}."
+    caption = (
+        "What each unknown does to the variance of a ratio’s logarithm, in percent of all of it, to first order: what "
+        "it adds where all others are known (grey), and what would go away if it were known (orange). Tracking’s "
+        "errors are always there. Unknowns share what they spoil, so that neither column adds up to 100."
+    )
+    return "variance-budget", figure, alt, caption
