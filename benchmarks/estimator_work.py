@@ -24,10 +24,11 @@ from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.budget import prior_changes, variance_budget
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import FitCost, TrialSet
+from spinestiff.estimation.mode import search
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import likely_ratios
-from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, phi, reduced, search
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, phi, reduced
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.tracking.quality import quality_of

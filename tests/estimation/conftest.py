@@ -15,10 +15,11 @@ from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios, lame_p
 from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel, joint_frames
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import TrialSet
+from spinestiff.estimation.mode import search
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import Likely, likely_ratios
-from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, search
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.tracking.quality import quality_of
@@ -71,9 +72,7 @@ def column_supports(torso: TorsoModel) -> Supports:
     held[torso.bone("pelvis")] = True
     points = PointsOnBones(np.array([0, 0, 4]), np.array([[5.0, 10.0, 0.0], [0.0, 0.0, -10.0], [0.0, 0.0, -10.0]]))
     kinds = (SupportKind.SHOULDER, SupportKind.WALL, SupportKind.WALL)
-    springs = PointSprings(
-        points, points.positions(torso.rest_pose), np.eye(3)[[0, 2, 2]], np.array([1e3, 1e2, 1e2])
-    )
+    springs = PointSprings(points, points.positions(torso.rest_pose), np.eye(3)[[0, 2, 2]], np.array([1e3, 1e2, 1e2]))
     return Supports(held, springs, tuple(NAMES[bone] for bone in points.bone), kinds)
 
 

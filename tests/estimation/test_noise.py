@@ -136,8 +136,7 @@ def test_tracking_errors_are_a_frames_own_partly_shared_with_neighbours(noise) -
     own, shared = 0.1**2 + 0.5 * 0.1**2, 0.1**2
     wanted = [
         [
-            (i == j and c == d and not ANNOTATED[i])
-            * (own * (row == other) + shared * np.exp(-abs(row - other) / 2.0))
+            (i == j and c == d and not ANNOTATED[i]) * (own * (row == other) + shared * np.exp(-abs(row - other) / 2.0))
             for j, other, d in found
         ]
         for i, row, c in found

@@ -93,9 +93,17 @@ def _telling(places: list[tuple[Place, Reduced]]) -> list[tuple[Place, Reduced]]
     """The places that tell of where the estimate may be, the estimate first."""
     kept, least = places[:1], _height(places[0][1])
     for place, model in places[1:]:
-        apart = [np.abs(place.point.log_ratios - other.point.log_ratios).max() for other, _ in kept]
         far = np.abs(place.point.nuisances - model.nuisances).max(initial=0.0)
-        if min(apart) > NEAREST and far < FARTHEST_NUISANCES and _height(model) < least + HIGHEST:
+        if far < FARTHEST_NUISANCES and _height(model) < least + HIGHEST:
+            kept.append((place, model))
+    return kept
+
+
+def _apart(places: list[tuple[Place, Reduced]]) -> list[tuple[Place, Reduced]]:
+    """Of places next to each other the first."""
+    kept = places[:1]
+    for place, model in places[1:]:
+        if min(np.abs(place.point.log_ratios - other.point.log_ratios).max() for other, _ in kept) > NEAREST:
             kept.append((place, model))
     return kept
 
@@ -112,11 +120,18 @@ class Emulator:
     places : where residuals are known, the estimate first.
     weights : of the estimate.
     prior_sds : (M,) factors on the nuisances' prior standard deviations.
+    telling : keep only places that tell of where the estimate may be.
     """
 
-    def __init__(self, places: Sequence[Place], weights: Weights, prior_sds: Floats | None = None) -> None:
+    def __init__(
+        self,
+        places: Sequence[Place],
+        weights: Weights,
+        prior_sds: Floats | None = None,
+        telling: bool = True,
+    ) -> None:
         kept = [(place, reduced(place.point, place.slope, weights)) for place in places]
-        kept = _telling(kept)
+        kept = _apart(_telling(kept) if telling else kept)
         self.log_ratios = np.array([place.point.log_ratios for place, _ in kept])
         m = kept[0][0].slope.nuisances.shape[1]
         sds = np.ones(m) if prior_sds is None else prior_sds

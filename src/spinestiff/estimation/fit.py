@@ -19,12 +19,13 @@ from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.budget import Budget, PriorChange, prior_changes, variance_budget
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import Evaluation, FitCost, FitStep, OnFitStep, TrialSet
+from spinestiff.estimation.mode import search
 from spinestiff.estimation.objective import Residuals, Trial, residuals, undetermined_vertebrae
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import Likely, likely_ratios, rise_at
 from spinestiff.estimation.search import lbfgsb
 from spinestiff.estimation.status import FitStatus
-from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, reduced, search
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, reduced
 from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 

@@ -18,10 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
-from scipy.optimize import lsq_linear
 
 from spinestiff.arrays import Floats, ShortRepr
-from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.discrepancy import (
     DiscrepancyFrame,
     as_corners,
@@ -32,7 +30,7 @@ from spinestiff.estimation.discrepancy import (
     pushed_site,
     relative_covariance,
 )
-from spinestiff.estimation.evaluation import Evaluation, Slope, TrialSet, compliance_step, log_step
+from spinestiff.estimation.evaluation import Evaluation, Slope, TrialSet
 from spinestiff.estimation.noise import Noise, Seen, restricted_factor
 from spinestiff.estimation.objective import Trial, make_target, residuals
 from spinestiff.estimation.priors import Priors
@@ -41,14 +39,6 @@ from spinestiff.estimation.unknowns import ACTS, Unknowns, unknowns_of
 from spinestiff.imaging.features import Orientation, state_features
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 
-# The search ends once an undamped step promises less than this decrease of phi (a step of a thousandth of an sd).
-SMALLEST_DECREASE = 5e-7
-# One step changes a ratio by at most these factors: beyond, the linear model says nothing.
-LARGEST_SOFTENING, LARGEST_STIFFENING = 8.0, 8.0
-SHORTEST_STEP = 1.0 / 64.0
-# Weight of a step's own length: along a direction that the data say nothing of, a step is short and not as long as
-# rounding makes it; its cost is below the smallest decrease.
-SHORT = 1e-4
 _MOTION = ACTS.index("motion")
 
 
@@ -309,75 +299,10 @@ def reduced(point: WeighedPoint, slope: WeighedSlope, weights: Weights) -> Reduc
 
 @dataclass(frozen=True, repr=False)
 class WeighedFit(ShortRepr):
-    """Where the search ended; ``visited``: the places on the way there."""
+    """Where the search (``mode``) ended; ``visited``: the places on the way there."""
 
     point: WeighedPoint
     slope: WeighedSlope
     weights: Weights
     status: FitStatus
     visited: tuple[tuple[WeighedPoint, WeighedSlope], ...]
-
-
-def search(
-    problem: WeighedProblem, start: WeighedPoint, limits: tuple[float, float], max_evaluations: int
-) -> WeighedFit:
-    """The most probable ratios and nuisances by Gauss-Newton steps, each as long as phi falls.
-
-    Parameters
-    ----------
-    limits : of the log ratios.
-    """
-    point, slope, weights = start, problem.slope(start), None
-    visited: list[tuple[WeighedPoint, WeighedSlope]] = []
-    evaluations = 1
-    while True:
-        weights = problem.weights(point, slope, weights)
-        before = phi(point, weights)
-        step, nuisances, predicted = gauss_newton_step(point, slope, weights, limits)
-        if predicted < SMALLEST_DECREASE:
-            return WeighedFit(point, slope, weights, FitStatus.CONVERGED, tuple(visited))
-        share, moved = 1.0, None
-        while share >= SHORTEST_STEP:
-            if evaluations >= max_evaluations:
-                return WeighedFit(point, slope, weights, FitStatus.ITERATION_LIMIT, tuple(visited))
-            change = log_step(share * step)
-            target = np.clip(point.log_ratios + change, *limits)
-            evaluations += 1
-            try:
-                trial = problem.solve(target, point.nuisances + share * (nuisances - point.nuisances), point, slope)
-                after = phi(trial, weights)
-            except EquilibriumError:
-                problem.trial_set.note(target, float("nan"), None, False)
-                share *= 0.25
-                continue
-            # Below rounding of the equilibria a decrease is none.
-            if after <= before - 1e-4 * share * predicted or (predicted < 1e-4 and after <= before + 1e-4):
-                moved = trial
-                problem.trial_set.note(target, after, trial.evaluation, True)
-                break
-            problem.trial_set.note(target, after, trial.evaluation, False)
-            # The parabola through both values and the slope.
-            share *= float(
-                np.clip(0.5 * 2.0 * predicted * share / (after - before + 2.0 * predicted * share), 0.1, 0.5)
-            )
-        if moved is None:
-            return WeighedFit(point, slope, weights, FitStatus.STALLED, tuple(visited))
-        visited.append((point, slope))
-        point, slope = moved, problem.slope(moved)
-
-
-def gauss_newton_step(
-    point: WeighedPoint, slope: WeighedSlope, weights: Weights, limits: tuple[float, float]
-) -> tuple[Floats, Floats, float]:
-    """Compliance step (P,) inside the bounds, the nuisances (M,) there, and the decrease of phi it promises."""
-    model = reduced(point, slope, weights)
-    low = np.maximum(limits[0] - point.log_ratios, -np.log(LARGEST_SOFTENING))
-    high = np.minimum(limits[1] - point.log_ratios, np.log(LARGEST_STIFFENING))
-    floor, ceiling = compliance_step(low) - 1e-14, compliance_step(high) + 1e-14
-    kept_short = np.hstack([SHORT * np.eye(len(low)), np.zeros((len(low), 1))])
-    rows = np.vstack([np.column_stack([model.ratios, model.values]), kept_short])
-    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
-    p = lsq_linear(triangle[:, :-1], -triangle[:, -1], (floor, ceiling), method="bvls").x
-    left = model.values + model.ratios @ p
-    predicted = phi(point, weights) - 0.5 * float(left @ left)
-    return p, model.nuisances + model.follow @ p, max(predicted, 0.0)

@@ -1,0 +1,131 @@
+"""The search for the most probable ratios and nuisances of a weighed fit.
+
+Gauss-Newton steps end it in a few evaluations where phi is as the linear model has it. Where ratios trade against each
+other it is a curved valley, across which such a step leaves the floor: then the emulator (``emulator``) through all
+places that were solved, the refused one among them, tells where the floor is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import lsq_linear, minimize
+
+from spinestiff.arrays import Floats
+from spinestiff.errors import EquilibriumError
+from spinestiff.estimation.emulator import Emulator, Place
+from spinestiff.estimation.evaluation import compliance_step, log_step
+from spinestiff.estimation.status import FitStatus
+from spinestiff.estimation.weighed import (
+    WeighedFit,
+    WeighedPoint,
+    WeighedProblem,
+    WeighedSlope,
+    Weights,
+    phi,
+    reduced,
+)
+
+# The search ends once an undamped step promises less than this decrease of phi (a step of a thousandth of an sd).
+SMALLEST_DECREASE = 5e-7
+# One step changes a ratio by at most these factors: beyond, the linear model says nothing.
+LARGEST_SOFTENING, LARGEST_STIFFENING = 8.0, 8.0
+SHORTEST_STEP = 1.0 / 64.0
+# Places that a search has refused lead to the next one so many times; then steps are shortened.
+MOST_GUIDED = 4
+# How far, in log ratio, the emulator is believed beyond the places it was made from.
+BEYOND = 0.2
+# Weight of a step's own length: along a direction that the data say nothing of, a step is short and not as long as
+# rounding makes it; its cost is below the smallest decrease.
+SHORT = 1e-4
+
+
+def search(
+    problem: WeighedProblem, start: WeighedPoint, limits: tuple[float, float], max_evaluations: int
+) -> WeighedFit:
+    """The most probable ratios and nuisances, from ``start``.
+
+    Parameters
+    ----------
+    limits : of the log ratios.
+    max_evaluations : equilibria of all trials, the start's among them.
+    """
+    point, slope, weights = start, problem.slope(start), None
+    visited: list[Place] = []
+    evaluations = 1
+    while True:
+        weights = problem.weights(point, slope, weights)
+        step, nuisances, predicted = gauss_newton_step(point, slope, weights, limits)
+        if predicted < SMALLEST_DECREASE:
+            return WeighedFit(point, slope, weights, FitStatus.CONVERGED, _pairs(visited))
+        before, refused, share = phi(point, weights), list[Place](), 1.0
+        moved: WeighedPoint | None = None
+        while moved is None and share >= SHORTEST_STEP:
+            if evaluations >= max_evaluations:
+                return WeighedFit(point, slope, weights, FitStatus.ITERATION_LIMIT, _pairs(visited))
+            target = np.clip(point.log_ratios + log_step(share * step), *limits)
+            wanted = point.nuisances + share * (nuisances - point.nuisances)
+            if 0 < len(refused) <= MOST_GUIDED:
+                target, wanted = _guided([Place(point, slope), *refused, *visited], weights, limits)
+            evaluations += 1
+            try:
+                trial = problem.solve(target, wanted, point, slope)
+                after = phi(trial, weights)
+            except EquilibriumError:
+                problem.trial_set.note(target, float("nan"), None, False)
+                share *= 0.25
+                continue
+            # Below rounding of the equilibria a decrease is none.
+            if after <= before - 1e-4 * share * predicted or (predicted < 1e-4 and after <= before + 1e-4):
+                moved = trial
+                problem.trial_set.note(target, after, trial.evaluation, True)
+                break
+            problem.trial_set.note(target, after, trial.evaluation, False)
+            if len(refused) <= MOST_GUIDED:
+                refused.append(Place(trial, problem.slope(trial)))
+            if len(refused) > MOST_GUIDED:
+                share *= 0.25
+        visited = [Place(point, slope), *refused, *visited]
+        if moved is None:
+            return WeighedFit(point, slope, weights, FitStatus.STALLED, _pairs(visited))
+        point, slope = moved, problem.slope(moved)
+
+
+def _pairs(places: list[Place]) -> tuple[tuple[WeighedPoint, WeighedSlope], ...]:
+    return tuple((place.point, place.slope) for place in places)
+
+
+def _guided(places: list[Place], weights: Weights, limits: tuple[float, float]) -> tuple[Floats, Floats]:
+    """Where the emulator through all places, the best one first, has its least phi, and the nuisances there."""
+    emulator = Emulator(places, weights, telling=False)
+    known = emulator.log_ratios
+    low = np.maximum(known.min(axis=0) - BEYOND, limits[0])
+    high = np.minimum(known.max(axis=0) + BEYOND, limits[1])
+    count = known.shape[1]
+    offsets = 1e-3 * np.vstack([np.zeros(count), np.eye(count), -np.eye(count)])
+
+    def height(where: Floats) -> tuple[float, Floats]:
+        values = emulator.phi(where + offsets)
+        return float(values[0]), (values[1 : 1 + count] - values[1 + count :]) / 2e-3
+
+    # From the best of the places between the best one and the others, too: the floor may lie behind a rise.
+    between = np.concatenate([known[:1] + part * (known - known[:1]) for part in (0.0, 0.25, 0.5, 0.75)])
+    start = between[int(np.argmin(emulator.phi(between)))]
+    found = minimize(height, start, jac=True, method="L-BFGS-B", bounds=list(zip(low, high))).x
+    return found, emulator.nuisances(found)[0]
+
+
+def gauss_newton_step(
+    point: WeighedPoint, slope: WeighedSlope, weights: Weights, limits: tuple[float, float]
+) -> tuple[Floats, Floats, float]:
+    """Compliance step (P,) inside the bounds, the nuisances (M,) there, and the decrease of phi it promises."""
+    model = reduced(point, slope, weights)
+    low = np.maximum(limits[0] - point.log_ratios, -np.log(LARGEST_SOFTENING))
+    high = np.minimum(limits[1] - point.log_ratios, np.log(LARGEST_STIFFENING))
+    floor, ceiling = compliance_step(low) - 1e-14, compliance_step(high) + 1e-14
+    kept_short = np.hstack([SHORT * np.eye(len(low)), np.zeros((len(low), 1))])
+    rows = np.vstack([np.column_stack([model.ratios, model.values]), kept_short])
+    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
+    p = lsq_linear(triangle[:, :-1], -triangle[:, -1], (floor, ceiling), method="bvls").x
+    left = model.values + model.ratios @ p
+    predicted = phi(point, weights) - 0.5 * float(left @ left)
+    return p, model.nuisances + model.follow @ p, max(predicted, 0.0)
