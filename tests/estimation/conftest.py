@@ -208,5 +208,16 @@ def found(column, asked) -> WeighedFit:
 
 
 @pytest.fixture(scope="session")
-def likely(column, asked, found) -> Likely:
+def told(column, asked, found) -> tuple[Likely, tuple[Place, ...]]:
     return likely_ratios(asked, found, [Place(*place) for place in found.visited], column.limits)
+
+
+@pytest.fixture(scope="session")
+def likely(told) -> Likely:
+    return told[0]
+
+
+@pytest.fixture(scope="session")
+def places(told) -> tuple[Place, ...]:
+    """Those that ``likely`` was made from."""
+    return told[1]

@@ -56,8 +56,8 @@ def emulator(likely) -> Emulator:
     return likely.emulator
 
 
-def test_phi_is_the_models_where_the_model_was_solved(likely, found, emulator) -> None:
-    for place in likely.places:
+def test_phi_is_the_models_where_the_model_was_solved(places, found, emulator) -> None:
+    for place in places:
         if not (np.abs(emulator.log_ratios - place.point.log_ratios).max(axis=1) < 1e-9).any():
             continue
         model = reduced(place.point, place.slope, found.weights)
@@ -98,11 +98,11 @@ def test_wider_priors_lower_phi_as_the_model_with_them_says(found) -> None:
     assert np.allclose(wide.nuisances(found.point.log_ratios)[0], 2.0 * best)
 
 
-def test_places_that_tell_nothing_are_left_out(asked, found, likely) -> None:
+def test_places_that_tell_nothing_are_left_out(asked, found, places) -> None:
     estimate = Place(found.point, found.slope)
     near = asked.solve(found.point.log_ratios + 0.01, found.point.nuisances, found.point, found.slope)
     strange = asked.solve(found.point.log_ratios + 0.2, found.point.nuisances + 3.0, found.point, found.slope)
     high = asked.solve(found.point.log_ratios + [2.0, 2.0], found.point.nuisances, found.point, found.slope)
     others = [Place(point, asked.slope(point)) for point in (near, strange, high)]
     assert len(Emulator([estimate, *others], found.weights).log_ratios) == 1
-    assert len(Emulator(likely.places, found.weights).log_ratios) > 3
+    assert len(Emulator(places, found.weights).log_ratios) > 3

@@ -124,7 +124,7 @@ def test_drawn_nuisances_spread_as_the_fit_says(found, likely) -> None:
 def ended(column, trials, names=("lateral_bending", "tissue"), start=(1.0, 1.0)):
     asked = column.weighed(trials, names=names)
     found = column.searched(asked, start)
-    return likely_ratios(asked, found, [Place(*place) for place in found.visited], column.limits)
+    return likely_ratios(asked, found, [Place(*place) for place in found.visited], column.limits)[0]
 
 
 def test_what_the_pictures_do_not_show_is_flat(column, clean) -> None:
@@ -139,7 +139,7 @@ def test_a_hole_between_places_is_solved_and_not_drawn_from(column, clean) -> No
     """Flexion is known to one side: at first the emulator has places far lower than the estimate."""
     asked = column.weighed(clean, names=("lateral_bending", "flexion_extension"))
     found = column.searched(asked)
-    likely = likely_ratios(asked, found, [Place(*place) for place in found.visited], column.limits)
+    likely, _ = likely_ratios(asked, found, [Place(*place) for place in found.visited], column.limits)
     assert likely.kinds == ("bounded", "one-sided")
     assert (likely.open_low[1], likely.open_high[1]) == (False, True)
     for profile in likely.profiles:

@@ -53,8 +53,8 @@ NOT_OF: Mapping[Mesh, tuple[str, ...]] = {
 }
 MODES = 12  # of a covariance
 # Choices of the model rather than its mistakes: an estimate is one of a torso with Table 1's rib joints, linear discs,
-# this Poisson's ratio and a wall that holds. What another choice would do is printed in docs/discrepancy.md; as mistakes
-# these four would leave bending all but open.
+# this Poisson's ratio and a wall that holds. What another choice would do is printed in docs/discrepancy.md; as
+# mistakes these four would leave bending all but open.
 LEFT_OUT = ("one-sided wall", "rib joints", "stiffening", "volume")
 FINE_NODES = 6000
 MOTION_SD = 0.05  # where nothing was learnt

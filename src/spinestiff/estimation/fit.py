@@ -349,10 +349,10 @@ def _told(asked: WeighedProblem, found: WeighedFit, limits: tuple[float, float],
     changes: tuple[PriorChange, ...] = ()
     if extent != "estimate" and found.status.usable:
         places = [Place(*place) for place in found.visited]
-        likely = likely_ratios(asked, found, places, limits)
+        likely, known = likely_ratios(asked, found, places, limits)
         if extent == "everything":
             budget = variance_budget(asked, found)
-            changes = prior_changes(asked, found, likely.places, limits)
+            changes = prior_changes(asked, found, known, limits)
     return Weighed(
         _nuisances(asked, found),
         found.point.evaluation.acts,

@@ -81,10 +81,10 @@ def search(
                 break
             problem.trial_set.note(target, after, trial.evaluation, False)
             if len(refused) <= MOST_GUIDED:
-                refused.append(Place(trial, problem.slope(trial)))
+                refused.append(Place(trial, problem.slope(trial).light))
             if len(refused) > MOST_GUIDED:
                 share *= 0.25
-        visited = [Place(point, slope), *refused, *visited]
+        visited = [Place(point, slope.light), *refused, *visited]
         if moved is None:
             return WeighedFit(point, slope, weights, FitStatus.STALLED, _pairs(visited))
         point, slope = moved, problem.slope(moved)

@@ -61,7 +61,7 @@ class Likely(ShortRepr):
     profiles : (P,).
     region : (n, 2) outline of the joint 95 % region of two ratios, not cut at the bounds; None for another number.
     draws : (D, P) log ratios and (D, M) nuisances, equally probable. effective : independent draws they are worth.
-    emulator : of phi. places : what it was made from, the estimate first.
+    emulator : of phi.
     """
 
     low: Floats
@@ -74,17 +74,16 @@ class Likely(ShortRepr):
     draws: tuple[Floats, Floats]
     effective: float
     emulator: Emulator
-    places: tuple[Place, ...]
 
 
 def likely_ratios(
     problem: WeighedProblem, fit: WeighedFit, visited: list[Place], limits: tuple[float, float]
-) -> Likely:
-    """Intervals, region and draws; solves the model at the intervals' ends.
+) -> tuple[Likely, tuple[Place, ...]]:
+    """Intervals, region and draws, and the places that they come from; solves the model at the intervals' ends.
 
     ``visited``: places that the search solved.
     """
-    places = [Place(fit.point, fit.slope), *visited]
+    places = [Place(fit.point, fit.slope.light), *visited]
     model = reduced(fit.point, fit.slope, fit.weights)
     precision = model.ratios.T @ model.ratios
     # A direction without any information gets the bounds' own width.
@@ -112,9 +111,8 @@ def likely_ratios(
     draws, effective = _draws(emulator, candidates, density)
     region = _region(emulator, fit.point.log_ratios, low, high) if len(precision) == 2 else None
     open_low, open_high = opens
-    return Likely(
-        low, high, open_low, open_high, kinds, tuple(profiles), region, draws, effective, emulator, tuple(places)
-    )
+    likely = Likely(low, high, open_low, open_high, kinds, tuple(profiles), region, draws, effective, emulator)
+    return likely, tuple(places)
 
 
 def region_rise(count: int) -> float:
@@ -149,10 +147,9 @@ def _solve_ends(
         known = np.abs(emulator.log_ratios - where).max(axis=1)
         if known.min() < 0.02:
             continue
-        nearest = places[int(np.argmin([np.abs(place.point.log_ratios - where).max() for place in places]))]
         nuisances, _ = emulator.nuisances(where)
         try:
-            point = problem.solve(where, nuisances, nearest.point, nearest.slope)
+            point = problem.solve(where, nuisances, fit.point, fit.slope)
             slope = problem.slope(point)
             problem.trial_set.note(where, phi(point, fit.weights), point.evaluation, False)
             model = reduced(point, slope, fit.weights)
@@ -166,7 +163,7 @@ def _solve_ends(
             continue
         solved = 0.5 * float(model.values @ model.values)
         wrong |= abs(solved - float(emulator.phi(where)[0])) > CLOSE_ENOUGH
-        places.append(Place(point, slope))
+        places.append(Place(point, slope.light))
     return wrong
 
 

@@ -14,7 +14,7 @@ the fit solves the estimating equation J^T Sigma^-1 r = 0 and no ratio is chosen
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
@@ -69,6 +69,11 @@ class WeighedSlope(ShortRepr):
     slope: Slope
     ratios: Floats
     nuisances: Floats
+
+    @property
+    def light(self) -> WeighedSlope:
+        """The same without tangents and moves of states, which are large."""
+        return replace(self, slope=Slope((), ()))
 
 
 @dataclass(frozen=True, repr=False)
