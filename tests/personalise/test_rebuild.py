@@ -126,6 +126,6 @@ def test_the_new_torso_is_free_of_stress_and_as_stiff_as_the_fine_mesh(rebuilt, 
 def test_without_a_mesher_it_ends_in_one_line(template, subject, waist, see, monkeypatch):
     monkeypatch.setitem(sys.modules, "mmgpy", None)
     pictures = {name: (see(subject, view), view) for name, view in VIEWS.items()}
-    with pytest.raises(TorsoError, match=r"too distorted .*; a finer tissue mesh may do; pip install") as caught:
+    with pytest.raises(TorsoError, match=r"leave no room .*; a finer tissue mesh may do; pip install") as caught:
         personalise(template, pictures, geometry="known", trunk=waist)
     assert "\n" not in str(caught.value)

@@ -166,7 +166,7 @@ def test_the_vertebrae_are_where_the_subjects_are(template, girl, shaped):
     before, after = (
         np.linalg.norm(aligned(rest_vertebrae(t)[0][rows], goal) - goal, axis=1) for t in (template, shaped.torso)
     )
-    assert before.max() > 5.0
+    assert before.max() > 4.5
     assert after.max() < 1.0
 
 

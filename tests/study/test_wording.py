@@ -169,10 +169,10 @@ def test_no_more_than_two_ratios_are_told_of():
 
 
 def test_every_unknown_has_words(finished):
-    """Of a whole fit, with those that only other subjects have."""
+    """Of a whole fit; what the model's form does is an unknown only where its choices count as mistakes."""
     groups = {row.name for row in read_outcome(read_subject(finished.folder), Estimate).budget}
     assert groups <= set(UNKNOWNS)
-    assert set(UNKNOWNS) == groups
+    assert set(UNKNOWNS) - groups == {"form of the model, bending", "form of the model, tissue"}
 
 
 @pytest.mark.parametrize(
