@@ -23,7 +23,7 @@ CONFIDENCE = 0.95
 WIDTH_FACTOR = 1.0
 # Ends agree once the emulator's phi and the model's differ by less than this there.
 CLOSE_ENOUGH = 0.1
-MOST_ROUNDS = 4
+MOST_ROUNDS = 6
 # Nuisances that the emulator has wrong by this much are solved for once more.
 FAR_OFF = 0.3
 # Steps of a profile, in standard deviations, and how far beyond the linear end it is followed at most.
@@ -90,7 +90,7 @@ def likely_ratios(
     covariance = np.asarray(np.linalg.inv(precision + np.eye(len(precision)) / (limits[1] - limits[0]) ** 2), float)
     rise = 0.5 * region_rise(1)
     candidates, density = _candidates(fit.point.log_ratios, covariance, limits)
-    for _ in range(MOST_ROUNDS):
+    for solved in range(MOST_ROUNDS + 1):
         emulator = Emulator(places, fit.weights)
         tracer = _Tracer(emulator, fit.point.log_ratios, covariance, limits)
         profiles = [tracer.profile(i, rise) for i in range(len(precision))]
@@ -100,7 +100,7 @@ def likely_ratios(
         if heights.min() < emulator.phi(fit.point.log_ratios)[0] - CLOSE_ENOUGH:
             # Lower than the estimate: a hole between places, which would draw the draws.
             wanted.append(candidates[int(np.argmin(heights))])
-        if not _solve_ends(problem, fit, emulator, places, wanted):
+        if solved == MOST_ROUNDS or not _solve_ends(problem, fit, emulator, places, wanted):
             break
     low, high = (np.array([where[i // 2] for i, (where, _) in enumerate(ends) if i % 2 == side]) for side in (0, 1))
     opens = [np.array([is_open for i, (_, is_open) in enumerate(ends) if i % 2 == side]) for side in (0, 1)]
