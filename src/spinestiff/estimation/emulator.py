@@ -24,7 +24,7 @@ NUGGET = 1e-8
 # A place whose nuisances are farther than this from the most probable ones there tells of another part of the space,
 # one whose phi is this much higher than the estimate's of nothing that matters, one as near as this to another of no
 # more than that.
-FARTHEST_NUISANCES, HIGHEST, NEAREST = 0.3, 30.0, 0.03
+FARTHEST_NUISANCES, HIGHEST, NEAREST = 0.3, 200.0, 0.03
 _CHUNK = 64
 
 

@@ -24,7 +24,8 @@ WIDTH_FACTOR = 1.0
 # Ends agree once the emulator's phi and the model's differ by less than this there.
 CLOSE_ENOUGH = 0.1
 MOST_ROUNDS = 6
-# Nuisances that the emulator has wrong by this much are solved for once more.
+# Nuisances that the emulator has wrong by this much are solved for again, so many times.
+MOST_AGAIN = 3
 FAR_OFF = 0.3
 # Steps of a profile, in standard deviations, and how far beyond the linear end it is followed at most.
 STEP, FARTHEST = 0.35, 6.0
@@ -153,7 +154,9 @@ def _solve_ends(
             slope = problem.slope(point)
             problem.trial_set.note(where, phi(point, fit.weights), point.evaluation, False)
             model = reduced(point, slope, fit.weights)
-            if np.abs(model.nuisances - nuisances).max(initial=0.0) > FAR_OFF:
+            for _ in range(MOST_AGAIN):
+                if np.abs(model.nuisances - point.nuisances).max(initial=0.0) <= FAR_OFF:
+                    break
                 point = problem.solve(where, model.nuisances, point, slope)
                 slope = problem.slope(point)
                 problem.trial_set.note(where, phi(point, fit.weights), point.evaluation, False)
