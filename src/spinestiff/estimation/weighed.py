@@ -144,11 +144,6 @@ class WeighedProblem:
         ]
         self.size = self.noise.size + len(self._measured)
 
-    @property
-    def groups(self) -> tuple[str, ...]:
-        """What the residuals' covariance is made of beside nuisances and tracking."""
-        return tuple(self.noise.parts)
-
     def solve(
         self, log_ratios: Floats, nuisances: Floats, near: WeighedPoint | None = None, slope: WeighedSlope | None = None
     ) -> WeighedPoint:
