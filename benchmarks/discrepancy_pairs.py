@@ -57,6 +57,7 @@ from spinestiff.anatomy.stiffness import (
     ParameterGroup,
     StiffnessRatios,
     lame_parameters,
+    parameter_group,
     stiffness_ratios,
 )
 from spinestiff.anatomy.template import template_torso
@@ -67,6 +68,8 @@ from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import EquilibriumError, SpinestiffError
 from spinestiff.estimation.discrepancy import SIDES, plane_motion
+from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.unknowns import ACTS, POWERS, SCALED, load_changes
 from spinestiff.imaging.features import VertebraCorners, picture_axes, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.mechanics.assembly import Law, Place, Stiffness, Tangent, Unknowns, positive_part
@@ -106,6 +109,12 @@ DEARER = ("other mesh", "one-sided wall")
 DEAREST = ("geometry", "finer mesh", "proportions")
 LIMIT_KINDS = ("other fine mesh", "fine to limit")
 LIMIT_EVERY = 4  # subjects
+# Kinds whose cause an estimate has among its own unknowns, and its prior's standard deviation in the unit of a slope.
+EXPLICIT = {
+    "rib joints": Priors().rib_joints,
+    "volume": Priors().tissue_volume,
+    "push point": Priors().push_depth_mm,
+}
 KINDS = (*CHEAP, *DEARER, *DEAREST)
 
 
@@ -194,10 +203,16 @@ class Bench:
     def linearised(
         self, side: str, load: LoadCase, ratios: StiffnessRatios, start: TorsoState | None
     ) -> tuple[TorsoState, Floats]:
-        """The equilibrium, and the derivative of its motion in the log ratios (17, 3, P)."""
+        """The equilibrium, and the derivative of its motion in the log ratios and in what an estimate has among its own
+        unknowns (17, 3, P + len(EXPLICIT))."""
         found, tangent = self.problems[side].solve_linearised(load, ratios, start)
         features = state_features(self.torso, self.view, found.state, self.shares)
-        bones = tangent.forward(ratios.groups)[: 6 * len(self.torso.bone_names)]
+        scaled = [parameter_group(name, self.torso.joints.kinds) for name in SCALED]
+        both = tangent.forward((*ratios.groups, *scaled))
+        moves = (both[:, len(ratios.groups) :] @ POWERS)[:, [ACTS.index(act) for act in ("ribs", "volume")]]
+        depth = tangent.load_derivative(load_changes(load, self.torso.rest_pose)[ACTS.index("depth")])
+        whole = np.column_stack([both[:, : len(ratios.groups)], moves, depth])
+        bones = whole[: 6 * len(self.torso.bone_names)]
         moves = bones.reshape(len(self.torso.bone_names), 6, -1)[self.torso.vertebra_bones]
         axes = np.stack(picture_axes(self.view), axis=1)
         corners = np.einsum("vkid,vdp,ij->vkjp", features.jacobian, moves, axes)
@@ -281,7 +296,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Modelled:
-    """The model's side of a pair: its frames, states and motions (17, 3) with slopes (17, 3, 2)."""
+    """The model's side of a pair: its frames, states and motions (17, 3) with slopes (17, 3, 2 + len(EXPLICIT))."""
 
     frames: tuple[Frame, ...]
     states: tuple[TorsoState, ...]
@@ -489,7 +504,7 @@ def pair(subject: Subject, kind: str, draw: int, base: tuple[Bench, Modelled], c
         frames.append(
             {
                 **frame.__dict__,
-                "model": rounded(motion + slope @ left),
+                "model": rounded(motion + slope[:, :, : len(left)] @ left),
                 "truth": rounded(true),
                 "slope": rounded(slope),
             }

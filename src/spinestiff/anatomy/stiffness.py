@@ -47,6 +47,8 @@ DIRECTIONS = {
 # falls to 0.02, it would carry the thorax alone (+285 %). So "lateral_bending" scales the sternal joints along (+71 %;
 # docs/validation.md).
 INTERVERTEBRAL_BENDING = "intervertebral_bending"
+# The ribs' turning on their vertebrae: bench values are a tenth of Table 1's.
+RIB_ROTATION = "rib_rotation"
 TISSUE_PARAMETERS = {"tissue": (True, True), "tissue_mu": (True, False), "tissue_lambda": (False, True)}
 # "tissue": one ratio for both Lame parameters, so that Poisson's ratio stays (default). The paper's literal mode
 # scales tissue_mu alone; it locks on linear tetrahedra (docs/errata.md).
@@ -122,8 +124,9 @@ def parameter_group(name: str, kinds: tuple[str, ...]) -> ParameterGroup:
     """The group of a parameter's name, for joints of the given ``kinds`` (J names of Table 1's rows).
 
     Names: the six directions of the intervertebral joints (``DIRECTIONS``), with lateral bending also the joints of
-    ribs and sternum; "intervertebral_bending", the same without them (the paper's); "tissue", "tissue_mu",
-    "tissue_lambda"; a row of Table 1 (all six directions of that kind); "everything".
+    ribs and sternum; "intervertebral_bending", the same without them (the paper's); "rib_rotation", the turning of the
+    ribs on their vertebrae; "tissue", "tissue_mu", "tissue_lambda"; a row of Table 1 (all six directions of that kind);
+    "everything".
 
     Raises
     ------
@@ -138,12 +141,14 @@ def parameter_group(name: str, kinds: tuple[str, ...]) -> ParameterGroup:
             mask[[kind == "rib_sternum" for kind in kinds]] = True
     elif name in TISSUE_PARAMETERS:
         mu, lambda_ = TISSUE_PARAMETERS[name]
+    elif name == RIB_ROTATION:
+        mask[[kind == "rib_vertebra" for kind in kinds], 3:] = True
     elif name in TABLE_1:
         mask[[kind == name for kind in kinds]] = True
     elif name == "everything":
         mask[:] = mu = lambda_ = True
     else:
-        known = ", ".join((*DIRECTIONS, INTERVERTEBRAL_BENDING, *TISSUE_PARAMETERS, *TABLE_1, "everything"))
+        known = ", ".join((*DIRECTIONS, INTERVERTEBRAL_BENDING, RIB_ROTATION, *TISSUE_PARAMETERS, *TABLE_1, "everything"))
         raise TorsoError(f"unknown stiffness parameter '{name}'; known are {known}")
     return ParameterGroup(name, mask, mu, lambda_)
 

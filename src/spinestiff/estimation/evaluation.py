@@ -18,7 +18,7 @@ from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios, parame
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.objective import Residuals, Trial, make_target, residuals, root_mean_square
-from spinestiff.estimation.unknowns import ACTS, LOADING, PLACING, SCALING, changed_load, load_changes, place_of
+from spinestiff.estimation.unknowns import ACTS, LOADING, PLACING, POWERS, SCALED, changed_load, load_changes, place_of
 from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
@@ -121,10 +121,9 @@ def acted(
     """What has to be solved where a trial's acts (len(ACTS),) are not 0. ``changes``: of ``load``, if known."""
     if not acts.any():
         return problem, load, ratios
-    scaled = tuple(parameter_group(name, problem.torso.joints.kinds) for name in SCALING.values())
+    scaled = tuple(parameter_group(name, problem.torso.joints.kinds) for name in SCALED)
     groups, values = ((), np.empty(0)) if ratios is None else (ratios.groups, ratios.values)
-    sizes = [float(np.exp(acts[ACTS.index(act)])) for act in SCALING]
-    ratios = StiffnessRatios((*groups, *scaled), np.concatenate([values, sizes]))
+    ratios = StiffnessRatios((*groups, *scaled), np.concatenate([values, np.exp(POWERS @ acts)]))
     changes = load_changes(load, problem.torso.rest_pose) if changes is None else changes
     return problem.with_place(place_of(acts)), changed_load(load, changes, acts), ratios
 
@@ -145,7 +144,7 @@ class TrialSet:
         self.cost = FitCost()
         self.history: list[FitStep] = []
         self._observer = observer
-        self._scaled = tuple(parameter_group(name, problems[0].torso.joints.kinds) for name in SCALING.values())
+        self._scaled = tuple(parameter_group(name, problems[0].torso.joints.kinds) for name in SCALED)
         self._changes = [load_changes(t.load, p.torso.rest_pose) for p, t in zip(problems, trials)]
 
     def ratios(self, log_ratios: Floats) -> StiffnessRatios:
@@ -232,8 +231,7 @@ class TrialSet:
         return problem.linearise(point.equilibria[i], load, ratios)
 
     def _acted(self, i: int, linearisation: Linearisation, acts: Floats, scaled: Floats) -> Floats:
-        columns = np.zeros((len(scaled), len(ACTS)))
-        columns[:, [ACTS.index(act) for act in SCALING]] = scaled
+        columns = scaled @ POWERS
         # The force acts by its log on the load alone, which it scales.
         changes = (self._changes[i][0].scaled(float(np.exp(acts[0]))), *self._changes[i][1:])
         columns[:, : len(LOADING)] = linearisation.load_derivatives(changes)

@@ -39,6 +39,10 @@ class Priors:
     trunk : of the trunk's breadth and of its depth, relative, without a tape (6 %; children of one age and height).
     trunk_taped : the same where ``subject.json`` has the trunk's size.
     trunk_power : of tissue's resistance in (breadth, depth).
+    rib_joints : of the log of the stiffness with which ribs turn on their vertebrae, over Table 1's: bench values are
+        a eleventh of it (J Biomech 2024 163:111923).
+    tissue_volume : of the log of the tissue's lambda at a given mu: Poisson's ratio of 0.3 or 0.49 for 0.45 is a factor
+        of 6 less or 5 more.
     source_distance : of the source's distance, relative; it scales motions.
     annotation_mm : of a corner set by hand, along one axis, common to all frames of a sequence.
     tracking_mm : of a tracked corner, along one axis, beside what tracking itself predicts.
@@ -66,6 +70,8 @@ class Priors:
     trunk: float = 0.06
     trunk_taped: float = 0.01
     trunk_power: tuple[float, float] = (2.0, 1.0)
+    rib_joints: float = 1.5
+    tissue_volume: float = 1.0
     source_distance: float = 0.01
     annotation_mm: float = 0.3
     tracking_mm: float = 0.1
