@@ -17,9 +17,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-if __name__ != "__main__":
+if __name__ == "__main__":
+    sys.modules["coverage"] = None  # type: ignore[assignment]
+else:
     raise ImportError("a command, not the package of this name that numba looks for")
-sys.modules["coverage"] = None  # type: ignore[assignment]
 
 import numpy as np
 from coverage_subjects import Acquisition, make_subject

@@ -26,13 +26,13 @@ import datetime
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import discrepancy_pairs
 import numpy as np
-from discrepancy_pairs import GRID, KINDS, LEVELS, LIMIT_KINDS, ROOT
+from discrepancy_pairs import EXPLICIT, GRID, KINDS, LEVELS, LIMIT_KINDS, ROOT, TRUNK
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
@@ -57,7 +57,7 @@ DATA = ROOT / "src" / "spinestiff" / "estimation" / "data" / "discrepancy.npz"
 FIGURE = ROOT / "docs" / "images" / "discrepancy_modes.png"
 KIND_MODES = 8
 INFLATION, UNTRIED = 1.0, 0.3
-TRIED = ((1.0, 0.0), (2.0, 0.3), (4.0, 0.3))
+TRIED = ((1.0, 0.0), (2.0, 0.3))
 WALL = "one-sided wall"
 BUCKLED = 1.0  # difference over motion in a frame
 # Of a corner along one axis, and of a vertebra as a whole, correlated over so many of them.
@@ -71,7 +71,8 @@ CHANNEL_NAMES = ("sideways", "upwards", "turn")
 
 @dataclass(frozen=True)
 class Pair:
-    """A pair's frames: model and truth - model (F, 17, 3) mm, derivatives (F, 17, 3, 2); turns times 20 mm."""
+    """A pair's frames: model and truth - model (F, 17, 3) mm, derivatives in the log ratios (F, 17, 3, 2), and in
+    what an estimate has among its own unknowns (F, 17, 3, E), in standard deviations; turns times 20 mm."""
 
     kind: str
     subject: int
@@ -79,6 +80,7 @@ class Pair:
     model: Floats
     difference: Floats
     slopes: Floats
+    explicit: Floats
 
     def row(self, use: str, side: str, level: float) -> int:
         return next(i for i, f in enumerate(self.frames) if (f["use"], f["side"], f["level"]) == (use, side, level))
@@ -111,9 +113,15 @@ class Pair:
 def pair_of(row: Mapping[str, Any]) -> Pair:
     """A written row."""
     model, truth, slopes = (np.array([f[key] for f in row["frames"]]) for key in ("model", "truth", "slope"))
-    scaled = CHANNELS[:, None]
+    slopes = slopes * CHANNELS[:, None]
     return Pair(
-        row["kind"], row["subject"], tuple(row["frames"]), model * CHANNELS, (truth - model) * CHANNELS, slopes * scaled
+        row["kind"],
+        row["subject"],
+        tuple(row["frames"]),
+        model * CHANNELS,
+        (truth - model) * CHANNELS,
+        slopes[..., :2],
+        np.concatenate([slopes[..., 2:] * list(EXPLICIT.values()), TRUNK * slopes[..., 1:2]], axis=-1),
     )
 
 
@@ -138,37 +146,24 @@ def learn_kind(pairs: Sequence[Pair]) -> KindModes:
     modes = values[:KIND_MODES, None] * axes[:KIND_MODES]
     left = np.sqrt(np.maximum(np.sum(rows**2, axis=0) - np.sum(modes**2, axis=0), 0.0))
     shape = vectors[0].shape
-    return KindModes(len(pairs), modes.reshape(-1, *shape), left.reshape(shape), own_share(pairs), np.zeros(2))
+    return KindModes(len(pairs), modes.reshape(-1, *shape), left.reshape(shape), own_share(pairs))
 
 
 def learn(pairs: Sequence[Pair], inflation: float, untried: float, made: str = "") -> DiscrepancyData:
-    """Everything that the package ships.
-
-    What a kind does to the ratios is read from three pushes on either side, weighed by the covariance of the other
-    kinds but the wall (whose size would hide it): the mean squared bias less the variance that was expected.
-    """
+    """Everything that the package ships."""
     known = {name: [pair for pair in pairs if pair.kind == name] for name in (*KINDS, *LIMIT_KINDS)}
     kinds = {name: learn_kind(own) for name, own in known.items() if own}
-    data = DiscrepancyData(np.array(LEVELS), kinds, inflation, untried, made)
-    for name in data.kinds:
-        others = others_of(data, name, (WALL,))
-        if others:
-            modes = data.combined(others)
-            found = [
-                weighed(pair, rows, modes)
-                for pair in known[name]
-                for use, rows in pair.acquisitions().items()
-                if use.startswith("three")
-            ]
-            excess = np.mean([one.bias**2 - one.variance.diagonal() for one in found], axis=0)
-            kinds[name] = replace(kinds[name], ratio_variance=np.maximum(excess, 0.0))
-    return replace(data, kinds=kinds)
+    return DiscrepancyData(np.array(LEVELS), kinds, inflation, untried, made)
 
 
 def others_of(data: DiscrepancyData, kind: str, without: Sequence[str] = ()) -> list[str]:
     """The kinds that an estimate is made with where ``kind`` is left out, on the mesh that this one speaks of."""
-    mesh: Mesh = "fine" if kind in LIMIT_KINDS else "coarse"
-    return [name for name in data.kinds if name not in (kind, *NOT_OF[mesh], *without)]
+    return others_of_mesh(data, "fine" if kind in LIMIT_KINDS else "coarse", (kind, *without))
+
+
+def others_of_mesh(data: DiscrepancyData, mesh: Mesh, without: Sequence[str] = ()) -> list[str]:
+    """The kinds of a mesh but some, and but those whose cause an estimate has among its own unknowns."""
+    return [name for name in data.kinds if name not in (*EXPLICIT, *NOT_OF[mesh], *without)]
 
 
 def noise(frames: int) -> Floats:
@@ -192,17 +187,10 @@ class Weighed:
 
 def weighed(pair: Pair, rows: Sequence[int], modes: DiscrepancyModes) -> Weighed:
     """The estimate from some frames of a pair."""
-    frames = [
-        DiscrepancyFrame(
-            pair.frames[i]["side"],
-            pair.frames[i]["level"],
-            pair.model[i] / CHANNELS,
-            pair.slopes[i] / CHANNELS[:, None],
-        )
-        for i in rows
-    ]
+    frames = [DiscrepancyFrame(pair.frames[i]["side"], pair.frames[i]["level"], pair.model[i] / CHANNELS) for i in rows]
     size = len(rows) * 17 * 3
-    columns = (discrepancy_columns(frames, modes) * CHANNELS[:, None]).reshape(size, -1)
+    learnt = (discrepancy_columns(frames, modes) * CHANNELS[:, None]).reshape(size, -1)
+    columns = np.hstack([learnt, pair.explicit[list(rows)].reshape(size, -1)])
     slopes, difference = pair.slopes[list(rows)].reshape(size, 2), pair.difference[list(rows)].ravel()
     solved = np.linalg.solve(noise(len(rows)) + columns @ columns.T, slopes)
     variance = np.linalg.inv(slopes.T @ solved)
@@ -237,9 +225,8 @@ def leave_one_out(pairs: Sequence[Pair], inflation: float, untried: float) -> di
     """By kind and acquisition, estimates with what was learnt from the other kinds."""
     random = np.random.default_rng(discrepancy_pairs.SEED)
     found: dict[str, dict[str, list[Outcome]]] = {}
+    data = learn(pairs, inflation, untried)
     for kind in dict.fromkeys(pair.kind for pair in pairs):
-        # Learnt anew, since what the others do to the ratios was read with this kind's covariance, too.
-        data = learn([pair for pair in pairs if pair.kind != kind], inflation, untried)
         found[kind] = tested(pairs, kind, data.combined(others_of(data, kind)), random)
     return found
 
@@ -370,12 +357,7 @@ def evaluate(rows: Sequence[Mapping[str, Any]]) -> tuple[dict[str, Any], Discrep
         "cpu_s": round(sum(row["cpu_s"] for row in rows if "cpu_s" in row)),
         "inflation": INFLATION,
         "untried": UNTRIED,
-        "kinds": {
-            kind: {**sizes(pairs, kind), "ratio_sd": np.sqrt(own.ratio_variance).round(3).tolist()}
-            for kind, own in data.kinds.items()
-        },
-        "ratio_sd": {mesh: _of(data, mesh).ratio_sd.round(3).tolist() for mesh in NOT_OF},
-        "ratio_sd_without_wall": {mesh: _of(data, mesh, (WALL,)).ratio_sd.round(3).tolist() for mesh in NOT_OF},
+        "kinds": {kind: sizes(pairs, kind) for kind in data.kinds},
         "log_likelihood_of_left_out_subjects": scale_likelihoods([pair for pair in pairs if pair.kind in KINDS]),
         "explained": {mesh: explained(data, mesh) for mesh in NOT_OF},
         "leave_one_kind_out": coverages(leave_one_out(pairs, INFLATION, UNTRIED)),
@@ -394,7 +376,7 @@ def evaluate(rows: Sequence[Mapping[str, Any]]) -> tuple[dict[str, Any], Discrep
 
 
 def _of(data: DiscrepancyData, mesh: Mesh, without: Sequence[str] = ()) -> DiscrepancyModes:
-    return data.combined([name for name in data.kinds if name not in (*NOT_OF[mesh], *without)])
+    return data.combined(others_of_mesh(data, mesh, without))
 
 
 def _short(found: Mapping[str, Any]) -> dict[str, Any]:

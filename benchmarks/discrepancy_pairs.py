@@ -109,12 +109,14 @@ DEARER = ("other mesh", "one-sided wall")
 DEAREST = ("geometry", "finer mesh", "proportions")
 LIMIT_KINDS = ("other fine mesh", "fine to limit")
 LIMIT_EVERY = 4  # subjects
-# Kinds whose cause an estimate has among its own unknowns, and its prior's standard deviation in the unit of a slope.
+# Kinds whose cause an estimate has among its own unknowns, and its prior's standard deviation in the unit of a slope;
+# the trunk's size, which "proportions" change, is one that acts as the tissue's ratio does.
 EXPLICIT = {
     "rib joints": Priors().rib_joints,
     "volume": Priors().tissue_volume,
     "push point": Priors().push_depth_mm,
 }
+TRUNK = Priors().trunk * float(np.linalg.norm(Priors().trunk_power))
 KINDS = (*CHEAP, *DEARER, *DEAREST)
 
 

@@ -148,7 +148,9 @@ def parameter_group(name: str, kinds: tuple[str, ...]) -> ParameterGroup:
     elif name == "everything":
         mask[:] = mu = lambda_ = True
     else:
-        known = ", ".join((*DIRECTIONS, INTERVERTEBRAL_BENDING, RIB_ROTATION, *TISSUE_PARAMETERS, *TABLE_1, "everything"))
+        known = ", ".join(
+            (*DIRECTIONS, INTERVERTEBRAL_BENDING, RIB_ROTATION, *TISSUE_PARAMETERS, *TABLE_1, "everything")
+        )
         raise TorsoError(f"unknown stiffness parameter '{name}'; known are {known}")
     return ParameterGroup(name, mask, mu, lambda_)
 

@@ -5,13 +5,10 @@ equal true ratios; a kind of variant is another mesh, other joints, other tissue
 divided by the size of the model's own motion, is a vector over push site, vertebra and channel. Its second moments,
 kind by kind, are combined to a few modes and a remainder of each entry by itself:
 
-    truth - model = size * sum_s w_s (sqrt(1 - o) sum_k z_k phi_ks + r_s) + size * sqrt(o) sum_k y_k sum_s w_s phi_ks
-                    + sum_p x_p d motion / d log ratio_p,
+    truth - model = size * sum_s w_s (sqrt(1 - o) sum_k z_k phi_ks + r_s) + size * sqrt(o) sum_k y_k sum_s w_s phi_ks,
 
-with w the weights of the learnt sites in a frame's site, and z, y, r, x independent. z, r and x belong to the person,
-so what pushes share stays shared; y belongs to the frame. x is what a kind that nobody tried may do to a ratio: the
-part of a left-out kind's bias that the covariance of the others does not explain. Shapes differ from kind to kind; this
-part is what they have in common, and no number of frames makes it smaller.
+with w the weights of the learnt sites in a frame's site, and z, y, r independent. z and r belong to the person, so what
+pushes share stays shared; y belongs to the frame.
 """
 
 from __future__ import annotations
@@ -42,9 +39,8 @@ if TYPE_CHECKING:
     from spinestiff.mechanics.loads import LoadCase
 
 SCHEMA = "spinestiff-discrepancy"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 SIDES = ("left", "right")
-RATIOS = ("lateral_bending", "tissue")
 Mesh = Literal["coarse", "fine"]
 # Kinds of variant that say nothing about an estimate on a mesh: they compare other meshes.
 NOT_OF: Mapping[Mesh, tuple[str, ...]] = {
@@ -52,10 +48,9 @@ NOT_OF: Mapping[Mesh, tuple[str, ...]] = {
     "fine": ("other mesh", "finer mesh"),
 }
 MODES = 12  # of a covariance
-# Choices of the model rather than its mistakes: an estimate is one of a torso with Table 1's rib joints, linear discs,
-# this Poisson's ratio and a wall that holds. What another choice would do is printed in docs/discrepancy.md; as
-# mistakes these four would leave bending all but open.
-LEFT_OUT = ("one-sided wall", "rib joints", "stiffening", "volume")
+# What an estimate has among its own unknowns (``unknowns``: ribs, volume, depth), and the wall: whether a back may
+# leave it is a choice of the model, which no covariance makes up for (docs/discrepancy.md).
+LEFT_OUT = ("one-sided wall", "rib joints", "volume", "push point")
 FINE_NODES = 6000
 MOTION_SD = 0.05  # where nothing was learnt
 # A turn counts as the shift, mm, that it gives a point at this distance: about that of a vertebra's corners.
@@ -76,8 +71,6 @@ class DiscrepancyFrame(ShortRepr):
     side : "left" or "right", the patient's side that is pushed.
     level : rib level of the push, 1 to 12.
     motion : (17, 3) the model's own motion of T1 to L5 from its unloaded state: ``plane_motion``.
-    slopes : (17, 3, 2) its derivatives in the logarithms of ``RATIOS``; None where the uncertainty that the model gives
-        a ratio (``DiscrepancyModes.ratio_sd``) is added to that of the log ratios instead, which comes to the same.
 
     Raises
     ------
@@ -87,7 +80,6 @@ class DiscrepancyFrame(ShortRepr):
     side: str
     level: float
     motion: Floats
-    slopes: Floats | None = None
 
     def __post_init__(self) -> None:
         if self.side not in SIDES:
@@ -96,9 +88,6 @@ class DiscrepancyFrame(ShortRepr):
             raise FitError(f"push level {self.level:g}; wanted a rib number from 1 to 12")
         motion = read_only("motion of the vertebrae", self.motion, (len(VERTEBRAE), 3), FitError)
         object.__setattr__(self, "motion", motion)
-        if self.slopes is not None:
-            slopes = read_only("slopes of the motion", self.slopes, (*motion.shape, len(RATIOS)), FitError)
-            object.__setattr__(self, "slopes", slopes)
 
 
 @dataclass(frozen=True, repr=False)
@@ -112,8 +101,6 @@ class KindModes(ShortRepr):
         ``TURN_ARM_MM``) per mm of the motion's size.
     remainder : (2, S, 17, 3) standard deviation of what the modes leave.
     own_share : of the variance, what two frames of one push do not share.
-    ratio_variance : (2,) of the logarithms of ``RATIOS``, what this kind does to them beyond what the covariance of the
-        other kinds expects.
 
     Raises
     ------
@@ -124,7 +111,6 @@ class KindModes(ShortRepr):
     modes: Floats
     remainder: Floats
     own_share: float
-    ratio_variance: Floats
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -132,11 +118,9 @@ class KindModes(ShortRepr):
         remainder = read_only("remainder", self.remainder, shape, FitError)
         set_(self, "remainder", remainder)
         set_(self, "modes", read_only("modes", self.modes, (None, *remainder.shape), FitError))
-        variance = read_only("ratio variance", self.ratio_variance, (len(RATIOS),), FitError)
-        set_(self, "ratio_variance", variance)
-        if (remainder < 0.0).any() or (variance < 0.0).any():
-            raise FitError("a remainder or a variance is negative")
-        for what, values in (("mode", self.modes), ("remainder", remainder), ("ratio variance", variance)):
+        if (remainder < 0.0).any():
+            raise FitError("a remainder is negative")
+        for what, values in (("mode", self.modes), ("remainder", remainder)):
             if np.abs(values).max(initial=0.0) > LARGEST_ENTRY:
                 raise FitError(f"a {what} has an entry above {LARGEST_ENTRY:g}")
         if not 0.0 <= self.own_share <= 1.0:
@@ -207,23 +191,20 @@ class DiscrepancyData(ShortRepr):
         modes = (np.sqrt(np.maximum(values, 0.0)) * vectors).T[::-1][:MODES]
         diagonal = np.diag(moment)
         left = np.maximum(diagonal - np.sum(modes**2, axis=0), 0.0) + self.untried * diagonal
-        ratio_sd = np.sqrt(self.inflation * np.mean([self.kinds[name].ratio_variance for name in kinds], axis=0))
-        return DiscrepancyModes(self.levels, modes.reshape(-1, *shape), np.sqrt(left).reshape(shape), own, ratio_sd)
+        return DiscrepancyModes(self.levels, modes.reshape(-1, *shape), np.sqrt(left).reshape(shape), own)
 
 
 @dataclass(frozen=True, repr=False)
 class DiscrepancyModes(ShortRepr):
     """Covariance of relative differences of motion, as ``discrepancy_columns`` takes it.
 
-    Attributes: as of ``DiscrepancyData`` and ``KindModes``; ``own_share`` is that of the modes alone. ``ratio_sd`` (2,)
-    is the standard deviation of the logarithms of ``RATIOS`` that the model's form gives them.
+    Attributes: as of ``DiscrepancyData`` and ``KindModes``; ``own_share`` is that of the modes alone.
     """
 
     levels: Floats
     modes: Floats
     remainder: Floats
     own_share: float
-    ratio_sd: Floats
 
     def weights(self, side: str, level: float) -> Floats:
         """(2, S) of the learnt sites in a push: linear between two levels, the outermost level's beyond it."""
@@ -264,12 +245,7 @@ def discrepancy_columns(frames: Sequence[DiscrepancyFrame], modes: DiscrepancyMo
     """(F, 17, 3, K) C with C C^T the covariance of truth - model of the frames' motions.
 
     Rows are in the units of ``DiscrepancyFrame.motion`` (mm, mm, rad). Frames pushed at one site differ by the sizes of
-    their motions and by their own part; those of other sites share what the modes share. Where frames have slopes, the
-    last two columns are what the model's form does to the ratios, shared by all frames.
-
-    Raises
-    ------
-    FitError : some frames have slopes and others none.
+    their motions and by their own part; those of other sites share what the modes share.
     """
     if not frames:
         return np.zeros((0, len(VERTEBRAE), 3, 0))
@@ -287,13 +263,7 @@ def discrepancy_columns(frames: Sequence[DiscrepancyFrame], modes: DiscrepancyMo
     ]
     own = np.einsum("fg,fvck->fvcgk", np.sqrt(modes.own_share) * np.eye(count), followed)
     parts = [np.sqrt(1.0 - modes.own_share) * followed, *(part.reshape(shape) for part in left), own.reshape(shape)]
-    columns = np.concatenate(parts, axis=-1) / CHANNELS[:, None]
-    slopes = [frame.slopes for frame in frames if frame.slopes is not None]
-    if not slopes:
-        return columns
-    if len(slopes) < count:
-        raise FitError(f"{len(slopes)} of {count} frames have slopes; give them for all or for none")
-    return np.concatenate([columns, modes.ratio_sd * np.stack(slopes)], axis=-1)
+    return np.asarray(np.concatenate(parts, axis=-1) / CHANNELS[:, None])
 
 
 def write_data(path: Path, data: DiscrepancyData) -> None:
@@ -307,7 +277,6 @@ def write_data(path: Path, data: DiscrepancyData) -> None:
     header |= {"inflation": data.inflation, "untried": data.untried}
     header |= {"pairs": [kind.pairs for kind in data.kinds.values()]}
     header |= {"own_shares": [kind.own_share for kind in data.kinds.values()]}
-    header |= {"ratio_variances": [kind.ratio_variance.tolist() for kind in data.kinds.values()]}
     arrays: dict[str, Any] = {"header": np.array(json.dumps(header)), "levels": data.levels}
     for number, kind in enumerate(data.kinds.values()):
         arrays |= {f"{key}_{number}": getattr(kind, key).astype(np.float32) for key in ("modes", "remainder")}
@@ -331,12 +300,10 @@ def read_data(path: Path) -> DiscrepancyData:
         schema, version = header["schema"], header["schema_version"]
         if schema != SCHEMA or version != SCHEMA_VERSION:
             raise FitError(f"schema '{schema}' version {version}, wanted '{SCHEMA}' version {SCHEMA_VERSION}")
-        told = zip(header["kinds"], header["pairs"], header["own_shares"], header["ratio_variances"])
+        told = zip(header["kinds"], header["pairs"], header["own_shares"])
         kinds = {
-            str(name): KindModes(
-                int(pairs), arrays[f"modes_{number}"], arrays[f"remainder_{number}"], float(own), variance
-            )
-            for number, (name, pairs, own, variance) in enumerate(told)
+            str(name): KindModes(int(pairs), arrays[f"modes_{number}"], arrays[f"remainder_{number}"], float(own))
+            for number, (name, pairs, own) in enumerate(told)
         }
         factors = float(header["inflation"]), float(header["untried"])
         return DiscrepancyData(arrays["levels"], kinds, *factors, str(header["made"]))
@@ -392,12 +359,6 @@ def modes_of(torso: TorsoModel) -> DiscrepancyModes | None:
         return None
     mesh: Mesh = "coarse" if len(torso.tissue.rest_positions) < FINE_NODES else "fine"
     return shipped_modes(mesh, LEFT_OUT)
-
-
-def form_of(torso: TorsoModel) -> dict[str, float]:
-    """By act, how far the model's form may put a ratio wrong (standard deviation of its log)."""
-    modes = modes_of(torso)
-    return {} if modes is None else dict(zip(("bending", "tissue"), map(float, modes.ratio_sd)))
 
 
 def pushed_site(load: LoadCase, torso: TorsoModel) -> tuple[str, float]:

@@ -21,10 +21,10 @@ from spinestiff.estimation.weighed import Reduced, WeighedPoint, WeighedSlope, W
 LENGTH = 1.5
 # Relative variance that keeps places close to each other from being at odds.
 NUGGET = 1e-8
-# A place whose nuisances are farther than this from the most probable ones there tells of another part of the space,
-# one whose phi is this much higher than the estimate's of nothing that matters, one as near as this to another of no
-# more than that.
-FARTHEST_NUISANCES, HIGHEST, NEAREST = 0.3, 200.0, 0.03
+# A place whose nuisances are farther than this from the most probable ones there tells of another part of the space
+# (within it, first order has phi right to about 0.1), unless phi is higher there than the estimate's by ``HIGH``; one
+# where it is higher by ``HIGHEST`` tells of nothing that matters, one as near as this to another of no more than that.
+FARTHEST_NUISANCES, HIGH, HIGHEST, NEAREST = 0.5, 6.0, 200.0, 0.03
 _CHUNK = 64
 
 
@@ -94,7 +94,8 @@ def _telling(places: list[tuple[Place, Reduced]]) -> list[tuple[Place, Reduced]]
     kept, least = places[:1], _height(places[0][1])
     for place, model in places[1:]:
         far = np.abs(place.point.nuisances - model.nuisances).max(initial=0.0)
-        if far < FARTHEST_NUISANCES and _height(model) < least + HIGHEST:
+        rise = _height(model) - least
+        if (far < FARTHEST_NUISANCES or rise > HIGH) and rise < HIGHEST:
             kept.append((place, model))
     return kept
 

@@ -16,17 +16,20 @@ from skimage.measure import find_contours
 
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
-from spinestiff.estimation.emulator import Emulator, Place
-from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, phi, reduced
+from spinestiff.estimation.emulator import FARTHEST_NUISANCES, Emulator, Place
+from spinestiff.estimation.weighed import WeighedFit, WeighedPoint, WeighedProblem, WeighedSlope, phi, reduced
 
 CONFIDENCE = 0.95
 WIDTH_FACTOR = 1.0
 # Ends agree once the emulator's phi and the model's differ by less than this there.
 CLOSE_ENOUGH = 0.1
-MOST_ROUNDS = 6
-# Nuisances that the emulator has wrong by this much are solved for again, so many times.
-MOST_AGAIN = 3
-FAR_OFF = 0.3
+MOST_ROUNDS = 8
+# A place as near as this to a solved one, in the estimate's standard deviations, is not solved, since the emulator
+# knows phi and its slope next to it; one farther than this from all of them, in log ratio, is approached first.
+NEAR, FARTHEST_STEP = 0.2, 1.2
+# Nuisances that the emulator has wrong by more than ``emulator.FARTHEST_NUISANCES`` are solved for again, so many
+# times, where phi has not risen by more than so many times an interval's rise.
+MOST_AGAIN, MATTERS = 3, 3.0
 # Steps of a profile, in standard deviations, and how far beyond the linear end it is followed at most.
 STEP, FARTHEST = 0.35, 6.0
 # A profile that rises by less than this anywhere inside the bounds is flat.
@@ -101,7 +104,7 @@ def likely_ratios(
         if heights.min() < emulator.phi(fit.point.log_ratios)[0] - CLOSE_ENOUGH:
             # Lower than the estimate: a hole between places, which would draw the draws.
             wanted.append(candidates[int(np.argmin(heights))])
-        if solved == MOST_ROUNDS or not _solve_ends(problem, fit, emulator, places, wanted):
+        if solved == MOST_ROUNDS or not _solve_ends(problem, fit, emulator, places, wanted, np.linalg.inv(covariance)):
             break
     low, high = (np.array([where[i // 2] for i, (where, _) in enumerate(ends) if i % 2 == side]) for side in (0, 1))
     opens = [np.array([is_open for i, (_, is_open) in enumerate(ends) if i % 2 == side]) for side in (0, 1)]
@@ -140,32 +143,43 @@ def rise_at(problem: WeighedProblem, fit: WeighedFit, log_ratios: Floats) -> flo
 
 
 def _solve_ends(
-    problem: WeighedProblem, fit: WeighedFit, emulator: Emulator, places: list[Place], ends: list[Floats]
+    problem: WeighedProblem,
+    fit: WeighedFit,
+    emulator: Emulator,
+    places: list[Place],
+    ends: list[Floats],
+    precision: Floats,
 ) -> bool:
     """Solve the model at those ends where the emulator may be wrong; whether it was."""
     wrong = False
-    for where in ends:
-        known = np.abs(emulator.log_ratios - where).max(axis=1)
-        if known.min() < 0.02:
+    matters = phi(fit.point, fit.weights) + MATTERS * 0.5 * region_rise(1)
+    solved = [place.point.log_ratios for place in places]
+    for end in ends:
+        apart = np.array(solved) - end
+        nearest = int(np.argmin(np.abs(apart).max(axis=1)))
+        if np.einsum("ki,ij,kj->k", apart, precision, apart).min() < NEAR**2:
             continue
+        farther = np.abs(apart[nearest]).max() / FARTHEST_STEP
+        where = end if farther <= 1.0 else end + apart[nearest] * (1.0 - 1.0 / farther)
+        wrong |= farther > 1.0
+        solved.append(where)
         nuisances, _ = emulator.nuisances(where)
+        near: tuple[WeighedPoint, WeighedSlope] = fit.point, fit.slope
         try:
-            point = problem.solve(where, nuisances, fit.point, fit.slope)
-            slope = problem.slope(point)
-            problem.trial_set.note(where, phi(point, fit.weights), point.evaluation, False)
-            model = reduced(point, slope, fit.weights)
-            for _ in range(MOST_AGAIN):
-                if np.abs(model.nuisances - point.nuisances).max(initial=0.0) <= FAR_OFF:
-                    break
-                point = problem.solve(where, model.nuisances, point, slope)
+            for _ in range(1 + MOST_AGAIN):
+                point = problem.solve(where, nuisances, *near)
                 slope = problem.slope(point)
                 problem.trial_set.note(where, phi(point, fit.weights), point.evaluation, False)
                 model = reduced(point, slope, fit.weights)
+                height = 0.5 * float(model.values @ model.values)
+                far = np.abs(model.nuisances - point.nuisances).max(initial=0.0)
+                if far <= FARTHEST_NUISANCES or height > matters:
+                    break
+                nuisances, near = model.nuisances, (point, slope)
         except EquilibriumError:
             problem.trial_set.note(where, float("nan"), None, False)
             continue
-        solved = 0.5 * float(model.values @ model.values)
-        wrong |= abs(solved - float(emulator.phi(where)[0])) > CLOSE_ENOUGH
+        wrong |= abs(height - float(emulator.phi(where)[0])) > CLOSE_ENOUGH
         places.append(Place(point, slope.light))
     return wrong
 

@@ -31,21 +31,19 @@ ACTS = (
     "depth",
     "obliquity",
     "shoulder",
-    "bending",
     "tissue",
     "ribs",
     "volume",
     "motion",
 )
-UNITS = ("", "N", "rad", "rad", "mm", "mm", "rad", "mm", "", "", "", "", "")
-"""Of each act. What scales a force or a stiffness acts by its log, motion by the relative size of what is seen to move."""
+UNITS = ("", "N", "rad", "rad", "mm", "mm", "rad", "mm", "", "", "", "")
+"""Of each act. What scales a force or a stiffness acts by its log, motion by the relative size of what is seen."""
 LOADING = ACTS[:6]
 PLACING = ("obliquity", "shoulder")
 # Share of lambda in the energy that tissue stores under a push, median of five bodies and four pushes each (0.12 to
 # 0.27): what the act "volume" adds to lambda, it takes from both, so that the tissue stores as much as before.
 LAMBDA_SHARE = 0.18
 SCALING: Mapping[str, Mapping[str, float]] = {
-    "bending": {"lateral_bending": 1.0},
     "tissue": {"tissue": 1.0},
     "ribs": {RIB_ROTATION: 1.0},
     "volume": {"tissue_lambda": 1.0, "tissue": -LAMBDA_SHARE},
@@ -118,15 +116,12 @@ def unknowns_of(
     problems: Sequence[EquilibriumProblem],
     priors: Priors,
     taped: bool = False,
-    form: Mapping[str, float] | None = None,
 ) -> Unknowns:
     """The nuisance parameters of these trials; what a prior says is known is none.
 
     Parameters
     ----------
     taped : the trunk's size was measured.
-    form : of the acts in ``SCALING``, standard deviation of what the model's form does to a ratio
-        (``discrepancy.DiscrepancyModes.ratio_sd``).
     """
     p = priors
     loaded = np.array([trial.load.size > 0.0 for trial in trials])
@@ -178,8 +173,6 @@ def unknowns_of(
     add("rib joints", "rib joints", "ribs", p.rib_joints, loaded)
     add("tissue's volume", "tissue's volume", "volume", p.tissue_volume, loaded)
     add("source distance", "source distance", "motion", p.source_distance, loaded)
-    for act, sd in (form or {}).items():
-        add(f"what the model's form does to {act}", f"form of the model, {act}", act, sd, loaded)
     return Unknowns(tuple(found), len(trials))
 
 

@@ -24,7 +24,6 @@ from spinestiff.estimation.discrepancy import (
     DiscrepancyFrame,
     as_corners,
     discrepancy_columns,
-    form_of,
     modes_of,
     plane_motion,
     pushed_site,
@@ -114,9 +113,7 @@ class WeighedProblem:
     ) -> None:
         self.trial_set, self.priors = trial_set, priors
         self._modes = modes_of(trial_set.problems[0].torso)
-        self.unknowns: Unknowns = unknowns_of(
-            trial_set.trials, trial_set.problems, priors, taped, form_of(trial_set.problems[0].torso)
-        )
+        self.unknowns: Unknowns = unknowns_of(trial_set.trials, trial_set.problems, priors, taped)
         targets = [make_target(problem.torso, trial, orientation) for problem, trial in still]
         both = (*trial_set.targets, *targets)
         problems = (*trial_set.problems, *(problem for problem, _ in still))

@@ -18,7 +18,6 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.curves.tilts import CobbChange, change_between, cobb_change, tilts
 from spinestiff.errors import SpinestiffError, SubjectError
-from spinestiff.estimation.discrepancy import form_of
 from spinestiff.estimation.evaluation import acted
 from spinestiff.estimation.fit import StiffnessFit
 from spinestiff.estimation.objective import Target, make_target, residuals
@@ -87,7 +86,7 @@ def predicted_acts(pushes: PushSet, items: Sequence[PushTrial], model: Model) ->
     """
     trials = [item.trial for item in items]
     problems = [pushes.problems[t.push] for t in items]
-    unknowns = unknowns_of(trials, problems, pushes.known.priors, pushes.known.taped, form_of(pushes.torso))
+    unknowns = unknowns_of(trials, problems, pushes.known.priors, pushes.known.taped)
     acts = np.array(acts_by_name(unknowns, model.known))
     if not model.known:
         return acts
