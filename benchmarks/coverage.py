@@ -49,7 +49,7 @@ def run_one(seed: int, acquisition: Acquisition, nodes: int, mesh: str) -> dict[
         subject = make_subject(seed, acquisition, nodes)
     except SpinestiffError as error:
         return {**row, "not made": str(error)}
-    row |= {"ratios": dict(subject.ratios), "cobb_deg": round(subject.cobb_deg, 1)}
+    row |= {"ratios": dict(subject.ratios), "kind": subject.kind, "cobb_deg": round(subject.cobb_deg, 1)}
     row |= {"made_cpu_s": round(time.process_time() - began, 1)}
     began = time.process_time()
     try:

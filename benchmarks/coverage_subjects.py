@@ -5,16 +5,21 @@ of 10 to 80 degrees, and a tissue mesh of its own points: about as many as the e
 and shoulder's pad are springs (``study.elastic_supports``). What the estimator is not told is drawn with the standard
 deviations of ``estimation.priors.Priors``: force, offset, direction, height and depth of each push, where the patient
 stood and swayed, how far the source was. The template is that of the body's age, sex and height, but of another mass,
-so that the trunk is of another size. Corners are annotated and tracked as ``judgement_subjects`` has it.
+so that the trunk is of another size. Ribs turn on their vertebrae, and tissue resists a change of volume, as the priors
+have it, too. Every seventh subject each has discs that turn farther behind, discs with a neutral zone, or layered
+tissue, as ``discrepancy_pairs`` has them, with their true ratios as there; the mesh, the geometry and the body's
+proportions, the other four kinds that an estimate expects, differ in all. Corners are annotated and tracked as
+``judgement_subjects`` has it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from discrepancy_pairs import OF_BASE, STANDARD_LAW, Bench, equal_ratios
 from judgement_subjects import (
     AGES,
     HEIGHT_SD_CM,
@@ -32,14 +37,14 @@ from judgement_subjects import (
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.anatomy.stiffness import stiffness_ratios
+from spinestiff.anatomy.stiffness import RIB_ROTATION, parameter_group, stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.template.body import usual_mass
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.priors import Priors
-from spinestiff.estimation.unknowns import ACTS, changed_load, load_changes
+from spinestiff.estimation.unknowns import ACTS, LAMBDA_SHARE, changed_load, load_changes
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -59,6 +64,9 @@ MASS_SD = 0.15  # of the body over the usual one, in log; what the estimator is 
 MOST_TILT = np.deg2rad(45.0)  # change of tilt at which a push ends
 LEAST_FORCE_N = 15.0
 ANNOTATION_MM = 0.3
+# What a subject's body has that the model lacks; the four others are the kinds that all have.
+KINDS = ("disc centres", "stiffening", "layers", "", "", "", "")
+WIDEST = 2.0  # standard deviations of a stiffness that is drawn
 Acquisition = Literal["paper", "three pushes"]
 # Rib level about which a push is placed, and its frames: share of the force, role.
 PUSHES: Mapping[Acquisition, Mapping[str, tuple[float, tuple[tuple[float, Role], ...]]]] = {
@@ -80,6 +88,7 @@ class Subject:
     Attributes
     ----------
     height_cm, age, sex : as told. cobb_deg : of the truth at rest. ratios : true ones.
+    kind : what else the body has that the model lacks, of ``KINDS``.
     rest : view name -> annotated corners and nominal view.
     records, tracked : the pushes as told and as tracked.
     """
@@ -90,6 +99,7 @@ class Subject:
     sex: Literal["female", "male"]
     cobb_deg: float
     ratios: Mapping[str, float]
+    kind: str
     rest: Mapping[str, tuple[VertebraCorners, XRayView]]
     records: tuple[PushRecord, ...]
     tracked: Mapping[str, TrackedPush]
@@ -107,7 +117,7 @@ def make_subject(seed: int, acquisition: Acquisition, nodes: int = 3000) -> Subj
     age = float(random.uniform(*AGES))
     mean = float(np.interp(age, (10.0, 16.0), (138.0, 163.0) if sex == "female" else (138.0, 174.0)))
     height = mean + float(np.clip(random.normal(0.0, HEIGHT_SD_CM), -LARGEST_HEIGHT_CM, LARGEST_HEIGHT_CM))
-    torso = _true_torso(random, height, age, sex, nodes, seed)
+    torso = _of_drawn_stiffness(_true_torso(random, height, age, sex, nodes, seed), random, p)
     ratios = {
         name: float(np.exp(random.uniform(*np.log(limits))))
         for name, limits in (("lateral_bending", BENDING), ("tissue", TISSUE))
@@ -141,10 +151,15 @@ def make_subject(seed: int, acquisition: Acquisition, nodes: int = 3000) -> Subj
         return changed_load(told, load_changes(told, torso.rest_pose), truths[push])
 
     stiffness, give = stiffness_ratios(ratios, torso.joints.kinds), drawn_supports(random)
+    kind = str(random.choice(KINDS))
+    bench = OF_BASE[kind](torso, random)[0] if kind else Bench(torso)
+    torso, laws = bench.torso, bench.laws
+    if kind and kind not in STANDARD_LAW:
+        stiffness, _ = equal_ratios(bench, stiffness)
     while True:
         try:
             springs = support_stiffness(torso, side, [load(push, 1.0) for push in sites], stiffness, give)
-            problem = EquilibriumProblem(torso, elastic_supports(torso, side, springs))
+            problem = EquilibriumProblem(torso, elastic_supports(torso, side, springs), laws=laws)
             states = {
                 push: _pushed(problem, [load(push, s) for s, _ in PUSHES[acquisition][push][1]], stiffness)
                 for push in sites
@@ -176,7 +191,7 @@ def make_subject(seed: int, acquisition: Acquisition, nodes: int = 3000) -> Subj
                 roles=tuple(role for _, role in frames),
             )
         )
-    return Subject(seed, round(height, 0), age, sex, float(cobb), ratios, rest, tuple(records), tracked)
+    return Subject(seed, round(height, 0), age, sex, float(cobb), ratios, kind, rest, tuple(records), tracked)
 
 
 def _true_torso(
@@ -195,6 +210,16 @@ def _true_torso(
     cobb = float(random.uniform(*COBB_DEG)) * float(random.choice([-1.0, 1.0]))
     curve = str(random.choice(list(CURVES)))
     return place_vertebrae(body, *curved_spine(body, cobb, curve), nodes=nodes, seed=seed)
+
+
+def _of_drawn_stiffness(torso: TorsoModel, random: np.random.Generator, p: Priors) -> TorsoModel:
+    """The same with ribs and tissue's volume as stiff as the priors allow."""
+    ribs, volume = np.clip(random.normal(size=2), -WIDEST, WIDEST) * [p.rib_joints, p.tissue_volume]
+    turning = parameter_group(RIB_ROTATION, torso.joints.kinds).joints
+    joints = replace(torso.joints, stiffness=np.where(turning, np.exp(ribs), 1.0) * torso.joints.stiffness)
+    tissue, both = torso.tissue, np.exp(-LAMBDA_SHARE * volume)
+    tissue = replace(tissue, lame_mu=both * tissue.lame_mu, lame_lambda=both * np.exp(volume) * tissue.lame_lambda)
+    return replace(torso, joints=joints, tissue=tissue)
 
 
 def _pushed(problem: EquilibriumProblem, loads: list[LoadCase], stiffness) -> list[TorsoState]:  # type: ignore[no-untyped-def]

@@ -27,6 +27,11 @@ from spinestiff.estimation.weighed import (
 
 # The search ends once an undamped step promises less than this decrease of phi (a step of a thousandth of an sd).
 SMALLEST_DECREASE = 5e-7
+# Steps that promise less than this are mixed with the one before. Where so many steps in a row promise less than
+# ``NEARLY`` (a twentieth of an sd), equilibria that jump by more than that are as near as the search can come.
+MIXED = 1.0
+NEARLY, ENOUGH = 1e-3, 4
+MIXTURE = (-0.5, 0.6)
 # One step changes a ratio by at most these factors: beyond, the linear model says nothing.
 LARGEST_SOFTENING, LARGEST_STIFFENING = 8.0, 8.0
 SHORTEST_STEP = 1.0 / 64.0
@@ -51,19 +56,25 @@ def search(
     """
     point, slope, weights = start, problem.slope(start), None
     visited: list[Place] = []
-    evaluations = 1
+    evaluations, near = 1, 0
+    last: tuple[Floats, Floats] | None = None
     while True:
         weights = problem.weights(point, slope, weights)
         step, nuisances, predicted = gauss_newton_step(point, slope, weights, limits)
-        if predicted < SMALLEST_DECREASE:
+        near = near + 1 if predicted < NEARLY else 0
+        if predicted < SMALLEST_DECREASE or near > ENOUGH:
             return WeighedFit(point, slope, weights, FitStatus.CONVERGED, _pairs(visited))
         before, refused, share = phi(point, weights), list[Place](), 1.0
         moved: WeighedPoint | None = None
+        here = np.concatenate([point.log_ratios, point.nuisances])
+        wished = np.concatenate([log_step(step), nuisances - point.nuisances])
+        mixed = wished if last is None or predicted > MIXED else _mixed(here, wished, *last, slope, weights)
+        last = here, wished
         while moved is None and share >= SHORTEST_STEP:
             if evaluations >= max_evaluations:
                 return WeighedFit(point, slope, weights, FitStatus.ITERATION_LIMIT, _pairs(visited))
-            target = np.clip(point.log_ratios + log_step(share * step), *limits)
-            wanted = point.nuisances + share * (nuisances - point.nuisances)
+            full = mixed if share == 1.0 else np.concatenate([log_step(share * step), share * wished[len(step) :]])
+            target, wanted = np.clip(here + full, *limits)[: len(step)], (here + full)[len(step) :]
             if 0 < len(refused) <= MOST_GUIDED:
                 target, wanted = _guided([Place(point, slope), *refused, *visited], weights, limits)
             evaluations += 1
@@ -88,6 +99,21 @@ def search(
         if moved is None:
             return WeighedFit(point, slope, weights, FitStatus.STALLED, _pairs(visited))
         point, slope = moved, problem.slope(moved)
+
+
+def _mixed(
+    here: Floats, wished: Floats, before: Floats, wished_before: Floats, slope: WeighedSlope, weights: Weights
+) -> Floats:
+    """The step of a fixed-point iteration after two of its places and what it wished there (P + M,)."""
+    ratios = weights.whiten(slope.ratios)
+    change, moved = wished - wished_before, here - before
+    p = ratios.shape[1]
+
+    def product(a: Floats, b: Floats) -> float:
+        return float((ratios @ a[:p]) @ (ratios @ b[:p]) + a[p:] @ b[p:])
+
+    share = product(wished, change) / max(product(change, change), 1e-300)
+    return np.asarray(wished - float(np.clip(share, *MIXTURE)) * (moved + change))
 
 
 def _pairs(places: list[Place]) -> tuple[tuple[WeighedPoint, WeighedSlope], ...]:
