@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from spinestiff.estimation.emulator import Place
+from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import Profile, likely_ratios, profile_kind, region_rise, rise_at
 from spinestiff.estimation.weighed import phi, reduced
 
@@ -77,7 +78,7 @@ def test_the_regions_outline_has_risen_by_the_joint_limit(asked, found, likely) 
     outline = likely.region
     assert np.allclose(outline[0], outline[-1])
     for where in outline[:: len(outline) // 4]:
-        assert rise_at(asked, found, where) == pytest.approx(5.991, abs=0.2)
+        assert rise_at(asked, found, where) == pytest.approx(5.991, abs=0.5)
     # The joint region reaches farther than either interval.
     assert (outline.min(0) < likely.low).all()
     assert (outline.max(0) > likely.high).all()
@@ -137,7 +138,8 @@ def test_what_the_pictures_do_not_show_is_flat(column, clean) -> None:
 
 def test_a_hole_between_places_is_solved_and_not_drawn_from(column, clean) -> None:
     """Flexion is known to one side: at first the emulator has places far lower than the estimate."""
-    asked = column.weighed(clean, names=("lateral_bending", "flexion_extension"))
+    priors = Priors(tissue_volume=0.0, rib_joints=0.0)
+    asked = column.weighed(clean, priors, names=("lateral_bending", "flexion_extension"))
     found = column.searched(asked)
     likely, _ = likely_ratios(asked, found, [Place(*place) for place in found.visited], column.limits)
     assert likely.kinds == ("bounded", "one-sided")

@@ -19,12 +19,12 @@ from spinestiff.estimation.weighed import Reduced, WeighedPoint, WeighedSlope, W
 
 # Correlation length in log ratio: residuals change their course over a factor of four or so.
 LENGTH = 1.5
-# Relative variance that keeps places close to each other from being at odds.
-NUGGET = 1e-8
-# A place whose nuisances are farther than this from the most probable ones there tells of another part of the space
-# (within it, first order has phi right to about 0.1), unless phi is higher there than the estimate's by ``HIGH``; one
-# where it is higher by ``HIGHEST`` tells of nothing that matters, one as near as this to another of no more than that.
-FARTHEST_NUISANCES, HIGH, HIGHEST, NEAREST = 0.5, 6.0, 200.0, 0.03
+# Relative variance that keeps places close to each other, which first order has a little wrong, from being at odds.
+NUGGET = 1e-5
+# A place whose nuisances are farther than this from the most probable ones there tells of another part of the space;
+# where phi is higher than the estimate's by ``HIGH``, they may be as far as ``FAR_AND_HIGH``. One where it is higher by
+# ``HIGHEST`` tells of nothing that matters, one as near as ``NEAREST`` to another of no more than that.
+FARTHEST_NUISANCES, HIGH, FAR_AND_HIGH, HIGHEST, NEAREST = 0.3, 6.0, 1.0, 200.0, 0.03
 _CHUNK = 64
 
 
@@ -95,7 +95,7 @@ def _telling(places: list[tuple[Place, Reduced]]) -> list[tuple[Place, Reduced]]
     for place, model in places[1:]:
         far = np.abs(place.point.nuisances - model.nuisances).max(initial=0.0)
         rise = _height(model) - least
-        if (far < FARTHEST_NUISANCES or rise > HIGH) and rise < HIGHEST:
+        if far < (FARTHEST_NUISANCES if rise < HIGH else FAR_AND_HIGH) and rise < HIGHEST:
             kept.append((place, model))
     return kept
 

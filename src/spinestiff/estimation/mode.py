@@ -25,13 +25,13 @@ from spinestiff.estimation.weighed import (
     reduced,
 )
 
-# The search ends once an undamped step promises less than this decrease of phi (a step of a thousandth of an sd).
-SMALLEST_DECREASE = 5e-7
-# Steps that promise less than this are mixed with the one before. Where so many steps in a row promise less than
-# ``NEARLY`` (a twentieth of an sd), equilibria that jump by more than that are as near as the search can come.
-MIXED = 1.0
+# The search ends once an undamped step promises less than this decrease of phi (a step of 0.3 % of an sd).
+SMALLEST_DECREASE = 5e-6
+# Of steps that promise less than this, as much is left as the one before says that they swing, at most so much. Where
+# so many steps in a row promise less than ``NEARLY`` (a twentieth of an sd), equilibria that jump by more than that are
+# as near as the search can come.
+SWINGING, MOST_LEFT = 1.0, 0.6
 NEARLY, ENOUGH = 1e-3, 4
-MIXTURE = (-0.5, 0.6)
 # One step changes a ratio by at most these factors: beyond, the linear model says nothing.
 LARGEST_SOFTENING, LARGEST_STIFFENING = 8.0, 8.0
 SHORTEST_STEP = 1.0 / 64.0
@@ -57,7 +57,7 @@ def search(
     point, slope, weights = start, problem.slope(start), None
     visited: list[Place] = []
     evaluations, near = 1, 0
-    last: tuple[Floats, Floats] | None = None
+    last: Floats | None = None
     while True:
         weights = problem.weights(point, slope, weights)
         step, nuisances, predicted = gauss_newton_step(point, slope, weights, limits)
@@ -66,15 +66,15 @@ def search(
             return WeighedFit(point, slope, weights, FitStatus.CONVERGED, _pairs(visited))
         before, refused, share = phi(point, weights), list[Place](), 1.0
         moved: WeighedPoint | None = None
-        here = np.concatenate([point.log_ratios, point.nuisances])
-        wished = np.concatenate([log_step(step), nuisances - point.nuisances])
-        mixed = wished if last is None or predicted > MIXED else _mixed(here, wished, *last, slope, weights)
-        last = here, wished
+        wished = np.concatenate([step, nuisances - point.nuisances])
+        if last is not None and predicted < SWINGING:
+            share = _relaxed(wished, last, slope, weights)
+        last = wished
         while moved is None and share >= SHORTEST_STEP:
             if evaluations >= max_evaluations:
                 return WeighedFit(point, slope, weights, FitStatus.ITERATION_LIMIT, _pairs(visited))
-            full = mixed if share == 1.0 else np.concatenate([log_step(share * step), share * wished[len(step) :]])
-            target, wanted = np.clip(here + full, *limits)[: len(step)], (here + full)[len(step) :]
+            target = np.clip(point.log_ratios + log_step(share * step), *limits)
+            wanted = point.nuisances + share * (nuisances - point.nuisances)
             if 0 < len(refused) <= MOST_GUIDED:
                 target, wanted = _guided([Place(point, slope), *refused, *visited], weights, limits)
             evaluations += 1
@@ -101,19 +101,15 @@ def search(
         point, slope = moved, problem.slope(moved)
 
 
-def _mixed(
-    here: Floats, wished: Floats, before: Floats, wished_before: Floats, slope: WeighedSlope, weights: Weights
-) -> Floats:
-    """The step of a fixed-point iteration after two of its places and what it wished there (P + M,)."""
-    ratios = weights.whiten(slope.ratios)
-    change, moved = wished - wished_before, here - before
+def _relaxed(wished: Floats, before: Floats, slope: WeighedSlope, weights: Weights) -> float:
+    """The share to take of a step of a fixed-point iteration, (P + M,), after the one ``before`` was wished for."""
+    ratios, change = weights.whiten(slope.ratios), wished - before
     p = ratios.shape[1]
 
     def product(a: Floats, b: Floats) -> float:
         return float((ratios @ a[:p]) @ (ratios @ b[:p]) + a[p:] @ b[p:])
 
-    share = product(wished, change) / max(product(change, change), 1e-300)
-    return np.asarray(wished - float(np.clip(share, *MIXTURE)) * (moved + change))
+    return 1.0 - float(np.clip(product(wished, change) / max(product(change, change), 1e-300), 0.0, MOST_LEFT))
 
 
 def _pairs(places: list[Place]) -> tuple[tuple[WeighedPoint, WeighedSlope], ...]:

@@ -16,7 +16,7 @@ from skimage.measure import find_contours
 
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
-from spinestiff.estimation.emulator import FARTHEST_NUISANCES, Emulator, Place
+from spinestiff.estimation.emulator import FAR_AND_HIGH, FARTHEST_NUISANCES, HIGH, Emulator, Place
 from spinestiff.estimation.weighed import WeighedFit, WeighedPoint, WeighedProblem, WeighedSlope, phi, reduced
 
 CONFIDENCE = 0.95
@@ -26,16 +26,15 @@ CLOSE_ENOUGH = 0.1
 MOST_ROUNDS = 8
 # A place as near as this to a solved one, in the estimate's standard deviations, is not solved, since the emulator
 # knows phi and its slope next to it; one farther than this from all of them, in log ratio, is approached first.
-NEAR, FARTHEST_STEP = 0.2, 1.2
-# Nuisances that the emulator has wrong by more than ``emulator.FARTHEST_NUISANCES`` are solved for again, so many
-# times, where phi has not risen by more than so many times an interval's rise.
-MOST_AGAIN, MATTERS = 3, 3.0
+NEAR, FARTHEST_STEP = 0.1, 1.2
+# Nuisances that the emulator has so wrong that the place would tell it nothing are solved for again, so many times.
+MOST_AGAIN = 3
 # Steps of a profile, in standard deviations, and how far beyond the linear end it is followed at most.
 STEP, FARTHEST = 0.35, 6.0
 # A profile that rises by less than this anywhere inside the bounds is flat.
 FLAT = 0.5
 # Another minimum is one that a ridge of this height parts from the estimate.
-RIDGE = 0.1
+RIDGE = 0.5
 DRAWS, CANDIDATES = 500, 4000
 GRID = 61
 
@@ -152,8 +151,8 @@ def _solve_ends(
 ) -> bool:
     """Solve the model at those ends where the emulator may be wrong; whether it was."""
     wrong = False
-    matters = phi(fit.point, fit.weights) + MATTERS * 0.5 * region_rise(1)
-    solved = [place.point.log_ratios for place in places]
+    matters = phi(fit.point, fit.weights) + HIGH
+    solved = list(emulator.log_ratios)
     for end in ends:
         apart = np.array(solved) - end
         nearest = int(np.argmin(np.abs(apart).max(axis=1)))
@@ -173,7 +172,7 @@ def _solve_ends(
                 model = reduced(point, slope, fit.weights)
                 height = 0.5 * float(model.values @ model.values)
                 far = np.abs(model.nuisances - point.nuisances).max(initial=0.0)
-                if far <= FARTHEST_NUISANCES or height > matters:
+                if far <= (FAR_AND_HIGH if height > matters else FARTHEST_NUISANCES):
                     break
                 nuisances, near = model.nuisances, (point, slope)
         except EquilibriumError:
