@@ -25,8 +25,8 @@ from spinestiff.estimation.weighed import (
     reduced,
 )
 
-# The search ends once an undamped step promises less than this decrease of phi (a step of 0.3 % of an sd).
-SMALLEST_DECREASE = 5e-6
+# The search ends once an undamped step promises less than this decrease of phi (a step of a thousandth of an sd).
+SMALLEST_DECREASE = 5e-7
 # Of steps that promise less than this, as much is left as the one before says that they swing, at most so much. Where
 # so many steps in a row promise less than ``NEARLY`` (a twentieth of an sd), equilibria that jump by more than that are
 # as near as the search can come.
@@ -37,6 +37,7 @@ LARGEST_SOFTENING, LARGEST_STIFFENING = 8.0, 8.0
 SHORTEST_STEP = 1.0 / 64.0
 # Places that a search has refused lead to the next one so many times; then steps are shortened.
 MOST_GUIDED = 4
+SAME = 1e-4  # of log ratios
 # How far, in log ratio, the emulator is believed beyond the places it was made from.
 BEYOND = 0.2
 # Weight of a step's own length: along a direction that the data say nothing of, a step is short and not as long as
@@ -64,7 +65,7 @@ def search(
         near = near + 1 if predicted < NEARLY else 0
         if predicted < SMALLEST_DECREASE or near > ENOUGH:
             return WeighedFit(point, slope, weights, FitStatus.CONVERGED, _pairs(visited))
-        before, refused, share = phi(point, weights), list[Place](), 1.0
+        before, refused, share, guiding = phi(point, weights), list[Place](), 1.0, True
         moved: WeighedPoint | None = None
         wished = np.concatenate([step, nuisances - point.nuisances])
         if last is not None and predicted < SWINGING:
@@ -75,8 +76,14 @@ def search(
                 return WeighedFit(point, slope, weights, FitStatus.ITERATION_LIMIT, _pairs(visited))
             target = np.clip(point.log_ratios + log_step(share * step), *limits)
             wanted = point.nuisances + share * (nuisances - point.nuisances)
-            if 0 < len(refused) <= MOST_GUIDED:
-                target, wanted = _guided([Place(point, slope), *refused, *visited], weights, limits)
+            if guiding and refused:
+                known = [Place(point, slope), *refused]
+                guided = _guided([*known, *visited], weights, limits)
+                if any(np.allclose(guided[0], place.point.log_ratios, rtol=0.0, atol=SAME) for place in known):
+                    # It has nothing new to tell, as where ratios are at their bounds.
+                    guiding, share = False, 0.25 * share
+                    continue
+                target, wanted = guided
             evaluations += 1
             try:
                 trial = problem.solve(target, wanted, point, slope)
@@ -91,9 +98,10 @@ def search(
                 problem.trial_set.note(target, after, trial.evaluation, True)
                 break
             problem.trial_set.note(target, after, trial.evaluation, False)
-            if len(refused) <= MOST_GUIDED:
+            if guiding:
                 refused.append(Place(trial, problem.slope(trial).light))
-            if len(refused) > MOST_GUIDED:
+                guiding = len(refused) <= MOST_GUIDED
+            if not guiding:
                 share *= 0.25
         visited = [Place(point, slope.light), *refused, *visited]
         if moved is None:

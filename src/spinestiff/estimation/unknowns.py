@@ -14,7 +14,7 @@ import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.anatomy.stiffness import RIB_ROTATION
+from spinestiff.anatomy.stiffness import RIB_ROTATION, parameter_group
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.priors import Priors
@@ -170,7 +170,8 @@ def unknowns_of(
     trunk = p.trunk_taped if taped else p.trunk
     for name, power in zip(("breadth", "depth"), p.trunk_power):
         add(f"trunk {name}", "trunk size", "tissue", trunk * power, loaded)
-    add("rib joints", "rib joints", "ribs", p.rib_joints, loaded)
+    ribs = np.array([parameter_group(RIB_ROTATION, q.torso.joints.kinds).joints.any() for q in problems])
+    add("rib joints", "rib joints", "ribs", p.rib_joints, loaded & ribs)
     add("tissue's volume", "tissue's volume", "volume", p.tissue_volume, loaded)
     add("source distance", "source distance", "motion", p.source_distance, loaded)
     return Unknowns(tuple(found), len(trials))
