@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -114,7 +115,8 @@ def _pair(kind: str, number: int, scale: float = 0.03):
     model[7] = 0.5 * model[4]
     difference = scale * random.normal(0.0, 5.0, (count, 17, 3))
     difference[7] = 0.5 * difference[4]
-    return discrepancy.Pair(kind, number, tuple(frames), model, difference, random.normal(0.0, 2.0, (count, 17, 3, 2)))
+    slopes, explicit = random.normal(0.0, 2.0, (count, 17, 3, 2)), np.zeros((count, 17, 3, 4))
+    return discrepancy.Pair(kind, number, tuple(frames), model, difference, slopes, explicit)
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +140,7 @@ def test_frames_in_proportion_have_no_own_share(drawn) -> None:
     pair = drawn[0]
     other = pair.difference.copy()
     other[7] = -other[7]
-    turned = discrepancy.Pair(pair.kind, 0, pair.frames, pair.model, other, pair.slopes)
+    turned = discrepancy.Pair(pair.kind, 0, pair.frames, pair.model, other, pair.slopes, pair.explicit)
     assert discrepancy.own_share([turned]) == pytest.approx(2.0)
 
 
@@ -148,6 +150,16 @@ def test_a_kind_like_the_others_is_covered_and_one_far_larger_is_not(drawn) -> N
     larger = [*drawn, *(_pair("stiffening", number, scale=0.4) for number in range(8))]
     found = discrepancy.coverages(discrepancy.leave_one_out(larger, 1.0, 0.3))
     assert found["by_kind"]["stiffening"]["both"] < 0.5
+
+
+def test_what_an_estimate_solves_for_is_covered_though_no_other_kind_has_it(drawn) -> None:
+    far = [_pair("rib joints", number, scale=0.4) for number in range(8)]
+    along = [replace(pair, explicit=pair.difference[..., None]) for pair in far]
+    bare, solved = (
+        discrepancy.coverages(discrepancy.leave_one_out([*drawn, *own], 1.0, 0.3))["by_kind"]["rib joints"]["both"]
+        for own in (far, along)
+    )
+    assert bare < 0.5 and solved > 0.9
 
 
 def test_a_truth_that_left_the_branch_is_told(drawn) -> None:

@@ -34,13 +34,13 @@ LEVELS = np.array([5.0, 9.0])
 
 def some_modes(own_share: float = 0.0, remainder: float = 0.02, modes=None) -> DiscrepancyModes:
     drawn = np.random.default_rng(1).normal(0.0, 0.05, (3, *SHAPE)) if modes is None else modes
-    return DiscrepancyModes(LEVELS, drawn, np.full(SHAPE, remainder), own_share, np.array([0.3, 0.1]))
+    return DiscrepancyModes(LEVELS, drawn, np.full(SHAPE, remainder), own_share)
 
 
 def some_kind(seed: int = 1, **changed) -> KindModes:
     drawn = np.random.default_rng(seed).normal(0.0, 0.05, (3, *SHAPE))
     given = {"pairs": 20, "modes": drawn, "remainder": np.full(SHAPE, 0.02), "own_share": 0.25}
-    return KindModes(**{**given, "ratio_variance": np.array([0.04, 0.01 * seed]), **changed})
+    return KindModes(**{**given, **changed})
 
 
 def some_data(**changed) -> DiscrepancyData:
@@ -110,22 +110,6 @@ def test_independent_parts_keep_their_variance_between_two_sites() -> None:
     np.testing.assert_allclose(variance[2], variance[0])
 
 
-def test_the_ratios_own_uncertainty_is_added_whatever_the_number_of_frames() -> None:
-    modes, slopes = some_modes(), np.random.default_rng(3).normal(0.0, 1.0, (3, 17, 3, 2))
-    sites = [("right", 5.0), ("right", 9.0), ("left", 7.0)]
-    for count in (1, 3):
-        bare = frames_of(*sites[:count])
-        sloped = [DiscrepancyFrame(f.side, f.level, f.motion, own) for f, own in zip(bare, slopes)]
-        rows = slopes[:count].reshape(-1, 2)
-        without, given = (
-            np.linalg.inv(rows.T @ np.linalg.solve(covariance(frames, modes) + 0.01 * np.eye(len(rows)), rows))
-            for frames in (bare, sloped)
-        )
-        np.testing.assert_allclose(given - without, np.diag([0.3**2, 0.1**2]), rtol=1e-6, atol=1e-9)
-    with pytest.raises(FitError, match="1 of 2 frames have slopes"):
-        discrepancy_columns([sloped[0], bare[1]], modes)
-
-
 def test_no_frames_no_rows() -> None:
     assert discrepancy_columns([], some_modes()).shape[0] == 0
 
@@ -154,7 +138,6 @@ def test_motion_and_corners_agree_and_left_up_and_left_to_up_are_positive() -> N
         ({"level": float("nan")}, "push level nan"),
         ({"motion": MOTION[:16]}, r"shape \(16, 3\), wanted \(17, 3\)"),
         ({"motion": np.full((17, 3), np.nan)}, "not finite"),
-        ({"slopes": np.zeros((17, 3, 3))}, r"wanted \(17, 3, 2\)"),
     ],
 )
 def test_a_frame_that_is_none_is_refused(change, words) -> None:
@@ -165,10 +148,9 @@ def test_a_frame_that_is_none_is_refused(change, words) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"remainder": np.full(SHAPE, -1.0)}, "a remainder or a variance is negative"),
+        ({"remainder": np.full(SHAPE, -1.0)}, "a remainder is negative"),
         ({"modes": np.full((1, *SHAPE), 1e3)}, "entry above 100"),
         ({"own_share": 1.5}, "own share 1.5"),
-        ({"ratio_variance": np.array([0.1, -0.1])}, "a remainder or a variance is negative"),
         ({"modes": np.zeros((1, 2, 3, 17, 3))}, "wanted"),
     ],
 )
@@ -202,7 +184,6 @@ def test_kinds_weigh_alike_and_untried_shapes_come_on_top() -> None:
     np.testing.assert_allclose(np.diag(whole), 1.3 * np.diag(mean))
     np.testing.assert_allclose(whole - np.diag(np.diag(whole)), mean - np.diag(np.diag(mean)), atol=1e-12)
     assert found.own_share == pytest.approx(0.25)
-    np.testing.assert_allclose(found.ratio_sd**2, 2.0 * np.array([0.04, 0.015]))
 
 
 def test_an_unknown_kind_and_no_kind_are_refused() -> None:
