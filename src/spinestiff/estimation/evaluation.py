@@ -156,10 +156,11 @@ class TrialSet:
         near: Evaluation | None = None,
         slope: Slope | None = None,
         acts: Floats | None = None,
+        starts: Sequence[TorsoState] | None = None,
     ) -> Evaluation:
         """Equilibria of all trials, each from its last one and on its factor.
 
-        ``acts`` (T, len(ACTS)): of what is not quite known; default none.
+        ``acts`` (T, len(ACTS)): of what is not quite known; default none. ``starts``: states where nothing is near.
 
         Raises
         ------
@@ -168,7 +169,9 @@ class TrialSet:
         acts = np.zeros((len(self.trials), len(ACTS))) if acts is None else acts
         found, parts = [], []
         for i, (trial, target) in enumerate(zip(self.trials, self.targets)):
-            start: TorsoState | Linearisation | None = None if near is None else near.equilibria[i].state
+            start: TorsoState | Linearisation | None = None if starts is None else starts[i]
+            if near is not None:
+                start = near.equilibria[i].state
             if slope is not None:
                 start = slope.tangents[i]
             problem, load, ratios = self._asked(i, log_ratios, acts[i])

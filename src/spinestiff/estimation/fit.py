@@ -13,12 +13,14 @@ from typing import Literal
 
 import numpy as np
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, ParameterGroup, StiffnessRatios, parameter_group
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.budget import Budget, PriorChange, prior_changes, variance_budget
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import Evaluation, FitCost, FitStep, OnFitStep, TrialSet
+from spinestiff.estimation.forecast import Forecast, forecast
 from spinestiff.estimation.mode import search
 from spinestiff.estimation.objective import Residuals, Trial, residuals, undetermined_vertebrae
 from spinestiff.estimation.priors import Priors
@@ -300,6 +302,39 @@ def likelihood_rise(
     slope = asked.slope(point)
     found = WeighedFit(point, slope, asked.weights(point, slope, None), FitStatus.CONVERGED, ())
     return rise_at(asked, found, np.log([others[name] for name in estimate]))
+
+
+def forecast_unseen(
+    problems: Sequence[EquilibriumProblem],
+    trials: Sequence[Trial],
+    unseen: Sequence[int],
+    estimate: Mapping[str, float],
+    nuisances: Mapping[str, float],
+    tracking_factor: float,
+    orientation: Orientation = "procrustes",
+    priors: Priors | None = None,
+    geometry: Floats | None = None,
+    taped: bool = False,
+    starts: Sequence[TorsoState] | None = None,
+) -> tuple[Forecast, ...]:
+    """What the ``unseen`` of these trials should show, from a weighed fit of the others.
+
+    Parameters
+    ----------
+    unseen : their numbers among the trials; all are under load.
+    estimate, nuisances, tracking_factor : of the fit; nuisances in prior standard deviations, by name.
+    starts : states of the loaded trials to solve from.
+
+    Raises
+    ------
+    EquilibriumError : there is no equilibrium at the estimate.
+    """
+    groups = tuple(parameter_group(name, problems[0].torso.joints.kinds) for name in estimate)
+    asked = _asked(problems, trials, groups, orientation, None, priors, geometry, taped)
+    loaded = [i for i, trial in enumerate(trials) if trial.load.size > 0.0]
+    known = np.array([nuisances.get(name, 0.0) for name in asked.unknowns.names])
+    point = asked.solve(np.log(list(estimate.values())), known, starts=starts)
+    return forecast(asked, point, asked.slope(point), tracking_factor, [loaded.index(i) for i in unseen])
 
 
 def _asked(

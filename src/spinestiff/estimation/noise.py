@@ -36,20 +36,23 @@ class Channels(ShortRepr):
     ----------
     basis : (Nv, 3, 4, 2), orthonormal rows.
     rows : (Nv,) the vertebrae among the torso's.
+    arms : (Nv,) mm, what a turn of 1 rad gives the third channel.
     """
 
     basis: Floats
     rows: Ints
+    arms: Floats
 
     @classmethod
     def of(cls, target: Target) -> Channels:
         """Of a target's vertebrae."""
         arms = target.z - target.z.mean(axis=1, keepdims=True)
         turn = np.stack([-arms[..., 1], arms[..., 0]], -1)
-        turn = turn / np.linalg.norm(turn, axis=(1, 2), keepdims=True)
+        sizes = np.linalg.norm(turn, axis=(1, 2))
+        turn = turn / sizes[:, None, None]
         shift = np.zeros((2, len(arms), 4, 2))
         shift[0, :, :, 0] = shift[1, :, :, 1] = 0.5
-        return cls(np.stack([*shift, turn], axis=1), target.rows)
+        return cls(np.stack([*shift, turn], axis=1), target.rows, sizes)
 
     def apply(self, features: Floats) -> Floats:
         """(3 Nv, ...) channels of features (Nv, 4, 2, ...), vertebra by vertebra."""

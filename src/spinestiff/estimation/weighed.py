@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.estimation.discrepancy import (
     DiscrepancyFrame,
@@ -142,12 +143,17 @@ class WeighedProblem:
         self.size = self.noise.size + len(self._measured)
 
     def solve(
-        self, log_ratios: Floats, nuisances: Floats, near: WeighedPoint | None = None, slope: WeighedSlope | None = None
+        self,
+        log_ratios: Floats,
+        nuisances: Floats,
+        near: WeighedPoint | None = None,
+        slope: WeighedSlope | None = None,
+        starts: Sequence[TorsoState] | None = None,
     ) -> WeighedPoint:
-        """All trials in equilibrium. Raises EquilibriumError where one has none."""
+        """All trials in equilibrium, from what is near or from ``starts``; EquilibriumError where one has none."""
         acts = self.unknowns.acts @ nuisances
         found = self.trial_set.solve(
-            log_ratios, None if near is None else near.evaluation, None if slope is None else slope.slope, acts
+            log_ratios, None if near is None else near.evaluation, None if slope is None else slope.slope, acts, starts
         )
         parts = [
             self.noise.channels[i].apply(part.difference + acts[i, _MOTION] * self._motion(part, i))
@@ -199,12 +205,16 @@ class WeighedProblem:
         rest[channels, channels] += self.noise.tracking(factor, inflation)
         return Weights(cholesky(rest, lower=True), factor, inflation)
 
+    def covariance(self, point: WeighedPoint, tracking_factor: float = 1.0) -> Floats:
+        """(n, n) of all residuals at given nuisances, with tracking's errors ``tracking_factor`` times as predicted."""
+        whole = np.eye(self.size)
+        channels = slice(0, self.noise.size)
+        whole[channels, channels] = self._constant + self.discrepancy(point) + self.noise.tracking(tracking_factor)
+        return whole
+
     def as_expected(self, point: WeighedPoint) -> Weights:
         """The covariance at a point with tracking's errors as large as predicted."""
-        rest = np.eye(self.size)
-        channels = slice(0, self.noise.size)
-        rest[channels, channels] = self._constant + self.discrepancy(point) + self.noise.tracking()
-        return Weights(cholesky(rest, lower=True), 1.0, np.ones(self.noise.size))
+        return Weights(cholesky(self.covariance(point), lower=True), 1.0, np.ones(self.noise.size))
 
     def p_value(self, point: WeighedPoint, slope: WeighedSlope) -> float:
         """Of residuals as large, with the covariance before any scale or weight is fitted."""

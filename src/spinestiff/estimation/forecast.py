@@ -1,0 +1,107 @@
+"""What a radiograph that no fit has seen should show, and how far from that the real one may be.
+
+About the fit's place residuals r = simulated - measured are linear in ratios q, flat, and in what else is not known,
+with covariance C of all radiographs, seen and unseen. From those of the seen ones, s, those of an unseen one, u, are
+the best linear unbiased prediction (universal kriging; Goldberger 1962):
+
+    d = (X_s^T C_ss^-1 X_s)^-1 X_s^T C_ss^-1 r_s,      E r_u = X_u d + C_us C_ss^-1 (r_s - X_s d),
+    V = C_uu - C_us C_ss^-1 C_su + D (X_s^T C_ss^-1 X_s)^-1 D^T,      D = X_u - C_us C_ss^-1 X_s.
+
+So an error that seen and unseen radiographs share (where the patient stood, an annotation, what the model lacks) is
+expected again, and only the rest is uncertain. No vertebra of the unseen radiograph is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from spinestiff.arrays import Floats, Ints, ShortRepr
+from spinestiff.estimation.noise import CHANNELS, Channels
+from spinestiff.estimation.weighed import WeighedPoint, WeighedProblem, WeighedSlope
+
+NORMAL_95 = 1.959964
+
+
+@dataclass(frozen=True, repr=False)
+class Forecast(ShortRepr):
+    """An unseen radiograph.
+
+    Attributes
+    ----------
+    channels : of its vertebrae.
+    expected : (3 Nv,) mm, channels of simulated minus measured as the seen radiographs let expect them.
+    covariance : (3 Nv, 3 Nv) mm^2 of the real ones about them, tracking's errors among it.
+    found : (3 Nv,) mm, the real ones.
+    """
+
+    channels: Channels
+    expected: Floats
+    covariance: Floats
+    found: Floats
+
+    @property
+    def corner_sds(self) -> Floats:
+        """(Nv, 4, 2) mm, standard deviations of the corners' coordinates at the patient plane."""
+        return np.sqrt(np.einsum("vcki,vcd,vdki->vki", self.channels.basis, self._blocks, self.channels.basis))
+
+    @property
+    def corner_errors(self) -> Floats:
+        """(Nv, 4, 2) mm, expected minus measured corners, as far as vertebrae are rigid."""
+        left = (self.found - self.expected).reshape(-1, CHANNELS)
+        return np.einsum("vc,vcki->vki", left, self.channels.basis)
+
+    @property
+    def inside95(self) -> float:
+        """Share of corner coordinates that lie inside their 95 % intervals."""
+        return float(np.mean(np.abs(self.corner_errors) <= NORMAL_95 * self.corner_sds))
+
+    def turn(self, upper: int, lower: int) -> tuple[float, float, float]:
+        """rad, the turn of vertebra ``upper`` against ``lower`` (rows of this radiograph), simulated minus measured:
+        expected, standard deviation, found."""
+        weights = np.zeros(len(self.found))
+        for row, sign in ((upper, 1.0), (lower, -1.0)):
+            weights[CHANNELS * row + 2] = sign / self.channels.arms[row]
+        sd = float(np.sqrt(weights @ self.covariance @ weights))
+        return float(weights @ self.expected), sd, float(weights @ self.found)
+
+    @property
+    def _blocks(self) -> Floats:
+        count = len(self.channels.rows)
+        whole = self.covariance.reshape(count, CHANNELS, count, CHANNELS)
+        return np.asarray(whole[np.arange(count), :, np.arange(count)])
+
+
+def forecast(
+    problem: WeighedProblem, point: WeighedPoint, slope: WeighedSlope, tracking_factor: float, unseen: Sequence[int]
+) -> tuple[Forecast, ...]:
+    """The unseen ones among the loaded trials of a problem, at the place where a fit of the others ended.
+
+    Parameters
+    ----------
+    tracking_factor : what the fit found of the size of tracking's errors.
+    unseen : their numbers among the loaded trials.
+    """
+    noise = problem.noise
+    covariance = problem.covariance(point, tracking_factor) + slope.nuisances @ slope.nuisances.T
+    values = point.values - slope.nuisances @ point.nuisances
+    rows = [np.arange(problem.size)[noise.of(i)] for i in unseen]
+    seen: Ints = np.setdiff1d(np.arange(problem.size), np.concatenate(rows))
+    root = cho_factor(covariance[np.ix_(seen, seen)], lower=True)
+    x, r = slope.ratios[seen], values[seen]
+    solved = cho_solve(root, np.column_stack([x, r]))
+    precision = x.T @ solved[:, :-1]
+    drift = np.linalg.solve(precision, x.T @ solved[:, -1])
+    left = cho_solve(root, r - x @ drift)
+    found = []
+    for i, own in zip(unseen, rows):
+        across = covariance[np.ix_(own, seen)]
+        apart = slope.ratios[own] - across @ solved[:, :-1]
+        spread = covariance[np.ix_(own, own)] - across @ cho_solve(root, across.T)
+        spread = spread + apart @ np.linalg.solve(precision, apart.T)
+        mean = slope.ratios[own] @ drift + across @ left
+        found.append(Forecast(noise.channels[i], mean, 0.5 * (spread + spread.T), values[own]))
+    return tuple(found)
