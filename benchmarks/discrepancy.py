@@ -136,7 +136,7 @@ def own_share(pairs: Sequence[Pair]) -> float:
 
 
 def learn_kind(pairs: Sequence[Pair]) -> KindModes:
-    """Modes of the pairs of one kind, as they are and mirrored; without what it does to the ratios."""
+    """Modes of the pairs of one kind, as they are and mirrored."""
     vectors = []
     for pair in pairs:
         here = pair.relative(pair.grid).reshape(len(SIDES), len(LEVELS), len(VERTEBRAE), len(CHANNELS))
@@ -283,8 +283,9 @@ def sizes(pairs: Sequence[Pair], kind: str) -> dict[str, Any]:
 
 
 def explained(data: DiscrepancyData, mesh: Mesh) -> dict[str, Any]:
-    """Share of the second moment in the first so many modes: of the kinds' mean, and of a kind in the others' modes."""
-    kinds = [name for name in data.kinds if name not in NOT_OF[mesh]]
+    """Share of the second moment in the first so many modes: of the kinds' mean, and of a kind in the others' modes;
+    kinds are those that an estimate's covariance is made of."""
+    kinds = others_of_mesh(data, mesh, (WALL,))
     moments = {name: data.kinds[name].moment for name in kinds}
     values = np.linalg.eigvalsh(np.mean(list(moments.values()), axis=0))[::-1]
     left_out = {}

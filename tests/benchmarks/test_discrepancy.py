@@ -162,6 +162,16 @@ def test_what_an_estimate_solves_for_is_covered_though_no_other_kind_has_it(draw
     assert bare < 0.5 and solved > 0.9
 
 
+def test_explained_modes_are_of_what_an_estimate_takes(drawn) -> None:
+    walls = [_pair("one-sided wall", number, scale=0.2) for number in range(4)]
+    data = discrepancy.learn([*drawn, *walls], 1.0, 0.3)
+    found = discrepancy.explained(data, "coarse")
+    assert set(found["left_out_kind"]) == {"layers", "finer mesh"}
+    taken = data.combined(["layers", "finer mesh"]).modes.reshape(discrepancy.MODES, -1)
+    share = np.sum(taken[:4] ** 2) / sum(np.trace(data.kinds[kind].moment) for kind in ("layers", "finer mesh")) * 2.0
+    assert found["by_modes"][3] == pytest.approx(share, abs=1e-3)
+
+
 def test_a_truth_that_left_the_branch_is_told(drawn) -> None:
     assert not any(pair.buckled for pair in drawn)
     assert _pair("one-sided wall", 1, scale=1.5).buckled

@@ -40,7 +40,7 @@ class Priors:
     trunk_taped : the same where ``subject.json`` has the trunk's size.
     trunk_power : of tissue's resistance in (breadth, depth).
     rib_joints : of the log of the stiffness with which ribs turn on their vertebrae, over Table 1's: bench values are
-        a eleventh of it (J Biomech 2024 163:111923).
+        an eleventh of it (J Biomech 2024 163:111923).
     tissue_volume : of the log of the tissue's lambda at a given mu: Poisson's ratio of 0.3 or 0.49 for 0.45 is a factor
         of 6 less or 5 more.
     source_distance : of the source's distance, relative; it scales motions.

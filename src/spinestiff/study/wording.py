@@ -93,8 +93,6 @@ UNKNOWNS = {
     "posture": "the spine's posture in each sequence",
     "rest geometry": "the spine's shape at rest",
     "model discrepancy": "what the model lacks",
-    "form of the model, bending": "what the model's form does to bending",
-    "form of the model, tissue": "what the model's form does to tissue",
     "force scale": "the gauge's scale",
     "force offset": "the gauge's zero",
     "push direction": "the push's direction",
@@ -106,10 +104,12 @@ UNKNOWNS = {
     "obliquity of a frame": "the pelvis' obliquity in each frame",
     "shoulder of a frame": "the shoulder's place in each frame",
     "trunk size": "the trunk's size",
+    "rib joints": "the stiffness of the ribs' joints",
+    "tissue's volume": "the tissue's resistance to a change of volume",
     "source distance": "the source's distance",
 }
 """What is not quite known, by its name in the variance budget."""
-UNMEASURABLE = ("model discrepancy", "form of the model, bending", "form of the model, tissue")
+UNMEASURABLE = ("model discrepancy",)
 
 
 def unknown_title(name: str) -> str:
