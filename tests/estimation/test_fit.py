@@ -248,7 +248,7 @@ def test_eqs_8_10_on_the_template_torso() -> None:
     seen = state_features(torso, view, torso.rest_pose, shares).corners
     load = rib_push(torso, "right", 7.5, 40.0)
     data = [Trial(load, VertebraCorners(torso.vertebrae, seen), view, "40 N", "push")]
-    groups = tuple(fitting.parameter_group(name, torso.joints.kinds) for name in ("lateral_bending", "tissue"))
+    groups = tuple(parameter_group(name, torso.joints.kinds) for name in ("lateral_bending", "tissue"))
     trial_set = TrialSet([problem], data, groups, "procrustes", None)
     point = trial_set.solve(np.log([0.3, 0.05]))
     forward = trial_set.jacobian(point, trial_set.slope(point)).T @ point.values
