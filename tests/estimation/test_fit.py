@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spinestiff.anatomy.stiffness import RATIO_BOUNDS
+from spinestiff.anatomy.stiffness import RATIO_BOUNDS, parameter_group
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import FitError
 from spinestiff.estimation import fit as fitting

@@ -233,8 +233,8 @@ def fit_stiffness(
 
     Raises
     ------
-    FitError : no trials, no force, impossible bounds or names, a population that is not known or not of these ratios, or no
-        equilibrium at the start.
+    FitError : no trials, no force, impossible bounds or names, a population that is not known or not of these ratios,
+        or no equilibrium at the start.
     TorsoError : an unknown parameter, or one that the torso has nothing of.
     TrackingError : a trial's corners fit no vertebra.
     """

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spinestiff.anatomy.names import INTERVERTEBRAL
 from spinestiff.anatomy.regions import AT, levels_of
 from spinestiff.anatomy.stiffness import INTERVERTEBRAL_BENDING, ParameterGroup, parameter_group
 from spinestiff.arrays import Floats, ShortRepr, read_only
@@ -59,7 +58,7 @@ class Population:
 
     @property
     def sd(self) -> float:
-        """Of the next subject's log about the mean of these: their own scatter, and that of so small a sample's mean."""
+        """Of the next subject's log about the mean of these, whose own error is part of it."""
         return float(np.std(np.log(self.bending), ddof=1) * np.sqrt(1.0 + 1.0 / len(self.bending)))
 
 
@@ -109,7 +108,9 @@ def ratio_prior(
 
 def _smooth(names: Sequence[str], sd: float) -> RatioPrior | None:
     """Ratios of one group at single levels next to each other."""
-    single = {(name.partition(AT)[0], levels_of(name)[0]): i for i, name in enumerate(names) if len(levels_of(name)) == 1}
+    levels = [levels_of(name) for name in names]
+    stems = [name.partition(AT)[0] for name in names]
+    single = {(stem, own[0]): i for i, (stem, own) in enumerate(zip(stems, levels)) if len(own) == 1}
     rows = []
     for (stem, level), i in single.items():
         below = single.get((stem, level + 1))

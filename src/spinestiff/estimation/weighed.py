@@ -8,8 +8,8 @@ is minimised by Gauss-Newton steps. Nuisances that act on an equilibrium (forces
 for as the ratios are, at no further equilibrium: each step ends in one at the ratios and nuisances that it found. What
 is added to a picture (place, stance, annotation, rest geometry, model discrepancy) is eliminated in closed form, as
 covariance. Sigma depends on the ratios through the size of the model's motion; it is that of the last iterate, so that
-the fit solves the estimating equation J^T Sigma^-1 r = 0 and no ratio is chosen for the error that it would excuse. What is held of the ratios themselves, if anything
-(``ratio_priors``), is rows of r with variance 1 that are linear in q.
+the fit solves the estimating equation J^T Sigma^-1 r = 0 and no ratio is chosen for the error that it would excuse.
+What is held of the ratios themselves, if anything (``ratio_priors``), is rows of r with variance 1, linear in q.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ from spinestiff.study.report.figures import (
 from spinestiff.study.report.viewer.files import scene_of
 from spinestiff.study.report.viewer.page import component, page_environment, script_hash, view_page
 from spinestiff.study.trials import PushTrial
-from spinestiff.study.truth import known_comparison, read_truth
+from spinestiff.study.truth import known_comparison, read_truth, true_values
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import fixed, listed, number
 from spinestiff.subject.folder import image_corners, read_push, read_rest
@@ -329,7 +329,7 @@ def _region_picture(visit: Visit, estimate: Estimate) -> tuple[str, Figure, str,
         return None
     values = list(estimate.values.values())
     path = [[step.ratios[name] for name in names] for step in estimate.history if step.accepted]
-    truth = read_truth(visit.truth) if visit.truth else {}
+    truth = true_values(names, read_truth(visit.truth)) if visit.truth else {}
     region = np.array(estimate.region or np.empty((0, 2)))
     known = np.array([truth[name] for name in names]) if all(name in truth for name in names) else None
     shown = (names[0].replace("_", " "), names[1].replace("_", " "))
