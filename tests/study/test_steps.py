@@ -20,10 +20,13 @@ from spinestiff.estimation.unknowns import ACTS
 from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.mechanics.contact import OneSidedProblem
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.study import steps, written
+from spinestiff.study import steps, wording, written
+from spinestiff.study.report.content import result_content
 from spinestiff.study.runner import ALL_STEPS, run_steps
-from spinestiff.study.steps import assess_step, stored_predictions, view_step
-from spinestiff.study.visit import Settings, load_pushes, open_visit
+from spinestiff.study.steps import assess_step, stored_predictions, usual_ratios, view_step
+from spinestiff.study.truth import read_truth
+from spinestiff.study.visit import USUAL, Settings, load_pushes, open_visit
+from spinestiff.study.wording import held_lines
 from spinestiff.subject.outcomes import (
     Assessment,
     Comparison,
@@ -425,3 +428,40 @@ def test_a_push_that_was_never_tracked_is_refused(subject):
     altered(subject, Tracked, lambda content: content["pushes"].pop("second"))
     with pytest.raises(SubjectError, match=r"tracked\.json: no push 'second'; run spinestiff track again"):
         ALL_STEPS["estimate"].run(open_visit(subject), lambda line: None)
+
+
+# Other parameters
+
+
+def test_ratios_by_region_with_a_population_go_through_all_steps(subject, no_report):
+    """Asked in subject.json; what is held is named, and the truth of a part is its group's."""
+    content = read_json(subject / "subject.json")
+    names = ["lateral_bending@thoracic", "lateral_bending@lumbar", "tissue"]
+    write_json(subject / "subject.json", {**content, "parameters": names, "population": "koutras2025"})
+    visit = opened(subject)
+    run_steps(visit, ("estimate", "assess"))
+    record = read_outcome(visit.subject, Estimate)
+    assert record.parameters == tuple(names)
+    assert (record.intervals, record.population) == ("profile", "koutras2025")
+    assert list(record.held) == ["population koutras2025"]
+    assert set(record.data_sd_log) == set(names)
+    assert record.plain["lateral_bending_lumbar"].ratio == "lateral_bending@lumbar"
+    comparison = read_outcome(visit.subject, Comparison)
+    assert comparison.distance2 is not None
+    lines = held_lines(record)
+    assert lines[0].startswith("held before the fit, no data: population koutras2025: the levels' lateral bending")
+    assert lines[1].startswith("the radiographs without it (95 %, to first order): ")
+    truth = read_truth(visit.truth)
+    content = result_content(visit, record, read_outcome(visit.subject, Assessment))
+    assert content["held"] == lines
+    assert [ratio["title"] for ratio in content["ratios"]][1] == "Lateral bending of the spine, lumbar"
+    assert [ratio["truth"] for ratio in content["ratios"]] == [
+        wording.number(truth[name]) for name in (*USUAL[:1], *USUAL)
+    ]
+
+
+def test_fits_start_at_usual_ratios_and_parts_beside_their_whole_at_1():
+    assert usual_ratios(("lateral_bending@lumbar", "tissue", "axial_rotation")) == {
+        "lateral_bending@lumbar": 0.07, "tissue": 0.04,
+    }  # fmt: skip
+    assert usual_ratios(("lateral_bending", "lateral_bending@lumbar")) == {"lateral_bending": 0.07}
