@@ -146,7 +146,7 @@ def test_what_is_held_of_ratios_leaves_more_of_the_residuals_to_tracking():
 
 
 def test_a_wide_prior_moves_an_estimate_by_what_the_data_leave_open(column, noisy):
-    """To first order by C A'(b - A q) of the data's covariance C; its interval holds what data and prior say together."""
+    """To first order by the share that the prior has of the precision; the likelihood rises by both."""
     plain, told = (
         fit_stiffness(column.problem, noisy, bounds=BOUNDS, population=name, extent="intervals")
         for name in (None, "koutras2025")

@@ -72,6 +72,9 @@ def test_what_is_asked_goes_before_subject_json_and_that_before_the_usual(subjec
     assert (visit.parameters, visit.population) == (("lateral_bending@levels", "tissue"), "koutras2025")
     visit = open_visit(subject, Settings(parameters=("everything",), population="none"))
     assert (visit.parameters, visit.population) == (("everything",), None)
+    with pytest.raises(SubjectError, match="population 'koutras2025' with the paper's method, which knows no priors"):
+        open_visit(subject, Settings(method="paper"))
+    assert open_visit(subject, Settings(method="paper", population="none")).population is None
     with pytest.raises(TorsoError, match="unknown stiffness parameter 'stiffness'"):
         Settings(parameters=("stiffness",))
 

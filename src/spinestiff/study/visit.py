@@ -98,7 +98,12 @@ def open_visit(folder: str | Path, settings: Settings | None = None, truth: Path
         read_truth(truth)
     subject = read_subject(folder)
     known_of(subject.record, None)
-    return Visit(subject, settings or Settings(), truth)
+    visit = Visit(subject, settings or Settings(), truth)
+    if visit.population is not None and visit.settings.method == "paper":
+        raise SubjectError(
+            f"population '{visit.population}' with the paper's method, which knows no priors; leave one of them out"
+        )
+    return visit
 
 
 def load_start(visit: Visit, orientation: Orientation, method: str) -> PushSet | None:
