@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ from spinestiff.estimation.weighed import WeighedProblem, reduced
 
 BOUNDS = (0.01, 10.0)
 PARTS = {"lateral_bending@T9-T12": 0.2, "lateral_bending@lumbar": 0.6, "tissue": 0.4}
+KEPT = ("tracking_length", "support_force_n")
 LEVELS = ("lateral_bending@levels", "tissue")
 
 
@@ -145,6 +146,22 @@ def test_what_is_held_of_ratios_leaves_more_of_the_residuals_to_tracking():
     assert restricted_factor(Own(), np.zeros((4, 4)), values, fixed, 0.7, np.ones(4), rows) > 1.2 * free
 
 
+def test_what_is_held_of_ratios_leaves_more_of_the_residuals_to_outlying_vertebrae(column, clean, found):
+    """Ratios that are held far from the estimate take nothing away."""
+    known = {field.name: 0.0 for field in fields(Priors) if isinstance(field.default, float)}
+    certain = Priors(**(known | dict.fromkeys(("annotation_mm", "tracking_mm"), 0.05) | dict.fromkeys(KEPT, 1.0)))
+    asked = column.weighed(clean, certain)
+    there = np.log(list(column.truth.values())) + [0.5, -0.8]
+    held_there = with_prior(asked, RatioPrior(1e3 * np.eye(2), 1e3 * there, {}))
+    sizes = []
+    for problem in (asked, held_there):
+        point = problem.solve(there, np.zeros(len(problem.unknowns)))
+        slope = problem.slope(point)
+        weights = problem.weights(point, slope, problem.weights(point, slope, None))
+        sizes.append(weights.inflation.max())
+    assert sizes[1] > 1.1 * sizes[0], sizes
+
+
 def test_a_wide_prior_moves_an_estimate_by_what_the_data_leave_open(column, noisy):
     """To first order by the share that the prior has of the precision; the likelihood rises by both."""
     plain, told = (
@@ -191,6 +208,8 @@ def test_levels_are_found_as_smooth_as_is_held(column, parted, by_level):
     assert fit.status is FitStatus.CONVERGED
     assert len(fit.names) == 10 > MOST_PROFILED
     assert not fit.profiled
+    assert fit.likely.profiles == fit.weighed.changes == ()
+    assert fit.weighed.budget is not None
     values = fit.ratios.as_dict()
     for name, value in values.items():
         low, high = fit.intervals95[name]

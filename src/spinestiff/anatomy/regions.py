@@ -100,7 +100,7 @@ def levels_of(name: str) -> tuple[int, ...]:
     part = name.partition(AT)[2]
     upper, _, lower = part.partition("-")
     first, last = SPINE_REGIONS.get(part, (upper, lower))
-    if first not in CHAIN or last not in CHAIN or CHAIN.index(first) >= CHAIN.index(last):
+    if first not in CHAIN or last not in CHAIN:
         return ()
     return tuple(range(CHAIN.index(first), CHAIN.index(last)))
 

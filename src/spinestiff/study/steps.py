@@ -16,6 +16,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.pushes import push_responses
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.fit import FitStep, Method, StiffnessFit
+from spinestiff.estimation.linear import MOST_PROFILED
 from spinestiff.files import write_bytes
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
@@ -322,7 +323,10 @@ def fit_training(visit: Visit, pushes: PushSet, say: Observer) -> StiffnessFit:
     """The fit of the training frames under load, begun on the coarse torso where there is one."""
 
     def progress(step: FitStep) -> None:
+        values = step.ratios.values()
         tried = ", ".join(f"{name} {value:.4g}" for name, value in step.ratios.items())
+        if len(values) > MOST_PROFILED:
+            tried = f"{len(values)} ratios from {min(values):.4g} to {max(values):.4g}"
         loss = "no equilibrium" if np.isnan(step.rmse_mm) else f"RMSE {step.rmse_mm:.3f} mm"
         say(f"evaluation {step.iteration}: {tried}: {loss}")
 

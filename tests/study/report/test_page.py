@@ -527,6 +527,14 @@ def test_only_the_largest_unknowns_are_drawn(visit: Visit) -> None:
     assert budget_bars(many)[0] == tuple(f"unknown {i}" for i in range(11, 1, -1))
 
 
+def test_of_many_ratios_those_known_least_are_drawn(visit: Visit) -> None:
+    estimate = read_outcome(visit.subject, Estimate)
+    sds = {f"ratio {i}": 0.1 + 0.01 * (i % 4) + 0.001 * i for i in range(8)}
+    row = BudgetRecord(name="unknown", alone=dict.fromkeys(sds, 0.05), without=dict.fromkeys(sds, 0.05))
+    changes = {"budget": (row,), "sd_log": sds, "sd_log_tracking": dict.fromkeys(sds, 0.01)}
+    assert list(budget_bars(estimate.model_copy(update=changes))[1]) == ["ratio 2", "ratio 3", "ratio 6", "ratio 7"]
+
+
 def test_supports_are_told_by_frame(page: Page) -> None:
     """Compliance of 2.83 degrees under 60 N times 0.5, and in the training frame 0.4 degrees of its own.
 

@@ -102,6 +102,7 @@ PROFILES = {
     "several minima": "Likely in several places with less likely ones between: the value is one of them.",
 }
 MOST_BARS = 10
+MOST_PANELS = 4  # of the variance budget's picture
 MOVED_SD = 0.2  # of a ratio's log, by other priors: what is worth a row
 
 
@@ -279,8 +280,10 @@ def uncertainty_content(estimate: Estimate, predictions: Predictions) -> dict[st
 def budget_bars(estimate: Estimate) -> tuple[tuple[str, ...], dict[str, Floats]]:
     """The unknowns that cost most, the largest first, and of each ratio (n, 2) shares of the variance of its log.
 
-    The first share is what the unknown adds where all others are known, the second what knowing it takes away.
+    Of many ratios those that are known least. The first share is what the unknown adds where all others are known, the
+    second what knowing it takes away.
     """
+    least = sorted(estimate.sd_log, key=lambda name: -estimate.sd_log[name])[:MOST_PANELS]
     share = {
         name: np.array(
             [
@@ -290,6 +293,7 @@ def budget_bars(estimate: Estimate) -> tuple[tuple[str, ...], dict[str, Floats]]
         ).reshape(-1, 2)
         / sd**2
         for name, sd in estimate.sd_log.items()
+        if name in least
     }
     most = np.max([rows.max(axis=1) for rows in share.values()], axis=0)
     shown = np.argsort(-most, kind="stable")[:MOST_BARS]

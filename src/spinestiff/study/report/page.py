@@ -349,12 +349,17 @@ def _region_picture(visit: Visit, estimate: Estimate) -> tuple[str, Figure, str,
     return "joint-region", figure, alt, caption
 
 
+def _within_a_sentence(title: str) -> str:
+    return title[:1].lower() + title[1:]
+
+
 def _budget_picture(estimate: Estimate) -> tuple[str, Figure, str, str]:
     titles, shares = budget_bars(estimate)
     figure = draw_budget(BudgetBars(titles, {ratio_title(name): rows for name, rows in shares.items()}))
     words = [
-        f"{ratio_title(name).lower()}: {titles[int(np.argmax(rows[:, 1]))]}, {100.0 * rows[:, 1].max():.0f} %"
+        f"{_within_a_sentence(ratio_title(name))}: {titles[int(np.argmax(rows[:, 1]))]}, {gained:.0f} %"
         for name, rows in shares.items()
+        for gained in [100.0 * rows[:, 1].max()]
     ]
     alt = f"Share of each ratio’s variance by unknown. Most would be gained by knowing, for {listed(words)}."
     caption = (
@@ -362,4 +367,6 @@ def _budget_picture(estimate: Estimate) -> tuple[str, Figure, str, str]:
         "it adds where all others are known (grey), and what would go away if it were known (orange). Tracking’s "
         "errors are always there. Unknowns share what they spoil, so that neither column adds up to 100."
     )
+    if len(shares) < len(estimate.parameters):
+        caption += f" Of {len(estimate.parameters)} ratios the {len(shares)} that are known least."
     return "variance-budget", figure, alt, caption
