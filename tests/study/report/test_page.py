@@ -564,6 +564,24 @@ def test_other_priors_are_told_where_they_matter(page: Page, visit: Visit, tmp_p
     assert "if all errors are as expected: they are not" in words
 
 
+def test_what_is_held_of_ratios_and_what_many_of_them_leave_out(visit: Visit, page: Page, tmp_path: Path) -> None:
+    """What several ratios scale has an interval of its own; other priors, not asked for, are not said to do nothing."""
+    assert "what is not from the radiographs" not in page.words
+    assert "where several ratios scale one stiffness" not in page.words
+
+    def held(content: dict) -> None:
+        content |= {"intervals": "linear", "held": {"population x": "so much"}, "prior_changes": []}
+        content["data_sd_log"] = {"lateral_bending": 9.0, "tissue": 0.2}
+        content["plain"]["lateral_bending_lumbar"]["ratio"] = None
+
+    words = Page(written(changed(visit, tmp_path / "held", Estimate, held))).words
+    assert "How intervals were found, and what is not from the radiographs Intervals: to first order" in words
+    assert "Held before the fit, no data: population x: so much." in words
+    assert "tissue within a factor of 1.48 and lateral_bending within a factor of more than 1000." in words
+    assert re.search(r"where several ratios scale one stiffness .*Per lumbar level 30 N m/rad", words)
+    assert "moves no ratio by more than" not in words
+
+
 def test_the_paper_s_estimator_has_no_intervals(visit: Visit, tmp_path: Path) -> None:
     def paper(content: dict) -> None:
         content["method"], content["region"], content["region_size"] = "paper", None, None
