@@ -32,11 +32,11 @@ COMMANDS = {
     "response": ("--redo",),
     "frames": ("--write", "--json"),
     "personalise": ("--mesh", "--redo"),
-    "estimate": ("--method", "--orientation", "--redo"),
+    "estimate": ("--method", "--orientation", "--parameters", "--population", "--redo"),
     "assess": ("--truth", "--redo"),
     "report": ("--truth", "--redo"),
     "view": ("--torso", "--out", "--force", "--no-open"),
-    "run": ("--mesh", "--method", "--orientation", "--truth", "--redo"),
+    "run": ("--mesh", "--method", "--orientation", "--parameters", "--population", "--truth", "--redo"),
     "demo": ("--out", "--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
     "cobb": ("--definition", "--json", "--noise-px", "--patient-left", "--picture", "--force"),
     "check": ("--json",),
@@ -187,7 +187,7 @@ def test_a_report_with_another_truth_asks_for_its_comparison(spinestiff, subject
 def test_redo_reaches_the_step(spinestiff, subject, finished, monkeypatch):
     asked = []
 
-    def fit(coarse, pushes, names, start, method, observer, say):
+    def fit(coarse, pushes, names, start, method, observer, say, population):
         asked.append((method, pushes.orientation))
         return finished.fit
 
@@ -197,6 +197,23 @@ def test_redo_reaches_the_step(spinestiff, subject, finished, monkeypatch):
     assert spinestiff("estimate", subject, "--redo").status == 0
     assert spinestiff("estimate", subject, "--method", "paper", "--orientation", "covariance").status == 0
     assert asked == [("weighed", "procrustes"), ("paper", "covariance")]
+
+
+def test_parameters_and_population_reach_the_fit(spinestiff, subject, finished, monkeypatch):
+    asked = []
+
+    def fit(coarse, pushes, names, *args, population):
+        asked.append((names, population))
+        return finished.fit
+
+    monkeypatch.setattr(steps, "fit_from_coarse", fit)
+    chosen = ("--parameters", "lateral_bending@T11-L1, tissue", "--population", "koutras2025")
+    assert spinestiff("estimate", subject, *chosen).status == 0
+    assert asked == [(("lateral_bending@T11-L1", "tissue"), "koutras2025")]
+    result = spinestiff("estimate", subject, "--parameters", "lateral_bending@neck")
+    assert result.status == 2
+    assert result.err.startswith("spinestiff: unknown part 'neck' in 'lateral_bending@neck'; wanted one of thoracic")
+    assert len(asked) == 1
 
 
 @pytest.fixture

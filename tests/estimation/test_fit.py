@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spinestiff.anatomy.stiffness import RATIO_BOUNDS
+from spinestiff.anatomy.stiffness import RATIO_BOUNDS, parameter_group
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import FitError
 from spinestiff.estimation import fit as fitting
@@ -248,7 +248,7 @@ def test_eqs_8_10_on_the_template_torso() -> None:
     seen = state_features(torso, view, torso.rest_pose, shares).corners
     load = rib_push(torso, "right", 7.5, 40.0)
     data = [Trial(load, VertebraCorners(torso.vertebrae, seen), view, "40 N", "push")]
-    groups = tuple(fitting.parameter_group(name, torso.joints.kinds) for name in ("lateral_bending", "tissue"))
+    groups = tuple(parameter_group(name, torso.joints.kinds) for name in ("lateral_bending", "tissue"))
     trial_set = TrialSet([problem], data, groups, "procrustes", None)
     point = trial_set.solve(np.log([0.3, 0.05]))
     forward = trial_set.jacobian(point, trial_set.slope(point)).T @ point.values

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+from spinestiff.anatomy.regions import torso_ratios
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.study.plain import plain_stiffness
@@ -65,3 +67,33 @@ def test_one_ratio_for_all_scales_all(torso):
     for plain in found.values():
         assert plain.ratio == "everything"
         assert (plain.low, plain.high) == pytest.approx((0.5 * plain.value, 2.0 * plain.value))
+
+
+def test_a_region_has_the_interval_of_its_own_ratio(torso):
+    estimates = {"lateral_bending@thoracic": estimate(0.1, 0.08, 0.15), "tissue@thorax": estimate(0.02, 0.01, 0.03)}
+    values = {name: found.value for name, found in estimates.items()}
+    found = plain_stiffness(torso, torso_ratios(torso, values), estimates)
+    thoracic = found["lateral_bending_thoracic"]
+    assert (thoracic.low, thoracic.high) == pytest.approx((0.8 * thoracic.value, 1.5 * thoracic.value))
+    assert thoracic.ratio == "lateral_bending@thoracic"
+    lumbar, tissue = found["lateral_bending_lumbar"], found["tissue_young"]
+    assert (lumbar.ratio, lumbar.low, lumbar.high) == (None, None, None)
+    # The abdomen's tissue is as it was, so that the mean lies between.
+    assert (tissue.ratio, tissue.low) == (None, None)
+    default = plain_stiffness(torso, stiffness_ratios({}), {})["tissue_young"].value
+    assert 0.05 * default < tissue.value < 0.95 * default
+
+
+def test_of_several_ratios_the_interval_is_to_first_order(torso):
+    """A lumbar level goes with both; a thoracic one with the first alone."""
+    estimates = {"lateral_bending": estimate(0.1, 0.08, 0.15), "lateral_bending@lumbar": estimate(2.0, 1.0, 4.0)}
+    ratios = torso_ratios(torso, {name: found.value for name, found in estimates.items()})
+    covariance = np.array([[0.04, -0.03], [-0.03, 0.09]])
+    found = plain_stiffness(torso, ratios, estimates, covariance)
+    lumbar = found["lateral_bending_lumbar"]
+    factor = np.exp(1.96 * np.sqrt(0.04 + 0.09 - 2.0 * 0.03))
+    assert (lumbar.low, lumbar.high) == pytest.approx((lumbar.value / factor, lumbar.value * factor))
+    assert lumbar.ratio is None
+    assert found["lateral_bending_thoracic"].ratio == "lateral_bending"
+    unknown = plain_stiffness(torso, ratios, estimates, np.full((2, 2), np.inf))["lateral_bending_lumbar"]
+    assert (unknown.low, unknown.high) == (None, None)

@@ -157,6 +157,14 @@ def set_prior(content):
     content["priors"] = {"force_scale": 0.01}
 
 
+def set_parameters(content):
+    content["parameters"] = ["lateral_bending@thoracic", "lateral_bending@lumbar", "tissue"]
+
+
+def set_population(content):
+    content["population"] = "koutras2025"
+
+
 def set_force(content):
     content["pushes"][0]["forces_n"][1] += 1.0
 
@@ -178,12 +186,14 @@ def move_corner(image):
         ("subject.json", set_height, AFTER["personalise"]),
         ("subject.json", set_role, AFTER["estimate"]),
         ("subject.json", set_prior, AFTER["estimate"]),
+        ("subject.json", set_parameters, AFTER["estimate"]),
+        ("subject.json", set_population, AFTER["estimate"]),
         ("subject.json", set_force, ["track", "response", *AFTER["estimate"]]),
         ("subject.json", set_distance, ["track", "response", *AFTER["personalise"]]),
         ("annotation.json", move_corner("rest/frontal"), ["response", *AFTER["personalise"]]),
         ("annotation.json", move_corner("push/second"), ["track", "response", *AFTER["estimate"]]),
     ],
-    ids=["height", "role", "priors", "force", "geometry", "rest", "push"],
+    ids=["height", "role", "priors", "parameters", "population", "force", "geometry", "rest", "push"],
 )
 def test_a_change_redoes_what_uses_it_and_what_follows(subject, dry, name, change, redone):
     edited(subject, name, lambda content: content.setdefault("xray", {}) if name == "subject.json" else None)

@@ -13,6 +13,7 @@ from canaries import CANARY, traces
 from results import altered
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.regions import torso_ratios
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.fit import FitStatus
 from spinestiff.estimation.profiles import region_rise
@@ -20,10 +21,13 @@ from spinestiff.estimation.unknowns import ACTS
 from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.mechanics.contact import OneSidedProblem
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.study import steps, written
+from spinestiff.study import steps, truth, wording, written
+from spinestiff.study.report.content import result_content
 from spinestiff.study.runner import ALL_STEPS, run_steps
-from spinestiff.study.steps import assess_step, stored_predictions, view_step
+from spinestiff.study.steps import assess_step, stored_predictions, usual_ratios, view_step
+from spinestiff.study.truth import read_truth
 from spinestiff.study.visit import Settings, load_pushes, open_visit
+from spinestiff.study.wording import held_lines
 from spinestiff.subject.outcomes import (
     Assessment,
     Comparison,
@@ -188,7 +192,9 @@ def test_the_paper_s_method_is_level_and_has_no_intervals(subject, finished, mon
         finished.fit, method="paper", weighed=None, intervals95=dict.fromkeys(finished.fit.names, nothing),
         open_ends=dict.fromkeys(finished.fit.names, (False, False)), covariance=np.full((2, 2), np.nan),
     )  # fmt: skip
-    monkeypatch.setattr(steps, "fit_from_coarse", lambda coarse, pushes, *args: asked.append((pushes, args)) or paper)
+    monkeypatch.setattr(
+        steps, "fit_from_coarse", lambda coarse, pushes, *args, **kwargs: asked.append((pushes, args)) or paper
+    )
     visit = opened(subject, method="paper")
     assert visit.file("posterior.csv").exists()
     run_steps(visit, ("estimate",))
@@ -425,3 +431,63 @@ def test_a_push_that_was_never_tracked_is_refused(subject):
     altered(subject, Tracked, lambda content: content["pushes"].pop("second"))
     with pytest.raises(SubjectError, match=r"tracked\.json: no push 'second'; run spinestiff track again"):
         ALL_STEPS["estimate"].run(open_visit(subject), lambda line: None)
+
+
+# Other parameters
+
+
+def test_other_parameters_and_a_population_asked_in_subject_json(subject, finished, monkeypatch):
+    """What is held is named, and the truth of a part is its group's. The fit itself is tested where it lives."""
+    names, asked = ("lateral_bending@T1-S1", "tissue"), []
+    held = {"population koutras2025": "so much"}
+
+    def fit(coarse, pushes, wanted, start, *args, population):
+        asked.append((wanted, start, population))
+        ratios = torso_ratios(pushes.torso, dict(zip(wanted, finished.fit.ratios.values)))
+        by_name = {
+            what: dict(zip(wanted, getattr(finished.fit, what).values()))
+            for what in ("intervals95", "open_ends", "at_bound")
+        }
+        weighed = replace(finished.fit.weighed, held=held, data_sd=np.array([2.0, 0.1]))
+        return replace(finished.fit, ratios=ratios, weighed=weighed, **by_name)
+
+    monkeypatch.setattr(steps, "fit_from_coarse", fit)
+    content = read_json(subject / "subject.json")
+    write_json(subject / "subject.json", {**content, "parameters": list(names), "population": "koutras2025"})
+    visit = opened(subject)
+    run_steps(visit, ("estimate",))
+    assert asked == [(names, {names[0]: 0.07, "tissue": 0.04}, "koutras2025")]
+    record = read_outcome(visit.subject, Estimate)
+    assert record.parameters == names
+    assert (record.intervals, record.population, record.held) == ("profile", "koutras2025", held)
+    assert record.data_sd_log == {names[0]: 2.0, "tissue": 0.1}
+    assert record.ratios[names[0]].determined == "not determined"
+    assert record.plain["lateral_bending_lumbar"].ratio == names[0]
+    lines = held_lines(record)
+    assert lines[0] == "held before the fit, no data: population koutras2025: so much"
+    assert lines[1].startswith("the radiographs without it (95 %, to first order): tissue within a factor of 1.22 and ")
+    page = result_content(visit, record, result(finished, Assessment))
+    assert page["held"] == lines
+    assert page["ratios"][0]["title"] == "Lateral bending of the spine, T1-S1"
+    true_bending = read_truth(visit.truth)["lateral_bending"]
+    assert page["ratios"][0]["truth"] == wording.number(true_bending)
+    assert page["bending"] is not None
+    # In the measure that the fit had: its population is part of it.
+    compared = []
+    monkeypatch.setattr(truth, "rise_of", lambda *args: compared.append(args[3:]) or 1.0)
+    truth.compare_with_truth(record, load_pushes(visit, "procrustes", "weighed"), visit.truth)
+    assert compared == [({names[0]: true_bending, "tissue": read_truth(visit.truth)["tissue"]}, "koutras2025")]
+
+
+def test_many_ratios_say_how_their_intervals_were_found(finished):
+    record = result(finished, Estimate)
+    assert held_lines(record) == []
+    (line,) = held_lines(record.model_copy(update={"intervals": "linear"}))
+    assert line.startswith("intervals: to first order")
+
+
+def test_fits_start_at_usual_ratios_and_parts_beside_their_whole_at_1():
+    assert usual_ratios(("lateral_bending@lumbar", "tissue", "axial_rotation")) == {
+        "lateral_bending@lumbar": 0.07, "tissue": 0.04,
+    }  # fmt: skip
+    assert usual_ratios(("lateral_bending", "lateral_bending@lumbar")) == {"lateral_bending": 0.07}

@@ -8,7 +8,7 @@ import pytest
 from results import register
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
-from spinestiff.study.truth import compare_with_truth, known_comparison, read_truth
+from spinestiff.study.truth import compare_with_truth, known_comparison, read_truth, true_values
 from spinestiff.study.visit import load_pushes, open_visit
 from spinestiff.subject.outcomes import Comparison, Estimate
 from spinestiff.subject.run_record import read_outcome
@@ -64,6 +64,14 @@ def test_a_comparison_is_read_for_its_own_truth_alone(finished, subject, tmp_pat
     register(read, "assess", Comparison.FILE)
     with pytest.raises(SubjectError, match=r"comparison\.json: found schema_version None"):
         known_comparison(read, another)
+
+
+def test_the_truth_of_a_part_is_its_groups():
+    truth = {"lateral_bending": 0.1, "tissue": 0.04}
+    parts = ("lateral_bending@thoracic", "lateral_bending@lumbar", "tissue")
+    assert true_values(parts, truth) == {parts[0]: 0.1, parts[1]: 0.1, "tissue": 0.04}
+    beside = ("lateral_bending", "lateral_bending@lumbar", "axial_rotation@T8-T9")
+    assert true_values(beside, truth) == {"lateral_bending": 0.1, "lateral_bending@lumbar": 1.0}
 
 
 def test_a_truth_without_an_estimated_ratio_is_refused(made, tmp_path):

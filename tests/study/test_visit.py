@@ -16,7 +16,9 @@ from spinestiff.subject.outcomes import Estimate, Tracked
 from spinestiff.subject.run_record import read_outcome
 
 
-@pytest.mark.parametrize("wrong", [{"mesh": "huge"}, {"method": "guess"}, {"orientation": "upright"}])
+@pytest.mark.parametrize(
+    "wrong", [{"mesh": "huge"}, {"method": "guess"}, {"orientation": "upright"}, {"population": "everyone"}]
+)
 def test_unknown_settings_are_refused(wrong):
     ((what, value),) = wrong.items()
     with pytest.raises(SubjectError, match=f"unknown {what} '{value}'; wanted one of "):
@@ -41,6 +43,40 @@ def test_impossible_priors_are_refused_before_any_step(subject, priors, words):
     with pytest.raises(SubjectError, match=words) as caught:
         open_visit(subject)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ({"parameters": ["lateral_bending@neck"]}, r"subject\.json: parameters: unknown part 'neck' in "),
+        ({"parameters": ["tissue", "tissue"]}, r"subject\.json: parameters: .*'tissue' is named twice"),
+        ({"parameters": []}, r"subject\.json: parameters: "),
+        (
+            {"population": "everyone"},
+            r"subject\.json: population: unknown population 'everyone'; known are koutras2025$",
+        ),
+    ],
+)
+def test_impossible_parameters_are_refused_before_any_step(subject, content, words):
+    write_json(subject / "subject.json", {**read_json(subject / "subject.json"), **content})
+    with pytest.raises(SubjectError, match=words) as caught:
+        open_visit(subject)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_asked_goes_before_subject_json_and_that_before_the_usual(subject):
+    assert (open_visit(subject).parameters, open_visit(subject).population) == (("lateral_bending", "tissue"), None)
+    chosen = {"parameters": ["lateral_bending@levels", "tissue"], "population": "koutras2025"}
+    write_json(subject / "subject.json", {**read_json(subject / "subject.json"), **chosen})
+    visit = open_visit(subject)
+    assert (visit.parameters, visit.population) == (("lateral_bending@levels", "tissue"), "koutras2025")
+    visit = open_visit(subject, Settings(parameters=("everything",), population="none"))
+    assert (visit.parameters, visit.population) == (("everything",), None)
+    with pytest.raises(SubjectError, match="population 'koutras2025' with the paper's method, which knows no priors"):
+        open_visit(subject, Settings(method="paper"))
+    assert open_visit(subject, Settings(method="paper", population="none")).population is None
+    with pytest.raises(TorsoError, match="unknown stiffness parameter 'stiffness'"):
+        Settings(parameters=("stiffness",))
 
 
 def test_ratios_are_read_back(finished):

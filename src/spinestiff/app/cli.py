@@ -36,6 +36,18 @@ Mesh = Annotated[
     str, typer.Option(help="Mesh of the estimate: fine, begun on the coarse one, or coarse alone, a quick look.")
 ]
 Method = Annotated[str, typer.Option(help="weighed (by what is not known) or paper (equal weights, no intervals).")]
+Parameters = Annotated[
+    str | None,
+    typer.Option(
+        help="Ratios to estimate, separated by commas, e.g. lateral_bending@thoracic,lateral_bending@lumbar,tissue "
+        "or lateral_bending@levels,tissue (docs/estimation.md). Default: those of subject.json, else "
+        "lateral_bending,tissue."
+    ),
+]
+Population = Annotated[
+    str | None,
+    typer.Option(help="Hold other people's bending as a prior: koutras2025, or none. Default: as subject.json says."),
+]
 Orientation = Annotated[str, typer.Option(help="Vertebra orientation in the image: procrustes or covariance.")]
 Truth = Annotated[Path | None, typer.Option(help="Truth file of a synthetic subject, for comparison only.")]
 Seed = Annotated[int, typer.Option(help="Of everything random.")]
@@ -194,10 +206,16 @@ def personalise(folder: Folder, mesh: Mesh = "fine", redo: Force = False) -> Non
 
 @app.command()
 def estimate(
-    folder: Folder, method: Method = "weighed", orientation: Orientation = "procrustes", redo: Force = False
+    folder: Folder,
+    method: Method = "weighed",
+    orientation: Orientation = "procrustes",
+    parameters: Parameters = None,
+    population: Population = None,
+    redo: Force = False,
 ) -> None:
     """Estimate the stiffness ratios from the training frames."""
-    _print_estimate(_steps(folder, ("estimate",), redo, method=method, orientation=orientation))
+    asked: dict[str, Any] = {"parameters": _names(parameters), "population": population}
+    _print_estimate(_steps(folder, ("estimate",), redo, method=method, orientation=orientation, **asked))
 
 
 @app.command()
@@ -236,13 +254,17 @@ def run(
     mesh: Mesh = "fine",
     method: Method = "weighed",
     orientation: Orientation = "procrustes",
+    parameters: Parameters = None,
+    population: Population = None,
     truth: Truth = None,
     redo: Force = False,
 ) -> None:
     """All steps: track, response, personalise, estimate, assess, report. Only what changed is redone."""
     from spinestiff.study.runner import STEPS
 
-    visit = _steps(folder, STEPS, redo, mesh=mesh, method=method, orientation=orientation, truth=truth)
+    asked: dict[str, Any] = {"parameters": _names(parameters), "population": population}
+    asked |= {"mesh": mesh, "method": method, "orientation": orientation}
+    visit = _steps(folder, STEPS, redo, truth, **asked)
     _summary(visit)
 
 
@@ -400,6 +422,11 @@ def _torso_page(torso: Path, out: Path | None, force: bool) -> Path:
     return page
 
 
+def _names(given: str | None) -> tuple[str, ...] | None:
+    """Names separated by commas."""
+    return None if given is None else tuple(name.strip() for name in given.split(","))
+
+
 def _steps(folder: Path, steps: tuple[str, ...], redo: bool, truth: Path | None = None, **settings: Any) -> Any:
     from spinestiff.app.progress import progress
     from spinestiff.study.runner import run_steps
@@ -440,7 +467,7 @@ def _print_response(visit: Any) -> None:
 
 def _print_estimate(visit: Any) -> None:
     from spinestiff.app import tables
-    from spinestiff.study.wording import uncertainty_lines
+    from spinestiff.study.wording import held_lines, uncertainty_lines
     from spinestiff.subject.outcomes import Estimate
     from spinestiff.subject.run_record import read_outcome
 
@@ -448,7 +475,7 @@ def _print_estimate(visit: Any) -> None:
     for check in estimate.failed:
         typer.echo(f"DOUBTFUL: {check.name}: {check.text}")
     tables.show(tables.estimate_table(estimate))
-    for line in uncertainty_lines(estimate):
+    for line in (*held_lines(estimate), *uncertainty_lines(estimate)):
         typer.echo(line)
     if estimate.fit_status != "CONVERGED":
         typer.echo(f"fit: {estimate.fit_status_text}")

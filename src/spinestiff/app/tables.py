@@ -78,7 +78,7 @@ def estimate_table(estimate: Estimate) -> Table:
     table.add_section()
     for name, title in PLAIN.items():
         found = estimate.plain[name]
-        span = "" if found.ratio is None else f"{interval(found)} {found.unit}"
+        span = "" if found.low is None and found.high is None else f"{interval(found)} {found.unit}"
         table.add_row(title, f"{estimated(found)} {found.unit}", span, "", "")
     return table
 

@@ -13,18 +13,21 @@ from typing import Literal
 
 import numpy as np
 
+from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.anatomy.stiffness import RATIO_BOUNDS, ParameterGroup, StiffnessRatios, parameter_group
+from spinestiff.anatomy.stiffness import RATIO_BOUNDS, ParameterGroup, StiffnessRatios
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.budget import Budget, PriorChange, prior_changes, variance_budget
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import Evaluation, FitCost, FitStep, OnFitStep, TrialSet
 from spinestiff.estimation.forecast import Forecast, forecast
+from spinestiff.estimation.linear import MOST_PROFILED, linear_ratios
 from spinestiff.estimation.mode import search
 from spinestiff.estimation.objective import Residuals, Trial, residuals, undetermined_vertebrae
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import Likely, likely_ratios, rise_at
+from spinestiff.estimation.ratio_priors import ratio_prior
 from spinestiff.estimation.search import lbfgsb
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, reduced
@@ -50,6 +53,8 @@ METHODS: tuple[Method, ...] = ("weighed", "paper")
 WIDEST_INTERVAL = 0.9
 # Of the ratios' precision: beyond, what parts two combinations of ratios is rounding.
 WORST_CONDITION = 1e12
+# Of a log ratio that the data say nothing of.
+LEAST_PRECISION = 1e-6
 Extent = Literal["estimate", "intervals", "everything"]
 
 
@@ -84,6 +89,8 @@ class Weighed(ShortRepr):
     tracking_factor : by which tracking's errors are larger than predicted.
     outlying : (trial, vertebra, by how much its own error is larger than usual), names.
     likely : intervals, profiles and draws; None if not asked for. budget, changes : the same.
+    held : name -> what was held of the ratios themselves before the fit; empty: they were flat in log.
+    data_sd : (P,) standard deviations of the log ratios without that, to first order.
     """
 
     nuisances: tuple[NuisanceEstimate, ...]
@@ -94,6 +101,8 @@ class Weighed(ShortRepr):
     likely: Likely | None
     budget: Budget | None
     changes: tuple[PriorChange, ...]
+    held: Mapping[str, str]
+    data_sd: Floats
 
 
 @dataclass(frozen=True, repr=False)
@@ -139,6 +148,11 @@ class StiffnessFit(ShortRepr):
     @property
     def names(self) -> tuple[str, ...]:
         return self.ratios.names
+
+    @property
+    def profiled(self) -> bool:
+        """Whether intervals are from profiles; those of many ratios are to first order (``linear``)."""
+        return len(self.names) <= MOST_PROFILED
 
     @property
     def correlation(self) -> Floats:
@@ -193,6 +207,7 @@ def fit_stiffness(
     taped: bool = False,
     extent: Extent = "everything",
     start_nuisances: Mapping[str, float] | None = None,
+    population: str | None = None,
 ) -> StiffnessFit:
     """Stiffness ratios whose equilibria show what the radiographs show (Eq. 8).
 
@@ -201,7 +216,8 @@ def fit_stiffness(
     problem : one for all trials or one a trial (supports depend on the pushed side).
     trials : radiographs under known pushes, unloaded ones of the same sequences among them: they show where the
         patient stood and how corners were annotated.
-    names : parameters to estimate, see ``anatomy.stiffness.parameter_group``; ("everything",) is the one-ratio model.
+    names : parameters to estimate, see ``anatomy.stiffness.parameter_group`` and, of regions and levels,
+        ``anatomy.regions.parameter_groups``; ("everything",) is the one-ratio model.
     method : "weighed" (``estimation.weighed``) or "paper" (equal weights, L-BFGS-B with the adjoint gradient).
     start : name -> ratio to start from; default 1.
     bounds : lowest and highest ratio.
@@ -212,18 +228,26 @@ def fit_stiffness(
     geometry : (6V, 6V) covariance of the vertebrae's rest poses (dt mm, dw rad); None: known.
     taped : the trunk's size was measured.
     start_nuisances : name -> nuisance to start from, in prior standard deviations; default 0.
-    extent : "estimate" alone, with "intervals", or "everything": variance budget and other priors as well.
+    extent : "estimate" alone, with "intervals", or "everything": variance budget and, of ratios with profiles, other
+        priors as well.
+    population : whose ratios are held as a prior (``ratio_priors.POPULATIONS``), by the weighed method only; None: the
+        ratios are flat in log, up to the smoothness of neighbouring levels'.
 
     Raises
     ------
-    FitError : no trials, no force, impossible bounds or names, or no equilibrium at the start.
+    FitError : no trials, no force, impossible bounds or names, a population that is not known or not of these ratios,
+        or no equilibrium at the start.
+    TorsoError : an unknown parameter, or one that the torso has nothing of.
     TrackingError : a trial's corners fit no vertebra.
     """
     began = time.perf_counter()
     problems = _problems(problem, trials)
     _check(trials, names, method, bounds)
-    groups = tuple(parameter_group(name, problems[0].torso.joints.kinds) for name in names)
-    asked = _asked(problems, trials, groups, orientation, observer, priors, geometry, taped)
+    groups = parameter_groups(problems[0].torso, names)
+    names = tuple(group.name for group in groups)
+    if population is not None and method != "weighed":
+        raise FitError(f"population '{population}' with method '{method}', which knows no priors; wanted weighed")
+    asked = _asked(problems, trials, groups, orientation, observer, priors, geometry, taped, population)
     trial_set = asked.trial_set
     first = _start(names, start, bounds)
     default = _default_point(trial_set)
@@ -283,6 +307,7 @@ def likelihood_rise(
     priors: Priors | None = None,
     geometry: Floats | None = None,
     taped: bool = False,
+    population: str | None = None,
 ) -> float:
     """By how much twice the negative log likelihood is higher at other ratios than at an estimate.
 
@@ -295,8 +320,8 @@ def likelihood_rise(
     ------
     EquilibriumError : there is no equilibrium at one of the two.
     """
-    groups = tuple(parameter_group(name, problems[0].torso.joints.kinds) for name in estimate)
-    asked = _asked(problems, trials, groups, orientation, None, priors, geometry, taped)
+    groups = parameter_groups(problems[0].torso, tuple(estimate))
+    asked = _asked(problems, trials, groups, orientation, None, priors, geometry, taped, population)
     best = np.log(list(estimate.values()))
     point = asked.solve(best, np.array([nuisances.get(name, 0.0) for name in asked.unknowns.names]))
     slope = asked.slope(point)
@@ -315,6 +340,7 @@ def forecast_unseen(
     priors: Priors | None = None,
     geometry: Floats | None = None,
     taped: bool = False,
+    population: str | None = None,
     starts: Sequence[TorsoState] | None = None,
 ) -> tuple[Forecast, ...]:
     """What the ``unseen`` of these trials should show, from a weighed fit of the others.
@@ -329,8 +355,8 @@ def forecast_unseen(
     ------
     EquilibriumError : there is no equilibrium at the estimate.
     """
-    groups = tuple(parameter_group(name, problems[0].torso.joints.kinds) for name in estimate)
-    asked = _asked(problems, trials, groups, orientation, None, priors, geometry, taped)
+    groups = parameter_groups(problems[0].torso, tuple(estimate))
+    asked = _asked(problems, trials, groups, orientation, None, priors, geometry, taped, population)
     loaded = [i for i, trial in enumerate(trials) if trial.load.size > 0.0]
     known = np.array([nuisances.get(name, 0.0) for name in asked.unknowns.names])
     point = asked.solve(np.log(list(estimate.values())), known, starts=starts)
@@ -346,12 +372,15 @@ def _asked(
     priors: Priors | None,
     geometry: Floats | None,
     taped: bool,
+    population: str | None,
 ) -> WeighedProblem:
     both = list(zip(problems, trials))
     loaded = [(p, trial) for p, trial in both if trial.load.size > 0.0]
     still = [(p, trial) for p, trial in both if trial.load.size == 0.0]
     trial_set = TrialSet([p for p, _ in loaded], [trial for _, trial in loaded], groups, orientation, observer)
-    return WeighedProblem(trial_set, still, orientation, priors or Priors(), geometry, taped)
+    priors = priors or Priors()
+    held = ratio_prior(groups, problems[0].torso.joints.kinds, priors.level_smoothness, population)
+    return WeighedProblem(trial_set, still, orientation, priors, geometry, taped, held)
 
 
 def _searched(
@@ -384,10 +413,14 @@ def _told(asked: WeighedProblem, found: WeighedFit, limits: tuple[float, float],
     changes: tuple[PriorChange, ...] = ()
     if extent != "estimate" and found.status.usable:
         places = [Place(*place) for place in found.visited]
-        likely, known = likely_ratios(asked, found, places, limits)
+        known: tuple[Place, ...] = ()
+        if len(found.point.log_ratios) > MOST_PROFILED:
+            likely = linear_ratios(found, places, limits)
+        else:
+            likely, known = likely_ratios(asked, found, places, limits)
         if extent == "everything":
             budget = variance_budget(asked, found)
-            changes = prior_changes(asked, found, known, limits)
+            changes = prior_changes(asked, found, known, limits) if known else ()
     return Weighed(
         _nuisances(asked, found),
         found.point.evaluation.acts,
@@ -397,7 +430,15 @@ def _told(asked: WeighedProblem, found: WeighedFit, limits: tuple[float, float],
         likely,
         budget,
         changes,
+        asked.ratio_prior.texts,
+        _data_sd(asked, found),
     )
+
+
+def _data_sd(asked: WeighedProblem, found: WeighedFit) -> Floats:
+    model, rows = reduced(found.point, found.slope, found.weights), asked.ratio_prior.rows
+    precision = model.ratios.T @ model.ratios - rows.T @ rows
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(precision + LEAST_PRECISION * np.eye(len(precision))))))
 
 
 def _nuisances(asked: WeighedProblem, found: WeighedFit) -> tuple[NuisanceEstimate, ...]:

@@ -225,22 +225,30 @@ def _outer(columns: Floats) -> Floats:
 
 
 def restricted_factor(
-    noise: Noise, rest: Floats, values: Floats, fixed: Floats, spread: float, inflation: Floats
+    noise: Noise,
+    rest: Floats,
+    values: Floats,
+    fixed: Floats,
+    spread: float,
+    inflation: Floats,
+    held: tuple[Floats, Floats] | None = None,
 ) -> float:
     """By how much tracking errors are larger than predicted, by restricted likelihood.
 
     Parameters
     ----------
     rest : (n, n) all other covariance, that of nuisances included.
-    values : (n,) residuals. fixed : (n, P) columns of what has no prior.
+    values : (n,) residuals. fixed : (n, P) columns of the ratios.
     spread : standard deviation of the log of the factor before the fit.
+    held : (k, P) rows and (k,) values with variance 1, what is known of the ratios beside the residuals; None: nothing.
     """
     if spread == 0.0:
         return 1.0
+    known_before = np.zeros((0, fixed.shape[1] + 1)) if held is None else np.column_stack(held)
 
     def cost(log_factor: float) -> float:
         root = cholesky(rest + noise.tracking(float(np.exp(log_factor)), inflation), lower=True)
-        whitened = solve_triangular(root, np.column_stack([fixed, values]), lower=True)
+        whitened = np.vstack([solve_triangular(root, np.column_stack([fixed, values]), lower=True), known_before])
         q, triangle = np.linalg.qr(whitened[:, :-1])
         left = whitened[:, -1] - q @ (q.T @ whitened[:, -1])
         known = np.abs(np.diag(triangle))

@@ -48,6 +48,9 @@ class Priors:
     tracking_mm : of a tracked corner, along one axis, beside what tracking itself predicts.
     tracking_shared_mm, tracking_length : the same, shared with neighbours over so many vertebrae.
     tracking_factor : of the size of all tracking errors, in log; restricted likelihood tells the factor.
+    level_smoothness : of the difference of the logs of neighbouring levels' ratios, where each level has one
+        (``ratio_priors``); 0: nothing is held. A judgement: the representative motions of neighbouring levels in
+        lateral bending (White and Panjabi 1990, as recalled) differ by 0.25 (root mean square).
     """
 
     force_scale: float = 0.02
@@ -78,6 +81,7 @@ class Priors:
     tracking_shared_mm: float = 0.1
     tracking_length: float = 2.0
     tracking_factor: float = 0.7
+    level_smoothness: float = 0.3
 
     def __post_init__(self) -> None:
         for field in fields(self):

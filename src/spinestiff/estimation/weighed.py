@@ -9,6 +9,7 @@ for as the ratios are, at no further equilibrium: each step ends in one at the r
 is added to a picture (place, stance, annotation, rest geometry, model discrepancy) is eliminated in closed form, as
 covariance. Sigma depends on the ratios through the size of the model's motion; it is that of the last iterate, so that
 the fit solves the estimating equation J^T Sigma^-1 r = 0 and no ratio is chosen for the error that it would excuse.
+What is held of the ratios themselves, if anything (``ratio_priors``), is rows of r with variance 1, linear in q.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from spinestiff.estimation.evaluation import Evaluation, Slope, TrialSet
 from spinestiff.estimation.noise import Noise, Seen, restricted_factor
 from spinestiff.estimation.objective import Trial, make_target, residuals
 from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.ratio_priors import RatioPrior
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS, Unknowns, unknowns_of
 from spinestiff.imaging.features import Orientation, state_features
@@ -50,7 +52,8 @@ class WeighedPoint(ShortRepr):
     ----------
     nuisances : (M,) in units of their priors' standard deviations.
     evaluation : the loaded trials in equilibrium.
-    values : (n,) channels of simulated minus measured features, mm, then supports, in standard deviations.
+    values : (n,) channels of simulated minus measured features, mm, then supports and what is held of the ratios, in
+        standard deviations.
     """
 
     nuisances: Floats
@@ -101,6 +104,7 @@ class WeighedProblem:
     Parameters
     ----------
     trial_set : the trials under load. still : those without, and their torso's problems.
+    ratio_prior : what is held of the ratios; None: they are flat in log.
     """
 
     def __init__(
@@ -111,8 +115,11 @@ class WeighedProblem:
         priors: Priors,
         geometry: Floats | None,
         taped: bool,
+        ratio_prior: RatioPrior | None = None,
     ) -> None:
         self.trial_set, self.priors = trial_set, priors
+        count = len(trial_set.groups)
+        self.ratio_prior = ratio_prior or RatioPrior(np.zeros((0, count)), np.zeros(0), {})
         self._modes = modes_of(trial_set.problems[0].torso)
         self.unknowns: Unknowns = unknowns_of(trial_set.trials, trial_set.problems, priors, taped)
         targets = [make_target(problem.torso, trial, orientation) for problem, trial in still]
@@ -140,7 +147,8 @@ class WeighedProblem:
             for i, trial in enumerate(trial_set.trials)
             for name, (value, sd) in trial.supports.items()
         ]
-        self.size = self.noise.size + len(self._measured)
+        self.data = self.noise.size + len(self._measured)
+        self.size = self.data + len(self.ratio_prior.rows)
 
     def solve(
         self,
@@ -160,7 +168,8 @@ class WeighedProblem:
             for i, part in enumerate(found.residuals)
         ]
         supports = np.array([(acts[i, act] - value) / sd for i, act, value, sd in self._measured])
-        return WeighedPoint(np.array(nuisances), found, np.concatenate([*parts, self._still, supports]))
+        held = self.ratio_prior.residuals(log_ratios)
+        return WeighedPoint(np.array(nuisances), found, np.concatenate([*parts, self._still, supports, held]))
 
     def at(self, evaluation: Evaluation) -> WeighedPoint:
         """A point to start others from: what was solved with all nuisances 0."""
@@ -182,6 +191,7 @@ class WeighedProblem:
             nuisances[rows] = columns @ self.unknowns.acts[i]
         for row, (i, act, _, sd) in enumerate(self._measured):
             nuisances[self.noise.size + row] = self.unknowns.acts[i, act] / sd
+        ratios[self.data :] = self.ratio_prior.rows
         return WeighedSlope(found, ratios, nuisances)
 
     def motions(self, point: WeighedPoint) -> list[Floats]:
@@ -198,10 +208,16 @@ class WeighedProblem:
         inflation = np.ones(self.noise.size) if before is None else before.inflation
         marginal = (rest + slope.nuisances @ slope.nuisances.T)[channels, channels]
         factor = restricted_factor(
-            self.noise, marginal, free[channels], slope.ratios[channels], self.priors.tracking_factor, inflation
+            self.noise,
+            marginal,
+            free[channels],
+            slope.ratios[channels],
+            self.priors.tracking_factor,
+            inflation,
+            (slope.ratios[self.data :], free[self.data :]),
         )
         if before is not None:
-            inflation = self._inflation(marginal, free[channels], slope.ratios[channels], factor, inflation)
+            inflation = self._inflation(marginal, free, slope.ratios, factor, inflation)
         rest[channels, channels] += self.noise.tracking(factor, inflation)
         return Weights(cholesky(rest, lower=True), factor, inflation)
 
@@ -217,16 +233,20 @@ class WeighedProblem:
         return Weights(cholesky(self.covariance(point), lower=True), 1.0, np.ones(self.noise.size))
 
     def p_value(self, point: WeighedPoint, slope: WeighedSlope) -> float:
-        """Of residuals as large, with the covariance before any scale or weight is fitted."""
+        """Of residuals as large, with the covariance before any scale or weight is fitted.
+
+        What no change of the ratios takes away of the data's; what is held of the ratios is no data.
+        """
         from scipy.stats import chi2
 
-        expected = self.as_expected(point).root
-        root = cholesky(expected @ expected.T + slope.nuisances @ slope.nuisances.T, lower=True)
-        free = point.values - slope.nuisances @ point.nuisances
-        values, fixed = (solve_triangular(root, a, lower=True) for a in (free, slope.ratios))
+        data = slice(0, self.data)
+        expected = self.as_expected(point).root[data, data]
+        root = cholesky(expected @ expected.T + slope.nuisances[data] @ slope.nuisances[data].T, lower=True)
+        free = point.values[data] - slope.nuisances[data] @ point.nuisances
+        values, fixed = (solve_triangular(root, a, lower=True) for a in (free, slope.ratios[data]))
         q = np.linalg.qr(fixed)[0]
         left = values - q @ (q.T @ values)
-        return float(chi2.sf(float(left @ left), self.size - q.shape[1]))
+        return float(chi2.sf(float(left @ left), self.data - q.shape[1]))
 
     def discrepancy(self, point: WeighedPoint) -> Floats:
         """(n, n) mm^2 of all channels: what the model lacks, as large as it moves at ``point``."""
@@ -258,10 +278,13 @@ class WeighedProblem:
         )
         return plane_motion(rest, now, view)
 
-    def _inflation(self, marginal: Floats, free: Floats, fixed: Floats, factor: float, before: Floats) -> Floats:
+    def _inflation(self, marginal: Floats, values: Floats, slopes: Floats, factor: float, before: Floats) -> Floats:
         whole = cho_factor(marginal + self.noise.tracking(factor, before), lower=True)
+        free, fixed = (a[: self.noise.size] for a in (values, slopes))
+        held, rows = (a[self.data :] for a in (values, slopes))
         both = cho_solve(whole, np.column_stack([fixed, free]))
-        p = np.linalg.lstsq(fixed.T @ both[:, :-1], -fixed.T @ both[:, -1], rcond=None)[0]
+        precision = fixed.T @ both[:, :-1] + rows.T @ rows
+        p = np.linalg.lstsq(precision, -fixed.T @ both[:, -1] - rows.T @ held, rcond=None)[0]
         solved = both[:, -1] + both[:, :-1] @ p
         return self.noise.inflation(self.noise.own_errors(solved, factor, before), factor)
 

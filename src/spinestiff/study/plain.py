@@ -6,40 +6,73 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from spinestiff.anatomy.stiffness import NMM_PER_NM, StiffnessRatios
+from spinestiff.anatomy.stiffness import NMM_PER_NM, ParameterGroup, StiffnessRatios
 from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats
+from spinestiff.study.wording import HALF_WIDTH_95
+from spinestiff.subject.outcome_parts import Quantity
 from spinestiff.subject.outcomes import PlainStiffness, RatioEstimate
-
-BENDING: tuple[str, ...] = ("lateral_bending", "intervertebral_bending", "everything")
-"""Ratios that scale a level's lateral bending as a whole."""
-TISSUE: tuple[str, ...] = ("tissue", "everything")
 
 
 def plain_stiffness(
-    torso: TorsoModel, ratios: StiffnessRatios, estimates: Mapping[str, RatioEstimate]
+    torso: TorsoModel,
+    ratios: StiffnessRatios,
+    estimates: Mapping[str, RatioEstimate],
+    covariance: Floats | None = None,
 ) -> dict[str, PlainStiffness]:
-    """Lateral bending of a thoracic and of a lumbar level (mean, N m/rad), and the tissue's Young's modulus (kPa).
+    """Lateral bending of a thoracic and of a lumbar level (mean, N m/rad), and the tissue's Young's modulus (kPa, mean
+    over its volume).
+
+    The interval is that of the one estimated ratio that scales all of it; where several do, to first order.
 
     Parameters
     ----------
     ratios : all of them.
     estimates : those that were estimated, with their intervals.
+    covariance : (P, P) of the logs of all ``ratios``; None: of several ratios there is no interval.
     """
-    joints = ratios.scale_joints(torso.joints.stiffness)
+    joints = ratios.scale_joints(torso.joints.stiffness)[:, 5] / NMM_PER_NM
     kinds = np.array(torso.joints.kinds)
-    mu, lam = (values[0] for values in ratios.scale_tissue(torso.tissue.lame_mu, torso.tissue.lame_lambda))
-    young = 1e3 * mu * (3.0 * lam + 2.0 * mu) / (lam + mu)
-    found = {
-        f"lateral_bending_{kind}": (float(joints[kinds == kind, 5].mean() / NMM_PER_NM), "N m/rad", BENDING)
-        for kind in ("thoracic", "lumbar")
-    }
-    found["tissue_young"] = (float(young), "kPa", TISSUE)
-    return {name: _plain(value, unit, scaling, estimates) for name, (value, unit, scaling) in found.items()}
+    groups = [group for group in ratios.groups if group.name in estimates]
+    spread = None if covariance is None or len(groups) < len(ratios.groups) else covariance
+    found = {}
+    for kind in ("thoracic", "lumbar"):
+        rows = kinds == kind
+        total = float(joints[rows].sum())
+        shares = {group.name: float(joints[rows & group.joints[:, 5]].sum()) / total for group in groups}
+        value = float(joints[rows].mean())
+        found[f"lateral_bending_{kind}"] = _plain(value, "N m/rad", shares, estimates, spread)
+    mu, lam = ratios.scale_tissue(torso.tissue.lame_mu, torso.tissue.lame_lambda)
+    weight = torso.tissue.corner_volumes() / torso.tissue.corner_volumes().sum()
+    young = 1e3 * weight * mu * (3.0 * lam + 2.0 * mu) / (lam + mu)
+    shares = {group.name: _share(group, young) for group in groups}
+    found["tissue_young"] = _plain(float(young.sum()), "kPa", shares, estimates, spread)
+    return found
 
 
-def _plain(value: float, unit: str, scaling: tuple[str, ...], estimates: Mapping[str, RatioEstimate]) -> PlainStiffness:
-    ratio = next((name for name in estimates if name in scaling), None)
-    if ratio is None:
-        return PlainStiffness(value=value, low=None, high=None, unit=unit, ratio=None)
-    ends = estimates[ratio].scaled(value / estimates[ratio].value)
+def _share(group: ParameterGroup, young: Floats) -> float:
+    """Of Young's modulus, which goes with mu and lambda together; NaN for one of the two alone."""
+    if group.mu != group.lambda_:
+        return float("nan")
+    return float(young[group.elements_of(len(young))].sum() / young.sum()) if group.mu else 0.0
+
+
+def _plain(
+    value: float,
+    unit: str,
+    shares: Mapping[str, float],
+    estimates: Mapping[str, RatioEstimate],
+    covariance: Floats | None,
+) -> PlainStiffness:
+    """``shares`` : ratio -> share of the value that it scales."""
+    scaling = [name for name, share in shares.items() if share != 0.0]
+    ends, ratio = Quantity(value=value, low=None, high=None), None
+    if len(scaling) == 1 and shares[scaling[0]] > 1.0 - 1e-9:
+        ratio = scaling[0]
+        ends = estimates[ratio].scaled(value / estimates[ratio].value)
+    elif scaling and covariance is not None:
+        weights = np.array(list(shares.values()))
+        factor = float(np.exp(HALF_WIDTH_95 * np.sqrt(weights @ covariance @ weights)))
+        if np.isfinite(factor):
+            ends = Quantity(value=value, low=value / factor, high=value * factor)
     return PlainStiffness(**{**ends.model_dump(), "value": value}, unit=unit, ratio=ratio)

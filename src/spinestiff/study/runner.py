@@ -123,7 +123,8 @@ ALL_STEPS: Mapping[str, Step] = {
         lambda visit: {
             "method": visit.settings.method,
             "orientation": visit.settings.orientation,
-            "parameters": list(visit.settings.parameters),
+            "parameters": list(visit.parameters),
+            "population": visit.population,
         },
     ),
     "assess": Step(

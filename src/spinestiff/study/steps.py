@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -9,12 +10,13 @@ import numpy as np
 from spinestiff.anatomy.axes import body_axes
 from spinestiff.anatomy.files import read_torso, write_torso
 from spinestiff.anatomy.names import BONES
-from spinestiff.anatomy.stiffness import stiffness_ratios
+from spinestiff.anatomy.regions import AT, expanded, torso_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.pushes import push_responses
 from spinestiff.errors import FitError, SubjectError
-from spinestiff.estimation.fit import FitStep, StiffnessFit
+from spinestiff.estimation.fit import FitStep, Method, StiffnessFit
+from spinestiff.estimation.linear import MOST_PROFILED
 from spinestiff.files import write_bytes
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
@@ -257,7 +259,7 @@ def assess_step(visit: Visit, say: Observer) -> None:
     if single is not None:
         models["single_ratio"] = single
     if visit.truth is not None:
-        models["truth"] = Model(stiffness_ratios(read_truth(visit.truth), pushes.torso.joints.kinds), fit.known)
+        models["truth"] = Model(torso_ratios(pushes.torso, read_truth(visit.truth)), fit.known)
     known = read_solved(result_path(subject, "training.npz", "estimate"))
     predictions = with_fitted_supports(predict(pushes, models, known, say), fit)
     assessment = Assessment(frames=assess(predictions), notes=tuple(_support_notes(visit, predictions)))
@@ -273,7 +275,7 @@ def assess_step(visit: Visit, say: Observer) -> None:
 
 def estimated_model(estimate: Estimate, pushes: PushSet) -> Model:
     """What an estimate found, for the torso of these pushes."""
-    ratios = stiffness_ratios(estimate.values, pushes.torso.joints.kinds)
+    ratios = torso_ratios(pushes.torso, estimate.values)
     return Model(ratios, {one.name: one.standard for one in estimate.nuisances})
 
 
@@ -321,15 +323,29 @@ def fit_training(visit: Visit, pushes: PushSet, say: Observer) -> StiffnessFit:
     """The fit of the training frames under load, begun on the coarse torso where there is one."""
 
     def progress(step: FitStep) -> None:
+        values = step.ratios.values()
         tried = ", ".join(f"{name} {value:.4g}" for name, value in step.ratios.items())
+        if len(values) > MOST_PROFILED:
+            tried = f"{len(values)} ratios from {min(values):.4g} to {max(values):.4g}"
         loss = "no equilibrium" if np.isnan(step.rmse_mm) else f"RMSE {step.rmse_mm:.3f} mm"
         say(f"evaluation {step.iteration}: {tried}: {loss}")
 
-    names, method = visit.settings.parameters, visit.settings.method
-    usual = {name: value for name, value in USUAL_RATIOS.items() if name in names}
+    names, population = expanded(pushes.torso, visit.parameters), visit.population
+    method: Method = visit.settings.method  # type: ignore[assignment]
+    usual = usual_ratios(names)
     coarse = load_start(visit, pushes.orientation, method)
     try:
-        return fit_from_coarse(coarse, pushes, names, usual, method, progress, say)  # type: ignore[arg-type]
+        return fit_from_coarse(coarse, pushes, names, usual, method, progress, say, population=population)
     except FitError:
         say("no fit from there; starting from the default ratios")
-        return fit_pushes(pushes, names, None, method, progress)  # type: ignore[arg-type]
+        return fit_pushes(pushes, names, None, method, progress, population=population)
+
+
+def usual_ratios(names: Sequence[str]) -> dict[str, float]:
+    """Where a fit of these ratios starts; that of a part beside its whole is relative to it and starts at 1."""
+    stems = {name: name.partition(AT)[0] for name in names}
+    return {
+        name: USUAL_RATIOS[stem]
+        for name, stem in stems.items()
+        if stem in USUAL_RATIOS and (name == stem or stem not in names)
+    }

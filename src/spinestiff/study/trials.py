@@ -13,6 +13,7 @@ from spinestiff.estimation.evaluation import OnFitStep
 from spinestiff.estimation.fit import Extent, Method, StiffnessFit, fit_stiffness, likelihood_rise
 from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Trial
 from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.ratio_priors import check_population
 from spinestiff.imaging.features import Orientation
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -48,7 +49,17 @@ class Known(ShortRepr):
 
 
 def known_of(record: SubjectRecord, geometry: Floats | None) -> Known:
-    """From ``subject.json`` and the geometry's covariance. Raises SubjectError for a prior that there is not."""
+    """From ``subject.json`` and the geometry's covariance.
+
+    Raises
+    ------
+    SubjectError : a prior or a population that there is not.
+    """
+    if record.population is not None:
+        try:
+            check_population(record.population)
+        except FitError as error:
+            raise SubjectError(f"subject.json: population: {error}") from None
     named = {field.name for field in fields(Priors)} - {"trunk_power"}
     for name in record.priors:
         if name not in named:
@@ -208,23 +219,28 @@ def fit_from_coarse(
     observer: OnFitStep | None = None,
     say: Observer = lambda line: None,
     extent: Extent = "everything",
+    population: str | None = None,
 ) -> StiffnessFit:
     """The fit of the training frames, begun where the same trials on a coarse torso end; see ``fit_pushes``."""
     known: Mapping[str, float] = {}
     if coarse is not None:
         say("on the coarse mesh first")
         try:
-            rough = fit_pushes(coarse, names, start, method, observer, "estimate")
+            rough = fit_pushes(coarse, names, start, method, observer, "estimate", population=population)
         except FitError:
             say("no fit on the coarse mesh")
         else:
             start, known = rough.ratios.as_dict(), rough.standard_nuisances
         say("on the fine mesh")
-    return fit_pushes(pushes, names, start, method, observer, extent, known)
+    return fit_pushes(pushes, names, start, method, observer, extent, known, population)
 
 
 def rise_of(
-    pushes: PushSet, estimate: Mapping[str, float], nuisances: Mapping[str, float], others: Mapping[str, float]
+    pushes: PushSet,
+    estimate: Mapping[str, float],
+    nuisances: Mapping[str, float],
+    others: Mapping[str, float],
+    population: str | None = None,
 ) -> float:
     """By how much less likely other ratios are than an estimate (``estimation.fit.likelihood_rise``)."""
     return likelihood_rise(
@@ -237,6 +253,7 @@ def rise_of(
         pushes.known.priors,
         pushes.known.geometry,
         pushes.known.taped,
+        population,
     )
 
 
@@ -248,6 +265,7 @@ def fit_pushes(
     observer: OnFitStep | None = None,
     extent: Extent = "everything",
     start_nuisances: Mapping[str, float] | None = None,
+    population: str | None = None,
 ) -> StiffnessFit:
     """The fit of the training frames; arguments and errors are those of ``estimation.fit.fit_stiffness``."""
     return fit_stiffness(
@@ -263,4 +281,5 @@ def fit_pushes(
         taped=pushes.known.taped,
         extent=extent,
         start_nuisances=start_nuisances,
+        population=population,
     )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from spinestiff.anatomy.regions import AT
 from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.files import read_json
 from spinestiff.study.trials import PushSet, rise_of
@@ -23,6 +25,21 @@ def read_truth(path: Path) -> dict[str, float]:
     if not sound:
         raise SubjectError(f"{path}: holds no true ratios; wanted the truth file of a synthetic subject")
     return {str(name): float(value) for name, value in ratios.items()}
+
+
+def true_values(parameters: Sequence[str], truth: Mapping[str, float]) -> dict[str, float]:
+    """True values of estimated ratios, of those that the true ratios tell.
+
+    A group's true ratio is that of each of its parts; of a part that is estimated beside its whole it is 1.
+    """
+    found = {}
+    for name in parameters:
+        stem = name.partition(AT)[0]
+        if name in truth:
+            found[name] = truth[name]
+        elif stem in truth:
+            found[name] = 1.0 if stem in parameters else truth[stem]
+    return found
 
 
 def known_comparison(subject: Subject, truth: Path) -> Comparison:
@@ -49,16 +66,16 @@ def compare_with_truth(estimate: Estimate, pushes: PushSet, truth: Path) -> Comp
     SubjectError : the truth lacks a ratio that was estimated.
     """
     true_ratios, size = read_truth(truth), estimate.region_size
-    lacking = [name for name in estimate.parameters if name not in true_ratios]
+    wanted = true_values(estimate.parameters, true_ratios)
+    lacking = [name for name in estimate.parameters if name not in wanted]
     if lacking:
         raise SubjectError(f"{truth}: holds no true ratio of {lacking[0]}, which was estimated")
     unknown = Comparison(truth=true_ratios, region_size=size, distance2=None, inside=None)
     if size is None:
         return unknown
     try:
-        distance2 = rise_of(
-            pushes, estimate.values, {one.name: one.standard for one in estimate.nuisances}, true_ratios
-        )
+        nuisances = {one.name: one.standard for one in estimate.nuisances}
+        distance2 = rise_of(pushes, estimate.values, nuisances, wanted, estimate.population)
     except EquilibriumError:
         return unknown
     return unknown.model_copy(update={"distance2": distance2, "inside": bool(distance2 <= size)})

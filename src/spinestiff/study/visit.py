@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from spinestiff.anatomy.files import read_torso
+from spinestiff.anatomy.regions import check_parameters
 from spinestiff.anatomy.template import MESHES
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import SubjectError
 from spinestiff.estimation.fit import METHODS
+from spinestiff.estimation.ratio_priors import POPULATIONS
 from spinestiff.imaging.features import ORIENTATIONS, Orientation
 from spinestiff.study.trials import PushSet, known_of, push_set, rig_of
 from spinestiff.study.truth import read_truth
@@ -19,6 +21,9 @@ from spinestiff.subject.folder import Subject, read_subject
 from spinestiff.subject.outcomes import GeometryRecord, Tracked
 from spinestiff.subject.run_record import read_outcome, recorded_steps, result_path
 
+USUAL = ("lateral_bending", "tissue")
+"""Ratios that are estimated unless others are asked for."""
+NOBODY = "none"
 START = "torso_coarse.npz"
 """The coarse torso, in ``results/``."""
 
@@ -31,19 +36,24 @@ class Settings:
     ----------
     mesh : of the estimator: "fine", begun on the coarse one, or "coarse" alone, a quick look.
     method : "weighed" or "paper". orientation : "procrustes" or "covariance".
-    parameters : ratios to estimate.
+    parameters : ratios to estimate, by name (``anatomy.regions``); None: those of ``subject.json``, else ``USUAL``.
+    population : whose ratios are held as a prior; "none": nobody's; None: as ``subject.json`` says.
     """
 
     mesh: str = "fine"
     method: str = "weighed"
     orientation: str = "procrustes"
-    parameters: tuple[str, ...] = ("lateral_bending", "tissue")
+    parameters: tuple[str, ...] | None = None
+    population: str | None = None
 
     def __post_init__(self) -> None:
+        if self.parameters is not None:
+            check_parameters(self.parameters)
         for what, found, known in (
             ("mesh", self.mesh, MESHES),
             ("method", self.method, METHODS),
             ("orientation", self.orientation, ORIENTATIONS),
+            ("population", self.population or NOBODY, (*POPULATIONS, NOBODY)),
         ):
             if found not in known:
                 raise SubjectError(f"unknown {what} '{found}'; wanted one of {', '.join(known)}")
@@ -56,6 +66,17 @@ class Visit:
     subject: Subject
     settings: Settings
     truth: Path | None = None
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Ratios to estimate."""
+        return self.settings.parameters or self.subject.record.parameters or USUAL
+
+    @property
+    def population(self) -> str | None:
+        """Whose ratios are held as a prior; None: nobody's."""
+        asked = self.settings.population or self.subject.record.population
+        return None if asked == NOBODY else asked
 
     def file(self, name: str) -> Path:
         """Path of a result, there or not."""
@@ -77,7 +98,12 @@ def open_visit(folder: str | Path, settings: Settings | None = None, truth: Path
         read_truth(truth)
     subject = read_subject(folder)
     known_of(subject.record, None)
-    return Visit(subject, settings or Settings(), truth)
+    visit = Visit(subject, settings or Settings(), truth)
+    if visit.population is not None and visit.settings.method == "paper":
+        raise SubjectError(
+            f"population '{visit.population}' with the paper's method, which knows no priors; leave one of them out"
+        )
+    return visit
 
 
 def load_start(visit: Visit, orientation: Orientation, method: str) -> PushSet | None:

@@ -109,7 +109,7 @@ UNKNOWNS = {
     "source distance": "the source's distance",
 }
 """What is not quite known, by its name in the variance budget."""
-UNMEASURABLE = ("model discrepancy",)
+UNMEASURABLE = ("model discrepancy", "rib joints", "tissue's volume")
 
 
 def unknown_title(name: str) -> str:
@@ -128,6 +128,20 @@ def most_costly(estimate: Estimate, ratio: str, measurable: bool = False) -> Bud
     rows = [row for row in estimate.budget if not (measurable and row.name in UNMEASURABLE)]
     best = min(rows, key=lambda row: row.without[ratio], default=None)
     return best if best is not None and best.without[ratio] < estimate.sd_log[ratio] else None
+
+
+LINEAR = "intervals: to first order at the estimate, as there are too many ratios for a profile of each"
+
+
+def held_lines(estimate: Estimate) -> list[str]:
+    """How intervals of many ratios were found, what was held of ratios before the fit, and what the data say alone."""
+    lines = [LINEAR] if estimate.intervals == "linear" else []
+    lines += [f"held before the fit, no data: {name}: {text}" for name, text in estimate.held.items()]
+    if estimate.data_sd_log:
+        least, most = (pick(estimate.data_sd_log.items(), key=lambda item: item[1]) for pick in (min, max))
+        told = [f"{name} within a factor of {factor95(sd)}" for name, sd in dict.fromkeys((least, most))]
+        lines.append(f"the radiographs without it (95 %, to first order): {listed(told)}")
+    return lines
 
 
 def uncertainty_lines(estimate: Estimate) -> list[str]:

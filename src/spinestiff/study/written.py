@@ -25,7 +25,7 @@ from spinestiff.study.plain import plain_stiffness
 from spinestiff.study.trials import PushSet
 from spinestiff.study.visit import Visit
 from spinestiff.subject.folder import read_identities
-from spinestiff.subject.outcome_parts import Determination, PoseRecord, ViewRecord, finite, nested
+from spinestiff.subject.outcome_parts import LEAST_FIRST, PoseRecord, ViewRecord, finite, nested
 from spinestiff.subject.outcomes import (
     BudgetRecord,
     CostRecord,
@@ -49,7 +49,6 @@ PAPER_NOTE = (
     "the paper's estimator, equal weights with the pelvis level: it has no intervals; spinestiff estimate --method "
     "weighed has"
 )
-LEAST_FIRST: tuple[Determination, ...] = ("not determined", "weakly determined", "determined")
 
 
 def proposal_record(proposal: Proposal, push: PushRecord) -> FrameProposal:
@@ -84,8 +83,11 @@ def estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry: 
     """The estimate, judged: what the fit found, in plain units too, with every check and note."""
     checks = judge(visit.subject.record, rest_shape(geometry), pushes, fit, read_identities(visit.subject))
     kinds = dict.fromkeys(fit.names) if fit.likely is None else dict(zip(fit.names, fit.likely.kinds))
+    data_sd = {} if fit.weighed is None or not fit.weighed.held else dict(zip(fit.names, fit.weighed.data_sd.tolist()))
     ratios = {
-        name: RatioEstimate.of(value, fit.intervals95[name], fit.open_ends[name], fit.at_bound[name], kinds[name])
+        name: RatioEstimate.of(
+            value, fit.intervals95[name], fit.open_ends[name], fit.at_bound[name], kinds[name], data_sd.get(name)
+        )
         for name, value in fit.ratios.as_dict().items()
     }
     region = None if fit.likely is None else fit.likely.region
@@ -98,7 +100,11 @@ def estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry: 
         checks=checks,
         parameters=fit.names,
         ratios=ratios,
-        plain=plain_stiffness(pushes.torso, fit.ratios, ratios),
+        intervals="none" if fit.likely is None else "profile" if fit.profiled else "linear",
+        population=visit.population,
+        held={} if fit.weighed is None else dict(fit.weighed.held),
+        data_sd_log=data_sd,
+        plain=plain_stiffness(pushes.torso, fit.ratios, ratios, fit.covariance),
         covariance_log=nested(fit.covariance),  # type: ignore[arg-type]
         correlation=finite(float(fit.correlation[0, -1])) if len(fit.names) > 1 else None,
         region=None if region is None else np.exp(region).tolist(),

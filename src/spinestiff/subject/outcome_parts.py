@@ -17,6 +17,7 @@ DETERMINED, WEAKLY_DETERMINED = 2.0, 10.0
 """Factors either way of the value: an interval within the first determines it, one within the second does so weakly."""
 
 Determination = Literal["determined", "weakly determined", "not determined"]
+LEAST_FIRST: tuple[Determination, ...] = ("not determined", "weakly determined", "determined")
 Pair = tuple[float, float]
 Vector = tuple[float, float, float]
 
@@ -123,9 +124,16 @@ class Quantity(Outcome):
         """How far the data determine the value: by the interval's width in log, with an open end weakly at best."""
         if self.low is None or self.high is None or self.low <= 0.0 or (self.open_low and self.open_high):
             return "not determined"
-        if 2.0 * self.sd_log <= log(DETERMINED):
-            return "determined"
-        return "weakly determined" if 0.5 * log(self.high / self.low) <= log(WEAKLY_DETERMINED) else "not determined"
+        half_width = 0.5 * log(self.high / self.low)
+        found = determination(half_width)
+        return "weakly determined" if found == "determined" and (self.open_low or self.open_high) else found
+
+
+def determination(half_width: float) -> Determination:
+    """How far an interval of this half width in log determines its value."""
+    if half_width <= log(DETERMINED):
+        return "determined"
+    return "weakly determined" if half_width <= log(WEAKLY_DETERMINED) else "not determined"
 
 
 def finite(value: float) -> float | None:

@@ -13,6 +13,7 @@ from spinestiff.imaging.features import Orientation, VertebraCorners
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking import SupportMotion
 from spinestiff.subject.outcome_parts import (
+    LEAST_FIRST,
     Determination,
     Outcome,
     OutcomeFile,
@@ -21,6 +22,7 @@ from spinestiff.subject.outcome_parts import (
     Quantity,
     Vector,
     ViewRecord,
+    determination,
 )
 from spinestiff.subject.records import Role, VertebraName
 
@@ -357,15 +359,29 @@ class RatioEstimate(Quantity):
     determined: Determination
 
     @classmethod
-    def of(cls, value: float, ends: Pair, opens: tuple[bool, bool], at_bound: bool, profile: str | None = None) -> Self:
-        """From the ends of its interval; what is not finite counts as not found."""
+    def of(
+        cls,
+        value: float,
+        ends: Pair,
+        opens: tuple[bool, bool],
+        at_bound: bool,
+        profile: str | None = None,
+        data_sd_log: float | None = None,
+    ) -> Self:
+        """From the ends of its interval; what is not finite counts as not found.
+
+        ``data_sd_log``, of the data alone, says how far they determine it where a prior narrows the interval.
+        """
         low, high = (float(end) if isfinite(end) else None for end in ends)
         quantity = Quantity(value=value, low=low, high=high, open_low=opens[0], open_high=opens[1])
-        return cls(**quantity.model_dump(), at_bound=at_bound, profile=profile, determined=quantity.determination)
+        known = [quantity.determination, *([] if data_sd_log is None else [determination(2.0 * data_sd_log)])]
+        least = next(word for word in LEAST_FIRST if word in known)
+        return cls(**quantity.model_dump(), at_bound=at_bound, profile=profile, determined=least)
 
 
 class PlainStiffness(Quantity):
-    """A stiffness in plain units. Its interval is that of the one ratio that scales it as a whole; without one, none.
+    """A stiffness in plain units. Its interval is that of the one ratio that scales it as a whole; where several ratios
+    scale it, to first order; else none.
 
     Attributes
     ----------
@@ -484,6 +500,10 @@ class Estimate(OutcomeFile):
     determined : the least of the ratios' determinations.
     checks : whether the result can be right.
     ratios : by name, in the order of ``parameters``.
+    intervals : how those of the ratios were found: from a "profile" of each, "linear" to first order, or "none".
+    population : whose ratios were held as a prior; None: nobody's.
+    held : name -> what was held of the ratios before the fit, which is no data. data_sd_log : standard deviation of
+        each ratio's log without it, to first order; empty where nothing was held.
     plain : in plain units, by "lateral_bending_thoracic", "lateral_bending_lumbar", "tissue_young".
     covariance_log : (P, P) of the log ratios; None = not finite. correlation : of the first and the last.
     region : outline of the 95 % joint region of two ratios, (n, 2), not cut at the bounds; None = not drawn.
@@ -506,6 +526,10 @@ class Estimate(OutcomeFile):
     checks: tuple[Check, ...]
     parameters: tuple[str, ...]
     ratios: dict[str, RatioEstimate]
+    intervals: Literal["profile", "linear", "none"] = "profile"
+    population: str | None = None
+    held: dict[str, str] = Field(default_factory=dict)
+    data_sd_log: dict[str, float] = Field(default_factory=dict)
     plain: dict[str, PlainStiffness]
     covariance_log: tuple[tuple[float | None, ...], ...]
     correlation: float | None

@@ -16,8 +16,9 @@ from pydantic_core import ErrorDetails
 
 from spinestiff.anatomy.axes import Axis, Unit, body_axes
 from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.regions import check_parameters
 from spinestiff.arrays import Floats
-from spinestiff.errors import SubjectError
+from spinestiff.errors import SubjectError, TorsoError
 from spinestiff.files import parse_json, read_text
 from spinestiff.imaging.spine_shape import CLEARLY, across, cross, quarter_turns
 from spinestiff.words import counted
@@ -267,6 +268,8 @@ class SubjectRecord(_Record):
     priors : standard deviations of what is not quite known that differ from the usual ones, by name
         (``estimation.priors.Priors``).
     wall : whether the back wall holds both ways ("bilateral") or only pushes ("one-sided").
+    parameters : ratios to estimate, by name (``anatomy.regions``); None: lateral bending and tissue.
+    population : whose ratios are held as a prior (``estimation.ratio_priors``); None: nobody's.
     """
 
     schema_version: Literal[1]
@@ -283,6 +286,18 @@ class SubjectRecord(_Record):
     pelvis: Pelvis = "estimated"
     wall: Wall = "bilateral"
     priors: dict[str, Annotated[float, Field(ge=0.0, le=1000.0)]] = {}
+    parameters: Annotated[tuple[str, ...], Field(min_length=1, max_length=40, strict=False)] | None = None
+    population: str | None = None
+
+    @field_validator("parameters")
+    @classmethod
+    def _are_parameters(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        if names is not None:
+            try:
+                check_parameters(names)
+            except TorsoError as error:
+                raise ValueError(str(error)) from None
+        return names
 
     @field_validator("torso")
     @classmethod

@@ -68,13 +68,17 @@ def _images(subject: Subject, kind: str) -> object:
 
 
 _SUPPORTS = {"pelvis", "wall", "priors"}
+_ASKED = {"parameters", "population"}
+"""Settings that are in ``subject.json``: a step that follows them has them among its settings."""
 
 PARTS: Mapping[str, Callable[[Subject], object]] = {
     f"{SUBJECT_FILE}: X-ray geometry": lambda s: s.record.xray.model_dump(mode="json"),
     f"{SUBJECT_FILE}: frames and forces": lambda s: _pushes(s, "id", "frames", "forces_n"),
     f"{SUBJECT_FILE}: pushes": lambda s: _pushes(s, "id", "frames", "forces_n", "side", "level", "d21_mm", "d31_mm"),
     f"{SUBJECT_FILE}: roles": lambda s: _pushes(s, "id", "roles"),
-    f"{SUBJECT_FILE}: body": lambda s: s.record.model_dump(mode="json", exclude={"pushes", "xray", "id", *_SUPPORTS}),
+    f"{SUBJECT_FILE}: body": lambda s: s.record.model_dump(
+        mode="json", exclude={"pushes", "xray", "id", *_SUPPORTS, *_ASKED}
+    ),
     f"{SUBJECT_FILE}: supports": lambda s: s.record.model_dump(mode="json", include=_SUPPORTS),
     f"{ANNOTATION_FILE}: rest": lambda s: _images(s, "rest/"),
     f"{ANNOTATION_FILE}: pushes": lambda s: _images(s, "push/"),

@@ -527,6 +527,14 @@ def test_only_the_largest_unknowns_are_drawn(visit: Visit) -> None:
     assert budget_bars(many)[0] == tuple(f"unknown {i}" for i in range(11, 1, -1))
 
 
+def test_of_many_ratios_those_known_least_are_drawn(visit: Visit) -> None:
+    estimate = read_outcome(visit.subject, Estimate)
+    sds = {f"ratio {i}": 0.1 + 0.01 * (i % 4) + 0.001 * i for i in range(8)}
+    row = BudgetRecord(name="unknown", alone=dict.fromkeys(sds, 0.05), without=dict.fromkeys(sds, 0.05))
+    changes = {"budget": (row,), "sd_log": sds, "sd_log_tracking": dict.fromkeys(sds, 0.01)}
+    assert list(budget_bars(estimate.model_copy(update=changes))[1]) == ["ratio 2", "ratio 3", "ratio 6", "ratio 7"]
+
+
 def test_supports_are_told_by_frame(page: Page) -> None:
     """Compliance of 2.83 degrees under 60 N times 0.5, and in the training frame 0.4 degrees of its own.
 
@@ -554,6 +562,24 @@ def test_other_priors_are_told_where_they_matter(page: Page, visit: Visit, tmp_p
     words = Page(written(changed(visit, tmp_path / "steady", Estimate, steady))).words
     assert "moves no ratio by more than 0.2 of its standard deviation" in words
     assert "if all errors are as expected: they are not" in words
+
+
+def test_what_is_held_of_ratios_and_what_many_of_them_leave_out(visit: Visit, page: Page, tmp_path: Path) -> None:
+    """What several ratios scale has an interval of its own; other priors, not asked for, are not said to do nothing."""
+    assert "what is not from the radiographs" not in page.words
+    assert "where several ratios scale one stiffness" not in page.words
+
+    def held(content: dict) -> None:
+        content |= {"intervals": "linear", "held": {"population x": "so much"}, "prior_changes": []}
+        content["data_sd_log"] = {"lateral_bending": 9.0, "tissue": 0.2}
+        content["plain"]["lateral_bending_lumbar"]["ratio"] = None
+
+    words = Page(written(changed(visit, tmp_path / "held", Estimate, held))).words
+    assert "How intervals were found, and what is not from the radiographs Intervals: to first order" in words
+    assert "Held before the fit, no data: population x: so much." in words
+    assert "tissue within a factor of 1.48 and lateral_bending within a factor of more than 1000." in words
+    assert re.search(r"where several ratios scale one stiffness .*Per lumbar level 30 N m/rad", words)
+    assert "moves no ratio by more than" not in words
 
 
 def test_the_paper_s_estimator_has_no_intervals(visit: Visit, tmp_path: Path) -> None:

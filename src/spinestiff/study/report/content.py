@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from spinestiff.anatomy.regions import AT
 from spinestiff.arrays import Floats
 from spinestiff.curves.pushes import rest_reading
 from spinestiff.estimation.unknowns import ACTS, PLACING, unknowns_of
-from spinestiff.study.plain import BENDING
 from spinestiff.study.predictions import Model, Predictions, predicted_acts
-from spinestiff.study.truth import read_truth
+from spinestiff.study.truth import read_truth, true_values
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import (
     MISSING,
@@ -22,6 +22,7 @@ from spinestiff.study.wording import (
     factor95,
     fixed,
     has_intervals,
+    held_lines,
     interval,
     listed,
     most_costly,
@@ -37,6 +38,7 @@ from spinestiff.subject.outcomes import (
     Estimate,
     GeometryRecord,
     HeldOutFrame,
+    PlainStiffness,
     RatioEstimate,
     Reactions,
     Responses,
@@ -61,6 +63,8 @@ RATIO_TITLES = {
     "separation": "Axial stiffness of the spine",
     "everything": "All stiffnesses together",
 }
+# Ratios that scale a level's lateral bending as a whole.
+BENDING = ("lateral_bending", "intervertebral_bending", "everything")
 PLAIN_TITLES = {
     "lateral_bending_thoracic": "per thoracic level",
     "lateral_bending_lumbar": "per lumbar level",
@@ -98,12 +102,15 @@ PROFILES = {
     "several minima": "Likely in several places with less likely ones between: the value is one of them.",
 }
 MOST_BARS = 10
+MOST_PANELS = 4  # of the variance budget's picture
 MOVED_SD = 0.2  # of a ratio's log, by other priors: what is worth a row
 
 
 def ratio_title(name: str) -> str:
     """What a ratio scales, in words."""
-    return RATIO_TITLES.get(name, name.replace("_", " "))
+    stem, _, part = name.partition(AT)
+    title = RATIO_TITLES.get(stem, stem.replace("_", " "))
+    return f"{title}, {part}" if part else title
 
 
 def subject_content(visit: Visit) -> dict[str, Any]:
@@ -139,7 +146,7 @@ def response_content(responses: Responses) -> dict[str, Any]:
 
 def result_content(visit: Visit, estimate: Estimate, assessment: Assessment) -> dict[str, Any]:
     """Whether the result can be right, ratios with intervals and in plain units, plausibility and notes."""
-    truth = read_truth(visit.truth) if visit.truth else {}
+    truth = true_values(estimate.parameters, read_truth(visit.truth)) if visit.truth else {}
     ratios = []
     for name in estimate.parameters:
         ratio = estimate.ratios[name]
@@ -152,15 +159,7 @@ def result_content(visit: Visit, estimate: Estimate, assessment: Assessment) -> 
                 "determined": ratio.determined if has_intervals(estimate) else "",
                 "at_bound": ratio.at_bound,
                 "truth": number(truth[name]) if name in truth else "",
-                "plain": [
-                    {
-                        "title": title,
-                        "value": f"{estimated(estimate.plain[key])} {estimate.plain[key].unit}",
-                        "interval": f"{interval(estimate.plain[key])} {estimate.plain[key].unit}",
-                    }
-                    for key, title in PLAIN_TITLES.items()
-                    if estimate.plain[key].ratio == name
-                ],
+                "plain": _plain_rows(estimate, [key for key in PLAIN_TITLES if estimate.plain[key].ratio == name]),
                 "strip": _strip(name, ratio, estimate.bounds, truth.get(name)),
                 "published": PUBLISHED.get(name),
             }
@@ -173,9 +172,24 @@ def result_content(visit: Visit, estimate: Estimate, assessment: Assessment) -> 
         "fit_text": "" if estimate.fit_status == "CONVERGED" else estimate.fit_status_text,
         "failed": [f"{check.name}: {check.text}" for check in estimate.failed],
         "ratios": ratios,
+        "plain": _plain_rows(estimate, [key for key in PLAIN_TITLES if _of_several(estimate.plain[key])]),
+        "held": held_lines(estimate),
         "bending": _bending_line(estimate),
         "notes": list(dict.fromkeys((*estimate.notes, *assessment.notes))),
     }
+
+
+def _plain_rows(estimate: Estimate, keys: Sequence[str]) -> list[dict[str, str]]:
+    found = [(PLAIN_TITLES[key], estimate.plain[key]) for key in keys]
+    return [
+        {"title": title, "value": f"{estimated(one)} {one.unit}", "interval": f"{interval(one)} {one.unit}"}
+        for title, one in found
+    ]
+
+
+def _of_several(found: PlainStiffness) -> bool:
+    """Whether several ratios scale it."""
+    return found.ratio is None and found.low is not None
 
 
 def check_rows(checks: Sequence[Check]) -> list[dict[str, str]]:
@@ -207,7 +221,7 @@ def _strip(name: str, ratio: RatioEstimate, bounds: Sequence[float], truth: floa
 def _bending_line(estimate: Estimate) -> dict[str, Any] | None:
     """The bending stiffness of a level beside cadaver segments."""
     found = estimate.plain["lateral_bending_thoracic"]
-    if found.ratio not in BENDING:
+    if not _of_several(found) and (found.ratio or "").partition(AT)[0] not in BENDING:
         return None
     low, high = (float(np.degrees(edge)) for edge in BENDING_BAND)
     value = found.value
@@ -253,6 +267,7 @@ def uncertainty_content(estimate: Estimate, predictions: Predictions) -> dict[st
         ],
         "gains": [_gain(estimate, name) for name in estimate.parameters if estimate.budget],
         "supports": _support_places(estimate, predictions),
+        "changed": bool(estimate.prior_changes),
         "changes": _prior_changes(estimate),
         "changes_limit": f"{MOVED_SD:g}",
         "titles": [ratio_title(name) for name in estimate.parameters],
@@ -265,8 +280,10 @@ def uncertainty_content(estimate: Estimate, predictions: Predictions) -> dict[st
 def budget_bars(estimate: Estimate) -> tuple[tuple[str, ...], dict[str, Floats]]:
     """The unknowns that cost most, the largest first, and of each ratio (n, 2) shares of the variance of its log.
 
-    The first share is what the unknown adds where all others are known, the second what knowing it takes away.
+    Of many ratios those that are known least. The first share is what the unknown adds where all others are known, the
+    second what knowing it takes away.
     """
+    least = sorted(estimate.sd_log, key=lambda name: -estimate.sd_log[name])[:MOST_PANELS]
     share = {
         name: np.array(
             [
@@ -276,6 +293,7 @@ def budget_bars(estimate: Estimate) -> tuple[tuple[str, ...], dict[str, Floats]]
         ).reshape(-1, 2)
         / sd**2
         for name, sd in estimate.sd_log.items()
+        if name in least
     }
     most = np.max([rows.max(axis=1) for rows in share.values()], axis=0)
     shown = np.argsort(-most, kind="stable")[:MOST_BARS]

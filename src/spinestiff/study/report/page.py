@@ -59,7 +59,7 @@ from spinestiff.study.report.figures import (
 from spinestiff.study.report.viewer.files import scene_of
 from spinestiff.study.report.viewer.page import component, page_environment, script_hash, view_page
 from spinestiff.study.trials import PushTrial
-from spinestiff.study.truth import known_comparison, read_truth
+from spinestiff.study.truth import known_comparison, read_truth, true_values
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import fixed, listed, number
 from spinestiff.subject.folder import image_corners, read_push, read_rest
@@ -329,7 +329,7 @@ def _region_picture(visit: Visit, estimate: Estimate) -> tuple[str, Figure, str,
         return None
     values = list(estimate.values.values())
     path = [[step.ratios[name] for name in names] for step in estimate.history if step.accepted]
-    truth = read_truth(visit.truth) if visit.truth else {}
+    truth = true_values(names, read_truth(visit.truth)) if visit.truth else {}
     region = np.array(estimate.region or np.empty((0, 2)))
     known = np.array([truth[name] for name in names]) if all(name in truth for name in names) else None
     shown = (names[0].replace("_", " "), names[1].replace("_", " "))
@@ -349,12 +349,17 @@ def _region_picture(visit: Visit, estimate: Estimate) -> tuple[str, Figure, str,
     return "joint-region", figure, alt, caption
 
 
+def _within_a_sentence(title: str) -> str:
+    return title[:1].lower() + title[1:]
+
+
 def _budget_picture(estimate: Estimate) -> tuple[str, Figure, str, str]:
     titles, shares = budget_bars(estimate)
     figure = draw_budget(BudgetBars(titles, {ratio_title(name): rows for name, rows in shares.items()}))
     words = [
-        f"{ratio_title(name).lower()}: {titles[int(np.argmax(rows[:, 1]))]}, {100.0 * rows[:, 1].max():.0f} %"
+        f"{_within_a_sentence(ratio_title(name))}: {titles[int(np.argmax(rows[:, 1]))]}, {gained:.0f} %"
         for name, rows in shares.items()
+        for gained in [100.0 * rows[:, 1].max()]
     ]
     alt = f"Share of each ratio’s variance by unknown. Most would be gained by knowing, for {listed(words)}."
     caption = (
@@ -362,4 +367,6 @@ def _budget_picture(estimate: Estimate) -> tuple[str, Figure, str, str]:
         "it adds where all others are known (grey), and what would go away if it were known (orange). Tracking’s "
         "errors are always there. Unknowns share what they spoil, so that neither column adds up to 100."
     )
+    if len(shares) < len(estimate.parameters):
+        caption += f" Of {len(estimate.parameters)} ratios the {len(shares)} that are known least."
     return "variance-budget", figure, alt, caption

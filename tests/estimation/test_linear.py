@@ -1,0 +1,48 @@
+"""Intervals and draws to first order, beside the covariance and the bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from spinestiff.estimation.linear import linear_ratios
+from spinestiff.estimation.weighed import reduced
+
+
+@pytest.fixture(scope="module")
+def covariance(found):
+    model = reduced(found.point, found.slope, found.weights)
+    return np.linalg.inv(model.ratios.T @ model.ratios)
+
+
+def test_ends_lie_at_two_standard_deviations(column, found, covariance, likely):
+    linear = linear_ratios(found, (), column.limits)
+    reach = 1.96 * np.sqrt(np.diag(covariance))
+    assert linear.high - found.point.log_ratios == pytest.approx(reach, rel=0.01)
+    assert found.point.log_ratios - linear.low == pytest.approx(reach, rel=0.01)
+    assert linear.kinds == ("bounded", "bounded")
+    assert (linear.profiles, linear.region) == ((), None)
+    # A profile of so well determined ratios is not far from it.
+    assert linear.high - linear.low == pytest.approx(likely.high - likely.low, rel=0.25)
+
+
+def test_ends_beyond_the_bounds_are_open(found, covariance):
+    sd, best = np.sqrt(np.diag(covariance)), found.point.log_ratios
+    near = (float(best[0] - sd[0]), float(best.max() + 10.0))
+    linear = linear_ratios(found, (), near)
+    assert linear.low[0] == near[0]
+    assert linear.open_low.tolist()[0] is True
+    assert linear.open_high.tolist() == [False, False]
+    assert linear.kinds[0] == "one-sided"
+    assert (linear.draws[0] >= near[0]).all()
+
+
+def test_draws_spread_as_ratios_and_nuisances_do(column, found, covariance):
+    ratios, nuisances = linear_ratios(found, (), column.limits).draws
+    assert np.cov(ratios.T) == pytest.approx(covariance, rel=0.2)
+    assert ratios.mean(axis=0) == pytest.approx(found.point.log_ratios, abs=0.2 * np.sqrt(np.diag(covariance)).min())
+    columns = found.weights.whiten(np.column_stack([found.slope.ratios, found.slope.nuisances]))
+    precision = columns.T @ columns
+    precision[2:, 2:] += np.eye(len(precision) - 2)
+    wanted = np.sqrt(np.diag(np.linalg.inv(precision)))[2:]
+    assert nuisances.std(axis=0) == pytest.approx(wanted, rel=0.15)
