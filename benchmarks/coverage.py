@@ -34,6 +34,7 @@ from spinestiff.estimation.fit import StiffnessFit
 from spinestiff.estimation.priors import Priors
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess
+from spinestiff.study.forecasts import forecasts
 from spinestiff.study.predictions import Model, predict
 from spinestiff.study.trials import Known, fit_pushes, push_set
 
@@ -60,7 +61,13 @@ def run_one(seed: int, acquisition: Acquisition, nodes: int, mesh: str) -> dict[
         fit = fit_pushes(pushes, NAMES, START, extent="intervals")
         row |= told(fit, subject.ratios)
         predictions = predict(pushes, {"default": Model(), "fit": Model.of(fit)}, {}, lambda line: None, ("default",))
-        row["held_out_mm"] = [frame.rmse_mm["fit"] for frame in assess(predictions)]
+        if fit.weighed is not None and fit.status.usable:
+            factor = fit.weighed.tracking_factor
+            expected = forecasts(predictions, fit.ratios.as_dict(), fit.standard_nuisances, factor)
+            row["held_out"] = [
+                {"fit_mm": frame.rmse_mm["fit"], **({} if frame.forecast is None else frame.forecast.model_dump())}
+                for frame in assess(predictions, expected)
+            ]
     except SpinestiffError as error:
         row["failed"] = str(error)
     return {**row, "cpu_s": round(time.process_time() - began, 1)}
@@ -128,6 +135,16 @@ def summary(rows: list[dict[str, Any]]) -> None:
     levels = [_share(joint < chi2.ppf(level, 2)) for level in (0.68, 0.95, 0.999)]
     table.add_row("both", "joint region", str(len(found)), *levels, "", "", "")
     console.print(table)
+    held_out = [frame for row in found for frame in row.get("held_out", []) if "inside95" in frame]
+    if held_out:
+        corners = np.mean([frame["inside95"] for frame in held_out])
+        turns = [(f["cobb_error_deg"], f["cobb_sd_deg"]) for f in held_out if f["cobb_sd_deg"] is not None]
+        cobb = _share(np.array([abs(error) < norm.ppf(0.975) * sd for error, sd in turns]))
+        fitted, expected = (np.median([frame[key] for frame in held_out]) for key in ("fit_mm", "rmse_mm"))
+        console.print(
+            f"held-out frames, 95 % intervals: {100.0 * corners:.1f} % of corners of {len(held_out)} frames, "
+            f"{cobb} % of Cobb changes; median RMSE {expected:.2f} mm expected, {fitted:.2f} mm by the model alone"
+        )
     for key in ("evaluations", "factorisations", "cpu_s", "p_value", "tracking_factor", "rmse_mm"):
         values = [row[key] for row in found if key in row]
         if values:

@@ -443,11 +443,14 @@ def _steps(folder: Path, steps: tuple[str, ...], redo: bool, truth: Path | None 
 
 def _assess(visit: Any) -> None:
     from spinestiff.app import tables
+    from spinestiff.study.wording import forecast_lines
     from spinestiff.subject.outcomes import Assessment, Comparison
     from spinestiff.subject.run_record import read_outcome
 
     assessment = read_outcome(visit.subject, Assessment)
     tables.show(tables.assessment_table(assessment.frames))
+    for line in forecast_lines(assessment.frames):
+        typer.echo(line)
     for note in assessment.notes:
         typer.echo(f"note: {note}")
     inside = read_outcome(visit.subject, Comparison).inside if visit.truth else None

@@ -85,7 +85,7 @@ def estimate_table(estimate: Estimate) -> Table:
 
 def assessment_table(frames: Sequence[HeldOutFrame]) -> Table:
     """RMSE of every held-out frame by predictor, and the change of the Cobb angle (tilt form)."""
-    names = ("rest", "default", "fit", "fitted_supports", "extrapolation", "single_ratio", "truth")
+    names = ("rest", "default", "fit", "forecast", "fitted_supports", "extrapolation", "single_ratio", "truth")
     table = _table(
         "Held-out frames: corner RMSE, mm, and change of tilt, degrees",
         "frame",

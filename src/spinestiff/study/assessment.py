@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,26 +10,36 @@ from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import CobbChange
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.fit import Method
+from spinestiff.estimation.forecast import Forecast
 from spinestiff.imaging.features import rmse, target_features
+from spinestiff.study.forecasts import forecast_record
 from spinestiff.study.predictions import Model, Prediction, Predictions
 from spinestiff.study.trials import PushSet, PushTrial, fit_from_coarse
 from spinestiff.subject.outcomes import CobbChangeRecord, HeldOutFrame
 
-BASELINES = ("rest", "default", "fit", "fitted_supports", "extrapolation", "single_ratio", "truth")
+BASELINES = ("rest", "default", "fit", "forecast", "fitted_supports", "extrapolation", "single_ratio", "truth")
 COBB_MODELS = ("default", "fit", "truth")
 
 
-def assess(predictions: Predictions) -> tuple[HeldOutFrame, ...]:
+def assess(
+    predictions: Predictions, forecasts: Mapping[tuple[str, int], Forecast] | None = None
+) -> tuple[HeldOutFrame, ...]:
     """Every held-out frame's error by predictor, and its change of the Cobb angle, measured and simulated.
+
+    ``forecasts`` : by push and frame (``study.forecasts``).
 
     Raises
     ------
     EquilibriumError : the estimate has no equilibrium in a held-out frame.
     """
-    return tuple(_held_out(predictions, found) for found in predictions.of_role("validation"))
+    known = forecasts or {}
+    return tuple(
+        _held_out(predictions, found, known.get((found.item.push, found.item.frame)))
+        for found in predictions.of_role("validation")
+    )
 
 
-def _held_out(predictions: Predictions, found: Prediction) -> HeldOutFrame:
+def _held_out(predictions: Predictions, found: Prediction, forecast: Forecast | None) -> HeldOutFrame:
     torso, item = predictions.pushes.torso, found.item
     if "fit" not in found.solved:
         raise EquilibriumError(f"{item.trial.label}: no prediction by the estimate; see the messages of this step")
@@ -42,12 +52,18 @@ def _held_out(predictions: Predictions, found: Prediction) -> HeldOutFrame:
         errors["extrapolation"] = round(rmse(features, found.target.z[rows]), 4)
     changes = {"measured": predictions.measured_change(item)}
     changes |= {name: predictions.simulated_change(found, name) for name in COBB_MODELS if name in found.solved}
+    measured = changes["measured"]
+    record = (
+        None if forecast is None else forecast_record(found, forecast, None if measured is None else measured.levels)
+    )
+    errors["forecast"] = None if record is None else record.rmse_mm
     return HeldOutFrame(
         push=item.push,
         frame=item.frame,
         force_n=item.force_n,
         rmse_mm=errors,
         cobb_change_deg={name: None if change is None else change_record(change) for name, change in changes.items()},
+        forecast=record,
     )
 
 

@@ -16,6 +16,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.pushes import push_responses
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.fit import FitStep, Method, StiffnessFit
+from spinestiff.estimation.forecast import Forecast
 from spinestiff.estimation.linear import MOST_PROFILED
 from spinestiff.files import write_bytes
 from spinestiff.imaging.features import VertebraCorners
@@ -27,6 +28,7 @@ from spinestiff.personalise.measured_skin import TrunkSize
 from spinestiff.personalise.scan import SkinScan, read_scan
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess, single_ratio
+from spinestiff.study.forecasts import forecasts
 from spinestiff.study.frame_selection import frame_qualities, propose
 from spinestiff.study.predictions import (
     Model,
@@ -262,7 +264,11 @@ def assess_step(visit: Visit, say: Observer) -> None:
         models["truth"] = Model(torso_ratios(pushes.torso, read_truth(visit.truth)), fit.known)
     known = read_solved(result_path(subject, "training.npz", "estimate"))
     predictions = with_fitted_supports(predict(pushes, models, known, say), fit)
-    assessment = Assessment(frames=assess(predictions), notes=tuple(_support_notes(visit, predictions)))
+    expected: dict[tuple[str, int], Forecast] = {}
+    if estimate.tracking_factor is not None:
+        say("what the training frames let expect of those held out")
+        expected = forecasts(predictions, estimate.values, fit.known, estimate.tracking_factor, estimate.population)
+    assessment = Assessment(frames=assess(predictions, expected), notes=tuple(_support_notes(visit, predictions)))
     comparison = None if visit.truth is None else compare_with_truth(estimate, pushes, visit.truth)
     write_solved(visit.file("predictions.npz"), stored(predictions))
     write_outcome(subject, assessment)

@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from spinestiff.subject.outcome_parts import Quantity
-from spinestiff.subject.outcomes import AngleResponse, BudgetRecord, Estimate, Flexibility, PushResponse, Responses
+from spinestiff.subject.outcomes import (
+    AngleResponse,
+    BudgetRecord,
+    Estimate,
+    Flexibility,
+    HeldOutFrame,
+    PushResponse,
+    Responses,
+)
 
 MISSING = "not available"
 NO_INTERVALS = "no intervals"
@@ -217,3 +225,21 @@ def listed(parts: Iterable[str]) -> str:
     """Words as a list: a, b and c."""
     parts = list(parts)
     return ", ".join(parts[:-1]) + " and " + parts[-1] if len(parts) > 1 else "".join(parts)
+
+
+def forecast_lines(frames: Sequence[HeldOutFrame]) -> list[str]:
+    """How the intervals of held-out frames were met, a line a frame that has any."""
+    lines = []
+    for frame in frames:
+        found = frame.forecast
+        if found is None:
+            continue
+        line = (
+            f"push '{frame.push}' frame {frame.frame}: expected within {fixed(found.sd_mm)} mm (one sd), found "
+            f"{fixed(found.rmse_mm)} mm off, {100.0 * found.inside95:.0f} % of corners inside their 95 % intervals"
+        )
+        if found.cobb_error_deg is not None and found.cobb_sd_deg is not None:
+            limit = HALF_WIDTH_95 * found.cobb_sd_deg
+            line += f"; Cobb change off by {fixed(abs(found.cobb_error_deg), 1)}° (95 %: at most {fixed(limit, 1)}°)"
+        lines.append(line)
+    return lines

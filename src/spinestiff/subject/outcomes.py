@@ -587,6 +587,24 @@ class CobbChangeRecord(Outcome):
     tilt_levels: tuple[str, str]
 
 
+class ForecastRecord(Outcome):
+    """What the estimate and the errors that frames share let expect of a frame (``estimation.forecast``).
+
+    Attributes
+    ----------
+    rmse_mm, sd_mm : of corners at the patient plane, found and expected.
+    inside95 : share of corner coordinates inside their 95 % intervals.
+    cobb_error_deg, cobb_sd_deg : expected minus measured turn between the end vertebrae of the Cobb angle, and its
+        standard deviation; None where one of them is not seen.
+    """
+
+    rmse_mm: float
+    sd_mm: float
+    inside95: float
+    cobb_error_deg: float | None
+    cobb_sd_deg: float | None
+
+
 class HeldOutFrame(Outcome):
     """A frame that the estimate has not seen.
 
@@ -594,6 +612,7 @@ class HeldOutFrame(Outcome):
     ----------
     rmse_mm : by predictor, corner RMSE at the patient plane; None where it makes no prediction.
     cobb_change_deg : "measured" and by predictor.
+    forecast : with its intervals; None by the paper's estimator.
     """
 
     push: str
@@ -601,6 +620,7 @@ class HeldOutFrame(Outcome):
     force_n: float
     rmse_mm: dict[str, float | None]
     cobb_change_deg: dict[str, CobbChangeRecord | None]
+    forecast: ForecastRecord | None = None
 
 
 class Assessment(OutcomeFile):

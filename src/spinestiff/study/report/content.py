@@ -21,6 +21,7 @@ from spinestiff.study.wording import (
     estimated,
     factor95,
     fixed,
+    forecast_lines,
     has_intervals,
     held_lines,
     interval,
@@ -76,6 +77,7 @@ PREDICTORS = {
     "single_ratio": "Model, one ratio for all stiffnesses",
     "extrapolation": "No model: training motion scaled by force",
     "fit": "Model, estimated stiffness",
+    "forecast": "The same, with the errors that the training frames show",
     "fitted_supports": "The same, supports fitted to the frame’s own vertebrae: no prediction",
     "truth": "Model, true ratios (known for synthetic subjects only)",
 }
@@ -375,7 +377,7 @@ def comparison_content(assessment: Assessment) -> dict[str, Any]:
         values = [frame.rmse_mm.get(name) for frame in assessment.frames]
         if values and all(value is not None for value in values):
             means[name] = float(np.mean([value for value in values if value is not None]))
-    rivals = {name: value for name, value in means.items() if name not in ("fit", *INFORMED)}
+    rivals = {name: value for name, value in means.items() if name not in ("fit", "forecast", *INFORMED)}
     best = min(rivals, key=lambda name: rivals[name]) if rivals else ""
     verdict = ""
     if best and "fit" in means:
@@ -408,6 +410,7 @@ def prediction_content(assessment: Assessment) -> dict[str, Any]:
     return {
         "frames": [_frame_title(frame) for frame in frames],
         "rows": rows,
+        "expected": forecast_lines(frames),
         "cobb": [_cobb_rows(frame) for frame in frames],
     }
 
