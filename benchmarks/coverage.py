@@ -1,69 +1,118 @@
 """Do the intervals hold? Subjects of known stiffness, made and estimated by corners alone (``coverage_subjects.py``).
 
-    python benchmarks/coverage.py --acquisition paper --first 0 --count 60 --log FILE
+    python benchmarks/coverage.py --scenario NAME --log FILE [--first SEED] [--count N]
     python benchmarks/coverage.py --summary FILE...
+    python benchmarks/coverage.py --store NAME FILE...
+    python benchmarks/coverage.py --json | --rerun FOLDER
 
-The first makes and estimates subjects and writes one line each as it goes; a log that exists is gone on with. The
-second prints how often the truth lies inside, by ratio and jointly, for closed and for open intervals, with the
-standard errors of so many subjects. All of it is synthetic.
+The first makes and estimates a scenario's subjects and writes a line each as it goes; a log that exists is gone on
+with, and a second process with other seeds and another log halves the time. ``--summary`` prints how often the truth
+lies inside, by ratio and jointly, for closed and for open intervals and by tercile of the true ratio, with the standard
+errors of so many subjects; ``--store`` keeps the figures in benchmarks/results/coverage.json, ``--json`` prints that
+file, and ``--rerun`` repeats all its scenarios. All of it is synthetic.
+
+Settings were looked at on the scenarios of seeds below 1000 ("settings"); the others are run once and reported.
 """
 
 from __future__ import annotations
 
 import argparse
+import datetime
+import hashlib
 import json
 import sys
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 if __name__ == "__main__":
-    sys.modules["coverage"] = None  # type: ignore[assignment]
+    sys.modules["coverage"] = None  # type: ignore[assignment]  # numba looks for a package of this file's name
 else:
     raise ImportError("a command, not the package of this name that numba looks for")
 
 import numpy as np
-from coverage_subjects import Acquisition, make_subject
+from coverage_subjects import Acquisition, Subject, make_subject
 from rich.console import Console
 from rich.table import Table
 from scipy.stats import chi2, norm
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
+from spinestiff.estimation.discrepancy import Mesh
 from spinestiff.estimation.fit import StiffnessFit
 from spinestiff.estimation.priors import Priors
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess
 from spinestiff.study.forecasts import forecasts
 from spinestiff.study.predictions import Model, predict
-from spinestiff.study.trials import Known, fit_pushes, push_set
+from spinestiff.study.trials import Known, PushSet, fit_from_coarse, push_set
 
+RESULTS = Path(__file__).parent / "results" / "coverage.json"
+ROOT = Path(__file__).parent.parent
 NAMES = ("lateral_bending", "tissue")
 START = {"lateral_bending": 0.07, "tissue": 0.04}
+LEVELS = (0.68, 0.95, 0.999)
+FLAGGED = 1e-3  # p-value below which a result is called doubtful
 
 
-def run_one(seed: int, acquisition: Acquisition, nodes: int, mesh: str) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Scenario:
+    """``nodes`` of the truth's mesh, ``mesh`` that the estimate ends on, seeds from ``first`` on."""
+
+    acquisition: Acquisition
+    nodes: int
+    mesh: Mesh
+    first: int
+    count: int
+
+
+SCENARIOS = {
+    "coarse pair, three pushes": Scenario("three pushes", 3000, "coarse", 1000, 460),
+    "coarse pair, the paper's acquisition": Scenario("paper", 3000, "coarse", 2000, 460),
+    "default chain, three pushes": Scenario("three pushes", 15000, "fine", 4000, 140),
+    "settings, three pushes": Scenario("three pushes", 3000, "coarse", 0, 230),
+    "settings, the paper's acquisition": Scenario("paper", 3000, "coarse", 500, 230),
+}
+
+
+@lru_cache(maxsize=1)
+def code() -> str:
+    """Hash of what a subject and its estimate are made with."""
+    patterns = (
+        "benchmarks/coverage_subjects.py",
+        "benchmarks/judgement_subjects.py",
+        "benchmarks/discrepancy_pairs.py",
+    )
+    rooms = ("anatomy", "mechanics", "estimation", "imaging", "personalise")
+    patterns += tuple(f"src/spinestiff/{room}/**/*.py" for room in rooms)
+    files = [path for pattern in patterns for path in sorted(ROOT.glob(pattern))]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:12]
+
+
+def run_one(seed: int, scenario: Scenario) -> dict[str, Any]:
     """A subject made and estimated, as a line of the log."""
-    row: dict[str, Any] = {"seed": seed, "acquisition": acquisition, "nodes": nodes, "mesh": mesh}
+    row: dict[str, Any] = {"seed": seed, **scenario.__dict__, "code": code()}
     began = time.process_time()
     try:
-        subject = make_subject(seed, acquisition, nodes)
+        subject = make_subject(seed, scenario.acquisition, scenario.nodes)
     except SpinestiffError as error:
         return {**row, "not made": str(error)}
     row |= {"ratios": dict(subject.ratios), "kind": subject.kind, "cobb_deg": round(subject.cobb_deg, 1)}
     row |= {"made_cpu_s": round(time.process_time() - began, 1)}
     began = time.process_time()
     try:
-        template = template_torso(subject.height_cm, mesh, age_years=subject.age, sex=subject.sex)
-        shaped = personalise(template, subject.rest)
-        known = Known(Priors(), shaped.covariance)
-        pushes = push_set(shaped.torso, subject.records, subject.tracked, known=known)
-        fit = fit_pushes(pushes, NAMES, START, extent="intervals")
+        pushes = seen_by(subject, scenario.mesh)
+        coarse = None if scenario.mesh == "coarse" else seen_by(subject, "coarse")
+        fit = fit_from_coarse(coarse, pushes, NAMES, START, extent="intervals")
         row |= told(fit, subject.ratios)
-        predictions = predict(pushes, {"default": Model(), "fit": Model.of(fit)}, {}, lambda line: None, ("default",))
         if fit.weighed is not None and fit.status.usable:
-            factor = fit.weighed.tracking_factor
-            expected = forecasts(predictions, fit.ratios.as_dict(), fit.standard_nuisances, factor)
+            known, factor = fit.standard_nuisances, fit.weighed.tracking_factor
+            models = {"default": Model(), "fit": Model.of(fit)}
+            predictions = predict(pushes, models, {}, lambda line: None, ("default",))
+            expected = forecasts(predictions, fit.ratios.as_dict(), known, factor)
             row["held_out"] = [
                 {"fit_mm": frame.rmse_mm["fit"], **({} if frame.forecast is None else frame.forecast.model_dump())}
                 for frame in assess(predictions, expected)
@@ -73,11 +122,18 @@ def run_one(seed: int, acquisition: Acquisition, nodes: int, mesh: str) -> dict[
     return {**row, "cpu_s": round(time.process_time() - began, 1)}
 
 
+def seen_by(subject: Subject, mesh: Mesh) -> PushSet:
+    """The subject's pushes on the torso that personalisation makes of it."""
+    template = template_torso(subject.height_cm, mesh, age_years=subject.age, sex=subject.sex)
+    shaped = personalise(template, subject.rest)
+    return push_set(shaped.torso, subject.records, subject.tracked, known=Known(Priors(), shaped.covariance))
+
+
 def told(fit: StiffnessFit, truth: dict[str, float] | Any) -> dict[str, Any]:
     """What is asked of an estimate whose truth is known."""
     likely, weighed = fit.likely, fit.weighed
-    if likely is None or weighed is None:
-        return {"status": fit.status.name}
+    if likely is None or weighed is None or likely.emulator is None:
+        return {"status": fit.status.name, "evaluations": len(fit.history)}
     at = np.log([truth[name] for name in NAMES])
     best = np.log(fit.ratios.values)
     rises = []
@@ -94,8 +150,6 @@ def told(fit: StiffnessFit, truth: dict[str, float] | Any) -> dict[str, Any]:
         "kinds": list(likely.kinds),
         # Signed root of twice the rise at the truth: a standard normal number, if all is well.
         "z": [float(np.sign(a - b) * np.sqrt(2.0 * max(r, 0.0))) for a, b, r in zip(best, at, rises)],
-        "sd": np.sqrt(np.diag(fit.covariance)).tolist(),
-        "offset": (best - at).tolist(),
         "joint": 2.0 * joint,
         "p_value": weighed.p_value,
         "tracking_factor": weighed.tracking_factor,
@@ -106,83 +160,171 @@ def told(fit: StiffnessFit, truth: dict[str, float] | Any) -> dict[str, Any]:
     }
 
 
-def summary(rows: list[dict[str, Any]]) -> None:
-    """Coverage with its standard error, bias over sd, and width."""
+def summarised(scenario: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The figures of a campaign; shares come with their standard error."""
     made = [row for row in rows if "not made" not in row]
     found = [row for row in made if "z" in row]
-    console = Console(width=160)
-    console.print(
-        f"{len(rows)} seeds, {len(made)} made, {len(found)} estimated, {sum('failed' in r for r in made)} failed"
-    )
-    table = Table(title="all of it synthetic")
-    for column in ("ratio", "intervals", "subjects", "68 %", "95 %", "99.9 %", "bias / sd", "sd of z", "median factor"):
-        table.add_column(column)
-    for i, name in enumerate(NAMES):
-        for kind, chosen in (
-            ("all", found),
-            ("closed", [row for row in found if not row["open"][i]]),
-            ("open", [row for row in found if row["open"][i]]),
-        ):
-            if not chosen:
-                continue
-            z = np.array([row["z"][i] for row in chosen])
-            width = np.array([np.sqrt(row["high"][i] / row["low"][i]) for row in chosen])
-            shares = [_share(np.abs(z) < norm.ppf(0.5 + 0.5 * level)) for level in (0.68, 0.95, 0.999)]
-            finite = np.clip(z, -10.0, 10.0)
-            numbers = f"{np.median(finite):+.2f}", f"{np.std(finite):.2f}", f"{np.median(width):.2f}"
-            table.add_row(name, kind, str(len(chosen)), *shares, *numbers)
     joint = np.array([row["joint"] for row in found])
-    levels = [_share(joint < chi2.ppf(level, 2)) for level in (0.68, 0.95, 0.999)]
-    table.add_row("both", "joint region", str(len(found)), *levels, "", "", "")
-    console.print(table)
-    held_out = [frame for row in found for frame in row.get("held_out", []) if "inside95" in frame]
-    if held_out:
-        corners = np.mean([frame["inside95"] for frame in held_out])
-        turns = [(f["cobb_error_deg"], f["cobb_sd_deg"]) for f in held_out if f["cobb_sd_deg"] is not None]
-        cobb = _share(np.array([abs(error) < norm.ppf(0.975) * sd for error, sd in turns]))
-        fitted, expected = (np.median([frame[key] for frame in held_out]) for key in ("fit_mm", "rmse_mm"))
-        console.print(
-            f"held-out frames, 95 % intervals: {100.0 * corners:.1f} % of corners of {len(held_out)} frames, "
-            f"{cobb} % of Cobb changes; median RMSE {expected:.2f} mm expected, {fitted:.2f} mm by the model alone"
-        )
+    entry: dict[str, Any] = {
+        "scenario": scenario,
+        "subjects": len(found),
+        "not_made": len(rows) - len(made),
+        "without_estimate": len(made) - len(found),
+        "coverage95": {},
+        "median_factor": {},
+        "bias_sd": {},
+    }
+    for i, name in enumerate(NAMES):
+        z = np.array([row["z"][i] for row in found])
+        truth = np.array([row["ratios"][name] for row in found])
+        widths = np.array([np.sqrt(row["high"][i] / row["low"][i]) for row in found])
+        is_open = np.array([row["open"][i] for row in found], dtype=bool)
+        third = np.searchsorted(np.quantile(truth, (1 / 3, 2 / 3)), truth)
+        entry["coverage95"][name] = _share(_inside(z, 0.95))[0]
+        entry["median_factor"][name] = round(float(np.median(widths)), 3)
+        entry["bias_sd"][name] = round(float(np.median(np.clip(z, -10.0, 10.0))), 3)
+        parts = {"all": np.ones(len(z), dtype=bool), "closed": ~is_open, "open": is_open}
+        parts |= {f"{word} third": third == k for k, word in enumerate(("lowest", "middle", "highest"))}
+        entry[name] = {
+            part: {
+                "subjects": int(mask.sum()),
+                **{f"{level:.1%}": _share(_inside(z[mask], level)) for level in LEVELS},
+                "bias_sd": round(float(np.median(np.clip(z[mask], -10.0, 10.0))), 3),
+                "sd_of_z": round(float(np.std(np.clip(z[mask], -10.0, 10.0))), 3),
+                "median_factor": round(float(np.median(widths[mask])), 3),
+            }
+            for part, mask in parts.items()
+            if mask.any()
+        }
+    entry["coverage95"]["joint"] = _share(joint < chi2.ppf(0.95, 2))[0]
+    entry["joint"] = {f"{level:.1%}": _share(joint < chi2.ppf(level, 2)) for level in LEVELS}
+    entry["outside_999"] = int(np.sum(joint >= chi2.ppf(0.999, 2)))
+    entry["flagged"] = int(sum(row["p_value"] < FLAGGED for row in found))
+    frames = [frame for row in found for frame in row.get("held_out", []) if "inside95" in frame]
+    turns = [(f["cobb_error_deg"], f["cobb_sd_deg"]) for f in frames if f["cobb_sd_deg"] is not None]
+    if frames:
+        entry["held_out"] = {
+            "frames": len(frames),
+            "corners95": round(float(np.mean([frame["inside95"] for frame in frames])), 4),
+            "cobb95": _share(np.array([abs(error) < norm.ppf(0.975) * sd for error, sd in turns])),
+            "median_rmse_mm": {
+                "forecast": round(float(np.median([frame["rmse_mm"] for frame in frames])), 3),
+                "fit": round(float(np.median([frame["fit_mm"] for frame in frames])), 3),
+            },
+        }
     for key in ("evaluations", "factorisations", "cpu_s", "p_value", "tracking_factor", "rmse_mm"):
-        values = [row[key] for row in found if key in row]
-        if values:
-            quantiles = np.quantile(values, (0.0, 0.05, 0.5, 0.95, 1.0))
-            console.print(
-                f"{key}: " + ", ".join(f"{value:.3g}" for value in quantiles) + " (least, 5 %, median, 95 %, most)"
-            )
+        entry[key] = [float(f"{v:.4g}") for v in np.quantile([row[key] for row in found], (0.0, 0.05, 0.5, 0.95, 1.0))]
+    entry["evaluations_max"] = int(max(row["evaluations"] for row in found))
+    entry["code"] = sorted({row.get("code", "") for row in rows})
+    entry["date"] = datetime.date.today().isoformat()
+    return entry
 
 
-def _share(inside: np.ndarray) -> str:
+def _inside(z: np.ndarray, level: float) -> np.ndarray:
+    return np.asarray(np.abs(z) < norm.ppf(0.5 + 0.5 * level))
+
+
+def _share(inside: np.ndarray) -> list[float]:
+    """A share and its binomial standard error."""
+    if not len(inside):
+        return [float("nan"), float("nan")]
     share = float(np.mean(inside))
-    return f"{100.0 * share:.1f} ± {100.0 * np.sqrt(share * (1.0 - share) / len(inside)):.1f}"
+    return [round(share, 4), round(float(np.sqrt(share * (1.0 - share) / len(inside))), 4)]
+
+
+def show(entry: dict[str, Any]) -> None:
+    """A campaign's figures as tables."""
+    console = Console(width=150)
+    title = f"{entry['scenario']}: {entry['subjects']} subjects, all of them synthetic"
+    table = Table(title=title)
+    for column in ("ratio", "of", "subjects", *(f"{level:.1%}" for level in LEVELS), "bias / sd", "sd of z", "factor"):
+        table.add_column(column)
+    for name in NAMES:
+        for part, found in entry[name].items():
+            shares = [_percent(found[f"{level:.1%}"]) for level in LEVELS]
+            numbers = (f"{found[key]:.2f}" for key in ("bias_sd", "sd_of_z", "median_factor"))
+            table.add_row(name, part, str(found["subjects"]), *shares, *numbers)
+    shares = [_percent(entry["joint"][f"{level:.1%}"]) for level in LEVELS]
+    table.add_row("both", "joint region", str(entry["subjects"]), *shares, "", "", "")
+    console.print(table)
+    console.print(
+        f"{entry['not_made']} not made, {entry['without_estimate']} without an estimate, {entry['outside_999']} "
+        f"outside their 99.9 % region, {entry['flagged']} flagged (p < {FLAGGED:g})"
+    )
+    if "held_out" in entry:
+        console.print("held-out frames:", entry["held_out"])
+    for key in ("evaluations", "factorisations", "cpu_s", "p_value", "tracking_factor", "rmse_mm"):
+        console.print(f"{key}: {entry[key]} (least, 5 %, median, 95 %, most)")
+
+
+def _percent(share: list[float]) -> str:
+    return f"{100.0 * share[0]:.1f} ± {100.0 * share[1]:.1f}"
+
+
+def read_logs(paths: Sequence[Path]) -> list[dict[str, Any]]:
+    """All lines of some logs."""
+    return [json.loads(line) for path in paths for line in path.read_text().splitlines()]
+
+
+def campaign(scenario: Scenario, first: int, count: int, log: Path) -> None:
+    """The subjects that a log lacks."""
+    known = {row["seed"] for row in read_logs([log])} if log.is_file() else set()
+    for seed in range(first, first + count):
+        if seed in known:
+            continue
+        row = run_one(seed, scenario)
+        with log.open("a") as stream:
+            stream.write(json.dumps(row) + "\n")
+        print(seed, row.get("not made") or row.get("failed") or row.get("z"), row.get("cpu_s"), flush=True)
+
+
+def stored() -> list[dict[str, Any]]:
+    """The stored campaigns, in the order of ``SCENARIOS``."""
+    found: list[dict[str, Any]] = json.loads(RESULTS.read_text()) if RESULTS.is_file() else []
+    order = list(SCENARIOS)
+    return sorted(found, key=lambda entry: order.index(entry["scenario"]))
+
+
+def store(entry: dict[str, Any]) -> None:
+    """Keep a campaign's figures in the place of those of the same scenario."""
+    others = [one for one in stored() if one["scenario"] != entry["scenario"]]
+    RESULTS.write_text(json.dumps([*others, entry], indent=1) + "\n")
+    RESULTS.write_text(json.dumps(stored(), indent=1) + "\n")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--acquisition", choices=["paper", "three pushes"], default="paper")
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--count", type=int, default=10)
-    parser.add_argument("--nodes", type=int, default=3000, help="of the truth's mesh")
-    parser.add_argument("--mesh", choices=["coarse", "fine"], default="coarse", help="of the estimator")
+    parser.add_argument("--scenario", choices=list(SCENARIOS))
+    parser.add_argument("--first", type=int, help="seed to begin with, of the scenario's own if left out")
+    parser.add_argument("--count", type=int, help="seeds, those of the scenario if left out")
     parser.add_argument("--log", type=Path)
-    parser.add_argument("--summary", type=Path, nargs="+")
+    parser.add_argument("--summary", type=Path, nargs="+", metavar="FILE")
+    parser.add_argument("--store", nargs="+", metavar=("SCENARIO", "FILE"))
+    parser.add_argument("--json", action="store_true", help="print what is stored")
+    parser.add_argument("--rerun", type=Path, metavar="FOLDER", help="repeat all that is stored, logs in a folder")
     asked = parser.parse_args()
-    if asked.summary:
-        summary([json.loads(line) for path in asked.summary for line in path.read_text().splitlines()])
-        return
-    if asked.log is None:
-        parser.error("--log FILE is wanted: every subject is written as it is done")
-    done = [json.loads(line) for line in asked.log.read_text().splitlines()] if asked.log.is_file() else []
-    known = {row["seed"] for row in done}
-    for seed in range(asked.first, asked.first + asked.count):
-        if seed in known:
-            continue
-        row = run_one(seed, asked.acquisition, asked.nodes, asked.mesh)
-        with asked.log.open("a") as log:
-            log.write(json.dumps(row) + "\n")
-        print(seed, row.get("not made") or row.get("failed") or row.get("z"), row.get("cpu_s"), flush=True)
+    if asked.json:
+        print(json.dumps(stored(), indent=1))
+    elif asked.summary:
+        show(summarised("logs", read_logs(asked.summary)))
+    elif asked.store:
+        name, *paths = asked.store
+        if name not in SCENARIOS or not paths:
+            parser.error(f"--store wants one of {', '.join(SCENARIOS)}, and logs")
+        store(summarised(name, read_logs([Path(path) for path in paths])))
+    elif asked.rerun:
+        asked.rerun.mkdir(parents=True, exist_ok=True)
+        for entry in stored():
+            name = entry["scenario"]
+            log, scenario = asked.rerun / f"{name.replace(' ', '_')}.jsonl", SCENARIOS[name]
+            campaign(scenario, scenario.first, scenario.count, log)
+            show(summarised(name, read_logs([log])))
+    elif asked.scenario and asked.log:
+        scenario = SCENARIOS[asked.scenario]
+        first = scenario.first if asked.first is None else asked.first
+        campaign(scenario, first, asked.count or scenario.count, asked.log)
+    else:
+        parser.error("wanted --scenario with --log FILE, --summary, --store, --json or --rerun")
 
 
 if __name__ == "__main__":
