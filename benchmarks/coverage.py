@@ -42,7 +42,7 @@ from scipy.stats import chi2, norm
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.discrepancy import Mesh
-from spinestiff.estimation.fit import StiffnessFit
+from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.priors import Priors
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess

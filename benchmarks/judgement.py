@@ -32,7 +32,7 @@ from judgement_subjects import Estimated, Subject, estimate, make_subject
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
-from spinestiff.estimation.fit import StiffnessFit
+from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY, usable_corners
 from spinestiff.personalise.shape import personalise

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from spinestiff.estimation.fit import StiffnessFit
+from spinestiff.estimation.fitted import StiffnessFit
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 

@@ -12,8 +12,9 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import FitError
 from spinestiff.estimation import fit as fitting
 from spinestiff.estimation.evaluation import TrialSet
-from spinestiff.estimation.fit import FitStatus, fit_stiffness, likelihood_rise
+from spinestiff.estimation.fit import fit_stiffness, likelihood_rise
 from spinestiff.estimation.objective import Trial
+from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view

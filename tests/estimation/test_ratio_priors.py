@@ -9,11 +9,12 @@ import pytest
 
 from spinestiff.anatomy.regions import parameter_groups, torso_ratios
 from spinestiff.errors import FitError
-from spinestiff.estimation.fit import FitStatus, fit_stiffness, likelihood_rise
+from spinestiff.estimation.fit import fit_stiffness, likelihood_rise
 from spinestiff.estimation.linear import MOST_PROFILED
 from spinestiff.estimation.noise import restricted_factor
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import POPULATIONS, SMOOTHNESS, RatioPrior, ratio_prior
+from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.weighed import WeighedProblem, reduced
 
 BOUNDS = (0.01, 10.0)

@@ -11,7 +11,7 @@ from results import tracked_push
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError, FitError
-from spinestiff.estimation.fit import FitStatus
+from spinestiff.estimation.status import FitStatus
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.study import assessment

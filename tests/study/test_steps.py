@@ -15,8 +15,8 @@ from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.regions import torso_ratios
 from spinestiff.errors import FitError, SubjectError
-from spinestiff.estimation.fit import FitStatus
 from spinestiff.estimation.profiles import region_rise
+from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS
 from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.mechanics.contact import OneSidedProblem

@@ -9,7 +9,7 @@ import numpy as np
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import CobbChange
 from spinestiff.errors import EquilibriumError, FitError
-from spinestiff.estimation.fit import Method
+from spinestiff.estimation.fitted import Method
 from spinestiff.estimation.forecast import Forecast
 from spinestiff.imaging.features import rmse, target_features
 from spinestiff.study.forecasts import forecast_record

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from spinestiff.arrays import Floats, Ints
-from spinestiff.estimation.fit import StiffnessFit
+from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.objective import Residuals, make_target, residuals
 from spinestiff.imaging.dicom.identity import Identity
 from spinestiff.imaging.features import picture_axes, vertebra_rows

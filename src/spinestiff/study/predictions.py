@@ -19,7 +19,7 @@ from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.curves.tilts import CobbChange, change_between, cobb_change, tilts
 from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.estimation.evaluation import acted
-from spinestiff.estimation.fit import StiffnessFit
+from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.objective import Target, make_target, residuals
 from spinestiff.estimation.unknowns import ACTS, PLACING, acts_by_name, unknowns_of
 from spinestiff.files import write_bytes

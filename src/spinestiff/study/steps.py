@@ -15,7 +15,8 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.pushes import push_responses
 from spinestiff.errors import FitError, SubjectError
-from spinestiff.estimation.fit import FitStep, Method, StiffnessFit
+from spinestiff.estimation.evaluation import FitStep
+from spinestiff.estimation.fitted import Method, StiffnessFit
 from spinestiff.estimation.forecast import Forecast
 from spinestiff.estimation.linear import MOST_PROFILED
 from spinestiff.files import write_bytes

@@ -10,7 +10,8 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import FitError, SubjectError, TrackingError
 from spinestiff.estimation.evaluation import OnFitStep
-from spinestiff.estimation.fit import Extent, Method, StiffnessFit, fit_stiffness, likelihood_rise
+from spinestiff.estimation.fit import Extent, fit_stiffness, likelihood_rise
+from spinestiff.estimation.fitted import Method, StiffnessFit
 from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import check_population

@@ -12,7 +12,7 @@ from spinestiff.anatomy.regions import check_parameters
 from spinestiff.anatomy.template import MESHES
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import SubjectError
-from spinestiff.estimation.fit import METHODS
+from spinestiff.estimation.fitted import METHODS
 from spinestiff.estimation.ratio_priors import POPULATIONS
 from spinestiff.imaging.features import ORIENTATIONS, Orientation
 from spinestiff.study.trials import PushSet, known_of, push_set, rig_of

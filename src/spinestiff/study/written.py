@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from spinestiff.estimation.fit import StiffnessFit
+from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.profiles import region_rise
 from spinestiff.estimation.unknowns import ACTS, PLACING, UNITS
 from spinestiff.files import write_bytes
