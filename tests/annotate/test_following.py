@@ -65,7 +65,7 @@ def test_a_damaged_run_is_shown_as_none(annotated, damage):
     changed = {
         "half": text[: len(text) // 2],
         "a digit": text.replace("1", "2", 1),
-        "another version": text.replace('"schema_version": 2', '"schema_version": 99'),
+        "another version": text.replace('"schema_version": 3', '"schema_version": 99'),
     }
     assert changed.get(damage, damage) != text
     path.write_text(changed.get(damage, damage), encoding="utf-8")

@@ -210,11 +210,11 @@ def test_a_result_of_which_nothing_is_known_is_refused(bare):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ({}, "found schema_version None, wanted 2"),
-        (None, "found schema_version None, wanted 2"),
-        ([], "found schema_version None, wanted 2"),
-        ({"schema_version": 99}, "found schema_version 99, wanted 2"),
-        ({"schema_version": 2}, "truth: missing"),
+        ({}, "found schema_version None, wanted 3"),
+        (None, "found schema_version None, wanted 3"),
+        ([], "found schema_version None, wanted 3"),
+        ({"schema_version": 99}, "found schema_version 99, wanted 3"),
+        ({"schema_version": 3}, "truth: missing"),
         ({**FOUND.model_dump(), "inside": "perhaps"}, "inside: "),
         ({**FOUND.model_dump(), "outside": True}, "outside: unknown key"),
         ({**FOUND.model_dump(), "truth": {"tissue": 0.0}}, "truth.tissue: "),

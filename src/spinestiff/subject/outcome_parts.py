@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict
 
 from spinestiff.imaging.projection import XRayView
 
-OUTCOME_VERSION: Final = 2
+OUTCOME_VERSION: Final = 3
 """Of every file of results. 1 were files without schemas."""
 DETERMINED, WEAKLY_DETERMINED = 2.0, 10.0
 """Factors either way of the value: an interval within the first determines it, one within the second does so weakly."""
@@ -39,7 +39,7 @@ class OutcomeFile(Outcome):
 
     FILE: ClassVar[str]
     STEP: ClassVar[str]
-    schema_version: Literal[2] = OUTCOME_VERSION
+    schema_version: Literal[3] = OUTCOME_VERSION
 
 
 class ViewRecord(Outcome):

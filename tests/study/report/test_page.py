@@ -696,7 +696,7 @@ def test_same_results_give_the_same_bytes(visit: Visit, html: str, tmp_path: Pat
     ("change", "words"),
     [
         (lambda content: content.pop("plain"), "plain: missing"),
-        (lambda content: content.update(schema_version=99), "found schema_version 99, wanted 2"),
+        (lambda content: content.update(schema_version=99), "found schema_version 99, wanted 3"),
     ],
 )
 def test_results_of_another_version_are_refused(visit: Visit, html: str, tmp_path: Path, change, words: str) -> None:
