@@ -173,7 +173,7 @@ def written(bare):
 def test_what_is_written_is_read_back(bare):
     path = written(bare)
     assert read_outcome(bare, Comparison) == FOUND
-    assert json.loads(path.read_text())["schema_version"] == 2
+    assert json.loads(path.read_text())["schema_version"] == 3
 
 
 def refusal(bare, kind=Comparison):
