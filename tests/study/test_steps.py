@@ -324,9 +324,10 @@ def test_a_frame_whose_supports_moved_is_found_and_kept(subject):
 def test_assess_solves_no_training_frame_again(subject, finished, solved, monkeypatch):
     """Of default and estimated stiffness only what the fit never saw.
 
-    The one-ratio baseline is a fit of its own, and so are the held-out frames' supports.
+    The one-ratio baseline is a fit of its own, and so are held-out frames' supports. Forecasts linearise all frames.
     """
     monkeypatch.setattr(steps, "single_ratio", lambda *args: None)
+    monkeypatch.setattr(steps, "forecasts", lambda *args: {})
     monkeypatch.setattr(steps, "with_fitted_supports", lambda predictions, model: predictions)
     visit = open_visit(subject)
     assert run_steps(visit, ("assess",), force=True) == ["assess"]
