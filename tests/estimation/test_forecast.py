@@ -82,3 +82,13 @@ def test_a_turn_between_two_vertebrae_is_that_of_the_channels(column) -> None:
     assert abs(changed - found) == pytest.approx(0.02, rel=0.02)
     assert sd > 0.001
     assert abs(found - expected) < 3.0 * sd
+
+
+def test_a_ratio_that_nothing_shows_does_not_stop_the_rest(column) -> None:
+    """The column has no ribs, so that a ratio of theirs moves nothing."""
+    asked = column.weighed(seen(column, tracking=0.1), names=("lateral_bending", "tissue", "rib_vertebra"))
+    point = asked.solve(np.append(HERE, 0.0), np.zeros(len(asked.unknowns)))
+    found = forecast(asked, point, asked.slope(point), 1.0, [UNSEEN])[0]
+    wanted = of(column, seen(column, tracking=0.1))
+    assert np.allclose(found.expected, wanted.expected, atol=1e-6)
+    assert np.allclose(found.covariance, wanted.covariance, atol=1e-6)

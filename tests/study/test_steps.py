@@ -14,7 +14,7 @@ from results import altered
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.regions import torso_ratios
-from spinestiff.errors import FitError, SubjectError
+from spinestiff.errors import EquilibriumError, FitError, SubjectError
 from spinestiff.estimation.profiles import region_rise
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS
@@ -343,6 +343,23 @@ def test_assess_solves_no_training_frame_again(subject, finished, solved, monkey
         np.testing.assert_array_equal(prediction.solved["default"].state.bone_positions, default.state.bone_positions)
         forces = [reaction.force for reaction in fitted.reactions]
         np.testing.assert_array_equal(prediction.solved["fit"].reactions, forces)
+
+
+def test_without_a_forecast_the_rest_of_the_assessment_is_there(subject, monkeypatch):
+    def fails(*args):
+        raise EquilibriumError("push 'main' frame 3: no equilibrium")
+
+    monkeypatch.setattr(steps, "single_ratio", lambda *args: None)
+    monkeypatch.setattr(steps, "with_fitted_supports", lambda predictions, model: predictions)
+    monkeypatch.setattr(steps, "forecasts", fails)
+    lines = []
+    visit = open_visit(subject)
+    assess_step(visit, lines.append)
+    assert "no forecast: push 'main' frame 3: no equilibrium" in lines
+    for frame in Assessment.model_validate(read_json(subject / "results" / Assessment.FILE)).frames:
+        assert frame.forecast is None
+        assert frame.rmse_mm["forecast"] is None
+        assert frame.rmse_mm["fit"] > 0.0
 
 
 def test_the_view_solves_nothing(subject, solved):

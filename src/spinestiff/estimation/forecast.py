@@ -24,6 +24,8 @@ from spinestiff.estimation.noise import CHANNELS, Channels
 from spinestiff.estimation.weighed import WeighedPoint, WeighedProblem, WeighedSlope
 
 NORMAL_95 = 1.959964
+# Of a log ratio, as of one anywhere within a fit's bounds: one that nothing shows must not stop the rest.
+LEAST_PRECISION = 0.02
 
 
 @dataclass(frozen=True, repr=False)
@@ -93,7 +95,7 @@ def forecast(
     root = cho_factor(covariance[np.ix_(seen, seen)], lower=True)
     x, r = slope.ratios[seen], values[seen]
     solved = cho_solve(root, np.column_stack([x, r]))
-    precision = x.T @ solved[:, :-1]
+    precision = x.T @ solved[:, :-1] + LEAST_PRECISION * np.eye(x.shape[1])
     drift = np.linalg.solve(precision, x.T @ solved[:, -1])
     left = cho_solve(root, r - x @ drift)
     found = []

@@ -14,7 +14,7 @@ from spinestiff.anatomy.regions import AT, expanded, torso_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.pushes import push_responses
-from spinestiff.errors import FitError, SubjectError
+from spinestiff.errors import EquilibriumError, FitError, SubjectError
 from spinestiff.estimation.evaluation import FitStep
 from spinestiff.estimation.fitted import Method, StiffnessFit
 from spinestiff.estimation.forecast import Forecast
@@ -268,7 +268,10 @@ def assess_step(visit: Visit, say: Observer) -> None:
     expected: dict[tuple[str, int], Forecast] = {}
     if estimate.tracking_factor is not None:
         say("what the training frames let expect of those held out")
-        expected = forecasts(predictions, estimate.values, fit.known, estimate.tracking_factor, estimate.population)
+        try:
+            expected = forecasts(predictions, estimate.values, fit.known, estimate.tracking_factor, estimate.population)
+        except EquilibriumError as error:
+            say(f"no forecast: {error}")
     assessment = Assessment(frames=assess(predictions, expected), notes=tuple(_support_notes(visit, predictions)))
     comparison = None if visit.truth is None else compare_with_truth(estimate, pushes, visit.truth)
     write_solved(visit.file("predictions.npz"), stored(predictions))
