@@ -153,9 +153,11 @@ def make_subject(seed: int, acquisition: Acquisition, nodes: int = 3000) -> Subj
     stiffness, give = stiffness_ratios(ratios, torso.joints.kinds), drawn_supports(random)
     kind = str(random.choice(KINDS))
     bench = OF_BASE[kind](torso, random)[0] if kind else Bench(torso)
-    torso, laws = bench.torso, bench.laws
     if kind and kind not in STANDARD_LAW:
-        stiffness, _ = equal_ratios(bench, stiffness)
+        # As much energy as the same body stores without what the model lacks, its volume's resistance included.
+        stores = stiffness.with_values(Bench(torso).true_ratios(stiffness))
+        stiffness, _ = equal_ratios(bench, stores)
+    torso, laws = bench.torso, bench.laws
     while True:
         try:
             springs = support_stiffness(torso, side, [load(push, 1.0) for push in sites], stiffness, give)

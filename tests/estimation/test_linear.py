@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spinestiff.estimation.linear import linear_ratios
+from spinestiff.estimation.linear import best_known, linear_ratios
 from spinestiff.estimation.weighed import reduced
 
 
@@ -46,3 +46,26 @@ def test_draws_spread_as_ratios_and_nuisances_do(column, found, covariance):
     precision[2:, 2:] += np.eye(len(precision) - 2)
     wanted = np.sqrt(np.diag(np.linalg.inv(precision)))[2:]
     assert nuisances.std(axis=0) == pytest.approx(wanted, rel=0.15)
+
+
+def test_of_two_that_trade_their_product_is_known_best():
+    """Logs known as (1, 1) x to 0.02 and along (1, -1) to 0.5 each way."""
+    direction = np.array([1.0, 1.0]) / np.sqrt(2.0)
+    other = np.array([1.0, -1.0]) / np.sqrt(2.0)
+    precision = np.outer(direction, direction) / 0.02**2 + np.outer(other, other) / 0.5**2
+    found = best_known(np.log([0.1, 0.04]), precision)
+    assert found.exponents == pytest.approx((1.0, 1.0))
+    assert found.value == pytest.approx(0.004)
+    # The log of the product is the square root of 2 times the coordinate along the direction.
+    assert found.sd_log == pytest.approx(0.02 * np.sqrt(2.0))
+
+
+def test_a_combination_that_the_data_fix_is_told_where_no_ratio_is():
+    found = best_known(np.log([0.1, 0.04]), np.outer([0.5, 1.0], [0.5, 1.0]) / 0.1**2)
+    assert found.exponents == pytest.approx((0.5, 1.0))
+    assert found.sd_log == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("precision", [np.diag([4.0, 100.0]), np.zeros((2, 2))])
+def test_no_combination_where_a_ratio_is_known_as_well_or_nothing(precision):
+    assert best_known(np.log([0.1, 0.04]), precision) is None

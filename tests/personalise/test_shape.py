@@ -181,6 +181,20 @@ def test_length_and_sizes_are_the_subjects(template, girl, shaped):
     assert shaped.torso.height_cm == template.height_cm
 
 
+@pytest.mark.parametrize("geometry", ["estimated", "known"])
+def test_a_curve_makes_no_body_smaller(template, see, geometry):
+    """A spine that bends loses height, not length: its trunk stays as large (from end to end it is 5 % shorter)."""
+    positions, rotations = curved_spine(template, 60.0, "thoracic")
+    patient = place_vertebrae(template, positions, rotations)
+    before = rest_vertebrae(template)[0]
+    assert np.linalg.norm(positions[0] - positions[-1]) < 0.95 * np.linalg.norm(before[0] - before[-1])
+    pictures = {name: (see(patient, view), view) for name, view in NOMINAL.items()}
+    found = personalise(template, pictures, geometry=geometry)
+    assert found.length_scale == pytest.approx(1.0, abs=0.015)
+    size, wanted = (torso.tissue.corner_volumes().sum() for torso in (found.torso, patient))
+    assert size == pytest.approx(wanted, rel=0.05)
+
+
 def test_a_shift_is_the_views_and_a_lean_the_torsos(template, see):
     """Where the patient stood is found; seen from the front alone, a roll is taken for the person's own lean."""
     shift, roll = MOVED["frontal"]

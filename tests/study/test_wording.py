@@ -12,6 +12,7 @@ from spinestiff.study.wording import (
     MISSING,
     UNKNOWNS,
     badge,
+    best_known_text,
     estimated,
     factor95,
     fixed,
@@ -27,6 +28,7 @@ from spinestiff.subject.outcome_parts import Quantity
 from spinestiff.subject.outcomes import (
     AngleResponse,
     BudgetRecord,
+    CombinationRecord,
     Estimate,
     Flexibility,
     ForcePerDegree,
@@ -135,6 +137,7 @@ def budgeted(**changed):
         **{
             "sd_log": {"bending": 0.4, "tissue": 0.2},
             "budget": [BudgetRecord(name=name, alone=without, without=without) for name, without in rows.items()],
+            "best_known": None,
             "supports": [SupportPlaceRecord(push="a", frame=i, obliquity_deg=turn, shoulder_mm=0.0) for i, turn in
                          enumerate((2.44, -0.31))],
             **changed,
@@ -159,6 +162,15 @@ def test_uncertainty_lines():
         "pelvis in the training frames: turned by −0.3° to 2.4°",
     ]
     assert uncertainty_lines(budgeted(sd_log={}, supports=[])) == []
+
+
+def test_the_combination_that_is_known_best():
+    found = CombinationRecord(exponents={"bending": 0.412, "tissue": 1.0}, value=0.01234, sd_log=0.06)
+    assert best_known_text(found) == "bending^0.41 × tissue = 0.012 within a factor of 1.12"
+    assert uncertainty_lines(budgeted(best_known=found))[0].endswith("to first order): " + best_known_text(found))
+    sharp = CombinationRecord(exponents={"a": 1.0, "b": -0.5, "c": 0.04}, value=0.01234, sd_log=0.01)
+    text = "A × B^−0.50 = 0.0123 within a factor of 1.02 (powers below 0.1 not shown)"
+    assert best_known_text(sharp, str.upper) == text
 
 
 def test_no_more_than_two_ratios_are_told_of():

@@ -22,7 +22,7 @@ from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import Evaluation, OnFitStep, TrialSet
 from spinestiff.estimation.fitted import METHODS, Method, NuisanceEstimate, StiffnessFit, Weighed
 from spinestiff.estimation.forecast import Forecast, forecast
-from spinestiff.estimation.linear import MOST_PROFILED, linear_ratios
+from spinestiff.estimation.linear import MOST_PROFILED, best_known, linear_ratios
 from spinestiff.estimation.mode import search
 from spinestiff.estimation.objective import Trial, residuals, undetermined_vertebrae
 from spinestiff.estimation.priors import Priors
@@ -250,9 +250,13 @@ def _searched(
     return search(asked, start, limits, max_iterations)
 
 
-def _covariance(found: WeighedFit) -> Floats:
+def _precision(found: WeighedFit) -> Floats:
     model = reduced(found.point, found.slope, found.weights)
-    precision = model.ratios.T @ model.ratios
+    return np.asarray(model.ratios.T @ model.ratios)
+
+
+def _covariance(found: WeighedFit) -> Floats:
+    precision = _precision(found)
     if not np.linalg.cond(precision) < WORST_CONDITION:
         return np.full(precision.shape, np.inf)
     return np.asarray(np.linalg.inv(precision))
@@ -283,12 +287,13 @@ def _told(asked: WeighedProblem, found: WeighedFit, limits: tuple[float, float],
         changes,
         asked.ratio_prior.texts,
         _data_sd(asked, found),
+        best_known(found.point.log_ratios, _precision(found)),
     )
 
 
 def _data_sd(asked: WeighedProblem, found: WeighedFit) -> Floats:
-    model, rows = reduced(found.point, found.slope, found.weights), asked.ratio_prior.rows
-    precision = model.ratios.T @ model.ratios - rows.T @ rows
+    rows = asked.ratio_prior.rows
+    precision = _precision(found) - rows.T @ rows
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(precision + LEAST_PRECISION * np.eye(len(precision))))))
 
 

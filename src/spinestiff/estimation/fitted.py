@@ -12,7 +12,7 @@ from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.estimation.budget import Budget, PriorChange
 from spinestiff.estimation.evaluation import FitCost, FitStep
-from spinestiff.estimation.linear import MOST_PROFILED
+from spinestiff.estimation.linear import MOST_PROFILED, Combination
 from spinestiff.estimation.objective import Residuals
 from spinestiff.estimation.profiles import Likely
 from spinestiff.estimation.status import FitStatus
@@ -56,6 +56,7 @@ class Weighed(ShortRepr):
     likely : intervals, profiles and draws; None if not asked for. budget, changes : the same.
     held : name -> what was held of the ratios themselves before the fit; empty: they were flat in log.
     data_sd : (P,) standard deviations of the log ratios without that, to first order.
+    best_known : the combination of ratios that is known best, to first order; None where a ratio alone is.
     """
 
     nuisances: tuple[NuisanceEstimate, ...]
@@ -68,6 +69,7 @@ class Weighed(ShortRepr):
     changes: tuple[PriorChange, ...]
     held: Mapping[str, str]
     data_sd: Floats
+    best_known: Combination | None
 
 
 @dataclass(frozen=True, repr=False)

@@ -1,8 +1,10 @@
-"""Intervals and draws of many ratios to first order at the estimate, where a profile of each would be too dear."""
+"""What a fit knows to first order at the estimate: the combination of ratios that it knows best, and intervals and
+draws of ratios that are too many for a profile of each."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
@@ -14,6 +16,43 @@ from spinestiff.estimation.weighed import WeighedFit, reduced
 
 # Up to so many ratios have profiles.
 MOST_PROFILED = 4
+# A combination that is hardly better known than a ratio alone is not worth its words.
+BETTER = 0.8
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A product of powers of the ratios.
+
+    Attributes
+    ----------
+    exponents : (P,), the largest of them 1. value : of the product. sd_log : standard deviation of its log.
+    """
+
+    exponents: tuple[float, ...]
+    value: float
+    sd_log: float
+
+
+def best_known(log_ratios: Floats, precision: Floats) -> Combination | None:
+    """The combination of ratios that is known best; None where one ratio alone is known about as well.
+
+    Parameters
+    ----------
+    log_ratios : (P,) of the estimate. precision : (P, P) of the log ratios, singular where they can't be told apart.
+    """
+    values, directions = np.linalg.eigh(precision)
+    largest = int(np.argmax(np.abs(directions[:, -1])))
+    if values[-1] <= 0.0:
+        return None
+    exponents = directions[:, -1] / directions[largest, -1]
+    sd = float(1.0 / (np.sqrt(values[-1]) * abs(directions[largest, -1])))
+    # Of a ratio alone, all others free; infinite where others take up all that it does.
+    least = np.maximum(values, 1e-12 * values[-1])
+    alone = float(np.sqrt((directions**2 / least).sum(axis=1).min()))
+    if sd > BETTER * alone:
+        return None
+    return Combination(tuple(exponents.tolist()), float(np.exp(exponents @ log_ratios)), sd)
 
 
 def linear_ratios(fit: WeighedFit, visited: Sequence[Place], limits: tuple[float, float]) -> Likely:

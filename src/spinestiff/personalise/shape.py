@@ -58,6 +58,8 @@ SHIFT_SD, ROLL_SD, YAW_SD = 200.0, np.deg2rad(0.7), np.deg2rad(3.0)
 # its kyphosis, seen aside, would pass for the patient's scoliosis. Yaw comes with the vertebrae's own poses.
 PLACE_SD, TURN_SD, LENGTH_SD = 50.0, (0.1, 0.0, 0.1), 0.06
 COARSE_SDS = (50.0, 16.0)
+# Log of a spine's length along its vertebrae, over that from end to end, that is worth another adjustment.
+SAME_LENGTH = 0.002
 # Springs at the box corners that bring the vertebrae to their places, N/mm, from loose to tight.
 PULLS, PLACING_PULLS = (30.0, 1000.0), (3.0, 100.0, 1000.0)
 # How far, mm, a vertebra may stay from where it is placed, if its mesh bears no more.
@@ -265,11 +267,8 @@ class _Fit:
         self.pose_sd = sd
 
     def run(self, template: TorsoModel) -> Personalised:
-        base, poses, length = self.aligned(template)
-        self.say(f"spine {length:.3f} times the template's length")
-        rest, points = base.rest_pose, self.points(base)
-        prior = elastic_prior(EquilibriumProblem(base, pelvis_on_springs(base, frontal=True)), rest)
-        first = adjust(points, prior, shape_of(base, rest), poses, self.pose_sd, observer=self.say)
+        base, first, length = self.at_its_length(template)
+        points = self.points(base)
         sized = replace(resized(base, np.exp(first.shape.log_sizes)), vertebra_boxes=own_boxes(base, first.shape))
         problem = EquilibriumProblem(sized, pelvis_on_springs(sized))
         state = _pulled(problem, sized.rest_pose, first.shape.positions, first.shape.rotations, PULLS)
@@ -311,6 +310,49 @@ class _Fit:
         self.say(f"{quality}; tissue mesh {mesh}, {len(torso.tissue.rest_positions)} nodes")
         found = self.result(torso, final, points, length, quality, scanned)
         return replace(found, mesh=mesh, warnings=(*found.warnings, *new))
+
+    def at_its_length(self, template: TorsoModel) -> tuple[TorsoModel, Adjusted, float]:
+        """The template, its spine as long as the subject's along the vertebrae; the adjustment from there; the factor.
+
+        The rigid template's factor is that of the distances across the spine, of which a curve takes some away (80
+        degrees: a tenth).
+        """
+        base, poses, length = self.aligned(template)
+        first = self.first(base, poses)
+        longer = self.straightened(base, first.shape.positions)
+        if abs(np.log(longer)) > SAME_LENGTH:
+            base, length = base.scaled(longer), longer * length
+            if self.known:
+                middle = base.rest_pose.bone_positions[base.vertebra_bones].mean(0)
+                base = _moved_whole(base, np.eye(3), (1.0 / longer - 1.0) * middle, np.zeros(3))
+            first = self.first(base, first.poses)
+        self.say(f"spine {length:.3f} times the template's length")
+        return base, first, length
+
+    def first(self, base: TorsoModel, poses: Floats) -> Adjusted:
+        """The adjustment from the template at rest."""
+        prior = elastic_prior(EquilibriumProblem(base, pelvis_on_springs(base, frontal=True)), base.rest_pose)
+        start = shape_of(base, base.rest_pose)
+        return adjust(self.points(base), prior, start, poses, self.pose_sd, observer=self.say)
+
+    def straightened(self, base: TorsoModel, positions: Floats) -> float:
+        """Length along the vertebrae that a frontal view shows over that of ``base``, both over their distances.
+
+        It does not know how large the pictures are, only how the spine is bent more or less than that of ``base``.
+        """
+        shown = {
+            name
+            for corners, view in self.pictures.values()
+            if view_kind(view) == "frontal"
+            for name in corners.vertebrae
+        }
+        rows = [name in shown for name in base.vertebrae]
+        own, found = base.rest_pose.bone_positions[base.vertebra_bones][rows], positions[rows]
+        if len(own) < 3:
+            return 1.0
+        along = [np.linalg.norm(np.diff(places, axis=0), axis=1).sum() for places in (own, found)]
+        own, found = own - own.mean(0), found - found.mean(0)
+        return float(along[1] / along[0] / (np.sum(own * found) / np.sum(own**2)))
 
     def scanned(self, torso: TorsoModel) -> tuple[TorsoModel, ScanFit | None]:
         """The torso with its skin at the scan, if there is one."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from spinestiff.subject.outcome_parts import Quantity
 from spinestiff.subject.outcomes import (
     AngleResponse,
     BudgetRecord,
+    CombinationRecord,
     Estimate,
     Flexibility,
     HeldOutFrame,
@@ -26,6 +27,8 @@ SURE = 0.05
 OFF_LINE = 2.0
 """Scatter about a straight line, in errors, that is worth a word."""
 HALF_WIDTH_95 = 1.96
+LEAST_EXPONENT = 0.1
+"""Of a ratio in a combination that is worth its name."""
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -152,9 +155,23 @@ def held_lines(estimate: Estimate) -> list[str]:
     return lines
 
 
+def best_known_text(found: CombinationRecord, title: Callable[[str], str] = str) -> str:
+    """The combination of ratios that is known best, "bending^0.4 × tissue = 0.014 within a factor of 1.12"."""
+    powers = []
+    for name, exponent in found.exponents.items():
+        if abs(exponent) >= LEAST_EXPONENT:
+            powers.append(title(name) + ("" if round(exponent, 2) == 1.0 else f"^{fixed(exponent, 2)}"))
+    less = "" if len(powers) == len(found.exponents) else f" (powers below {LEAST_EXPONENT:g} not shown)"
+    digits = 3 if found.sd_log < SURE else 2
+    return f"{' × '.join(powers)} = {number(found.value, digits)} within a factor of {factor95(found.sd_log)}{less}"
+
+
 def uncertainty_lines(estimate: Estimate) -> list[str]:
-    """What knowing more would gain for the two ratios that are known least, and how far the pelvis turned."""
+    """What is known best, what knowing more would gain for the two ratios that are known least, and how far the pelvis
+    turned."""
     lines = []
+    if estimate.best_known is not None:
+        lines.append(f"known best, a combination (95 %, to first order): {best_known_text(estimate.best_known)}")
     for name in sorted(estimate.sd_log, key=lambda name: -estimate.sd_log[name])[:2]:
         row = most_costly(estimate, name)
         if row is not None:

@@ -28,6 +28,7 @@ from spinestiff.subject.folder import read_identities
 from spinestiff.subject.outcome_parts import LEAST_FIRST, PoseRecord, ViewRecord, finite, nested
 from spinestiff.subject.outcomes import (
     BudgetRecord,
+    CombinationRecord,
     CostRecord,
     Estimate,
     FitStepRecord,
@@ -176,6 +177,13 @@ def _weighed(pushes: PushSet, fit: StiffnessFit) -> dict[str, object]:
         "prior_changes": tuple(
             PriorChangeRecord(name=c.name, factor=c.factor, ratios=by_name(c.ratios), sd_log=by_name(c.sd))
             for c in found.changes
+        ),
+        "best_known": None
+        if found.best_known is None
+        else CombinationRecord(
+            exponents=by_name(found.best_known.exponents),
+            value=found.best_known.value,
+            sd_log=found.best_known.sd_log,
         ),
         "p_value": found.p_value,
         "tracking_factor": found.tracking_factor,

@@ -465,6 +465,14 @@ class PriorChangeRecord(Outcome):
     sd_log: dict[str, float]
 
 
+class CombinationRecord(Outcome):
+    """A product of powers of the ratios, and the standard deviation of its log, to first order."""
+
+    exponents: dict[str, float]
+    value: float
+    sd_log: float
+
+
 class FitStepRecord(Outcome):
     """One evaluation of the fit; without an equilibrium there is no loss."""
 
@@ -511,6 +519,7 @@ class Estimate(OutcomeFile):
     nuisances : what was found of all that is not quite known. supports : the same of pelvis and shoulder, by frame.
     budget : by unknown; ``sd_log`` and ``sd_log_tracking``: with all unknowns, and with errors of tracking alone.
     prior_changes : other priors, other estimates.
+    best_known : the combination of ratios that is known best; None where a ratio alone is.
     p_value : of residuals as large, if all errors are as expected. tracking_factor : by which tracking's were larger.
     outlying : vertebrae whose own errors were larger than usual, and by how much.
     poses : by push.
@@ -541,6 +550,7 @@ class Estimate(OutcomeFile):
     sd_log_tracking: dict[str, float] = Field(default_factory=dict)
     budget: tuple[BudgetRecord, ...] = ()
     prior_changes: tuple[PriorChangeRecord, ...] = ()
+    best_known: CombinationRecord | None = None
     p_value: float | None = None
     tracking_factor: float | None = None
     outlying: dict[str, float] = Field(default_factory=dict)

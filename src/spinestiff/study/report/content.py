@@ -18,6 +18,7 @@ from spinestiff.study.wording import (
     MISSING,
     UNMEASURABLE,
     badge,
+    best_known_text,
     estimated,
     factor95,
     fixed,
@@ -267,6 +268,7 @@ def uncertainty_content(estimate: Estimate, predictions: Predictions) -> dict[st
             for kind in [estimate.ratios[name].profile]
             if kind is not None
         ],
+        "best_known": "" if estimate.best_known is None else best_known_text(estimate.best_known, ratio_title),
         "gains": [_gain(estimate, name) for name in estimate.parameters if estimate.budget],
         "supports": _support_places(estimate, predictions),
         "changed": bool(estimate.prior_changes),
