@@ -21,8 +21,10 @@ import datetime
 import hashlib
 import json
 import sys
+import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -34,6 +36,7 @@ else:
     raise ImportError("a command, not the package of this name that numba looks for")
 
 import numpy as np
+from coverage_rendered import rendered_subject
 from coverage_subjects import Acquisition, Subject, make_subject
 from rich.console import Console
 from rich.table import Table
@@ -60,19 +63,24 @@ FLAGGED = 1e-3  # p-value below which a result is called doubtful
 
 @dataclass(frozen=True)
 class Scenario:
-    """``nodes`` of the truth's mesh, ``mesh`` that the estimate ends on, seeds from ``first`` on."""
+    """``nodes`` of the truth's mesh, ``mesh`` that the estimate ends on, seeds from ``first`` on.
+
+    With ``rendered`` through radiographs (``coverage_rendered``), else from corners (``coverage_subjects``).
+    """
 
     acquisition: Acquisition
     nodes: int
     mesh: Mesh
     first: int
     count: int
+    rendered: bool = False
 
 
 SCENARIOS = {
     "coarse pair, three pushes": Scenario("three pushes", 3000, "coarse", 1000, 460),
     "coarse pair, the paper's acquisition": Scenario("paper", 3000, "coarse", 2000, 460),
     "default chain, three pushes": Scenario("three pushes", 15000, "fine", 4000, 140),
+    "rendered, three pushes": Scenario("three pushes", 15000, "fine", 6000, 45, rendered=True),
     "settings, three pushes": Scenario("three pushes", 3000, "coarse", 0, 230),
     "settings, the paper's acquisition": Scenario("paper", 3000, "coarse", 500, 230),
 }
@@ -82,7 +90,7 @@ SCENARIOS = {
 def code() -> str:
     """Hash of what a subject and its estimate are made with."""
     patterns = (
-        "benchmarks/coverage_subjects.py",
+        "benchmarks/coverage_*.py",
         "benchmarks/judgement_subjects.py",
         "benchmarks/discrepancy_pairs.py",
     )
@@ -92,34 +100,67 @@ def code() -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:12]
 
 
+@dataclass(frozen=True)
+class Made:
+    """A subject's truth, and its pushes as an estimate sees them, on the coarse torso and on the one it ends on."""
+
+    ratios: Mapping[str, float]
+    kind: str
+    cobb_deg: float
+    seen: Callable[[], tuple[PushSet | None, PushSet]]
+
+
+@contextmanager
+def made(seed: int, scenario: Scenario) -> Iterator[Made]:
+    """The subject of a seed. Raises SpinestiffError where it can't be made."""
+    if scenario.rendered:
+        with tempfile.TemporaryDirectory() as folder:
+            found = rendered_subject(seed, scenario.nodes, Path(folder) / "subject")
+            yield Made(found.ratios, "", found.cobb_deg, lambda: (found.coarse, found.pushes))
+        return
+    subject = make_subject(seed, scenario.acquisition, scenario.nodes)
+    coarse = scenario.mesh == "coarse"
+
+    def seen() -> tuple[PushSet | None, PushSet]:
+        return None if coarse else seen_by(subject, "coarse"), seen_by(subject, scenario.mesh)
+
+    yield Made(subject.ratios, subject.kind, subject.cobb_deg, seen)
+
+
 def run_one(seed: int, scenario: Scenario) -> dict[str, Any]:
     """A subject made and estimated, as a line of the log."""
     row: dict[str, Any] = {"seed": seed, **scenario.__dict__, "code": code()}
     began = time.process_time()
-    try:
-        subject = make_subject(seed, scenario.acquisition, scenario.nodes)
-    except SpinestiffError as error:
-        return {**row, "not made": str(error)}
-    row |= {"ratios": dict(subject.ratios), "kind": subject.kind, "cobb_deg": round(subject.cobb_deg, 1)}
-    row |= {"made_cpu_s": round(time.process_time() - began, 1)}
-    began = time.process_time()
-    try:
-        pushes = seen_by(subject, scenario.mesh)
-        coarse = None if scenario.mesh == "coarse" else seen_by(subject, "coarse")
-        fit = fit_from_coarse(coarse, pushes, NAMES, START, extent="intervals")
-        row |= told(fit, subject.ratios)
-        if fit.weighed is not None and fit.status.usable:
-            known, factor = fit.standard_nuisances, fit.weighed.tracking_factor
-            models = {"default": Model(), "fit": Model.of(fit)}
-            predictions = predict(pushes, models, {}, lambda line: None, ("default",))
-            expected = forecasts(predictions, fit.ratios.as_dict(), known, factor)
-            row["held_out"] = [
-                {"fit_mm": frame.rmse_mm["fit"], **({} if frame.forecast is None else frame.forecast.model_dump())}
-                for frame in assess(predictions, expected)
-            ]
-    except SpinestiffError as error:
-        row["failed"] = str(error)
+    with ExitStack() as stack:
+        try:
+            subject = stack.enter_context(made(seed, scenario))
+        except SpinestiffError as error:
+            return {**row, "not made": str(error)}
+        row |= {"ratios": dict(subject.ratios), "kind": subject.kind, "cobb_deg": round(subject.cobb_deg, 1)}
+        row |= {"made_cpu_s": round(time.process_time() - began, 1)}
+        began = time.process_time()
+        try:
+            coarse, pushes = subject.seen()
+            fit = fit_from_coarse(coarse, pushes, NAMES, START, extent="intervals")
+            row |= told(fit, subject.ratios)
+            row |= {"held_out": predicted(pushes, fit)}
+        except SpinestiffError as error:
+            row["failed"] = str(error)
     return {**row, "cpu_s": round(time.process_time() - began, 1)}
+
+
+def predicted(pushes: PushSet, fit: StiffnessFit) -> list[dict[str, Any]]:
+    """What an estimate and its forecasts say of the held-out frames."""
+    if fit.weighed is None or not fit.status.usable:
+        return []
+    models = {"default": Model(), "fit": Model.of(fit)}
+    predictions = predict(pushes, models, {}, lambda line: None, ("default",))
+    values, known = fit.ratios.as_dict(), fit.standard_nuisances
+    expected = forecasts(predictions, values, known, fit.weighed.tracking_factor)
+    return [
+        {"fit_mm": frame.rmse_mm["fit"], **({} if frame.forecast is None else frame.forecast.model_dump())}
+        for frame in assess(predictions, expected)
+    ]
 
 
 def seen_by(subject: Subject, mesh: Mesh) -> PushSet:
@@ -129,7 +170,7 @@ def seen_by(subject: Subject, mesh: Mesh) -> PushSet:
     return push_set(shaped.torso, subject.records, subject.tracked, known=Known(Priors(), shaped.covariance))
 
 
-def told(fit: StiffnessFit, truth: dict[str, float] | Any) -> dict[str, Any]:
+def told(fit: StiffnessFit, truth: Mapping[str, float]) -> dict[str, Any]:
     """What is asked of an estimate whose truth is known."""
     likely, weighed = fit.likely, fit.weighed
     if likely is None or weighed is None or likely.emulator is None:

@@ -348,11 +348,14 @@ def at_frames(
 
 @lru_cache(maxsize=8)
 def _family(name: str, cache: Path) -> TorsoModel:
-    """The template on a mesh that does not ship, kept in a folder; names: 'coarse SEED', 'fine SEED', 'finest'."""
+    """The template on a mesh that does not ship, kept in a folder; names: 'coarse SEED', 'fine SEED', 'finest' or, with
+    mm between points inside as for the family of ``mesh_convergence``, '12.6 SEED'."""
     path = cache / f"{name.replace(' ', '_')}.npz"
     if not path.exists():
         size, _, seed = name.partition(" ")
-        spacing = build_torso.family_spacing(FINEST) if size == "finest" else build_torso.SPACINGS[size]
+        known = build_torso.SPACINGS
+        inside = FINEST if size == "finest" else None if size in known else float(size)
+        spacing = known[size] if inside is None else build_torso.family_spacing(inside)
         skeleton = build_skeleton()
         half = half_mesh(skeleton, spacing, int(seed or build_torso.SEED))
         nodes, elements, bones = quadratic(*mirror(half), skeleton, build_torso.NEAR * spacing.inside)

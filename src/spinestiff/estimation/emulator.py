@@ -101,9 +101,9 @@ def _telling(places: list[tuple[Place, Reduced]]) -> list[tuple[Place, Reduced]]
 
 
 def _apart(places: list[tuple[Place, Reduced]]) -> list[tuple[Place, Reduced]]:
-    """Of places next to each other the first."""
+    """Of places next to each other the latest, whose nuisances are the best known; the estimate in any case."""
     kept = places[:1]
-    for place, model in places[1:]:
+    for place, model in reversed(places[1:]):
         if min(np.abs(place.point.log_ratios - other.point.log_ratios).max() for other, _ in kept) > NEAREST:
             kept.append((place, model))
     return kept

@@ -42,7 +42,7 @@ from spinestiff.study.predictions import (
     with_fitted_supports,
     write_solved,
 )
-from spinestiff.study.support_notes import support_notes
+from spinestiff.study.support_notes import strongest_notes, support_notes
 from spinestiff.study.trials import PushSet, fit_from_coarse, fit_pushes
 from spinestiff.study.truth import compare_with_truth, read_truth
 from spinestiff.study.visit import START, Visit, load_pushes, load_start
@@ -303,7 +303,7 @@ def stored_predictions(visit: Visit) -> Predictions:
 
 
 def _support_notes(visit: Visit, predictions: Predictions) -> list[str]:
-    notes, pushes = [], predictions.pushes
+    frames, pushes = [], predictions.pushes
     for frame in predictions.frames:
         if "fit" not in frame.solved:
             continue
@@ -311,8 +311,8 @@ def _support_notes(visit: Visit, predictions: Predictions) -> list[str]:
         solved, side = frame.solved["fit"], visit.subject.push(frame.item.push).side
         forces = solved.reactions[len(solved.reactions) - len(supports.names) :]
         found = support_notes(pushes.torso, supports, solved.state, forces, side)
-        notes += [f"{frame.item.trial.label}: {note}" for note in found]
-    return notes
+        frames.append((frame.item.push, frame.item.frame, frame.item.trial.load.size, found))
+    return strongest_notes(frames)
 
 
 def report_step(visit: Visit, say: Observer) -> None:
