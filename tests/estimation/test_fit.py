@@ -93,6 +93,23 @@ def test_extent_says_how_much_is_told(column, noisy) -> None:
     assert np.array_equal(estimate.ratios.values, intervals.ratios.values)
 
 
+def test_a_rough_fit_spares_evaluations_and_changes_no_interval(column, noisy) -> None:
+    """Of a spine whose joints are a tenth stiffer, as a coarse mesh is; one of other trials is left aside."""
+    start = {"lateral_bending": 1.0, "tissue": 0.6}
+    joints = replace(column.torso.joints, stiffness=1.1 * column.torso.joints.stiffness)
+    stiffer = EquilibriumProblem(replace(column.torso, joints=joints), column.problem.supports)
+    rough, fewer = (fit_stiffness(stiffer, trials, bounds=BOUNDS, extent="intervals") for trials in (noisy, noisy[:2]))
+    alone, led, aside = (
+        fit_stiffness(column.problem, noisy, start=start, bounds=BOUNDS, extent="intervals", rough=given)
+        for given in (None, rough, fewer)
+    )
+    assert len(rough.weighed.places) > 3
+    for name, (low, high) in alone.intervals95.items():
+        assert led.intervals95[name] == pytest.approx((low, high), rel=0.05)
+        assert aside.intervals95[name] == (low, high)
+    assert len(led.history) < len(alone.history) == len(aside.history)
+
+
 def test_an_outlying_vertebra_is_named(column, noisy) -> None:
     corners = noisy[2].corners.corners.copy()
     corners[3] += 8.0

@@ -92,21 +92,25 @@ def covariance_parts(problem: WeighedProblem, fit: WeighedFit) -> dict[str, Floa
 
 
 def prior_changes(
-    problem: WeighedProblem, fit: WeighedFit, places: Sequence[Place], limits: tuple[float, float]
+    problem: WeighedProblem,
+    fit: WeighedFit,
+    places: Sequence[Place],
+    limits: tuple[float, float],
+    rough: Sequence[Place] = (),
 ) -> tuple[PriorChange, ...]:
     """The estimate with each prior's standard deviation halved and doubled, on the emulator."""
     found = []
     for group in problem.unknowns.groups:
         for factor in FACTORS:
             sds = np.where(problem.unknowns.in_group(group), factor, 1.0)
-            found.append(_changed(group, factor, Emulator(places, fit.weights, sds), fit, limits))
+            found.append(_changed(group, factor, Emulator(places, fit.weights, sds, rough=rough), fit, limits))
     parts = covariance_parts(problem, fit)
     fixed = sum(parts[name] for name in (TRACKING, DISCREPANCY, *problem.noise.parts))
     for name in (DISCREPANCY, *problem.noise.parts):
         for factor in FACTORS:
             root = cholesky(fixed + (factor**2 - 1.0) * parts[name], lower=True)
             weights = Weights(root, fit.weights.tracking_factor, fit.weights.inflation)
-            found.append(_changed(name, factor, Emulator(places, weights), fit, limits))
+            found.append(_changed(name, factor, Emulator(places, weights, rough=rough), fit, limits))
     return tuple(found)
 
 

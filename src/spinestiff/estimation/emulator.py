@@ -42,12 +42,13 @@ class Kriging:
     Parameters
     ----------
     places : (K, P). values : (K, R). slopes : (K, R, P) or None: of the first place only, 0.
+    level : far from all places the function is as at the first one; else it rises as there.
     """
 
-    def __init__(self, places: Floats, values: Floats, slopes: Floats | None) -> None:
+    def __init__(self, places: Floats, values: Floats, slopes: Floats | None, level: bool = False) -> None:
         self._places, self._sloped = places, slopes is not None
         self._base, self._value = places[0], values[0]
-        self._slope = np.zeros((values.shape[1], places.shape[1])) if slopes is None else slopes[0]
+        self._slope = np.zeros((values.shape[1], places.shape[1])) if slopes is None or level else slopes[0]
         left = values - self._first_order(places)
         targets = left
         if slopes is not None:
@@ -89,6 +90,11 @@ class Kriging:
         return np.vstack(rows)
 
 
+def _kept(places: Sequence[Place], weights: Weights, telling: bool) -> list[tuple[Place, Reduced]]:
+    known = [(place, reduced(place.point, place.slope, weights)) for place in places]
+    return _apart(_telling(known) if telling else known)
+
+
 def _telling(places: list[tuple[Place, Reduced]]) -> list[tuple[Place, Reduced]]:
     """The places that tell of where the estimate may be, the estimate first."""
     kept, least = places[:1], _height(places[0][1])
@@ -113,6 +119,55 @@ def _height(model: Reduced) -> float:
     return 0.5 * float(model.values @ model.values)
 
 
+class _Surface:
+    """Whitened residuals, and their derivatives in the nuisances, over the log ratios.
+
+    Residuals are a smooth function of the ratios only together with nuisances that are one. Those that a search came by
+    with are none: residuals are taken, to first order, at the most probable ones, as interpolated.
+
+    Parameters
+    ----------
+    kept : places and their linear models. below : a surface that this one is added to, whose nuisances it takes.
+    """
+
+    def __init__(self, kept: list[tuple[Place, Reduced]], weights: Weights, below: _Surface | None = None) -> None:
+        log_ratios = np.array([place.point.log_ratios for place, _ in kept])
+        if below is None:
+            most, follow = (np.array([getattr(model, name) for _, model in kept]) for name in ("nuisances", "follow"))
+            self.nuisances = Kriging(log_ratios, most, follow)
+        else:
+            self.nuisances = below.nuisances
+        smooth, along = self.nuisances.at(log_ratios), self.nuisances.slopes(log_ratios)
+        values, slopes, columns = [], [], []
+        for (place, _), nuisances, change in zip(kept, smooth, along):
+            there = place.point.values + place.slope.nuisances @ (nuisances - place.point.nuisances)
+            whitened = weights.whiten(np.column_stack([there, place.slope.ratios, place.slope.nuisances]))
+            p = place.slope.ratios.shape[1]
+            values.append(whitened[:, 0])
+            columns.append(whitened[:, 1 + p :])
+            slopes.append(whitened[:, 1 : 1 + p] + columns[-1] @ change)
+        added, rising, across = np.array(values), np.array(slopes), np.array(columns)
+        self._below, self._shape = below, across.shape[1:]
+        if below is not None:
+            residuals, own = below.at(log_ratios)
+            added, rising, across = added - residuals, rising - below.slopes(log_ratios), across - own
+        self._residuals = Kriging(log_ratios, added, rising, level=below is not None)
+        self._columns = Kriging(log_ratios, across.reshape(len(kept), -1), None)
+
+    def at(self, where: Floats) -> tuple[Floats, Floats]:
+        """(S, R) residuals at the most probable nuisances and (S, R, M) derivatives, at places (S, P)."""
+        residuals, columns = self._residuals.at(where), self._columns.at(where).reshape(len(where), *self._shape)
+        if self._below is None:
+            return residuals, columns
+        lower, others = self._below.at(where)
+        return residuals + lower, columns + others
+
+    def slopes(self, where: Floats) -> Floats:
+        """(S, R, P) of the residuals."""
+        own = self._residuals.slopes(where)
+        return own if self._below is None else np.asarray(own + self._below.slopes(where))
+
+
 class Emulator:
     """phi over the log ratios, with nuisances at their most probable (``weighed``).
 
@@ -122,6 +177,8 @@ class Emulator:
     weights : of the estimate.
     prior_sds : (M,) factors on the nuisances' prior standard deviations.
     telling : keep only places that tell of where the estimate may be.
+    rough : where the same residuals are known on a coarser mesh, its estimate first; they tell the shape, ``places``
+        what is to be added to it.
     """
 
     def __init__(
@@ -130,28 +187,14 @@ class Emulator:
         weights: Weights,
         prior_sds: Floats | None = None,
         telling: bool = True,
+        rough: Sequence[Place] = (),
     ) -> None:
-        kept = [(place, reduced(place.point, place.slope, weights)) for place in places]
-        kept = _apart(_telling(kept) if telling else kept)
+        self._rough = _Surface(_kept(rough, weights, True), weights) if rough else None
+        kept = _kept(places, weights, telling)
+        self._surface = _Surface(kept, weights, self._rough)
         self.log_ratios = np.array([place.point.log_ratios for place, _ in kept])
-        m = kept[0][0].slope.nuisances.shape[1]
-        sds = np.ones(m) if prior_sds is None else prior_sds
-        # Residuals are a smooth function of the ratios only together with nuisances that are one. Those that a search
-        # came by with are none: residuals are taken, to first order, at the most probable ones, as interpolated.
-        most, follow = (np.array([getattr(model, name) for _, model in kept]) for name in ("nuisances", "follow"))
-        self._nuisances = Kriging(self.log_ratios, most, follow)
-        smooth, along = self._nuisances.at(self.log_ratios), self._nuisances.slopes(self.log_ratios)
-        values, slopes, columns = [], [], []
-        for (place, _), nuisances, change in zip(kept, smooth, along):
-            there = place.point.values + place.slope.nuisances @ (nuisances - place.point.nuisances)
-            whitened = weights.whiten(np.column_stack([there, place.slope.ratios, place.slope.nuisances]))
-            p = place.slope.ratios.shape[1]
-            values.append(whitened[:, 0])
-            columns.append(whitened[:, 1 + p :])
-            slopes.append(whitened[:, 1 : 1 + p] + columns[-1] @ change)
-        self._rows, self._m, self._sds = len(values[0]), m, sds
-        self._residuals = Kriging(self.log_ratios, np.array(values), np.array(slopes))
-        self._columns = Kriging(self.log_ratios, np.array(columns).reshape(len(kept), -1), None)
+        self._m = kept[0][0].slope.nuisances.shape[1]
+        self._sds = np.ones(self._m) if prior_sds is None else prior_sds
 
     def phi(self, log_ratios: Floats) -> Floats:
         """(S,) at places (S, P)."""
@@ -166,8 +209,8 @@ class Emulator:
         phi, most, inverses = [], [], []
         for begin in range(0, len(where), _CHUNK):
             part = where[begin : begin + _CHUNK]
-            columns = self._columns.at(part).reshape(len(part), self._rows, self._m)
-            free = self._residuals.at(part) - np.einsum("snm,sm->sn", columns, self._nuisances.at(part))
+            residuals, columns = self._surface.at(part)
+            free = residuals - np.einsum("snm,sm->sn", columns, self._surface.nuisances.at(part))
             columns = columns * self._sds
             normal = np.eye(self._m) + np.swapaxes(columns, 1, 2) @ columns
             right = np.einsum("snm,sn->sm", columns, free)

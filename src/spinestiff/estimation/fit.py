@@ -59,6 +59,7 @@ def fit_stiffness(
     extent: Extent = "everything",
     start_nuisances: Mapping[str, float] | None = None,
     population: str | None = None,
+    rough: StiffnessFit | None = None,
 ) -> StiffnessFit:
     """Stiffness ratios whose equilibria show what the radiographs show (Eq. 8).
 
@@ -83,6 +84,7 @@ def fit_stiffness(
         priors as well.
     population : whose ratios are held as a prior (``ratio_priors.POPULATIONS``), by the weighed method only; None: the
         ratios are flat in log, up to the smoothness of neighbouring levels'.
+    rough : a fit of the same trials and ratios on a coarser mesh, with intervals: where its likelihood has which shape.
 
     Raises
     ------
@@ -110,7 +112,7 @@ def fit_stiffness(
         found = _searched(asked, first, nuisances, default, limits, max_iterations)
         point, status = found.point.evaluation, found.status
         covariance = _covariance(found)
-        weighed = _told(asked, found, limits, extent)
+        weighed = _told(asked, found, limits, extent, _rough_places(asked, rough))
     else:
         point = default if default is not None and not first.any() else _first_point(trial_set, first, default)
         trial_set.note(point.log_ratios, point.loss, point, True)
@@ -262,20 +264,33 @@ def _covariance(found: WeighedFit) -> Floats:
     return np.asarray(np.linalg.inv(precision))
 
 
-def _told(asked: WeighedProblem, found: WeighedFit, limits: tuple[float, float], extent: Extent) -> Weighed:
+def _rough_places(asked: WeighedProblem, rough: StiffnessFit | None) -> tuple[Place, ...]:
+    """The rough fit's places, if its residuals and nuisances are as many as those asked for."""
+    places = () if rough is None or rough.weighed is None else rough.weighed.places
+    shape = (asked.size, len(asked.unknowns))
+    return places if places and places[0].slope.nuisances.shape == shape else ()
+
+
+def _told(
+    asked: WeighedProblem,
+    found: WeighedFit,
+    limits: tuple[float, float],
+    extent: Extent,
+    rough: tuple[Place, ...],
+) -> Weighed:
     likely: Likely | None = None
     budget: Budget | None = None
     changes: tuple[PriorChange, ...] = ()
+    known: tuple[Place, ...] = ()
     if extent != "estimate" and found.status.usable:
         places = [Place(*place) for place in found.visited]
-        known: tuple[Place, ...] = ()
         if len(found.point.log_ratios) > MOST_PROFILED:
             likely = linear_ratios(found, places, limits)
         else:
-            likely, known = likely_ratios(asked, found, places, limits)
+            likely, known = likely_ratios(asked, found, places, limits, rough)
         if extent == "everything":
             budget = variance_budget(asked, found)
-            changes = prior_changes(asked, found, known, limits) if known else ()
+            changes = prior_changes(asked, found, known, limits, rough) if known else ()
     return Weighed(
         _nuisances(asked, found),
         found.point.evaluation.acts,
@@ -288,6 +303,7 @@ def _told(asked: WeighedProblem, found: WeighedFit, limits: tuple[float, float],
         asked.ratio_prior.texts,
         _data_sd(asked, found),
         best_known(found.point.log_ratios, _precision(found)),
+        known,
     )
 
 

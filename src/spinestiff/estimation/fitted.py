@@ -11,6 +11,7 @@ import numpy as np
 from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.estimation.budget import Budget, PriorChange
+from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import FitCost, FitStep
 from spinestiff.estimation.linear import MOST_PROFILED, Combination
 from spinestiff.estimation.objective import Residuals
@@ -57,6 +58,7 @@ class Weighed(ShortRepr):
     held : name -> what was held of the ratios themselves before the fit; empty: they were flat in log.
     data_sd : (P,) standard deviations of the log ratios without that, to first order.
     best_known : the combination of ratios that is known best, to first order; None where a ratio alone is.
+    places : that intervals come from, the estimate first; empty without profiles.
     """
 
     nuisances: tuple[NuisanceEstimate, ...]
@@ -70,6 +72,7 @@ class Weighed(ShortRepr):
     held: Mapping[str, str]
     data_sd: Floats
     best_known: Combination | None
+    places: tuple[Place, ...] = field(repr=False)
 
 
 @dataclass(frozen=True, repr=False)

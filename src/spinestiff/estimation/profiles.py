@@ -7,6 +7,7 @@ looked for on the emulator, solved on the model, and looked for again until both
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,11 +81,18 @@ class Likely(ShortRepr):
 
 
 def likely_ratios(
-    problem: WeighedProblem, fit: WeighedFit, visited: list[Place], limits: tuple[float, float]
+    problem: WeighedProblem,
+    fit: WeighedFit,
+    visited: list[Place],
+    limits: tuple[float, float],
+    rough: Sequence[Place] = (),
 ) -> tuple[Likely, tuple[Place, ...]]:
     """Intervals, region and draws, and the places that they come from; solves the model at the intervals' ends.
 
-    ``visited``: places that the search solved.
+    Parameters
+    ----------
+    visited : places that the search solved. limits : of the log ratios.
+    rough : places that are known on a coarser mesh (``Emulator``).
     """
     places = [Place(fit.point, fit.slope.light), *visited]
     model = reduced(fit.point, fit.slope, fit.weights)
@@ -94,7 +102,7 @@ def likely_ratios(
     rise = 0.5 * region_rise(1)
     candidates, density = _candidates(fit.point.log_ratios, covariance, limits)
     for solved in range(MOST_ROUNDS + 1):
-        emulator = Emulator(places, fit.weights)
+        emulator = Emulator(places, fit.weights, rough=rough)
         tracer = _Tracer(emulator, fit.point.log_ratios, covariance, limits)
         profiles = [tracer.profile(i, rise) for i in range(len(precision))]
         ends = [tracer.end(profile, i, sign, rise) for i, profile in enumerate(profiles) for sign in (-1.0, 1.0)]

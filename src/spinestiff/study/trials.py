@@ -224,16 +224,18 @@ def fit_from_coarse(
 ) -> StiffnessFit:
     """The fit of the training frames, begun where the same trials on a coarse torso end; see ``fit_pushes``."""
     known: Mapping[str, float] = {}
+    rough: StiffnessFit | None = None
     if coarse is not None:
         say("on the coarse mesh first")
+        shape: Extent = "estimate" if extent == "estimate" else "intervals"
         try:
-            rough = fit_pushes(coarse, names, start, method, observer, "estimate", population=population)
+            rough = fit_pushes(coarse, names, start, method, observer, shape, population=population)
         except FitError:
             say("no fit on the coarse mesh")
         else:
             start, known = rough.ratios.as_dict(), rough.standard_nuisances
         say("on the fine mesh")
-    return fit_pushes(pushes, names, start, method, observer, extent, known, population)
+    return fit_pushes(pushes, names, start, method, observer, extent, known, population, rough)
 
 
 def rise_of(
@@ -267,6 +269,7 @@ def fit_pushes(
     extent: Extent = "everything",
     start_nuisances: Mapping[str, float] | None = None,
     population: str | None = None,
+    rough: StiffnessFit | None = None,
 ) -> StiffnessFit:
     """The fit of the training frames; arguments and errors are those of ``estimation.fit.fit_stiffness``."""
     return fit_stiffness(
@@ -283,4 +286,5 @@ def fit_pushes(
         extent=extent,
         start_nuisances=start_nuisances,
         population=population,
+        rough=rough,
     )
