@@ -83,8 +83,15 @@ class BrittleProblem(EquilibriumProblem):
 
     def solve(self, load: LoadCase, ratios: StiffnessRatios | None = None, *args, **kwargs) -> Equilibrium:
         found = super().solve(load, ratios, *args, **kwargs)
+        return replace(found, status=SolveStatus.STALLED) if self.fails(ratios) else found
+
+    def solve_linearised(self, load: LoadCase, ratios: StiffnessRatios | None = None, *args, **kwargs):
+        found, tangent = super().solve_linearised(load, ratios, *args, **kwargs)
+        return (replace(found, status=SolveStatus.STALLED) if self.fails(ratios) else found).require(), tangent
+
+    def fails(self, ratios: StiffnessRatios | None) -> bool:
         bending = 1.0 if ratios is None else ratios.scale_joints(np.ones((len(self.torso.joints), 6)))[0, 5]
-        return replace(found, status=SolveStatus.STALLED) if bending < self.fails_below else found
+        return bool(bending < self.fails_below)
 
 
 @dataclass(frozen=True)

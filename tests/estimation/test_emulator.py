@@ -113,8 +113,9 @@ def test_places_that_tell_nothing_are_left_out(asked, found, places) -> None:
 
 
 def test_places_of_a_rougher_model_tell_the_shape(column, noisy, found, places) -> None:
-    """From the estimate alone, all else known on a spine whose joints are a twentieth stiffer: phi elsewhere is known four
-    times as well as from the estimate's own slopes."""
+    """From the estimate alone, all else known on a spine whose joints are a twentieth stiffer.
+
+    phi elsewhere is known four times as well as from the estimate's own slopes."""
     joints = replace(column.torso.joints, stiffness=1.05 * column.torso.joints.stiffness)
     torso = replace(column.torso, joints=joints)
     other = replace(column, problem=EquilibriumProblem(torso, column.problem.supports))

@@ -144,6 +144,8 @@ class TrialSet:
         self.cost = FitCost()
         self.history: list[FitStep] = []
         self._observer = observer
+        # Of the last point alone: they are large.
+        self._tangents: tuple[Evaluation, list[Linearisation]] | None = None
         self._scaled = tuple(parameter_group(name, problems[0].torso.joints.kinds) for name in SCALED)
         self._changes = [load_changes(t.load, p.torso.rest_pose) for p, t in zip(problems, trials)]
 
@@ -157,17 +159,23 @@ class TrialSet:
         slope: Slope | None = None,
         acts: Floats | None = None,
         starts: Sequence[TorsoState] | None = None,
+        linearised: bool = False,
     ) -> Evaluation:
         """Equilibria of all trials, each from its last one and on its factor.
 
-        ``acts`` (T, len(ACTS)): of what is not quite known; default none. ``starts``: states where nothing is near.
+        Parameters
+        ----------
+        acts : (T, len(ACTS)) of what is not quite known; default none.
+        starts : states where nothing is near.
+        linearised : ``slope`` of what is found comes next; the tangents that tell that it is stable are kept for it.
 
         Raises
         ------
         EquilibriumError : a trial has none.
         """
         acts = np.zeros((len(self.trials), len(ACTS))) if acts is None else acts
-        found, parts = [], []
+        found, parts, tangents = [], [], []
+        self._tangents = None
         for i, (trial, target) in enumerate(zip(self.trials, self.targets)):
             start: TorsoState | Linearisation | None = None if starts is None else starts[i]
             if near is not None:
@@ -176,7 +184,11 @@ class TrialSet:
                 start = slope.tangents[i]
             problem, load, ratios = self._asked(i, log_ratios, acts[i])
             try:
-                equilibrium = problem.solve(load, ratios, start=start)
+                if linearised:
+                    equilibrium, tangent = problem.solve_linearised(load, ratios, start=start)
+                    tangents.append(tangent)
+                else:
+                    equilibrium = problem.solve(load, ratios, start=start)
             except EquilibriumError as error:
                 raise EquilibriumError(f"{trial.label or f'trial {i + 1}'}: {error}") from None
             self.cost.equilibria += 1
@@ -186,7 +198,9 @@ class TrialSet:
                 raise EquilibriumError(f"{trial.label or f'trial {i + 1}'}: {equilibrium.status.value}")
             found.append(equilibrium)
             parts.append(residuals(problem.torso, target, equilibrium.state))
-        return Evaluation(np.array(log_ratios), np.array(acts), tuple(found), tuple(parts))
+        point = Evaluation(np.array(log_ratios), np.array(acts), tuple(found), tuple(parts))
+        self._tangents = (point, tangents) if linearised else None
+        return point
 
     def slope(self, point: Evaluation, with_acts: bool = False) -> Slope:
         """Forward sensitivities (Eq. 6) at a point, of ratios and, ``with_acts``, of what is not quite known."""
@@ -229,6 +243,8 @@ class TrialSet:
         return acted(self.problems[i], self.trials[i].load, self.ratios(log_ratios), acts, self._changes[i])
 
     def _linearise(self, point: Evaluation, i: int) -> Linearisation:
+        if self._tangents is not None and self._tangents[0] is point:
+            return self._tangents[1][i]
         self.cost.factorisations += 1
         problem, load, ratios = self._asked(i, point.log_ratios, point.acts[i])
         return problem.linearise(point.equilibria[i], load, ratios)

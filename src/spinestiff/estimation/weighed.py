@@ -161,7 +161,12 @@ class WeighedProblem:
         """All trials in equilibrium, from what is near or from ``starts``; EquilibriumError where one has none."""
         acts = self.unknowns.acts @ nuisances
         found = self.trial_set.solve(
-            log_ratios, None if near is None else near.evaluation, None if slope is None else slope.slope, acts, starts
+            log_ratios,
+            None if near is None else near.evaluation,
+            None if slope is None else slope.slope,
+            acts,
+            starts,
+            linearised=True,
         )
         parts = [
             self.noise.channels[i].apply(part.difference + acts[i, _MOTION] * self._motion(part, i))
