@@ -116,9 +116,9 @@ def campaign(starts: int, seed: int) -> dict[str, object]:
     trial_set = problem.trial_set
     trial_set.cost, trial_set.history[:] = FitCost(), []
     began = time.process_time()
-    likely = likely_ratios(problem, best, [Place(*place) for place in best.visited], LIMITS)
+    likely, places = likely_ratios(problem, best, [Place(*place) for place in best.visited], LIMITS)
     variance_budget(problem, best)
-    prior_changes(problem, best, likely.places, LIMITS)
+    prior_changes(problem, best, places, LIMITS)
     names = list(TRUTH)
     work = {
         "evaluations": len(trial_set.history),
