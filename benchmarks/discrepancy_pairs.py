@@ -16,8 +16,10 @@ variant of one subject:
     volume           the truth's Poisson ratio is 0.3 to 0.42 or 0.47 to 0.49 (the model's: 0.45)
     one-sided wall   the truth's back may leave the wall, which holds the model's
     push point       the truth is pushed 10 to 20 mm farther to the front or to the rear
-    proportions      the truth is a body of another age, sex and mass; the model is the reference body at its height
-                     with the truth's vertebral poses
+    proportions      the truth is a body of its own age, sex, mass, kyphosis and lordosis; the model is the template of
+                     its height, age and sex, which an estimate is told, with the truth's vertebral poses. What of the
+                     difference is as if all tissue were stiffer or softer is the trunk's size, an unknown of the
+                     estimate, and taken out by the model's derivative
     geometry         the model is what personalisation makes of the truth's corners in two views, 0.5 mm noise
     fine to limit    the truth on a mesh of 26,000 nodes, the model on the fine mesh
     other fine mesh  the truth on a mesh of the fine one's size from another seed (points in bones stay), the model on
@@ -67,7 +69,8 @@ from spinestiff.anatomy.template.options import with_options
 from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import EquilibriumError, SpinestiffError
-from spinestiff.estimation.discrepancy import SIDES, plane_motion
+from spinestiff.estimation.discrepancy import CHANNELS as TURNS
+from spinestiff.estimation.discrepancy import SIDES, motion_size, plane_motion
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.unknowns import ACTS, POWERS, SCALED, load_changes
 from spinestiff.imaging.features import VertebraCorners, picture_axes, silhouette_shares, state_features
@@ -91,6 +94,7 @@ from tissue_mesh import half_mesh, mirror, quadratic  # noqa: E402
 SEED = 20261122
 PELVIS = "level"
 HEIGHTS_CM, COBB_DEG = (140.0, 175.0), (10.0, 60.0)
+KYPHOSIS_DEG, LORDOSIS_DEG = (20.0, 50.0), (35.0, 60.0)
 BENDING = (0.0075, 0.84)
 TISSUE_MPA = (0.0075 * 0.58, 0.2 * 0.58)
 TILT_DEG = (5.0, 25.0)
@@ -110,7 +114,7 @@ DEAREST = ("geometry", "finer mesh", "proportions")
 LIMIT_KINDS = ("other fine mesh", "fine to limit")
 LIMIT_EVERY = 4  # subjects
 # Kinds whose cause an estimate has among its own unknowns, and its prior's standard deviation in the unit of a slope;
-# the trunk's size, which "proportions" change, is one that acts as the tissue's ratio does.
+# the trunk's size is one that acts as the tissue's ratio does.
 EXPLICIT = {
     "rib joints": Priors().rib_joints,
     "volume": Priors().tissue_volume,
@@ -442,11 +446,23 @@ OF_BASE: dict[str, Callable[[TorsoModel, np.random.Generator], tuple[Bench, dict
 def other_body(subject: Subject, random: np.random.Generator) -> tuple[TorsoModel, TorsoModel, dict[str, Any]]:
     """Truth and model of the kind "proportions"."""
     age, sex = float(random.uniform(10.0, 18.0)), str(random.choice(["female", "male"]))
-    mass = usual_mass(subject.height_cm, age, sex) * float(np.exp(random.normal(0.0, 0.12)))  # type: ignore[arg-type]
-    body = template_torso(subject.height_cm, age_years=age, sex=sex, mass_kg=mass)  # type: ignore[arg-type]
-    truth = subject.shaped(body)
-    model = place_vertebrae(template_torso(subject.height_cm), *rest_vertebrae(truth))
-    return truth, model, {"age": age, "sex": sex, "mass_kg": mass}
+    own: dict[str, Any] = {
+        "mass_kg": usual_mass(subject.height_cm, age, sex) * float(np.exp(random.normal(0.0, 0.12))),  # type: ignore[arg-type]
+        "kyphosis_deg": float(random.uniform(*KYPHOSIS_DEG)),
+        "lordosis_deg": float(random.uniform(*LORDOSIS_DEG)),
+    }
+    told: dict[str, Any] = {"age_years": age, "sex": sex}
+    truth = subject.shaped(template_torso(subject.height_cm, **told, **own))
+    model = place_vertebrae(template_torso(subject.height_cm, **told), *rest_vertebrae(truth))
+    return truth, model, {**told, **own}
+
+
+def as_tissue(frames: list[dict[str, Any]]) -> float:
+    """The log of the tissue's ratio that explains most of what truth and model differ by, in all frames alike."""
+    model, truth, slope = (np.array([frame[key] for frame in frames]) for key in ("model", "truth", "slope"))
+    sizes = np.array([motion_size(motion) for motion in model])[:, None, None]
+    apart, along = (values * TURNS / sizes for values in (truth - model, slope[..., 1]))
+    return float(np.sum(apart * along) / np.sum(along**2))
 
 
 def personalised(truth: TorsoModel, random: np.random.Generator) -> TorsoModel:
@@ -514,6 +530,11 @@ def pair(subject: Subject, kind: str, draw: int, base: tuple[Bench, Modelled], c
                 "slope": rounded(slope),
             }
         )
+    if kind == "proportions":
+        parameters["trunk"] = as_tissue(frames)
+        for frame in frames:
+            slope = np.array(frame["slope"])
+            frame["model"] = rounded(np.array(frame["model"]) + parameters["trunk"] * slope[..., 1])
     told = {key: value for key, value in subject.__dict__.items() if key != "number"}
     own = {"kind": kind, "draw": draw, "subject": subject.number}
     return {**own, **told, "parameters": parameters, "frames": frames}

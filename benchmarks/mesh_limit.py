@@ -28,7 +28,7 @@ from discrepancy import Pair, pair_of, weighed
 from discrepancy_pairs import FINEST, LEVELS, Bench, Frame, at_frames, on_mesh, rounded, subject_of
 
 from spinestiff.anatomy.template import template_torso
-from spinestiff.errors import SpinestiffError
+from spinestiff.errors import EquilibriumError, SpinestiffError
 from spinestiff.estimation.discrepancy import LEFT_OUT, shipped_modes
 
 RESULTS = Path(__file__).parent / "results" / "mesh_limit.json"
@@ -71,10 +71,17 @@ def run_subject(number: int, meshes: Sequence[str], cache: Path) -> list[dict[st
 
 def _force(bench: Bench, side: str, level: float, ratios: Any) -> float:
     """N that turn vertebrae by about ``TILT_DEG``."""
-    force = 15.0
-    for _ in range(4):
-        turns = np.degrees(bench.motion(bench.solve(side, bench.load(side, level, force), ratios))[:, 2])
-        force *= float(np.clip(TILT_DEG / (turns.max() - turns.min()), 0.2, 5.0)) ** 0.8
+    force = 10.0
+    for _ in range(6):
+        try:
+            turns = np.degrees(bench.motion(bench.solve(side, bench.load(side, level, force), ratios))[:, 2])
+        except EquilibriumError:
+            force *= 0.5
+            continue
+        change = float(np.clip(TILT_DEG / (turns.max() - turns.min()), 0.2, 5.0))
+        if 0.8 < change < 1.25:
+            break
+        force *= change**0.8
     return force
 
 
