@@ -173,7 +173,7 @@ class Emulator:
 
     Parameters
     ----------
-    places : where residuals are known, the estimate first.
+    places : where residuals are known, the estimate first, then in the order in which they were solved.
     weights : of the estimate.
     prior_sds : (M,) factors on the nuisances' prior standard deviations.
     telling : keep only places that tell of where the estimate may be.
@@ -189,9 +189,9 @@ class Emulator:
         telling: bool = True,
         rough: Sequence[Place] = (),
     ) -> None:
-        self._rough = _Surface(_kept(rough, weights, True), weights) if rough else None
+        below = _Surface(_kept(rough, weights, True), weights) if rough else None
         kept = _kept(places, weights, telling)
-        self._surface = _Surface(kept, weights, self._rough)
+        self._surface = _Surface(kept, weights, below)
         self.log_ratios = np.array([place.point.log_ratios for place, _ in kept])
         self._m = kept[0][0].slope.nuisances.shape[1]
         self._sds = np.ones(self._m) if prior_sds is None else prior_sds

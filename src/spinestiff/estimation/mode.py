@@ -78,7 +78,7 @@ def search(
             wanted = point.nuisances + share * (nuisances - point.nuisances)
             if guiding and refused:
                 known = [Place(point, slope), *refused]
-                guided = _guided([*known, *visited], weights, limits)
+                guided = _guided([known[0], *visited, *refused], weights, limits)
                 if any(np.allclose(guided[0], place.point.log_ratios, rtol=0.0, atol=SAME) for place in known):
                     # It has nothing new to tell, as where ratios are at their bounds.
                     guiding, share = False, 0.25 * share
@@ -103,7 +103,7 @@ def search(
                 guiding = len(refused) <= MOST_GUIDED
             if not guiding:
                 share *= 0.25
-        visited = [Place(point, slope.light), *refused, *visited]
+        visited = [*visited, Place(point, slope.light), *refused]
         if moved is None:
             return WeighedFit(point, slope, weights, FitStatus.STALLED, _pairs(visited))
         point, slope = moved, problem.slope(moved)

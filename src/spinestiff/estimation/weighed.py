@@ -334,7 +334,7 @@ def reduced(point: WeighedPoint, slope: WeighedSlope, weights: Weights) -> Reduc
 
 @dataclass(frozen=True, repr=False)
 class WeighedFit(ShortRepr):
-    """Where the search (``mode``) ended; ``visited``: the places on the way there."""
+    """Where the search (``mode``) ended; ``visited``: the places on the way there, in their order."""
 
     point: WeighedPoint
     slope: WeighedSlope
