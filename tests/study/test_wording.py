@@ -171,6 +171,7 @@ def test_the_combination_that_is_known_best():
     sharp = CombinationRecord(exponents={"a": 1.0, "b": -0.5, "c": 0.04}, value=0.01234, sd_log=0.01)
     text = "A × B^−0.50 = 0.0123 within a factor of 1.02 (powers below 0.1 not shown)"
     assert best_known_text(sharp, str.upper) == text
+    assert best_known_text(found, "the {}".format).startswith("(the bending)^0.41 × (the tissue) = ")
 
 
 def test_no_more_than_two_ratios_are_told_of():

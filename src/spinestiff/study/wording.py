@@ -160,7 +160,9 @@ def best_known_text(found: CombinationRecord, title: Callable[[str], str] = str)
     powers = []
     for name, exponent in found.exponents.items():
         if abs(exponent) >= LEAST_EXPONENT:
-            powers.append(title(name) + ("" if round(exponent, 2) == 1.0 else f"^{fixed(exponent, 2)}"))
+            words = title(name)
+            words = f"({words})" if " " in words else words
+            powers.append(words if round(exponent, 2) == 1.0 else f"{words}^{fixed(exponent, 2)}")
     less = "" if len(powers) == len(found.exponents) else f" (powers below {LEAST_EXPONENT:g} not shown)"
     digits = 3 if found.sd_log < SURE else 2
     return f"{' × '.join(powers)} = {number(found.value, digits)} within a factor of {factor95(found.sd_log)}{less}"
