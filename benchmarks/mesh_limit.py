@@ -4,13 +4,13 @@
 
 Subjects are those of ``discrepancy_pairs``: bodies, curves and ratios at random. Each is pushed at ribs 5, 7.5 and 10
 on the side of its curve, hard enough to turn its vertebrae by about 12 degrees against each other. The truth is on
-meshes that do not ship: two of about 25,000 nodes and one of 65,000, of which only one of the first shares the way its
-points were drawn with the shipped ones. Model and truth have equal ratios. What the difference of the 17 vertebrae's
-motions does to an estimate on the fine mesh is found as in ``discrepancy.py``: generalised least squares about the
-true ratios, with the covariance that an estimate takes and its unknowns. Nothing else is wrong in the data.
+meshes that do not ship, two of about 25,000 nodes from different seeds and one of 65,000. Model and truth have equal
+ratios. What the difference of the 17 vertebrae's motions does to an estimate on the fine mesh is found as in
+``discrepancy.py``: generalised least squares about the true ratios, with the covariance that an estimate takes and its
+unknowns. Nothing else is wrong in the data.
 
 Asked of the mean over the subjects: 0.1 of log bending and 0.03 of log tissue at most. It goes on from what is in the
-folder (about two minutes a subject and mesh of 25,000 nodes, six with 65,000).
+folder (about a minute a subject and mesh of 25,000 nodes).
 """
 
 from __future__ import annotations
