@@ -66,6 +66,6 @@ def test_a_combination_that_the_data_fix_is_told_where_no_ratio_is():
     assert found.sd_log == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize("precision", [np.diag([4.0, 100.0]), np.zeros((2, 2))])
+@pytest.mark.parametrize("precision", [np.diag([4.0, 100.0]), np.zeros((2, 2)), np.full((2, 2), np.nan)])
 def test_no_combination_where_a_ratio_is_known_as_well_or_nothing(precision):
     assert best_known(np.log([0.1, 0.04]), precision) is None

@@ -265,8 +265,10 @@ def _covariance(found: WeighedFit) -> Floats:
 
 
 def _rough_places(asked: WeighedProblem, rough: StiffnessFit | None) -> tuple[Place, ...]:
-    """The rough fit's places, if its residuals and nuisances are as many as those asked for."""
-    places = () if rough is None or rough.weighed is None else rough.weighed.places
+    """The rough fit's places, if it is of the ratios asked for and of as many residuals and nuisances."""
+    if rough is None or rough.weighed is None or rough.names != tuple(group.name for group in asked.trial_set.groups):
+        return ()
+    places = rough.weighed.places
     shape = (asked.size, len(asked.unknowns))
     return places if places and places[0].slope.nuisances.shape == shape else ()
 
@@ -302,14 +304,19 @@ def _told(
         changes,
         asked.ratio_prior.texts,
         _data_sd(asked, found),
-        best_known(found.point.log_ratios, _precision(found)),
+        best_known(found.point.log_ratios, _data_precision(asked, found)),
         known,
     )
 
 
-def _data_sd(asked: WeighedProblem, found: WeighedFit) -> Floats:
+def _data_precision(asked: WeighedProblem, found: WeighedFit) -> Floats:
+    """Without what is held of the ratios themselves."""
     rows = asked.ratio_prior.rows
-    precision = _precision(found) - rows.T @ rows
+    return np.asarray(_precision(found) - rows.T @ rows)
+
+
+def _data_sd(asked: WeighedProblem, found: WeighedFit) -> Floats:
+    precision = _data_precision(asked, found)
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(precision + LEAST_PRECISION * np.eye(len(precision))))))
 
 

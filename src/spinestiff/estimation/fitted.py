@@ -57,7 +57,7 @@ class Weighed(ShortRepr):
     likely : intervals, profiles and draws; None if not asked for. budget, changes : the same.
     held : name -> what was held of the ratios themselves before the fit; empty: they were flat in log.
     data_sd : (P,) standard deviations of the log ratios without that, to first order.
-    best_known : the combination of ratios that is known best, to first order; None where a ratio alone is.
+    best_known : the combination of ratios that the data know best, to first order; None where a ratio alone is.
     places : that intervals come from, the estimate first; empty without profiles.
     """
 

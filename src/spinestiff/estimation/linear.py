@@ -41,6 +41,8 @@ def best_known(log_ratios: Floats, precision: Floats) -> Combination | None:
     ----------
     log_ratios : (P,) of the estimate. precision : (P, P) of the log ratios, singular where they can't be told apart.
     """
+    if not np.isfinite(precision).all():
+        return None
     values, directions = np.linalg.eigh(precision)
     largest = int(np.argmax(np.abs(directions[:, -1])))
     if values[-1] <= 0.0:
