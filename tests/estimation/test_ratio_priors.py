@@ -226,3 +226,6 @@ def test_levels_are_found_as_smooth_as_is_held(column, parted, by_level):
     )
     spread = [np.ptp(np.log(one.ratios.values[:-1])) for one in (fit, stiff)]
     assert spread[1] < 0.3 * spread[0]
+    # What the data know best is not what was held.
+    known, held = fit.weighed.best_known, stiff.weighed.best_known
+    assert held.sd_log > 0.5 * known.sd_log
