@@ -17,7 +17,15 @@ import typer
 from spinestiff import __version__
 from spinestiff.app import INTERRUPTED, STOPPED
 from spinestiff.app.annotate import annotate_folder, opened
-from spinestiff.app.options import cobb_limits, force_limits, height_limits, node_limits, noise_limits, within
+from spinestiff.app.options import (
+    cobb_limits,
+    force_limits,
+    height_limits,
+    node_limits,
+    noise_limits,
+    push_limits,
+    within,
+)
 from spinestiff.app.torso import torso
 from spinestiff.errors import SpinestiffError, SubjectError
 
@@ -216,6 +224,46 @@ def estimate(
     """Estimate the stiffness ratios from the training frames."""
     asked: dict[str, Any] = {"parameters": _names(parameters), "population": population}
     _print_estimate(_steps(folder, ("estimate",), redo, method=method, orientation=orientation, **asked))
+
+
+@app.command()
+def plan(
+    folder: Folder,
+    target: Annotated[str, typer.Option(help="What is to become narrow: bending, tissue or cobb.")] = "bending",
+    limit: Annotated[
+        float, typer.Option(callback=within("N", push_limits, above=True), help="Largest force to propose, N.")
+    ] = 80.0,
+    exposures: Annotated[
+        int, typer.Option(min=2, max=40, help="Further radiographs at most, unloaded ones included.")
+    ] = 8,
+    dose: Annotated[
+        float | None, typer.Option(help="Dose at most, in place of --exposures; together with --frame-dose.")
+    ] = None,
+    frame_dose: Annotated[float | None, typer.Option(help="Dose of one radiograph, in the unit of --dose.")] = None,
+    side: Annotated[str, typer.Option(help="Where to push: left, right or both.")] = "both",
+    ribs: Annotated[str | None, typer.Option(help="Ribs to push, e.g. 5,7,9; default 5 to 10.")] = None,
+    under: Annotated[
+        str | None, typer.Option(help="With --target cobb: the push it is predicted under, SIDE,RIB,FORCE.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print single pushes, best first, as a JSON list.")] = False,
+) -> None:
+    """Which push to take next, and when further ones no longer pay; writes a picture and a sheet to print."""
+    from spinestiff.app.plan import exposures_of, plan_next, show_plan, wish_of
+    from spinestiff.app.progress import progress
+    from spinestiff.app.tables import show_json
+    from spinestiff.study.visit import open_visit
+    from spinestiff.subject.lock import sole_run
+
+    if dose is not None or frame_dose is not None:
+        exposures = exposures_of(dose, frame_dose)
+    wish = wish_of(target, limit, exposures, side, ribs, under, push_limits()[1])
+    visit = open_visit(folder)
+    with sole_run(visit.subject.folder), progress(quiet=json) as say:
+        found = plan_next(visit, wish, say)
+    if json:
+        show_json([push.model_dump(mode="json") for push in found.next])
+    else:
+        show_plan(found, visit)
 
 
 @app.command()

@@ -113,3 +113,10 @@ def force_limits() -> tuple[float, float]:
 def noise_limits() -> tuple[float, float]:
     """Pixels, of a corner's noise; above, no vertebra would be told from its neighbours."""
     return 0.0, 1000.0
+
+
+def push_limits() -> tuple[float, float]:
+    """N, of a push on a patient: what the gauge reads."""
+    from spinestiff.subject.records import GAUGE_LIMIT_N
+
+    return 0.0, GAUGE_LIMIT_N

@@ -64,9 +64,7 @@ class Forecast(ShortRepr):
     def turn(self, upper: int, lower: int) -> tuple[float, float, float]:
         """rad, the turn of vertebra ``upper`` against ``lower`` (rows of this radiograph), simulated minus measured:
         expected, standard deviation, found."""
-        weights = np.zeros(len(self.found))
-        for row, sign in ((upper, 1.0), (lower, -1.0)):
-            weights[CHANNELS * row + 2] = sign / self.channels.arms[row]
+        weights = self.channels.turning(upper, lower)
         sd = float(np.sqrt(weights @ self.covariance @ weights))
         return float(weights @ self.expected), sd, float(weights @ self.found)
 

@@ -59,6 +59,13 @@ class Channels(ShortRepr):
         found = np.einsum("vcki,vki...->vc...", self.basis, features)
         return found.reshape(CHANNELS * len(self.rows), *features.shape[3:])
 
+    def turning(self, upper: int, lower: int) -> Floats:
+        """(3 Nv,) weights of the channels that give the turn of vertebra ``upper`` against ``lower``, rad."""
+        weights = np.zeros(CHANNELS * len(self.rows))
+        for row, sign in ((upper, 1.0), (lower, -1.0)):
+            weights[CHANNELS * row + 2] = sign / self.arms[row]
+        return weights
+
 
 @dataclass(frozen=True)
 class Seen:

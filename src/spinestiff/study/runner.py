@@ -30,6 +30,8 @@ from spinestiff.subject.run_record import (
     step_record,
 )
 
+WITHOUT_PUSHES = {"personalise"}
+"""Steps for which the rest radiographs are enough."""
 STEPS = ("track", "response", "personalise", "estimate", "assess", "report")
 PUSHES, ROLES = f"{SUBJECT_FILE}: pushes", f"{SUBJECT_FILE}: roles"
 XRAY, FORCES, BODY = (f"{SUBJECT_FILE}: {part}" for part in ("X-ray geometry", "frames and forces", "body"))
@@ -175,6 +177,9 @@ def run_steps(
     SpinestiffError : the first step that fails; what was written before stays.
     """
     say = observer or (lambda line: None)
+    if not visit.subject.pushes and set(steps) - WITHOUT_PUSHES:
+        path = visit.subject.folder / SUBJECT_FILE
+        raise SubjectError(f"{path}: pushes is empty; spinestiff plan says which push to take first")
     if "estimate" in steps and not any(push.frames_of("training") for push in visit.subject.pushes):
         path = visit.subject.folder / SUBJECT_FILE
         raise SubjectError(f"{path}: no frame has the role training; spinestiff frames proposes roles")

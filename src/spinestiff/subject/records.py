@@ -260,7 +260,7 @@ class SubjectRecord(_Record):
     xray : geometry where DICOM lacks it.
     torso : a torso file of the subject's own bones (``spinestiff torso import``) instead of the template, relative to
         the subject folder.
-    pushes : at least one; where roles are chosen, with at least one training frame under a force.
+    pushes : none before the first was recorded; where roles are chosen, with at least one training frame under a force.
     trunk : optional extents of the trunk, by the vertebra at whose height they were taken.
     skin_scan : optional surface scan of the trunk.
     pelvis : how it is held in the model: "estimated", at an obliquity that is not known, "level", on a "hinge", or with
@@ -280,7 +280,7 @@ class SubjectRecord(_Record):
     mass_kg: Annotated[float, Field(gt=0.0, le=300.0)] | None = None
     xray: XRayRecord = XRayRecord()
     torso: str | None = None
-    pushes: Annotated[tuple[PushRecord, ...], Field(min_length=1, strict=False)]
+    pushes: Annotated[tuple[PushRecord, ...], Field(strict=False)]
     trunk: dict[VertebraName, TrunkRecord] = {}
     skin_scan: ScanRecord | None = None
     pelvis: Pelvis = "estimated"

@@ -1,0 +1,382 @@
+"""Which push to take next: the radiographs that would make an estimate narrowest (``estimation.design``).
+
+Candidates are pushes from the sides and at the ribs that are allowed, each at half and at the whole of the largest
+force, each push with an unloaded radiograph first. All of them, and those that the estimate has been made from, are put
+into equilibrium at a few places where the ratios may lie; there, the 95 % interval that a set of them leaves follows to
+first order. What is reported is the geometric mean over the places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from scipy.stats import norm
+
+from spinestiff.anatomy.regions import parameter_groups
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.stiffness import RATIO_BOUNDS, StiffnessRatios
+from spinestiff.arrays import Floats
+from spinestiff.curves.tilts import cobb_angle, tilts
+from spinestiff.errors import EquilibriumError, SubjectError
+from spinestiff.estimation.design import Design, design_at
+from spinestiff.estimation.evaluation import TrialSet
+from spinestiff.estimation.objective import Trial
+from spinestiff.estimation.profiles import CONFIDENCE, WIDTH_FACTOR
+from spinestiff.estimation.ratio_priors import ratio_prior
+from spinestiff.estimation.weighed import WeighedProblem
+from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import no_load
+from spinestiff.mechanics.push import PushSite, push_load, push_problem
+from spinestiff.observer import Observer
+from spinestiff.study.plan_scene import Scene
+from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep, Target
+from spinestiff.words import counted
+
+COMFORT_N = 80.0
+"""The largest force that is proposed unless another one is given."""
+DISCOMFORT_N = (116.0, 25.0)
+"""At the chest of women (adults, n = 16), mean and standard deviation: Applied Ergonomics 2021."""
+RIBS = (5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
+SIDES: tuple[Literal["left", "right"], ...] = ("left", "right")
+SHARES = (0.5, 1.0)  # of the largest force
+EXPOSURES = 8
+# A push under which vertebrae would turn against each other by more than this is not proposed.
+MOST_TURN = np.deg2rad(45.0)
+# An exposure pays if it narrows the log of the interval (or the degrees) by more than this share.
+PAYS = 0.03
+# Quality of a corner that tracking follows well; its error is about 0.11 mm.
+QUALITY = 0.7
+RATIO_OF: Mapping[Target, str] = {"bending": "lateral_bending", "tissue": "tissue"}
+# The paper's distances; they matter where forces on shoulder and pelvis are loads.
+D21_MM, D31_MM = 400.0, 200.0
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A radiograph under a push from ``side`` at rib ``level``, N."""
+
+    side: Literal["left", "right"]
+    level: float
+    force_n: float
+
+    @property
+    def push(self) -> str:
+        return f"push from the {self.side} at rib {self.level:g}"
+
+    def __str__(self) -> str:
+        return f"{self.force_n:g} N from the {self.side} at rib {self.level:g}"
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What a plan is asked for.
+
+    Attributes
+    ----------
+    target : "bending", "tissue", or "cobb", the Cobb angle under the push ``predicted``.
+    limit_n : largest force. exposures : radiographs at most, unloaded ones included.
+    sides, ribs : where to push.
+
+    Raises
+    ------
+    SubjectError : a Cobb angle without the push that it is to be predicted for, or no push at all.
+    """
+
+    target: Target = "bending"
+    limit_n: float = COMFORT_N
+    exposures: int = EXPOSURES
+    sides: tuple[Literal["left", "right"], ...] = SIDES
+    ribs: tuple[float, ...] = RIBS
+    predicted: Frame | None = None
+
+    def __post_init__(self) -> None:
+        if self.target == "cobb" and self.predicted is None:
+            raise SubjectError("a Cobb angle is predicted under a push; give --under SIDE,RIB,FORCE, e.g. right,8,60")
+        if not self.sides or not self.ribs:
+            raise SubjectError("no side or no rib to push; give at least one of each")
+
+    @property
+    def frames(self) -> list[Frame]:
+        """All candidates."""
+        pushes = product(self.sides, self.ribs, SHARES)
+        return [Frame(side, rib, round(share * self.limit_n, 1)) for side, rib, share in pushes]
+
+
+def make_plan(scene: Scene, wish: Wish, say: Observer = lambda line: None) -> Plan:
+    """The best single push, and the best sequence.
+
+    Raises
+    ------
+    SubjectError : the target is no ratio of the estimate.
+    EquilibriumError : the torso can carry no push that is allowed, or not the one whose Cobb angle is wanted.
+    """
+    if wish.target != "cobb" and RATIO_OF[wish.target] not in scene.names:
+        raise SubjectError(
+            f"the estimate has no ratio {RATIO_OF[wish.target]} (it has {', '.join(scene.names)}); "
+            "run spinestiff estimate with lateral_bending,tissue, or choose another target"
+        )
+    carried = _Carried(scene, wish, say)
+    widths = _Widths(scene, wish, carried, say)
+    return _composed(scene, wish, carried, widths, say)
+
+
+class _Carried:
+    """The frames that the torso can carry at all places, with their trials and states."""
+
+    def __init__(self, scene: Scene, wish: Wish, say: Observer) -> None:
+        torso, taken = scene.torso, scene.taken
+        self.groups = parameter_groups(torso, scene.names)
+        self._problems: dict[str, EquilibriumProblem] = {}
+        rest = state_features(torso, scene.view, torso.rest_pose, silhouette_shares(torso, scene.view, torso.rest_pose))
+        corners = VertebraCorners(torso.vertebrae, rest.corners).selected(scene.vertebrae)
+        tracked = VertebraCorners(corners.vertebrae, corners.corners, np.full(corners.corners.shape[:2], QUALITY))
+        self.known: list[tuple[EquilibriumProblem, Trial]] = []
+        self.known_still: list[tuple[EquilibriumProblem, Trial]] = []
+        for item in taken.fitted if taken else ():
+            assert taken is not None
+            (self.known if item.force_n > 0.0 else self.known_still).append((taken.problems[item.push], item.trial))
+
+        def trial(frame: Frame, seen: VertebraCorners, by_hand: bool) -> tuple[EquilibriumProblem, Trial]:
+            if frame.side not in self._problems:
+                self._problems[frame.side] = push_problem(torso, frame.side, scene.rig)
+            site = PushSite(frame.side, frame.level, D21_MM, D31_MM)
+            load = push_load(torso, site, frame.force_n, scene.rig, str(frame))
+            return self._problems[frame.side], Trial(load, seen, scene.view, str(frame), frame.push, by_hand)
+
+        planned = {frame: trial(frame, tracked, False) for frame in wish.frames}
+        self.predicted = None if wish.predicted is None else trial(wish.predicted, corners, True)
+        self.states: list[list[TorsoState]] = []  # by place: of the known, the frames and the predicted one
+        self.places: list[Floats] = []
+        found: list[dict[Frame, TorsoState]] = []
+        before: dict[Frame, TorsoState] = {}
+        for number, place in enumerate(scene.places):
+            say(f"place {number + 1} of {len(scene.places)}: {counted(len(planned), 'candidate')}")
+            ratios = StiffnessRatios(self.groups, np.exp(place))
+            try:
+                known = self._chain(self.known, ratios)
+                last = [] if self.predicted is None else self._chain([self.predicted], ratios)
+            except EquilibriumError:
+                continue  # a place that what was seen already rules out
+            there: dict[Frame, TorsoState] = {}
+            for push in dict.fromkeys(frame.push for frame in planned):
+                own = [(frame, one) for frame, one in planned.items() if frame.push == push]
+                there |= self._carried_by(own, ratios, rest.angle, before)
+            before = there
+            self.places.append(place)
+            self.states.append([*known, *last])
+            found.append(there)
+        if not self.places:
+            raise EquilibriumError("no equilibrium under the pushes that were taken, or under the one to predict")
+        self.frames = [frame for frame in planned if all(frame in there for there in found)]
+        if not self.frames:
+            raise EquilibriumError(
+                f"no push of {min(SHARES) * wish.limit_n:g} to {wish.limit_n:g} N leaves all vertebrae within "
+                f"{np.degrees(MOST_TURN):.0f} degrees; allow smaller forces with --limit"
+            )
+        self.planned = {frame: planned[frame] for frame in self.frames}
+        self.left_out = [frame for frame in planned if frame not in self.planned]
+        count = len(self.known)
+        self.states = [
+            [*own[:count], *(there[frame] for frame in self.frames), *own[count:]]
+            for own, there in zip(self.states, found)
+        ]
+        self.pushes = list(dict.fromkeys(frame.push for frame in self.frames))
+        self.still = [
+            (planned[f][0], Trial(no_load(), corners, scene.view, f"{push} unloaded", push, annotated=True))
+            for push in self.pushes
+            for f in [next(frame for frame in self.frames if frame.push == push)]
+        ]
+        self.end_vertebrae = self._curve(scene, corners)
+
+    @staticmethod
+    def _chain(trials: Sequence[tuple[EquilibriumProblem, Trial]], ratios: StiffnessRatios) -> list[TorsoState]:
+        """States of trials in their order, each from the one of less force in its push."""
+        states: dict[int, TorsoState] = {}
+        last: dict[str, TorsoState] = {}
+        for i in sorted(range(len(trials)), key=lambda i: trials[i][1].load.size):
+            problem, trial = trials[i]
+            states[i] = last[trial.push] = problem.solve(trial.load, ratios, last.get(trial.push)).require().state
+        return [states[i] for i in range(len(trials))]
+
+    def _carried_by(
+        self,
+        trials: Sequence[tuple[Frame, tuple[EquilibriumProblem, Trial]]],
+        ratios: StiffnessRatios,
+        rest: Floats,
+        before: Mapping[Frame, TorsoState],
+    ) -> dict[Frame, TorsoState]:
+        """States of a push's frames up to the first that the torso can't carry, or that turns vertebrae too far.
+
+        ``before`` : states at another place, to start from.
+        """
+        found: dict[Frame, TorsoState] = {}
+        state: TorsoState | None = None
+        for frame, (problem, trial) in sorted(trials, key=lambda one: one[0].force_n):
+            solved = problem.solve(trial.load, ratios, before.get(frame, state))
+            if not solved.converged:
+                break
+            state = solved.state
+            torso, view = problem.torso, trial.view
+            now = state_features(torso, view, state, silhouette_shares(torso, view, torso.rest_pose)).angle
+            if np.ptp(now - rest) > MOST_TURN:
+                break
+            found[frame] = state
+        return found
+
+    @staticmethod
+    def _curve(scene: Scene, corners: VertebraCorners) -> tuple[int, int]:
+        """Rows of the end vertebrae of the largest curve at rest."""
+        angle = cobb_angle(tilts(corners.vertebrae, corners.corners, scene.view))
+        return corners.vertebrae.index(angle.upper), corners.vertebrae.index(angle.lower)
+
+
+@dataclass(frozen=True)
+class _Width:
+    """Of what a set of radiographs leaves: log of the factor either way of each ratio, and degrees either way."""
+
+    logs: tuple[float, ...]
+    degrees: float | None
+
+
+class _Widths:
+    """Expected widths of the 95 % intervals, by set of radiographs."""
+
+    def __init__(self, scene: Scene, wish: Wish, carried: _Carried, say: Observer) -> None:
+        loaded = [*carried.known, *carried.planned.values()]
+        loaded += [] if carried.predicted is None else [carried.predicted]
+        still = [*carried.known_still, *carried.still]
+        trials = TrialSet([p for p, _ in loaded], [trial for _, trial in loaded], carried.groups, "procrustes", None)
+        known = scene.known
+        held = ratio_prior(carried.groups, scene.torso.joints.kinds, known.priors.level_smoothness, scene.population)
+        problem = WeighedProblem(trials, still, "procrustes", known.priors, known.geometry, known.taped, held)
+        better = {"trunk size": known.priors.trunk_taped / max(known.priors.trunk, 1e-300)}
+        self.designs: list[Design] = []
+        self.taped: list[Design] = []
+        for number, (place, states) in enumerate(zip(carried.places, carried.states)):
+            say(f"place {number + 1} of {len(carried.places)}: what each radiograph would tell")
+            point = problem.solve(place, np.zeros(len(problem.unknowns)), starts=states)
+            slope = problem.slope(point)
+            self.designs.append(design_at(problem, point, slope, scene.tracking_factor))
+            if not known.taped:
+                self.taped.append(design_at(problem, point, slope, scene.tracking_factor, better))
+        first_still = len(loaded)
+        self.taken = (*range(len(carried.known)), *range(first_still, first_still + len(carried.known_still)))
+        self._of_frame = {frame: len(carried.known) + i for i, frame in enumerate(carried.frames)}
+        planned_still = first_still + len(carried.known_still)
+        self._of_push = {push: planned_still + i for i, push in enumerate(carried.pushes)}
+        self._unseen = len(loaded) - 1 if carried.predicted is not None else None
+        if self._unseen is not None:
+            self._weights = problem.noise.channels[self._unseen].turning(*carried.end_vertebrae)
+        self._target = wish.target
+        self._index = None if wish.target == "cobb" else scene.names.index(RATIO_OF[wish.target])
+        self._widest = 0.5 * float(np.log(RATIO_BOUNDS[1] / RATIO_BOUNDS[0]))
+
+    def radiographs(self, frame: Frame, taken: Sequence[int]) -> tuple[int, ...]:
+        """Numbers of those that taking a frame adds: its own, and its push's unloaded one if there is none yet."""
+        still = self._of_push[frame.push]
+        return (self._of_frame[frame],) if still in taken else (still, self._of_frame[frame])
+
+    def of(self, taken: Sequence[int], taped: bool = False) -> _Width:
+        """Mean over the places."""
+        reach = WIDTH_FACTOR * norm.ppf(0.5 + 0.5 * CONFIDENCE)
+        designs = self.taped if taped else self.designs
+        logs = np.mean([np.minimum(reach * one.ratio_sds(taken), self._widest) for one in designs], axis=0)
+        degrees = None
+        if self._unseen is not None:
+            sds = [one.prediction_sd(taken, self._unseen, self._weights) for one in designs]
+            degrees = float(np.degrees(reach * np.mean(sds)))
+        return _Width(tuple(logs.tolist()), degrees)
+
+    def size(self, width: _Width) -> float:
+        """What is to become small."""
+        if self._index is not None:
+            return width.logs[self._index]
+        assert width.degrees is not None
+        return width.degrees
+
+
+def _composed(scene: Scene, wish: Wish, carried: _Carried, widths: _Widths, say: Observer) -> Plan:
+    def described(frame: Frame, width: _Width) -> PlannedPush:
+        factors = {name: round(float(np.exp(log)), 3) for name, log in zip(scene.names, width.logs)}
+        ratio = wish.target != "cobb"
+        return PlannedPush(
+            side=frame.side,
+            level=frame.level,
+            force_n=frame.force_n,
+            expected_factor=factors[RATIO_OF[wish.target]] if ratio else None,
+            expected_deg=None if ratio or width.degrees is None else round(width.degrees, 2),
+            factors=factors,
+        )
+
+    def after(frame: Frame, taken: tuple[int, ...]) -> tuple[tuple[int, ...], _Width]:
+        both = (*taken, *widths.radiographs(frame, taken))
+        return both, widths.of(both)
+
+    say("comparing")
+    singles = [(frame, after(frame, widths.taken)[1]) for frame in carried.frames]
+    singles.sort(key=lambda one: widths.size(one[1]))
+    taken, left, sequence = widths.taken, list(carried.frames), list[PlanStep]()
+    now = widths.of(taken) if taken else None
+    size = np.inf if now is None else widths.size(now)
+    exposures, pays = 0, True
+    while left:
+        say(f"sequence: {counted(exposures, 'exposure')} of {wish.exposures}")
+        fitting = [f for f in left if exposures + len(widths.radiographs(f, taken)) <= wish.exposures]
+        if not fitting:
+            break
+        options = [(frame, *after(frame, taken)) for frame in fitting]
+
+        def gain(option: tuple[Frame, tuple[int, ...], _Width], before: float = size, had: int = len(taken)) -> float:
+            more = len(option[1]) - had
+            # Without anything before, the narrowest.
+            return -widths.size(option[2]) if np.isinf(before) else (before - widths.size(option[2])) / more
+
+        frame, both, width = max(options, key=gain)
+        more = len(both) - len(taken)
+        pays = pays and (np.isinf(size) or 1.0 - widths.size(width) / size > PAYS * more)
+        exposures, taken, size = exposures + more, both, widths.size(width)
+        left.remove(frame)
+        sequence.append(PlanStep(push=described(frame, width), exposures=exposures, pays=bool(pays)))
+    taped = None
+    if widths.taped:
+        with_tape = widths.of(widths.taken or after(singles[0][0], ())[0], taped=True)
+        taped = widths.size(with_tape)
+        taped = round(taped if wish.target == "cobb" else float(np.exp(taped)), 3)
+    notes = _left_out(carried.left_out)
+    if len(carried.places) < len(scene.places):
+        lost = len(scene.places) - len(carried.places)
+        notes.append(f"{counted(lost, 'place')} of {len(scene.places)} left out: no equilibrium under what was seen")
+    return Plan(
+        target=wish.target,
+        limit_n=wish.limit_n,
+        basis="population" if scene.taken is None else "estimate",
+        taken=len(widths.taken),
+        now={} if now is None else {n: round(float(np.exp(v)), 3) for n, v in zip(scene.names, now.logs)},
+        estimated={name: round(factor, 3) for name, factor in scene.intervals.items()},
+        now_deg=None if now is None or now.degrees is None else round(now.degrees, 2),
+        next=tuple(described(*one) for one in singles),
+        sequence=tuple(sequence),
+        taped=taped,
+        predicted=None
+        if wish.predicted is None
+        else (wish.predicted.side, wish.predicted.level, wish.predicted.force_n),
+        notes=tuple(notes),
+    )
+
+
+def _left_out(frames: Sequence[Frame]) -> list[str]:
+    """A line for each side and force."""
+    found = []
+    for side, force in dict.fromkeys((frame.side, frame.force_n) for frame in frames):
+        ribs = [f"{frame.level:g}" for frame in frames if (frame.side, frame.force_n) == (side, force)]
+        found.append(
+            f"{force:g} N from the {side} at {'rib' if len(ribs) == 1 else 'ribs'} {', '.join(ribs)}: left out; where "
+            f"the ratios may lie, the torso can't carry it or vertebrae would turn by more than "
+            f"{np.degrees(MOST_TURN):.0f} degrees"
+        )
+    return found

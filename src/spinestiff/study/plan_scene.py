@@ -1,0 +1,142 @@
+"""What a plan of further pushes knows of a subject: the torso, what was seen of it, and where its ratios may lie."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from spinestiff.anatomy.files import read_torso
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats, ShortRepr
+from spinestiff.errors import SubjectError
+from spinestiff.files import read_text
+from spinestiff.imaging.projection import XRayView
+from spinestiff.mechanics.push import Rig
+from spinestiff.personalise.pose import align_view
+from spinestiff.study.trials import Known, PushSet, known_of, rig_of
+from spinestiff.study.visit import START, USUAL, Visit, load_pushes, load_start
+from spinestiff.subject.folder import image_corners, read_rest
+from spinestiff.subject.outcomes import Estimate, GeometryRecord
+from spinestiff.subject.run_record import changed_inputs, read_outcome, recorded_steps, result_path
+
+# Lateral bending and tissue: the geometric mean of Table 4, and half a decade or so around it either way.
+POPULATION = ((0.07, 0.04), (0.02, 0.04), (0.25, 0.04), (0.07, 0.015), (0.07, 0.15))
+PLACES = 5  # along the draws of an estimate
+
+
+@dataclass(frozen=True, repr=False)
+class Scene(ShortRepr):
+    """A subject as a plan sees it.
+
+    Attributes
+    ----------
+    torso : at rest. known : beside the radiographs. rig : how pushes are held against.
+    view : from where, moved to where the patient stands. vertebrae : that it shows.
+    names : of the ratios. places : (K, P) log ratios, where they may lie.
+    taken : what the estimate has been made from; None before any push.
+    tracking_factor : of the size of tracking's errors. population : whose ratios are held.
+    intervals : name -> the factor, either way on average, of the 95 % interval that the estimate has.
+    """
+
+    torso: TorsoModel
+    known: Known
+    rig: Rig
+    view: XRayView
+    vertebrae: tuple[str, ...]
+    names: tuple[str, ...]
+    places: Floats
+    taken: PushSet | None = None
+    tracking_factor: float = 1.0
+    population: str | None = None
+    intervals: Mapping[str, float] = field(default_factory=dict)
+
+
+def population_places() -> Floats:
+    """(5, 2) log ratios of lateral bending and tissue, where a patient's may lie before any push."""
+    return np.log(POPULATION)
+
+
+def places_of_draws(log_ratios: Floats, count: int = PLACES) -> Floats:
+    """(count, P) places along draws (D, P) of the log ratios, means of as many parts of them from one end to the other.
+
+    They follow the draws where ratios trade against each other.
+    """
+    about = log_ratios - log_ratios.mean(axis=0)
+    order = np.argsort(about @ np.linalg.svd(about, full_matrices=False)[2][0])
+    return np.array([log_ratios[part].mean(axis=0) for part in np.array_split(order, min(count, len(order)))])
+
+
+def read_draws(text: str, names: Sequence[str]) -> Floats:
+    """(D, P) log ratios of ``posterior.csv``. Raises SubjectError where it has none of these names."""
+    rows = list(csv.DictReader(text.splitlines()))
+    try:
+        return np.log([[float(row[name]) for name in names] for row in rows]).reshape(-1, len(names))
+    except (KeyError, TypeError, ValueError):
+        raise SubjectError(f"posterior.csv: no draws of {', '.join(names)}; run spinestiff estimate again") from None
+
+
+def scene_of(visit: Visit) -> Scene:
+    """A personalised subject: with its estimate if it has one, else as one of the population before any push.
+
+    Raises
+    ------
+    SubjectError : not personalised; the estimate is out of date, was made by the paper's method, which knows no
+        uncertainty, or is of ratios that the population says nothing of.
+    """
+    subject = visit.subject
+    if "estimate" in recorded_steps(subject) and visit.file(Estimate.FILE).exists():
+        return _of_estimate(visit)
+    _refuse_stale(visit, "torso.npz", "personalise")
+    if "frontal" not in subject.rest_views:
+        raise SubjectError(f"{subject.folder}: no frontal rest radiograph, from which a plan takes where corners are")
+    covariance = np.array(read_outcome(subject, GeometryRecord).covariance)
+    known = known_of(subject.record, covariance.reshape(6 * len(covariance), -1))
+    coarse = any(output.endswith(f"/{START}") for output in recorded_steps(subject)["personalise"].outputs)
+    torso = read_torso(result_path(subject, START, "personalise")) if coarse else visit.torso()
+    picture = read_rest(subject, "frontal")
+    corners = image_corners(subject, "rest/frontal", picture.view)
+    view, _ = align_view(torso, torso.rest_pose, picture.view, corners)
+    return Scene(torso, known, rig_of(subject.record), view, corners.vertebrae, USUAL, population_places())
+
+
+def _refuse_stale(visit: Visit, result: str, step: str) -> None:
+    changed = changed_inputs(visit.subject, step)
+    if changed:
+        raise SubjectError(f"{visit.file(result)}: was made before {changed[0]} changed; run spinestiff {step} again")
+
+
+def _of_estimate(visit: Visit) -> Scene:
+    subject = visit.subject
+    _refuse_stale(visit, Estimate.FILE, "estimate")
+    estimate = read_outcome(subject, Estimate)
+    if estimate.method != "weighed":
+        raise SubjectError(
+            f"{visit.file(Estimate.FILE)}: is by the paper's method, which knows no uncertainty to narrow; "
+            "run spinestiff estimate with --method weighed"
+        )
+    pushes = load_start(visit, estimate.orientation, estimate.method)
+    if pushes is None:
+        pushes = load_pushes(visit, estimate.orientation, estimate.method)
+    draws = read_draws(read_text(result_path(subject, "posterior.csv", "estimate")), estimate.parameters)
+    first = pushes.fitted[0].trial
+    seen = max((item.trial.corners.vertebrae for item in pushes.fitted), key=len)
+    return Scene(
+        pushes.torso,
+        pushes.known,
+        rig_of(subject.record),
+        first.view,
+        seen,
+        estimate.parameters,
+        places_of_draws(draws),
+        pushes,
+        estimate.tracking_factor or 1.0,
+        estimate.population,
+        {
+            name: float(np.sqrt(ratio.high / ratio.low))
+            for name, ratio in estimate.ratios.items()
+            if ratio.low is not None and ratio.high is not None
+        },
+    )

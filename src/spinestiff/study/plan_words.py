@@ -1,0 +1,71 @@
+"""A plan of further pushes in words."""
+
+from __future__ import annotations
+
+from spinestiff.study.plan import DISCOMFORT_N, RATIO_OF
+from spinestiff.study.wording import fixed, number
+from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
+from spinestiff.words import counted
+
+TITLES = {"bending": "lateral bending", "tissue": "tissue", "cobb": "predicted Cobb angle"}
+
+
+def push_words(push: PlannedPush) -> str:
+    """E.g. "rib 8 right, 60 N"."""
+    return f"rib {push.level:g} {push.side}, {push.force_n:g} N"
+
+
+def size_of(push: PlannedPush) -> float:
+    """The target's factor, or degrees, expected once a push is taken."""
+    return push.expected_deg if push.expected_factor is None else push.expected_factor  # type: ignore[return-value]
+
+
+def now_of(plan: Plan) -> float | None:
+    """The same with what was taken so far; None before any push."""
+    return plan.now_deg if plan.target == "cobb" else plan.now.get(RATIO_OF[plan.target])
+
+
+def width(plan: Plan, size: float) -> str:
+    """E.g. "within a factor of 1.8" or "within 2.1°"."""
+    return f"within {fixed(size)}°" if plan.target == "cobb" else f"within a factor of {number(size)}"
+
+
+def pays(plan: Plan) -> tuple[PlanStep, ...]:
+    """The steps that are worth it; the first in any case."""
+    return tuple(step for i, step in enumerate(plan.sequence) if step.pays or i == 0)
+
+
+def plan_lines(plan: Plan) -> list[str]:
+    """What a plan says, in sentences."""
+    what, found = TITLES[plan.target], []
+    if plan.predicted is not None:
+        side, level, force = plan.predicted
+        what = f"{what} under {force:g} N from the {side} at rib {level:g}"
+    now = now_of(plan)
+    if now is None:
+        found.append("before any push: expected for ratios around the geometric means of the paper's Table 4")
+    else:
+        own = plan.estimated.get(RATIO_OF.get(plan.target, ""))
+        beside = "" if own is None else f"; the estimate's own interval: {width(plan, own)}"
+        found.append(f"{what}: now {width(plan, now)} (95 %, to first order, as all that is expected here{beside})")
+    if plan.next:
+        best = plan.next[0]
+        found.append(f"best next: {push_words(best)}, expected {width(plan, size_of(best))}")
+    worth = pays(plan)
+    last = worth[-1]
+    if len(worth) < len(plan.sequence):
+        found.append(
+            f"further radiographs hardly narrow it after {counted(last.exposures, 'exposure')} "
+            f"({width(plan, size_of(last.push))})"
+        )
+    else:
+        found.append(f"every step pays up to {counted(last.exposures, 'exposure')} ({width(plan, size_of(last.push))})")
+    if plan.taped is not None:
+        with_what = "with the best push" if now is None else "and no further push"
+        found.append(f"with a tape around the trunk {with_what}: {width(plan, plan.taped)}")
+    mean, sd = DISCOMFORT_N
+    found.append(
+        f"forces up to {plan.limit_n:g} N; women called a push at the chest uncomfortable at {mean:g} ± {sd:g} N "
+        "(adults, n = 16)"
+    )
+    return [*found, *(f"note: {note}" for note in plan.notes)]

@@ -1,0 +1,91 @@
+"""``spinestiff plan``: what it prints and writes, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import pytest
+
+from spinestiff.app.plan import exposures_of, wish_of
+from spinestiff.errors import OptionError
+from spinestiff.files import read_json
+from spinestiff.study.plan import RIBS, SIDES, Frame
+
+ALL = ("bending", 80.0, 8, "both", None, None, 500.0)
+
+
+def wished(**changes):
+    names = ("target", "limit_n", "exposures", "side", "ribs", "under", "largest")
+    return wish_of(*{**dict(zip(names, ALL)), **changes}.values())
+
+
+def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, subject):
+    ran = spinestiff("plan", subject, "--json", "--limit", 30, "--ribs", "6,8", "--side", "left", "--exposures", 3)
+    assert (ran.status, ran.err) == (0, "")
+    found = json.loads(ran.out)
+    assert [(push["side"], push["force_n"], push["view"]) for push in found[:2]] == [("left", 30.0, "frontal")] * 2
+    assert {push["level"] for push in found} == {6.0, 8.0}
+    factors = [push["expected_factor"] for push in found]
+    assert factors == sorted(factors)
+    assert factors[0] > 1.0
+    results = subject / "results"
+    assert read_json(results / "plan.json")["next"] == found
+    assert cv2.imread(str(results / "plan.png")).shape[1] > 1000
+    sheet = (results / "protocol.html").read_text(encoding="utf-8")
+    assert "No push above 30 N." in sheet
+    # An unloaded radiograph, the best push, and the other force of it.
+    best = found[0]
+    assert sheet.count(f'<td>left</td><td class="number">{best["level"]:g}</td>') in (2, 3)
+    ran = spinestiff("plan", subject, "--limit", 30, "--ribs", "6,8", "--side", "left", "--exposures", 3)
+    assert ran.status == 0
+    assert f"best next: rib {best['level']:g} left, 30 N, expected within a factor of" in ran.out
+    assert f"sheet to print: {results / 'protocol.html'}" in ran.out
+    assert "116 ± 25 N" in ran.out
+
+
+def test_options_become_a_wish():
+    wish = wished()
+    assert (wish.sides, wish.ribs, wish.predicted) == (SIDES, RIBS, None)
+    wish = wished(target="cobb", side="right", ribs="5, 9.5,5", under="left,8,60")
+    assert (wish.sides, wish.ribs, wish.predicted) == (("right",), (5.0, 9.5), Frame("left", 8.0, 60.0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"target": "torsion"}, "--target torsion: wanted one of bending, tissue, cobb"),
+        ({"side": "front"}, "--side front: wanted left, right or both"),
+        ({"ribs": "5,x"}, "--ribs 5,x: wanted ribs from 1 to 12"),
+        ({"ribs": "13"}, "--ribs 13: wanted ribs from 1 to 12"),
+        ({"ribs": "nan"}, "--ribs nan: wanted ribs from 1 to 12"),
+        ({"under": "left,8"}, "--under left,8: wanted SIDE,RIB,FORCE"),
+        ({"under": "left,8,900"}, "--under left,8,900: wanted SIDE,RIB,FORCE"),
+        ({"under": "up,8,60"}, "--under up,8,60: wanted SIDE,RIB,FORCE"),
+    ],
+)
+def test_options_that_say_nothing_are_refused(changes, message):
+    with pytest.raises(OptionError) as error:
+        wished(**changes)
+    assert str(error.value).startswith(message)
+
+
+def test_a_dose_is_a_number_of_radiographs():
+    assert exposures_of(100.0, 25.0) == 4
+    assert exposures_of(0.3, 0.1) == 3
+    assert exposures_of(1e9, 1.0) == 40
+    for dose, each, message in (
+        (100.0, None, "--dose and --frame-dose belong together"),
+        (None, 1.0, "--dose and --frame-dose belong together"),
+        (30.0, 20.0, "--dose 30: allows 1 of 20; a push takes 2 radiographs"),
+        (0.0, 1.0, "wanted numbers above 0"),
+        (float("nan"), 1.0, "wanted numbers above 0"),
+    ):
+        with pytest.raises(OptionError, match=message):
+            exposures_of(dose, each)
+
+
+def test_a_force_that_no_gauge_reads_is_refused_before_anything_is_done(spinestiff, tmp_path):
+    ran = spinestiff("plan", tmp_path / "nowhere", "--limit", 501)
+    assert ran.status == 2
+    assert ran.lines == ["spinestiff: --limit 501: wanted above 0 and at most 500 N"]

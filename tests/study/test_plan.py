@@ -1,0 +1,219 @@
+"""Which push to take next: of a subject with an estimate, and of one before any push."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from spinestiff.errors import EquilibriumError, SubjectError
+from spinestiff.files import read_json, write_json
+from spinestiff.study import plan as planning
+from spinestiff.study.plan import Frame, Wish, make_plan
+from spinestiff.study.plan_scene import places_of_draws, population_places, read_draws, scene_of
+from spinestiff.study.plan_words import now_of, pays, plan_lines, size_of
+from spinestiff.study.runner import run_steps
+from spinestiff.study.visit import Settings, open_visit
+from spinestiff.subject.outcomes import Estimate
+from spinestiff.subject.run_record import read_outcome
+
+SMALL = Wish(limit_n=30.0, exposures=5, sides=("left", "right"), ribs=(6.0, 8.0))
+
+
+@pytest.fixture(scope="module")
+def scene(finished):
+    """The finished subject with its estimate, at two places."""
+    found = scene_of(open_visit(finished.folder))
+    return replace(found, places=found.places[[1, 3]])
+
+
+@pytest.fixture(scope="module")
+def plan(scene):
+    return make_plan(scene, SMALL)
+
+
+def test_single_pushes_come_best_first_and_all_of_them_narrow(plan) -> None:
+    factors = [push.expected_factor for push in plan.next]
+    assert factors == sorted(factors)
+    assert len(plan.next) == 8
+    assert 1.0 < factors[0] <= factors[-1] < plan.now["lateral_bending"]
+    for push in plan.next:
+        assert push.factors["lateral_bending"] == push.expected_factor
+        assert push.factors["tissue"] < plan.now["tissue"]
+
+
+def test_the_whole_force_tells_more_than_half_of_it(plan) -> None:
+    of = {(push.side, push.level, push.force_n): push.expected_factor for push in plan.next}
+    for side in ("left", "right"):
+        for rib in (6.0, 8.0):
+            assert of[side, rib, 30.0] < of[side, rib, 15.0]
+
+
+def test_a_sequence_begins_with_the_best_and_counts_unloaded_radiographs(plan) -> None:
+    first = plan.sequence[0]
+    assert first.push == plan.next[0]
+    assert first.exposures == 2
+    sizes = [step.push.expected_factor for step in plan.sequence]
+    assert sizes == sorted(sizes, reverse=True)
+    pushes, count = set(), 0
+    for step in plan.sequence:
+        mine = step.push.side, step.push.level
+        count += 1 if mine in pushes else 2
+        pushes.add(mine)
+        assert step.exposures == count
+    assert count <= SMALL.exposures
+
+
+def test_once_a_step_hardly_narrows_none_after_it_pays(scene, monkeypatch) -> None:
+    monkeypatch.setattr(planning, "PAYS", 0.12)
+    found = make_plan(replace(scene, places=scene.places[:1]), replace(SMALL, exposures=8))
+    flags = [step.pays for step in found.sequence]
+    assert flags[0]
+    assert not flags[-1]
+    assert flags == sorted(flags, reverse=True)
+    assert pays(found) == tuple(step for step in found.sequence if step.pays)
+    assert any("hardly narrow it after" in line for line in plan_lines(found))
+
+
+def test_what_is_known_now_is_what_the_estimate_knows_to_first_order(finished, scene) -> None:
+    """At the estimate's place; there nuisances are 0 here, and as estimated there."""
+    estimate = read_outcome(open_visit(finished.folder).subject, Estimate)
+    here = np.log([[estimate.ratios[name].value for name in estimate.parameters]])
+    found = make_plan(replace(scene, places=here), replace(SMALL, ribs=(8.0,), sides=("left",), exposures=2))
+    sds = np.sqrt(np.diag(np.array(estimate.covariance_log, dtype=float)))
+    for name, sd in zip(estimate.parameters, sds):
+        assert np.log(found.now[name]) == pytest.approx(1.96 * sd, rel=0.25)
+    assert found.estimated.keys() == set(estimate.parameters)
+
+
+def test_a_push_that_was_planned_and_taken_narrows_as_was_promised(finished, scene) -> None:
+    """Half of what the subject's radiographs tell is given; the other half is planned."""
+    pushes = scene.taken
+    items = [item for item in pushes.trials if item.push == "main"]
+    loaded = [item for item in items if item.force_n > 0.0]
+    half = replace(pushes, trials=tuple(i for i in items if i.force_n <= loaded[0].force_n))
+    less = replace(scene, taken=half, places=scene.places[:1], tracking_factor=1.0)
+    site = replace(SMALL, ribs=(8.0,), sides=(finished_side(finished),), limit_n=loaded[-1].force_n, exposures=2)
+    promised = make_plan(less, site)
+    both = make_plan(replace(scene, places=scene.places[:1], tracking_factor=1.0), site)
+    assert promised.next[0].expected_factor < promised.now["lateral_bending"]
+    # A push of its own has errors of site and gauge of its own.
+    assert promised.next[0].expected_factor < 1.3 * both.now["lateral_bending"]
+
+
+def finished_side(finished):
+    return open_visit(finished.folder).subject.push("main").side
+
+
+def test_a_cobb_angle_is_a_target(scene) -> None:
+    wish = replace(SMALL, target="cobb", predicted=Frame("right", 8.0, 25.0))
+    found = make_plan(replace(scene, places=scene.places[:1]), wish)
+    degrees = [push.expected_deg for push in found.next]
+    assert all(push.expected_factor is None for push in found.next)
+    assert degrees == sorted(degrees)
+    assert 0.1 < degrees[0] <= found.now_deg < 30.0
+    assert now_of(found) == found.now_deg
+    assert size_of(found.next[0]) == degrees[0]
+    assert "predicted Cobb angle under 25 N from the right at rib 8: now within" in plan_lines(found)[0]
+
+
+def test_a_tape_narrows_tissue(scene) -> None:
+    wish = replace(SMALL, target="tissue", ribs=(8.0,), sides=("left",))
+    found = make_plan(replace(scene, places=scene.places[:1]), wish)
+    assert found.taped < found.now["tissue"]
+    taped = replace(scene, places=scene.places[:1], known=replace(scene.known, taped=True))
+    assert make_plan(taped, wish).taped is None
+
+
+def test_pushes_that_bend_too_far_are_left_out_and_named(scene, monkeypatch) -> None:
+    one = replace(scene, places=scene.places[:1])
+    monkeypatch.setattr(planning, "MOST_TURN", np.deg2rad(0.01))
+    with pytest.raises(EquilibriumError, match=r"no push of 15 to 30 N .* smaller forces with --limit"):
+        make_plan(one, replace(SMALL, sides=("left",)))
+    # Between what half and the whole of the force do.
+    turned = turns(one, SMALL)
+    monkeypatch.setattr(planning, "MOST_TURN", 0.5 * (max(turned[15.0]) + min(turned[30.0])))
+    found = make_plan(one, replace(SMALL, sides=("left",)))
+    assert {push.force_n for push in found.next} == {15.0}
+    (note,) = found.notes
+    assert note.startswith("30 N from the left at ribs 6, 8: left out; ")
+
+
+def turns(scene, wish):
+    """Largest turns between vertebrae, rad, by force, of pushes from the left."""
+    from spinestiff.anatomy.regions import parameter_groups
+    from spinestiff.anatomy.stiffness import StiffnessRatios
+    from spinestiff.imaging.features import silhouette_shares, state_features
+    from spinestiff.mechanics.loads import rib_push
+    from spinestiff.mechanics.push import push_problem
+
+    torso, view = scene.torso, scene.view
+    ratios = StiffnessRatios(parameter_groups(torso, scene.names), np.exp(scene.places[0]))
+    problem = push_problem(torso, "left", scene.rig)
+    shares = silhouette_shares(torso, view, torso.rest_pose)
+    rest = state_features(torso, view, torso.rest_pose, shares).angle
+    found = {}
+    for frame in wish.frames:
+        if frame.side == "left":
+            state = problem.solve(rib_push(torso, "left", frame.level, frame.force_n), ratios).require().state
+            turn = np.ptp(state_features(torso, view, state, shares).angle - rest)
+            found.setdefault(frame.force_n, []).append(turn)
+    return found
+
+
+def test_before_any_push_a_plan_is_for_the_population(subject) -> None:
+    path = subject / "subject.json"
+    content = read_json(path)
+    content["pushes"] = []
+    write_json(path, content)
+    marks = read_json(subject / "annotation.json")
+    marks["images"] = {name: image for name, image in marks["images"].items() if name.startswith("rest/")}
+    write_json(subject / "annotation.json", marks)
+    visit = open_visit(subject, Settings(mesh="coarse"))
+    with pytest.raises(SubjectError, match=r"pushes is empty; spinestiff plan says which push to take first"):
+        run_steps(visit)
+    (subject / "results/run.json").unlink()
+    run_steps(visit, ("personalise",))
+    scene = scene_of(visit)
+    assert scene.taken is None
+    assert np.array_equal(scene.places, population_places())
+    found = make_plan(replace(scene, places=scene.places[:2]), replace(SMALL, ribs=(8.0,), exposures=4))
+    assert (found.basis, found.taken, found.now, found.estimated) == ("population", 0, {}, {})
+    assert found.sequence[0].pays
+    assert "before any push" in plan_lines(found)[0]
+
+
+def test_an_estimate_out_of_date_is_refused(subject) -> None:
+    content = read_json(subject / "subject.json")
+    content["pushes"][0]["forces_n"][1] += 1.0
+    write_json(subject / "subject.json", content)
+    with pytest.raises(SubjectError, match=r"was made before .* changed; run spinestiff estimate again"):
+        scene_of(open_visit(subject))
+
+
+def test_places_follow_a_curved_valley() -> None:
+    x = np.random.default_rng(0).permutation(np.linspace(-2.0, 2.0, 600))
+    draws = np.stack([x, 0.5 * x**2], axis=1)
+    places = places_of_draws(draws, 5)
+    order = np.argsort(places[:, 0])
+    assert np.allclose(places[order, 0], [-1.6, -0.8, 0.0, 0.8, 1.6], atol=0.1)
+    # A mean of all would lie off it.
+    assert np.allclose(places[order, 1], 0.5 * places[order, 0] ** 2, atol=0.1)
+    assert len(places_of_draws(draws[:3], 5)) == 3
+
+
+def test_draws_are_read_by_name() -> None:
+    text = "lateral_bending,tissue,gauge\n0.1,0.02,0.5\n0.2,0.04,-1\n"
+    assert np.allclose(read_draws(text, ("tissue", "lateral_bending")), np.log([[0.02, 0.1], [0.04, 0.2]]))
+    with pytest.raises(SubjectError, match=r"posterior.csv: no draws of tissue, other"):
+        read_draws(text, ("tissue", "other"))
+
+
+def test_impossible_wishes_are_refused(scene) -> None:
+    with pytest.raises(SubjectError, match="give --under SIDE,RIB,FORCE"):
+        Wish(target="cobb")
+    with pytest.raises(SubjectError, match="no side or no rib"):
+        Wish(ribs=())
+    with pytest.raises(SubjectError, match="the estimate has no ratio tissue"):
+        make_plan(replace(scene, names=("lateral_bending",)), Wish(target="tissue"))
