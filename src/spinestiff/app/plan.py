@@ -80,7 +80,9 @@ def _frame(text: str, largest: float) -> Frame:
 
 
 def plan_next(visit: Visit, wish: Wish, say: Observer) -> Plan:
-    """Plan, and write ``plan.json``, ``plan.png`` and ``protocol.html`` into ``results/``; shapes the torso if nothing has.
+    """Plan, and write ``plan.json``, ``plan.png`` and ``protocol.html`` into ``results/``.
+
+    The torso is shaped first if it has not been.
 
     Raises
     ------
