@@ -56,6 +56,7 @@ HOMES: dict[str, tuple[str, ...]] = {
         "study/report/cobb_picture.py",
         "study/report/frame_strip.py",
         "study/report/plan_picture.py",
+        "study/report/repeat_picture.py",
         "study/report/torso_picture.py",
         "study/report/page.py",
     ),

@@ -7,7 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spinestiff.estimation.budget import DISCREPANCY, STANCE, TRACKING, covariance_parts, prior_changes, variance_budget
+from spinestiff.estimation.budget import (
+    DISCREPANCY,
+    PERSONAL,
+    STANCE,
+    TRACKING,
+    covariance_parts,
+    prior_changes,
+    repeated_sds,
+    variance_budget,
+)
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.weighed import reduced
 
@@ -84,3 +93,33 @@ def test_the_estimate_hardly_depends_on_a_prior_that_explains_nothing(asked, fou
     moved = {change.name: np.abs(np.log(change.ratios) - found.point.log_ratios).max() for change in changes}
     assert moved["source distance"] < 0.1 * sd_of(found).max()
     assert max(moved.values()) > 0.0
+
+
+def test_visits_differ_by_what_is_not_the_persons_own(asked, found) -> None:
+    """Its variance and that of the person's own add up to all of it."""
+    own = repeated_sds(asked, found)
+    total = sd_of(found)
+    assert (own < 0.98 * total).all()
+    assert (own > 0.1 * total).all()
+    # As estimates of drawn errors scatter.
+    parts = covariance_parts(asked, found)
+    anew = sum(part for name, part in parts.items() if name not in PERSONAL)
+    whole = sum(parts.values())
+    values, vectors = np.linalg.eigh(anew)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    errors = root @ np.random.default_rng(0).normal(size=(len(root), 4000))
+    x = found.slope.ratios
+    inverse = np.linalg.inv(whole)
+    estimates = np.linalg.solve(x.T @ inverse @ x, x.T @ inverse @ errors)
+    assert np.allclose(estimates.std(axis=1), own, rtol=0.06)
+
+
+def test_without_anything_of_the_persons_own_visits_differ_by_all(asked, found, monkeypatch) -> None:
+    monkeypatch.setattr("spinestiff.estimation.budget.PERSONAL", ())
+    assert np.allclose(repeated_sds(asked, found), sd_of(found), rtol=1e-3)
+
+
+def test_annotating_again_brings_less_than_a_visit(asked, found) -> None:
+    again, visit = repeated_sds(asked, found, annotation_alone=True), repeated_sds(asked, found)
+    assert (again > 0.0).all()
+    assert (again < visit).all()

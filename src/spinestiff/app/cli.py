@@ -273,6 +273,26 @@ def assess(folder: Folder, truth: Truth = None, redo: Force = False) -> None:
 
 
 @app.command()
+def repeat(
+    folders: Annotated[list[Path], typer.Argument(metavar="FOLDER...", help="Subject folders, one a visit, in order.")],
+    annotators: Annotated[
+        bool, typer.Option("--annotators", help="The same radiographs, annotated again, are in the folders.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for repeat.json and repeat.png.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """Repeatability over visits or annotators of the same people (same id), and whether somebody changed."""
+    from spinestiff.app import tables
+    from spinestiff.app.repeat import compare_visits, record_of, show_repeatability
+
+    found = compare_visits(folders, out, annotators)
+    if json:
+        tables.show_json(record_of(found))
+    else:
+        show_repeatability(found, out)
+
+
+@app.command()
 def report(folder: Folder, truth: Truth = None, redo: Force = False) -> None:
     """Write the report."""
     visit = _steps(folder, ("report",), redo, truth=truth)

@@ -16,6 +16,7 @@ from rich.table import Table
 from spinestiff.study.wording import NO_INTERVALS, badge, estimated, has_intervals, interval
 
 if TYPE_CHECKING:
+    from spinestiff.study.repeatability import Repeatability
     from spinestiff.subject.outcomes import Estimate, FrameProposal, HeldOutFrame
     from spinestiff.verification.outcome import Check
 
@@ -65,6 +66,19 @@ def _table(title: str, *columns: str) -> Table:
 
 def _number(value: float | None, digits: int = 2) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
+
+
+def repeatability_table(found: Repeatability) -> Table:
+    """Within-subject scatter of each ratio, found and expected."""
+    columns = ("ratio", "within-subject sd of log", "95 %", "expected", "smallest detectable change", "expected", "p")
+    table = _table("Repeatability", *columns)
+    for name, one in found.scatter.items():
+        ends = f"{one.low:.3f} to {one.high:.3f}"
+        factors = (f"× {one.detectable_factor:.3g}", f"× {one.expected_factor:.3g}")
+        table.add_row(
+            escape(name), f"{one.within_sd_log:.3f}", ends, f"{one.expected_sd_log:.3f}", *factors, f"{one.p_value:.2g}"
+        )
+    return table
 
 
 def estimate_table(estimate: Estimate) -> Table:

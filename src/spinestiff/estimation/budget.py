@@ -15,6 +15,10 @@ from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights
 
 TRACKING, DISCREPANCY, STANCE = "tracking", "model discrepancy", "stance"
 FACTORS = (0.5, 2.0)
+# What a person has at every visit, beside ratios: an error that two estimates of one person share.
+PERSONAL = (DISCREPANCY, "trunk size", "rib joints", "tissue's volume")
+# What is anew where the same radiographs are annotated again.
+ANNOTATED = ("annotation", "rest geometry")
 SMALLEST_MM = 0.02
 
 
@@ -89,6 +93,27 @@ def covariance_parts(problem: WeighedProblem, fit: WeighedFit) -> dict[str, Floa
         columns = fit.slope.nuisances[:, problem.unknowns.in_group(group)]
         found[group] = columns @ columns.T
     return found
+
+
+def repeated_sds(problem: WeighedProblem, fit: WeighedFit, annotation_alone: bool = False) -> Floats:
+    """(P,) standard deviations of the log ratios from visit to visit of one person whose stiffness stays.
+
+    To first order the estimate is off by G e, G = (X^T C^-1 X)^-1 X^T C^-1, for residuals' errors e with covariance C.
+    What belongs to the person (``PERSONAL``) is off by the same at each visit; all else is drawn anew. With
+    ``annotation_alone`` only what an annotation of the same radiographs brings is (``ANNOTATED``).
+    """
+    parts = covariance_parts(problem, fit)
+    drawn = [name for name in parts if (name in ANNOTATED if annotation_alone else name not in PERSONAL)]
+    anew = sum((parts[name] for name in drawn), start=np.zeros((problem.size, problem.size)))
+    # What is held of the ratios is no data, and the same at each visit.
+    anew[problem.data :] = anew[:, problem.data :] = 0.0
+    nuisances = fit.slope.nuisances
+    whole = fit.weights.root @ fit.weights.root.T + nuisances @ nuisances.T
+    solved = np.linalg.solve(whole, fit.slope.ratios)
+    precision = fit.slope.ratios.T @ solved
+    # A direction that the data say nothing of stays where it is.
+    gain = np.linalg.pinv(precision, hermitian=True) @ solved.T
+    return np.asarray(np.sqrt(np.maximum(np.diag(gain @ anew @ gain.T), 0.0)))
 
 
 def prior_changes(

@@ -17,7 +17,7 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, ParameterGroup
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError, FitError
-from spinestiff.estimation.budget import Budget, PriorChange, prior_changes, variance_budget
+from spinestiff.estimation.budget import Budget, PriorChange, prior_changes, repeated_sds, variance_budget
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import Evaluation, OnFitStep, TrialSet
 from spinestiff.estimation.fitted import METHODS, Method, NuisanceEstimate, StiffnessFit, Weighed
@@ -304,6 +304,8 @@ def _told(
         changes,
         asked.ratio_prior.texts,
         _data_sd(asked, found),
+        repeated_sds(asked, found),
+        repeated_sds(asked, found, annotation_alone=True),
         best_known(found.point.log_ratios, _data_precision(asked, found)),
         known,
     )

@@ -57,6 +57,8 @@ class Weighed(ShortRepr):
     likely : intervals, profiles and draws; None if not asked for. budget, changes : the same.
     held : name -> what was held of the ratios themselves before the fit; empty: they were flat in log.
     data_sd : (P,) standard deviations of the log ratios without that, to first order.
+    visit_sd, annotation_sd : (P,) of the log ratios from visit to visit of one person, and from annotation to
+        annotation of these radiographs, to first order (``budget.repeated_sds``).
     best_known : the combination of ratios that the data know best, to first order; None where a ratio alone is.
     places : that intervals come from, the estimate first; empty without profiles.
     """
@@ -71,6 +73,8 @@ class Weighed(ShortRepr):
     changes: tuple[PriorChange, ...]
     held: Mapping[str, str]
     data_sd: Floats
+    visit_sd: Floats
+    annotation_sd: Floats
     best_known: Combination | None
     places: tuple[Place, ...] = field(repr=False)
 

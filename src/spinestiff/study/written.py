@@ -167,6 +167,8 @@ def _weighed(pushes: PushSet, fit: StiffnessFit) -> dict[str, object]:
             SupportPlaceRecord(push=t.push, frame=t.frame, obliquity_deg=float(np.degrees(turn)), shoulder_mm=float(mm))
             for t, turn, mm in zip(pushes.training, obliquity, shoulder)
         ),
+        "visit_sd_log": by_name(found.visit_sd.tolist()),
+        "annotation_sd_log": by_name(found.annotation_sd.tolist()),
         "sd_log": {} if budget is None else by_name(budget.together),
         "sd_log_tracking": {} if budget is None else by_name(budget.tracking),
         "budget": ()

@@ -518,6 +518,9 @@ class Estimate(OutcomeFile):
     region_size : by how much twice the negative log likelihood has risen there.
     nuisances : what was found of all that is not quite known. supports : the same of pelvis and shoulder, by frame.
     budget : by unknown; ``sd_log`` and ``sd_log_tracking``: with all unknowns, and with errors of tracking alone.
+    visit_sd_log, annotation_sd_log : standard deviations of the ratios' logs from visit to visit of one person whose
+        stiffness stays, and from annotation to annotation of these radiographs, to first order; empty by the paper's
+        method.
     prior_changes : other priors, other estimates.
     best_known : the combination of ratios that is known best; None where a ratio alone is.
     p_value : of residuals as large, if all errors are as expected. tracking_factor : by which tracking's were larger.
@@ -546,6 +549,8 @@ class Estimate(OutcomeFile):
     region_size: float | None
     nuisances: tuple[NuisanceRecord, ...] = ()
     supports: tuple[SupportPlaceRecord, ...] = ()
+    visit_sd_log: dict[str, float] = Field(default_factory=dict)
+    annotation_sd_log: dict[str, float] = Field(default_factory=dict)
     sd_log: dict[str, float] = Field(default_factory=dict)
     sd_log_tracking: dict[str, float] = Field(default_factory=dict)
     budget: tuple[BudgetRecord, ...] = ()

@@ -405,7 +405,8 @@ def draw_ratio_map(ratios: RatioMap) -> Figure:
         _zoom(near, np.vstack(points), ratios.bounds)
         _zoom(whole, np.vstack([*points, ratios.path, np.ones((1, 2))]), ratios.bounds)
         for axis in (whole, near):
-            _plain_ticks(axis)
+            for which in "xy":
+                plain_ticks(axis, which)
         handles, labels = whole.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=3)
     return figure
@@ -448,10 +449,11 @@ _TICKS = (
 )
 
 
-def _plain_ticks(axis: Axes) -> None:
-    for side, limits in ((axis.xaxis, axis.get_xlim()), (axis.yaxis, axis.get_ylim())):
-        decades = float(np.log10(limits[1] / limits[0]))
-        subs = next(marks for widest, marks in _TICKS if decades <= widest)
-        side.set_major_locator(LogLocator(subs=subs, numticks=8))
-        side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
-        side.set_minor_formatter(NullFormatter())
+def plain_ticks(axis: Axes, which: str) -> None:
+    """Plain numbers, as many as have room, along a logarithmic axis "x" or "y" whose limits are set."""
+    side, limits = (axis.xaxis, axis.get_xlim()) if which == "x" else (axis.yaxis, axis.get_ylim())
+    decades = float(np.log10(limits[1] / limits[0]))
+    subs = next(marks for widest, marks in _TICKS if decades <= widest)
+    side.set_major_locator(LogLocator(subs=subs, numticks=8))
+    side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+    side.set_minor_formatter(NullFormatter())

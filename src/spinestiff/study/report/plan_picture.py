@@ -5,7 +5,7 @@ from __future__ import annotations
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 
 from spinestiff.study.plan_words import TITLES, now_of, push_words, size_of
 from spinestiff.study.report.figures import DEFAULT, FIT, MEASURED, STYLE
@@ -24,13 +24,6 @@ def draw_plan(plan: Plan) -> Figure:
         _draw_sequence(sequence, plan)
         unit = "± degrees" if plan.target == "cobb" else "factor either way"
         single.set_ylabel(f"{TITLES[plan.target]}, 95 %, {unit}")
-        if plan.target != "cobb":
-            single.set_yscale("log")
-            for which in (single.yaxis.set_major_formatter, single.yaxis.set_minor_formatter):
-                which(FuncFormatter(lambda value, _: f"{value:.3g}"))
-            low, high = single.get_ylim()
-            if high / low > 4.0:  # labels of all minor ticks would collide
-                single.yaxis.set_minor_formatter(NullFormatter())
         handles, labels = single.get_legend_handles_labels()
         more, names = sequence.get_legend_handles_labels()
         figure.legend([*handles, *more], [*labels, *names], loc="outside lower center", ncols=4)

@@ -1,0 +1,121 @@
+"""How repeatable estimates are, and whether somebody changed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from spinestiff.errors import SubjectError
+from spinestiff.study.repeatability import (
+    VisitEstimate,
+    VisitRatio,
+    estimate_of,
+    repeatability,
+    repeatability_lines,
+)
+from spinestiff.study.report.figures import as_png
+from spinestiff.study.report.repeat_picture import draw_repeatability
+from spinestiff.study.visit import open_visit
+from spinestiff.subject.outcomes import Estimate
+from spinestiff.subject.run_record import read_outcome
+
+
+def visit(subject, number, sd=0.2, determined="determined", doubtful=False, **values):
+    ratios = {name: VisitRatio(value, sd, determined, doubtful) for name, value in values.items()}
+    return VisitEstimate(f"{subject}-{number}", subject, ratios)
+
+
+def drawn(people, visits, sd, told, seed=0):
+    random = np.random.default_rng(seed)
+    return [
+        visit(f"p{i}", j, told, bending=float(np.exp(centre + random.normal(0.0, sd))))
+        for i, centre in enumerate(random.normal(-2.0, 1.0, people))
+        for j in range(visits)
+    ]
+
+
+def test_the_within_subject_sd_is_that_of_an_analysis_of_variance() -> None:
+    values = {"a": (0.1, 0.12, 0.09), "b": (0.4, 0.5)}
+    found = repeatability([visit(who, i, bending=v) for who, row in values.items() for i, v in enumerate(row)])
+    one = found.scatter["bending"]
+    logs = [np.log(row) for row in values.values()]
+    wanted = np.sqrt(sum(((x - x.mean()) ** 2).sum() for x in logs) / 3)
+    assert one.degrees == 3
+    assert one.within_sd_log == pytest.approx(wanted)
+    assert one.low < wanted < one.high
+    assert one.detectable_factor == pytest.approx(np.exp(1.959964 * np.sqrt(2.0) * wanted))
+    assert one.expected_sd_log == pytest.approx(0.2)
+    assert len(found.changes) == 3
+
+
+def test_intervals_of_the_within_subject_sd_hold() -> None:
+    held = []
+    for seed in range(200):
+        one = repeatability(drawn(5, 3, 0.3, 0.3, seed)).scatter["bending"]
+        held.append(one.low <= 0.3 <= one.high)
+    assert 0.9 < np.mean(held) < 0.99
+
+
+def test_scatter_that_is_not_as_expected_is_told() -> None:
+    as_told, more, less = (repeatability(drawn(20, 3, 0.3, told)) for told in (0.3, 0.15, 0.6))
+    assert not any("scatter" in line for line in repeatability_lines(as_told))
+    assert any("scatter more than their own errors let expect" in line for line in repeatability_lines(more))
+    assert any("scatter less than their own errors let expect" in line for line in repeatability_lines(less))
+
+
+def test_an_unchanged_person_is_told_to_have_changed_in_one_of_twenty() -> None:
+    changes = repeatability(drawn(600, 2, 0.25, 0.25)).changes
+    share = np.mean([change.verdict == "changed" for change in changes])
+    assert 0.03 < share < 0.07
+
+
+def test_a_change_is_told_in_words() -> None:
+    found = repeatability([visit("a", 0, bending=0.1), visit("a", 1, bending=0.25), visit("a", 2, bending=0.12)])
+    large, small = found.changes
+    assert (large.verdict, small.verdict) == ("changed", "no change shown")
+    assert large.factor == pytest.approx(2.5)
+    assert large.low < 2.5 < large.high
+    lines = repeatability_lines(found)
+    assert "a, bending, a-0 to a-1: changed, stiffer by a factor of 2.50 (1.4 to 4.4)" in lines
+    assert any(
+        "a-0 to a-2: no change shown" in line and "less than a factor of 1.74 would not" in line for line in lines
+    )
+    softer = repeatability([visit("a", 0, bending=0.25), visit("a", 1, bending=0.1)])
+    assert "changed, softer by a factor of 2.50" in repeatability_lines(softer)[-1]
+
+
+@pytest.mark.parametrize("odd", [{"doubtful": True}, {"determined": "not determined"}])
+def test_what_is_not_known_has_not_changed(odd) -> None:
+    found = repeatability([visit("a", 0, bending=0.1), visit("a", 1, bending=4.0, **odd)])
+    assert found.changes[0].verdict == "can't be told"
+    assert "can't be told" in repeatability_lines(found)[-1]
+
+
+def test_visits_that_can_not_be_compared_are_refused() -> None:
+    with pytest.raises(SubjectError, match="needs two or more of one"):
+        repeatability([visit("a", 0, bending=0.1), visit("b", 0, bending=0.1)])
+    with pytest.raises(SubjectError, match="a-1: has ratios tissue, a-0 has bending"):
+        repeatability([visit("a", 0, bending=0.1), visit("a", 1, tissue=0.1)])
+
+
+def test_a_picture_is_drawn_of_few_and_of_many() -> None:
+    for visits in (drawn(2, 2, 0.3, 0.3), drawn(30, 3, 0.3, 0.3)):
+        assert len(as_png(draw_repeatability(repeatability(visits)))) > 5000
+
+
+def test_a_visit_tells_how_it_scatters(finished) -> None:
+    opened = open_visit(finished.folder)
+    estimate = read_outcome(opened.subject, Estimate)
+    found, again = estimate_of(opened), estimate_of(opened, annotators=True)
+    assert (found.label, found.subject) == ("girl", opened.subject.record.id)
+    for name, ratio in found.ratios.items():
+        assert 0.0 < again.ratios[name].sd_log < ratio.sd_log < estimate.sd_log[name]
+        assert ratio.value == estimate.ratios[name].value
+
+
+def test_an_estimate_by_the_papers_method_tells_no_scatter(subject, monkeypatch) -> None:
+    opened = open_visit(subject)
+    plain = read_outcome(opened.subject, Estimate).model_copy(update={"visit_sd_log": {}})
+    monkeypatch.setattr("spinestiff.study.repeatability.read_outcome", lambda *_: plain)
+    with pytest.raises(SubjectError, match="does not say how it would scatter"):
+        estimate_of(opened)
