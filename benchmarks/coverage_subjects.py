@@ -41,6 +41,7 @@ from spinestiff.anatomy.stiffness import RIB_ROTATION, parameter_group, stiffnes
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.template.body import usual_mass
 from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.priors import Priors
@@ -51,7 +52,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push
 from spinestiff.personalise.shape import place_vertebrae
 from spinestiff.personalise.sizes import resized
-from spinestiff.study.elastic_supports import drawn_supports, elastic_supports, support_stiffness
+from spinestiff.study.elastic_supports import SyntheticSupports, drawn_supports, elastic_supports, support_stiffness
 from spinestiff.study.spines import CURVES, curved_spine
 from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord, Role
@@ -105,8 +106,8 @@ class Subject:
     tracked: Mapping[str, TrackedPush]
 
 
-def make_subject(seed: int, acquisition: Acquisition, nodes: int = 3000) -> Subject:
-    """The subject of a seed.
+def make_subject(seed: int, acquisition: Acquisition, nodes: int = 3000, visit: int = 0, annotator: int = 0) -> Subject:
+    """The subject of a seed, at a visit, as an annotator marks the radiographs.
 
     Raises
     ------
@@ -128,29 +129,22 @@ def make_subject(seed: int, acquisition: Acquisition, nodes: int = 3000) -> Subj
     cobb = cobb_angle(
         tilts(VERTEBRAE, projected(torso, nominal["frontal"], torso.rest_pose), nominal["frontal"])
     ).degrees
-    rest = {}
-    for name, view in nominal.items():
-        corners = projected(torso, standing(view, random, lateral=name == "lateral"), torso.rest_pose)
-        corners = corners + random.normal(0.0, ANNOTATION_MM * view.magnification, corners.shape)
-        rest[name] = (VertebraCorners(VERTEBRAE, corners), view)
     side: Literal["left", "right"] = "left" if cobb > 0.0 else "right"
-    force = float(random.uniform(*FORCE_N))
-    told_levels, truths, sites = {}, {}, {}
-    for push, (level, _) in PUSHES[acquisition].items():
-        told_levels[push] = level + float(random.uniform(-0.7, 0.7))
-        acts = np.zeros(len(ACTS))
-        angle = np.deg2rad(p.direction_deg)
-        sizes = (p.force_scale, p.force_offset_n, angle, angle, p.push_height_mm, p.push_depth_mm)
-        acts[: len(sizes)] = random.normal(0.0, sizes)
-        truths[push], sites[push] = acts, rib_push(torso, side, told_levels[push], 1.0)
+    hand = None if not annotator else np.random.default_rng([17, seed, visit, annotator])
+    own = _drawn_visit(torso, nominal, PUSHES[acquisition], p, random, None if visit else hand)
+    if visit:
+        # What belongs to the person is drawn as at the first visit.
+        again = np.random.default_rng([19, seed, visit])
+        own = _drawn_visit(torso, nominal, PUSHES[acquisition], p, again, hand)
+    force, sites = own.force, {push: rib_push(torso, side, level, 1.0) for push, level in own.levels.items()}
 
     def load(push: str, share: float) -> LoadCase:
         if share == 0.0:
             return sites[push].scaled(0.0)
         told = sites[push].scaled(share * force)
-        return changed_load(told, load_changes(told, torso.rest_pose), truths[push])
+        return changed_load(told, load_changes(told, torso.rest_pose), own.acts[push])
 
-    stiffness, give = stiffness_ratios(ratios, torso.joints.kinds), drawn_supports(random)
+    stiffness = stiffness_ratios(ratios, torso.joints.kinds)
     kind = str(random.choice(KINDS))
     bench = OF_BASE[kind](torso, random)[0] if kind else Bench(torso)
     if kind and kind not in STANDARD_LAW:
@@ -160,7 +154,7 @@ def make_subject(seed: int, acquisition: Acquisition, nodes: int = 3000) -> Subj
     torso, laws = bench.torso, bench.laws
     while True:
         try:
-            springs = support_stiffness(torso, side, [load(push, 1.0) for push in sites], stiffness, give)
+            springs = support_stiffness(torso, side, [load(push, 1.0) for push in sites], stiffness, own.give)
             problem = EquilibriumProblem(torso, elastic_supports(torso, side, springs), laws=laws)
             states = {
                 push: _pushed(problem, [load(push, s) for s, _ in PUSHES[acquisition][push][1]], stiffness)
@@ -180,12 +174,14 @@ def make_subject(seed: int, acquisition: Acquisition, nodes: int = 3000) -> Subj
     for push in sites:
         frames = PUSHES[acquisition][push][1]
         told = [round(share * force, 1) for share, _ in frames]
-        tracked[push] = tracked_push(torso, nominal["frontal"], states[push], told, ANNOTATION_MM, random)
+        tracked[push] = tracked_push(
+            torso, nominal["frontal"], states[push], told, ANNOTATION_MM, again if visit else random, hand
+        )
         records.append(
             PushRecord(
                 id=push,
                 side=side,
-                level=round(told_levels[push], 1),
+                level=round(own.levels[push], 1),
                 d21_mm=400.0,
                 d31_mm=200.0,
                 frames=push,
@@ -193,7 +189,46 @@ def make_subject(seed: int, acquisition: Acquisition, nodes: int = 3000) -> Subj
                 roles=tuple(role for _, role in frames),
             )
         )
-    return Subject(seed, round(height, 0), age, sex, float(cobb), ratios, kind, rest, tuple(records), tracked)
+    return Subject(seed, round(height, 0), age, sex, float(cobb), ratios, kind, own.rest, tuple(records), tracked)
+
+
+@dataclass(frozen=True)
+class _DrawnVisit:
+    """What is drawn anew at each visit: annotated rest radiographs, largest force as told, told level and what is wrong
+    of each push, how far the supports give."""
+
+    rest: Mapping[str, tuple[VertebraCorners, XRayView]]
+    force: float
+    levels: Mapping[str, float]
+    acts: Mapping[str, Floats]
+    give: SyntheticSupports
+
+
+def _drawn_visit(
+    torso: TorsoModel,
+    nominal: Mapping[str, XRayView],
+    pushes: Mapping[str, tuple[float, tuple[tuple[float, Role], ...]]],
+    p: Priors,
+    random: np.random.Generator,
+    hand: np.random.Generator | None,
+) -> _DrawnVisit:
+    rest = {}
+    for name, view in nominal.items():
+        corners = projected(torso, standing(view, random, lateral=name == "lateral"), torso.rest_pose)
+        wrong = random.normal(0.0, ANNOTATION_MM * view.magnification, corners.shape)
+        if hand is not None:
+            wrong = hand.normal(0.0, ANNOTATION_MM * view.magnification, corners.shape)
+        rest[name] = (VertebraCorners(VERTEBRAE, corners + wrong), view)
+    force = float(random.uniform(*FORCE_N))
+    levels, found = {}, {}
+    for push, (level, _) in pushes.items():
+        levels[push] = level + float(random.uniform(-0.7, 0.7))
+        acts = np.zeros(len(ACTS))
+        angle = np.deg2rad(p.direction_deg)
+        sizes = (p.force_scale, p.force_offset_n, angle, angle, p.push_height_mm, p.push_depth_mm)
+        acts[: len(sizes)] = random.normal(0.0, sizes)
+        found[push] = acts
+    return _DrawnVisit(rest, force, levels, found, drawn_supports(random))
 
 
 def _true_torso(

@@ -228,10 +228,14 @@ def tracked_push(
     told: list[float],
     annotation: float,
     random: np.random.Generator,
+    hand: np.random.Generator | None = None,
 ) -> TrackedPush:
+    """All errors are drawn from ``random``; with ``hand``, another annotator's, those of the annotation from it."""
     placed = standing(nominal, random, lateral=False)
     sway = float(np.radians(SWAY_SD_DEG) * random.normal())
     wrong = random.normal(0.0, annotation, (17, 4, 2))
+    if hand is not None:
+        wrong = hand.normal(0.0, annotation, (17, 4, 2))
     frames = []
     for number, state in enumerate(states):
         view = placed

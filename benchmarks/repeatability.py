@@ -1,0 +1,162 @@
+"""Do estimates of one person scatter as their errors let expect? Synthetic people, visits and annotators.
+
+    python benchmarks/repeatability.py --log FILE [--first SEED] [--people 40] [--visits 3] [--annotators 2]
+    python benchmarks/repeatability.py --summary FILE... [--write] [--json]
+
+People are those of ``coverage_subjects`` with seeds from 7000 on: truth on meshes of the coarse one's size, three
+pushes. At each visit everything is drawn anew that is not the person's own: gauge, places of the pushes, stance,
+supports, tracking. Each visit is annotated by so many people; the first one's annotations make a series of visits, all
+of one visit a series of annotators. The estimator is the coarse one. A log that exists is gone on with.
+
+``--summary`` compares the scatter within people with what the estimates tell (``study.repeatability``), for all people
+and for those whose ratio is determined each time, and counts how often an unchanged person is said to have changed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from coverage_subjects import make_subject
+
+from spinestiff.anatomy.template import template_torso
+from spinestiff.errors import SpinestiffError
+from spinestiff.estimation.priors import Priors
+from spinestiff.personalise.shape import personalise
+from spinestiff.study.repeatability import VisitEstimate, VisitRatio, repeatability
+from spinestiff.study.trials import Known, fit_pushes, push_set
+from spinestiff.subject.outcome_parts import Quantity
+
+RESULTS = Path(__file__).parent / "results" / "repeatability.json"
+NAMES = ("lateral_bending", "tissue")
+START = {"lateral_bending": 0.07, "tissue": 0.04}
+FIRST, NODES = 7000, 3000
+
+
+def run_one(seed: int, visit: int, annotator: int) -> dict[str, Any]:
+    """A person at a visit as an annotator sees it, estimated, as a line of the log."""
+    row: dict[str, Any] = {"seed": seed, "visit": visit, "annotator": annotator}
+    began = time.process_time()
+    try:
+        subject = make_subject(seed, "three pushes", NODES, visit, annotator)
+        template = template_torso(subject.height_cm, "coarse", age_years=subject.age, sex=subject.sex)
+        shaped = personalise(template, subject.rest)
+        known = Known(Priors(), shaped.covariance)
+        pushes = push_set(shaped.torso, subject.records, subject.tracked, known=known)
+        fit = fit_pushes(pushes, NAMES, START, extent="intervals")
+    except SpinestiffError as error:
+        return {**row, "failed": str(error)}
+    weighed = fit.weighed
+    if weighed is None or weighed.likely is None:
+        return {**row, "failed": fit.status.name}
+    determined = {}
+    for name in NAMES:
+        (low, high), (open_low, open_high) = fit.intervals95[name], fit.open_ends[name]
+        value = fit.ratios.as_dict()[name]
+        determined[name] = Quantity(
+            value=value, low=low, high=high, open_low=open_low, open_high=open_high
+        ).determination
+    return {
+        **row,
+        "truth": dict(subject.ratios),
+        "estimate": fit.ratios.as_dict(),
+        "determined": determined,
+        "visit_sd_log": dict(zip(NAMES, weighed.visit_sd.tolist())),
+        "annotation_sd_log": dict(zip(NAMES, weighed.annotation_sd.tolist())),
+        "p_value": weighed.p_value,
+        "cpu_s": round(time.process_time() - began, 1),
+    }
+
+
+def series(rows: Sequence[dict[str, Any]], of_annotators: bool) -> list[VisitEstimate]:
+    """Estimates of each person at all visits, or of each visit by all annotators."""
+    found = []
+    for row in rows:
+        if "failed" in row or (not of_annotators and row["annotator"]):
+            continue
+        whose = f"{row['seed']}" + (f", visit {row['visit']}" if of_annotators else "")
+        number = row["annotator"] if of_annotators else row["visit"]
+        sds = row["annotation_sd_log" if of_annotators else "visit_sd_log"]
+        ratios = {name: VisitRatio(row["estimate"][name], sds[name], row["determined"][name], False) for name in NAMES}
+        found.append(VisitEstimate(f"{whose}, {number}", whose, ratios))
+    return found
+
+
+def summarised(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Scatter found and expected, and false alarms, by series, ratio and how far it is determined."""
+    summary: dict[str, Any] = {"failed": sum("failed" in row for row in rows)}
+    for key, of_annotators in (("visits", False), ("annotators", True)):
+        every = series(rows, of_annotators)
+        summary[key] = {}
+        for name in NAMES:
+            for which in ("all", "determined"):
+                chosen = _of_ratio(every, name, which == "determined")
+                if chosen:
+                    found = repeatability(chosen)
+                    scatter, changes = found.scatter[name], found.changes
+                    summary[key][f"{name}, {which}"] = {
+                        "people": len({one.subject for one in chosen}),
+                        **{k: round(float(v), 4) for k, v in vars(scatter).items()},
+                        "said_to_have_changed": round(float(np.mean([c.verdict == "changed" for c in changes])), 4),
+                        "changes": len(changes),
+                    }
+    return summary
+
+
+def _of_ratio(every: Sequence[VisitEstimate], name: str, determined: bool) -> list[VisitEstimate]:
+    """Of one ratio, those with two or more; ``determined`` : that is determined each time."""
+    by_person: dict[str, list[VisitEstimate]] = {}
+    for one in every:
+        mine = VisitEstimate(one.label, one.subject, {name: one.ratios[name]})
+        by_person.setdefault(one.subject, []).append(mine)
+    kept = [
+        found
+        for found in by_person.values()
+        if len(found) > 1 and (not determined or all(o.ratios[name].determined == "determined" for o in found))
+    ]
+    return [one for found in kept for one in found]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--log", type=Path)
+    parser.add_argument("--first", type=int, default=FIRST)
+    parser.add_argument("--people", type=int, default=40)
+    parser.add_argument("--visits", type=int, default=3)
+    parser.add_argument("--annotators", type=int, default=2)
+    parser.add_argument("--summary", type=Path, nargs="+", metavar="FILE")
+    parser.add_argument("--write", action="store_true", help="store the summary in benchmarks/results/")
+    parser.add_argument("--json", action="store_true", help="print what is stored")
+    asked = parser.parse_args()
+    if asked.json:
+        print(RESULTS.read_text(encoding="utf-8") if RESULTS.is_file() else "{}")
+    elif asked.summary:
+        rows = [json.loads(line) for path in asked.summary for line in path.read_text().splitlines()]
+        found = {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), **summarised(rows)}
+        print(json.dumps(found, indent=1))
+        if asked.write:
+            RESULTS.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    elif asked.log:
+        rows = [json.loads(line) for line in asked.log.read_text().splitlines()] if asked.log.is_file() else []
+        known = {(row["seed"], row["visit"], row["annotator"]) for row in rows}
+        for seed in range(asked.first, asked.first + asked.people):
+            for visit in range(asked.visits):
+                for annotator in range(asked.annotators):
+                    if (seed, visit, annotator) in known:
+                        continue
+                    row = run_one(seed, visit, annotator)
+                    with asked.log.open("a") as stream:
+                        stream.write(json.dumps(row) + "\n")
+                    print(seed, visit, annotator, row.get("failed") or row["estimate"], row.get("cpu_s"), flush=True)
+    else:
+        parser.error("wanted --log FILE, --summary FILE... or --json")
+
+
+if __name__ == "__main__":
+    main()
