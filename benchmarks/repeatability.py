@@ -8,8 +8,8 @@ pushes. At each visit everything is drawn anew that is not the person's own: gau
 supports, tracking. Each visit is annotated by so many people; the first one's annotations make a series of visits, all
 of one visit a series of annotators. The estimator is the coarse one. A log that exists is gone on with.
 
-``--summary`` compares the scatter within people with what the estimates tell (``study.repeatability``), for all people
-and for those whose ratio is determined each time, and counts how often an unchanged person is said to have changed.
+``--summary`` compares the scatter within people with what the estimates tell (``study.repeatability``) and counts how
+often an unchanged person is said to have changed; estimates that do not determine a ratio are left out.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import argparse
 import datetime
 import json
 import time
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -67,6 +68,7 @@ def run_one(seed: int, visit: int, annotator: int) -> dict[str, Any]:
         "truth": dict(subject.ratios),
         "estimate": fit.ratios.as_dict(),
         "determined": determined,
+        "sd_log": dict(zip(NAMES, np.sqrt(np.diag(fit.covariance)).tolist())),
         "visit_sd_log": dict(zip(NAMES, weighed.visit_sd.tolist())),
         "annotation_sd_log": dict(zip(NAMES, weighed.annotation_sd.tolist())),
         "p_value": weighed.p_value,
@@ -83,44 +85,36 @@ def series(rows: Sequence[dict[str, Any]], of_annotators: bool) -> list[VisitEst
         whose = f"{row['seed']}" + (f", visit {row['visit']}" if of_annotators else "")
         number = row["annotator"] if of_annotators else row["visit"]
         sds = row["annotation_sd_log" if of_annotators else "visit_sd_log"]
-        ratios = {name: VisitRatio(row["estimate"][name], sds[name], row["determined"][name], False) for name in NAMES}
+        ratios = {
+            name: VisitRatio(
+                row["estimate"][name], sds[name], row["sd_log"][name], row["determined"][name] != "not determined"
+            )
+            for name in NAMES
+        }
         found.append(VisitEstimate(f"{whose}, {number}", whose, ratios))
     return found
 
 
 def summarised(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Scatter found and expected, and false alarms, by series, ratio and how far it is determined."""
+    """Scatter found and expected, and false alarms, by series and ratio."""
     summary: dict[str, Any] = {"failed": sum("failed" in row for row in rows)}
     for key, of_annotators in (("visits", False), ("annotators", True)):
         every = series(rows, of_annotators)
         summary[key] = {}
         for name in NAMES:
-            for which in ("all", "determined"):
-                chosen = _of_ratio(every, name, which == "determined")
-                if chosen:
-                    found = repeatability(chosen)
-                    scatter, changes = found.scatter[name], found.changes
-                    summary[key][f"{name}, {which}"] = {
-                        "people": len({one.subject for one in chosen}),
-                        **{k: round(float(v), 4) for k, v in vars(scatter).items()},
-                        "said_to_have_changed": round(float(np.mean([c.verdict == "changed" for c in changes])), 4),
-                        "changes": len(changes),
-                    }
+            mine = [VisitEstimate(one.label, one.subject, {name: one.ratios[name]}) for one in every]
+            people = Counter(one.subject for one in mine if one.ratios[name].known)
+            if max(people.values(), default=0) < 2:
+                continue
+            found = repeatability(mine)
+            judged = [change.verdict == "changed" for change in found.changes if change.verdict != "can't be told"]
+            summary[key][name] = {
+                "people": sum(count > 1 for count in people.values()),
+                **{k: round(float(v), 4) for k, v in vars(found.scatter[name]).items()},
+                "said_to_have_changed": round(float(np.mean(judged)), 4) if judged else None,
+                "judged": len(judged),
+            }
     return summary
-
-
-def _of_ratio(every: Sequence[VisitEstimate], name: str, determined: bool) -> list[VisitEstimate]:
-    """Of one ratio, those with two or more; ``determined`` : that is determined each time."""
-    by_person: dict[str, list[VisitEstimate]] = {}
-    for one in every:
-        mine = VisitEstimate(one.label, one.subject, {name: one.ratios[name]})
-        by_person.setdefault(one.subject, []).append(mine)
-    kept = [
-        found
-        for found in by_person.values()
-        if len(found) > 1 and (not determined or all(o.ratios[name].determined == "determined" for o in found))
-    ]
-    return [one for found in kept for one in found]
 
 
 def main() -> None:

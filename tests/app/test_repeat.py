@@ -19,9 +19,11 @@ def test_two_visits_of_one_person(spinestiff, subject, tmp_path):
     written = read_json(tmp_path / "out/repeat.json")
     assert written["scatter"]["tissue"]["degrees"] == 1
     assert [visit["label"] for visit in written["visits"]] == ["girl", "girl2"]
+    assert written["of"] == "visits"
     assert (tmp_path / "out/repeat.png").stat().st_size > 5000
     ran = spinestiff("repeat", subject, later, "--annotators", "--json")
     again = json.loads(ran.out)
+    assert again["of"] == "annotators"
     wider = written["scatter"]["lateral_bending"]["expected_sd_log"]
     assert 0.0 < again["scatter"]["lateral_bending"]["expected_sd_log"] < wider
 
@@ -30,6 +32,11 @@ def test_folders_that_can_not_be_compared_end_in_one_line(spinestiff, subject):
     ran = spinestiff("repeat", subject, subject)
     assert ran.status == 2
     assert ran.lines == [f"spinestiff: {subject}: given twice; a visit compared with itself never changes"]
+    other = subject.with_name("other")
+    shutil.copytree(subject, other)
+    ran = spinestiff("repeat", subject, other, "--out", subject / "results")
+    assert ran.status == 2
+    assert "lies in a folder that is read" in ran.err
     ran = spinestiff("repeat", subject)
     assert ran.status == 2
     assert "repeatability needs two or more of one" in ran.err

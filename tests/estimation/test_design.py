@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spinestiff.estimation.design import LEAST_PRECISION, Design, design_at
+from spinestiff.estimation.design import LEAST_PREDICTING, Design, design_at
 from spinestiff.estimation.forecast import forecast
 from spinestiff.estimation.weighed import reduced
 
@@ -49,7 +49,7 @@ def test_a_prediction_is_that_of_the_joint_normal_distribution(random_design) ->
     """Of all residuals, with ratios that are as little known as the design takes them to be."""
     rows, own = np.r_[0:4, 12:14], np.r_[4:8]
     x = random_design.slopes
-    whole = random_design.covariance + x @ x.T / LEAST_PRECISION
+    whole = random_design.covariance + x @ x.T / LEAST_PREDICTING
     across = np.linalg.solve(whole[np.ix_(rows, rows)], whole[np.ix_(rows, own)])
     left = whole[np.ix_(own, own)] - whole[np.ix_(own, rows)] @ across
     weights = np.array([0.5, -1.0, 0.0, 2.0])
@@ -71,8 +71,7 @@ def test_an_unseen_radiograph_is_predicted_as_by_a_forecast(of_column) -> None:
     others = [i for i in range(len(design.rows)) if i != 1]
     weights = asked.noise.channels[1].turning(1, 5)
     _, wanted, _ = forecast(asked, point, slope, 1.5, [1])[0].turn(1, 5)
-    # A forecast takes ratios to be known a little before.
-    assert design.prediction_sd(others, 1, weights) == pytest.approx(wanted, rel=0.02)
+    assert design.prediction_sd(others, 1, weights) == pytest.approx(wanted, rel=1e-4)
 
 
 def test_what_is_measured_besides_counts_for_its_group_alone(of_column) -> None:

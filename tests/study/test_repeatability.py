@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from spinestiff.errors import SubjectError
+from spinestiff.files import read_json, write_json
 from spinestiff.study.repeatability import (
     VisitEstimate,
     VisitRatio,
@@ -20,9 +23,9 @@ from spinestiff.subject.outcomes import Estimate
 from spinestiff.subject.run_record import read_outcome
 
 
-def visit(subject, number, sd=0.2, determined="determined", doubtful=False, **values):
-    ratios = {name: VisitRatio(value, sd, determined, doubtful) for name, value in values.items()}
-    return VisitEstimate(f"{subject}-{number}", subject, ratios)
+def visit(subject, number, sd=0.2, known=True, whole=0.5, pushes=(), settings=None, **values):
+    ratios = {name: VisitRatio(value, sd, whole, known) for name, value in values.items()}
+    return VisitEstimate(f"{subject}-{number}", subject, ratios, pushes, settings or {})
 
 
 def drawn(people, visits, sd, told, seed=0):
@@ -84,11 +87,73 @@ def test_a_change_is_told_in_words() -> None:
     assert "changed, softer by a factor of 2.50" in repeatability_lines(softer)[-1]
 
 
-@pytest.mark.parametrize("odd", [{"doubtful": True}, {"determined": "not determined"}])
-def test_what_is_not_known_has_not_changed(odd) -> None:
-    found = repeatability([visit("a", 0, bending=0.1), visit("a", 1, bending=4.0, **odd)])
-    assert found.changes[0].verdict == "can't be told"
-    assert "can't be told" in repeatability_lines(found)[-1]
+def test_what_is_not_known_has_not_changed_and_does_not_scatter() -> None:
+    seen = [visit("a", 0, bending=0.1), visit("a", 1, bending=4.0, known=False), visit("a", 2, bending=0.1)]
+    found = repeatability(seen)
+    assert [change.verdict for change in found.changes] == ["can't be told", "no change shown"]
+    assert (found.scatter["bending"].left_out, found.scatter["bending"].within_sd_log) == (1, 0.0)
+    assert "bending: 1 estimate left out: doubtful, or not determined" in repeatability_lines(found)
+    alone = repeatability(seen[:2])
+    assert not alone.scatter
+    assert "can't be told" in repeatability_lines(alone)[-1]
+
+
+def test_scatter_is_judged_by_what_each_person_tells() -> None:
+    """People of quite different standard deviations: one in a hundred is said to scatter otherwise."""
+    random, told = np.random.default_rng(5), 0
+    for _ in range(400):
+        visits = []
+        for i, sd in enumerate((0.1, 0.2, 0.4, 0.9)):
+            visits += [visit(f"p{i}", j, sd, bending=float(np.exp(random.normal(0.0, sd)))) for j in range(3)]
+        found = repeatability(visits).scatter["bending"]
+        told += found.p_value < 0.05
+        assert found.expected_sd_log == pytest.approx(np.sqrt(np.mean(np.square((0.1, 0.2, 0.4, 0.9)))))
+    assert 0.02 < told / 400 < 0.09
+
+
+def test_changes_are_judged_by_the_scatter_that_is_found() -> None:
+    calm, wild = (drawn(15, 3, sd, 0.2, 3) for sd in (0.2, 0.6))
+    plain, wider = (repeatability(visits).scatter["bending"].wider for visits in (calm, wild))
+    assert plain == 1.0
+    assert wider == pytest.approx(3.0, rel=0.3)
+    (change, *_) = repeatability(wild).changes
+    others = repeatability(wild[3:]).scatter["bending"].wider
+    assert change.detectable_factor == pytest.approx(np.exp(1.959964 * np.sqrt(2.0) * 0.2 * others))
+    # A change of one's own is none.
+    alone = repeatability([visit("a", 0, bending=0.1), visit("a", 1, bending=1.0)])
+    assert alone.scatter["bending"].wider > 1.0
+    assert alone.changes[0].verdict == "changed"
+
+
+def test_pushes_that_differ_leave_what_the_model_lacks_in_the_difference() -> None:
+    at = (("right", 8.0, 40.0), ("right", 8.0, 60.0))
+    near = (("right", 7.5, 45.0), ("right", 7.5, 55.0))
+    for other, alike in ((near, True), ((("left", 8.0, 40.0), at[1]), False), (at[:1], False)):
+        visits = [visit("a", 0, pushes=at, bending=0.1), visit("a", 1, pushes=other, bending=0.25)]
+        (change,) = repeatability(visits).changes
+        assert change.alike == alike
+        assert change.verdict == ("changed" if alike else "no change shown")
+        assert ("(not pushed alike)" in repeatability_lines(repeatability(visits))[-1]) != alike
+
+
+def test_annotations_agree_or_not_and_nobody_changes() -> None:
+    visits = [visit("a", 0, bending=0.1), visit("a", 1, bending=0.25), visit("a", 2, bending=0.11)]
+    lines = repeatability_lines(repeatability(visits, "annotators"))
+    assert "from two annotations of the same radiographs" in lines[0]
+    assert lines[-2].endswith("annotations disagree by more than annotation explains, a factor of 2.50 (1.4 to 4.4)")
+    assert "annotations agree" in lines[-1]
+    assert not any("changed" in line for line in lines)
+
+
+def test_settings_that_differ_are_refused() -> None:
+    visits = [visit("a", i, settings={"mesh": mesh}, bending=0.1) for i, mesh in enumerate(("fine", "coarse"))]
+    with pytest.raises(SubjectError, match="a-1: mesh is coarse, in a-0 of the same id fine"):
+        repeatability(visits)
+
+
+def test_labels_tell_visits_of_one_name_apart() -> None:
+    first, second = (replace(visit("a", 0, bending=0.1), label=f"/data/{when}/anna") for when in ("january", "march"))
+    assert [one.label for one in repeatability([first, second]).visits] == ["january/anna", "march/anna"]
 
 
 def test_visits_that_can_not_be_compared_are_refused() -> None:
@@ -107,10 +172,20 @@ def test_a_visit_tells_how_it_scatters(finished) -> None:
     opened = open_visit(finished.folder)
     estimate = read_outcome(opened.subject, Estimate)
     found, again = estimate_of(opened), estimate_of(opened, annotators=True)
-    assert (found.label, found.subject) == ("girl", opened.subject.record.id)
+    assert (found.label, found.subject) == (str(finished.folder.resolve()), opened.subject.record.id)
+    assert [force for *_, force in found.pushes] == [15.0, 22.5]
+    assert found.settings["mesh"] == "coarse"
     for name, ratio in found.ratios.items():
-        assert 0.0 < again.ratios[name].sd_log < ratio.sd_log < estimate.sd_log[name]
+        assert 0.0 < again.ratios[name].sd_log < ratio.sd_log < estimate.sd_log[name] == ratio.whole_sd_log
         assert ratio.value == estimate.ratios[name].value
+
+
+def test_an_estimate_out_of_date_is_refused(subject) -> None:
+    content = read_json(subject / "annotation.json")
+    content["images"]["push/main"]["vertebrae"]["T7"][0][0] += 0.25
+    write_json(subject / "annotation.json", content)
+    with pytest.raises(SubjectError, match=r"track was run before annotation.json: pushes changed"):
+        estimate_of(open_visit(subject))
 
 
 def test_an_estimate_by_the_papers_method_tells_no_scatter(subject, monkeypatch) -> None:

@@ -27,7 +27,10 @@ def compare_visits(folders: Sequence[Path], out: Path | None, annotators: bool =
     for i, folder in enumerate(resolved):
         if folder in resolved[:i]:
             raise SubjectError(f"{folders[i]}: given twice; a visit compared with itself never changes")
-    found = repeatability([estimate_of(open_visit(folder), annotators) for folder in folders])
+    if out is not None and any(out.resolve().is_relative_to(folder) for folder in resolved):
+        raise SubjectError(f"--out {out}: lies in a folder that is read; choose one beside it")
+    visits = [estimate_of(open_visit(folder), annotators) for folder in folders]
+    found = repeatability(visits, "annotators" if annotators else "visits")
     if out is not None:
         from spinestiff.study.report.figures import as_png
         from spinestiff.study.report.repeat_picture import draw_repeatability

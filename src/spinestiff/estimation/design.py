@@ -18,8 +18,9 @@ from scipy.linalg import cho_factor, cho_solve
 from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.estimation.weighed import WeighedPoint, WeighedProblem, WeighedSlope
 
-# Of a log ratio that the radiographs say nothing of.
-LEAST_PRECISION = 1e-6
+# Of a log ratio that the radiographs say nothing of; where another radiograph is predicted, as of one anywhere within a
+# fit's bounds, as ``forecast`` has it.
+LEAST_PRECISION, LEAST_PREDICTING = 1e-6, 0.02
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,7 +50,7 @@ class Design(ShortRepr):
         The unseen one's own errors are part of it.
         """
         rows, own = self._rows(taken), self.rows[unseen]
-        precision, root, solved = self._precision(rows)
+        precision, root, solved = self._precision(rows, LEAST_PREDICTING)
         across = weights @ self.covariance[own][:, rows]
         apart = weights @ self.slopes[own] - across @ solved
         variance = float(weights @ self.covariance[own, own] @ weights)
@@ -61,12 +62,12 @@ class Design(ShortRepr):
         numbers = np.arange(len(self.slopes))
         return np.concatenate([*(numbers[self.rows[i]] for i in taken), numbers[self.always]])
 
-    def _precision(self, rows: Ints) -> tuple[Floats, tuple[Floats, bool], Floats]:
+    def _precision(self, rows: Ints, least: float = LEAST_PRECISION) -> tuple[Floats, tuple[Floats, bool], Floats]:
         """(P, P), the covariance's factor, and (n of rows, P) the slopes solved with it."""
         x = self.slopes[rows]
         root = cho_factor(self.covariance[np.ix_(rows, rows)], lower=True) if len(rows) else (np.zeros((0, 0)), True)
         solved = cho_solve(root, x) if len(rows) else x
-        return x.T @ solved + LEAST_PRECISION * np.eye(x.shape[1]), root, solved
+        return x.T @ solved + least * np.eye(x.shape[1]), root, solved
 
 
 def design_at(

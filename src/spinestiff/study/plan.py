@@ -3,11 +3,12 @@
 Candidates are pushes from the sides and at the ribs that are allowed, each at half and at the whole of the largest
 force, each push with an unloaded radiograph first. All of them, and those that the estimate has been made from, are put
 into equilibrium at a few places where the ratios may lie; there, the 95 % interval that a set of them leaves follows to
-first order. What is reported is the geometric mean over the places.
+first order. What is reported is the mean over the places, of factors the geometric one.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -37,6 +38,7 @@ from spinestiff.study.plan_scene import Scene
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep, Target
 from spinestiff.words import counted
 
+LEAST_LIMIT_N = 5.0
 COMFORT_N = 80.0
 """The largest force that is proposed unless another one is given."""
 DISCOMFORT_N = (116.0, 25.0)
@@ -84,7 +86,8 @@ class Wish:
 
     Raises
     ------
-    SubjectError : a Cobb angle without the push that it is to be predicted for, or no push at all.
+    SubjectError : a Cobb angle without the push that it is to be predicted for, or the other way round; a force too
+        small to plan with; no push at all.
     """
 
     target: Target = "bending"
@@ -97,6 +100,10 @@ class Wish:
     def __post_init__(self) -> None:
         if self.target == "cobb" and self.predicted is None:
             raise SubjectError("a Cobb angle is predicted under a push; give --under SIDE,RIB,FORCE, e.g. right,8,60")
+        if self.target != "cobb" and self.predicted is not None:
+            raise SubjectError("--under names a push to predict a Cobb angle under; it goes with --target cobb")
+        if not LEAST_LIMIT_N <= self.limit_n < math.inf:
+            raise SubjectError(f"a largest force of {self.limit_n:g} N; wanted {LEAST_LIMIT_N:g} N or more")
         if not self.sides or not self.ribs:
             raise SubjectError("no side or no rib to push; give at least one of each")
 
@@ -104,7 +111,8 @@ class Wish:
     def frames(self) -> list[Frame]:
         """All candidates."""
         pushes = product(self.sides, self.ribs, SHARES)
-        return [Frame(side, rib, round(share * self.limit_n, 1)) for side, rib, share in pushes]
+        # Down, so that none is above the limit.
+        return [Frame(side, rib, math.floor(10.0 * share * self.limit_n + 1e-9) / 10.0) for side, rib, share in pushes]
 
 
 def make_plan(scene: Scene, wish: Wish, say: Observer = lambda line: None) -> Plan:
@@ -141,15 +149,17 @@ class _Carried:
             assert taken is not None
             (self.known if item.force_n > 0.0 else self.known_still).append((taken.problems[item.push], item.trial))
 
-        def trial(frame: Frame, seen: VertebraCorners, by_hand: bool) -> tuple[EquilibriumProblem, Trial]:
+        def trial(frame: Frame, push: str, seen: VertebraCorners, by_hand: bool) -> tuple[EquilibriumProblem, Trial]:
             if frame.side not in self._problems:
                 self._problems[frame.side] = push_problem(torso, frame.side, scene.rig)
             site = PushSite(frame.side, frame.level, D21_MM, D31_MM)
             load = push_load(torso, site, frame.force_n, scene.rig, str(frame))
-            return self._problems[frame.side], Trial(load, seen, scene.view, str(frame), frame.push, by_hand)
+            return self._problems[frame.side], Trial(load, seen, scene.view, str(frame), push, by_hand)
 
-        planned = {frame: trial(frame, tracked, False) for frame in wish.frames}
-        self.predicted = None if wish.predicted is None else trial(wish.predicted, corners, True)
+        planned = {frame: trial(frame, frame.push, tracked, False) for frame in wish.frames}
+        self.predicted = (
+            None if wish.predicted is None else trial(wish.predicted, f"predicted {wish.predicted}", corners, True)
+        )
         self.states: list[list[TorsoState]] = []  # by place: of the known, the frames and the predicted one
         self.places: list[Floats] = []
         found: list[dict[Frame, TorsoState]] = []
@@ -159,9 +169,9 @@ class _Carried:
             ratios = StiffnessRatios(self.groups, np.exp(place))
             try:
                 known = self._chain(self.known, ratios)
-                last = [] if self.predicted is None else self._chain([self.predicted], ratios)
             except EquilibriumError:
                 continue  # a place that what was seen already rules out
+            last = [] if self.predicted is None else self._chain([self.predicted], ratios)
             there: dict[Frame, TorsoState] = {}
             for push in dict.fromkeys(frame.push for frame in planned):
                 own = [(frame, one) for frame, one in planned.items() if frame.push == push]
@@ -171,7 +181,7 @@ class _Carried:
             self.states.append([*known, *last])
             found.append(there)
         if not self.places:
-            raise EquilibriumError("no equilibrium under the pushes that were taken, or under the one to predict")
+            raise EquilibriumError("no equilibrium under the pushes that were taken, wherever the ratios may lie")
         self.frames = [frame for frame in planned if all(frame in there for there in found)]
         if not self.frames:
             raise EquilibriumError(
@@ -217,10 +227,10 @@ class _Carried:
         found: dict[Frame, TorsoState] = {}
         state: TorsoState | None = None
         for frame, (problem, trial) in sorted(trials, key=lambda one: one[0].force_n):
-            solved = problem.solve(trial.load, ratios, before.get(frame, state))
-            if not solved.converged:
+            try:
+                state = problem.solve(trial.load, ratios, before.get(frame, state)).require().state
+            except EquilibriumError:
                 break
-            state = solved.state
             torso, view = problem.torso, trial.view
             now = state_features(torso, view, state, silhouette_shares(torso, view, torso.rest_pose)).angle
             if np.ptp(now - rest) > MOST_TURN:
@@ -250,10 +260,11 @@ class _Widths:
         loaded = [*carried.known, *carried.planned.values()]
         loaded += [] if carried.predicted is None else [carried.predicted]
         still = [*carried.known_still, *carried.still]
-        trials = TrialSet([p for p, _ in loaded], [trial for _, trial in loaded], carried.groups, "procrustes", None)
+        seen_as = "procrustes" if scene.taken is None else scene.taken.orientation
+        trials = TrialSet([p for p, _ in loaded], [trial for _, trial in loaded], carried.groups, seen_as, None)
         known = scene.known
         held = ratio_prior(carried.groups, scene.torso.joints.kinds, known.priors.level_smoothness, scene.population)
-        problem = WeighedProblem(trials, still, "procrustes", known.priors, known.geometry, known.taped, held)
+        problem = WeighedProblem(trials, still, seen_as, known.priors, known.geometry, known.taped, held)
         better = {"trunk size": known.priors.trunk_taped / max(known.priors.trunk, 1e-300)}
         self.designs: list[Design] = []
         self.taped: list[Design] = []
@@ -347,7 +358,7 @@ def _composed(scene: Scene, wish: Wish, carried: _Carried, widths: _Widths, say:
         with_tape = widths.of(widths.taken or after(singles[0][0], ())[0], taped=True)
         taped = widths.size(with_tape)
         taped = round(taped if wish.target == "cobb" else float(np.exp(taped)), 3)
-    notes = _left_out(carried.left_out)
+    notes = [*scene.doubts, *_left_out(carried.left_out)]
     if len(carried.places) < len(scene.places):
         lost = len(scene.places) - len(carried.places)
         notes.append(f"{counted(lost, 'place')} of {len(scene.places)} left out: no equilibrium under what was seen")

@@ -20,7 +20,7 @@ from spinestiff.study.trials import Known, PushSet, known_of, rig_of
 from spinestiff.study.visit import START, USUAL, Visit, load_pushes, load_start
 from spinestiff.subject.folder import image_corners, read_rest
 from spinestiff.subject.outcomes import Estimate, GeometryRecord
-from spinestiff.subject.run_record import changed_inputs, read_outcome, recorded_steps, result_path
+from spinestiff.subject.run_record import read_outcome, recorded_steps, refuse_changed, result_path
 
 # Lateral bending and tissue: the geometric mean of Table 4, and half a decade or so around it either way.
 POPULATION = ((0.07, 0.04), (0.02, 0.04), (0.25, 0.04), (0.07, 0.015), (0.07, 0.15))
@@ -38,7 +38,8 @@ class Scene(ShortRepr):
     names : of the ratios. places : (K, P) log ratios, where they may lie.
     taken : what the estimate has been made from; None before any push.
     tracking_factor : of the size of tracking's errors. population : whose ratios are held.
-    intervals : name -> the factor, either way on average, of the 95 % interval that the estimate has.
+    intervals : name -> the factor, either way on average, of the 95 % interval that the estimate has, if it is closed.
+    doubts : about the estimate, in words.
     """
 
     torso: TorsoModel
@@ -52,6 +53,7 @@ class Scene(ShortRepr):
     tracking_factor: float = 1.0
     population: str | None = None
     intervals: Mapping[str, float] = field(default_factory=dict)
+    doubts: tuple[str, ...] = ()
 
 
 def population_places() -> Floats:
@@ -83,15 +85,27 @@ def scene_of(visit: Visit) -> Scene:
 
     Raises
     ------
-    SubjectError : not personalised; the estimate is out of date, was made by the paper's method, which knows no
-        uncertainty, or is of ratios that the population says nothing of.
+    SubjectError : not personalised; pushes but no estimate, one that is out of date or by the paper's method, which
+        knows no uncertainty; ratios that the population says nothing of; a pelvis under dead loads.
     """
     subject = visit.subject
+    if subject.record.pelvis == "dead-loads":
+        raise SubjectError(
+            f"{subject.folder}: pelvis is 'dead-loads', whose distances d21 and d31 are not known of a push that was "
+            "not taken; plan with another pelvis"
+        )
     if "estimate" in recorded_steps(subject) and visit.file(Estimate.FILE).exists():
         return _of_estimate(visit)
-    _refuse_stale(visit, "torso.npz", "personalise")
-    if "frontal" not in subject.rest_views:
-        raise SubjectError(f"{subject.folder}: no frontal rest radiograph, from which a plan takes where corners are")
+    if subject.pushes:
+        raise SubjectError(
+            f"{subject.folder}: pushes were taken, but there is no estimate from them; run spinestiff run first"
+        )
+    if visit.parameters != USUAL:
+        raise SubjectError(
+            f"{subject.folder}: before any push a plan knows where {' and '.join(USUAL)} may lie, not "
+            f"{', '.join(visit.parameters)}; leave parameters out of subject.json until there is an estimate"
+        )
+    refuse_changed(subject, "personalise")
     covariance = np.array(read_outcome(subject, GeometryRecord).covariance)
     known = known_of(subject.record, covariance.reshape(6 * len(covariance), -1))
     coarse = any(output.endswith(f"/{START}") for output in recorded_steps(subject)["personalise"].outputs)
@@ -99,18 +113,21 @@ def scene_of(visit: Visit) -> Scene:
     picture = read_rest(subject, "frontal")
     corners = image_corners(subject, "rest/frontal", picture.view)
     view, _ = align_view(torso, torso.rest_pose, picture.view, corners)
-    return Scene(torso, known, rig_of(subject.record), view, corners.vertebrae, USUAL, population_places())
-
-
-def _refuse_stale(visit: Visit, result: str, step: str) -> None:
-    changed = changed_inputs(visit.subject, step)
-    if changed:
-        raise SubjectError(f"{visit.file(result)}: was made before {changed[0]} changed; run spinestiff {step} again")
+    return Scene(
+        torso,
+        known,
+        rig_of(subject.record),
+        view,
+        corners.vertebrae,
+        USUAL,
+        population_places(),
+        population=visit.population,
+    )
 
 
 def _of_estimate(visit: Visit) -> Scene:
     subject = visit.subject
-    _refuse_stale(visit, Estimate.FILE, "estimate")
+    refuse_changed(subject, "track", "personalise", "estimate")
     estimate = read_outcome(subject, Estimate)
     if estimate.method != "weighed":
         raise SubjectError(
@@ -135,8 +152,17 @@ def _of_estimate(visit: Visit) -> Scene:
         estimate.tracking_factor or 1.0,
         estimate.population,
         {
-            name: float(np.sqrt(ratio.high / ratio.low))
+            name: float(np.exp(2.0 * ratio.sd_log))
             for name, ratio in estimate.ratios.items()
-            if ratio.low is not None and ratio.high is not None
+            if np.isfinite(ratio.sd_log)
         },
+        _doubts(estimate),
     )
+
+
+def _doubts(estimate: Estimate) -> tuple[str, ...]:
+    found = [f"the estimate is doubtful: {check.name}" for check in estimate.failed]
+    for name, ratio in estimate.ratios.items():
+        if ratio.at_bound or ratio.open_low or ratio.open_high:
+            found.append(f"{name}: the estimate's interval reaches the fit's bounds; its own width is not known")
+    return tuple(found)

@@ -7,6 +7,7 @@ from spinestiff.study.wording import fixed, number
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
 from spinestiff.words import counted
 
+NONE_PAYS = "no further radiograph pays: the best one narrows it by less than 3 % an exposure"
 TITLES = {"bending": "lateral bending", "tissue": "tissue", "cobb": "predicted Cobb angle"}
 
 
@@ -31,8 +32,8 @@ def width(plan: Plan, size: float) -> str:
 
 
 def pays(plan: Plan) -> tuple[PlanStep, ...]:
-    """The steps that are worth it; the first in any case."""
-    return tuple(step for i, step in enumerate(plan.sequence) if step.pays or i == 0)
+    """The steps that are worth it; none where what was taken already says as much."""
+    return tuple(step for step in plan.sequence if step.pays)
 
 
 def plan_lines(plan: Plan) -> list[str]:
@@ -43,23 +44,21 @@ def plan_lines(plan: Plan) -> list[str]:
         what = f"{what} under {force:g} N from the {side} at rib {level:g}"
     now = now_of(plan)
     if now is None:
-        found.append("before any push: expected for ratios around the geometric means of the paper's Table 4")
+        found.append(f"{what}, before any push: for ratios around the geometric means of the paper's Table 4")
     else:
         own = plan.estimated.get(RATIO_OF.get(plan.target, ""))
         beside = "" if own is None else f"; the estimate's own interval: {width(plan, own)}"
         found.append(f"{what}: now {width(plan, now)} (95 %, to first order, as all that is expected here{beside})")
-    if plan.next:
-        best = plan.next[0]
-        found.append(f"best next: {push_words(best)}, expected {width(plan, size_of(best))}")
     worth = pays(plan)
-    last = worth[-1]
+    if not worth:
+        return [*found, NONE_PAYS, *(f"note: {note}" for note in plan.notes)]
+    best, last = plan.next[0], worth[-1]
+    found.append(f"best next: {push_words(best)}, expected {width(plan, size_of(best))}")
+    until = f"{counted(last.exposures, 'exposure')} ({width(plan, size_of(last.push))})"
     if len(worth) < len(plan.sequence):
-        found.append(
-            f"further radiographs hardly narrow it after {counted(last.exposures, 'exposure')} "
-            f"({width(plan, size_of(last.push))})"
-        )
+        found.append(f"further radiographs hardly narrow it after {until}")
     else:
-        found.append(f"every step pays up to {counted(last.exposures, 'exposure')} ({width(plan, size_of(last.push))})")
+        found.append(f"every step pays up to {until}")
     if plan.taped is not None:
         with_what = "with the best push" if now is None else "and no further push"
         found.append(f"with a tape around the trunk {with_what}: {width(plan, plan.taped)}")

@@ -7,13 +7,18 @@ estimates of person i the within-subject standard deviation is
     s_w^2 = sum_i sum_j (x_ij - mean_i)^2 / sum_i (n_i - 1),
 
 and two estimates of one unchanged person differ by less than 1.96 sqrt(2) s_w in 95 %, the smallest detectable change
-(Bland and Altman 1996; here of a log, so that it is a factor).
+(Bland and Altman 1996; here of a log, so that it is a factor). Whether estimates scatter as they say, with sd_ij, is
+told by Q = sum_ij (x_ij - weighted mean_i)^2 / sd_ij^2, chi-squared with sum_i (n_i - 1) degrees of freedom if they do.
+
+What the model lacks of a person falls out of a difference only where both visits pushed alike. Where they did not, a
+change is judged by the estimates' whole standard deviations.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -22,15 +27,20 @@ from scipy.stats import chi2, norm
 from spinestiff.errors import SubjectError
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import number
-from spinestiff.subject.outcome_parts import Determination
 from spinestiff.subject.outcomes import Estimate
-from spinestiff.subject.run_record import read_outcome
+from spinestiff.subject.run_record import read_outcome, recorded_steps, refuse_changed
 from spinestiff.words import counted
 
 TWO_SIDED = float(norm.ppf(0.975))
 # Scatter that is as likely as this, or less, is not what the estimates' own errors let expect.
 UNLIKELY = 0.01
+# Repetitions of other people from which their scatter is believed.
+ENOUGH = 5
+# Forces whose ratio is within this, and ribs as near as that, are one protocol.
+SAME_FORCE, SAME_RIB = 1.25, 1.0
 Verdict = Literal["changed", "no change shown", "can't be told"]
+Repeated = Literal["visits", "annotators"]
+Push = tuple[str, float, float]  # side, rib, N, of a training frame
 
 
 @dataclass(frozen=True)
@@ -40,22 +50,31 @@ class VisitRatio:
     Attributes
     ----------
     value : the estimate. sd_log : of its log from visit to visit (annotation to annotation), as the visit itself tells.
-    determined : how far its radiographs determine it. doubtful : the result can't be right.
+    whole_sd_log : with what the model lacks of this person.
+    known : whether its radiographs determine it, with a closed interval, and the result can be right.
     """
 
     value: float
     sd_log: float
-    determined: Determination
-    doubtful: bool
+    whole_sd_log: float
+    known: bool = True
 
 
 @dataclass(frozen=True)
 class VisitEstimate:
-    """An estimate of a visit; ``label`` : of the visit, ``subject`` : whose it is."""
+    """An estimate of a visit.
+
+    Attributes
+    ----------
+    label : of the visit, unique. subject : whose it is. ratios : by name.
+    pushes : of the training frames. settings : what else an estimate depends on, by name, as text.
+    """
 
     label: str
     subject: str
     ratios: Mapping[str, VisitRatio]
+    pushes: tuple[Push, ...] = ()
+    settings: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -65,9 +84,10 @@ class Scatter:
     Attributes
     ----------
     within_sd_log : s_w. low, high : its 95 % interval. degrees : of freedom.
-    expected_sd_log : root mean square of what the visits tell.
+    expected_sd_log : s_w as the visits let expect it.
     detectable_factor, expected_factor : smallest detectable change, found and expected.
     p_value : of scatter at least as far from what is expected, either way.
+    left_out : estimates that are not known (``VisitRatio.known``).
     """
 
     within_sd_log: float
@@ -78,6 +98,13 @@ class Scatter:
     detectable_factor: float
     expected_factor: float
     p_value: float
+    left_out: int
+
+    @property
+    def wider(self) -> float:
+        """By how much estimates scatter more than they say; 1 where that is not shown."""
+        shown = self.p_value < UNLIKELY and self.within_sd_log > self.expected_sd_log
+        return self.within_sd_log / self.expected_sd_log if shown else 1.0
 
 
 @dataclass(frozen=True)
@@ -87,7 +114,7 @@ class Change:
     Attributes
     ----------
     factor : the one over the other. low, high : its 95 % interval.
-    detectable_factor : a change by less would not show.
+    detectable_factor : a change by less would not show. alike : whether both visits pushed alike.
     """
 
     subject: str
@@ -98,13 +125,18 @@ class Change:
     low: float
     high: float
     detectable_factor: float
+    alike: bool
     verdict: Verdict
 
 
 @dataclass(frozen=True)
 class Repeatability:
-    """Of ``visits``: ``scatter`` by ratio, and ``changes`` of each later visit over the first."""
+    """``of`` visits or annotators: ``scatter`` by ratio, ``changes`` of each later estimate over the first of a person.
 
+    A ratio that fewer than two estimates of any person know has no scatter.
+    """
+
+    of: Repeated
     scatter: Mapping[str, Scatter]
     changes: tuple[Change, ...]
     visits: tuple[VisitEstimate, ...]
@@ -115,29 +147,59 @@ def estimate_of(visit: Visit, annotators: bool = False) -> VisitEstimate:
 
     Raises
     ------
-    SubjectError : there is none, or it is by the paper's method, or of an earlier version, which tell no scatter.
+    SubjectError : there is none, or one that is out of date, by the paper's method, or of an earlier version, which
+        tell no scatter.
     """
-    estimate = read_outcome(visit.subject, Estimate)
+    subject = visit.subject
+    estimate = read_outcome(subject, Estimate)
+    refuse_changed(subject, "track", "personalise", "estimate")
     sds = estimate.annotation_sd_log if annotators else estimate.visit_sd_log
-    if not sds:
+    if not sds or not estimate.sd_log:
         raise SubjectError(
             f"{visit.file(Estimate.FILE)}: does not say how it would scatter from visit to visit; run spinestiff "
             "estimate --redo with --method weighed"
         )
-    doubtful = estimate.status == "DOUBTFUL"
     ratios = {
-        name: VisitRatio(ratio.value, sds[name], ratio.determined, doubtful) for name, ratio in estimate.ratios.items()
+        name: VisitRatio(
+            ratio.value,
+            sds[name],
+            estimate.sd_log[name],
+            estimate.status != "DOUBTFUL"
+            and ratio.determined != "not determined"
+            and not (ratio.at_bound or ratio.open_low or ratio.open_high),
+        )
+        for name, ratio in estimate.ratios.items()
     }
-    return VisitEstimate(visit.subject.folder.name, visit.subject.record.id, ratios)
+    record = subject.record
+    pushes = [
+        (push.side, push.level, force)
+        for push in record.pushes
+        for force, role in zip(push.forces_n, push.roles)
+        if role == "training" and force > 0.0
+    ]
+    shaped = recorded_steps(subject)["personalise"].settings
+    settings = {
+        "sex": record.sex,
+        "mesh": str(shaped.get("mesh")),
+        "orientation": estimate.orientation,
+        "population": str(estimate.population),
+        "pelvis": record.pelvis,
+        "wall": record.wall,
+        "priors": str(dict(sorted(record.priors.items()))),
+        "trunk or skin_scan given": str(bool(record.trunk) or record.skin_scan is not None),
+    }
+    label = str(subject.folder.resolve())
+    return VisitEstimate(label, record.id, ratios, tuple(sorted(pushes)), settings)
 
 
-def repeatability(visits: Sequence[VisitEstimate]) -> Repeatability:
+def repeatability(visits: Sequence[VisitEstimate], of: Repeated = "visits") -> Repeatability:
     """Scatter and changes of visits, in the order in which they were made.
 
     Raises
     ------
-    SubjectError : no person has two visits, or visits are of different ratios.
+    SubjectError : no person has two visits, or visits are of different ratios or were estimated with other settings.
     """
+    visits = _shortly_named(visits)
     names = tuple(visits[0].ratios) if visits else ()
     for visit in visits:
         if tuple(visit.ratios) != names:
@@ -154,71 +216,129 @@ def repeatability(visits: Sequence[VisitEstimate]) -> Repeatability:
             f"{counted(len(visits), 'visit')} of as many subjects; repeatability needs two or more of one (the id in "
             "subject.json says whose a visit is)"
         )
-    scatter = {name: _scatter([[visit.ratios[name] for visit in found] for found in repeated]) for name in names}
-    changes = [_change(name, found[0], later) for found in repeated for later in found[1:] for name in names]
-    return Repeatability(scatter, tuple(changes), tuple(visits))
+    for found in repeated:
+        for later in found[1:]:
+            _refuse_unlike(found[0], later)
+    scatter = {}
+    for name in names:
+        one = _scatter([[visit.ratios[name] for visit in found] for found in repeated])
+        if one is not None:
+            scatter[name] = one
+    changes = []
+    for found in repeated:
+        # By the scatter of others: a change of this person's own is no scatter.
+        others = {
+            name: _scatter([[visit.ratios[name] for visit in other] for other in repeated if other is not found])
+            for name in names
+        }
+        wider = {name: one.wider if one is not None and one.degrees >= ENOUGH else 1.0 for name, one in others.items()}
+        changes += [_change(name, found[0], later, wider[name]) for later in found[1:] for name in names]
+    return Repeatability(of, scatter, tuple(changes), tuple(visits))
 
 
-def _scatter(people: Sequence[Sequence[VisitRatio]]) -> Scatter:
-    logs = [np.log([ratio.value for ratio in person]) for person in people]
-    squares = float(sum(np.sum((x - x.mean()) ** 2) for x in logs))
-    degrees = sum(len(x) - 1 for x in logs)
-    expected = float(np.sqrt(np.mean([ratio.sd_log**2 for person in people for ratio in person])))
-    within = float(np.sqrt(squares / degrees))
-    below = float(chi2.cdf(squares / expected**2, degrees)) if expected > 0.0 else float("nan")
+def _shortly_named(visits: Sequence[VisitEstimate]) -> list[VisitEstimate]:
+    """With as little of each label, a path, as tells the visits apart."""
+    parts = [Path(visit.label).parts for visit in visits]
+    count, longest = 1, max(map(len, parts), default=1)
+    while count < longest and len({part[-count:] for part in parts}) < len(parts):
+        count += 1
+    return [replace(visit, label="/".join(part[-count:])) for visit, part in zip(visits, parts)]
+
+
+def _refuse_unlike(first: VisitEstimate, later: VisitEstimate) -> None:
+    for name, value in first.settings.items():
+        other = later.settings.get(name)
+        if other != value:
+            raise SubjectError(
+                f"{later.label}: {name} is {other}, in {first.label} of the same id {value}; a difference would not "
+                "tell of the person"
+            )
+
+
+def _alike(first: VisitEstimate, later: VisitEstimate) -> bool:
+    """Whether two visits pushed about alike."""
+    return len(first.pushes) == len(later.pushes) and all(
+        a[0] == b[0] and abs(a[1] - b[1]) <= SAME_RIB and 1.0 / SAME_FORCE <= a[2] / b[2] <= SAME_FORCE
+        for a, b in zip(first.pushes, later.pushes)
+    )
+
+
+def _scatter(people: Sequence[Sequence[VisitRatio]]) -> Scatter | None:
+    known = [[ratio for ratio in person if ratio.known] for person in people]
+    left_out = sum(map(len, people)) - sum(map(len, known))
+    known = [person for person in known if len(person) > 1]
+    if not known:
+        return None
+    squares = expected = q = 0.0
+    for person in known:
+        x, sds = np.log([ratio.value for ratio in person]), np.array([ratio.sd_log for ratio in person])
+        squares += float(np.sum((x - x.mean()) ** 2))
+        expected += float(np.sum(sds**2) * (1.0 - 1.0 / len(person)))
+        q += float(np.sum(((x - np.average(x, weights=1.0 / sds**2)) / sds) ** 2))
+    degrees = sum(len(person) - 1 for person in known)
+    within, wanted = float(np.sqrt(squares / degrees)), float(np.sqrt(expected / degrees))
+    below = float(chi2.cdf(q, degrees))
     return Scatter(
         within,
         float(np.sqrt(squares / chi2.ppf(0.975, degrees))),
         float(np.sqrt(squares / chi2.ppf(0.025, degrees))),
         degrees,
-        expected,
+        wanted,
         float(np.exp(TWO_SIDED * np.sqrt(2.0) * within)),
-        float(np.exp(TWO_SIDED * np.sqrt(2.0) * expected)),
+        float(np.exp(TWO_SIDED * np.sqrt(2.0) * wanted)),
         2.0 * min(below, 1.0 - below),
+        left_out,
     )
 
 
-def _change(name: str, first: VisitEstimate, later: VisitEstimate) -> Change:
+def _change(name: str, first: VisitEstimate, later: VisitEstimate, wider: float) -> Change:
     before, after = first.ratios[name], later.ratios[name]
+    alike = _alike(first, later)
     log = float(np.log(after.value / before.value))
-    reach = TWO_SIDED * float(np.hypot(before.sd_log, after.sd_log))
+    own = [ratio.sd_log * wider for ratio in (before, after)]
+    sds = own if alike else [max(sd, ratio.whole_sd_log) for sd, ratio in zip(own, (before, after))]
+    reach = TWO_SIDED * float(np.hypot(sds[0], sds[1]))
     verdict: Verdict = "changed" if abs(log) > reach else "no change shown"
-    if any(one.doubtful or one.determined == "not determined" for one in (before, after)):
+    if not (before.known and after.known):
         verdict = "can't be told"
-    ends = float(np.exp(log - reach)), float(np.exp(log + reach))
-    return Change(
-        first.subject, name, first.label, later.label, float(np.exp(log)), *ends, float(np.exp(reach)), verdict
-    )
+    factor, low, high, detectable = (float(np.exp(value)) for value in (log, log - reach, log + reach, reach))
+    return Change(first.subject, name, first.label, later.label, factor, low, high, detectable, alike, verdict)
 
 
 def repeatability_lines(found: Repeatability) -> list[str]:
     """What it says, in sentences."""
     lines = []
+    who = "of one unchanged person" if found.of == "visits" else "from two annotations of the same radiographs"
     for name, one in found.scatter.items():
         lines.append(
-            f"{name}: two estimates of one unchanged person differ by less than a factor of "
-            f"{number(one.detectable_factor)} (95 %, from {counted(one.degrees, 'repetition')}); the estimates' own "
-            f"errors let expect {number(one.expected_factor)}"
+            f"{name}: two estimates {who} differ by less than a factor of {number(one.detectable_factor)} (95 %, from "
+            f"{counted(one.degrees, 'repetition')}); the estimates' own errors let expect {number(one.expected_factor)}"
         )
+        if one.left_out:
+            lines.append(f"{name}: {counted(one.left_out, 'estimate')} left out: doubtful, or not determined")
         if one.p_value < UNLIKELY:
             more = "more" if one.within_sd_log > one.expected_sd_log else "less"
             lines.append(
                 f"{name}: estimates scatter {more} than their own errors let expect (p {one.p_value:.2g}): sd of the "
                 f"log {number(one.within_sd_log, 2)} against {number(one.expected_sd_log, 2)}"
             )
-    lines += [change_words(change) for change in found.changes]
-    return lines
+    return lines + [change_words(change, found.of) for change in found.changes]
 
 
-def change_words(change: Change) -> str:
-    """Whether a ratio changed between two visits."""
+def change_words(change: Change, of: Repeated = "visits") -> str:
+    """Whether a ratio changed between two visits, or two annotations disagree."""
     what = f"{change.subject}, {change.name}, {change.first} to {change.visit}"
     interval = f"{number(change.low, 2)} to {number(change.high, 2)}"
-    if change.verdict == "changed":
-        way = "stiffer" if change.factor > 1.0 else "softer"
-        return f"{what}: changed, {way} by a factor of {number(max(change.factor, 1.0 / change.factor))} ({interval})"
+    if not change.alike:
+        what += " (not pushed alike)"
     if change.verdict == "can't be told":
         return f"{what}: can't be told; an estimate is doubtful, or its radiographs do not determine the ratio"
+    size = number(max(change.factor, 1.0 / change.factor))
+    if of == "annotators":
+        found = "disagree by more than annotation explains" if change.verdict == "changed" else "agree"
+        return f"{what}: annotations {found}, a factor of {size} ({interval})"
+    if change.verdict == "changed":
+        return f"{what}: changed, {'stiffer' if change.factor > 1.0 else 'softer'} by a factor of {size} ({interval})"
     return (
         f"{what}: no change shown ({interval} times as stiff); one by less than a factor of "
         f"{number(change.detectable_factor)} would not show"

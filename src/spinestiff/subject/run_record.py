@@ -143,6 +143,17 @@ def changed_inputs(subject: Subject, step: str) -> tuple[str, ...]:
     return () if recorded is None else _changed(subject, recorded.inputs)
 
 
+def refuse_changed(subject: Subject, *steps: str) -> None:
+    """Raise SubjectError if an input of one of these steps has changed since it ran."""
+    for step in steps:
+        changed = changed_inputs(subject, step)
+        if changed:
+            raise SubjectError(
+                f"{subject.results}: {step} was run before {changed[0]} changed; run spinestiff {step} again, or "
+                "spinestiff run"
+            )
+
+
 def changed_outputs(subject: Subject, step: str) -> tuple[str, ...]:
     """Outputs of a recorded step that have changed or gone since it ran, by path relative to the subject folder."""
     recorded = recorded_steps(subject).get(step)

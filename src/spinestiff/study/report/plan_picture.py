@@ -31,6 +31,7 @@ def draw_plan(plan: Plan) -> Figure:
 
 
 def _draw_singles(axis: Axes, plan: Plan) -> None:
+    largest = max((push.force_n for push in plan.next), default=0.0)
     for side in COLOURS:
         for force in sorted({push.force_n for push in plan.next}, reverse=True):
             points = sorted((p.level, size_of(p)) for p in plan.next if (p.side, p.force_n) == (side, force))
@@ -40,8 +41,8 @@ def _draw_singles(axis: Axes, plan: Plan) -> None:
                     color=COLOURS[side],
                     marker=MARKS[side],
                     markersize=5.5,
-                    markerfacecolor=COLOURS[side] if force == plan.limit_n else "white",
-                    linestyle="-" if force == plan.limit_n else ":",
+                    markerfacecolor=COLOURS[side] if force == largest else "white",
+                    linestyle="-" if force == largest else ":",
                     label=f"{force:g} N from the {side}",
                 )
     _draw_now(axis, plan, "")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from spinestiff import __version__
-from spinestiff.study.plan_words import pays, plan_lines
+from spinestiff.study.plan_words import NONE_PAYS, pays, plan_lines
 from spinestiff.study.report.viewer.page import page_environment
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.words import counted
@@ -27,6 +27,7 @@ def protocol_page(plan: Plan, subject: str) -> str:
         "rows": [{"number": i + 1, **row} for i, row in enumerate(rows)],
         "tape": plan.taped is not None,
         "lines": [line for line in plan_lines(plan) if not line.startswith("note:")],
+        "nothing": NONE_PAYS.capitalize(),
         "version": __version__,
     }
     return page_environment().get_template("protocol.html.j2").render(page)
