@@ -29,14 +29,20 @@ def numbers(typed=app, words=()):
 
 
 # What stands before the options; nothing of it is ever looked at.
-ARGUMENTS = {("synth",): ("new",), ("cobb",): ("none",), ("torso", "import"): ("none", "--out", "new")}
+ARGUMENTS = {
+    ("synth",): ("new",),
+    ("cobb",): ("none",),
+    ("plan",): ("none",),
+    ("torso", "import"): ("none", "--out", "new"),
+}
 NUMBERS = numbers()
 
 
 def test_all_commands_were_walked():
-    assert len(NUMBERS) == 19
+    assert len(NUMBERS) == 22
     assert {words for words, _ in NUMBERS} == {
-        ("synth",), ("demo",), ("cobb",), ("torso", "import"), ("torso", "export"), ("torso", "show")
+        ("synth",), ("demo",), ("cobb",), ("torso", "import"), ("torso", "export"), ("torso", "show"),
+        ("plan",),
     }  # fmt: skip
 
 
@@ -77,6 +83,8 @@ def test_each_option_has_the_limits_of_its_quantity(spinestiff, tmp_path):
         ("synth", "new", "--cobb", -81): "-80 to 80 degrees",
         ("synth", "new", "--nodes", 2999): "3000 to 65000 nodes",
         ("synth", "new", "--force", 501): "above 0 and at most 500 N",
+        ("plan", "none", "--limit", 501): "5 to 500 N",
+        ("plan", "none", "--dose", 0): "above 0 and at most 1e+06 of any unit",
         ("cobb", "none", "--noise-px", 0): "above 0 and at most 1000 pixels",
     }
     for arguments, limits in wanted.items():

@@ -78,8 +78,6 @@ def test_a_dose_is_a_number_of_radiographs():
         (100.0, None, "--dose and --frame-dose belong together"),
         (None, 1.0, "--dose and --frame-dose belong together"),
         (30.0, 20.0, "--dose 30: allows 1 of 20; a push takes 2 radiographs"),
-        (0.0, 1.0, "wanted numbers above 0"),
-        (float("nan"), 1.0, "wanted numbers above 0"),
     ):
         with pytest.raises(OptionError, match=message):
             exposures_of(dose, each)
@@ -88,4 +86,4 @@ def test_a_dose_is_a_number_of_radiographs():
 def test_a_force_that_no_gauge_reads_is_refused_before_anything_is_done(spinestiff, tmp_path):
     ran = spinestiff("plan", tmp_path / "nowhere", "--limit", 501)
     assert ran.status == 2
-    assert ran.lines == ["spinestiff: --limit 501: wanted above 0 and at most 500 N"]
+    assert ran.lines == ["spinestiff: --limit 501: wanted 5 to 500 N"]

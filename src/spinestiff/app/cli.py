@@ -19,6 +19,7 @@ from spinestiff.app import INTERRUPTED, STOPPED
 from spinestiff.app.annotate import annotate_folder, opened
 from spinestiff.app.options import (
     cobb_limits,
+    dose_limits,
     force_limits,
     height_limits,
     node_limits,
@@ -231,15 +232,25 @@ def plan(
     folder: Folder,
     target: Annotated[str, typer.Option(help="What is to become narrow: bending, tissue or cobb.")] = "bending",
     limit: Annotated[
-        float, typer.Option(callback=within("N", push_limits, above=True), help="Largest force to propose, N.")
+        float, typer.Option(callback=within("N", push_limits), help="Largest force to propose, N.")
     ] = 80.0,
     exposures: Annotated[
         int, typer.Option(min=2, max=40, help="Further radiographs at most, unloaded ones included.")
     ] = 8,
     dose: Annotated[
-        float | None, typer.Option(help="Dose at most, in place of --exposures; together with --frame-dose.")
+        float | None,
+        typer.Option(
+            callback=within("of any unit", dose_limits, above=True),
+            help="Dose at most, in place of --exposures; together with --frame-dose.",
+        ),
     ] = None,
-    frame_dose: Annotated[float | None, typer.Option(help="Dose of one radiograph, in the unit of --dose.")] = None,
+    frame_dose: Annotated[
+        float | None,
+        typer.Option(
+            callback=within("of any unit", dose_limits, above=True),
+            help="Dose of one radiograph, in the unit of --dose.",
+        ),
+    ] = None,
     side: Annotated[str, typer.Option(help="Where to push: left, right or both.")] = "both",
     ribs: Annotated[str | None, typer.Option(help="Ribs to push, e.g. 5,7,9; default 5 to 10.")] = None,
     under: Annotated[

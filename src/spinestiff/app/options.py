@@ -116,7 +116,13 @@ def noise_limits() -> tuple[float, float]:
 
 
 def push_limits() -> tuple[float, float]:
-    """N, of a push on a patient: what the gauge reads."""
+    """N, of a push that is planned: from what moves a spine to what the gauge reads."""
+    from spinestiff.study.plan import LEAST_LIMIT_N
     from spinestiff.subject.records import GAUGE_LIMIT_N
 
-    return 0.0, GAUGE_LIMIT_N
+    return LEAST_LIMIT_N, GAUGE_LIMIT_N
+
+
+def dose_limits() -> tuple[float, float]:
+    """In any unit of dose."""
+    return 0.0, 1e6
