@@ -38,12 +38,11 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load, rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.shape import personalise, place_vertebrae
+from spinestiff.study.plan_scene import POPULATION
 from spinestiff.study.spines import curved_spine
 
 RESULT = Path(__file__).parent / "results" / "variance_budget.json"
 NAMES = ("lateral_bending", "tissue")
-# Table 4's geometric mean, and half a decade or so around it either way.
-POINTS = ((0.07, 0.04), (0.02, 0.04), (0.25, 0.04), (0.07, 0.015), (0.07, 0.15))
 # Pushes of (rib level, forces in N), all from the right.
 ACQUISITIONS = {
     "R8 20, 40": ((8.0, (20.0, 40.0)),),
@@ -107,7 +106,7 @@ def main() -> None:
     write = parser.parse_args().write
     torso, geometry = reference_body()
     problem = EquilibriumProblem(torso, three_point_supports(torso, "right"))
-    cases = [(point, name) for point in POINTS for name in ACQUISITIONS]
+    cases = [(point, name) for point in POPULATION for name in ACQUISITIONS]
     rows = []
     for point, name in track(cases, "budgets"):
         budget = budget_of(torso, geometry, problem, point, ACQUISITIONS[name])
