@@ -25,6 +25,7 @@ LAYERS = {
     "words": 0,
     "observer": 0,
     "arrays": 1,
+    "parallel": 1,
     "files": 1,
     "anatomy": 2,
     "mechanics": 3,

@@ -4,5 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-# Is handed a line for people at a time. What is handed data has a name of its own, e.g. ``OnFitStep``.
+# Is handed a line for people at a time, by any thread (``parallel``). What is handed data has a name of its own, e.g.
+# ``OnFitStep``.
 Observer = Callable[[str], None]

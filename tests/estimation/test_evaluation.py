@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.evaluation import acted, compliance_step, log_step
 from spinestiff.estimation.unknowns import ACTS, LAMBDA_SHARE
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -113,3 +114,21 @@ def test_compliance_steps_are_exact_for_a_spring_and_first_order_in_the_log() ->
     assert np.allclose(log_step(compliance_step(change)), change)
     assert compliance_step(change)[0] == pytest.approx(1.0 - 10.0)
     assert compliance_step(np.array([1e-6]))[0] == pytest.approx(1e-6, rel=1e-5)
+
+
+def test_threads_change_nothing(column, clean, monkeypatch) -> None:
+    found = []
+    crushing = np.zeros((len(clean) - 1, len(ACTS)))
+    crushing[:, ACTS.index("force")] = np.log(1e5)
+    for count in ("1", "4"):
+        monkeypatch.setenv("SPINESTIFF_THREADS", count)
+        trial_set = column.trial_set(clean[1:])
+        assert len(trial_set.trials) > 1
+        point = trial_set.solve(HERE)
+        slope = trial_set.slope(point, with_acts=True)
+        found.append((point.values, np.hstack(slope.moves), np.hstack(slope.acted), trial_set.gradient(point)))
+        found[-1] += (vars(trial_set.cost),)
+        with pytest.raises(EquilibriumError, match=f"^{trial_set.trials[0].label}"):
+            trial_set.solve(HERE, acts=crushing)
+    for one, four in zip(*found):
+        assert one == four if isinstance(one, dict) else np.array_equal(one, four)

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from spinestiff.study.wording import NO_INTERVALS, badge, estimated, has_intervals, interval
+from spinestiff.study.wording import NO_INTERVALS, PLAIN, badge, estimated, has_intervals, interval
 
 if TYPE_CHECKING:
     from spinestiff.study.repeatability import Repeatability
@@ -34,11 +34,6 @@ LIBRARIES = (
     "scikit-image",
     "matplotlib",
 )
-PLAIN = {
-    "lateral_bending_thoracic": "thoracic level, lateral bending",
-    "lateral_bending_lumbar": "lumbar level, lateral bending",
-    "tissue_young": "tissue, Young's modulus",
-}
 EXTRAS = {
     "python-gdcm": "JPEG Lossless radiographs (extra [dicom])",
 }
@@ -82,18 +77,18 @@ def repeatability_table(found: Repeatability) -> Table:
 
 
 def estimate_table(estimate: Estimate) -> Table:
-    """The ratios of ``estimate.json`` with their intervals, in plain units below."""
-    table = _table(f"Estimate: {badge(estimate)}", "ratio", "value", "95 % interval", "", "at bound")
+    """Stiffness in plain units with intervals, and the ratios that it comes from."""
+    table = _table(f"Estimate: {badge(estimate)}", "stiffness", "value", "95 % interval", "", "at bound")
+    for key, title in PLAIN.items():
+        found = estimate.plain[key]
+        span = "" if found.low is None and found.high is None else f"{interval(found)} {found.unit}"
+        table.add_row(title, f"{estimated(found)} {found.unit}", span, "", "")
+    table.add_section()
     for name in estimate.parameters:
         ratio = estimate.ratios[name]
         at_bound = "yes" if ratio.at_bound else "no"
         known = ratio.determined if has_intervals(estimate) else NO_INTERVALS
-        table.add_row(escape(name), estimated(ratio), interval(ratio), known, at_bound)
-    table.add_section()
-    for name, title in PLAIN.items():
-        found = estimate.plain[name]
-        span = "" if found.low is None and found.high is None else f"{interval(found)} {found.unit}"
-        table.add_row(title, f"{estimated(found)} {found.unit}", span, "", "")
+        table.add_row(f"ratio: {escape(name)}", estimated(ratio), interval(ratio), known, at_bound)
     return table
 
 
@@ -188,6 +183,7 @@ def doctor_table() -> Table:
     from spinestiff import __version__
     from spinestiff.anatomy.template import template_torso
     from spinestiff.mechanics.factor import default_backend
+    from spinestiff.parallel import threads
 
     table = _table("spinestiff doctor", "what", "found")
     table.add_row("spinestiff", __version__)
@@ -195,6 +191,7 @@ def doctor_table() -> Table:
     for name in LIBRARIES:
         table.add_row(name, _installed(name) or "MISSING: pip install it")
     table.add_row("sparse solver in use", default_backend())
+    table.add_row("threads", str(threads()))
     for name, use in EXTRAS.items():
         table.add_row(f"{name} (optional)", _installed(name) or f"not installed; needed for {escape(use)}")
     for mesh in ("coarse", "fine"):

@@ -23,6 +23,7 @@ from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.places import shoulder_force
+from spinestiff.parallel import in_parallel
 
 if TYPE_CHECKING:
     from spinestiff.mechanics.sensitivity import Linearisation
@@ -174,9 +175,9 @@ class TrialSet:
         EquilibriumError : a trial has none.
         """
         acts = np.zeros((len(self.trials), len(ACTS))) if acts is None else acts
-        found, parts, tangents = [], [], []
         self._tangents = None
-        for i, (trial, target) in enumerate(zip(self.trials, self.targets)):
+
+        def solved(i: int) -> tuple[Equilibrium, Linearisation | None] | EquilibriumError:
             start: TorsoState | Linearisation | None = None if starts is None else starts[i]
             if near is not None:
                 start = near.equilibria[i].state
@@ -185,36 +186,44 @@ class TrialSet:
             problem, load, ratios = self._asked(i, log_ratios, acts[i])
             try:
                 if linearised:
-                    equilibrium, tangent = problem.solve_linearised(load, ratios, start=start)
-                    tangents.append(tangent)
-                else:
-                    equilibrium = problem.solve(load, ratios, start=start)
+                    return problem.solve_linearised(load, ratios, start=start)
+                return problem.solve(load, ratios, start=start), None
             except EquilibriumError as error:
-                raise EquilibriumError(f"{trial.label or f'trial {i + 1}'}: {error}") from None
+                return error
+
+        found, parts, tangents = [], [], []
+        for i, outcome in enumerate(in_parallel(solved, range(len(self.trials)))):
+            label = self.trials[i].label or f"trial {i + 1}"
+            if isinstance(outcome, EquilibriumError):
+                raise EquilibriumError(f"{label}: {outcome}")
+            equilibrium, tangent = outcome
             self.cost.equilibria += 1
             self.cost.newton_iterations += equilibrium.iterations
             self.cost.factorisations += equilibrium.factorisations
             if not equilibrium.converged:
-                raise EquilibriumError(f"{trial.label or f'trial {i + 1}'}: {equilibrium.status.value}")
+                raise EquilibriumError(f"{label}: {equilibrium.status.value}")
             found.append(equilibrium)
-            parts.append(residuals(problem.torso, target, equilibrium.state))
+            parts.append(residuals(self.problems[i].torso, self.targets[i], equilibrium.state))
+            if tangent is not None:
+                tangents.append(tangent)
         point = Evaluation(np.array(log_ratios), np.array(acts), tuple(found), tuple(parts))
         self._tangents = (point, tangents) if linearised else None
         return point
 
     def slope(self, point: Evaluation, with_acts: bool = False) -> Slope:
         """Forward sensitivities (Eq. 6) at a point, of ratios and, ``with_acts``, of what is not quite known."""
-        tangents, moves, acted = [], [], []
-        for i in range(len(self.trials)):
-            linearisation = self._linearise(point, i)
-            tangents.append(linearisation)
+        count = len(self.groups)
+
+        def of_trial(i: int) -> tuple[Linearisation, Floats, Floats]:
+            linearisation = self._linearised(point, i)
             if not with_acts:
-                moves.append(linearisation.forward(self.groups))
-                continue
+                return linearisation, linearisation.forward(self.groups), np.empty(0)
             both = linearisation.forward((*self.groups, *self._scaled))
-            moves.append(both[:, : len(self.groups)])
-            acted.append(self._acted(i, linearisation, point.acts[i], both[:, len(self.groups) :]))
-        return Slope(tuple(tangents), tuple(moves), tuple(acted) if with_acts else None)
+            return linearisation, both[:, :count], self._acted(i, linearisation, point.acts[i], both[:, count:])
+
+        self._count_linearised(point)
+        tangents, moves, acted = zip(*in_parallel(of_trial, range(len(self.trials))))
+        return Slope(tangents, moves, acted if with_acts else None)
 
     def jacobian(self, point: Evaluation, slope: Slope) -> Floats:
         """(n, P) of the stacked equally weighed residuals in log ratio."""
@@ -222,11 +231,13 @@ class TrialSet:
 
     def gradient(self, point: Evaluation) -> Floats:
         """df/d log ratio by the adjoint (Eqs. 7, 10)."""
-        total = np.zeros(len(self.groups))
-        for i, part in enumerate(point.residuals):
-            g = part.gradient(point.equilibria[i].state.dofs)
-            total += self._linearise(point, i).adjoint(g, self.groups)
-        return total
+
+        def of_trial(i: int) -> Floats:
+            g = point.residuals[i].gradient(point.equilibria[i].state.dofs)
+            return self._linearised(point, i).adjoint(g, self.groups)
+
+        self._count_linearised(point)
+        return np.asarray(np.sum(in_parallel(of_trial, range(len(self.trials))), axis=0))
 
     def note(self, log_ratios: Floats, loss: float, point: Evaluation | None, accepted: bool) -> None:
         """Keep an evaluation, and tell it."""
@@ -242,10 +253,14 @@ class TrialSet:
         """Problem, load and ratios of a trial with its acts (len(ACTS),)."""
         return acted(self.problems[i], self.trials[i].load, self.ratios(log_ratios), acts, self._changes[i])
 
-    def _linearise(self, point: Evaluation, i: int) -> Linearisation:
+    def _count_linearised(self, point: Evaluation) -> None:
+        """Count the factorisations that ``_linearised`` of all trials takes."""
+        if self._tangents is None or self._tangents[0] is not point:
+            self.cost.factorisations += len(self.trials)
+
+    def _linearised(self, point: Evaluation, i: int) -> Linearisation:
         if self._tangents is not None and self._tangents[0] is point:
             return self._tangents[1][i]
-        self.cost.factorisations += 1
         problem, load, ratios = self._asked(i, point.log_ratios, point.acts[i])
         return problem.linearise(point.equilibria[i], load, ratios)
 

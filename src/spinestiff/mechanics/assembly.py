@@ -140,7 +140,7 @@ def build_pattern(pairs: Ints, sizes: Ints) -> Pattern:
     return Pattern(indptr, indices, keys, offsets, entities)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _fill_indices(indices, indptr, keys, offsets, sizes, first_dof, entities):  # type: ignore[no-untyped-def]
     for p in range(len(keys)):
         column, row = keys[p] // entities, keys[p] % entities
@@ -150,7 +150,7 @@ def _fill_indices(indices, indptr, keys, offsets, sizes, first_dof, entities):  
                 indices[base + r] = first_dof[row] + r
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _scatter_dense_blocks(data, indptr, blocks, row_dof, column_dof, offset):  # type: ignore[no-untyped-def]
     """Add dense (n, 6, 6) bone blocks, given as row >= column; a diagonal block adds its lower triangle."""
     for p in range(len(blocks)):

@@ -101,7 +101,7 @@ def symmetric_product(indptr: Ints, indices: Ints, lower: Floats, x: Floats) -> 
     return _symmetric_product(indptr, indices, lower, columns).reshape(x.shape)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _symmetric_product(indptr, indices, lower, x):  # type: ignore[no-untyped-def]
     y = np.zeros_like(x)
     for column in range(len(indptr) - 1):

@@ -291,7 +291,7 @@ def _harmonic_weights(torso: TorsoModel) -> Floats:
     return Analysis(indptr, row[by_column]).factor(values[by_column]).solve(rhs)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _polar(matrices):  # type: ignore[no-untyped-def]
     """The rotation nearest to each (3, 3), in place, by Newton-Schulz steps; the identity where there is none near."""
     off, step = np.empty((3, 3)), np.empty((3, 3))
@@ -322,7 +322,7 @@ def _polar(matrices):  # type: ignore[no-untyped-def]
     return matrices
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _push_tree(order, parent, arm, gap, strain, rows):  # type: ignore[no-untyped-def]
     # Turns in rows[:, 3:] are given; displacements follow from the parents and the strains.
     for b in order:
@@ -334,7 +334,7 @@ def _push_tree(order, parent, arm, gap, strain, rows):  # type: ignore[no-untype
                 rows[b, i] += rows[p, i] + rows[p, 3 + j] * gap[b, k] - rows[p, 3 + k] * gap[b, j]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _pull_tree(order, parent, arm, gap, axes, rows, y):  # type: ignore[no-untyped-def]
     # Forces and moments in ``rows`` are handed down to the roots; y[:, :3] takes each joint's force.
     for n in range(len(order) - 1, -1, -1):
@@ -349,7 +349,7 @@ def _pull_tree(order, parent, arm, gap, axes, rows, y):  # type: ignore[no-untyp
             rows[b, 3 + i] -= arm[b, j] * rows[b, k] - arm[b, k] * rows[b, j]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _move_tree(order, parent, arm, gap, turn, strain, before, after):  # type: ignore[no-untyped-def]
     for b in order:
         p = parent[b]

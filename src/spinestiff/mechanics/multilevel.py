@@ -187,7 +187,7 @@ class TwoLevelFactor(Factor):
         return symmetric_product(self._lower.indptr, self._lower.indices, self._lower.data, x)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _gauss_seidel(indptr, indices, lower, r):  # type: ignore[no-untyped-def]
     """(D + L)^-T D (D + L)^-1 r for the compressed columns of a lower triangle, diagonal first."""
     z = r.copy()

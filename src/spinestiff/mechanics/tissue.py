@@ -86,7 +86,7 @@ def element_data(mesh: TissueMesh) -> ElementData:
     return ElementData(elements, np.ascontiguousarray(gradients), determinant * weights / 6.0, deformable)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _deformation(x, elements, gradients, t, q, f, g):  # type: ignore[no-untyped-def]
     """F into ``f``, F^-T into ``g``; returns J."""
     for i in range(3):
@@ -114,7 +114,7 @@ def _deformation(x, elements, gradients, t, q, f, g):  # type: ignore[no-untyped
     return det
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def element_energies(x, elements, gradients, weights):  # type: ignore[no-untyped-def]
     """(T, 2) energy per unit mu and per unit lambda, mm3; and (T,) smallest J. Infinite where J <= 0."""
     t_count, q_count = weights.shape
@@ -137,7 +137,7 @@ def element_energies(x, elements, gradients, weights):  # type: ignore[no-untype
     return energy, smallest
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def element_gradients(x, elements, gradients, weights):  # type: ignore[no-untyped-def]
     """(T, 2, n, 3) gradient of the energy per unit mu and per unit lambda, mm2."""
     t_count, q_count = weights.shape
@@ -161,7 +161,7 @@ def element_gradients(x, elements, gradients, weights):  # type: ignore[no-untyp
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def element_gradient_products(x, elements, gradients, weights, direction):  # type: ignore[no-untyped-def]
     """(T, 2) the gradients of ``element_gradients`` times nodal values ``direction`` (N, 3)."""
     t_count, q_count = weights.shape
@@ -180,7 +180,7 @@ def element_gradient_products(x, elements, gradients, weights, direction):  # ty
     return out
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def element_hessians(x, elements, gradients, weights, mu, lam):  # type: ignore[no-untyped-def]
     """(T, n (n + 1) / 2, 3, 3) Hessian blocks of the node pairs a >= b, row by row, in N/mm."""
     t_count, q_count = weights.shape
@@ -247,7 +247,7 @@ def projected_element_hessians(x: Floats, data: ElementData, mu: Floats, lam: Fl
     return np.ascontiguousarray(full[:, *np.tril_indices(n)])
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _scatter_elements(data, indptr, hessians, elements, entity, first_dof, arms, bones, offsets):  # type: ignore[no-untyped-def]
     """Add element Hessians (T, pairs, 3, 3) as ``element_hessians``, pulling tied nodes back to their bones.
 
@@ -294,7 +294,7 @@ def _scatter_elements(data, indptr, hessians, elements, entity, first_dof, arms,
                             data[base + r] += block[r, k]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _add_to_nodes(nodes, elements, parts, mu, lambda_):  # type: ignore[no-untyped-def]
     for t in range(len(elements)):
         for a in range(elements.shape[1]):

@@ -19,6 +19,7 @@ from spinestiff.mechanics.places import SupportPlace, shifted_shoulder
 from spinestiff.mechanics.result import Equilibrium
 from spinestiff.mechanics.supports import SPRING_STIFFNESS, SupportKind, Supports, three_point_supports
 from spinestiff.mechanics.terms import PointSprings
+from spinestiff.parallel import in_parallel
 from spinestiff.words import counted
 
 PAD = SPRING_STIFFNESS[SupportKind.SHOULDER]
@@ -133,7 +134,7 @@ def support_stiffness(
     if not give.obliquity_deg and not give.shoulder_mm:
         return SupportStiffness(None, PAD)
     places = _Places(torso, side, pushes, ratios, give)
-    belts, pads = zip(*(places.both(push) for push in range(len(pushes))))
+    belts, pads = zip(*in_parallel(places.both, range(len(pushes))))
     belt, pad = max(0.0, *belts), max(0.0, *pads)
     if not give.shoulder_mm:
         return SupportStiffness(belt if give.obliquity_deg else None, PAD)

@@ -26,6 +26,7 @@ from spinestiff.files import write_bytes
 from spinestiff.imaging.features import state_features, vertebra_rows
 from spinestiff.mechanics.equilibrium import Equilibrium
 from spinestiff.observer import Observer
+from spinestiff.parallel import in_parallel
 from spinestiff.study.trials import PushSet, PushTrial
 
 REST = "rest"
@@ -186,26 +187,34 @@ def predict(
     known : what is solved already.
     everywhere : models of all frames; the others predict the frames held out only.
     """
-    solved = dict(known)
-    last: dict[tuple[str, str], TorsoState] = {}
     items = sorted((t for t in pushes.trials if t.force_n > 0.0), key=lambda t: (t.push, t.force_n))
     acts = {name: predicted_acts(pushes, items, model) for name, model in models.items()}
-    for number, item in enumerate(items):
-        for name, model in models.items():
-            key = (item.push, item.frame, name)
-            if name not in everywhere and item.role != "validation":
+
+    def of_push(chain: tuple[str, str]) -> dict[Key, Solved]:
+        push, name = chain
+        found: dict[Key, Solved] = {}
+        last: TorsoState | None = None
+        for number, item in enumerate(items):
+            if item.push != push or (name not in everywhere and item.role != "validation"):
                 continue
-            if key not in solved:
-                say(f"push '{item.push}' frame {item.frame}: {name} at {item.force_n:.0f} N")
-                asked, load, ratios = acted(
-                    pushes.problems[item.push], item.trial.load, model.ratios, acts[name][number]
-                )
-                solution = asked.solve(load, ratios, last.get((item.push, name)))
+            key = (push, item.frame, name)
+            here = known.get(key)
+            if here is None:
+                say(f"push '{push}' frame {item.frame}: {name} at {item.force_n:.0f} N")
+                ratios, own = models[name].ratios, acts[name][number]
+                asked, load, ratios = acted(pushes.problems[push], item.trial.load, ratios, own)
+                solution = asked.solve(load, ratios, last)
                 if not solution.converged:
                     say(f"{item.trial.label}: no prediction by '{name}': {solution.status.value}")
                     continue
-                solved[key] = Solved.of(solution)
-            last[item.push, name] = solved[key].state
+                here = found[key] = Solved.of(solution)
+            last = here.state
+        return found
+
+    chains = [(push, name) for push in dict.fromkeys(item.push for item in items) for name in models]
+    solved = dict(known)
+    for found in in_parallel(of_push, chains):
+        solved |= found
     return predictions_of(pushes, solved)
 
 
@@ -280,22 +289,24 @@ def with_fitted_supports(predictions: Predictions, model: Model) -> Predictions:
     It says how much of a prediction's error the supports may be, and is no prediction. Nothing is added where supports
     are no unknowns.
     """
-    pushes, solved = predictions.pushes, dict(stored(predictions))
+    pushes = predictions.pushes
     frames = [f for f in predictions.of_role("validation") if "fit" in f.solved]
     acts = predicted_acts(pushes, [frame.item for frame in frames], model)
     places = [ACTS.index(name) for name in PLACING]
     priors = pushes.known.priors
     sds = np.array([np.deg2rad(priors.obliquity_deg), priors.shoulder_mm])
-    for frame, expected in zip(frames, acts):
+    if not sds.all():
+        return predictions
+
+    def fitted(which: int) -> Solved | None:
+        frame, expected = frames[which], acts[which]
         item, problem = frame.item, pushes.problems[frame.item.push]
-        if not sds.all():
-            continue
         found, state = expected.copy(), frame.solved["fit"].state
         for _ in range(FITTED_ROUNDS):
             asked, load, ratios = acted(problem, item.trial.load, model.ratios, found)
             equilibrium = asked.solve(load, ratios, state)
             if not equilibrium.converged:
-                break
+                return None
             state, part = equilibrium.state, residuals(pushes.torso, frame.target, equilibrium.state)
             columns = part.along(asked.linearise(equilibrium, load, ratios).place_derivative()) * sds
             away = (found[places] - expected[places]) / sds
@@ -303,6 +314,10 @@ def with_fitted_supports(predictions: Predictions, model: Model) -> Predictions:
             rows = np.vstack([columns / priors.annotation_mm, np.eye(2)])
             step = np.linalg.lstsq(rows, -np.concatenate([part.values / priors.annotation_mm, away]), rcond=None)[0]
             found[places] += sds * step
-        else:
-            solved[item.push, item.frame, "fitted_supports"] = Solved.of(equilibrium)
+        return Solved.of(equilibrium)
+
+    solved = dict(stored(predictions))
+    for frame, found in zip(frames, in_parallel(fitted, range(len(frames)))):
+        if found is not None:
+            solved[frame.item.push, frame.item.frame, "fitted_supports"] = found
     return predictions_of(pushes, solved)

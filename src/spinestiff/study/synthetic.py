@@ -33,6 +33,7 @@ from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.places import place_of_pelvis
 from spinestiff.mechanics.supports import Supports
 from spinestiff.observer import Observer
+from spinestiff.parallel import in_parallel
 from spinestiff.personalise.quality import mesh_quality
 from spinestiff.personalise.rebuild import NODES
 from spinestiff.personalise.shape import place_vertebrae
@@ -216,20 +217,23 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     largest = [rib_push(torso, side, push.level, recipe.force_n) for push in recipe.pushes]
     stiffness = support_stiffness(torso, side, largest, ratios, give)
     problem = EquilibriumProblem(torso, elastic_supports(torso, side, stiffness))
+
     # All equilibria before the first file: a push that the torso can't carry leaves nothing behind.
-    states: dict[str, list[TorsoState]] = {}
-    for push in recipe.pushes:
-        states[push.id], state = [], torso.rest_pose
+    def pushed(push: SyntheticPush) -> list[TorsoState]:
+        states = [torso.rest_pose]
         for share in push.shares:
             force = share * recipe.force_n
             say(f"push '{push.id}': equilibrium at {force:.0f} N")
-            state = problem.solve(rib_push(torso, side, push.level, force), ratios, state).require().state
-            states[push.id].append(state)
+            found = problem.solve(rib_push(torso, side, push.level, force), ratios, states[-1])
+            states.append(found.require().state)
+        return states[1:]
+
+    states = in_parallel(pushed, recipe.pushes)
     say("rendering the rest radiographs")
     maker.rest_images()
-    for push in recipe.pushes:
+    for push, own in zip(recipe.pushes, states):
         say(f"push '{push.id}': rendering {len(push.shares)} radiographs")
-        maker.push(push, states[push.id], problem.supports)
+        maker.push(push, own, problem.supports)
     return maker.finish({"lateral_bending": bending, "tissue": tissue}, give, stiffness)
 
 
@@ -363,7 +367,7 @@ class _Acquisition:
         self, states: list[TorsoState], view: XRayView, how: Acquisition, gauge: Gauge | None = None
     ) -> np.ndarray:
         seed = int(self.random.integers(2**31))
-        return np.stack(list(acquire(self.torso, states, view, how, person=self.recipe.seed, seed=seed, gauge=gauge)))
+        return np.stack(acquire(self.torso, states, view, how, person=self.recipe.seed, seed=seed, gauge=gauge))
 
     def _write(
         self, path: Path, pixels: np.ndarray, view: XRayView, orientation: tuple[str, str], description: str

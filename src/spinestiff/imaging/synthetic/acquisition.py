@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from spinestiff.imaging.synthetic.detector import Exposure, expose
 from spinestiff.imaging.synthetic.gauge import gauge_pad
 from spinestiff.imaging.synthetic.rendering import thicknesses
 from spinestiff.imaging.synthetic.torso_absorbers import torso_absorbers
+from spinestiff.parallel import in_parallel
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ def acquire(
     person: int = 0,
     seed: int = 0,
     gauge: Gauge | None = None,
-) -> Iterator[NDArray[np.uint16]]:
+) -> list[NDArray[np.uint16]]:
     """Radiographs (H, W) of a torso's states, one a frame, bone bright.
 
     What a torso's vertebrae do is in the states alone; breathing moves ribs, sternum and diaphragm on top of them.
@@ -96,7 +97,9 @@ def acquire(
     start = float(random.uniform(0.0, 2.0 * np.pi))
     breathing = acquisition.breathing or Breathing(rise=0.0, diaphragm=0.0)
     open_beam = acquisition.collimation.open_beam(view)
-    for number, state in enumerate(states):
+
+    def frame(number: int) -> NDArray[np.uint16]:
+        state = states[number]
         own = np.random.default_rng([seed, number])
         phase = breathing.phase(number * acquisition.frame_time, start)
         shown = breathed(torso, state, breathing.rise * phase) if breathing.rise > 0.0 else state
@@ -107,4 +110,6 @@ def acquire(
         drift = float(np.exp(acquisition.exposure_drift * own.standard_normal()))
         exposure = replace(acquisition.exposure, factor=acquisition.exposure.factor * drift)
         noise = int(own.integers(2**31))
-        yield expose(thicknesses(bodies, view, acquisition.samples), view, exposure, noise, open_beam)
+        return expose(thicknesses(bodies, view, acquisition.samples), view, exposure, noise, open_beam)
+
+    return in_parallel(frame, range(len(states)))

@@ -144,7 +144,7 @@ def offsets(view: XRayView, rows: slice, columns: slice) -> tuple[Floats, Floats
     return u, v
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _product_error(a, b, product):  # type: ignore[no-untyped-def]
     """``a * b - product`` exactly (Dekker's product)."""
     c = 134217729.0 * a
@@ -156,7 +156,7 @@ def _product_error(a, b, product):  # type: ignore[no-untyped-def]
     return ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _turn(ax, ay, bx, by, px, py):  # type: ignore[no-untyped-def]
     """Sign of (b - a) x (p - a), exact for points of the grid."""
     dx, dy, ex, ey = bx - ax, by - ay, px - ax, py - ay
@@ -167,7 +167,7 @@ def _turn(ax, ay, bx, by, px, py):  # type: ignore[no-untyped-def]
     return 1 if first > second else (-1 if first < second else 0)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _side(ax, ay, bx, by, px, py):  # type: ignore[no-untyped-def]
     """``_turn`` of p nudged by (eps, eps^2), so that a p on an edge belongs to one of its two triangles."""
     turn = _turn(ax, ay, bx, by, px, py)
@@ -178,7 +178,7 @@ def _side(ax, ay, bx, by, px, py):  # type: ignore[no-untyped-def]
     return 1 if bx > ax else -1
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _scan(pixels, ahead, faces, handed, column0, row0, length, moment):  # type: ignore[no-untyped-def]
     """Add sign x depth and sign x depth^2 / 2 of every triangle at the pixel centres it covers."""
     height, width = length.shape
@@ -216,7 +216,7 @@ def _scan(pixels, ahead, faces, handed, column0, row0, length, moment):  # type:
                 moment[row - row0, column - column0] += 0.5 * sign * depth * depth
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _finish(length, moment, u, v, distance, nowhere):  # type: ignore[no-untyped-def]
     """From depths along the detector's normal to lengths along the rays, from moments to middles."""
     for row in range(length.shape[0]):

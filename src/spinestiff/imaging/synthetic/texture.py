@@ -46,7 +46,7 @@ def pattern(shadow: Shadow, texture: Texture, view: XRayView) -> Floats:
     return values
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _lattice(i, j, k, seed):  # type: ignore[no-untyped-def]
     """A number in [-1, 1) that depends on a lattice point only (splitmix64)."""
     h = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F)
@@ -57,7 +57,7 @@ def _lattice(i, j, k, seed):  # type: ignore[no-untyped-def]
     return float(h >> np.uint64(11)) / 4503599627370496.0 - 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _noise(x, y, z, seed):  # type: ignore[no-untyped-def]
     """Smooth noise with one random value a unit cell."""
     i, j, k = np.floor(x), np.floor(y), np.floor(z)
@@ -74,7 +74,7 @@ def _noise(x, y, z, seed):  # type: ignore[no-untyped-def]
     return value
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _sample_noise(u, v, length, middle, distance, start, axes, grain, seed, values):  # type: ignore[no-untyped-def]
     """Three octaves of noise where each ray's inside has its middle, in the body's frame."""
     for row in range(length.shape[0]):

@@ -1,0 +1,63 @@
+"""Independent pieces of work on several threads, which factorisations and compiled kernels leave the interpreter to."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from threading import local
+from typing import TypeVar
+
+from spinestiff.errors import OptionError
+
+VARIABLES = ("SPINESTIFF_THREADS", "OMP_NUM_THREADS")
+"""Of the environment: how many threads, the first that is set."""
+
+Piece = TypeVar("Piece")
+Result = TypeVar("Result")
+_here = local()
+
+
+def threads() -> int:
+    """How many threads work side by side: what the environment says, else as many as there are processors to run on.
+
+    Raises
+    ------
+    OptionError : SPINESTIFF_THREADS is no whole number above 0.
+    """
+    for name in VARIABLES:
+        said = os.environ.get(name, "").strip()
+        if said.isdecimal() and int(said) > 0:
+            return int(said)
+        if said and name == VARIABLES[0]:
+            raise OptionError(f"{name}={said}: wanted a whole number above 0, e.g. {name}=2")
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def in_parallel(function: Callable[[Piece], Result], pieces: Iterable[Piece]) -> list[Result]:
+    """``function`` of each piece, in their order; results do not depend on the number of threads.
+
+    Inside a piece everything runs on its own thread, so that nested calls do not multiply threads.
+
+    Raises
+    ------
+    What ``function`` raises for the first piece, in their order, for which it does.
+    """
+    todo = list(pieces)
+    count = 1 if getattr(_here, "busy", False) else min(threads(), len(todo))
+    if count <= 1:
+        return [function(piece) for piece in todo]
+
+    def alone(piece: Piece) -> Result:
+        _here.busy = True
+        return function(piece)
+
+    with ThreadPoolExecutor(count, "spinestiff") as pool:
+        waiting = [pool.submit(alone, piece) for piece in todo]
+        try:
+            return [one.result() for one in waiting]
+        finally:
+            for one in waiting:
+                one.cancel()

@@ -1,0 +1,73 @@
+"""Pieces of work side by side: the same results and errors whatever the number of threads."""
+
+from __future__ import annotations
+
+from threading import Barrier, current_thread
+
+import pytest
+
+from spinestiff.errors import OptionError
+from spinestiff.parallel import VARIABLES, in_parallel, threads
+
+
+@pytest.fixture(autouse=True)
+def unset(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.mark.parametrize("count", ["1", "4"])
+def test_results_come_in_the_order_of_the_pieces(monkeypatch: pytest.MonkeyPatch, count: str) -> None:
+    monkeypatch.setenv("SPINESTIFF_THREADS", count)
+    assert in_parallel(lambda i: i * i, range(9)) == [i * i for i in range(9)]
+    assert in_parallel(lambda i: i, []) == []
+
+
+def test_pieces_run_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPINESTIFF_THREADS", "3")
+    meeting = Barrier(3, timeout=20.0)
+    assert len(set(in_parallel(lambda _: (meeting.wait(), current_thread().name)[1], range(3)))) == 3
+
+
+def test_pieces_of_a_piece_stay_on_its_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPINESTIFF_THREADS", "2")
+
+    def inner(_: int) -> str:
+        return current_thread().name
+
+    def outer(_: int) -> set[str]:
+        return {current_thread().name, *in_parallel(inner, range(4))}
+
+    assert [len(names) for names in in_parallel(outer, range(4))] == [1] * 4
+    assert current_thread().name not in in_parallel(inner, range(4))  # and the caller is free for others again
+
+
+@pytest.mark.parametrize("count", ["1", "4"])
+def test_the_first_piece_that_fails_is_told(monkeypatch: pytest.MonkeyPatch, count: str) -> None:
+    monkeypatch.setenv("SPINESTIFF_THREADS", count)
+
+    def fails(i: int) -> int:
+        if i in (2, 3):
+            raise ValueError(f"piece {i}")
+        return i
+
+    with pytest.raises(ValueError, match="piece 2"):
+        in_parallel(fails, range(6))
+
+
+def test_the_environment_says_how_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert threads() >= 1
+    monkeypatch.setenv("OMP_NUM_THREADS", "5")
+    assert threads() == 5
+    monkeypatch.setenv("SPINESTIFF_THREADS", "3")
+    assert threads() == 3
+    monkeypatch.setenv("OMP_NUM_THREADS", "2,1")  # OpenMP's lists are no number of ours
+    monkeypatch.delenv("SPINESTIFF_THREADS")
+    assert threads() >= 1
+
+
+@pytest.mark.parametrize("said", ["0", "-2", "two", "1.5"])
+def test_what_is_no_number_of_threads_is_refused(monkeypatch: pytest.MonkeyPatch, said: str) -> None:
+    monkeypatch.setenv("SPINESTIFF_THREADS", said)
+    with pytest.raises(OptionError, match=f"SPINESTIFF_THREADS={said}: wanted a whole number above 0"):
+        in_parallel(abs, [1])
