@@ -10,17 +10,21 @@ import pytest
 
 from spinestiff.study.wording import (
     MISSING,
+    PLAIN,
     UNKNOWNS,
     badge,
     best_known_text,
     estimated,
     factor95,
     fixed,
+    headline,
     interval,
     listed,
     most_costly,
     number,
     response_lines,
+    short_span,
+    span_in_words,
     uncertainty_lines,
 )
 from spinestiff.subject.folder import read_subject
@@ -32,7 +36,9 @@ from spinestiff.subject.outcomes import (
     Estimate,
     Flexibility,
     ForcePerDegree,
+    PlainStiffness,
     PushResponse,
+    RatioEstimate,
     Responses,
     SupportPlaceRecord,
 )
@@ -52,6 +58,54 @@ def quantity(value, low, high, opens=(False, False)):
 )  # fmt: skip
 def test_number(value, text):
     assert number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("found", "short", "words"),
+    [
+        (quantity(3.8, 3.0, 4.8), "3.8", "3.8 kPa, between 3.0 and 4.8 kPa (95 %)"),
+        (quantity(3.8, 1.0, 8.0), "1.0 to 8.0", "between 1.0 and 8.0 kPa (95 %), most probably 3.8"),
+        (quantity(20.0, 0.3, 98.0), "0.30 to 98", "not fixed by the radiographs: between 0.30 and 98 kPa (95 %)"),
+        (quantity(3.8, 0.3, 5.1, (True, False)), "≤ 0.3 to 5.1", "at most 5.1 kPa (95 %), no lower end"),
+        (quantity(3.8, 2.0, 50.0, (False, True)), "2.0 to ≥ 50", "at least 2.0 kPa (95 %), no upper end"),
+        (
+            quantity(3.8, 0.3, 50.0, (True, True)), "≤ 0.3 to ≥ 50",
+            "not fixed by the radiographs: anything that the fit allows, 0.3 to 50 kPa",
+        ),
+        (quantity(3.8, None, None), "3.8", "3.8 kPa, no intervals"),
+    ],
+)  # fmt: skip
+def test_a_span_in_words(found, short, words):
+    assert short_span(found) == short and span_in_words(found, "kPa") == words
+
+
+def told(parameters, determined="determined", **plain):
+    """Lines of the headline; ``plain``: quantity and the ratio that scales it."""
+    nothing = quantity(1.0, None, None), None
+    rows = {
+        name: PlainStiffness(**found.model_dump(), unit="kPa", ratio=ratio)
+        for name, (found, ratio) in ((name, plain.get(name, nothing)) for name in PLAIN)
+    }
+    of_one = {**quantity(3.8, 3.0, 4.8).model_dump(), "at_bound": False, "determined": determined}
+    ratios = {name: RatioEstimate(**of_one) for name in parameters}
+    return headline(SimpleNamespace(plain=rows, parameters=parameters, ratios=ratios))
+
+
+def test_the_headline_is_in_plain_units_as_far_as_there_are_some():
+    closed = quantity(3.8, 3.0, 4.8)
+    line = "Young's modulus of the trunk's soft tissue: 3.8 kPa, between 3.0 and 4.8 kPa (95 %)"
+    assert told(("tissue",), tissue_young=(closed, "tissue")) == [line]
+    rotation = "axial_rotation: 3.8 times the default stiffness, between 3.0 and 4.8 times the default stiffness (95 %)"
+    assert told(("tissue", "axial_rotation"), tissue_young=(closed, "tissue")) == [line, rotation]
+    # Several ratios that scale one stiffness are not told one by one.
+    assert told(("tissue@thorax", "tissue@abdomen"), tissue_young=(closed, None)) == [line]
+    assert "not fixed by the radiographs" in told(("tissue",), "not determined", tissue_young=(closed, "tissue"))[0]
+
+
+def test_data_that_do_not_determine_a_ratio_are_not_told_by_its_interval():
+    found = quantity(3.8, 3.0, 4.8)
+    assert short_span(found, "not determined") == "3.0 to 4.8"
+    assert span_in_words(found, "kPa", "not determined").startswith("not fixed by the radiographs: ")
 
 
 @pytest.mark.parametrize(("value", "text"), [(0.05, "0.050"), (0.234, "0.23"), (5.0, "5.0"), (71.4, "71")])

@@ -549,13 +549,15 @@ def _print_response(visit: Any) -> None:
 
 def _print_estimate(visit: Any) -> None:
     from spinestiff.app import tables
-    from spinestiff.study.wording import held_lines, uncertainty_lines
+    from spinestiff.study.wording import headline, held_lines, uncertainty_lines
     from spinestiff.subject.outcomes import Estimate
     from spinestiff.subject.run_record import read_outcome
 
     estimate = read_outcome(visit.subject, Estimate)
     for check in estimate.failed:
         typer.echo(f"DOUBTFUL: {check.name}: {check.text}")
+    for line in headline(estimate):
+        typer.echo(line)
     tables.show(tables.estimate_table(estimate))
     for line in (*held_lines(estimate), *uncertainty_lines(estimate)):
         typer.echo(line)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 
-from spinestiff.subject.outcome_parts import Quantity
+from spinestiff.anatomy.regions import AT
+from spinestiff.subject.outcome_parts import Determination, Quantity
 from spinestiff.subject.outcomes import (
     AngleResponse,
     BudgetRecord,
@@ -78,6 +79,68 @@ def interval(quantity: Quantity) -> str:
         else number(quantity.high, 2)
     )
     return f"{first} to {last}"
+
+
+def span_in_words(quantity: Quantity, unit: str, determined: Determination | None = None) -> str:
+    """What is known of a quantity as half a sentence: where the radiographs don't fix it a range, never a number alone.
+
+    E.g. "3.8 kPa, between 3.0 and 4.8 kPa (95 %)", "between 1.9 and 6.9 kPa (95 %), most probably 3.8", "at most 5.1
+    N m/rad (95 %), no lower end", "not fixed by the radiographs: between 2.6 and 98 N m/rad (95 %)".
+
+    Parameters
+    ----------
+    determined : how far the data do, where the interval is not theirs alone; default: by the interval.
+    """
+    value, low, high = estimated(quantity), quantity.low, quantity.high
+    if low is None or high is None:
+        return f"{value} {unit}, {NO_INTERVALS}"
+    if quantity.open_low and quantity.open_high:
+        return f"not fixed by the radiographs: anything that the fit allows, {_bound(low)} to {_bound(high)} {unit}"
+    if quantity.open_low:
+        return f"at most {number(high, 2)} {unit} (95 %), no lower end"
+    if quantity.open_high:
+        return f"at least {number(low, 2)} {unit} (95 %), no upper end"
+    ends = f"between {number(low, 2)} and {number(high, 2)} {unit} (95 %)"
+    determined = determined or quantity.determination
+    if determined == "determined":
+        return f"{value} {unit}, {ends}"
+    if determined == "weakly determined":
+        return f"{ends}, most probably {value}"
+    return f"not fixed by the radiographs: {ends}"
+
+
+def short_span(quantity: Quantity, determined: Determination | None = None) -> str:
+    """The value if it is determined or has no interval, else the interval (``determined``: see ``span_in_words``)."""
+    alone = (determined or quantity.determination) == "determined" or (quantity.low is None and quantity.high is None)
+    return estimated(quantity) if alone else interval(quantity)
+
+
+PLAIN = {
+    "lateral_bending_thoracic": "lateral bending of a thoracic level",
+    "lateral_bending_lumbar": "lateral bending of a lumbar level",
+    "tissue_young": "Young's modulus of the trunk's soft tissue",
+}
+"""Stiffness in plain units (``plain``), in words."""
+IN_PLAIN_UNITS = ("lateral_bending", "intervertebral_bending", "tissue", "everything")
+"""Ratios, of all or of a part of the torso, that scale one of these."""
+TIMES_DEFAULT = "times the default stiffness"
+
+
+def headline(estimate: Estimate) -> list[str]:
+    """What was found, in plain units and words, a line a stiffness that was estimated."""
+    lines = [
+        f"{PLAIN[key]}: {span_in_words(found, found.unit, _of_ratio(estimate, found.ratio))}"
+        for key, found in ((key, estimate.plain[key]) for key in PLAIN)
+        if found.ratio is not None or found.low is not None
+    ]
+    alone = [name for name in estimate.parameters if not lines or name.partition(AT)[0] not in IN_PLAIN_UNITS]
+    return lines + [
+        f"{name}: {span_in_words(estimate.ratios[name], TIMES_DEFAULT, _of_ratio(estimate, name))}" for name in alone
+    ]
+
+
+def _of_ratio(estimate: Estimate, name: str | None) -> Determination | None:
+    return None if name is None else estimate.ratios[name].determined
 
 
 def _bound(value: float) -> str:

@@ -659,7 +659,7 @@ def test_open_intervals_and_doubt_are_shown(odd_html: str) -> None:
     assert "Estimate: doubtful" in words and "These radiographs can't tell" in words
     # What failed stands before any number.
     doubt = words.index("rest and push do not agree")
-    assert words.index("This result is doubtful") < doubt < words.index("times the default stiffness")
+    assert words.index("This result is doubtful") < doubt < words.index("Ratio to the default stiffness")
 
 
 def test_a_result_that_passed_says_no_doubt(page: Page, html: str) -> None:

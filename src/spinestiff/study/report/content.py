@@ -16,6 +16,7 @@ from spinestiff.study.truth import read_truth, true_values
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import (
     MISSING,
+    TIMES_DEFAULT,
     UNMEASURABLE,
     badge,
     best_known_text,
@@ -30,9 +31,11 @@ from spinestiff.study.wording import (
     most_costly,
     number,
     response_texts,
+    short_span,
+    span_in_words,
     unknown_title,
 )
-from spinestiff.subject.outcome_parts import Determination, PoseRecord
+from spinestiff.subject.outcome_parts import Determination, PoseRecord, Quantity
 from spinestiff.subject.outcomes import (
     Assessment,
     Check,
@@ -153,16 +156,22 @@ def result_content(visit: Visit, estimate: Estimate, assessment: Assessment) -> 
     ratios = []
     for name in estimate.parameters:
         ratio = estimate.ratios[name]
+        own = [key for key in PLAIN_TITLES if estimate.plain[key].ratio == name]
+        key = own[0] if own else ""
+        chief: Quantity = estimate.plain[key] if key else ratio
         ratios.append(
             {
                 "title": ratio_title(name),
+                "big": short_span(chief, ratio.determined),
+                "unit": getattr(chief, "unit", TIMES_DEFAULT),
+                "what": PLAIN_TITLES.get(key, ""),
+                "words": span_in_words(chief, getattr(chief, "unit", TIMES_DEFAULT), ratio.determined),
                 "value": estimated(ratio),
-                "percent": number(100.0 * ratio.value, 2),
                 "interval": interval(ratio),
                 "determined": ratio.determined if has_intervals(estimate) else "",
                 "at_bound": ratio.at_bound,
                 "truth": number(truth[name]) if name in truth else "",
-                "plain": _plain_rows(estimate, [key for key in PLAIN_TITLES if estimate.plain[key].ratio == name]),
+                "plain": _plain_rows(estimate, own[1:]),
                 "strip": _strip(name, ratio, estimate.bounds, truth.get(name)),
                 "published": PUBLISHED.get(name),
             }
