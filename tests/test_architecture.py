@@ -54,6 +54,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "rslab": ("mechanics/factor.py",),
     "matplotlib": (
         "study/report/figures.py",
+        "study/report/certainty_pictures.py",
         "study/report/cobb_picture.py",
         "study/report/frame_strip.py",
         "study/report/plan_picture.py",

@@ -7,7 +7,7 @@ from threading import Barrier, current_thread
 import pytest
 
 from spinestiff.errors import OptionError
-from spinestiff.parallel import VARIABLES, in_parallel, threads
+from spinestiff.parallel import VARIABLES, in_parallel, own_threads, threads
 
 
 @pytest.fixture(autouse=True)
@@ -39,6 +39,7 @@ def test_pieces_of_a_piece_stay_on_its_thread(monkeypatch: pytest.MonkeyPatch) -
         return {current_thread().name, *in_parallel(inner, range(4))}
 
     assert [len(names) for names in in_parallel(outer, range(4))] == [1] * 4
+    assert in_parallel(lambda _: own_threads(), range(3)) == [1, 1, 1] and own_threads() == 2
     assert current_thread().name not in in_parallel(inner, range(4))  # and the caller is free for others again
 
 

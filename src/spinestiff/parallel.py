@@ -36,6 +36,11 @@ def threads() -> int:
     return os.cpu_count() or 1
 
 
+def own_threads() -> int:
+    """How many threads a library may use for what is computed here: one inside a piece of work, else all."""
+    return 1 if getattr(_here, "busy", False) else threads()
+
+
 def in_parallel(function: Callable[[Piece], Result], pieces: Iterable[Piece]) -> list[Result]:
     """``function`` of each piece, in their order; results do not depend on the number of threads.
 
@@ -46,7 +51,7 @@ def in_parallel(function: Callable[[Piece], Result], pieces: Iterable[Piece]) ->
     What ``function`` raises for the first piece, in their order, for which it does.
     """
     todo = list(pieces)
-    count = 1 if getattr(_here, "busy", False) else min(threads(), len(todo))
+    count = min(own_threads(), len(todo))
     if count <= 1:
         return [function(piece) for piece in todo]
 

@@ -12,6 +12,8 @@ from spinestiff.app import INTERRUPTED, READER_LEFT, STOPPED
 def main() -> None:
     """Run the command line. Ctrl-C ends it in one line, a reader of its output that left without a word."""
     _open_standard_files()
+    # Threads work on pieces (``parallel``); BLAS, which would split small products again, only waits. Before NumPy.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         from spinestiff.app.cli import main as run
 

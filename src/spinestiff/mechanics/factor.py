@@ -17,6 +17,7 @@ import scipy.sparse.linalg as spla
 
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import EquilibriumError
+from spinestiff.parallel import own_threads
 
 # A free body's six rigid modes pass a factorisation in silence and give |x| ~ 1e15; the residual shows it.
 RESIDUAL_LIMIT = 1e-8
@@ -24,6 +25,8 @@ RESIDUAL_LIMIT = 1e-8
 LARGEST_ROUNDING = 1e-5
 EPSILON = float(np.finfo(float).eps)
 BACKENDS = ("rslab", "superlu")
+# Of one factorisation; more gain nothing at these sizes. The factor is the same for any number.
+MOST_THREADS = 4
 
 
 class _Backend(Protocol):
@@ -153,7 +156,9 @@ class Analysis:
         matrix.data = values * self._scale_of_value
         try:
             backend: _Backend = (
-                _Rslab(self._symbolic.factor(matrix.data)) if self.backend == "rslab" else _SuperLU(matrix)
+                _Rslab(self._symbolic.factor(matrix.data, threads=min(own_threads(), MOST_THREADS)))
+                if self.backend == "rslab"
+                else _SuperLU(matrix)
             )
         except RuntimeError as error:
             raise EquilibriumError(f"the stiffness matrix is singular ({error}); a part is held by nothing") from error

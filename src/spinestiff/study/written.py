@@ -37,6 +37,7 @@ from spinestiff.subject.outcomes import (
     MeshRecord,
     NuisanceRecord,
     PriorChangeRecord,
+    ProfileRecord,
     RatioEstimate,
     Reactions,
     ScanRecord,
@@ -76,6 +77,16 @@ def proposal_record(proposal: Proposal, push: PushRecord) -> FrameProposal:
     )
 
 
+def _profiles(fit: StiffnessFit) -> dict[str, ProfileRecord]:
+    """Of each ratio, in as many places as it was followed through."""
+    if fit.likely is None or not fit.profiled:
+        return {}
+    return {
+        name: ProfileRecord(ratio=np.exp(one.log_ratios).round(8).tolist(), rise=one.rise.round(6).tolist())
+        for name, one in zip(fit.names, fit.likely.profiles)
+    }
+
+
 def _rounded(value: float | None, digits: int) -> float | None:
     return None if value is None or not np.isfinite(value) else round(float(value), digits)
 
@@ -102,6 +113,8 @@ def estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry: 
         parameters=fit.names,
         ratios=ratios,
         intervals="none" if fit.likely is None else "profile" if fit.profiled else "linear",
+        profiles=_profiles(fit),
+        interval_rise=0.5 * region_rise(1) if fit.profiled else None,
         population=visit.population,
         held={} if fit.weighed is None else dict(fit.weighed.held),
         data_sd_log=data_sd,

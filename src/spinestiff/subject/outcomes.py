@@ -456,6 +456,13 @@ class BudgetRecord(Outcome):
     without: dict[str, float]
 
 
+class ProfileRecord(Outcome):
+    """By how much the negative log likelihood is higher along a ratio, others at their most probable."""
+
+    ratio: tuple[float, ...]
+    rise: tuple[float, ...]
+
+
 class PriorChangeRecord(Outcome):
     """The ratios and the standard deviations of their logs with one prior's standard deviation times ``factor``."""
 
@@ -509,6 +516,7 @@ class Estimate(OutcomeFile):
     checks : whether the result can be right.
     ratios : by name, in the order of ``parameters``.
     intervals : how those of the ratios were found: from a "profile" of each, "linear" to first order, or "none".
+    profiles : by ratio; empty without. interval_rise : at which a 95 % interval of one ratio ends.
     population : whose ratios were held as a prior; None: nobody's.
     held : name -> what was held of the ratios before the fit, which is no data. data_sd_log : standard deviation of
         each ratio's log without it, to first order; empty where nothing was held.
@@ -539,6 +547,8 @@ class Estimate(OutcomeFile):
     parameters: tuple[str, ...]
     ratios: dict[str, RatioEstimate]
     intervals: Literal["profile", "linear", "none"] = "profile"
+    profiles: dict[str, ProfileRecord] = Field(default_factory=dict)
+    interval_rise: float | None = None
     population: str | None = None
     held: dict[str, str] = Field(default_factory=dict)
     data_sd_log: dict[str, float] = Field(default_factory=dict)

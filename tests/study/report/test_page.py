@@ -224,6 +224,11 @@ def estimate_record() -> Estimate:
         "parameters": ["lateral_bending", "tissue"],
         "region_size": 6.5,
         "region": region.tolist(),
+        "interval_rise": 1.92,
+        "profiles": {
+            "lateral_bending": {"ratio": [0.16, 0.2, 0.25], "rise": [4.0, 0.0, 4.0]},
+            "tissue": {"ratio": [0.03, 0.05, 0.08], "rise": [3.0, 0.0, 3.0]},
+        },
         "training_rmse_mm": {"default": 7.31, "fit": 1.12},
         "reactions_n": {
             "push": "push 'main' frame 1", "f3": 30.0, "shoulder": 14.6, "pelvis": 15.4,
@@ -359,7 +364,7 @@ def drawn() -> dict[str, list]:
 @pytest.fixture(scope="module")
 def html(visit: Visit, drawn: dict[str, list]) -> str:
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("draw_overlay", "draw_curve_changes", "draw_tilt_changes", "draw_ratio_map"):
+        for name in ("draw_overlay", "draw_curve_changes", "draw_tilt_changes", "draw_ratio_map", "draw_profiles"):
             real = getattr(report, name)
 
             def noted(content, name=name, real=real):
@@ -412,10 +417,10 @@ def test_nothing_is_asked_of_another_host(html: str, page: Page) -> None:
 
 def test_every_picture_is_described_and_lies_beside_the_page(visit: Visit, page: Page) -> None:
     alts = page.all("img", "alt")
-    assert len(alts) == page.tags.count("img") == 8
+    assert len(alts) == page.tags.count("img") == 10
     assert all(len(alt) > 40 for alt in alts)
     files = sorted(path.name for path in visit.file("figures").iterdir())
-    assert len(files) == 8
+    assert len(files) == 10
     assert all(f"figures/{name}" in page.words for name in files)
     for path in visit.file("figures").iterdir():
         assert path.read_bytes().startswith(b"\x89PNG")
@@ -458,6 +463,9 @@ def test_curves_and_tilts_agree_with_the_pushes(html: str, drawn: dict[str, list
     assert tilts[1].level == 5.0 and tilts[2].level == 2.5
     assert tilts[1].simulated["fit"][0] < 0.0 < tilts[1].simulated["fit"][-1]
     np.testing.assert_allclose(tilts[1].measured, tilts[1].simulated["fit"], atol=3.0)
+    bending, tissue = drawn["draw_profiles"][0]
+    assert (bending.estimate, bending.ends, bending.limit) == (0.2, (0.173, 0.231), 1.92)
+    assert bending.curve[:, 1].tolist() == [4.0, 0.0, 4.0] and tissue.curve[1].tolist() == [0.05, 0.0]
     path = drawn["draw_ratio_map"][0].path
     assert path.tolist() == [[1.0, 1.0], [0.4, 0.3], [0.22, 0.08], [0.2, 0.05]]
 
@@ -465,8 +473,9 @@ def test_curves_and_tilts_agree_with_the_pushes(html: str, drawn: dict[str, list
 def test_numbers_stand_in_the_text(page: Page) -> None:
     words = page.words
     for expected in (
-        "made-up-1", "0.20 times", "0.17 to 0.23: determined", "0.050 times", "31 N m/rad", "27 to 36 N m/rad",
-        "50 kPa", "0.034 to 0.074: determined", "34 to 74 kPa", "Estimate: determined",
+        "made-up-1", "0.20, 95 % interval 0.17 to 0.23: determined", "31 N m/rad, between 27 and 36 N m/rad (95 %).",
+        "0.050, 95 % interval 0.034 to 0.074: determined", "50 kPa, between 34 and 74 kPa (95 %).",
+        "Estimate: determined",
         "1 vertebra lost", "incremental about the standing posture, net of gravity and muscle tone",
         "Not for diagnosis", "the back wall pulls at 2 points", "1.3 to 1.8 N m per degree", "T1, T2 and L5", "−0.42",
         "−14.2° ", "−15.6° (T6–T12)", "9 equilibria", "Pelvis, moment in N m 2.35 0.00",
@@ -588,7 +597,8 @@ def test_the_paper_s_estimator_has_no_intervals(visit: Visit, tmp_path: Path) ->
         content["sd_log"] = content["sd_log_tracking"] = {}
         for name in ("nuisances", "supports", "budget", "prior_changes"):
             content[name] = []
-        content["p_value"] = content["tracking_factor"] = None
+        content["p_value"] = content["tracking_factor"] = content["interval_rise"] = None
+        content["profiles"] = {}
         for found in (*content["ratios"].values(), *content["plain"].values()):
             found |= {"low": None, "high": None}
         for ratio in content["ratios"].values():
@@ -597,7 +607,7 @@ def test_the_paper_s_estimator_has_no_intervals(visit: Visit, tmp_path: Path) ->
 
     page = Page(written(changed(visit, tmp_path / "paper", Estimate, paper)))
     assert "Estimate: no intervals The paper’s estimator, equal weights with the pelvis level" in page.words
-    assert page.words.count("No interval: the paper’s estimator has none") == 2
+    assert page.words.count("no intervals: the paper’s estimator has none.") == 2
     assert "The paper’s estimator weighs all residuals alike and does not tell." in page.words
     assert "95 % interval" not in page.words.replace("in brackets the 95 % interval", "").split("Joint")[0]
     assert "not determined" not in page.words
@@ -671,7 +681,7 @@ def test_names_from_files_are_escaped(odd_html: str) -> None:
     assert found.tags.count("script") == odd_html.count("<script") == 2
     assert found.words.count(HOSTILE) == 9
     assert not [name for _, name, _ in found.attributes if name.startswith("on")]
-    assert len(found.all("img", "src")) == 8
+    assert len(found.all("img", "src")) == 10
 
 
 def test_truth_is_compared_when_known(odd_html: str, page: Page) -> None:
@@ -685,7 +695,7 @@ def test_same_results_give_the_same_bytes(visit: Visit, html: str, tmp_path: Pat
     pictures = {path.name: path.read_bytes() for path in visit.file("figures").iterdir()}
     shutil.copytree(visit.subject.folder, tmp_path / "copy")
     again = open_visit(tmp_path / "copy")
-    stale = again.file("figures") / "09-of-an-earlier-run.png"
+    stale = again.file("figures") / "11-of-an-earlier-run.png"
     stale.write_bytes(b"old")
     assert written(again) == html
     assert {path.name: path.read_bytes() for path in again.file("figures").iterdir()} == pictures

@@ -12,6 +12,7 @@ from spinestiff.arrays import Floats
 from spinestiff.curves.pushes import rest_reading
 from spinestiff.estimation.unknowns import ACTS, PLACING, unknowns_of
 from spinestiff.study.predictions import Model, Predictions, predicted_acts
+from spinestiff.study.report.certainty_pictures import SupportPlace
 from spinestiff.study.truth import read_truth, true_values
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import (
@@ -279,7 +280,7 @@ def uncertainty_content(estimate: Estimate, predictions: Predictions) -> dict[st
         ],
         "best_known": "" if estimate.best_known is None else best_known_text(estimate.best_known, ratio_title),
         "gains": [_gain(estimate, name) for name in estimate.parameters if estimate.budget],
-        "supports": _support_places(estimate, predictions),
+        "supports": _support_rows(support_places(predictions, estimate)),
         "changed": bool(estimate.prior_changes),
         "changes": _prior_changes(estimate),
         "changes_limit": f"{MOVED_SD:g}",
@@ -329,37 +330,48 @@ def _gain(estimate: Estimate, name: str) -> dict[str, str]:
     return found
 
 
-def _support_places(estimate: Estimate, predictions: Predictions) -> list[dict[str, str]]:
-    """Obliquity and shoulder by frame: as fitted or, if held out, as predicted; as expected before; as tracked."""
+def support_places(predictions: Predictions, estimate: Estimate) -> dict[str, dict[str, SupportPlace]]:
+    """Obliquity, degrees, and shoulder, mm, by frame: as fitted or, if held out, as predicted; as expected before; as
+    tracked. Empty where supports are no unknowns."""
     pushes, known = predictions.pushes, {one.name: one.standard for one in estimate.nuisances}
     items = [p.item for p in predictions.of_role("training", "validation")]
     if not items:
-        return []
+        return {}
     unknowns = unknowns_of(
         [t.trial for t in items], [pushes.problems[t.push] for t in items], pushes.known.priors, pushes.known.taped
     )
     places = [ACTS.index(name) for name in PLACING]
     found = predicted_acts(pushes, items, Model(known=known))[:, places]
     before = np.sqrt(np.sum(unknowns.acts[:, places] ** 2, axis=2))
-    rows = []
+    frames = {}
     for item, values, sds in zip(items, found, before):
-        cells = {}
-        for name, value, sd, (scale, unit, digits) in zip(PLACING, values, sds, SUPPORT_UNITS):
+        own = {}
+        for name, value, sd, (scale, _) in zip(PLACING, values, sds, SUPPORT_UNITS):
             seen = item.trial.supports.get(name)
-            cells[name] = f"{fixed(scale * value, digits, True)}{unit}"
-            cells[f"{name}_prior"] = f"±{fixed(scale * sd, digits)}{unit}"
+            tracked = None if seen is None else (scale * seen[0], scale * seen[1])
+            own[name] = SupportPlace(scale * float(value), scale * float(sd), tracked, item.role == "validation")
+        frames[f"“{item.push}”, frame {item.frame}, {item.force_n:.0f} N"] = own
+    return frames
+
+
+SUPPORT_UNITS = ((180.0 / np.pi, "°"), (1.0, " mm"))
+"""By which obliquity and shoulder are shown: factor and unit."""
+
+
+def _support_rows(frames: Mapping[str, Mapping[str, SupportPlace]]) -> list[dict[str, str]]:
+    rows = []
+    for title, own in frames.items():
+        cells = {"title": title, "role": "predicted" if any(p.predicted for p in own.values()) else "fitted"}
+        for (name, place), (_, unit) in zip(own.items(), SUPPORT_UNITS):
+            cells[name] = f"{fixed(place.value, 1, True)}{unit}"
+            cells[f"{name}_prior"] = f"±{fixed(place.before)}{unit}"
             cells[f"{name}_seen"] = (
                 "not seen"
-                if seen is None
-                else f"{fixed(scale * seen[0], digits, True)}{unit} ±{fixed(scale * seen[1], digits)}{unit}"
+                if place.seen is None
+                else f"{fixed(place.seen[0], 1, True)}{unit} ±{fixed(place.seen[1])}{unit}"
             )
-        role = "predicted" if item.role == "validation" else "fitted"
-        rows.append({"title": f"“{item.push}”, frame {item.frame}, {item.force_n:.0f} N", "role": role, **cells})
+        rows.append(cells)
     return rows
-
-
-SUPPORT_UNITS = ((180.0 / np.pi, "°", 1), (1.0, " mm", 1))
-"""By which obliquity and shoulder are shown: factor, unit and decimals."""
 
 
 def _prior_changes(estimate: Estimate) -> list[dict[str, Any]]:

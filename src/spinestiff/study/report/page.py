@@ -18,12 +18,14 @@ from spinestiff import __version__
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import tilts
+from spinestiff.estimation.unknowns import PLACING
 from spinestiff.files import write_bytes, write_text
 from spinestiff.imaging.features import picture_axes, silhouette_shares, state_features, target_features, vertebra_rows
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.observer import Observer
 from spinestiff.study.predictions import Prediction, Predictions
+from spinestiff.study.report.certainty_pictures import ProfileCurve, draw_profiles, draw_support_places
 from spinestiff.study.report.content import (
     MODELS,
     budget_bars,
@@ -38,6 +40,7 @@ from spinestiff.study.report.content import (
     response_content,
     result_content,
     subject_content,
+    support_places,
     support_rows,
     uncertainty_content,
 )
@@ -140,8 +143,10 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
         ],
         "rest": [album.add(*_rest_picture(visit, torso, view, geometry)) for view in geometry.views],
         "curves": album.add(*_curve_picture(predictions)),
-        "region": None if region is None else album.add(*region),
+        "region": _added(album, region),
+        "profiles": album.add(*_profile_picture(visit, estimate)) if estimate.profiles else None,
         "budget": album.add(*_budget_picture(estimate)) if estimate.budget else None,
+        "support_places": _added(album, _support_picture(estimate, predictions)),
         "levels": album.add(*_tilt_picture(visit, predictions)),
         "scene": component(scene),
         "script_hash": script_hash(),
@@ -163,6 +168,10 @@ class _Album:
         if not any(axis.images for axis in figure.axes):
             kind, content = "image/svg+xml", as_svg(figure)
         return Picture(file, f"data:{kind};base64,{base64.b64encode(content).decode()}", alt, caption)
+
+
+def _added(album: _Album, picture: tuple[str, Figure, str, str] | None) -> Picture | None:
+    return None if picture is None else album.add(*picture)
 
 
 # Pictures
@@ -347,6 +356,42 @@ def _region_picture(visit: Visit, estimate: Estimate) -> tuple[str, Figure, str,
         "axes end: these are the bounds of the fit."
     )
     return "joint-region", figure, alt, caption
+
+
+def _profile_picture(visit: Visit, estimate: Estimate) -> tuple[str, Figure, str, str]:
+    truth = true_values(estimate.parameters, read_truth(visit.truth)) if visit.truth else {}
+    curves = []
+    for name in estimate.parameters:
+        ratio, found = estimate.ratios[name], estimate.profiles[name]
+        curve = np.column_stack([found.ratio, found.rise])
+        ends = (ratio.low, ratio.high)
+        limit = estimate.interval_rise or 0.0
+        curves.append(ProfileCurve(ratio_title(name), curve, limit, ends, ratio.value, truth.get(name)))
+    alt = "Profile of the likelihood along " + listed(_within_a_sentence(curve.title) for curve in curves) + "."
+    caption = (
+        "How much less likely other values of a ratio are, with all else at its most probable there. The 95 % interval "
+        "holds what lies below the dashed line. A flat stretch is a range that the radiographs don’t tell apart."
+    )
+    return "profiles", draw_profiles(curves), alt, caption
+
+
+def _support_picture(estimate: Estimate, predictions: Predictions) -> tuple[str, Figure, str, str] | None:
+    frames = support_places(predictions, estimate)
+    if not estimate.nuisances or not frames:
+        return None
+    shown = {
+        title: [own[name] for own in frames.values()]
+        for name, title in zip(
+            PLACING, ("pelvis’ obliquity, degrees (above 0: left side up)", "shoulder, mm to the left")
+        )
+    }
+    turns = [place.value for place in next(iter(shown.values()))]
+    alt = f"Pelvis’ obliquity and shoulder’s place by frame; pelvis {min(turns):+.1f}° to {max(turns):+.1f}°."
+    caption = (
+        "Where pelvis and opposite shoulder were: orange as the estimate has them (hollow: predicted, never fitted to "
+        "the frame), blue as tracking saw them, grey what was known before."
+    )
+    return "supports", draw_support_places(list(frames), shown), alt, caption
 
 
 def _within_a_sentence(title: str) -> str:

@@ -1,0 +1,129 @@
+"""Pictures of how sure a result is: the likelihood along each ratio, and where the supports were in each frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from spinestiff.arrays import Floats
+from spinestiff.study.report.figures import FIT, MEASURED, STYLE, TRUTH, plain_ticks
+
+HIGHEST = 2.5  # of what is drawn of a profile, in rises of an interval's end
+
+
+@dataclass(frozen=True)
+class ProfileCurve:
+    """The likelihood along a ratio.
+
+    Attributes
+    ----------
+    title : of the ratio, in words.
+    curve : (n, 2) ratio and rise of the negative log likelihood.
+    limit : the rise at which a 95 % interval ends. ends : of the interval.
+    estimate, truth : ratios; None = not known.
+    """
+
+    title: str
+    curve: Floats
+    limit: float
+    ends: tuple[float | None, float | None]
+    estimate: float
+    truth: float | None = None
+
+
+@dataclass(frozen=True)
+class SupportPlace:
+    """Where pelvis or shoulder was in a frame, degrees or mm.
+
+    Attributes
+    ----------
+    value : as fitted along or, if ``predicted``, as expected. before : sd of what was known, about 0.
+    seen : as tracked, with its standard deviation; None = not seen.
+    """
+
+    value: float
+    before: float
+    seen: tuple[float, float] | None
+    predicted: bool
+
+
+def draw_profiles(profiles: Sequence[ProfileCurve]) -> Figure:
+    """A panel a ratio: how much less likely other values are, and where the interval ends."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(0.8 + 4.2 * len(profiles), 3.7), layout="constrained")
+        for axis, profile in zip(figure.subplots(1, len(profiles), squeeze=False)[0], profiles):
+            _draw_profile(axis, profile)
+        figure.axes[0].set_ylabel("less likely by (negative log likelihood)")
+        handles, labels = figure.axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
+def _draw_profile(axis: Axes, profile: ProfileCurve) -> None:
+    ratio, rise = profile.curve.T
+    low, high = (edge if end is None else end for end, edge in zip(profile.ends, (ratio[0], ratio[-1])))
+    inside = np.sort(np.concatenate([ratio[(ratio > low) & (ratio < high)], [low, high]]))
+    height = np.interp(np.log(inside), np.log(ratio), rise)
+    axis.fill_between(inside, 0.0, height, color=FIT, alpha=0.18, linewidth=0, label="95 % interval")
+    axis.plot(ratio, rise, color=FIT, linewidth=2.2, label="profile")
+    axis.axhline(profile.limit, color="#444444", linestyle=(0, (5, 2)), linewidth=1.2, label="the interval ends here")
+    axis.plot(profile.estimate, 0.0, "o", color=FIT, markersize=8, clip_on=False, zorder=5)
+    if profile.truth is not None:
+        true_height = float(np.interp(np.log(profile.truth), np.log(ratio), rise))
+        axis.plot(profile.truth, true_height, "*", color=TRUTH, markersize=13, zorder=6, clip_on=False, label="truth")
+    axis.set_xscale("log")
+    shown = ratio[rise <= HIGHEST * profile.limit]
+    axis.set_xlim(0.9 * shown[0], 1.1 * shown[-1])
+    axis.set_ylim(0.0, HIGHEST * profile.limit)
+    plain_ticks(axis, "x")
+    axis.set_title(profile.title, fontsize=11)
+    axis.set_xlabel("ratio to the default")
+
+
+def draw_support_places(frames: Sequence[str], places: Mapping[str, Sequence[SupportPlace]]) -> Figure:
+    """A panel each for pelvis and shoulder, a row a frame.
+
+    Parameters
+    ----------
+    frames : (n,) in words. places : what is shown, with its unit -> (n,).
+    """
+    rows = np.arange(len(frames))
+    with rc_context(STYLE):
+        figure = Figure(figsize=(2.6 + 3.7 * len(places), 1.5 + 0.42 * len(rows)), layout="constrained")
+        axes = figure.subplots(1, len(places), squeeze=False, sharey=True)[0]
+        for axis, (title, found) in zip(axes, places.items()):
+            before = np.array([place.before for place in found])
+            axis.barh(rows, 2.0 * before, 0.62, left=-before, color="#DDDDDD", zorder=1)
+            for row, place in zip(rows, found):
+                face = "white" if place.predicted else FIT
+                axis.plot(place.value, row + 0.12, "o", color=FIT, markerfacecolor=face, markersize=8, zorder=4)
+                if place.seen is not None:
+                    value, sd = place.seen
+                    axis.errorbar(
+                        value, row - 0.16, xerr=sd, fmt="s", color=MEASURED, markersize=5, capsize=3, zorder=3
+                    )
+            axis.axvline(0.0, color="#999999", linewidth=0.9)
+            axis.set_xlabel(title)
+            axis.set_ylim(len(rows) - 0.4, -0.6)
+            axis.grid(visible=False, axis="y")
+        axes[0].set_yticks(rows, frames)
+        figure.legend(handles=_support_handles(), loc="outside lower center", ncols=2)
+    return figure
+
+
+def _support_handles() -> list[Line2D]:
+    return [
+        Line2D([], [], color=FIT, marker="o", markersize=8, linestyle="none", label="fitted along (training)"),
+        Line2D(
+            [], [], color=FIT, marker="o", markerfacecolor="white", markersize=8, linestyle="none",
+            label="predicted (held out)",
+        ),
+        Line2D([], [], color=MEASURED, marker="s", markersize=5, linestyle="none", label="tracked, ± one sd"),
+        Line2D([], [], color="#DDDDDD", linewidth=8, label="known before, ± one sd"),
+    ]  # fmt: skip
