@@ -15,7 +15,7 @@ from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.study.phantom import analyse, bench_joint, build_phantom, phantom_lines, push_on, read_phantom
 from spinestiff.subject.phantom_record import JointRecord
 
-RUBBER = {"width_mm": 60.0, "depth_mm": 50.0, "young_mpa": 0.1, "young_sd_mpa": 0.003, "spacing_mm": 40.0}
+RUBBER = {"width_mm": 90.0, "depth_mm": 70.0, "young_mpa": 0.05, "young_sd_mpa": 0.001, "spacing_mm": 60.0}
 
 
 def bench_values(record) -> np.ndarray:
@@ -96,39 +96,27 @@ def test_forces_that_move_nothing_tell_nothing(record) -> None:
 
 
 def test_rubber_has_a_ratio_of_its_own() -> None:
-    """Pictures from a finer mesh and rubber of twice the modulus that its bars had."""
-    fewer = documented_phantom(3)
-    stated = fewer.model_copy(update={"rubber": documented(rubber=RUBBER).rubber})
-    finer = stated.model_copy(update={"rubber": documented(rubber={**RUBBER, "spacing_mm": 20.0}).rubber})
-    phantom = build_phantom(finer)
+    """Rubber of twice the modulus that its bars had, on joints a quarter as stiff; a coarse mesh, the same for both."""
+    soft = [
+        {**joint.model_dump(mode="json"), "turns_deg": [4.0 * turn for turn in joint.turns_deg]}
+        for joint in documented().joints
+    ]
+    stated = documented(joints=soft, rubber=RUBBER)
+    phantom = build_phantom(stated)
     torso, view, random = phantom.torso, phantom.view, np.random.default_rng(0)
-    shares, truth = (
-        silhouette_shares(torso, view, torso.rest_pose),
-        stiffness_ratios({"tissue": 2.0}, torso.joints.kinds),
-    )
+    shares = silhouette_shares(torso, view, torso.rest_pose)
+    truth = stiffness_ratios({"tissue": 2.0}, torso.joints.kinds)
     seen = []
     for frame in stated.frames:
         state = phantom.problem.solve(push_on(torso, frame), truth).require().state
-        corners = state_features(torso, view, state, shares).corners + random.normal(0.0, 0.03, (3, 4, 2))
+        corners = state_features(torso, view, state, shares).corners + random.normal(0.0, 0.1, (6, 4, 2))
         seen.append(ImageCorners(frame.image, stated.levels, view.pixels(corners)[:, [1, 0, 3, 2]]))
     found = analyse(stated, seen)
     joints, rubber = found.comparisons
     assert (joints.part, rubber.part) == ("joints", "rubber")
     assert joints.verdict == "agrees"
     assert rubber.verdict == "does not agree"
-    assert rubber.ratio == pytest.approx(2.0, rel=0.2)
-
-
-def documented_phantom(count: int):
-    """The page's column with its lowest blocks alone, pushed at the uppermost of them."""
-    whole = documented()
-    levels = whole.levels[-count:]
-    frames = tuple(
-        frame if frame.block is None else frame.model_copy(update={"block": levels[0], "force_n": 3.0 * frame.force_n})
-        for frame in whole.frames
-    )
-    joints = tuple(joint for joint in whole.joints if joint.block in levels)
-    return whole.model_copy(update={"levels": levels, "joints": joints, "frames": frames})
+    assert rubber.fit_low < 2.0 < rubber.fit_high
 
 
 # Bench measurements

@@ -40,7 +40,7 @@ class RubberBlock:
     depth_mm: float
     young_mpa: float
     poisson: float = 0.49
-    spacing_mm: float = 20.0
+    spacing_mm: float = 14.0
 
 
 @dataclass(frozen=True, repr=False)

@@ -74,7 +74,7 @@ class RubberRecord(_Record):
     young_mpa: Annotated[float, Field(gt=0.0, le=100.0)]
     young_sd_mpa: Annotated[float, Field(gt=0.0, le=100.0)]
     poisson: Annotated[float, Field(ge=0.0, le=0.499)] = 0.49
-    spacing_mm: Annotated[float, Field(ge=5.0, le=100.0)] = 20.0
+    spacing_mm: Annotated[float, Field(ge=5.0, le=100.0)] = 14.0
 
 
 class FrameRecord(_Record):
