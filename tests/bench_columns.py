@@ -79,6 +79,7 @@ def pictures(
     for i, frame in enumerate(record.frames):
         marks = chain(record, stiffness, i, gauge) + random.normal(0.0, sd_mm, (len(record.levels), 4, 2))
         x, y = marks[..., 0] + 3.0, middle - marks[..., 1] - 2.0
-        pixels = np.stack([x, y], -1) / record.picture.pixel_mm + 0.5 * (np.array([columns, rows]) - 1.0)
+        seen = np.stack([x, y], -1) * record.picture.source_detector_mm / record.picture.source_marks_mm
+        pixels = seen / record.picture.pixel_mm + 0.5 * (np.array([columns, rows]) - 1.0)
         found.append(ImageCorners(frame.image, record.levels, pixels))
     return tuple(found)

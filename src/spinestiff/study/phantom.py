@@ -34,6 +34,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import PUSH_DIRECTION, LoadCase, no_load
 from spinestiff.mechanics.supports import Supports
 from spinestiff.mechanics.terms import PointSprings
+from spinestiff.study.judgement import LIMITS
 from spinestiff.study.wording import HALF_WIDTH_95, fixed, number
 from spinestiff.subject.phantom_record import CORNERS_FILE, PHANTOM_FILE, FrameRecord, JointRecord, PhantomRecord
 from spinestiff.subject.records import read_record
@@ -53,6 +54,7 @@ BENCH = Priors(
     place_mm=0.05,
     place_deg=0.02,
     posture_deg=0.0,
+    stance_scale=0.005,
     trunk=0.0,
     trunk_taped=0.0,
     rib_joints=0.0,
@@ -132,9 +134,14 @@ class PhantomResult(ShortRepr):
     warnings: tuple[str, ...]
 
     @property
+    def sound(self) -> bool:
+        """Whether the expected errors explain the residuals; if not, no ratio means anything."""
+        return self.p_value >= LIMITS.p_value
+
+    @property
     def agrees(self) -> bool:
-        """Whether every estimate agrees with its bench value."""
-        return all(one.verdict == "agrees" for one in self.comparisons)
+        """Whether the residuals are sound and every estimate agrees with its bench value."""
+        return self.sound and all(one.verdict == "agrees" for one in self.comparisons)
 
 
 @dataclass(frozen=True, repr=False)
@@ -371,7 +378,12 @@ def phantom_lines(found: PhantomResult) -> list[str]:
             f"{frame.image}, {number(frame.force_n)} N, not fitted: marks moved by {number(frame.motion_mm)} mm, "
             f"predicted to {number(frame.rmse_mm)} mm (marking alone leaves {number(found.noise_mm, 2)})"
         )
-    lines.append(f"residuals: p = {number(found.p_value, 2)}; fit {found.status}")
+    lines.append(f"residuals: p = {found.p_value:.2g}; fit {found.status}")
+    if not found.sound:
+        lines.append(
+            "the pictures do NOT fit the phantom, so that no ratio counts: look at mm per pixel and distances, at sizes "
+            "of blocks and gaps, at levels and marks, and at the side and block of each push"
+        )
     lines += [f"warning: {warning}" for warning in found.warnings]
     if any(one.verdict == "does not agree" for one in found.comparisons):
         lines.append(_advice(found.comparisons))
