@@ -381,8 +381,8 @@ def phantom_lines(found: PhantomResult) -> list[str]:
     lines.append(f"residuals: p = {found.p_value:.2g}; fit {found.status}")
     if not found.sound:
         lines.append(
-            "the pictures do NOT fit the phantom, so that no ratio counts: look at mm per pixel and distances, at sizes "
-            "of blocks and gaps, at levels and marks, and at the side and block of each push"
+            "the pictures do NOT fit the phantom, so that no ratio counts: look at mm per pixel and distances, at the "
+            "sizes of blocks and gaps, at levels and marks, and at the side and block of each push"
         )
     lines += [f"warning: {warning}" for warning in found.warnings]
     if any(one.verdict == "does not agree" for one in found.comparisons):
