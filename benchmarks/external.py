@@ -120,30 +120,25 @@ def suspension(mesh: str) -> Found:
     """Patients lifted by the neck (Buechler 2014): degrees of the curve, and of a segment, per N m.
 
     Told in the abstract: five patients, cervical elevation, force and both radiographs measured, five segments around
-    the apex. Assumed: a curve of 50 degrees; a vertical pull on T1, 100 N (at 10 N the same to 3 %), with the pelvis
+    the apex. Assumed: a curve of 50 degrees; a vertical pull on T1, 100 N (at 10 N the same to 7 %), with the pelvis
     held, which is what is added to standing; a moment of pull times distance from the line of pull, in the frontal
     plane; overall flexibility as the curve's change over the moment at its apex.
     """
     body = Body(OPERATED, mesh)
-
-    def found(ratios: Mapping[str, float], force_n: float = SUSPENSION_N) -> tuple[float, float, float]:
-        return _suspended(body, ratios, force_n)
-
     table: list[Found] = []
     cases = {
         **STATES,
         "default, no tissue": {"tissue": ABSENT},
         "default, tissue as in Table 4": {"tissue": TABLE_4["tissue"]},
-        "Table 4, bending as by default": {"tissue": TABLE_4["tissue"], "lateral_bending": 1.0},
         "Table 4, tissue as by default": {"lateral_bending": TABLE_4["lateral_bending"]},
         "Table 4, no tissue": {**TABLE_4, "tissue": ABSENT},
     }
     for name, ratios in cases.items():
         for force_n in (SUSPENSION_N, 10.0) if name in STATES else (SUSPENSION_N,):
-            whole, segment, moment = (round(value, 3) for value in found(ratios, force_n))
+            whole, segment, moment = (round(value, 3) for value in _suspended(body, ratios, force_n))
             table.append({"case": name, "pull_n": force_n, "whole": whole, "segment": segment, "apex_nm": moment})
     ours = {entry["case"]: entry for entry in table if entry["pull_n"] == SUSPENSION_N}
-    met_at = met_between(lambda ratios: found(ratios)[1], SEGMENT_FLEXIBILITY[0])
+    met_at = met_between(lambda ratios: _suspended(body, ratios, SUSPENSION_N)[1], SEGMENT_FLEXIBILITY[0])
     low, high = WHOLE_FLEXIBILITY
     rows = []
     for state in STATES:
