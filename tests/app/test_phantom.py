@@ -36,7 +36,7 @@ def test_json(spinestiff, tmp_path) -> None:
     found = json.loads(ran.out)
     assert ran.status == 0 and found["agrees"] is True
     (joints,) = found["comparisons"]
-    assert joints["part"] == "joints" and joints["ratio"] == pytest.approx(1.0, abs=0.06)
+    assert joints["part"] == "joints, mean" and joints["ratio"] == pytest.approx(1.0, abs=0.06)
 
 
 def test_what_is_no_phantom_ends_in_one_line(spinestiff, tmp_path) -> None:

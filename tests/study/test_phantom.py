@@ -32,9 +32,10 @@ def as_measured(record):
     return analyse(record, pictures(record, bench_values(record)))
 
 
-def test_known_joints_are_found_again(as_measured) -> None:
+def test_known_joints_are_found_again(record, as_measured) -> None:
     (joints,) = as_measured.comparisons
     assert joints.verdict == "agrees" and as_measured.agrees
+    assert (joints.bench, joints.unit) == (pytest.approx(bench_values(record).mean()), "N mm/rad")
     assert joints.low < joints.fit_low < joints.ratio < joints.fit_high < joints.high
     assert joints.ratio == pytest.approx(1.0, abs=0.06)
     assert joints.fit_high / joints.fit_low < 1.25
@@ -121,7 +122,7 @@ def test_rubber_has_a_ratio_of_its_own() -> None:
         seen.append(ImageCorners(frame.image, stated.levels, view.pixels(corners)[:, [1, 0, 3, 2]]))
     found = analyse(stated, seen)
     joints, rubber = found.comparisons
-    assert (joints.part, rubber.part) == ("joints", "rubber")
+    assert (joints.part, rubber.part) == ("joints, mean", "rubber")
     assert joints.verdict == "agrees"
     assert rubber.verdict == "does not agree"
     assert rubber.fit_low < 2.0 < rubber.fit_high

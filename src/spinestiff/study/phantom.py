@@ -68,7 +68,7 @@ BENCH = Priors(
 Verdict = Literal["agrees", "does not agree", "can't be told"]
 # Where the fit begins, far from the bench value.
 START = 3.0
-NAMES = {"lateral_bending": "joints", "tissue": "rubber"}
+NAMES = {"lateral_bending": ("joints, mean", "N mm/rad"), "tissue": ("rubber", "MPa")}
 
 
 @dataclass(frozen=True)
@@ -82,10 +82,11 @@ class BenchJoint:
 
 @dataclass(frozen=True)
 class Comparison:
-    """An estimate over the bench value, for ``part`` (joints or rubber).
+    """An estimate over the bench value, for ``part`` (the joints' mean, or rubber).
 
     Attributes
     ----------
+    bench, unit : the bench value.
     ratio, fit_low, fit_high : estimate with its 95 % interval, over the bench value.
     bench_sd : relative standard deviation of the bench value.
     low, high : 95 % interval with that as well.
@@ -93,6 +94,8 @@ class Comparison:
     """
 
     part: str
+    bench: float
+    unit: str
     ratio: float
     fit_low: float
     fit_high: float
@@ -272,13 +275,14 @@ def analyse(record: PhantomRecord, images: Sequence[ImageCorners]) -> PhantomRes
         extent="intervals",
     )
     assert fit.weighed is not None
-    bench = {"lateral_bending": _joints_sd(record, phantom.joints)}
+    mean = float(np.mean([joint.stiffness for joint in phantom.joints]))
+    bench = {"lateral_bending": (mean, _joints_sd(record, phantom.joints))}
     if record.rubber is not None:
-        bench["tissue"] = record.rubber.young_sd_mpa / record.rubber.young_mpa
+        bench["tissue"] = (record.rubber.young_mpa, record.rubber.young_sd_mpa / record.rubber.young_mpa)
     return PhantomResult(
         record.name,
         phantom.joints,
-        tuple(_comparison(name, fit, bench[name]) for name in names),
+        tuple(_comparison(name, fit, *bench[name]) for name in names),
         tuple(_predicted(phantom, fit, record, trials)),
         # Two marks each, at rest and under load; a box is placed by the four of its block.
         float(np.sqrt(2.0) * _rmse_of_marking(record.picture.corner_sd_mm)),
@@ -317,7 +321,7 @@ def _trial(phantom: Phantom, frame: FrameRecord, image: ImageCorners) -> Trial:
     return Trial(push_on(phantom.torso, frame), corners, phantom.view, image.image, push="bench")
 
 
-def _comparison(name: str, fit: StiffnessFit, bench_sd: float) -> Comparison:
+def _comparison(name: str, fit: StiffnessFit, bench: float, bench_sd: float) -> Comparison:
     ratio = fit.ratios.as_dict()[name]
     fit_low, fit_high = fit.intervals95[name]
     down, up = (float(np.hypot(np.log(end / ratio), HALF_WIDTH_95 * bench_sd)) for end in (fit_low, fit_high))
@@ -325,7 +329,7 @@ def _comparison(name: str, fit: StiffnessFit, bench_sd: float) -> Comparison:
     verdict: Verdict = "agrees" if low <= 1.0 <= high else "does not agree"
     if any(fit.open_ends[name]) or fit.status is not FitStatus.CONVERGED:
         verdict = "can't be told"
-    return Comparison(NAMES[name], ratio, fit_low, fit_high, bench_sd, low, high, verdict)
+    return Comparison(NAMES[name][0], bench, NAMES[name][1], ratio, fit_low, fit_high, bench_sd, low, high, verdict)
 
 
 def _predicted(
@@ -369,9 +373,9 @@ def phantom_lines(found: PhantomResult) -> list[str]:
             "can't be told": "whether it agrees with the bench can't be told from these pictures",
         }[one.verdict]
         lines.append(
-            f"{one.part}: {number(one.ratio)} times the bench value, 95 % {number(one.fit_low)} to "
-            f"{number(one.fit_high)}; with the bench's own ± {fixed(100 * one.bench_sd)} % {number(one.low)} to "
-            f"{number(one.high)}: {verdict}"
+            f"{one.part}: {number(one.ratio * one.bench)} {one.unit}, {number(one.ratio)} times the bench value, 95 % "
+            f"{number(one.fit_low)} to {number(one.fit_high)}; with the bench's own ± {fixed(100 * one.bench_sd)} % "
+            f"{number(one.low)} to {number(one.high)}: {verdict}"
         )
     for frame in found.predicted:
         lines.append(
