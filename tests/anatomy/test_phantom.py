@@ -63,3 +63,9 @@ def test_rubber_fills_what_blocks_and_gaps_leave() -> None:
 def test_what_is_no_column_is_refused(changes, words) -> None:
     with pytest.raises(TorsoError, match=words):
         replace(COLUMN, **changes)
+
+
+def test_a_mesh_too_large_is_refused_before_it_is_made() -> None:
+    wide = replace(COLUMN, rubber=replace(RUBBER, width_mm=300.0, depth_mm=300.0, spacing_mm=5.0))
+    with pytest.raises(TorsoError, match=r"5 mm apart takes about .* nodes; wanted at most 60000, so raise spacing_mm"):
+        phantom_torso(wide)

@@ -22,6 +22,8 @@ from spinestiff.errors import TorsoError
 TORSION_OVER_BENDING = 2.0 / 1.3
 # In its plane and along it a leaf is a thousand times stiffer than across, and no picture of the front shows it.
 IN_PLANE_OVER_BENDING = 1e3
+# Nodes of a mesh that is still solved by one factorisation in a minute or two.
+MOST_NODES = 60_000
 KIND = "lumbar"  # of the joints, so that the parameters of intervertebral joints are theirs
 
 
@@ -103,7 +105,7 @@ class Column(ShortRepr):
 
 
 def phantom_torso(column: Column) -> TorsoModel:
-    """The column at rest, free of stress."""
+    """The column at rest, free of stress. Raises TorsoError for rubber whose mesh would be too large."""
     n = len(column.levels)
     positions = np.vstack([column.centres, np.zeros(3)])
     mesh, bone_of_node = _rubber(column)
@@ -159,6 +161,12 @@ def _rubber(column: Column) -> tuple[tuple[Floats, Ints], Ints]:
     x = _lines(np.array([-rubber.width_mm, -width, width, rubber.width_mm]) / 2.0, rubber.spacing_mm)
     y = _lines(faces, rubber.spacing_mm)
     z = _lines(np.array([-rubber.depth_mm, -depth, depth, rubber.depth_mm]) / 2.0, rubber.spacing_mm)
+    count = 8 * len(x) * len(y) * len(z)
+    if count > MOST_NODES:
+        raise TorsoError(
+            f"rubber with grid lines {rubber.spacing_mm:g} mm apart takes about {count} nodes; wanted at most "
+            f"{MOST_NODES}, so raise spacing_mm"
+        )
     middle = [0.5 * (lines[1:] + lines[:-1]) for lines in (x, y, z)]
     within = (np.abs(middle[0]) < 0.5 * width)[:, None, None] & (np.abs(middle[2]) < 0.5 * depth)[None, None, :]
     # Blocks are stiff and gaps are empty: no rubber in either.

@@ -389,7 +389,7 @@ def phantom_lines(found: PhantomResult) -> list[str]:
             "sizes of blocks and gaps, at levels and marks, and at the side and block of each push"
         )
     lines += [f"warning: {warning}" for warning in found.warnings]
-    if any(one.verdict == "does not agree" for one in found.comparisons):
+    if found.sound and any(one.verdict == "does not agree" for one in found.comparisons):
         lines.append(_advice(found.comparisons))
     return lines
 
