@@ -14,7 +14,7 @@ import argparse
 import datetime
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -648,8 +648,9 @@ SECTIONS: dict[str, Callable[[str], Found]] = {
 }
 
 
-def show(name: str, found: Found) -> None:
-    print(f"\n{name}: {SECTIONS[name].__doc__}")
+def show(name: str, text: str | None, found: Found) -> None:
+    """Print a section: what it is, its table, its rows with the reason of each miss."""
+    print(f"\n{name}: {text}")
     for entry in (*found.get("levels", []), *found.get("table", [])):
         print("  " + "  ".join(f"{key} {_brief(value)}" for key, value in entry.items()))
     for entry in found["rows"]:
@@ -667,10 +668,10 @@ def _brief(value: object) -> str:
     return " ".join(f"{part:.2f}" for part in value) if isinstance(value, list) else str(value)
 
 
-def markdown(result: Found) -> str:
+def markdown(result: Found, sections: Iterable[str] = ()) -> str:
     """The rows of all sections as the table of docs/validation.md."""
     lines = ["| what | target (source) | ours | | why |", "|---|---|---|---|---|"]
-    for name in SECTIONS:
+    for name in sections or SECTIONS:
         for entry in result.get(name, {}).get("rows", ()):
             verdict = {True: "met", False: "**miss**"}[entry["met"]]
             target = f"{entry['target']} ({entry['source']})"
@@ -699,7 +700,7 @@ def main() -> None:
         result[name] = SECTIONS[name](arguments.mesh)
         result[name]["cpu_s"] = round(time.process_time() - began, 1)
         if not (arguments.json or arguments.markdown):
-            show(name, result[name])
+            show(name, SECTIONS[name].__doc__, result[name])
     if arguments.json:
         print(json.dumps(result))
     if arguments.markdown:

@@ -43,6 +43,7 @@ COMMANDS = {
     "demo": ("--out", "--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
     "cobb": ("--definition", "--json", "--noise-px", "--patient-left", "--picture", "--force"),
     "check": ("--json",),
+    "phantom": ("--json",),
     "deidentify": ("--key", "--burned-in-ok"),
     "doctor": (),
 }

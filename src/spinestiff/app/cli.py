@@ -418,6 +418,19 @@ def check(
 
 
 @app.command()
+def phantom(
+    folder: Annotated[Path, typer.Argument(help="Folder with phantom.json and corners.csv (docs/bench-phantom.md).")],
+    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
+) -> None:
+    """Stiffness of a bench phantom by its pictures, beside what was measured. Exit status 1 if they don't agree."""
+    from spinestiff.app.phantom import compare_phantom
+
+    status = compare_phantom(folder, json)
+    if status:
+        raise typer.Exit(status)
+
+
+@app.command()
 def deidentify(
     source: Annotated[Path, typer.Argument(metavar="IN", help="DICOM file or folder.")],
     out: Annotated[Path, typer.Argument(help="New folder; nothing is overwritten.")],

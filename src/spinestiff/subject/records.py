@@ -26,6 +26,7 @@ from spinestiff.words import counted
 SCHEMA_VERSION: Final = 1
 SUBJECT_FILE = "subject.json"
 ANNOTATION_FILE = "annotation.json"
+SUBJECT_PAGE = "docs/subject-folder.md"
 RESULTS = "results"
 """Folder of what is made from the others."""
 REST_IMAGES = {"rest/frontal": "rest/frontal.dcm", "rest/lateral": "rest/lateral.dcm"}
@@ -454,36 +455,37 @@ _ORDER = (
 )
 
 
-R = TypeVar("R", bound=_Record)
+R = TypeVar("R", bound=BaseModel)
 
 
-def read_record(path: Path, kind: type[R]) -> R:
-    """A record from a JSON file.
+def read_record(path: Path, kind: type[R], page: str = SUBJECT_PAGE) -> R:
+    """A record from a JSON file that ``page`` of the documents describes.
 
     Raises
     ------
     SubjectError : no such file, no JSON, or anything the record does not allow (field, found, wanted).
     """
-    return parse_record(read_text(path), str(path), kind)
+    return parse_record(read_text(path), str(path), kind, page)
 
 
-def parse_record(text: str, name: str, kind: type[R]) -> R:
+def parse_record(text: str, name: str, kind: type[R], page: str = SUBJECT_PAGE) -> R:
     """A record from the text of a JSON file of that name. Raises SubjectError as ``read_record`` does."""
     parse_json(text, name)
     try:
         return kind.model_validate_json(text)
     except ValidationError as error:
-        raise SubjectError(f"{name}: {complaint_of(error)}") from None
+        raise SubjectError(f"{name}: {complaint_of(error, page)}") from None
 
 
-def complaint_of(error: ValidationError) -> str:
+def complaint_of(error: ValidationError, page: str = SUBJECT_PAGE) -> str:
     """The most telling of pydantic's complaints as "field: found, wanted"."""
     # A misspelled key shows up twice, as unknown and as missing: the first says more.
     complaints = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
     first = complaints[0]
     field = _field_path(first)
     more = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
-    return f"{field}: {_complaint(first)}{more}" if field else f"{_complaint(first)}{more}"
+    told = _complaint(first, page)
+    return f"{field}: {told}{more}" if field else f"{told}{more}"
 
 
 def _field_path(complaint: ErrorDetails) -> str:
@@ -501,10 +503,10 @@ def shown_key(key: str) -> str:
     return key if key.isprintable() and 0 < len(key) <= 40 else _shown(key, 30)
 
 
-def _complaint(complaint: ErrorDetails) -> str:
+def _complaint(complaint: ErrorDetails, page: str) -> str:
     kind, message = complaint["type"], complaint["msg"]
     if kind == "extra_forbidden":
-        return "unknown key; check its spelling against docs/subject-folder.md"
+        return f"unknown key; check its spelling against {page}"
     if kind == "missing":
         return "missing"
     if kind == "value_error":

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from spinestiff.anatomy.grid_mesh import quadratic
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.mechanics.supports import Supports
 from spinestiff.mechanics.terms import PointSprings
-from spinestiff.verification.models import box_mesh, make_torso, quadratic
+from spinestiff.verification.models import box_mesh, make_torso
 
 
 def young_poisson(mu: float, lambda_: float) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spinestiff.anatomy.grid_mesh import quadratic
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TET10_EDGES
@@ -19,7 +20,7 @@ from spinestiff.arrays import Floats, Ints
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.verification.blocks import holds, young_poisson
-from spinestiff.verification.models import box_mesh, make_torso, quadratic
+from spinestiff.verification.models import box_mesh, make_torso
 from spinestiff.verification.oracle import STEP
 from spinestiff.verification.outcome import Check, judged
 

@@ -2,42 +2,22 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
+from spinestiff.anatomy.grid_mesh import grid_mesh, quadratic
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import lame_parameters
-from spinestiff.anatomy.torso import TET10_EDGES, JointTable, TissueMesh, TorsoModel, joint_frames
+from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel, joint_frames
 from spinestiff.arrays import Floats, Ints
-
-# Kuhn's split of a cube: one tetrahedron for each order of the three axes.
-_KUHN = [[0, *np.cumsum([1 << axis for axis in order]).tolist()] for order in itertools.permutations(range(3))]
 
 
 def box_mesh(cells: tuple[int, int, int], size: tuple[float, float, float], nodes: int = 10) -> tuple[Floats, Ints]:
     """Positions (N, 3) mm and elements (T, 4 or 10) of a box with one corner at the origin."""
-    nx, ny, nz = cells
-    grid = np.stack(np.meshgrid(*[np.linspace(0, s, n + 1) for s, n in zip(size, cells)], indexing="ij"), -1)
-    number = np.arange((nx + 1) * (ny + 1) * (nz + 1)).reshape(nx + 1, ny + 1, nz + 1)
-    corners = np.stack(
-        [number[i : nx + i, j : ny + j, k : nz + k].ravel() for k in (0, 1) for j in (0, 1) for i in (0, 1)], 1
-    )
-    elements = np.concatenate([corners[:, kuhn] for kuhn in _KUHN])
-    positions = grid.reshape(-1, 3)
-    edges = np.linalg.det(positions[elements[:, 1:]] - positions[elements[:, :1]])
-    elements[edges < 0] = elements[edges < 0][:, [0, 2, 1, 3]]
+    x, y, z = (np.linspace(0, s, n + 1) for s, n in zip(size, cells))
+    positions, elements = grid_mesh(x, y, z)
     return (positions, elements) if nodes == 4 else quadratic(positions, elements)
-
-
-def quadratic(positions: Floats, elements: Ints) -> tuple[Floats, Ints]:
-    """Ten-node elements from four-node ones by adding the middles of edges."""
-    edges = np.sort(elements[:, np.array(TET10_EDGES)].reshape(-1, 2), axis=1)
-    unique, inverse = np.unique(edges, axis=0, return_inverse=True)
-    middles = 0.5 * positions[unique].sum(1)
-    return np.vstack([positions, middles]), np.hstack([elements, len(positions) + inverse.reshape(-1, 6)])
 
 
 def make_torso(

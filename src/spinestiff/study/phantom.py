@@ -1,0 +1,416 @@
+"""A bench phantom estimated as a patient is, and compared with what was measured of its parts (docs/bench-phantom.md).
+
+A joint's bench stiffness k comes from a straight line through its turns under moments, turn = a + M / k. The phantom's
+model has these stiffnesses, and the modulus of its rubber, so that a ratio of 1 is the bench value. ``fit_stiffness``
+estimates the ratios from the marks in the pictures, with unknowns as large as a bench leaves them. Both intervals are
+95 %: the estimate's is ``fit_stiffness``'s own, and ``low`` to ``high`` holds the bench's error as well,
+
+    ln high - ln ratio = sqrt((ln high_fit - ln ratio)^2 + (1.96 sd)^2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from spinestiff.anatomy.phantom import Column, RubberBlock, phantom_torso
+from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats, ShortRepr
+from spinestiff.curves.corner_files import ImageCorners, read_corners
+from spinestiff.errors import SubjectError
+from spinestiff.estimation.fit import fit_stiffness
+from spinestiff.estimation.fitted import StiffnessFit
+from spinestiff.estimation.objective import Trial
+from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.status import FitStatus
+from spinestiff.imaging.features import VertebraCorners, rmse, silhouette_shares, state_features, target_features
+from spinestiff.imaging.projection import XRayView, frontal_view
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import PUSH_DIRECTION, LoadCase, no_load
+from spinestiff.mechanics.supports import Supports
+from spinestiff.mechanics.terms import PointSprings
+from spinestiff.study.judgement import LIMITS
+from spinestiff.study.wording import HALF_WIDTH_95, fixed, number
+from spinestiff.subject.phantom_record import CORNERS_FILE, PHANTOM_FILE, FrameRecord, JointRecord, PhantomRecord
+from spinestiff.subject.records import read_record
+
+PAGE = "docs/bench-phantom.md"
+BENCH = Priors(
+    force_scale=0.01,
+    force_offset_n=0.1,
+    direction_deg=1.0,
+    push_height_mm=0.5,
+    push_depth_mm=2.0,
+    breathing_mm=0.0,
+    obliquity_deg=0.0,
+    shoulder_mm=0.0,
+    frame_obliquity_deg=0.0,
+    frame_shoulder_mm=0.0,
+    place_mm=0.05,
+    place_deg=0.02,
+    posture_deg=0.0,
+    stance_scale=0.005,
+    trunk=0.0,
+    trunk_taped=0.0,
+    rib_joints=0.0,
+    tissue_volume=0.5,
+    source_distance=0.005,
+    annotation_mm=0.05,
+    tracking_shared_mm=0.0,
+    level_smoothness=0.0,
+)
+"""What is not quite known of a phantom on a bench, where nothing breathes, stands anew or gives way."""
+Verdict = Literal["agrees", "does not agree", "can't be told"]
+# Where the fit begins, far from the bench value.
+START = 3.0
+NAMES = {"lateral_bending": ("joints, mean", "N mm/rad"), "tissue": ("rubber", "MPa")}
+
+
+@dataclass(frozen=True)
+class BenchJoint:
+    """Stiffness of the joint below ``block``, N mm/rad, and its relative standard deviation by the line's scatter."""
+
+    block: str
+    stiffness: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """An estimate over the bench value, for ``part`` (the joints' mean, or rubber).
+
+    Attributes
+    ----------
+    bench, unit : the bench value.
+    ratio, fit_low, fit_high : estimate with its 95 % interval, over the bench value.
+    bench_sd : relative standard deviation of the bench value.
+    low, high : 95 % interval with that as well.
+    verdict : whether it holds 1; an interval that has no end within the fit's bounds tells nothing.
+    """
+
+    part: str
+    bench: float
+    unit: str
+    ratio: float
+    fit_low: float
+    fit_high: float
+    bench_sd: float
+    low: float
+    high: float
+    verdict: Verdict
+
+
+@dataclass(frozen=True)
+class PredictedFrame:
+    """A frame that was not fitted: RMSE of its marks' motion since rest, mm, and of that motion itself."""
+
+    image: str
+    force_n: float
+    motion_mm: float
+    rmse_mm: float
+
+
+@dataclass(frozen=True, repr=False)
+class PhantomResult(ShortRepr):
+    """What the analysis found.
+
+    Attributes
+    ----------
+    comparisons : joints, and rubber where there is some.
+    predicted : frames that were held out. noise_mm : RMSE that marking alone would leave there.
+    p_value : of residuals as large as the fit's.
+    status : of the fit. warnings : of the fit.
+    """
+
+    name: str
+    joints: tuple[BenchJoint, ...]
+    comparisons: tuple[Comparison, ...]
+    predicted: tuple[PredictedFrame, ...]
+    noise_mm: float
+    p_value: float
+    status: str
+    warnings: tuple[str, ...]
+
+    @property
+    def sound(self) -> bool:
+        """Whether the expected errors explain the residuals; if not, no ratio means anything."""
+        return self.p_value >= LIMITS.p_value
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the residuals are sound and every estimate agrees with its bench value."""
+        return self.sound and all(one.verdict == "agrees" for one in self.comparisons)
+
+
+@dataclass(frozen=True, repr=False)
+class Phantom(ShortRepr):
+    """A phantom, ready for its frames: the model with bench stiffness, on its base, as the pictures see it."""
+
+    record: PhantomRecord
+    joints: tuple[BenchJoint, ...]
+    problem: EquilibriumProblem
+    view: XRayView
+
+    @property
+    def torso(self) -> TorsoModel:
+        return self.problem.torso
+
+
+def read_phantom(folder: str | Path) -> tuple[PhantomRecord, tuple[ImageCorners, ...]]:
+    """``phantom.json`` and ``corners.csv`` of a folder.
+
+    Raises
+    ------
+    SubjectError : a file is missing or wrong, or a frame has no corners.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise SubjectError(f"{folder}: no such folder; wanted one with {PHANTOM_FILE} and {CORNERS_FILE}")
+    record = read_record(folder / PHANTOM_FILE, PhantomRecord, PAGE)
+    images = read_corners(folder / CORNERS_FILE)
+    known = {image.image: image for image in images}
+    for frame in record.frames:
+        where = f"{folder / CORNERS_FILE}: {frame.image}"
+        if frame.image not in known:
+            raise SubjectError(f"{where}: no corners of this frame of {PHANTOM_FILE}; there are {', '.join(known)}")
+        strange = [level for level in known[frame.image].levels if level not in record.levels]
+        if strange:
+            raise SubjectError(f"{where}: {strange[0]} is none of the phantom's levels")
+    return record, tuple(known[frame.image] for frame in record.frames)
+
+
+def bench_joint(joint: JointRecord) -> BenchJoint:
+    """The stiffness that a joint's turns under weights give.
+
+    Raises
+    ------
+    SubjectError : turns that do not grow with the moment.
+    """
+    moments = np.array(joint.moments_nmm)
+    design = np.column_stack([np.ones_like(moments), moments])
+    turns = np.deg2rad(joint.turns_deg)
+    line, *_ = np.linalg.lstsq(design, turns, rcond=None)
+    if not line[1] > 0.0:
+        raise SubjectError(f"joint below {joint.block}: turns do not grow with the moment; check the signs")
+    left = turns - design @ line
+    variance = float(left @ left) / (len(turns) - 2) * np.linalg.inv(design.T @ design)[1, 1]
+    return BenchJoint(joint.block, float(1.0 / line[1]), float(np.sqrt(variance) / line[1]))
+
+
+def build_phantom(record: PhantomRecord) -> Phantom:
+    """The phantom's model.
+
+    Raises
+    ------
+    SpinestiffError : sizes that make no column, or measurements that give no stiffness.
+    """
+    by_block = {joint.block: bench_joint(joint) for joint in record.joints}
+    joints = tuple(by_block[level] for level in record.levels)
+    rubber = record.rubber
+    column = Column(
+        levels=record.levels,
+        block_mm=record.block_mm,
+        gap_mm=record.gap_mm,
+        marks_mm=record.marks_mm,
+        marks_front_mm=record.marks_front_mm,
+        stiffness=tuple(joint.stiffness for joint in joints),
+        rubber=None
+        if rubber is None
+        else RubberBlock(rubber.width_mm, rubber.depth_mm, rubber.young_mpa, rubber.poisson, rubber.spacing_mm),
+    )
+    torso = phantom_torso(column)
+    held = np.zeros((len(torso.bone_names), 6), dtype=bool)
+    held[torso.bone("pelvis")] = True
+    none = PointsOnBones(np.empty(0, np.int64), np.empty((0, 3)))
+    supports = Supports(held, PointSprings(none, np.empty((0, 3)), np.empty((0, 3)), np.empty(0)), ())
+    picture = record.picture
+    middle = (0.0, float(column.centres[:, 1].mean()), record.marks_front_mm)
+    view = frontal_view(
+        picture.source_detector_mm,
+        picture.source_marks_mm,
+        picture.size_px[::-1],
+        picture.pixel_mm,
+        middle,
+    )
+    return Phantom(record, joints, EquilibriumProblem(torso, supports), view)
+
+
+def push_on(torso: TorsoModel, frame: FrameRecord) -> LoadCase:
+    """The gauge's force in a frame."""
+    if frame.block is None or frame.side is None:
+        return no_load()
+    bone = np.array([torso.bone(frame.block)])
+    aside = -PUSH_DIRECTION[frame.side] * frame.aside_mm
+    points = PointsOnBones(bone, np.array([[aside, frame.height_mm, 0.0]]))
+    return LoadCase(points, np.array([[PUSH_DIRECTION[frame.side] * frame.force_n, 0.0, 0.0]]), frame.image)
+
+
+def analyse(record: PhantomRecord, images: Sequence[ImageCorners]) -> PhantomResult:
+    """Estimate the phantom's stiffness from its pictures and compare it with the bench.
+
+    Parameters
+    ----------
+    images : corners of the record's frames, in their order.
+
+    Raises
+    ------
+    SpinestiffError : see ``build_phantom`` and ``fit_stiffness``; an error that the priors do not know.
+    """
+    phantom = build_phantom(record)
+    trials = [_trial(phantom, frame, image) for frame, image in zip(record.frames, images)]
+    fitted = [trial for frame, trial in zip(record.frames, trials) if frame.use == "fit"]
+    names = ("lateral_bending",) if record.rubber is None else ("lateral_bending", "tissue")
+    fit = fit_stiffness(
+        phantom.problem,
+        fitted,
+        names,
+        start=dict.fromkeys(names, START),
+        priors=_priors(record),
+        taped=True,
+        extent="intervals",
+    )
+    assert fit.weighed is not None
+    mean = float(np.mean([joint.stiffness for joint in phantom.joints]))
+    bench = {"lateral_bending": (mean, _joints_sd(record, phantom.joints))}
+    if record.rubber is not None:
+        bench["tissue"] = (record.rubber.young_mpa, record.rubber.young_sd_mpa / record.rubber.young_mpa)
+    return PhantomResult(
+        record.name,
+        phantom.joints,
+        tuple(_comparison(name, fit, *bench[name]) for name in names),
+        tuple(_predicted(phantom, fit, record, trials)),
+        # Two marks each, at rest and under load; a box is placed by the four of its block.
+        float(np.sqrt(2.0) * _rmse_of_marking(record.picture.corner_sd_mm)),
+        fit.weighed.p_value,
+        fit.status.name,
+        fit.warnings,
+    )
+
+
+def _rmse_of_marking(sd: float) -> float:
+    # Of a box placed by four marks with that error along each axis: two shifts and a turn remain of eight numbers.
+    return float(np.sqrt(3.0 / 4.0) * sd)
+
+
+def _joints_sd(record: PhantomRecord, joints: Sequence[BenchJoint]) -> float:
+    own = float(np.sum([joint.sd**2 for joint in joints])) / len(joints) ** 2
+    return float(np.hypot(np.sqrt(own), record.bench_scale_sd))
+
+
+def _priors(record: PhantomRecord) -> Priors:
+    known = {field.name for field in fields(Priors)} - {"trunk_power"}
+    strange = [name for name in record.errors if name not in known]
+    if strange:
+        raise SubjectError(f"{PHANTOM_FILE}: errors: unknown '{strange[0]}'; known are {', '.join(sorted(known))}")
+    given: dict[str, Any] = {"tracking_mm": record.picture.corner_sd_mm, **record.errors}
+    return replace(BENCH, **given)
+
+
+def _trial(phantom: Phantom, frame: FrameRecord, image: ImageCorners) -> Trial:
+    if image.unit == "mm":
+        raise SubjectError(f"{image.image}: corners in mm; wanted pixels")
+    # As seen from the front: the phantom's left is on the right of the picture.
+    quads = image.corners[:, [1, 0, 3, 2]]
+    corners = VertebraCorners(image.levels, phantom.view.from_pixels(quads))
+    # One gauge and one camera for all frames: they share their errors.
+    return Trial(push_on(phantom.torso, frame), corners, phantom.view, image.image, push="bench")
+
+
+def _comparison(name: str, fit: StiffnessFit, bench: float, bench_sd: float) -> Comparison:
+    ratio = fit.ratios.as_dict()[name]
+    fit_low, fit_high = fit.intervals95[name]
+    down, up = (float(np.hypot(np.log(end / ratio), HALF_WIDTH_95 * bench_sd)) for end in (fit_low, fit_high))
+    low, high = float(ratio * np.exp(-down)), float(ratio * np.exp(up))
+    verdict: Verdict = "agrees" if low <= 1.0 <= high else "does not agree"
+    if any(fit.open_ends[name]) or fit.status is not FitStatus.CONVERGED:
+        verdict = "can't be told"
+    return Comparison(NAMES[name][0], bench, NAMES[name][1], ratio, fit_low, fit_high, bench_sd, low, high, verdict)
+
+
+def _predicted(
+    phantom: Phantom, fit: StiffnessFit, record: PhantomRecord, trials: Sequence[Trial]
+) -> list[PredictedFrame]:
+    torso, view = phantom.torso, phantom.view
+    at_rest = next(t for f, t in zip(record.frames, trials) if f.use == "fit" and f.force_n == 0.0)
+    shares = silhouette_shares(torso, view, torso.rest_pose)
+    model_rest = state_features(torso, view, torso.rest_pose, shares).z
+    found = []
+    for frame, trial in zip(record.frames, trials):
+        if frame.use != "predict" or frame.force_n == 0.0:
+            continue
+        both = tuple(name for name in trial.corners.vertebrae if name in at_rest.corners.vertebrae)
+        rows = [torso.vertebrae.index(name) for name in both]
+        state = phantom.problem.solve(trial.load, fit.ratios).require().state
+        model = (state_features(torso, view, state, shares).z - model_rest)[rows]
+        measured = _placed(phantom, trial, both) - _placed(phantom, at_rest, both)
+        found.append(
+            PredictedFrame(frame.image, frame.force_n, rmse(measured, np.zeros_like(measured)), rmse(model, measured))
+        )
+    return found
+
+
+def _placed(phantom: Phantom, trial: Trial, names: tuple[str, ...]) -> Floats:
+    return target_features(phantom.torso, phantom.view, trial.corners.selected(names))
+
+
+def phantom_lines(found: PhantomResult) -> list[str]:
+    """The result in words."""
+    lines = []
+    for joint in found.joints:
+        lines.append(
+            f"joint below {joint.block}: {number(joint.stiffness)} N mm/rad on the bench, ± {fixed(100 * joint.sd)} % "
+            "by the scatter of its line"
+        )
+    for one in found.comparisons:
+        verdict = {
+            "agrees": "agrees with the bench",
+            "does not agree": f"does NOT agree with the bench, {_percent(one.ratio)} than measured there",
+            "can't be told": "whether it agrees with the bench can't be told from these pictures",
+        }[one.verdict]
+        lines.append(
+            f"{one.part}: {number(one.ratio * one.bench)} {one.unit}, {number(one.ratio)} times the bench value, 95 % "
+            f"{number(one.fit_low)} to {number(one.fit_high)}; with the bench's own ± {fixed(100 * one.bench_sd)} % "
+            f"{number(one.low)} to {number(one.high)}: {verdict}"
+        )
+    for frame in found.predicted:
+        lines.append(
+            f"{frame.image}, {number(frame.force_n)} N, not fitted: marks moved by {number(frame.motion_mm)} mm, "
+            f"predicted to {number(frame.rmse_mm)} mm (marking alone leaves {number(found.noise_mm, 2)})"
+        )
+    lines.append(f"residuals: p = {found.p_value:.2g}; fit {found.status}")
+    if not found.sound:
+        lines.append(
+            "the pictures do NOT fit the phantom, so that no ratio counts: look at mm per pixel and distances, at the "
+            "sizes of blocks and gaps, at levels and marks, and at the side and block of each push"
+        )
+    lines += [f"warning: {warning}" for warning in found.warnings]
+    if found.sound and any(one.verdict == "does not agree" for one in found.comparisons):
+        lines.append(_advice(found.comparisons))
+    return lines
+
+
+def _percent(ratio: float) -> str:
+    return f"{fixed(100 * abs(ratio - 1.0), 0)} % {'stiffer' if ratio > 1.0 else 'softer'}"
+
+
+def _advice(comparisons: Sequence[Comparison]) -> str:
+    ratios = [one.ratio for one in comparisons]
+    alike = max(ratios) / min(ratios) < 1.0 + 2.0 * max(one.high / one.ratio - 1.0 for one in comparisons)
+    if alike:
+        factor = float(np.exp(np.mean(np.log(ratios))))
+        return (
+            "look at: what is common to all stiffness, above all the force; a gauge that reads "
+            f"{fixed(100 * abs(factor - 1.0), 0)} % {'high' if factor > 1.0 else 'low'} does this. Then the bench's "
+            "lever and weights, mm per pixel, friction under the blocks"
+        )
+    return "look at: the part that is off, its own bench measurement and its size; then friction and the pushed point"
+
+
+def record_of(found: PhantomResult) -> Mapping[str, object]:
+    """As JSON."""
+    return {**asdict(found), "agrees": found.agrees}
