@@ -8,8 +8,10 @@ import json
 import math
 import os
 import secrets
+import shutil
 import stat
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -344,3 +346,27 @@ def _status(path: Path, error: type[SpinestiffError], named: str) -> os.stat_res
         if problem.errno == errno.ELOOP:
             raise error(f"{named}: a link that leads to itself; copy the file itself here") from None
         raise error(f"{named}: can't be opened ({problem.strerror})") from None
+
+
+@contextmanager
+def whole_folder(folder: Path, error: type[SpinestiffError]) -> Iterator[Path]:
+    """A folder to write into that becomes ``folder``, new or empty until then, once all is written; else nothing does.
+
+    Raises
+    ------
+    error : the folder holds something or can't be written; what is raised inside names ``folder``, not the draft.
+    """
+    draft = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        draft.mkdir()
+        yield draft
+        if folder.exists():
+            folder.rmdir()
+        draft.rename(folder)
+    except OSError as problem:
+        raise error(f"{folder}: can't be written ({trouble(problem)}); name a new folder") from None
+    except SpinestiffError as problem:
+        raise type(problem)(str(problem).replace(str(draft), str(folder))) from None
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)

@@ -15,6 +15,7 @@ from spinestiff.anatomy.regions import (
     joint_levels,
     levels_of,
     parameter_groups,
+    scaled_torso,
     torso_ratios,
 )
 from spinestiff.anatomy.stiffness import KINDS, parameter_group
@@ -94,6 +95,19 @@ def test_thorax_and_abdomen_part_the_tissue_at_the_thoracolumbar_joint(torso):
     assert centres[:, 1] - element_heights(torso) == pytest.approx(0.5 * (upper + lower), abs=8.0)
     mu, _ = torso_ratios(torso, {"tissue@thorax": 0.5}).scale_tissue(torso.tissue.lame_mu, torso.tissue.lame_lambda)
     assert (mu == torso.tissue.lame_mu * np.where(thorax.elements, 0.5, 1.0)).all()
+
+
+def test_a_scaled_torso_has_the_ratios_in_its_own_stiffness(torso):
+    ratios = {"lateral_bending@lumbar": 0.5, "tissue": 0.1}
+    scaled, found = scaled_torso(torso, ratios), torso_ratios(torso, ratios)
+    np.testing.assert_array_equal(scaled.joints.stiffness, found.scale_joints(torso.joints.stiffness))
+    assert not np.array_equal(scaled.joints.stiffness, torso.joints.stiffness)
+    for own, default in (
+        (scaled.tissue.lame_mu, torso.tissue.lame_mu),
+        (scaled.tissue.lame_lambda, torso.tissue.lame_lambda),
+    ):
+        np.testing.assert_allclose(own, 0.1 * default)
+    np.testing.assert_array_equal(scaled.tissue.rest_positions, torso.tissue.rest_positions)
 
 
 def test_a_part_beside_its_whole_multiplies(torso):

@@ -100,3 +100,18 @@ def test_a_subject_folder_stands_for_its_torso(subject, tmp_path):
     assert f"torso.npz: no such file; run the step that makes it first (spinestiff personalise {subject})" in refusal(
         "show", subject
     )
+
+
+def test_draws_of_a_subject_go_into_a_new_folder(subject, tmp_path):
+    out = tmp_path / "drawn"
+    assert "2 torsos and stiffness.csv, for OpenSim 4" in said(
+        "export", subject, "--format", "osim", "--draws", 1, "--out", out
+    )
+    assert sorted(path.name for path in out.iterdir()) == ["draw-001.osim", "estimate.osim", "stiffness.csv"]
+    for words, *given in (
+        ("exists and is no empty folder", subject, "--format", "osim", "--draws", 1, "--out", out),
+        ("lies among the inputs", subject, "--format", "osim", "--draws", 1, "--out", subject / "drawn"),
+        ("no stiffness to draw", subject, "--draws", 1, "--out", tmp_path / "other"),
+        ("wanted a subject folder, and --out a new folder", "--format", "osim", "--draws", 1),
+    ):
+        assert words in refusal("export", *given)

@@ -7,6 +7,7 @@ multiply, so that "lateral_bending" beside "lateral_bending@lumbar" is an overal
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -93,6 +94,17 @@ def torso_ratios(torso: TorsoModel, ratios: Mapping[str, float]) -> StiffnessRat
     """Ratios by name, for this torso. Raises TorsoError as ``parameter_groups``."""
     groups = tuple(_group(torso, name) for name in ratios)
     return StiffnessRatios(groups, np.array(list(ratios.values()), dtype=float))
+
+
+def scaled_torso(torso: TorsoModel, ratios: Mapping[str, float]) -> TorsoModel:
+    """The torso with its stiffness times these ratios. Raises TorsoError as ``parameter_groups``."""
+    found = torso_ratios(torso, ratios)
+    mu, lambda_ = found.scale_tissue(torso.tissue.lame_mu, torso.tissue.lame_lambda)
+    return replace(
+        torso,
+        joints=replace(torso.joints, stiffness=found.scale_joints(torso.joints.stiffness)),
+        tissue=replace(torso.tissue, lame_mu=mu, lame_lambda=lambda_),
+    )
 
 
 def levels_of(name: str) -> tuple[int, ...]:

@@ -116,8 +116,19 @@ def export(
     kyphosis: Kyphosis = None,
     lordosis: Lordosis = None,
     mesh: TemplateMesh = None,
+    draws: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Of a subject: the torso with its estimated stiffness, and with so many equally probable ones, into a "
+            "new folder --out.",
+        ),
+    ] = None,
 ) -> None:
     """Write a torso at rest for another program; says what that format leaves out."""
+    if draws is not None:
+        _export_drawn(file, kind, out, draws)
+        return
     from spinestiff.anatomy.export import FORMATS, export_torso
     from spinestiff.files import check_output
 
@@ -134,6 +145,28 @@ def export(
     found = _torso(file, height=height, age=age, sex=sex, mass=mass, kyphosis=kyphosis, lordosis=lordosis, mesh=mesh)
     export_torso(found, path, kind)
     typer.echo(f"{path}: for {chosen.purpose}; leaves out or changes: {chosen.leaves_out}")
+
+
+def _export_drawn(folder: Path | None, kind: str, out: Path | None, draws: int) -> None:
+    from spinestiff.anatomy.export import FORMATS
+    from spinestiff.app.progress import progress
+    from spinestiff.study.drawn import TABLE, check_format, drawn_ratios, export_drawn
+    from spinestiff.study.visit import open_visit
+    from spinestiff.subject.folder import check_output_beside
+    from spinestiff.words import counted
+
+    if folder is None or not folder.is_dir() or out is None:
+        raise TorsoError("--draws are of a subject's estimate; wanted a subject folder, and --out a new folder")
+    check_format(kind)
+    if os.path.lexists(out) and not (out.is_dir() and not any(out.iterdir())):
+        raise TorsoError(f"{out} exists and is no empty folder; name a new one")
+    check_output_beside(folder, out / TABLE, "--out", force=False)
+    with progress() as say:
+        found = drawn_ratios(open_visit(folder), draws)
+        export_drawn(found, out, kind, say)
+    chosen = FORMATS[kind]
+    typer.echo(f"{out}: {counted(len(found.ratios), 'torso', 'torsos')} and {TABLE}, for {chosen.purpose}")
+    typer.echo(f"leaves out or changes: {chosen.leaves_out}")
 
 
 @torso.command()

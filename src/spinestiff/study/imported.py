@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +10,8 @@ import numpy as np
 from spinestiff.anatomy.files import write_torso
 from spinestiff.anatomy.importing import ImportedTorso
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.errors import SpinestiffError, TorsoError
-from spinestiff.files import trouble, write_json
+from spinestiff.errors import TorsoError
+from spinestiff.files import whole_folder, write_json
 
 SCHEMA_VERSION = 1
 
@@ -27,22 +25,10 @@ def write_imported(found: ImportedTorso, folder: Path) -> None:
     """
     from spinestiff.study.report.torso_picture import draw_torso
 
-    draft = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.tmp")
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        draft.mkdir()
+    with whole_folder(folder, TorsoError) as draft:
         write_torso(draft / "torso.npz", found.torso)
         write_json(draft / "torso.json", import_record(found))
         draw_torso(found.torso, draft / "torso.png")
-        if folder.exists():
-            folder.rmdir()
-        draft.rename(folder)
-    except OSError as error:
-        raise TorsoError(f"{folder}: can't be written ({trouble(error)}); name a new folder") from None
-    except SpinestiffError as error:
-        raise TorsoError(str(error).replace(str(draft), str(folder))) from None
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
 
 
 def import_record(found: ImportedTorso) -> dict[str, Any]:

@@ -20,11 +20,12 @@ Exporter = Callable[[TorsoModel, TorsoState], bytes]
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """One format: file ending, what it is for, and what of a torso it leaves out or changes."""
+    """One format: file ending, what it is for, what of a torso it leaves out or changes, whether it has stiffness."""
 
     suffix: str
     purpose: str
     leaves_out: str
+    has_stiffness: bool = False
 
 
 FORMATS = {
@@ -35,17 +36,20 @@ FORMATS = {
         "OpenSim 4",
         "tissue and supports; a bushing's rotations are body-fixed x-y-z angles, ours a rotation vector: alike for "
         "small angles only; masses are those of the bones; m, N, N m",
+        has_stiffness=True,
     ),
     "mjcf": ExportFormat(
         ".xml",
         "MuJoCo",
         "tissue and supports; the pelvis stands still; ribs' second joints are closed by welds; three hinges in turn "
         "instead of a rotation vector: alike for small angles only; m, N, N m",
+        has_stiffness=True,
     ),
     "feb": ExportFormat(
         ".feb",
         "FEBio 4",
         "supports; each joint is nine springs that have its stiffness at rest; mm, N, MPa",
+        has_stiffness=True,
     ),
     "mrk": ExportFormat(".mrk.json", "3D Slicer", "everything but points: joints, landmarks, box corners; LPS, mm"),
 }
