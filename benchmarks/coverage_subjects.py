@@ -69,15 +69,33 @@ ANNOTATION_MM = 0.3
 KINDS = ("disc centres", "stiffening", "layers", "", "", "", "")
 WIDEST = 2.0  # standard deviations of a stiffness that is drawn
 Acquisition = Literal["paper", "three pushes"]
-# Rib level about which a push is placed, and its frames: share of the force, role.
-PUSHES: Mapping[Acquisition, Mapping[str, tuple[float, tuple[tuple[float, Role], ...]]]] = {
+Side = Literal["left", "right"]
+
+
+@dataclass(frozen=True)
+class PlacedPush:
+    """A push that a subject gets.
+
+    Attributes
+    ----------
+    level : rib about which it is placed. frames : share of the largest force, and role.
+    side : None: the convex one. force_n : the largest; None: drawn, the same for all pushes.
+    """
+
+    level: float
+    frames: tuple[tuple[float, Role], ...]
+    side: Side | None = None
+    force_n: float | None = None
+
+
+PUSHES: Mapping[Acquisition, Mapping[str, PlacedPush]] = {
     "paper": {
-        "main": (8.0, ((0.0, "unused"), (1 / 3, "training"), (2 / 3, "training"), (1.0, "validation"))),
+        "main": PlacedPush(8.0, ((0.0, "unused"), (1 / 3, "training"), (2 / 3, "training"), (1.0, "validation"))),
     },
     "three pushes": {
-        "high": (5.5, ((0.0, "unused"), (1.0, "training"))),
-        "middle": (8.0, ((0.0, "unused"), (1.0, "training"), (2 / 3, "validation"))),
-        "low": (10.0, ((0.0, "unused"), (1.0, "training"))),
+        "high": PlacedPush(5.5, ((0.0, "unused"), (1.0, "training"))),
+        "middle": PlacedPush(8.0, ((0.0, "unused"), (1.0, "training"), (2 / 3, "validation"))),
+        "low": PlacedPush(10.0, ((0.0, "unused"), (1.0, "training"))),
     },
 }
 
@@ -106,13 +124,22 @@ class Subject:
     tracked: Mapping[str, TrackedPush]
 
 
-def make_subject(seed: int, acquisition: Acquisition, nodes: int = 3000, visit: int = 0, annotator: int = 0) -> Subject:
+def make_subject(
+    seed: int,
+    acquisition: Acquisition | Mapping[str, PlacedPush],
+    nodes: int = 3000,
+    visit: int = 0,
+    annotator: int = 0,
+) -> Subject:
     """The subject of a seed, at a visit, as an annotator marks the radiographs.
+
+    The person is the same whatever the pushes; all forces shrink alike where one bends the torso too far.
 
     Raises
     ------
     SpinestiffError : this torso can't be bent that far, or can't carry even a small push.
     """
+    pushes = PUSHES[acquisition] if isinstance(acquisition, str) else acquisition
     random, p = np.random.default_rng([13, seed]), Priors()
     sex: Literal["female", "male"] = "female" if random.uniform() < 0.8 else "male"
     age = float(random.uniform(*AGES))
@@ -129,19 +156,21 @@ def make_subject(seed: int, acquisition: Acquisition, nodes: int = 3000, visit: 
     cobb = cobb_angle(
         tilts(VERTEBRAE, projected(torso, nominal["frontal"], torso.rest_pose), nominal["frontal"])
     ).degrees
-    side: Literal["left", "right"] = "left" if cobb > 0.0 else "right"
+    convex: Side = "left" if cobb > 0.0 else "right"
+    sides = {name: push.side or convex for name, push in pushes.items()}
     hand = None if not annotator else np.random.default_rng([17, seed, visit, annotator])
-    own = _drawn_visit(torso, nominal, PUSHES[acquisition], p, random, None if visit else hand)
+    own = _drawn_visit(torso, nominal, pushes, p, random, None if visit else hand)
     if visit:
         # What belongs to the person is drawn as at the first visit.
         again = np.random.default_rng([19, seed, visit])
-        own = _drawn_visit(torso, nominal, PUSHES[acquisition], p, again, hand)
-    force, sites = own.force, {push: rib_push(torso, side, level, 1.0) for push, level in own.levels.items()}
+        own = _drawn_visit(torso, nominal, pushes, p, again, hand)
+    sites = {push: rib_push(torso, sides[push], level, 1.0) for push, level in own.levels.items()}
+    forces = {name: push.force_n or own.force for name, push in pushes.items()}
 
     def load(push: str, share: float) -> LoadCase:
         if share == 0.0:
             return sites[push].scaled(0.0)
-        told = sites[push].scaled(share * force)
+        told = sites[push].scaled(share * forces[push])
         return changed_load(told, load_changes(told, torso.rest_pose), own.acts[push])
 
     stiffness = stiffness_ratios(ratios, torso.joints.kinds)
@@ -154,33 +183,35 @@ def make_subject(seed: int, acquisition: Acquisition, nodes: int = 3000, visit: 
     torso, laws = bench.torso, bench.laws
     while True:
         try:
-            springs = support_stiffness(torso, side, [load(push, 1.0) for push in sites], stiffness, own.give)
-            problem = EquilibriumProblem(torso, elastic_supports(torso, side, springs), laws=laws)
-            states = {
-                push: _pushed(problem, [load(push, s) for s, _ in PUSHES[acquisition][push][1]], stiffness)
-                for push in sites
-            }
+            states = {}
+            for side in dict.fromkeys(sides.values()):
+                here = [push for push in sites if sides[push] == side]
+                springs = support_stiffness(torso, side, [load(push, 1.0) for push in here], stiffness, own.give)
+                problem = EquilibriumProblem(torso, elastic_supports(torso, side, springs), laws=laws)
+                for push in here:
+                    states[push] = _pushed(problem, [load(push, s) for s, _ in pushes[push].frames], stiffness)
             bent = max(_bent(torso, nominal["frontal"], state) for found in states.values() for state in found)
         except EquilibriumError:
             bent = 2.0 * MOST_TILT
         if bent <= MOST_TILT:
             break
-        force *= float(np.clip(MOST_TILT / bent, 0.5, 0.9))
-        if force < LEAST_FORCE_N:
+        less = float(np.clip(MOST_TILT / bent, 0.5, 0.9))
+        forces = {push: less * force for push, force in forces.items()}
+        if min(forces.values()) < LEAST_FORCE_N:
             raise EquilibriumError(
                 f"subject {seed}: bends by more than {np.rad2deg(MOST_TILT):.0f} degrees under any push"
             )
     records, tracked = [], {}
     for push in sites:
-        frames = PUSHES[acquisition][push][1]
-        told = [round(share * force, 1) for share, _ in frames]
+        frames = pushes[push].frames
+        told = [round(share * forces[push], 1) for share, _ in frames]
         tracked[push] = tracked_push(
             torso, nominal["frontal"], states[push], told, ANNOTATION_MM, again if visit else random, hand
         )
         records.append(
             PushRecord(
                 id=push,
-                side=side,
+                side=sides[push],
                 level=round(own.levels[push], 1),
                 d21_mm=400.0,
                 d31_mm=200.0,
@@ -207,7 +238,7 @@ class _DrawnVisit:
 def _drawn_visit(
     torso: TorsoModel,
     nominal: Mapping[str, XRayView],
-    pushes: Mapping[str, tuple[float, tuple[tuple[float, Role], ...]]],
+    pushes: Mapping[str, PlacedPush],
     p: Priors,
     random: np.random.Generator,
     hand: np.random.Generator | None,
@@ -221,8 +252,8 @@ def _drawn_visit(
         rest[name] = (VertebraCorners(VERTEBRAE, corners + wrong), view)
     force = float(random.uniform(*FORCE_N))
     levels, found = {}, {}
-    for push, (level, _) in pushes.items():
-        levels[push] = level + float(random.uniform(-0.7, 0.7))
+    for push, placed in pushes.items():
+        levels[push] = placed.level + float(random.uniform(-0.7, 0.7))
         acts = np.zeros(len(ACTS))
         angle = np.deg2rad(p.direction_deg)
         sizes = (p.force_scale, p.force_offset_n, angle, angle, p.push_height_mm, p.push_depth_mm)
