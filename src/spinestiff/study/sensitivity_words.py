@@ -1,0 +1,130 @@
+"""Refits of an estimate in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from spinestiff.study.sensitivity import BENDING, PAPER_SERIES, TABLE_7
+from spinestiff.study.wording import fixed, number
+from spinestiff.subject.sensitivity_outcome import Change, Refit, Sensitivity, Series
+
+TITLES: Mapping[Change, str] = {
+    "force": "force ±10 %",
+    "push level": "push level ±1 rib",
+    "corners": "corners' orientation",
+    "mesh": "mesh",
+    "default modulus": "default modulus ±20 %",
+    "geometry": "rest geometry ±1 sd",
+}
+"""Of what was changed, in the order in which it is changed."""
+SERIES: Mapping[Series, str] = {
+    "weighed": "weighed, lambda tied to mu",
+    "tied": "equal weights, lambda tied to mu",
+    "kept": "equal weights, lambda kept at its default",
+    "everything": "equal weights, one ratio for every stiffness",
+}
+# Of two sensitivities, from which one counts as larger.
+LARGER = 1.25
+
+
+def change_title(refit: Refit) -> str:
+    """By how much, as short as a bar's label is: "+10 %", "+1 rib", "covariance"."""
+    if refit.what == "push level":
+        return "+1 rib" if refit.by.endswith("lower") else "−1 rib"
+    return refit.by.removesuffix(" of its leading mode")
+
+
+def tornado_rows(found: Sensitivity) -> list[tuple[str, tuple[Refit, ...]]]:
+    """What was changed with its refits by the weighed fit, the largest change of a stiffness first."""
+    rows = []
+    for what, title in TITLES.items():
+        refits = tuple(one for one in found.refits if (one.series, one.what) == ("weighed", what) and one.ratios)
+        if refits:
+            rows.append((title, refits))
+    return sorted(rows, key=lambda row: -largest(row[1]))
+
+
+def largest(refits: Sequence[Refit]) -> float:
+    """The largest change of a stiffness among refits, percent."""
+    return float(max(abs(value) for one in refits for value in one.stiffness_percent.values()))
+
+
+def table_7_average(name: str) -> float:
+    """Mean over the paper's subjects, percent."""
+    return float(np.mean(TABLE_7[name]))
+
+
+def force_rows(found: Sensitivity) -> list[tuple[str, dict[str, float]]]:
+    """Table 7: what was fitted, and the percent of each ratio for 10 % of force; the paper's average last."""
+    rows = [(SERIES[series], dict(found.force_percent[series])) for series in SERIES if series in found.force_percent]
+    paper = {name: table_7_average(name) for name in TABLE_7}
+    return [*rows, ("Koutras et al. 2025, mean of seven subjects", paper)]
+
+
+def sensitivity_lines(found: Sensitivity) -> list[str]:
+    """What the refits say, in sentences."""
+    lines = []
+    rows = tornado_rows(found)
+    if rows:
+        each = [_largest(name, rows) for name in found.parameters]
+        lines.append(f"largest change of each stiffness: {'; '.join(each)}")
+    modulus = [one for one in found.refits if one.what == "default modulus" and one.ratios]
+    for one in modulus[-1:]:
+        for name, percent in one.percent.items():
+            if abs(percent - one.stiffness_percent[name]) > 0.5:
+                lines.append(
+                    f"another default modulus changes what a ratio is a ratio to: {one.by} changes {name} by "
+                    f"{fixed(percent, 0, True)} %, and its stiffness in kPa by "
+                    f"{fixed(one.stiffness_percent[name], 1, True)} %"
+                )
+    lines += force_lines(found)
+    failed = [one for one in found.refits if not one.ratios]
+    lines += [f"no estimate with {_shown(one)}: {one.note}" for one in failed]
+    bounded = [one for one in found.refits if one.at_bound]
+    lines += [f"{', '.join(one.at_bound)} at a bound of the fit with {_shown(one)}" for one in bounded]
+    return [*lines, *(f"note: {note}" for note in found.notes)]
+
+
+def _largest(name: str, rows: Sequence[tuple[str, tuple[Refit, ...]]]) -> str:
+    refits = [one for _, own in rows for one in own if name in one.stiffness_percent]
+    most = max(refits, key=lambda one: abs(one.stiffness_percent[name]))
+    return f"{name} {fixed(most.stiffness_percent[name], 0, True)} % ({_shown(most)})"
+
+
+def _shown(one: Refit) -> str:
+    what = "nothing changed" if one.what == "nothing" else f"{one.what} {one.by}".strip()
+    return what if one.series == "weighed" else f"{what}, {SERIES[one.series]}"
+
+
+def force_lines(found: Sensitivity) -> list[str]:
+    """Why 10 % of force is as many percent of stiffness as it is."""
+    known, lines = found.force_percent, []
+    if "everything" in known:
+        (name,) = PAPER_SERIES["everything"]
+        lines.append(
+            f"with every stiffness scaled, 10 % of force is {fixed(known['everything'][name])} % of stiffness: force "
+            "and stiffness enter an equilibrium by their ratio alone"
+        )
+    if "tied" in known and "kept" in known:
+        tied, kept = known["tied"], known["kept"]
+        own, other = tied["tissue"], kept["tissue_mu"]
+        lines.append(
+            "with two ratios what they don't scale (rib cage, girdle, other directions of the spine's joints) stays, "
+            f"and they make up for it: equal weights give bending {fixed(tied[BENDING])} % and tissue {fixed(own)} % "
+            f"with lambda tied to mu"
+        )
+        times = other / own if own > 0.0 else float("inf")
+        if times > LARGER:
+            verdict = "the lambda that stays is a part of the tissue that mu has to make up for"
+        elif times < 1.0 / LARGER:
+            verdict = "a lambda that stays makes mu no more sensitive here"
+        else:
+            verdict = "whether lambda stays hardly matters here"
+        lines.append(
+            f"with lambda kept at its default: bending {fixed(kept[BENDING])} % and mu {fixed(other)} %, "
+            f"{number(times, 2)} times tissue's with lambda tied: {verdict} (the paper's mu: "
+            f"{fixed(table_7_average('tissue_mu'))} %)"
+        )
+    return lines
