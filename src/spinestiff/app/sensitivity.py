@@ -5,8 +5,14 @@ from __future__ import annotations
 from rich.table import Table
 
 from spinestiff.app import tables
-from spinestiff.study.sensitivity import BENDING
-from spinestiff.study.sensitivity_words import TITLES, change_title, force_rows, sensitivity_lines
+from spinestiff.study.sensitivity_words import (
+    FORCE_COLUMNS,
+    TITLES,
+    change_title,
+    force_cells,
+    force_rows,
+    sensitivity_lines,
+)
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import fixed, number
 from spinestiff.subject.run_record import read_outcome
@@ -36,19 +42,12 @@ def show_sensitivity(found: Sensitivity, visit: Visit) -> None:
     table = Table(
         title="10 % of force, mean of both signs, % (paper's Table 7)", title_justify="left", title_style="bold"
     )
-    for column in ("estimator", "bending", "tissue", "everything"):
-        table.add_column(column, justify="left" if column == "estimator" else "right")
+    table.add_column("estimator")
+    for column in FORCE_COLUMNS:
+        table.add_column(column, justify="right")
     for label, percent in force_rows(found):
-        table.add_row(label, *[_cell(percent, names) for names in COLUMNS])
+        table.add_row(label, *force_cells(percent))
     tables.show(table)
     for line in sensitivity_lines(found):
         print(line)
     print(f"picture: {visit.file('sensitivity.png')}")
-
-
-COLUMNS = (("lateral_bending", BENDING), ("tissue", "tissue_mu"), ("everything",))
-"""Ratios that stand in one column of the table of forces."""
-
-
-def _cell(percent: dict[str, float], names: tuple[str, ...]) -> str:
-    return next((fixed(percent[name]) for name in names if name in percent), "")

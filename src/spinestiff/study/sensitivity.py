@@ -7,7 +7,7 @@ that was stopped goes on where it was.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -69,8 +69,14 @@ class Case:
     scale: Mapping[str, float]
 
 
-def sensitivity_study(visit: Visit, say: Observer) -> Sensitivity:
+def sensitivity_study(
+    visit: Visit, say: Observer, refits: Callable[[Basis], Iterable[Case]] = lambda basis: all_cases(basis)
+) -> Sensitivity:
     """All refits, on the mesh of the visit's settings; writes ``sensitivity.json`` after each.
+
+    Parameters
+    ----------
+    refits : which ones; of a series the one with nothing changed comes first.
 
     Raises
     ------
@@ -78,7 +84,7 @@ def sensitivity_study(visit: Visit, say: Observer) -> Sensitivity:
     """
     basis = basis_of(visit)
     digest = _digest(visit)
-    cases, notes = list(_cases(basis)), _notes(basis)
+    cases, notes = list(refits(basis)), _notes(basis)
     known = {(one.series, one.what, one.by): one for one in _earlier(visit, digest)}
     found: list[Refit] = []
     record = _record(basis, digest, found, notes, complete=False)
@@ -186,12 +192,14 @@ def _trained(visit: Visit) -> list[PushRecord]:
     return [push for push in visit.subject.pushes if push.frames_of("training")]
 
 
-def _cases(basis: Basis) -> Iterator[Case]:
-    yield from _weighed_cases(basis)
-    yield from _paper_cases(basis)
+def all_cases(basis: Basis) -> Iterator[Case]:
+    """Those of the weighed fit, then those of the paper's."""
+    yield from weighed_cases(basis)
+    yield from paper_cases(basis)
 
 
-def _weighed_cases(basis: Basis) -> Iterator[Case]:
+def weighed_cases(basis: Basis) -> Iterator[Case]:
+    """The estimate's ratios with one thing changed at a time."""
     visit, torso, estimate = basis.visit, basis.torso, basis.estimate
 
     def on(
@@ -233,7 +241,7 @@ def _weighed_cases(basis: Basis) -> Iterator[Case]:
         yield case("geometry", by, shaped=partial(_with_shape, visit, torso, sign))
 
 
-def _paper_cases(basis: Basis) -> Iterator[Case]:
+def paper_cases(basis: Basis) -> Iterator[Case]:
     """Table 7: equal weights."""
     visit, estimate = basis.visit, basis.estimate
     middle = float(np.exp(np.mean(np.log(list(estimate.values.values())))))

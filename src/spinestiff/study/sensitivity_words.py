@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from spinestiff.study.sensitivity import BENDING, PAPER_SERIES, TABLE_7
-from spinestiff.study.wording import fixed, number
+from spinestiff.study.wording import fixed, listed, number
 from spinestiff.subject.sensitivity_outcome import Change, Refit, Sensitivity, Series
 
 TITLES: Mapping[Change, str] = {
@@ -27,6 +27,8 @@ SERIES: Mapping[Series, str] = {
 }
 # Of two sensitivities, from which one counts as larger.
 LARGER = 1.25
+# Of a change that another one is compared with.
+LEAST_PERCENT = 0.1
 
 
 def change_title(refit: Refit) -> str:
@@ -61,6 +63,20 @@ def force_rows(found: Sensitivity) -> list[tuple[str, dict[str, float]]]:
     rows = [(SERIES[series], dict(found.force_percent[series])) for series in SERIES if series in found.force_percent]
     paper = {name: table_7_average(name) for name in TABLE_7}
     return [*rows, ("Koutras et al. 2025, mean of seven subjects", paper)]
+
+
+FORCE_COLUMNS: Mapping[str, tuple[str, ...]] = {
+    "bending": ("lateral_bending", BENDING),
+    "tissue": ("tissue", "tissue_mu"),
+    "everything": ("everything",),
+}
+"""Of the table of forces, with the ratios that stand in one column."""
+
+
+def force_cells(percent: Mapping[str, float]) -> tuple[str, ...]:
+    """A row of the table of forces."""
+    columns = FORCE_COLUMNS.values()
+    return tuple(next((fixed(percent[name]) for name in names if name in percent), "") for names in columns)
 
 
 def sensitivity_lines(found: Sensitivity) -> list[str]:
@@ -107,24 +123,40 @@ def force_lines(found: Sensitivity) -> list[str]:
             f"with every stiffness scaled, 10 % of force is {fixed(known['everything'][name])} % of stiffness: force "
             "and stiffness enter an equilibrium by their ratio alone"
         )
+    if "weighed" in known:
+        each = listed(f"{name} {fixed(percent)} %" for name, percent in known["weighed"].items())
+        lines.append(
+            "ratios that don't scale everything (rib cage, girdle, other directions of the spine's joints stay) make up "
+            f"for the rest between them: by the weighed fit {each}"
+        )
     if "tied" in known and "kept" in known:
-        tied, kept = known["tied"], known["kept"]
-        own, other = tied["tissue"], kept["tissue_mu"]
-        lines.append(
-            "with two ratios what they don't scale (rib cage, girdle, other directions of the spine's joints) stays, "
-            f"and they make up for it: equal weights give bending {fixed(tied[BENDING])} % and tissue {fixed(own)} % "
-            f"with lambda tied to mu"
-        )
-        times = other / own if own > 0.0 else float("inf")
-        if times > LARGER:
-            verdict = "the lambda that stays is a part of the tissue that mu has to make up for"
-        elif times < 1.0 / LARGER:
-            verdict = "a lambda that stays makes mu no more sensitive here"
-        else:
-            verdict = "whether lambda stays hardly matters here"
-        lines.append(
-            f"with lambda kept at its default: bending {fixed(kept[BENDING])} % and mu {fixed(other)} %, "
-            f"{number(times, 2)} times tissue's with lambda tied: {verdict} (the paper's mu: "
-            f"{fixed(table_7_average('tissue_mu'))} %)"
-        )
+        lines += _lambda_lines(known["tied"], known["kept"])
     return lines
+
+
+def _lambda_lines(tied: Mapping[str, float], kept: Mapping[str, float]) -> list[str]:
+    """What a lambda that stays at its default does, by equal weights."""
+    paper = f"(the paper: bending {fixed(table_7_average(BENDING))} %, mu {fixed(table_7_average('tissue_mu'))} %)"
+    both = (
+        f"by equal weights bending {fixed(tied[BENDING])} % and tissue {fixed(tied['tissue'])} % with lambda tied to "
+        f"mu, bending {fixed(kept[BENDING])} % and mu {fixed(kept['tissue_mu'])} % with lambda kept at its default "
+        f"{paper}"
+    )
+    of_mu = _times(kept["tissue_mu"], tied["tissue"])
+    of_bending = _times(kept[BENDING], tied[BENDING])
+    if of_mu > LARGER:
+        verdict = "a lambda that stays makes mu more sensitive here"
+    elif of_mu < 1.0 / LARGER:
+        verdict = "a lambda that stays makes mu less sensitive here"
+    else:
+        verdict = "a lambda that stays hardly changes how sensitive mu is here"
+    verdict += f", {number(of_mu, 2)} times tissue's with lambda tied"
+    if of_bending > LARGER:
+        verdict += ", and bending more: it takes over what lambda does not follow"
+    elif of_bending < 1.0 / LARGER:
+        verdict += ", and bending less"
+    return [both, verdict]
+
+
+def _times(one: float, other: float) -> float:
+    return one / max(other, LEAST_PERCENT)
