@@ -219,7 +219,7 @@ def weighed_cases(basis: Basis) -> Iterator[Case]:
 
     yield case("nothing", "")
     for sign in SIGNS:
-        yield case("force", _percent(sign * FORCE), _with_force(visit, 1.0 + sign * FORCE))
+        yield case("force", _percent(sign * FORCE), with_force(visit, 1.0 + sign * FORCE))
     for sign in SIGNS:
         if all(LEVELS[0] <= push.level + sign <= LEVELS[1] for push in _trained(visit)):
             yield case("push level", f"one rib {'lower' if sign > 0 else 'higher'}", _with_level(visit, sign))
@@ -249,7 +249,7 @@ def paper_cases(basis: Basis) -> Iterator[Case]:
     usual |= dict.fromkeys(("tissue", "tissue_mu"), estimate.values.get("tissue", middle))
 
     def fit(names: tuple[str, ...], factor: float, start: Ratios | None) -> StiffnessFit:
-        pushes = pushes_on(_with_force(visit, factor), basis.torso, estimate.orientation, "paper")
+        pushes = pushes_on(with_force(visit, factor), basis.torso, estimate.orientation, "paper")
         return converged(fit_pushes(pushes, names, start or {name: usual[name] for name in names}, "paper"))
 
     for series, names in PAPER_SERIES.items():
@@ -268,7 +268,7 @@ def _with_pushes(visit: Visit, change: Callable[[PushRecord], PushRecord]) -> Vi
     return replace(visit, subject=replace(subject, record=subject.record.model_copy(update={"pushes": pushes})))
 
 
-def _with_force(visit: Visit, factor: float) -> Visit:
+def with_force(visit: Visit, factor: float) -> Visit:
     """Every force of every push scaled."""
     return _with_pushes(
         visit, lambda push: push.model_copy(update={"forces_n": tuple(factor * force for force in push.forces_n)})

@@ -126,8 +126,8 @@ def force_lines(found: Sensitivity) -> list[str]:
     if "weighed" in known:
         each = listed(f"{name} {fixed(percent)} %" for name, percent in known["weighed"].items())
         lines.append(
-            "ratios that don't scale everything (rib cage, girdle, other directions of the spine's joints stay) make up "
-            f"for the rest between them: by the weighed fit {each}"
+            "ratios that don't scale everything (rib cage, girdle, other directions of the spine's joints stay) make "
+            f"up for the rest between them: by the weighed fit {each}"
         )
     if "tied" in known and "kept" in known:
         lines += _lambda_lines(known["tied"], known["kept"])

@@ -14,7 +14,8 @@ from spinestiff.subject.sensitivity_outcome import Refit, Sensitivity
 
 MOST_PANELS = 4
 HALF = 0.36  # height of a row's bars together, over the distance of rows: half of it
-SAME = 0.005  # percent that are told as none
+SAME = 0.05  # percent that are told as none
+ROOM = 0.36  # for a bar's label, over what all bars span
 COLOURS = {"−": MEASURED, "+": FIT}
 
 
@@ -23,14 +24,16 @@ def draw_tornado(found: Sensitivity) -> Figure:
     rows = tornado_rows(found)
     names = found.parameters[:MOST_PANELS]
     with rc_context(STYLE):
-        size = (2.6 + 3.6 * len(names), 1.6 + 0.62 * max(len(rows), 1))
+        size = (2.2 + 4.2 * len(names), 1.2 + 0.62 * max(len(rows), 1))
         figure = Figure(figsize=size, layout="constrained")
-        axes = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
+        axes = figure.subplots(1, len(names), squeeze=False, sharex=True, sharey=True)[0]
+        ends = [one.stiffness_percent[name] for _, own in rows for one in own for name in names]
+        low, high = min([*ends, -1.0]), max([*ends, 1.0])
         for axis, name in zip(axes, names):
             for place, (_, refits) in enumerate(rows):
                 _draw_row(axis, place, refits, name)
             axis.axvline(0.0, color="#444444", linewidth=1.0)
-            axis.margins(x=0.24)
+            axis.set_xlim(low - ROOM * (high - low), high + ROOM * (high - low))
             axis.grid(visible=False, axis="y")
             axis.set_title(name.replace("_", " "), fontsize=11)
             axis.set_xlabel("change of the stiffness, %")
