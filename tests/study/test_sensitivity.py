@@ -17,7 +17,6 @@ from spinestiff.study.sensitivity import (
     LEVER_MM,
     TABLE_7,
     Case,
-    all_cases,
     force_percent,
     leading_mode,
     paper_cases,
@@ -53,13 +52,8 @@ def told(series, what, by, **ratios):
     return Case(series, what, by, lambda start: ratios, {})
 
 
-def chosen(basis, *wanted):
-    """Some of the true refits, by series and what is changed."""
-    return [case for case in all_cases(basis) if (case.series, case.what) in wanted]
-
-
 def test_force_and_stiffness_enter_an_equilibrium_by_their_ratio_alone(finished) -> None:
-    """So 10 % of force is 10 % of stiffness, where one ratio scales every one."""
+    """So 10 % of force is 10 % of stiffness, where one ratio scales every one; the pad's spring alone stays."""
     visit = open_visit(finished.folder, COARSE)
     torso, states = visit.torso(), []
     for factor in (1.0, 1.1):
@@ -69,21 +63,22 @@ def test_force_and_stiffness_enter_an_equilibrium_by_their_ratio_alone(finished)
         states.append(pushes.problems[item.push].solve(item.trial.load, ratios).require().state)
     one, other = (state.bone_positions[torso.vertebra_bones] for state in states)
     moved = one - torso.rest_pose.bone_positions[torso.vertebra_bones]
-    assert np.abs(moved).max() > 1.0
-    assert np.allclose(one, other, atol=2e-3 * np.abs(moved).max())
+    assert np.abs(moved).max() > 0.5
+    assert np.allclose(one, other, atol=5e-3 * np.abs(moved).max())
     found = with_refits(*[refit("everything", "force", f"{s}10 %", everything=10.0) for s in "−+"])
     assert force_lines(found)[0].startswith("with every stiffness scaled, 10 % of force is 10.0 % of stiffness")
 
 
 def test_another_default_modulus_changes_the_ratio_and_not_the_stiffness(visit) -> None:
-    asked = ("weighed", "nothing"), ("weighed", "default modulus")
-    found = sensitivity_study(visit, say, lambda basis: chosen(basis, *asked))
-    _, softer, stiffer = found.refits
-    for one, factor in ((softer, 0.8), (stiffer, 1.2)):
-        assert one.percent["tissue"] == pytest.approx(100.0 * (1.0 / factor - 1.0), abs=0.5)
-        assert one.stiffness_percent["tissue"] == pytest.approx(0.0, abs=0.5)
-        assert one.percent["lateral_bending"] == one.stiffness_percent["lateral_bending"]
-        assert one.percent["lateral_bending"] == pytest.approx(0.0, abs=0.5)
+    asked = ("nothing", ""), ("default modulus", "+20 %")
+    found = sensitivity_study(
+        visit, say, lambda basis: [case for case in weighed_cases(basis) if (case.what, case.by) in asked]
+    )
+    _, stiffer = found.refits
+    assert stiffer.percent["tissue"] == pytest.approx(100.0 * (1.0 / 1.2 - 1.0), abs=0.5)
+    assert stiffer.stiffness_percent["tissue"] == pytest.approx(0.0, abs=0.5)
+    assert stiffer.percent["lateral_bending"] == stiffer.stiffness_percent["lateral_bending"]
+    assert stiffer.percent["lateral_bending"] == pytest.approx(0.0, abs=0.5)
     assert any("+20 % changes tissue by −17 %" in line for line in sensitivity_lines(found))
 
 
@@ -152,13 +147,16 @@ def test_a_run_that_was_stopped_goes_on_where_it_was(visit) -> None:
     assert made == ["", "+10 %", "−10 %"]
     assert found.complete
     assert found.refits[1].percent["tissue"] == pytest.approx(20.0)
+    # A run that is asked for again makes all of them again.
+    sensitivity_study(visit, say, lambda basis: [refit("")])
+    assert made == ["", "+10 %", "−10 %", ""]
     # Refits on another mesh are none of these.
     finer = replace(visit, settings=Settings(mesh="fine"))
     with pytest.raises(SubjectError, match=r"torso\.npz: was shaped on the coarse mesh alone"):
         sensitivity_study(finer, say, lambda basis: [refit("")])
     altered(visit.subject.folder, Estimate, lambda content: content.update(notes=["made again"]))
     sensitivity_study(open_visit(visit.subject.folder, COARSE), say, lambda basis: [refit("")])
-    assert made == ["", "+10 %", "−10 %", ""]
+    assert made == ["", "+10 %", "−10 %", "", ""]
 
 
 def test_a_refit_that_fails_is_told_and_the_others_go_on(visit) -> None:
@@ -258,7 +256,7 @@ def test_rows_come_with_the_largest_change_first() -> None:
 
 def test_the_leading_mode_of_a_spine_is_a_shape_and_no_motion_as_one_body() -> None:
     heights = np.linspace(0.0, 400.0, 9)
-    positions = np.stack([np.zeros(9), heights, 20.0 * np.sin(heights / 100.0)], axis=1)
+    positions = np.stack([np.zeros(9), heights, np.zeros(9)], axis=1)
     shape = np.zeros((9, 6))
     shape[:, 0] = np.cos(np.linspace(0.0, 2.0 * np.pi, 9))
     shape[:, 0] -= np.polyval(np.polyfit(heights, shape[:, 0], 1), heights)

@@ -111,7 +111,7 @@ def _digest(visit: Visit) -> str:
 
 
 def _earlier(visit: Visit, digest: str) -> tuple[Refit, ...]:
-    """Refits of a run that was stopped; none if the file is of another estimate or mesh, or no such file."""
+    """Refits of a run that was stopped; none if it wasn't, or of another estimate or mesh, or there is no such file."""
     path = visit.file(Sensitivity.FILE)
     if not path.is_file():
         return ()
@@ -119,7 +119,7 @@ def _earlier(visit: Visit, digest: str) -> tuple[Refit, ...]:
         found = Sensitivity.model_validate_json(read_text(path), strict=True)
     except (SpinestiffError, ValueError):
         return ()
-    return found.refits if found.basis == digest else ()
+    return found.refits if found.basis == digest and not found.complete else ()
 
 
 def _made(case: Case, before: Sequence[Refit]) -> Refit:

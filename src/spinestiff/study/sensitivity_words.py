@@ -84,7 +84,8 @@ def sensitivity_lines(found: Sensitivity) -> list[str]:
     lines = []
     rows = tornado_rows(found)
     if rows:
-        each = [_largest(name, rows) for name in found.parameters]
+        moved = [name for name in found.parameters if any(name in one.percent for _, own in rows for one in own)]
+        each = [_largest(name, rows) for name in moved]
         lines.append(f"largest change of each stiffness: {'; '.join(each)}")
     modulus = [one for one in found.refits if one.what == "default modulus" and one.ratios]
     for one in modulus[-1:]:
