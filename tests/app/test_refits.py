@@ -41,8 +41,8 @@ SENSITIVITY = Sensitivity(
 
 def score(names, error):
     return ModelScore(
-        parameters=names, ratios=dict.fromkeys(names, 0.1), sd_log={}, extreme=(), training_rmse_mm=0.5,
-        left_out_rmse_mm=error, held_out_rmse_mm=1.5, aic=100.0,
+        parameters=names, ratios={name: 0.01 * (i + 1) for i, name in enumerate(names)}, sd_log={}, extreme=(),
+        training_rmse_mm=0.5, left_out_rmse_mm=error, held_out_rmse_mm=1.5, aic=100.0,
     )  # fmt: skip
 
 
@@ -100,8 +100,8 @@ def test_parameters_are_printed_and_written(spinestiff, subject, studied):
     assert ran.status == 0, ran.err
     lines = ran.out.splitlines()
     assert any("lateral translation k_v,x" in line and "0.12" in line and "6.0" in line for line in lines)
-    assert any("Lamé's μ" in line and "16.0" in line and "797.4" in line for line in lines)
-    assert any("lateral_bending, tissue_mu, tissue_lambda" in line and "0.99" in line for line in lines)
+    assert any("Lamé's μ" in line and "16.00" in line and "797.4" in line for line in lines)
+    assert any("lateral_bending, tissue_mu, tissue_lambda" in line and "0.010, 0.020, 0.030" in line for line in lines)
     assert "training frames left out: 1.00 mm as estimated, 0.99 mm with lambda on its own (−1.0 %)" in lines
     ran = spinestiff("parameters", subject, "--json")
     assert ran.err == ""

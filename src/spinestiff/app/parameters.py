@@ -22,11 +22,11 @@ def show_parameters(found: ParameterStudy) -> None:
     columns: tuple[str, ...] = ("parameter", "default", "estimate", "share, %")
     table = _table(f"Motion of the corners per e-fold, mm ({found.mesh} mesh)", *columns)
     for effect in found.effects:
-        cells = (number(effect.default_mm, 2), number(effect.estimate_mm, 2), f"{100.0 * effect.share:.1f}")
+        cells = (number(effect.default_mm, 2), number(effect.estimate_mm, 2), fixed(100.0 * effect.share, 0))
         table.add_row(TITLES[effect.name], *cells)
     tables.show(table)
     optimum = ", ".join(f"{name} {number(value, 2)}" for name, value in found.optimum.items())
-    title = f"Gradient of the paper's objective, equal weights (Eq. 10, Table 3), mm²; optimum: {optimum}"
+    title = f"Gradient of the paper's objective (Eq. 10, Table 3), mm² per e-fold; equal weights' optimum: {optimum}"
     table = _table(title, "parameter", "default", "optimum", "paper, mean of |default|")
     for row in gradient_rows(found):
         table.add_row(*row)
@@ -37,7 +37,7 @@ def show_parameters(found: ParameterStudy) -> None:
         errors = (model.training_rmse_mm, model.left_out_rmse_mm, model.held_out_rmse_mm)
         table.add_row(
             model_title(model),
-            ", ".join(number(value, 2) for value in model.ratios.values()),
+            ", ".join(number(model.ratios.get(name), 2) for name in model.parameters),
             *[fixed(error, 2) for error in errors],
             fixed(model.aic),
             ", ".join(model.extreme),

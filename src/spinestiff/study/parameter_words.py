@@ -27,7 +27,7 @@ UNSEEN = 0.9
 def gradient_rows(found: ParameterStudy) -> list[tuple[str, str, str, str]]:
     """Title, gradient at the default, at the optimum, and the paper's mean of absolute values."""
     return [
-        (TITLES[row.name], number(row.default), number(row.optimum), fixed(table_3_average(row.name)))
+        (TITLES[row.name], fixed(row.default, 2), fixed(row.optimum, 2), fixed(table_3_average(row.name)))
         for row in found.gradient
     ]
 
@@ -48,14 +48,14 @@ def parameter_lines(found: ParameterStudy) -> list[str]:
         left = found.lambda_sd / found.lambda_prior_sd
         why = "these radiographs say next to nothing of lambda" if left > UNSEEN else "the radiographs tell some of it"
         lines.append(
-            f"the log of lambda at a given mu is known to ± {number(found.lambda_prior_sd, 2)} before the fit and to "
-            f"± {number(found.lambda_sd, 2)} after it: {why}"
+            f"about the estimate, the log of lambda at a given mu is known to ± {number(found.lambda_prior_sd, 2)} "
+            f"before the fit and to ± {number(found.lambda_sd, 2)} after it: {why}"
         )
     return lines
 
 
 def _shares(found: ParameterStudy) -> str:
-    return ", ".join(f"{TITLES[effect.name]} {100.0 * effect.share:.0f} %" for effect in found.effects)
+    return ", ".join(f"{TITLES[effect.name]} {fixed(100.0 * effect.share, 0)} %" for effect in found.effects)
 
 
 def model_title(model: ModelScore) -> str:
@@ -85,16 +85,19 @@ def _compared(two: ModelScore, three: ModelScore, left_out: str) -> list[str]:
         gain = two.aic - three.aic
         verdict = "about as good" if abs(gain) < CLOSE else "better" if gain > 0.0 else "worse"
         lines.append(f"Akaike's criterion: {fixed(-gain, 1, True)} with lambda on its own ({verdict}; less is better)")
-    pays = (
-        not three.extreme
-        and two.left_out_rmse_mm is not None
-        and three.left_out_rmse_mm is not None
-        and three.left_out_rmse_mm < LESS * two.left_out_rmse_mm
-        and two.aic is not None
-        and three.aic is not None
-        and two.aic - three.aic > CLOSE
-    )
-    lines.append(
-        "a ratio of lambda's own pays here" if pays else "a ratio of lambda's own does not pay here: two are enough"
-    )
-    return lines
+    against = [
+        *([f"{' and '.join(three.extreme)} at the edge of what a fit allows"] if three.extreme else []),
+        *([] if _forecasts_better(two, three) else ["frames left out are forecast no better"]),
+        *([] if _likelier(two, three) else ["Akaike's criterion does not ask for it"]),
+    ]
+    worth = f"is not worth a ratio here: {'; '.join(against)}" if against else "is worth a ratio here"
+    return [*lines, f"lambda on its own {worth}"]
+
+
+def _forecasts_better(two: ModelScore, three: ModelScore) -> bool:
+    errors = (two.left_out_rmse_mm, three.left_out_rmse_mm)
+    return errors[0] is not None and errors[1] is not None and errors[1] < LESS * errors[0]
+
+
+def _likelier(two: ModelScore, three: ModelScore) -> bool:
+    return two.aic is not None and three.aic is not None and two.aic - three.aic > CLOSE
