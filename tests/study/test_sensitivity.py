@@ -154,9 +154,27 @@ def test_a_run_that_was_stopped_goes_on_where_it_was(visit) -> None:
     finer = replace(visit, settings=Settings(mesh="fine"))
     with pytest.raises(SubjectError, match=r"torso\.npz: was shaped on the coarse mesh alone"):
         sensitivity_study(finer, say, lambda basis: [refit("")])
+
+
+def test_refits_of_another_estimate_are_not_gone_on_with(visit) -> None:
+    made = []
+
+    def stopped(start):
+        raise KeyboardInterrupt
+
+    def fit(start):
+        made.append(1)
+        return {"tissue": 0.05}
+
+    cases = [Case("weighed", "nothing", "", fit, {}), Case("weighed", "force", "+10 %", stopped, {})]
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            sensitivity_study(visit, say, lambda basis: cases)
+    assert len(made) == 1
     altered(visit.subject.folder, Estimate, lambda content: content.update(notes=["made again"]))
-    sensitivity_study(open_visit(visit.subject.folder, COARSE), say, lambda basis: [refit("")])
-    assert made == ["", "+10 %", "−10 %", "", ""]
+    with pytest.raises(KeyboardInterrupt):
+        sensitivity_study(open_visit(visit.subject.folder, COARSE), say, lambda basis: cases)
+    assert len(made) == 2
 
 
 def test_a_refit_that_fails_is_told_and_the_others_go_on(visit) -> None:
@@ -252,6 +270,15 @@ def test_rows_come_with_the_largest_change_first() -> None:
         "largest change of each stiffness: lateral_bending +40 % (push level one rib lower); tissue +12 %"
         in (sensitivity_lines(found)[0])
     )
+
+
+def test_the_estimates_own_interval_stands_beside() -> None:
+    found = with_refits().model_copy(
+        update={"estimate": {"lateral_bending": 0.2, "tissue": 0.05}, "interval95": {"lateral_bending": (0.1, 0.5)}}
+    )
+    assert sensitivity_lines(found) == [
+        "for comparison, the estimate's own 95 % interval about its value: lateral_bending −50 % to +150 %"
+    ]
 
 
 def test_the_leading_mode_of_a_spine_is_a_shape_and_no_motion_as_one_body() -> None:

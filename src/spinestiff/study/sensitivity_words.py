@@ -87,6 +87,14 @@ def sensitivity_lines(found: Sensitivity) -> list[str]:
         moved = [name for name in found.parameters if any(name in one.percent for _, own in rows for one in own)]
         each = [_largest(name, rows) for name in moved]
         lines.append(f"largest change of each stiffness: {'; '.join(each)}")
+    intervals = [
+        f"{name} {_apart(ends[0], value)} to {_apart(ends[1], value)}"
+        for name, value in found.estimate.items()
+        for ends in [found.interval95.get(name)]
+        if ends is not None
+    ]
+    if intervals:
+        lines.append(f"for comparison, the estimate's own 95 % interval about its value: {'; '.join(intervals)}")
     modulus = [one for one in found.refits if one.what == "default modulus" and one.ratios]
     for one in modulus[-1:]:
         for name, percent in one.percent.items():
@@ -108,6 +116,10 @@ def _largest(name: str, rows: Sequence[tuple[str, tuple[Refit, ...]]]) -> str:
     refits = [one for _, own in rows for one in own if name in one.stiffness_percent]
     most = max(refits, key=lambda one: abs(one.stiffness_percent[name]))
     return f"{name} {fixed(most.stiffness_percent[name], 0, True)} % ({_shown(most)})"
+
+
+def _apart(one: float, other: float) -> str:
+    return f"{fixed(100.0 * (one / other - 1.0), 0, True)} %"
 
 
 def _shown(one: Refit) -> str:

@@ -413,7 +413,7 @@ def _tornado_picture(found: Sensitivity) -> tuple[str, Figure, str, str]:
     alt = f"Change of each stiffness by what was changed, {listed(words)}."
     caption = (
         f"Change of each stiffness, in percent, where the estimate is made again (weighed fit, {found.mesh} mesh) with "
-        "one thing changed; the largest change first."
+        "one thing changed; the largest change first. A push +1 rib acts a rib lower."
     )
     return "sensitivity", draw_tornado(found), alt, caption
 
