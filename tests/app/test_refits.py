@@ -82,7 +82,7 @@ def test_sensitivity_is_printed_written_and_drawn_once(spinestiff, subject, stud
     lines = ran.out.splitlines()
     assert any("force ±10 %" in line and "−9.2" in line and "−12.4" in line for line in lines)
     assert any("corners' orientation" in line and "covariance" in line and "+7.4" in line for line in lines)
-    assert any("weighed, lambda tied to mu" in line and "9.1" in line and "12.6" in line for line in lines)
+    assert any("weighed, the estimate's ratios" in line and "9.1" in line and "12.6" in line for line in lines)
     assert any("Koutras et al. 2025" in line and "7.6" in line and "28.6" in line for line in lines)
     assert "10 % of force is 10.0 % of stiffness" in ran.out
     assert ran.out.splitlines()[-1] == f"picture: {subject / 'results/sensitivity.png'}"

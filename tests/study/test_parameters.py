@@ -24,6 +24,7 @@ from spinestiff.study.parameters import (
     parameter_study,
     table_3_average,
     untied,
+    without,
 )
 from spinestiff.study.refits import basis_of
 from spinestiff.study.visit import Settings, open_visit
@@ -118,6 +119,14 @@ def test_a_frame_left_out_is_forecast_from_the_others(basis, pushes, fit) -> Non
     assert score.aic == pytest.approx(-2.0 * fit.weighed.log_likelihood + 4.0)
 
 
+def test_what_is_left_out_is_not_fitted(pushes) -> None:
+    first, second = pushes.training
+    less = without(pushes, [first])
+    assert less.training == (second,)
+    assert [t.force_n for t in less.fitted] == [second.force_n, 0.0]
+    assert len(less.trials) == len(pushes.trials)
+
+
 def test_pushes_are_left_out_where_there_are_several(pushes) -> None:
     second = [t for t in pushes.trials if t.push == "second"][-1]
     several = replace(pushes, trials=tuple(replace(t, role="training") if t is second else t for t in pushes.trials))
@@ -140,11 +149,11 @@ def test_extreme_is_within_5_percent_of_a_bound_in_log(fit, value, near) -> None
 
 
 def test_an_estimate_without_tissue_is_refused(subject) -> None:
-    def without(content):
+    def less(content):
         content["parameters"] = ["lateral_bending"]
         del content["ratios"]["tissue"]
 
-    altered(subject, Estimate, without)
+    altered(subject, Estimate, less)
     with pytest.raises(SubjectError, match="has no ratio tissue"):
         parameter_study(open_visit(subject, COARSE), say)
 

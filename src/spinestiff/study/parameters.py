@@ -211,7 +211,7 @@ def model_score(
     errors, notes = list[Floats](), list[str]()
     for number, fold in enumerate(folds):
         say(f"{', '.join(fit.names)}: without {_named(fold)} ({number + 1} of {len(folds)})")
-        less = _without(pushes, fold)
+        less = without(pushes, fold)
         try:
             found = converged(
                 fit_pushes(
@@ -252,7 +252,7 @@ def _named(fold: Sequence[PushTrial]) -> str:
     return labels[0] if len(labels) == 1 else f"{counted(len(labels), 'frame')} of push '{fold[0].push}'"
 
 
-def _without(pushes: PushSet, fold: Sequence[PushTrial]) -> PushSet:
+def without(pushes: PushSet, fold: Sequence[PushTrial]) -> PushSet:
     """The pushes with some training frames unused."""
     out = {(item.push, item.frame) for item in fold}
     return replace(

@@ -20,7 +20,7 @@ TITLES: Mapping[Change, str] = {
 }
 """Of what was changed, in the order in which it is changed."""
 SERIES: Mapping[Series, str] = {
-    "weighed": "weighed, lambda tied to mu",
+    "weighed": "weighed, the estimate's ratios",
     "tied": "equal weights, lambda tied to mu",
     "kept": "equal weights, lambda kept at its default",
     "everything": "equal weights, one ratio for every stiffness",
