@@ -242,7 +242,11 @@ def weighed_cases(basis: Basis) -> Iterator[Case]:
 
 
 def paper_cases(basis: Basis) -> Iterator[Case]:
-    """Table 7: equal weights."""
+    """Table 7: equal weights.
+
+    Their loss may have several minima. A refit begins at the ratios with nothing changed, so that it is compared with
+    the minimum that it began in.
+    """
     visit, estimate = basis.visit, basis.estimate
     middle = float(np.exp(np.mean(np.log(list(estimate.values.values())))))
     usual = {"everything": middle, BENDING: estimate.values.get("lateral_bending", middle)}
