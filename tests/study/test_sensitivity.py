@@ -213,8 +213,26 @@ def test_an_estimate_by_the_papers_method_is_refused(visit) -> None:
 def test_the_papers_refits_are_of_its_two_ratios_and_of_one_for_all(finished) -> None:
     cases = list(paper_cases(basis_of(open_visit(finished.folder, COARSE))))
     assert [(case.series, case.by) for case in cases] == [
-        (series, by) for series in ("tied", "kept", "everything") for by in ("", "−10 %", "+10 %")
+        *[(series, by) for series in ("tied", "kept") for by in ("", "other ratios", "−10 %", "+10 %")],
+        *[("everything", by) for by in ("", "−10 %", "+10 %")],
     ]
+
+
+def test_one_of_the_papers_refits_begins_elsewhere(finished, monkeypatch) -> None:
+    starts = []
+
+    def noted(pushes, names, start, method):
+        starts.append((method, tuple(start.items())))
+        raise FitError("not fitted")
+
+    monkeypatch.setattr("spinestiff.study.sensitivity.fit_pushes", noted)
+    there = {BENDING: 0.1, "tissue": 0.02}
+    for case in list(paper_cases(basis_of(open_visit(finished.folder, COARSE))))[:4]:
+        with pytest.raises(FitError, match="not fitted"):
+            case.fit(there)
+    same = ("paper", tuple(there.items()))
+    elsewhere = ("paper", ((BENDING, pytest.approx(0.12)), ("tissue", pytest.approx(0.014))))
+    assert starts == [same, elsewhere, same, same]
 
 
 def refit(series, what, by, **percent):
@@ -257,6 +275,20 @@ def test_what_a_lambda_that_stays_does_is_told_as_it_was_found(bending, mu, word
     tied = [refit("tied", "force", f"{sign}10 %", intervertebral_bending=8.0, tissue=12.0) for sign in "−+"]
     kept = [refit("kept", "force", f"{sign}10 %", intervertebral_bending=bending, tissue_mu=mu) for sign in "−+"]
     assert force_lines(with_refits(*tied, *kept))[-1] == words
+
+
+def test_a_search_that_ends_where_it_began_is_told_and_no_verdict_is_made() -> None:
+    tied = [refit("tied", "force", f"{sign}10 %", intervertebral_bending=8.0, tissue=12.0) for sign in "−+"]
+    kept = [refit("kept", "force", f"{sign}10 %", intervertebral_bending=21.0, tissue_mu=9.0) for sign in "−+"]
+    sure = refit("tied", "start", "other ratios", intervertebral_bending=0.1, tissue=0.2)
+    loose = refit("kept", "start", "other ratios", intervertebral_bending=10.0, tissue_mu=-29.0)
+    lines = force_lines(with_refits(*tied, sure, *kept, loose))
+    assert lines[-2:] == [
+        "equal weights, lambda kept at its default: a search begun at other ratios ends elsewhere, "
+        "intervertebral_bending +10 % and tissue_mu −29 %, so that its row is known no better than that",
+        "what a lambda that stays does to mu's sensitivity can't be told here by equal weights",
+    ]
+    assert not any("ends elsewhere" in line for line in force_lines(with_refits(*tied, sure, *kept)))
 
 
 def test_rows_come_with_the_largest_change_first() -> None:

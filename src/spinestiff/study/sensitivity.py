@@ -39,6 +39,8 @@ SIGNS = (-1, 1)
 Ratios = Mapping[str, float]
 LEVER_MM = 20.0
 """Half a vertebra: by how much a turn counts beside a shift where the leading mode of a geometry is looked for."""
+ELSEWHERE = (1.2, 0.7)
+"""Of bending and tissue, over where they are: along the valley in which they trade against each other."""
 BENDING = "intervertebral_bending"
 PAPER_SERIES: Mapping[Series, tuple[str, ...]] = {
     "tied": (BENDING, "tissue"),
@@ -244,22 +246,26 @@ def weighed_cases(basis: Basis) -> Iterator[Case]:
 def paper_cases(basis: Basis) -> Iterator[Case]:
     """Table 7: equal weights.
 
-    Their loss may have several minima. A refit begins at the ratios with nothing changed, so that it is compared with
-    the minimum that it began in.
+    Their loss may be flat along a valley, or have several minima. So one refit of each pair of ratios has nothing
+    changed but where it begins: what the others tell is known no better than where that one ends.
     """
     visit, estimate = basis.visit, basis.estimate
     middle = float(np.exp(np.mean(np.log(list(estimate.values.values())))))
     usual = {"everything": middle, BENDING: estimate.values.get("lateral_bending", middle)}
     usual |= dict.fromkeys(("tissue", "tissue_mu"), estimate.values.get("tissue", middle))
 
-    def fit(names: tuple[str, ...], factor: float, start: Ratios | None) -> StiffnessFit:
+    def fit(names: tuple[str, ...], factor: float, apart: Sequence[float], start: Ratios | None) -> StiffnessFit:
         pushes = pushes_on(with_force(visit, factor), basis.torso, estimate.orientation, "paper")
-        return converged(fit_pushes(pushes, names, start or {name: usual[name] for name in names}, "paper"))
+        begun = [(start or usual)[name] * share for name, share in zip(names, apart)]
+        return converged(fit_pushes(pushes, names, dict(zip(names, begun)), "paper"))
 
     for series, names in PAPER_SERIES.items():
-        yield Case(series, "nothing", "", partial(fit, names, 1.0), {})
+        there = (1.0,) * len(names)
+        yield Case(series, "nothing", "", partial(fit, names, 1.0, there), {})
+        if len(names) == len(ELSEWHERE):
+            yield Case(series, "start", "other ratios", partial(fit, names, 1.0, ELSEWHERE), {})
         for sign in SIGNS:
-            yield Case(series, "force", _percent(sign * FORCE), partial(fit, names, 1.0 + sign * FORCE), {})
+            yield Case(series, "force", _percent(sign * FORCE), partial(fit, names, 1.0 + sign * FORCE, there), {})
 
 
 def _percent(share: float) -> str:

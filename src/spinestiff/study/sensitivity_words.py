@@ -27,6 +27,8 @@ SERIES: Mapping[Series, str] = {
 }
 # Of two sensitivities, from which one counts as larger.
 LARGER = 1.25
+# Share of what the force does, up to which it does not matter where a search begins.
+LOOSE = 0.5
 # Of a change that another one is compared with.
 LEAST_PERCENT = 0.1
 
@@ -143,18 +145,28 @@ def force_lines(found: Sensitivity) -> list[str]:
             f"up for the rest between them: by the weighed fit {each}"
         )
     if "tied" in known and "kept" in known:
-        lines += _lambda_lines(known["tied"], known["kept"])
+        lines += _lambda_lines(found)
     return lines
 
 
-def _lambda_lines(tied: Mapping[str, float], kept: Mapping[str, float]) -> list[str]:
+def _lambda_lines(found: Sensitivity) -> list[str]:
     """What a lambda that stays at its default does, by equal weights."""
+    tied, kept = found.force_percent["tied"], found.force_percent["kept"]
     paper = f"(the paper: bending {fixed(table_7_average(BENDING))} %, mu {fixed(table_7_average('tissue_mu'))} %)"
     both = (
         f"by equal weights bending {fixed(tied[BENDING])} % and tissue {fixed(tied['tissue'])} % with lambda tied to "
         f"mu, bending {fixed(kept[BENDING])} % and mu {fixed(kept['tissue_mu'])} % with lambda kept at its default "
         f"{paper}"
     )
+    loose = [one for one in found.refits if one.what == "start" and _is_loose(one, found.force_percent[one.series])]
+    if loose:
+        ends = [
+            f"{SERIES[one.series]}: a search begun at other ratios ends elsewhere, "
+            f"{listed(f'{name} {fixed(value, 0, True)} %' for name, value in one.percent.items())}, so that its row is "
+            "known no better than that"
+            for one in loose
+        ]
+        return [both, *ends, "what a lambda that stays does to mu's sensitivity can't be told here by equal weights"]
     of_mu = _times(kept["tissue_mu"], tied["tissue"])
     of_bending = _times(kept[BENDING], tied[BENDING])
     if of_mu > LARGER:
@@ -169,6 +181,11 @@ def _lambda_lines(tied: Mapping[str, float], kept: Mapping[str, float]) -> list[
     elif of_bending < 1.0 / LARGER:
         verdict += ", and bending less"
     return [both, verdict]
+
+
+def _is_loose(again: Refit, force: Mapping[str, float]) -> bool:
+    """Whether where a search begins moves a ratio by more than half of what 10 % of force does to it."""
+    return any(abs(value) > LOOSE * force.get(name, 0.0) for name, value in again.percent.items())
 
 
 def _times(one: float, other: float) -> float:

@@ -9,7 +9,7 @@ from spinestiff.subject.outcome_parts import Outcome, OutcomeFile
 Series = Literal["weighed", "tied", "kept", "everything"]
 """Of refits: by the weighed fit, the estimate's own ratios; by the paper's, bending and tissue with lambda tied to mu,
 the same with lambda kept at its default, and one ratio for every stiffness."""
-Change = Literal["nothing", "force", "push level", "corners", "mesh", "default modulus", "geometry"]
+Change = Literal["nothing", "start", "force", "push level", "corners", "mesh", "default modulus", "geometry"]
 
 
 class Refit(Outcome):
@@ -17,7 +17,8 @@ class Refit(Outcome):
 
     Attributes
     ----------
-    what, by : what was changed, and by how much in words, e.g. "force" by "+10 %".
+    what, by : what was changed, and by how much in words, e.g. "force" by "+10 %". With "start" only where the search
+        begins: what it changes, the search leaves open.
     ratios : name -> estimate; empty where there is none, ``note`` says why.
     percent : name -> change of the ratio against the series' refit with nothing changed.
     stiffness_percent : the same of the stiffness, which is another where the default that it is a ratio to was changed.
