@@ -59,6 +59,7 @@ HOMES: dict[str, tuple[str, ...]] = {
         "study/report/frame_strip.py",
         "study/report/plan_picture.py",
         "study/report/repeat_picture.py",
+        "study/report/tornado_picture.py",
         "study/report/torso_picture.py",
         "study/report/page.py",
     ),

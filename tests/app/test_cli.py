@@ -35,6 +35,8 @@ COMMANDS = {
     "personalise": ("--mesh", "--redo"),
     "estimate": ("--method", "--orientation", "--parameters", "--population", "--redo"),
     "plan": ("--target", "--limit", "--exposures", "--dose", "--frame-dose", "--side", "--ribs", "--under", "--json"),
+    "parameters": ("--mesh", "--redo", "--json"),
+    "sensitivity": ("--mesh", "--redo", "--json"),
     "assess": ("--truth", "--redo"),
     "repeat": ("--annotators", "--out", "--json"),
     "report": ("--truth", "--redo"),

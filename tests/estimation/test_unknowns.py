@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.regions import parameter_groups
+from spinestiff.anatomy.stiffness import parameter_group
+from spinestiff.anatomy.template import template_torso
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.unknowns import (
     ACTS,
     acts_by_name,
     changed_load,
+    is_fitted,
     load_changes,
     place_of,
     unknowns_of,
@@ -153,3 +157,34 @@ def test_the_place_of_the_supports_is_what_the_acts_say() -> None:
     acts = np.zeros(len(ACTS))
     acts[[ACTS.index("obliquity"), ACTS.index("shoulder")]] = 0.05, -2.0
     assert (place_of(acts).obliquity, place_of(acts).shoulder_mm) == (0.05, -2.0)
+
+
+def test_a_ratio_that_is_fitted_is_no_unknown_beside_itself(column, trials) -> None:
+    """Tissue's volume is lambda at a given mu: known by neither of the two alone, but by both."""
+
+    def groups(*names):
+        return [parameter_group(name, column.torso.joints.kinds) for name in names]
+
+    def volume(*names):
+        found = unknowns_of(trials, [column.problem] * 4, Priors(), fitted=groups(*names))
+        assert {"trunk breadth", "trunk depth"} <= set(found.names)
+        return "tissue's volume" in found.names
+
+    assert volume("lateral_bending", "tissue")
+    assert volume("lateral_bending", "tissue_mu")
+    assert volume("everything")
+    assert not volume("lateral_bending", "tissue_mu", "tissue_lambda")
+    assert not volume("tissue", "tissue_lambda")
+
+
+def test_ribs_that_are_fitted_are_no_unknown() -> None:
+    torso = template_torso(157.0, "coarse")
+    for names, fitted in (
+        (("lateral_bending", "tissue"), False),
+        (("rib_vertebra",), False),
+        (("tissue", "rib_rotation"), True),
+    ):
+        assert is_fitted("ribs", parameter_groups(torso, names), torso) == fitted
+    halves = parameter_groups(torso, ("tissue@thorax", "tissue@abdomen"))
+    assert not is_fitted("volume", halves, torso)
+    assert is_fitted("volume", (*halves, *parameter_groups(torso, ("tissue_lambda",))), torso)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import kstest
+from scipy.stats import kstest, multivariate_normal
 
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.status import FitStatus
@@ -255,3 +255,12 @@ def test_a_ratio_outside_the_limits_ends_at_them(column, clean) -> None:
     ended = narrow.searched(narrow.weighed(clean))
     assert ended.status is FitStatus.CONVERGED
     assert logs(ended).min() == pytest.approx(np.log(0.5), abs=1e-9)
+
+
+def test_the_likelihood_is_that_of_the_residuals_with_unknowns_integrated_out(column, asked) -> None:
+    found = column.searched(asked)
+    point, slope = found.point, found.slope
+    free = point.values - slope.nuisances @ point.nuisances
+    covariance = found.weights.root @ found.weights.root.T + slope.nuisances @ slope.nuisances.T
+    expected = multivariate_normal(cov=covariance, allow_singular=False).logpdf(free)
+    assert asked.log_likelihood(point, slope, found.weights) == pytest.approx(expected, rel=1e-9)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
+
+from spinestiff import subject
 from spinestiff.study.runner import MADE_BY
 from spinestiff.subject.folder import READ_AGAIN
 from spinestiff.subject.outcomes import OutcomeFile
 
 
 def test_every_result_that_is_read_is_on_the_list():
+    for module in pkgutil.iter_modules(subject.__path__):
+        importlib.import_module(f"{subject.__name__}.{module.name}")
     files = {kind.FILE for kind in OutcomeFile.__subclasses__()}
     assert len(files) >= 5 and len(MADE_BY) >= 5
     assert {*MADE_BY, *files, "run.json"} == set(READ_AGAIN)

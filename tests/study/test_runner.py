@@ -13,7 +13,7 @@ from spinestiff.study.runner import ALL_STEPS, STEPS, run_steps
 from spinestiff.study.visit import Settings, open_visit
 from spinestiff.subject.folder import read_subject
 from spinestiff.subject.outcome_parts import OUTCOME_VERSION
-from spinestiff.subject.run_record import input_digest, package_version
+from spinestiff.subject.run_record import input_digest, package_version, record_step, step_record
 
 UP_TO_DATE = [f"{step}: up to date" for step in STEPS]
 AFTER = {"estimate": ["estimate", "assess", "report"], "personalise": ["personalise", "estimate", "assess", "report"]}
@@ -122,6 +122,20 @@ def test_own_files_of_the_body_are_inputs(subject):
     assert "rest/lateral.dcm" not in shape.inputs(visit)
     assert not {"own.npz", "scan.stl"} & set(ALL_STEPS["track"].inputs(visit))
     assert "skin_scan.png" in shape.outputs(visit)
+
+
+def test_refits_are_an_input_of_the_report_while_they_are_of_this_estimate(subject):
+    report, visit = ALL_STEPS["report"], open_visit(subject)
+    assert "results/sensitivity.json" not in report.inputs(visit)
+    for name in ("sensitivity.json", "sensitivity.png"):
+        visit.file(name).write_bytes(b"{}")
+    inputs = ALL_STEPS["sensitivity"].inputs(visit)
+    assert {"results/estimate.json", "results/tracked.json", "results/torso.npz"} <= set(inputs)
+    outputs = [visit.file(name) for name in ALL_STEPS["sensitivity"].outputs(visit)]
+    record_step(visit.subject, "sensitivity", step_record(visit.subject, inputs, {}), outputs)
+    assert {"results/sensitivity.json", "results/sensitivity.png"} <= set(report.inputs(visit))
+    edited(subject, "results/estimate.json", lambda content: content.update(notes=["made again"]))
+    assert "results/sensitivity.json" not in report.inputs(visit)
 
 
 # When they are redone

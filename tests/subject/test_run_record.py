@@ -19,6 +19,7 @@ from spinestiff.subject.run_record import (
     changed_outputs,
     input_digest,
     is_current,
+    is_unchanged,
     read_outcome,
     record_step,
     recorded_steps,
@@ -86,6 +87,18 @@ def test_a_step_is_current_until_something_changes(bare):
     assert changed_inputs(bare, "estimate") == ("a.dcm",)
     with pytest.raises(SubjectError, match="no such file"):
         step_record(bare, ["a.dcm"], settings)
+
+
+def test_a_step_is_unchanged_while_its_inputs_and_outputs_are(bare):
+    output = bare.results / "estimate.json"
+    for spoil in (output, bare.folder / "a.dcm"):
+        assert not is_unchanged(bare, "assess")
+        (bare.folder / "a.dcm").write_bytes(b"frames")
+        write_json(output, {"value": 1})
+        record_step(bare, "estimate", step_record(bare, ["a.dcm"], {}), [output])
+        assert is_unchanged(bare, "estimate")
+        spoil.write_bytes(b"other")
+        assert not is_unchanged(bare, "estimate")
 
 
 @pytest.mark.parametrize(

@@ -59,6 +59,7 @@ Population = Annotated[
 ]
 Orientation = Annotated[str, typer.Option(help="Vertebra orientation in the image: procrustes or covariance.")]
 Truth = Annotated[Path | None, typer.Option(help="Truth file of a synthetic subject, for comparison only.")]
+RefitMesh = Annotated[str, typer.Option("--mesh", help="Mesh of the refits: coarse, or fine, which takes long.")]
 Seed = Annotated[int, typer.Option(help="Of everything random.")]
 Height = Annotated[float, typer.Option(callback=within("cm", height_limits), help="Body height, cm.")]
 Cobb = Annotated[
@@ -275,6 +276,43 @@ def plan(
         show_json([push.model_dump(mode="json") for push in found.next])
     else:
         show_plan(found, visit)
+
+
+@app.command()
+def parameters(
+    folder: Folder,
+    mesh: RefitMesh = "coarse",
+    redo: Force = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+) -> None:
+    """What six stiffness parameters do to the spine, the paper's gradients, and two ratios against three."""
+    from spinestiff.app.parameters import read_parameters, show_parameters
+    from spinestiff.app.tables import show_json
+
+    found = read_parameters(_steps(folder, ("parameters",), redo, quiet=json, mesh=mesh))
+    if json:
+        show_json(found.model_dump(mode="json"))
+    else:
+        show_parameters(found)
+
+
+@app.command()
+def sensitivity(
+    folder: Folder,
+    mesh: RefitMesh = "coarse",
+    redo: Force = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+) -> None:
+    """Refits with force, push level, corners, mesh, default modulus and geometry changed; writes a picture."""
+    from spinestiff.app.sensitivity import read_sensitivity, show_sensitivity
+    from spinestiff.app.tables import show_json
+
+    visit = _steps(folder, ("sensitivity",), redo, quiet=json, mesh=mesh)
+    found = read_sensitivity(visit)
+    if json:
+        show_json(found.model_dump(mode="json"))
+    else:
+        show_sensitivity(found, visit)
 
 
 @app.command()
@@ -519,14 +557,16 @@ def _names(given: str | None) -> tuple[str, ...] | None:
     return None if given is None else tuple(name.strip() for name in given.split(","))
 
 
-def _steps(folder: Path, steps: tuple[str, ...], redo: bool, truth: Path | None = None, **settings: Any) -> Any:
+def _steps(
+    folder: Path, steps: tuple[str, ...], redo: bool, truth: Path | None = None, quiet: bool = False, **settings: Any
+) -> Any:
     from spinestiff.app.progress import progress
     from spinestiff.study.runner import run_steps
     from spinestiff.study.visit import Settings, open_visit
     from spinestiff.subject.lock import sole_run
 
     visit = open_visit(folder, Settings(**settings), truth)
-    with sole_run(visit.subject.folder), progress() as say:
+    with sole_run(visit.subject.folder), progress(quiet=quiet) as say:
         for warning in visit.subject.warnings:
             say(f"warning: {warning}")
         run_steps(visit, steps, say, redo)

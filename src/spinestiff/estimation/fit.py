@@ -307,6 +307,7 @@ def _told(
         repeated_sds(asked, found),
         repeated_sds(asked, found, annotation_alone=True),
         best_known(found.point.log_ratios, _data_precision(asked, found)),
+        asked.log_likelihood(found.point, found.slope, found.weights),
         known,
     )
 

@@ -60,6 +60,7 @@ class Weighed(ShortRepr):
     visit_sd, annotation_sd : (P,) of the log ratios from visit to visit of one person, and from annotation to
         annotation of these radiographs, to first order (``budget.repeated_sds``).
     best_known : the combination of ratios that the data know best, to first order; None where a ratio alone is.
+    log_likelihood : of the data at the estimate, with all that is not quite known integrated out to first order.
     places : that intervals come from, the estimate first; empty without profiles.
     """
 
@@ -76,6 +77,7 @@ class Weighed(ShortRepr):
     visit_sd: Floats
     annotation_sd: Floats
     best_known: Combination | None
+    log_likelihood: float
     places: tuple[Place, ...] = field(repr=False)
 
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.anatomy.stiffness import RIB_ROTATION, parameter_group
+from spinestiff.anatomy.stiffness import RIB_ROTATION, ParameterGroup, parameter_group
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.priors import Priors
@@ -49,6 +50,9 @@ SCALING: Mapping[str, Mapping[str, float]] = {
     "volume": {"tissue_lambda": 1.0, "tissue": -LAMBDA_SHARE},
 }
 """Acts that scale groups of stiffnesses: of each group, by its name, the power of the act's exponential."""
+RATIOS = ("ribs", "volume")
+"""Acts that are ratios themselves: where the fitted ones scale the same stiffnesses, they are no unknowns beside them.
+The trunk's size is none of them: it changes what tissue of a given modulus resists."""
 SCALED = tuple(dict.fromkeys(name for groups in SCALING.values() for name in groups))
 """The groups, each once."""
 POWERS = np.array([[SCALING.get(act, {}).get(name, 0.0) for act in ACTS] for name in SCALED])
@@ -116,12 +120,14 @@ def unknowns_of(
     problems: Sequence[EquilibriumProblem],
     priors: Priors,
     taped: bool = False,
+    fitted: Sequence[ParameterGroup] = (),
 ) -> Unknowns:
-    """The nuisance parameters of these trials; what a prior says is known is none.
+    """The nuisance parameters of these trials; what a prior says is known is none, nor what is fitted as a ratio.
 
     Parameters
     ----------
     taped : the trunk's size was measured.
+    fitted : groups of the ratios that are fitted.
     """
     p = priors
     loaded = np.array([trial.load.size > 0.0 for trial in trials])
@@ -171,10 +177,29 @@ def unknowns_of(
     for name, power in zip(("breadth", "depth"), p.trunk_power):
         add(f"trunk {name}", "trunk size", "tissue", trunk * power, loaded)
     ribs = np.array([parameter_group(RIB_ROTATION, q.torso.joints.kinds).joints.any() for q in problems])
-    add("rib joints", "rib joints", "ribs", p.rib_joints, loaded & ribs)
-    add("tissue's volume", "tissue's volume", "volume", p.tissue_volume, loaded)
+    free = {act: np.full(len(trials), not is_fitted(act, fitted, problems[0].torso)) for act in RATIOS}
+    add("rib joints", "rib joints", "ribs", p.rib_joints, loaded & ribs & free["ribs"])
+    add("tissue's volume", "tissue's volume", "volume", p.tissue_volume, loaded & free["volume"])
     add("source distance", "source distance", "motion", p.source_distance, loaded)
     return Unknowns(tuple(found), len(trials))
+
+
+def is_fitted(act: str, groups: Sequence[ParameterGroup], torso: TorsoModel) -> bool:
+    """Whether ratios of these groups can scale all stiffnesses as ``act`` does."""
+    if not groups:
+        return False
+    kinds, count = torso.joints.kinds, len(torso.tissue.elements)
+    wanted = sum(
+        power * _scaled_by(parameter_group(name, kinds), count) for name, power in SCALING.get(act, {}).items()
+    )
+    columns = np.column_stack([_scaled_by(group, count) for group in groups])
+    return bool(np.allclose(columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0], wanted, atol=1e-9))
+
+
+def _scaled_by(group: ParameterGroup, count: int) -> Floats:
+    """(6J + 2T,) 1 for each stiffness that a group has, of ``count`` tissue elements."""
+    inside = group.elements_of(count)
+    return np.concatenate([group.joints.reshape(-1), inside & group.mu, inside & group.lambda_]).astype(float)
 
 
 def acts_by_name(unknowns: Unknowns, known: Mapping[str, float]) -> Floats:

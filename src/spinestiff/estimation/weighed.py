@@ -121,7 +121,7 @@ class WeighedProblem:
         count = len(trial_set.groups)
         self.ratio_prior = ratio_prior or RatioPrior(np.zeros((0, count)), np.zeros(0), {})
         self._modes = modes_of(trial_set.problems[0].torso)
-        self.unknowns: Unknowns = unknowns_of(trial_set.trials, trial_set.problems, priors, taped)
+        self.unknowns: Unknowns = unknowns_of(trial_set.trials, trial_set.problems, priors, taped, trial_set.groups)
         targets = [make_target(problem.torso, trial, orientation) for problem, trial in still]
         both = (*trial_set.targets, *targets)
         problems = (*trial_set.problems, *(problem for problem, _ in still))
@@ -252,6 +252,16 @@ class WeighedProblem:
         q = np.linalg.qr(fixed)[0]
         left = values - q @ (q.T @ values)
         return float(chi2.sf(float(left @ left), self.data - q.shape[1]))
+
+    def log_likelihood(self, point: WeighedPoint, slope: WeighedSlope, weights: Weights) -> float:
+        """Of the data at a fit's end, nuisances integrated out to first order; what is held of ratios is no data."""
+        data = slice(0, self.data)
+        own = (weights.root @ weights.root.T)[data, data]
+        root = cholesky(own + slope.nuisances[data] @ slope.nuisances[data].T, lower=True)
+        free = point.values[data] - slope.nuisances[data] @ point.nuisances
+        left = solve_triangular(root, free, lower=True)
+        size = 2.0 * np.sum(np.log(np.diag(root))) + self.data * np.log(2.0 * np.pi)
+        return -0.5 * float(left @ left + size)
 
     def discrepancy(self, point: WeighedPoint) -> Floats:
         """(n, n) mm^2 of all channels: what the model lacks, as large as it moves at ``point``."""

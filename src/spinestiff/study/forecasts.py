@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.estimation.fit import forecast_unseen
 from spinestiff.estimation.forecast import Forecast
 from spinestiff.study.predictions import Prediction, Predictions
+from spinestiff.study.trials import PushSet, PushTrial
 from spinestiff.subject.outcomes import ForecastRecord
 
 
@@ -30,17 +32,42 @@ def forecasts(
     ------
     EquilibriumError : there is no equilibrium at the estimate.
     """
-    pushes = predictions.pushes
     unseen = [frame for frame in predictions.of_role("validation") if "fit" in frame.solved]
+    solved = {(frame.item.push, frame.item.frame): frame.solved.get("fit") for frame in predictions.frames}
+    states = {key: found.state for key, found in solved.items() if found is not None}
+    items = [frame.item for frame in unseen]
+    found = forecast_frames(predictions.pushes, items, ratios, nuisances, tracking_factor, population, states)
+    return {(item.push, item.frame): one for item, one in zip(items, found)}
+
+
+def forecast_frames(
+    pushes: PushSet,
+    unseen: Sequence[PushTrial],
+    ratios: Mapping[str, float],
+    nuisances: Mapping[str, float],
+    tracking_factor: float,
+    population: str | None = None,
+    states: Mapping[tuple[str, int], TorsoState] | None = None,
+) -> tuple[Forecast, ...]:
+    """Of the ``unseen`` frames, which are under load, from a weighed fit of the training frames.
+
+    Parameters
+    ----------
+    states : to solve from, by push and frame; default the torso at rest.
+
+    Raises
+    ------
+    EquilibriumError : there is no equilibrium at the estimate.
+    """
     if not unseen:
-        return {}
+        return ()
     seen = list(pushes.fitted)
     # Where the patient stood for a push without training frames is told by its unloaded frame.
-    others = {frame.item.push for frame in unseen} - {item.push for item in seen}
+    others = {item.push for item in unseen} - {item.push for item in seen}
     seen += [item for item in pushes.trials if item.force_n == 0.0 and item.push in others]
-    items = [*seen, *(frame.item for frame in unseen)]
-    states = {(frame.item.push, frame.item.frame): frame.solved.get("fit") for frame in predictions.frames}
-    found = forecast_unseen(
+    items = [*seen, *unseen]
+    known = states or {}
+    return forecast_unseen(
         [pushes.problems[item.push] for item in items],
         [item.trial for item in items],
         range(len(seen), len(items)),
@@ -52,12 +79,8 @@ def forecasts(
         pushes.known.geometry,
         pushes.known.taped,
         population,
-        [
-            pushes.torso.rest_pose if known is None else known.state
-            for known in (states.get((item.push, item.frame)) for item in items if item.force_n > 0.0)
-        ],
+        [known.get((item.push, item.frame), pushes.torso.rest_pose) for item in items if item.force_n > 0.0],
     )
-    return {(frame.item.push, frame.item.frame): one for frame, one in zip(unseen, found)}
 
 
 def forecast_record(frame: Prediction, forecast: Forecast, levels: tuple[str, str] | None) -> ForecastRecord:

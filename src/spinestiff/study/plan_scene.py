@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import SubjectError
@@ -17,7 +16,7 @@ from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.push import Rig
 from spinestiff.personalise.pose import align_view
 from spinestiff.study.trials import Known, PushSet, known_of, rig_of
-from spinestiff.study.visit import START, USUAL, Visit, load_pushes, load_start
+from spinestiff.study.visit import USUAL, Visit, load_pushes, load_start, torso_on
 from spinestiff.subject.folder import image_corners, read_rest
 from spinestiff.subject.outcomes import Estimate, GeometryRecord
 from spinestiff.subject.run_record import read_outcome, recorded_steps, refuse_changed, result_path
@@ -108,8 +107,7 @@ def scene_of(visit: Visit) -> Scene:
     refuse_changed(subject, "personalise")
     covariance = np.array(read_outcome(subject, GeometryRecord).covariance)
     known = known_of(subject.record, covariance.reshape(6 * len(covariance), -1))
-    coarse = any(output.endswith(f"/{START}") for output in recorded_steps(subject)["personalise"].outputs)
-    torso = read_torso(result_path(subject, START, "personalise")) if coarse else visit.torso()
+    torso = torso_on(visit, "coarse")
     picture = read_rest(subject, "frontal")
     corners = image_corners(subject, "rest/frontal", picture.view)
     view, _ = align_view(torso, torso.rest_pose, picture.view, corners)

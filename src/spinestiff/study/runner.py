@@ -3,6 +3,7 @@
 ``track`` -> ``response`` -> ``personalise`` -> ``estimate`` -> ``assess`` -> ``report``. Results go to ``results/`` in
 the folder.
 ``view``, the 3D page alone, needs no report; the report brings it along. ``frames`` needs the tracking alone.
+``parameters`` and ``sensitivity`` need the estimate; the report shows the latter where it is there and up to date.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from spinestiff.subject.run_record import (
     changed_inputs,
     changed_outputs,
     is_current,
+    is_unchanged,
     record_step,
     recorded_steps,
     result_path,
@@ -61,6 +63,7 @@ class Step:
     parts : of ``subject.json`` and ``annotation.json`` (``subject.run_record.PARTS``).
     images : of "rest" and "push", whose radiographs it reads.
     results : of earlier steps, by file name. outputs : file names.
+    also : steps whose outputs it shows if they are up to date, and does without otherwise.
     settings : what of the visit's settings it follows.
     """
 
@@ -70,11 +73,14 @@ class Step:
     results: tuple[str, ...]
     outputs: Callable[[Visit], tuple[str, ...]]
     settings: Callable[[Visit], dict[str, Any]] = lambda visit: {}
+    also: tuple[str, ...] = ()
 
     def inputs(self, visit: Visit) -> list[str]:
         """Names of all inputs, relative to the subject folder."""
         subject = visit.subject
         names = [*self.parts, *(f"{RESULTS}/{name}" for name in self.results)]
+        for step in self.also:
+            names += recorded_steps(subject)[step].outputs if is_unchanged(subject, step) else ()
         paths = [subject.image_path(f"rest/{view}") for view in subject.rest_views if "rest" in self.images]
         paths += [subject.image_path(push.image) for push in subject.pushes if "push" in self.images]
         if BODY in self.parts:
@@ -84,6 +90,10 @@ class Step:
 
 def _truth(visit: Visit) -> dict[str, Any]:
     return {"truth": None if visit.truth is None else file_digest(visit.truth)}
+
+
+def _mesh(visit: Visit) -> dict[str, Any]:
+    return {"mesh": visit.settings.mesh}
 
 
 ALL_STEPS: Mapping[str, Step] = {
@@ -110,7 +120,7 @@ ALL_STEPS: Mapping[str, Step] = {
         ("rest",),
         (),
         step_functions.outputs_of_shape,
-        lambda visit: {"mesh": visit.settings.mesh},
+        _mesh,
     ),
     "estimate": Step(
         step_functions.estimate_step,
@@ -129,6 +139,22 @@ ALL_STEPS: Mapping[str, Step] = {
             "population": visit.population,
         },
     ),
+    "parameters": Step(
+        step_functions.parameters_step,
+        (PUSHES, ROLES, SUPPORTS),
+        (),
+        ("tracked.json", *SHAPE, "estimate.json"),
+        lambda visit: ("parameters.json",),
+        _mesh,
+    ),
+    "sensitivity": Step(
+        step_functions.sensitivity_step,
+        (PUSHES, ROLES, SUPPORTS),
+        (),
+        ("tracked.json", *SHAPE, "estimate.json"),
+        lambda visit: ("sensitivity.json", "sensitivity.png"),
+        _mesh,
+    ),
     "assess": Step(
         step_functions.assess_step,
         (PUSHES, ROLES, SUPPORTS),
@@ -144,6 +170,7 @@ ALL_STEPS: Mapping[str, Step] = {
         ("tracked.json", "response.json", *SHAPE, "estimate.json", "assessment.json", "predictions.npz"),
         lambda visit: ("report.html", "view.html"),
         _truth,
+        also=("sensitivity",),
     ),
     "view": Step(
         step_functions.view_step,

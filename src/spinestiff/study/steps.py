@@ -31,6 +31,7 @@ from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess, single_ratio
 from spinestiff.study.forecasts import forecasts
 from spinestiff.study.frame_selection import frame_qualities, propose
+from spinestiff.study.parameters import parameter_study
 from spinestiff.study.predictions import (
     Model,
     Predictions,
@@ -42,6 +43,7 @@ from spinestiff.study.predictions import (
     with_fitted_supports,
     write_solved,
 )
+from spinestiff.study.sensitivity import sensitivity_study
 from spinestiff.study.support_notes import strongest_notes, support_notes
 from spinestiff.study.trials import PushSet, fit_from_coarse, fit_pushes
 from spinestiff.study.truth import compare_with_truth, read_truth
@@ -239,6 +241,20 @@ def estimate_step(visit: Visit, say: Observer) -> None:
     )
     write_draws(visit.file("posterior.csv"), fit)
     write_outcome(visit.subject, record)
+
+
+def parameters_step(visit: Visit, say: Observer) -> None:
+    """What the paper's six parameters do, and two ratios against three; writes ``parameters.json``."""
+    write_outcome(visit.subject, parameter_study(visit, say))
+
+
+def sensitivity_step(visit: Visit, say: Observer) -> None:
+    """Refits with one thing changed at a time; writes ``sensitivity.json``, as it goes, and ``sensitivity.png``."""
+    from spinestiff.study.report.figures import as_png
+    from spinestiff.study.report.tornado_picture import draw_tornado
+
+    found = sensitivity_study(visit, say)
+    write_bytes(visit.file("sensitivity.png"), as_png(draw_tornado(found)))
 
 
 def assess_step(visit: Visit, say: Observer) -> None:

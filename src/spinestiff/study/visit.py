@@ -113,10 +113,30 @@ def load_start(visit: Visit, orientation: Orientation, method: str) -> PushSet |
     ------
     SubjectError : as ``load_pushes``.
     """
+    return pushes_on(visit, torso_on(visit, "coarse"), orientation, method) if has_start(visit) else None
+
+
+def has_start(visit: Visit) -> bool:
+    """Whether the subject was shaped on two meshes, fine and coarse."""
     recorded = recorded_steps(visit.subject).get("personalise")
-    if recorded is None or not any(name.endswith(f"/{START}") for name in recorded.outputs):
-        return None
-    return _pushes_on(visit, read_torso(result_path(visit.subject, START, "personalise")), orientation, method)
+    return recorded is not None and any(name.endswith(f"/{START}") for name in recorded.outputs)
+
+
+def torso_on(visit: Visit, mesh: str) -> TorsoModel:
+    """The subject's torso at rest on a mesh; one of the subject's own bones has but its own.
+
+    Raises
+    ------
+    SubjectError : there is none, or it is not as its step left it; or it was shaped on the coarse mesh alone.
+    """
+    if has_start(visit):
+        return visit.torso() if mesh == "fine" else read_torso(result_path(visit.subject, START, "personalise"))
+    if mesh == "fine" and visit.subject.torso_path is None:
+        raise SubjectError(
+            f"{visit.file('torso.npz')}: was shaped on the coarse mesh alone; run spinestiff personalise and "
+            "spinestiff estimate again, or ask for the coarse mesh"
+        )
+    return visit.torso()
 
 
 def load_pushes(visit: Visit, orientation: Orientation, method: str) -> PushSet:
@@ -126,10 +146,11 @@ def load_pushes(visit: Visit, orientation: Orientation, method: str) -> PushSet:
     ------
     SubjectError : an earlier step has not run, or its results are not as it left them.
     """
-    return _pushes_on(visit, visit.torso(), orientation, method)
+    return pushes_on(visit, visit.torso(), orientation, method)
 
 
-def _pushes_on(visit: Visit, torso: TorsoModel, orientation: Orientation, method: str) -> PushSet:
+def pushes_on(visit: Visit, torso: TorsoModel, orientation: Orientation, method: str) -> PushSet:
+    """The same on a given torso."""
     tracked = read_outcome(visit.subject, Tracked)
     lacking = [push.id for push in visit.subject.pushes if push.id not in tracked.pushes]
     if lacking:

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 READ_AGAIN = (
     "run.json", "tracked.json", "response.json", "frames.json", "torso.npz", "personalised.json", "training.npz",
     "estimate.json", "predictions.npz", "assessment.json", "comparison.json", "plan.json",
+    "parameters.json", "sensitivity.json",
 )  # fmt: skip
 """Files in ``results/`` that steps and tables read; the rest is for people."""
 MOST_INPUT_BYTES = MOST_BYTES + MOST_HEADER_BYTES

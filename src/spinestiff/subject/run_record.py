@@ -160,6 +160,12 @@ def changed_outputs(subject: Subject, step: str) -> tuple[str, ...]:
     return () if recorded is None else _changed(subject, recorded.outputs)
 
 
+def is_unchanged(subject: Subject, step: str) -> bool:
+    """Whether a step has run, and its inputs and outputs are as they were then."""
+    ran = step in recorded_steps(subject)
+    return ran and not changed_inputs(subject, step) and not changed_outputs(subject, step)
+
+
 def _changed(subject: Subject, hashes: Mapping[str, str]) -> tuple[str, ...]:
     there = {name: name in PARTS or (subject.folder / name).exists() for name in hashes}
     return tuple(name for name, sha in hashes.items() if not there[name] or input_digest(subject, name) != sha)

@@ -35,6 +35,7 @@ from spinestiff.study.report import page as report
 from spinestiff.study.report.content import _strip, budget_bars
 from spinestiff.study.report.page import write_report
 from spinestiff.study.report.viewer.page import script_hash
+from spinestiff.study.sensitivity import force_percent
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.truth import read_truth
 from spinestiff.study.visit import Visit, load_pushes, open_visit
@@ -54,6 +55,7 @@ from spinestiff.subject.outcomes import (
 )
 from spinestiff.subject.records import Annotation, ImageAnnotation, PushRecord, SubjectRecord
 from spinestiff.subject.run_record import read_outcome, write_outcome
+from spinestiff.subject.sensitivity_outcome import Refit, Sensitivity
 
 TRUE = {"lateral_bending": 0.22, "tissue": 0.045}
 ESTIMATE = {"lateral_bending": 0.2, "tissue": 0.05}
@@ -387,6 +389,47 @@ def test_nothing_of_a_patient_is_in_it(visit: Visit, html: str) -> None:
     assert (visit.subject.results / "view.html").is_file()
     assert not traces(visit.subject.results, html)
     assert traces(visit.subject.folder / "rest")
+
+
+def test_refits_are_shown_where_they_are_of_this_estimate(visit: Visit, html: str, tmp_path: Path) -> None:
+    assert "If something had been otherwise" not in html
+    shutil.copytree(visit.subject.folder, tmp_path / "girl")
+    again = open_visit(tmp_path / "girl")
+
+    def refit(series: str, what: str, by: str, bending: float, tissue: float) -> Refit:
+        percent = dict(zip(ESTIMATE, (bending, tissue)))
+        return Refit(
+            series=series, what=what, by=by, ratios=ESTIMATE, percent=percent, stiffness_percent=percent
+        )  # fmt: skip
+
+    refits = (
+        refit("weighed", "nothing", "", 0.0, 0.0),
+        refit("weighed", "force", "−10 %", -9.0, -12.0),
+        refit("weighed", "force", "+10 %", 9.0, 13.0),
+        refit("weighed", "push level", "one rib lower", 11.0, -26.0),
+    )
+    found = Sensitivity(
+        basis="", mesh="coarse", parameters=tuple(ESTIMATE), estimate=ESTIMATE, interval95=dict.fromkeys(ESTIMATE),
+        refits=refits, force_percent=force_percent(refits), complete=True,
+    )  # fmt: skip
+    write_outcome(again.subject, found)
+    register(again.subject, "sensitivity", Sensitivity.FILE)
+    shown = written(again)
+    page = Page(shown)
+    assert tuple(page.all("section", "id")) == (*SECTIONS[:6], "sensitivity", *SECTIONS[6:])
+    assert set(page.all("a", "href")) >= {"#sensitivity"}
+    assert "push level ±1 rib: at most 26 %" in " ".join(page.all("img", "alt"))
+    assert "Koutras et al. 2025, mean of seven subjects" in page.words
+    assert "7.6" in page.words and "28.6" in page.words
+    assert "Largest change of each stiffness: lateral_bending +11 % (push level one rib lower)" in page.words
+    names = [path.name for path in sorted(again.file("figures").glob("*.png"))]
+    assert names[-1].endswith("-sensitivity.png")
+    # Of another estimate it is none.
+    register(again.subject, "estimate", Estimate.FILE)
+    path = again.file(Sensitivity.FILE)
+    path.write_text(path.read_text(encoding="utf-8") + " ", encoding="utf-8")
+    assert "If something had been otherwise" not in written(again)
+    assert not list(again.file("figures").glob("*-sensitivity.png"))
 
 
 def test_every_section_is_there_and_linked(page: Page) -> None:

@@ -13,6 +13,7 @@ from spinestiff.curves.pushes import rest_reading
 from spinestiff.estimation.unknowns import ACTS, PLACING, unknowns_of
 from spinestiff.study.predictions import Model, Predictions, predicted_acts
 from spinestiff.study.report.certainty_pictures import SupportPlace
+from spinestiff.study.sensitivity_words import FORCE_COLUMNS, force_cells, force_rows, sensitivity_lines
 from spinestiff.study.truth import read_truth, true_values
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import (
@@ -50,6 +51,7 @@ from spinestiff.subject.outcomes import (
     Responses,
     Tracked,
 )
+from spinestiff.subject.sensitivity_outcome import Sensitivity
 
 # Secant lateral-bending stiffness of cadaver thoracic segments at 7.5 N m (Wilke et al. 2017), N m/degree.
 BENDING_BAND = (1.3, 1.8)
@@ -317,6 +319,15 @@ def budget_bars(estimate: Estimate) -> tuple[tuple[str, ...], dict[str, Floats]]
 
 def _unknown(name: str) -> str:
     return unknown_title(name).replace("'", "’")
+
+
+def sensitivity_content(found: Sensitivity) -> dict[str, Any]:
+    """Refits with one thing changed: what they say, and the table of forces."""
+    return {
+        "lines": sensitivity_lines(found),
+        "columns": tuple(FORCE_COLUMNS),
+        "rows": [{"title": title, "cells": force_cells(percent)} for title, percent in force_rows(found)],
+    }
 
 
 def _gain(estimate: Estimate, name: str) -> dict[str, str]:

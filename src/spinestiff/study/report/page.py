@@ -39,6 +39,7 @@ from spinestiff.study.report.content import (
     reaction_rows,
     response_content,
     result_content,
+    sensitivity_content,
     subject_content,
     support_places,
     support_rows,
@@ -59,8 +60,10 @@ from spinestiff.study.report.figures import (
     draw_ratio_map,
     draw_tilt_changes,
 )
+from spinestiff.study.report.tornado_picture import draw_tornado
 from spinestiff.study.report.viewer.files import scene_of
 from spinestiff.study.report.viewer.page import component, page_environment, script_hash, view_page
+from spinestiff.study.sensitivity_words import largest, tornado_rows
 from spinestiff.study.trials import PushTrial
 from spinestiff.study.truth import known_comparison, read_truth, true_values
 from spinestiff.study.visit import Visit
@@ -68,7 +71,8 @@ from spinestiff.study.wording import fixed, listed, number
 from spinestiff.subject.folder import image_corners, read_push, read_rest
 from spinestiff.subject.outcomes import Assessment, Estimate, GeometryRecord, Responses, Tracked
 from spinestiff.subject.records import PushRecord
-from spinestiff.subject.run_record import read_outcome
+from spinestiff.subject.run_record import is_unchanged, read_outcome
+from spinestiff.subject.sensitivity_outcome import Sensitivity
 from spinestiff.words import counted
 
 
@@ -148,6 +152,7 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
         "budget": album.add(*_budget_picture(estimate)) if estimate.budget else None,
         "support_places": _added(album, _support_picture(estimate, predictions)),
         "levels": album.add(*_tilt_picture(visit, predictions)),
+        "sensitivity": _sensitivity(visit, album),
         "scene": component(scene),
         "script_hash": script_hash(),
     }  # fmt: skip
@@ -172,6 +177,14 @@ class _Album:
 
 def _added(album: _Album, picture: tuple[str, Figure, str, str] | None) -> Picture | None:
     return None if picture is None else album.add(*picture)
+
+
+def _sensitivity(visit: Visit, album: _Album) -> dict[str, object] | None:
+    """Refits with one thing changed, where they were made from what is there now."""
+    if not is_unchanged(visit.subject, Sensitivity.STEP):
+        return None
+    found = read_outcome(visit.subject, Sensitivity)
+    return {**sensitivity_content(found), "picture": album.add(*_tornado_picture(found))}
 
 
 # Pictures
@@ -392,6 +405,17 @@ def _support_picture(estimate: Estimate, predictions: Predictions) -> tuple[str,
         "the frame), blue as tracking saw them, grey what was known before."
     )
     return "supports", draw_support_places(list(frames), shown), alt, caption
+
+
+def _tornado_picture(found: Sensitivity) -> tuple[str, Figure, str, str]:
+    rows = tornado_rows(found)
+    words = [f"{title}: at most {largest(refits):.0f} %" for title, refits in rows]
+    alt = f"Change of each stiffness by what was changed, {listed(words)}."
+    caption = (
+        f"Change of each stiffness, in percent, where the estimate is made again (weighed fit, {found.mesh} mesh) with "
+        "one thing changed; the largest change first. A push +1 rib acts a rib lower."
+    )
+    return "sensitivity", draw_tornado(found), alt, caption
 
 
 def _within_a_sentence(title: str) -> str:

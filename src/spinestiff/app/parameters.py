@@ -1,0 +1,57 @@
+"""``spinestiff parameters``: which stiffness parameters the radiographs tell of, as tables and as JSON."""
+
+from __future__ import annotations
+
+from rich.table import Table
+
+from spinestiff.app import tables
+from spinestiff.study.parameter_words import TITLES, gradient_rows, model_title, parameter_lines
+from spinestiff.study.visit import Visit
+from spinestiff.study.wording import fixed, number
+from spinestiff.subject.parameters_outcome import ParameterStudy
+from spinestiff.subject.run_record import read_outcome
+
+
+def read_parameters(visit: Visit) -> ParameterStudy:
+    """What was found of a visit whose parameters were looked at."""
+    return read_outcome(visit.subject, ParameterStudy)
+
+
+def show_parameters(found: ParameterStudy) -> None:
+    """Print it."""
+    columns: tuple[str, ...] = ("parameter", "default", "estimate", "share, %")
+    table = _table(f"Motion of the corners per e-fold, mm ({found.mesh} mesh)", *columns)
+    for effect in found.effects:
+        cells = (number(effect.default_mm, 2), number(effect.estimate_mm, 2), fixed(100.0 * effect.share, 0))
+        table.add_row(TITLES[effect.name], *cells)
+    tables.show(table)
+    optimum = ", ".join(f"{name} {number(value, 2)}" for name, value in found.optimum.items())
+    title = f"Gradient of the paper's objective (Eq. 10, Table 3), mm² per e-fold; equal weights' optimum: {optimum}"
+    table = _table(title, "parameter", "default", "optimum", "paper, mean of |default|")
+    for row in gradient_rows(found):
+        table.add_row(*row)
+    tables.show(table)
+    columns = ("ratios", "estimate", "training", "left out", "held out", "AIC", "extreme")
+    table = _table("Ratios, weighed fit: corner RMSE, mm", *columns)
+    for model in found.models:
+        errors = (model.training_rmse_mm, model.left_out_rmse_mm, model.held_out_rmse_mm)
+        table.add_row(
+            model_title(model),
+            ", ".join(number(model.ratios.get(name), 2) for name in model.parameters),
+            *[fixed(error, 2) for error in errors],
+            fixed(model.aic),
+            ", ".join(model.extreme),
+        )
+    tables.show(table)
+    for line in parameter_lines(found):
+        print(line)
+    for model in found.models:
+        if model.note:
+            print(f"note: {model_title(model)}: {model.note}")
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="left" if i == 0 else "right")
+    return table

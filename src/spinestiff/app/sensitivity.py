@@ -1,0 +1,53 @@
+"""``spinestiff sensitivity``: how an estimate changes with what it was made from, as tables, JSON and a picture."""
+
+from __future__ import annotations
+
+from rich.table import Table
+
+from spinestiff.app import tables
+from spinestiff.study.sensitivity_words import (
+    FORCE_COLUMNS,
+    TITLES,
+    change_title,
+    force_cells,
+    force_rows,
+    sensitivity_lines,
+)
+from spinestiff.study.visit import Visit
+from spinestiff.study.wording import fixed, number
+from spinestiff.subject.run_record import read_outcome
+from spinestiff.subject.sensitivity_outcome import Sensitivity
+
+
+def read_sensitivity(visit: Visit) -> Sensitivity:
+    """What was found of a visit whose refits were made."""
+    return read_outcome(visit.subject, Sensitivity)
+
+
+def show_sensitivity(found: Sensitivity, visit: Visit) -> None:
+    """Print it."""
+    title = f"Refits on the {found.mesh} mesh, weighed: change of the stiffness, %"
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for column in ("changed", "by", *found.parameters):
+        table.add_column(column, justify="left" if column in ("changed", "by") else "right")
+    for one in found.refits:
+        if one.series != "weighed":
+            continue
+        if one.what == "nothing":
+            table.add_row("as it is (ratio)", "", *[number(one.ratios.get(name)) for name in found.parameters])
+            continue
+        cells = [fixed(one.stiffness_percent.get(name), 1, True) for name in found.parameters]
+        table.add_row(TITLES[one.what], change_title(one), *cells)
+    tables.show(table)
+    table = Table(
+        title="10 % of force, mean of both signs, % (paper's Table 7)", title_justify="left", title_style="bold"
+    )
+    table.add_column("estimator")
+    for column in FORCE_COLUMNS:
+        table.add_column(column, justify="right")
+    for label, percent in force_rows(found):
+        table.add_row(label, *force_cells(percent))
+    tables.show(table)
+    for line in sensitivity_lines(found):
+        print(line)
+    print(f"picture: {visit.file('sensitivity.png')}")
