@@ -61,11 +61,11 @@ def rendered_subject(seed: int, nodes: int, folder: Path) -> Rendered:
     pushes = tuple(
         SyntheticPush(
             name,
-            round(level + float(random.uniform(-0.7, 0.7)), 1),
-            tuple(share for share, _ in frames),
-            tuple(role for _, role in frames),
+            round(push.level + float(random.uniform(-0.7, 0.7)), 1),
+            tuple(share for share, _ in push.frames),
+            tuple(role for _, role in push.frames),
         )
-        for name, (level, frames) in PUSHES["three pushes"].items()
+        for name, push in PUSHES["three pushes"].items()
     )
     recipe = Recipe(
         seed=seed,
