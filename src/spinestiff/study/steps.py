@@ -21,10 +21,10 @@ from spinestiff.estimation.forecast import Forecast
 from spinestiff.estimation.linear import MOST_PROFILED
 from spinestiff.files import write_bytes
 from spinestiff.imaging.features import VertebraCorners
+from spinestiff.imaging.pedicles import PediclePoints
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking import support_motion, track
 from spinestiff.observer import Observer
-from spinestiff.personalise.image_terms import PediclePoints
 from spinestiff.personalise.measured_skin import TrunkSize
 from spinestiff.personalise.scan import SkinScan, read_scan
 from spinestiff.personalise.shape import personalise
