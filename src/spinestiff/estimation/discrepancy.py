@@ -59,9 +59,9 @@ CHANNELS = np.array([1.0, 1.0, TURN_ARM_MM])
 # Of a vertebra's pose (dt, dw): what a frontal picture has as shift to the left, upwards and turn; and the rest.
 IN_PLANE, OUT_OF_PLANE = (0, 1, 5), (2, 3, 4)
 # Of shift to the front and turns about the axes to the left and upwards (times ``TURN_ARM_MM``), over the size of the
-# frontal motion, and over how many vertebrae these are alike.
-OUT_OF_PLANE_SD = np.array([0.03, 0.005, 0.015])
-OUT_OF_PLANE_LENGTH = 4.0
+# frontal motion, and over how many vertebrae these are alike (``benchmarks/discrepancy_out_of_plane.py``).
+OUT_OF_PLANE_SD = np.array([0.06, 0.01, 0.015])
+OUT_OF_PLANE_LENGTH = 8.0
 # Mirroring turns a shift to the left into one to the right, and with it the sense of a turn.
 MIRROR = np.array([-1.0, 1.0, -1.0])
 LOWEST_LEVEL, HIGHEST_LEVEL = 1.0, 12.0
