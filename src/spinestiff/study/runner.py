@@ -76,7 +76,9 @@ class Step:
         subject = visit.subject
         names = [*self.parts, *(f"{RESULTS}/{name}" for name in self.results)]
         paths = [subject.image_path(f"rest/{view}") for view in subject.rest_views if "rest" in self.images]
-        paths += [subject.image_path(push.image) for push in subject.pushes if "push" in self.images]
+        if "push" in self.images:
+            paths += [subject.image_path(push.image) for push in subject.pushes]
+            paths += [subject.folder / view.files for push in subject.pushes for view in push.views]
         if BODY in self.parts:
             paths += [path for path in (subject.torso_path, subject.scan_path) if path is not None]
         return [*names, *(path.relative_to(subject.folder).as_posix() for path in paths)]
