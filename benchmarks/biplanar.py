@@ -1,7 +1,8 @@
 """What other views and pedicles tell of axial rotation: synthetic subjects, estimated from less and from more.
 
     python benchmarks/biplanar.py --log FILE [--seeds N ...]    make and estimate subjects, a line each
-    python benchmarks/biplanar.py --store FILE                  keep the log's figures, benchmarks/results/biplanar.json
+    python benchmarks/biplanar.py --store FILE                  keep the log's figures, and those of the rigs made anew,
+                                                                in benchmarks/results/biplanar.json
     python benchmarks/biplanar.py [--json]                      print that file
 
 A subject is a body of ``coverage_subjects.py``, of its own mesh, proportions and curve, with drawn ratios of lateral
@@ -9,7 +10,10 @@ bending, tissue and axial rotation, one push at rib 8 with an unloaded and two l
 force, place, stance and marks that are off by as much as ``estimation.priors.Priors`` say. The radiographs are frontal
 and lateral, as of a biplanar system; pedicles are marked in the frontal ones, corners in both. All three ratios are
 estimated on the coarse mesh from the frontal corners, from these with pedicles, with lateral corners, and with both.
-All of it is synthetic.
+
+The rigs: to first order at given ratios, what standard deviation the log of axial rotation has on the reference body
+with a thoracic curve of 30 degrees under 40 and 60 N at rib 8, with the wall behind the back and without, the shape at
+rest being known. All of it is synthetic.
 """
 
 from __future__ import annotations
@@ -44,19 +48,23 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import SpinestiffError
+from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fitted import StiffnessFit
-from spinestiff.estimation.objective import Picture
+from spinestiff.estimation.objective import Picture, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.unknowns import ACTS, changed_load, load_changes
+from spinestiff.estimation.weighed import WeighedProblem, reduced
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.pedicles import PediclePoints, pedicle_centres
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.tracking.quality import quality_of
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.mechanics.loads import rib_push
+from spinestiff.mechanics.loads import LoadCase, rib_push
+from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.pose import align_view, posed
-from spinestiff.personalise.shape import personalise
+from spinestiff.personalise.shape import personalise, place_vertebrae
 from spinestiff.study.elastic_supports import drawn_supports, elastic_supports, support_stiffness
+from spinestiff.study.spines import curved_spine
 from spinestiff.study.trials import Known, PushSet, PushTrial, fit_pushes, push_set
 from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord
@@ -134,8 +142,6 @@ def make_subject(seed: int) -> Subject:
         forces_n=tuple(told_n),
         roles=("unused", "training", "training"),
     )
-    turned = states[-1].bone_rotations @ np.swapaxes(torso.rest_pose.bone_rotations, 1, 2)
-    turns = np.degrees(np.arctan2(turned[torso.vertebra_bones, 0, 2], turned[torso.vertebra_bones, 2, 2]))
     return Subject(
         round(height, 0),
         cobb,
@@ -145,7 +151,7 @@ def make_subject(seed: int) -> Subject:
         TrackedPush.of(nominal["frontal"], told_n, frontal),
         pedicles,
         _lateral(torso, nominal["lateral"], states, random, p),
-        float(np.abs(turns).max()),
+        _turn_deg(torso, states[-1]),
     )
 
 
@@ -260,6 +266,76 @@ def run_one(seed: int) -> dict[str, Any]:
     return {**row, "cpu_s": round(time.process_time() - began)}
 
 
+def rigs() -> list[dict[str, Any]]:
+    """Standard deviations of the log of axial rotation by rig, ratio and what is seen."""
+    template = template_torso(157.0, "coarse")
+    torso = place_vertebrae(template, *curved_spine(template, 30.0, "thoracic"))
+    views = {"frontal": frontal_view(), "lateral": lateral_view()}
+    found = []
+    for wall in (True, False):
+        problem = EquilibriumProblem(torso, three_point_supports(torso, "right", wall=wall))
+        for axial in (1.0, 0.2):
+            values = {"lateral_bending": 0.1, "tissue": 0.05, "axial_rotation": axial}
+            ratios = stiffness_ratios(values, torso.joints.kinds)
+            loads = [rib_push(torso, "right", 8.0, force) for force in (0.0, 40.0, 60.0)]
+            states = _pushed(problem, loads, ratios)
+            row: dict[str, Any] = {"wall": wall, "axial_rotation": axial, "turn_deg": _turn_deg(torso, states[-1])}
+            for name, (pedicles, lateral) in SEEN.items():
+                trials = [_exact(torso, load, state, views, pedicles, lateral) for load, state in zip(loads, states)]
+                trial_set = TrialSet([problem] * 2, trials[1:], ratios.groups, "procrustes", None)
+                asked = WeighedProblem(trial_set, [(problem, trials[0])], "procrustes", Priors(), None, False)
+                nothing = np.zeros(len(asked.unknowns))
+                point = asked.solve(np.log(ratios.values), nothing, starts=states[1:])
+                slope = asked.slope(point)
+                model = reduced(point, slope, asked.weights(point, slope, None))
+                row[name] = float(np.sqrt(np.linalg.inv(model.ratios.T @ model.ratios)[2, 2]))
+            found.append(row)
+    return found
+
+
+def _turn_deg(torso: TorsoModel, state: TorsoState) -> float:
+    """The largest axial turn of a vertebra."""
+    turned = state.bone_rotations @ np.swapaxes(torso.rest_pose.bone_rotations, 1, 2)
+    turns = np.arctan2(turned[torso.vertebra_bones, 0, 2], turned[torso.vertebra_bones, 2, 2])
+    return float(np.degrees(np.abs(turns).max()))
+
+
+def _exact(
+    torso: TorsoModel,
+    load: LoadCase,
+    state: TorsoState,
+    views: Mapping[str, XRayView],
+    pedicles: bool,
+    lateral: bool,
+) -> Trial:
+    """What a state shows, without errors."""
+    corners = {name: projected(torso, view, state) for name, view in views.items()}
+    points = PointsOnBones(np.repeat(torso.vertebra_bones, 2), pedicle_centres(torso).reshape(-1, 3))
+    marks = views["frontal"].project(points.positions(state)).reshape(17, 2, 2)
+    quality = quality_of(np.full((17, 4), TRACK_MM))
+    side = Picture(VertebraCorners(VERTEBRAE, corners["lateral"]), views["lateral"], f"{load.size:g} N side", "side")
+    return Trial(
+        load,
+        VertebraCorners(VERTEBRAE, corners["frontal"], quality),
+        views["frontal"],
+        f"{load.size:g} N",
+        "main",
+        load.size == 0.0,
+        pedicles=PediclePoints(VERTEBRAE, marks) if pedicles else None,
+        further=(side,) if lateral else (),
+    )
+
+
+def rig_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """What ``rigs`` found."""
+    table = Table("wall", "axial rotation", "turn", *SEEN, title="sd of the log of axial rotation, to first order")
+    for row in rows:
+        told = "yes" if row["wall"] else "no"
+        sds = (f"{row[name]:.2f}" for name in SEEN)
+        table.add_row(told, f"{row['axial_rotation']:g}", f"{row['turn_deg']:.1f}°", *sds)
+    return table
+
+
 def summary(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Estimates of axial rotation and their intervals, by subject and by what was seen."""
     table = Table("subject", "turn", "seen", *NAMES, title="estimate (95 % interval; z of the truth)")
@@ -303,12 +379,12 @@ def main() -> None:
         return
     if asked.store:
         rows = [json.loads(line) for line in asked.store.read_text(encoding="utf-8").splitlines()]
-        RESULTS.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        RESULTS.write_text(json.dumps({"subjects": rows, "rigs": rigs()}, indent=1) + "\n", encoding="utf-8")
     stored = json.loads(RESULTS.read_text(encoding="utf-8"))
     if asked.json:
         print(json.dumps(stored))
         return
-    Console().print(summary(stored))
+    Console().print(summary(stored["subjects"]), rig_table(stored["rigs"]))
 
 
 if __name__ == "__main__":

@@ -104,7 +104,8 @@ def test_derivatives_of_all_that_is_seen_against_differences_of_whole_solves(col
     point = asked.solve(here, nuisances)
     slope = asked.slope(point)
     more = np.concatenate([asked.further_rows(i) for i in range(2)])
-    assert len(more) == 2 * (2 * 9 * 2 + 2 * (3 * 9 + 2 * 9 * 2) - 9 * 2 * 2 + 9 * 2 * 2)
+    # Of both loaded trials nine vertebrae's pedicles, and twice their corners and pedicles.
+    assert len(more) == 2 * 9 * (4 + 2 * (3 + 4))
     for i in range(p + m):
         step = 2e-3 * np.eye(p + m)[i]
         ahead, behind = (asked.solve(here + s * step[:p], nuisances + s * step[p:], point).values for s in (1, -1))
