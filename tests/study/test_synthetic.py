@@ -166,6 +166,12 @@ def test_a_biplanar_subject_has_lateral_radiographs_and_pedicles_of_every_frame(
     assert 0.3 < np.std(apart, axis=0).mean() < 1.5
     _, pose = align_view(torso, torso.rest_pose, side.view.view(), side.corners(side.pictures[0]))
     assert pose.rms_mm < 0.6
+    turned = record.model_copy(update={"views": (view.model_copy(update={"turned_deg": 30.0}),)})
+    (oblique,) = side_views(subject, turned)
+    # The source stands at the right of a patient, who turns the back to it by turning to the left.
+    beams = [one.view.view().normal for one in (side, oblique)]
+    assert np.degrees(np.arccos(beams[0] @ beams[1])) == pytest.approx(30.0)
+    assert oblique.view.view().source[2] - side.view.view().source[2] == pytest.approx(-670.0, abs=1.0)
 
 
 def test_the_same_seed_gives_the_same_bytes(twins):
