@@ -61,8 +61,8 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
+from spinestiff.imaging.pedicles import PediclePoints
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
-from spinestiff.personalise.image_terms import PediclePoints
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.spines import (
     AXIAL_COUPLING,

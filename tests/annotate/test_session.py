@@ -147,8 +147,6 @@ def test_the_angle_is_the_one_that_spinestiff_cobb_reads(session):
 def test_points_that_do_not_belong_there_are_said_to(session):
     supports = marked("rest/frontal").model_copy(update={"supports": {"pelvis": ((1.0, 2.0),)}})
     assert "supports" in session.judged("rest/frontal", supports).problem
-    pedicles = marked("push/a").model_copy(update={"pedicles": {"T5": ((1.0, 2.0), (3.0, 4.0))}})
-    assert "pedicles" in session.judged("push/a", pedicles).problem
 
 
 def test_a_later_frame_is_annotated_by_one_vertebra(session):

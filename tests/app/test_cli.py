@@ -26,7 +26,18 @@ from spinestiff.subject.run_record import read_outcome
 from spinestiff.verification.outcome import Check
 
 COMMANDS = {
-    "synth": ("--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id", "--nodes"),
+    "synth": (
+        "--seed",
+        "--height",
+        "--cobb",
+        "--curve",
+        "--force",
+        "--ratios",
+        "--spine",
+        "--spine-id",
+        "--nodes",
+        "--biplanar",
+    ),
     "inspect": ("--json",),
     "annotate": ("--port", "--no-browser"),
     "track": ("--redo",),
@@ -390,6 +401,8 @@ def test_synth_and_demo_hand_their_options_on(spinestiff, tmp_path, monkeypatch)
     assert asked[1] == (tmp_path / "y", synthetic.Recipe(ratios=(0.1, 0.04)))
     refused(spinestiff("synth", tmp_path / "z", "--nodes", 4000), "far enough", 3)
     assert asked[2] == (tmp_path / "z", synthetic.Recipe(nodes=4000))
+    refused(spinestiff("synth", tmp_path / "z", "--biplanar"), "far enough", 3)
+    assert asked[3] == (tmp_path / "z", synthetic.Recipe(biplanar=True))
 
 
 # What is refused

@@ -246,6 +246,16 @@ def test_an_annotation_is_read_as_seen(tmp_path, first_on, upright):
     assert found.first_on == (first_on if upright else {"left": "right", "right": "left"}[first_on])
 
 
+def test_an_annotations_pedicles_alone_and_views_from_other_sides_are_passed_by(tmp_path):
+    levels, corners = stack()
+    marks = {"vertebrae": dict(zip(levels, corners.tolist()))}
+    alone = {"vertebrae": {}, "pedicles": {levels[0]: [[1.0, 2.0], [3.0, 4.0]]}}
+    images = {"push/main": marks, "push/main/1": alone, "push/main/0/side": marks}
+    path = tmp_path / "annotation.json"
+    path.write_text(json.dumps({"schema_version": 1, "images": images}))
+    assert [found.image for found in read_corners(path)] == ["push/main"]
+
+
 def test_an_annotation_keeps_what_is_not_written(tmp_path):
     path = tmp_path / "annotation.json"
     push = image("push/main", first_on="right")

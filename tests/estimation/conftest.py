@@ -16,12 +16,13 @@ from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel, joint_f
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.mode import search
-from spinestiff.estimation.objective import Trial
+from spinestiff.estimation.objective import Picture, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import Likely, likely_ratios
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
-from spinestiff.imaging.projection import frontal_view
+from spinestiff.imaging.pedicles import PediclePoints, pedicle_centres
+from spinestiff.imaging.projection import XRayView, frontal_view
 from spinestiff.imaging.tracking.quality import quality_of
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, no_load
@@ -119,9 +120,20 @@ class Column:
         forces = np.tile([force / len(bones), 0.0, 0.0], (len(bones), 1))
         return LoadCase(PointsOnBones(np.array(bones), offset), forces, f"{force:g} N")
 
-    def corners(self, state: TorsoState) -> np.ndarray:
-        shares = silhouette_shares(self.torso, VIEW, self.torso.rest_pose)
-        return state_features(self.torso, VIEW, state, shares).corners
+    def corners(self, state: TorsoState, view: XRayView = VIEW) -> np.ndarray:
+        shares = silhouette_shares(self.torso, view, self.torso.rest_pose)
+        return state_features(self.torso, view, state, shares).corners
+
+    def pedicles(self, state: TorsoState, view: XRayView = VIEW) -> PediclePoints:
+        """All of them where they are."""
+        local = pedicle_centres(self.torso)
+        points = PointsOnBones(np.repeat(self.torso.vertebra_bones, 2), local.reshape(-1, 3))
+        return PediclePoints(self.torso.vertebrae, view.project(points.positions(state)).reshape(-1, 2, 2))
+
+    def picture(self, state: TorsoState, view: XRayView, label: str, sequence: str, pedicles: bool = False) -> Picture:
+        """A further radiograph of a state, without errors."""
+        corners = VertebraCorners(self.torso.vertebrae, self.corners(state, view))
+        return Picture(corners, view, label, sequence, self.pedicles(state, view) if pedicles else None)
 
     def shown(self, load: LoadCase, state: TorsoState, errors: np.ndarray | float = 0.0, **facts) -> Trial:
         """A radiograph of a state, ``errors`` (9, 4, 2) in mm at the patient plane."""

@@ -17,7 +17,7 @@ def random_design():
     """Three radiographs of four residuals each, and two residuals that always count."""
     random = np.random.default_rng(4)
     root = random.normal(size=(14, 20))
-    rows = tuple(slice(4 * i, 4 * i + 4) for i in range(3))
+    rows = tuple(np.arange(4 * i, 4 * i + 4) for i in range(3))
     return Design(root @ root.T, random.normal(size=(14, 2)), rows, slice(12, 14))
 
 

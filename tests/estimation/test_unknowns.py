@@ -25,7 +25,10 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
 
 # What belongs to pictures and not to pushes.
-OF_PICTURES = ("place_mm", "place_deg", "posture_deg", "stance_mm", "stance_deg", "stance_scale", "annotation_mm")
+OF_PICTURES = (
+    "place_mm", "place_deg", "place_yaw_deg", "posture_deg", "stance_mm", "stance_deg", "stance_scale",
+    "stance_yaw_deg", "annotation_mm", "marking_mm", "pedicle_mm", "pedicles_mm", "own_pedicle_mm",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -151,6 +154,13 @@ def test_a_push_on_tissue_has_no_point_of_its_own_and_no_load_has_no_acts(column
     assert moved.total == pytest.approx([6.0, 0.5, 0.0])
     still = LoadCase(none, np.empty((0, 3)))
     assert changed_load(still, load_changes(still, column.torso.rest_pose), np.ones(len(ACTS))).size == 0.0
+
+
+def test_no_trial_has_no_unknown(column) -> None:
+    """As of a subject without held-out frames."""
+    unknowns = of(column, [])
+    assert len(unknowns) == 0
+    assert unknowns.acts.shape == (0, len(ACTS), 0)
 
 
 def test_the_place_of_the_supports_is_what_the_acts_say() -> None:

@@ -11,10 +11,10 @@ from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
+from spinestiff.imaging.pedicles import PediclePoints, pedicle_centres
 from spinestiff.imaging.projection import frontal_view, lateral_view
-from spinestiff.personalise.image_terms import UNKNOWNS, PediclePoints, Shape, image_points, own_boxes, shape_of
+from spinestiff.personalise.image_terms import UNKNOWNS, Shape, image_points, own_boxes, shape_of
 from spinestiff.personalise.pose import posed
-from spinestiff.personalise.sizes import pedicle_centres
 
 VIEWS = {"frontal": frontal_view(), "lateral": lateral_view()}
 POSE = np.array([4.0, -7.0, 0.03, -0.06])

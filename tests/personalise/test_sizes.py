@@ -7,8 +7,9 @@ import pytest
 
 from spinestiff.errors import TorsoError
 from spinestiff.imaging.features import box_sizes
+from spinestiff.imaging.pedicles import pedicle_centres
 from spinestiff.personalise.quality import mesh_quality
-from spinestiff.personalise.sizes import pedicle_centres, resized
+from spinestiff.personalise.sizes import resized
 
 
 @pytest.fixture(scope="module")

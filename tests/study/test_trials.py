@@ -9,20 +9,26 @@ import pytest
 from pydantic import ValidationError
 
 from results import tracked_push
+from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.errors import SubjectError
+from spinestiff.errors import SubjectError, TrackingError
+from spinestiff.estimation.objective import make_target, residuals
 from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.sights import further_sights, sight_residuals
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
-from spinestiff.imaging.projection import frontal_view
+from spinestiff.imaging.pedicles import pedicle_centres
+from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.contact import OneSidedProblem
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.push import Rig, push_problem
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.study.trials import Known, fit_pushes, known_of, push_set, rig_of
-from spinestiff.subject.outcomes import Measured
+from spinestiff.personalise.pose import posed
+from spinestiff.study.trials import Known, fit_pushes, known_of, push_set, rig_of, seen_beside
+from spinestiff.subject.outcome_parts import ViewRecord
+from spinestiff.subject.outcomes import MarkedPedicles, Measured, SideView
 from spinestiff.subject.records import PushRecord, SubjectRecord
 
 STOOD = ((6.0, -4.0), 0.02)
@@ -62,6 +68,64 @@ def replace_record(push, **changed):
 def tracked(*frames, notes=None):
     """A push of these corners; ``notes`` on its supports, by frame."""
     return tracked_push(frontal_view(), [10.0 * index for index in range(len(frames))], frames, notes)
+
+
+def aside(torso, frames, turned=0.0, least=STOOD):
+    """The torso at rest from the side, in frames of a push, by a patient who stood elsewhere; pedicles in the first."""
+    view = posed(lateral_view(), np.zeros(2), 0.0, turned)
+    seen = state_features(torso, view.moved(*least), torso.rest_pose, silhouette_shares(torso, view, torso.rest_pose))
+    points = PointsOnBones(np.repeat(torso.vertebra_bones, 2), pedicle_centres(torso).reshape(-1, 3))
+    pedicles = view.pixels(view.moved(*least).project(points.positions(torso.rest_pose))).reshape(-1, 2, 2)
+    pictures = [
+        {
+            "frame": frame,
+            "vertebrae": torso.vertebrae[3:12],
+            "corners_px": view.pixels(seen.corners[3:12]).tolist(),
+            "pedicles": {"frame": frame, "vertebrae": torso.vertebrae, "centres_px": pedicles.tolist()}
+            if frame == frames[0]
+            else None,
+        }
+        for frame in frames
+    ]
+    return SideView.model_validate({"id": "side", "view": ViewRecord.of(view), "pictures": pictures})
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.5])
+def test_radiographs_from_other_sides_meet_the_torso_and_go_with_their_frame(torso, corners, turned):
+    push = tracked(corners, corners, corners).model_copy(update={"sides": (aside(torso, (0, 2), turned),)})
+    found = push_set(torso, [record()], {"main": push})
+    assert [len(item.trial.further) for item in found.trials] == [1, 0, 1]
+    (rest,), (pushed,) = found.trials[0].trial.further, found.trials[2].trial.further
+    assert (rest.label, rest.sequence) == ("push 'main' frame 0 view 'side'", "main side")
+    assert rest.pedicles is not None and pushed.pedicles is None
+    seen = found.trials[0].trial.seen_in(rest)
+    target = make_target(torso, seen)
+    assert residuals(torso, target, torso.rest_pose).rmse < 0.02
+    (marked,) = [one.target for one in further_sights([torso], [target], "procrustes")]
+    assert np.abs(sight_residuals(torso, marked, torso.rest_pose).difference).max() < 0.1
+    assert seen_beside(found) == ("push 'main': beside the frontal corners, 1 radiograph of view 'side'",)
+    assert found.warnings == ()
+
+
+def test_a_view_without_an_unloaded_frame_is_told_and_mirrored_marks_are_refused(torso, corners):
+    loaded = tracked(corners, corners, corners).model_copy(update={"sides": (aside(torso, (1, 2)),)})
+    (told,) = push_set(torso, [record()], {"main": loaded}).warnings
+    assert told.startswith("push 'main' view 'side': its least force is 20 N, so that where the patient stood")
+    side = aside(torso, (0,)).model_dump()
+    side["pictures"][0]["corners_px"] = [[quad[i] for i in (1, 0, 3, 2)] for quad in side["pictures"][0]["corners_px"]]
+    wrong = tracked(corners, corners).model_copy(update={"sides": (SideView.model_validate(side),)})
+    push = record((0.0, 20.0), ("unused", "training"))
+    with pytest.raises(TrackingError, match="push 'main' frame 0 view 'side': corners of T4 are mirrored"):
+        push_set(torso, [push], {"main": wrong})
+
+
+def test_pedicles_go_with_the_frame_they_were_marked_in(torso, corners):
+    marks = {"frame": 1, "vertebrae": ("T5", "T6"), "centres_px": np.ones((2, 2, 2)).tolist()}
+    push = tracked(corners, corners, corners).model_copy(update={"pedicles": (MarkedPedicles.model_validate(marks),)})
+    found = push_set(torso, [record()], {"main": push})
+    assert [item.trial.pedicles is not None for item in found.trials] == [False, True, False]
+    assert found.trials[1].trial.pedicles.points == pytest.approx(found.trials[1].trial.view.pixel_spacing[0])
+    assert seen_beside(found) == ("push 'main': beside the frontal corners, pedicles in 1 frame",)
 
 
 def with_quality(corners, **lost):

@@ -424,11 +424,81 @@ def test_pedicles_out_of_place_are_refused(folder):
     lay_out(folder, annotation=changed(ANNOTATION, ["images", "rest/frontal", "pedicles"], swapped))
     with pytest.raises(SubjectError, match=r"rest/frontal.pedicles.T5: the left one lies right of the right one"):
         image_pedicles(read_subject(folder), "rest/frontal", FRONTAL)
-    lay_out(folder, annotation=changed(ANNOTATION, ["images", "push/right-8", "pedicles"], PEDICLES))
-    assert "push/right-8 has pedicles; wanted them in rest images only" in refusal(folder)
     one = {"T5": PEDICLES["T5"][:1]}
     lay_out(folder, annotation=changed(ANNOTATION, ["images", "rest/frontal", "pedicles"], one))
     assert "rest/frontal.pedicles.T5" in refusal(folder)
+
+
+def test_pedicles_of_a_push_may_stand_alone_in_its_later_frames(folder):
+    more = changed(ANNOTATION, ["images", "push/right-8", "pedicles"], PEDICLES)
+    more = changed(more, ["images", "push/right-8/2"], {"vertebrae": {}, "pedicles": PEDICLES})
+    subject = read_subject(lay_out(folder, annotation=more))
+    assert image_pedicles(subject, "push/right-8/2", FRONTAL)[0] == ("T5", "T6")
+    # What holds pedicles alone is no frame that tracking starts from.
+    assert list(push_corners(subject, subject.pushes[0], FRONTAL)) == [0]
+    lay_out(folder, annotation=changed(more, ["images", "push/right-8/2"], {"vertebrae": {}}))
+    assert "push/right-8/2: vertebrae: found no vertebra, wanted at least one" in refusal(folder)
+    lay_out(folder, annotation=changed(more, ["images", "push/right-8", "vertebrae"], {}))
+    assert "push/right-8.vertebrae: found 0 vertebrae, wanted at least 8" in refusal(folder)
+
+
+VIEW = {"id": "side", "kind": "lateral", "files": "pushes/right-8-side.dcm", "frames": [0, 2]}
+SIDE_MARKS = {"vertebrae": ANNOTATION["images"]["rest/lateral"]["vertebrae"]}
+
+
+def with_view(folder, marks=(0, 2), **changes):
+    """The example with a lateral radiograph of two frames of its push."""
+    images = {**ANNOTATION["images"], **{f"push/right-8/{frame}/side": SIDE_MARKS for frame in marks}}
+    (folder / "pushes").mkdir(parents=True, exist_ok=True)
+    (folder / "pushes/right-8-side.dcm").write_bytes(b"")
+    subject = changed(SUBJECT, ["pushes", 0, "views"], [{**VIEW, **changes}])
+    return lay_out(folder, subject=subject, annotation={**ANNOTATION, "images": images})
+
+
+def test_radiographs_from_other_sides_belong_to_frames_of_a_push(folder):
+    subject = read_subject(with_view(folder))
+    (push,) = subject.pushes
+    assert push.view_image(2, "side") == "push/right-8/2/side"
+    assert subject.image_path("push/right-8/2/side") == folder / "pushes/right-8-side.dcm"
+    assert len(image_corners(subject, "push/right-8/2/side", LATERAL)) == 8
+    written = folder.parent / "again"
+    write_subject(with_view(written), subject.record)
+    assert read_subject(written).record == subject.record
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"frames": [0, 4]}, "pushes[0]: views[0].frames: found frame 4, but the push has 4 frames, counted from 0"),
+        ({"frames": [0, 0]}, "views[0].frames: found frame 0 twice, wanted each once"),
+        ({"frames": [-1]}, "views[0].frames[0]: found -1, wanted greater than or equal to 0"),
+        ({"kind": "oblique"}, "views[0].kind: found 'oblique', wanted 'frontal' or 'lateral'"),
+        ({"turned_deg": 45}, "views[0].turned_deg: found 45, wanted less than or equal to 40"),
+        ({"files": "../side.dcm"}, "views[0].files: found '../side.dcm', wanted a path inside the subject folder"),
+        ({"files": "elsewhere.dcm"}, "elsewhere.dcm: no such file; wanted the radiograph of push/right-8/0/side"),
+        ({"frames": [0, 1]}, "images.push/right-8/2/side: no such view of this frame in subject.json"),
+        ({"id": "left side"}, "views[0].id: found 'left side', wanted 1 to 64 letters"),
+    ],
+)
+def test_impossible_views_are_refused(folder, changes, words):
+    assert words in refusal(with_view(folder, **changes))
+
+
+def test_what_is_marked_in_a_view_is_checked(folder):
+    assert "images.push/right-8/2/side: missing; wanted the vertebra corners" in refusal(with_view(folder, (0,)))
+    few = {"vertebrae": dict(list(SIDE_MARKS["vertebrae"].items())[:2])}
+    with_view(folder)
+    content = json.loads((folder / "annotation.json").read_text())
+    for marks, words in (
+        (few, "push/right-8/2/side.vertebrae: found 2 vertebrae, wanted at least 3"),
+        ({**SIDE_MARKS, "supports": {"pelvis": [[1, 2]]}}, "push/right-8/2/side has supports; wanted them in the"),
+    ):
+        wrong = changed(content, ["images", "push/right-8/2/side"], marks)
+        (folder / "annotation.json").write_text(json.dumps(wrong))
+        assert words in refusal(folder)
+    subject = changed(SUBJECT, ["pushes", 0, "views"], [VIEW, {**VIEW, "id": "Side"}])
+    (folder / "subject.json").write_text(json.dumps(subject))
+    assert "views[1].id: 'Side' is used twice" in refusal(folder)
 
 
 @pytest.mark.parametrize("place", [[-3.0, 300.0], [1024.0, 300.0], [500.0, -0.6], [500.0, 1023.6]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -31,11 +32,13 @@ from spinestiff.subject.folder import (
     read_push,
     read_rest,
     read_unannotated,
+    read_view,
     write_annotation,
 )
 from spinestiff.subject.records import (
     ANNOTATION_FILE,
     FEWEST_VERTEBRAE,
+    FURTHER_VIEW,
     LATERAL,
     REST_IMAGES,
     SCHEMA_VERSION,
@@ -220,6 +223,10 @@ class AnnotationSession:
     def _read(self, name: str) -> tuple[Radiograph, ...]:
         if name in REST_IMAGES:
             return (read_rest(self.subject, "lateral" if name == LATERAL else "frontal"),)
+        if re.fullmatch(FURTHER_VIEW, name):
+            frame, view = self.subject.view(name)
+            push = self.subject.push(name.split("/")[1])
+            return (read_view(self.subject, push, view)[view.frames.index(frame)],)
         return read_push(self.subject, self.subject.push(name.removeprefix("push/")))
 
     def _complete(self, name: str, marks: DraftImage) -> ImageAnnotation | None:
@@ -279,7 +286,7 @@ class AnnotationSession:
 
 def image_of(name: str) -> str:
     """The image that a name of the annotation belongs to: of a push's later frame the push."""
-    return name if name in REST_IMAGES else "/".join(name.split("/")[:2])
+    return name if name in REST_IMAGES or re.fullmatch(FURTHER_VIEW, name) else "/".join(name.split("/")[:2])
 
 
 def first_on(view: XRayView) -> Side:

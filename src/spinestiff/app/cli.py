@@ -142,12 +142,15 @@ def synth(
     spine: Spine = None,
     spine_id: SpineId = None,
     nodes: Nodes = None,
+    biplanar: Annotated[
+        bool, typer.Option("--biplanar", help="Lateral radiographs and marked pedicles in every frame of a push, too.")
+    ] = False,
 ) -> None:
     """Make a synthetic subject of known stiffness: DICOM radiographs, force log, annotation."""
     from spinestiff.app.progress import progress
     from spinestiff.study.synthetic import synthesise
 
-    recipe = replace(_recipe(seed, height, cobb, curve, force, ratios, spine, spine_id), nodes=nodes)
+    recipe = replace(_recipe(seed, height, cobb, curve, force, ratios, spine, spine_id), nodes=nodes, biplanar=biplanar)
     with progress() as say:
         truth = synthesise(folder, recipe, say)
     typer.echo(f"subject: {folder}\ntruth:   {truth}")

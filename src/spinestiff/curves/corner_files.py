@@ -22,7 +22,7 @@ from spinestiff.arrays import Floats, read_only
 from spinestiff.curves import corner_csv, corner_markups
 from spinestiff.errors import SubjectError
 from spinestiff.files import parse_json, read_text, write_json, write_text
-from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, SCHEMA_VERSION, Annotation, complaint_of
+from spinestiff.subject.records import ANNOTATION_FILE, FURTHER_VIEW, LATERAL, SCHEMA_VERSION, Annotation, complaint_of
 
 CORNERS = ("top_left", "top_right", "bottom_right", "bottom_left")
 MARKUPS_SUFFIX = ".mrk.json"
@@ -295,6 +295,9 @@ def _read_annotation(path: Path, text: str) -> tuple[ImageCorners, ...]:
         raise SubjectError(f"{path}: {complaint_of(error)}") from None
     found = []
     for name, image in annotation.images.items():
+        # Only subject.json tells what a radiograph from another side is; a frame may hold pedicles alone.
+        if re.fullmatch(FURTHER_VIEW, name) or not image.vertebrae:
+            continue
         quads = image.pixels()
         # All vertebrae of a readable annotation agree in both, as ``records`` checks.
         across, down = quads[:, [1, 2]] - quads[:, [0, 3]], quads[:, [3, 2]] - quads[:, [0, 1]]

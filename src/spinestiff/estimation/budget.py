@@ -16,9 +16,9 @@ from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights
 TRACKING, DISCREPANCY, STANCE = "tracking", "model discrepancy", "stance"
 FACTORS = (0.5, 2.0)
 # What a person has at every visit, beside ratios: an error that two estimates of one person share.
-PERSONAL = (DISCREPANCY, "trunk size", "rib joints", "tissue's volume")
+PERSONAL = (DISCREPANCY, "trunk size", "rib joints", "tissue's volume", "pedicles' places")
 # What is anew where the same radiographs are annotated again.
-ANNOTATED = ("annotation", "rest geometry")
+ANNOTATED = ("annotation", "marks set by hand", "rest geometry")
 SMALLEST_MM = 0.02
 
 

@@ -31,13 +31,14 @@ class Design(ShortRepr):
     ----------
     covariance : (n, n) of all residuals, with all that is not known but the ratios.
     slopes : (n, P) of the residuals in the log ratios.
-    rows : of each radiograph, the loaded trials first, then those without load.
+    rows : of each trial, the loaded ones first, then those without load: those of its corners, then of all else that
+        it shows.
     always : rows that count whatever is taken: measured supports, what is held of the ratios.
     """
 
     covariance: Floats
     slopes: Floats
-    rows: tuple[slice, ...]
+    rows: tuple[Ints, ...]
     always: slice
 
     def ratio_sds(self, taken: Sequence[int]) -> Floats:
@@ -53,14 +54,13 @@ class Design(ShortRepr):
         precision, root, solved = self._precision(rows, LEAST_PREDICTING)
         across = weights @ self.covariance[own][:, rows]
         apart = weights @ self.slopes[own] - across @ solved
-        variance = float(weights @ self.covariance[own, own] @ weights)
+        variance = float(weights @ self.covariance[np.ix_(own, own)] @ weights)
         if len(rows):
             variance -= float(across @ cho_solve(root, across))
         return float(np.sqrt(variance + apart @ np.linalg.solve(precision, apart)))
 
     def _rows(self, taken: Sequence[int]) -> Ints:
-        numbers = np.arange(len(self.slopes))
-        return np.concatenate([*(numbers[self.rows[i]] for i in taken), numbers[self.always]])
+        return np.concatenate([*(self.rows[i] for i in taken), np.arange(len(self.slopes))[self.always]])
 
     def _precision(self, rows: Ints, least: float = LEAST_PRECISION) -> tuple[Floats, tuple[Floats, bool], Floats]:
         """(P, P), the covariance's factor, and (n of rows, P) the slopes solved with it."""
@@ -90,5 +90,6 @@ def design_at(
         left[problem.unknowns.in_group(group)] = share
     columns = slope.nuisances * left
     covariance = problem.covariance(point, tracking_factor) + columns @ columns.T
-    rows = tuple(problem.noise.of(i) for i in range(len(problem.noise.seen)))
+    numbers = np.arange(problem.size)
+    rows = tuple(np.concatenate([numbers[problem.noise.of(i)], problem.further_rows(i)]) for i in range(problem.trials))
     return Design(covariance, slope.ratios, rows, slice(problem.noise.size, problem.size))

@@ -56,6 +56,12 @@ MOTION_SD = 0.05  # where nothing was learnt
 # A turn counts as the shift, mm, that it gives a point at this distance: about that of a vertebra's corners.
 TURN_ARM_MM = 20.0
 CHANNELS = np.array([1.0, 1.0, TURN_ARM_MM])
+# Of a vertebra's pose (dt, dw): what a frontal picture has as shift to the left, upwards and turn; and the rest.
+IN_PLANE, OUT_OF_PLANE = (0, 1, 5), (2, 3, 4)
+# Of shift to the front and turns about the axes to the left and upwards (times ``TURN_ARM_MM``), over the size of the
+# frontal motion, and over how many vertebrae these are alike (``benchmarks/discrepancy_out_of_plane.py``).
+OUT_OF_PLANE_SD = np.array([0.06, 0.01, 0.015])
+OUT_OF_PLANE_LENGTH = 8.0
 # Mirroring turns a shift to the left into one to the right, and with it the sense of a turn.
 MIRROR = np.array([-1.0, 1.0, -1.0])
 LOWEST_LEVEL, HIGHEST_LEVEL = 1.0, 12.0
@@ -266,6 +272,25 @@ def discrepancy_columns(frames: Sequence[DiscrepancyFrame], modes: DiscrepancyMo
     return np.asarray(np.concatenate(parts, axis=-1) / CHANNELS[:, None])
 
 
+def out_of_plane_columns(frames: Sequence[DiscrepancyFrame], modes: DiscrepancyModes) -> Floats:
+    """(F, 17, 3, K) C with C C^T the covariance of truth - model of the frames' motions out of the frontal plane: shift
+    to the front (mm), turns about the axes to the left and upwards (rad).
+
+    Each in proportion to the size of the frame's motion, alike along the spine over ``OUT_OF_PLANE_LENGTH``, and shared
+    by frames as remainders and modes of ``discrepancy_columns`` are: by those of one site, but for an own part.
+    """
+    count, rows = len(frames), len(VERTEBRAE)
+    apart = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows)))
+    root = np.linalg.cholesky(np.exp(-apart / OUT_OF_PLANE_LENGTH))
+    sizes = np.array([motion_size(frame.motion) for frame in frames])
+    weights = np.stack([modes.weights(frame.side, frame.level) for frame in frames]).reshape(count, -1)
+    mixed = weights[:, weights.any(axis=0)] / np.linalg.norm(weights, axis=1, keepdims=True)
+    sharing = np.column_stack([np.sqrt(1.0 - modes.own_share) * mixed, np.sqrt(modes.own_share) * np.eye(count)])
+    sds = OUT_OF_PLANE_SD / np.array([1.0, TURN_ARM_MM, TURN_ARM_MM])
+    found = np.einsum("f,fs,c,vw,cd->fvcsdw", sizes, sharing, sds, root, np.eye(len(sds)))
+    return np.asarray(found.reshape(count, rows, len(sds), -1))
+
+
 def write_data(path: Path, data: DiscrepancyData) -> None:
     """Write what was learnt; the same data give the same bytes.
 
@@ -345,12 +370,10 @@ def shipped_modes(mesh: Mesh, without: tuple[str, ...] = ()) -> DiscrepancyModes
     return data.combined([name for name in data.kinds if name not in (*NOT_OF[mesh], *without)])
 
 
-def relative_covariance(motions: Sequence[Floats], size: int) -> Floats:
+def relative_covariance(motions: Sequence[Floats]) -> Floats:
     """(n, n) mm^2 for torsos of other vertebrae than T1 to L5, of which nothing was learnt: motions of another size."""
     column = MOTION_SD * np.concatenate([*motions, np.zeros(0)])
-    covariance = np.zeros((size, size))
-    covariance[: len(column), : len(column)] = np.outer(column, column)
-    return covariance
+    return np.outer(column, column)
 
 
 def modes_of(torso: TorsoModel) -> DiscrepancyModes | None:

@@ -348,8 +348,8 @@ def _nuisances(asked: WeighedProblem, found: WeighedFit) -> tuple[NuisanceEstima
 
 def _outlying(asked: WeighedProblem, found: WeighedFit) -> tuple[tuple[str, str, float], ...]:
     result = []
-    for i, channels in enumerate(asked.noise.channels):
-        target = asked.noise.seen[i].target
+    for i in range(asked.trials):
+        target, channels = asked.noise.seen[i].target, asked.noise.channels[i]
         inflation = found.weights.inflation[asked.noise.of(i)].reshape(len(channels.rows), -1)[:, 0]
         for name, factor in zip(target.trial.corners.vertebrae, inflation):
             if factor > 1.0:

@@ -89,7 +89,8 @@ def forecast(
     covariance = problem.covariance(point, tracking_factor) + slope.nuisances @ slope.nuisances.T
     values = point.values - slope.nuisances @ point.nuisances
     rows = [np.arange(problem.size)[noise.of(i)] for i in unseen]
-    seen: Ints = np.setdiff1d(np.arange(problem.size), np.concatenate(rows))
+    hidden = np.concatenate([*rows, *(problem.further_rows(i) for i in unseen)])
+    seen: Ints = np.setdiff1d(np.arange(problem.size), hidden)
     root = cho_factor(covariance[np.ix_(seen, seen)], lower=True)
     x, r = slope.ratios[seen], values[seen]
     solved = cho_solve(root, np.column_stack([x, r]))
@@ -103,5 +104,5 @@ def forecast(
         spread = covariance[np.ix_(own, own)] - across @ cho_solve(root, across.T)
         spread = spread + apart @ np.linalg.solve(precision, apart.T)
         mean = slope.ratios[own] @ drift + across @ left
-        found.append(Forecast(noise.channels[i], mean, 0.5 * (spread + spread.T), values[own]))
+        found.append(Forecast(noise.boxes(i), mean, 0.5 * (spread + spread.T), values[own]))
     return tuple(found)

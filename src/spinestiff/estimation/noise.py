@@ -4,6 +4,11 @@ A vertebra's picture has three numbers, its *channels*: shifts along columns and
 combinations of its eight corner coordinates, in mm. Most of their errors are shared. An annotation's error is in all
 frames of its sequence, one of geometry in all frames of all sequences, where the patient stood in a whole radiograph.
 Only what tracking adds is a frame's own.
+
+Where more is seen than corners of frontal radiographs (``sights``), a mark's two coordinates are channels, too. Marks
+set by hand in a radiograph err for themselves, pedicles lie elsewhere than the template's, and how the patient was
+turned about the vertical is not known. Corners of frontal radiographs alone hardly tell of that turn, and leave it
+out.
 """
 
 from __future__ import annotations
@@ -16,8 +21,9 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize_scalar
 
 from spinestiff.arrays import Floats, Ints, ShortRepr
-from spinestiff.estimation.objective import Residuals, Target
+from spinestiff.estimation.objective import Target
 from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.sights import PedicleTarget, Sight, SightResiduals
 from spinestiff.imaging.features import picture_axes
 from spinestiff.imaging.tracking.quality import error_of
 
@@ -26,6 +32,7 @@ CHANNELS = 3
 USUAL = 2.5
 # Of what is expected, in log: the range in which the size of tracking errors is looked for.
 WIDEST_FACTOR = 3.0
+_VERTICAL = np.array([0.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True, repr=False)
@@ -42,6 +49,11 @@ class Channels(ShortRepr):
     basis: Floats
     rows: Ints
     arms: Floats
+
+    @property
+    def each(self) -> int:
+        """How many a vertebra has."""
+        return CHANNELS
 
     @classmethod
     def of(cls, target: Target) -> Channels:
@@ -67,20 +79,45 @@ class Channels(ShortRepr):
         return weights
 
 
-@dataclass(frozen=True)
-class Seen:
-    """A radiograph among those of a fit.
+@dataclass(frozen=True, repr=False)
+class PointChannels(ShortRepr):
+    """From marked points to their channels, which are their coordinates.
 
     Attributes
     ----------
-    target : what it shows.
-    sequence : frames of one carry the same name here.
-    annotated : its corners were set by hand, so that tracking adds no error.
+    rows : (P,) the points' vertebrae among the torso's.
     """
 
-    target: Target
+    rows: Ints
+
+    @property
+    def each(self) -> int:
+        """How many a point has."""
+        return 2
+
+    def apply(self, features: Floats) -> Floats:
+        """(2 P, ...) channels of features (P, 2, ...), point by point."""
+        return np.asarray(features.reshape(2 * len(self.rows), *features.shape[2:]))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a radiograph shows of one kind, among all of a fit.
+
+    Attributes
+    ----------
+    target : corners, or pedicles.
+    sequence : frames of one carry the same name here.
+    annotated : its marks were set by hand, so that tracking adds no error.
+    radiograph : number of the radiograph; None: this is the only thing that one shows.
+    apart : set by hand in this radiograph alone, while frames of a tracked sequence share their annotation.
+    """
+
+    target: Sight
     sequence: str
     annotated: bool
+    radiograph: int | None = None
+    apart: bool = False
 
 
 class Noise:
@@ -89,26 +126,36 @@ class Noise:
     Parameters
     ----------
     seen : radiographs.
-    still : (n_i, 4, 2, 6) of each, derivative of its features in the rest poses of its vertebrae.
+    still : of each, at rest: residuals whose derivatives are those in the rest poses of its vertebrae.
     geometry : (6V, 6V) covariance of the rest poses (dt mm, dw rad), or None: known.
     priors : of everything else.
+    positions : (V, 3) mm, the vertebrae at rest, where more is seen than corners of frontal radiographs.
     """
 
     def __init__(
-        self, seen: Sequence[Seen], still: Sequence[Residuals], geometry: Floats | None, priors: Priors
+        self,
+        seen: Sequence[Seen],
+        still: Sequence[SightResiduals],
+        geometry: Floats | None,
+        priors: Priors,
+        positions: Floats | None = None,
     ) -> None:
         self.seen = tuple(seen)
-        self.channels = tuple(Channels.of(one.target) for one in seen)
-        counts = [CHANNELS * len(one.rows) for one in self.channels]
+        self.channels = tuple(_channels(one.target) for one in seen)
+        counts = [one.each * len(one.rows) for one in self.channels]
         self.ends = np.concatenate([[0], np.cumsum(counts)])
         self.size = int(self.ends[-1])
         self._priors = priors
         self._sequences = [one.sequence for one in seen]
-        self._rows = np.concatenate([np.repeat(one.rows, CHANNELS) for one in self.channels])
-        self._channel = np.tile(np.arange(CHANNELS), self.size // CHANNELS)
-        self._trial = np.repeat(np.arange(len(seen)), counts)
-        sequence = np.array([list(dict.fromkeys(self._sequences)).index(name) for name in self._sequences])[self._trial]
+        self._rows = np.concatenate([np.repeat(one.rows, one.each) for one in self.channels])
+        self._channel = np.concatenate([np.tile(np.arange(one.each), len(one.rows)) for one in self.channels])
+        self._of_boxes = np.repeat([isinstance(one.target, Target) for one in seen], counts)
+        numbers = [i if one.radiograph is None else one.radiograph for i, one in enumerate(seen)]
+        self._trial = np.repeat(numbers, counts)
+        sequence = np.array([list(dict.fromkeys(self._sequences)).index(name) for name in self._sequences])
+        sequence = np.repeat(sequence, counts)
         alike = (self._rows[:, None] == self._rows) & (self._channel[:, None] == self._channel)
+        alike &= self._of_boxes[:, None] & self._of_boxes
         self.parts: dict[str, Floats] = {
             "annotation": priors.annotation_mm**2 * (alike & (sequence[:, None] == sequence))
         }
@@ -118,21 +165,38 @@ class Noise:
         self.parts["posture"] = _outer(self._waves(seen, sequence, float(np.deg2rad(priors.posture_deg))))
         self.parts["stance"] = _outer(self._places(seen, sequence, priors.stance_mm, stance_roll, priors.stance_scale))
         if geometry is not None:
-            self.parts["rest geometry"] = self._of_geometry(still, geometry)
-        own = np.zeros(self.size)
+            jacobian = self.pose_jacobian(still, len(geometry) // 6).reshape(self.size, -1)
+            self.parts["rest geometry"] = np.asarray(jacobian @ geometry @ jacobian.T)
+        if positions is not None:
+            apart = np.repeat([one.apart for one in seen], counts)
+            marked = np.where(self._of_boxes, priors.marking_mm, priors.pedicle_mm) * apart
+            self.parts["marks set by hand"] = np.diag(marked**2)
+            self.parts["pedicles' places"] = _outer(self._pedicles(seen, still))
+            turned = self._turned(seen, still, positions)
+            own, shared = (float(np.deg2rad(sd)) for sd in (priors.place_yaw_deg, priors.stance_yaw_deg))
+            self.parts["turn of the patient"] = _outer(
+                np.column_stack([own * _by_group(turned, self._trial), shared * _by_group(turned, sequence)])
+            )
+        own_error = np.zeros(self.size)
         tracked = np.zeros(self.size, dtype=bool)
         for i, one in enumerate(seen):
             if not one.annotated:
                 corners = one.target.trial.corners
                 error = np.where(corners.usable, error_of(np.maximum(corners.quality, 1e-6)), 0.0)
                 squares = np.sum(error**2, axis=1) / np.maximum(corners.usable.sum(1), 1)
-                own[self.of(i)] = np.repeat(priors.tracking_mm**2 + 0.5 * squares, CHANNELS)
+                own_error[self.of(i)] = np.repeat(priors.tracking_mm**2 + 0.5 * squares, CHANNELS)
                 tracked[self.of(i)] = True
-        self._own = own
-        apart = np.abs(np.subtract.outer(self._rows, self._rows)) / priors.tracking_length
+        self._own = own_error
+        distance = np.abs(np.subtract.outer(self._rows, self._rows)) / priors.tracking_length
         together = (self._trial[:, None] == self._trial) & (self._channel[:, None] == self._channel)
         both = tracked[:, None] & tracked
-        self._shared = priors.tracking_shared_mm**2 * np.exp(-apart) * (together & both)
+        self._shared = priors.tracking_shared_mm**2 * np.exp(-distance) * (together & both)
+
+    def boxes(self, number: int) -> Channels:
+        """From corners to channels, of one that shows corners."""
+        found = self.channels[number]
+        assert isinstance(found, Channels)
+        return found
 
     def of(self, trial: int) -> slice:
         """Where a radiograph's channels are."""
@@ -152,9 +216,11 @@ class Noise:
         """(n,) by how much a vertebra's own variance is too small for the own errors (n,) found."""
         size = factor * np.sqrt(self._own)
         with np.errstate(divide="ignore", invalid="ignore"):
-            squares = np.where(size > 0.0, (own / size) ** 2, 0.0).reshape(-1, CHANNELS)
+            squares = np.where(size > 0.0, (own / size) ** 2, 0.0)[self._of_boxes].reshape(-1, CHANNELS)
         of_vertebra = np.sqrt(squares.mean(axis=1))
-        return np.repeat(np.maximum(of_vertebra / USUAL, 1.0) ** 2, CHANNELS)
+        found = np.ones(self.size)
+        found[self._of_boxes] = np.repeat(np.maximum(of_vertebra / USUAL, 1.0) ** 2, CHANNELS)
+        return found
 
     def own_errors(self, solved: Floats, factor: float, inflation: Floats) -> Floats:
         """(n,) mm, the most probable own errors for ``solved`` = Sigma^-1 r."""
@@ -189,20 +255,62 @@ class Noise:
                 columns.append(column)
         return np.stack(columns, axis=1) if columns else np.zeros((self.size, 0))
 
-    def _of_geometry(self, still: Sequence[Residuals], covariance: Floats) -> Floats:
-        vertebrae = len(covariance) // 6
+    def pose_jacobian(self, still: Sequence[SightResiduals], vertebrae: int) -> Floats:
+        """(n, V, 6), derivative of all channels in the rest poses (dt mm, dw rad) of the vertebrae."""
         jacobian = np.zeros((self.size, vertebrae, 6))
-        for i, part in enumerate(still):
-            found = self.channels[i].apply(part.jacobian).reshape(-1, CHANNELS, 6)
-            rows = np.arange(self.ends[i], self.ends[i + 1]).reshape(-1, CHANNELS)
-            for own, where, vertebra in zip(found, rows, self.channels[i].rows):
+        for i, (channels, part) in enumerate(zip(self.channels, still)):
+            found = channels.apply(part.jacobian).reshape(-1, channels.each, 6)
+            rows = np.arange(self.ends[i], self.ends[i + 1]).reshape(-1, channels.each)
+            for own, where, vertebra in zip(found, rows, channels.rows):
                 jacobian[where, vertebra] = own
-        flat = jacobian.reshape(self.size, -1)
-        return np.asarray(flat @ covariance @ flat.T)
+        return jacobian
+
+    def _turned(self, seen: Sequence[Seen], still: Sequence[SightResiduals], positions: Floats) -> Floats:
+        """(n,) change of the channels per rad that the patient is turned about the vertical through the patient plane's
+        middle."""
+        jacobian = self.pose_jacobian(still, len(positions))
+        found = np.zeros(self.size)
+        for i, one in enumerate(seen):
+            view = one.target.trial.view
+            pivot = view.source + view.source_to_patient * view.normal
+            moved = np.cross(_VERTICAL, positions - pivot)
+            pose = np.column_stack([moved, np.broadcast_to(_VERTICAL, moved.shape)])
+            found[self.of(i)] = np.einsum("nvc,vc->n", jacobian[self.of(i)], pose)
+        return found
+
+    def _pedicles(self, seen: Sequence[Seen], still: Sequence[SightResiduals]) -> Floats:
+        """(n, k) columns: where all pedicles lie from the template's, outwards, up and front, and each by itself.
+
+        Along the world's axes, from which vertebrae are turned by little.
+        """
+        p = self._priors
+        columns: dict[tuple[int, int, int], Floats] = {}
+        for i, one in enumerate(seen):
+            if not isinstance(one.target, PedicleTarget):
+                continue
+            slopes = still[i].jacobian[:, :, :3]
+            for number, (row, side) in enumerate(zip(one.target.rows, one.target.outward)):
+                where = self.ends[i] + 2 * number + np.arange(2)
+                for axis in range(3):
+                    way = float(side) if axis == 0 else 1.0
+                    for key, sd in (((-1, 0, axis), p.pedicles_mm), ((int(row), int(side), axis), p.own_pedicle_mm)):
+                        column = columns.setdefault(key, np.zeros(self.size))
+                        column[where] = sd * way * slopes[number, :, axis]
+        return np.stack(list(columns.values()), axis=1) if columns else np.zeros((self.size, 0))
+
+
+def _channels(target: Sight) -> Channels | PointChannels:
+    return Channels.of(target) if isinstance(target, Target) else PointChannels(target.rows)
+
+
+def _by_group(column: Floats, of: Ints) -> Floats:
+    """(n, k) the column for each group of radiographs by itself."""
+    return np.stack([np.where(of == group, column, 0.0) for group in dict.fromkeys(of.tolist())], axis=1)
 
 
 def _place_change(z: Floats, kind: int) -> Floats:
-    """(Nv, 4, 2) change of boxes z per mm along columns (0) or rows (1), per rad (2), per relative size (3).
+    """(Nv, 4, 2) change of boxes, or (P, 2) of points z, per mm along columns (0) or rows (1), per rad (2), per
+    relative size (3).
 
     Boxes are placed at their own size, so that only their places tell how large the picture is.
     """
@@ -210,18 +318,29 @@ def _place_change(z: Floats, kind: int) -> Floats:
         return np.broadcast_to(np.eye(2)[kind], z.shape)
     if kind == 2:
         return np.stack([-z[..., 1], z[..., 0]], -1)
-    return np.broadcast_to(z.mean(axis=1, keepdims=True), z.shape)
+    return z if z.ndim == 2 else np.broadcast_to(z.mean(axis=1, keepdims=True), z.shape)
 
 
-def _wave(target: Target, half_waves: int, bend: float) -> Floats:
-    """(Nv, 4, 2) mm, how a sideways wave moves a target's boxes."""
+def _wave(target: Sight, half_waves: int, bend: float) -> Floats:
+    """(Nv, 4, 2) mm, how a wave along the picture moves a target's boxes; (P, 2) of pedicles, with their vertebrae."""
+    boxes = target if isinstance(target, Target) else target.boxes
     left, up = picture_axes(target.trial.view)
-    middle = target.z.mean(axis=1)
+    middle = boxes.z.mean(axis=1)
     height = middle @ up
     length = max(float(np.ptp(height)), 1e-9)
-    phase = np.pi * half_waves * (height.max() - height) / length
+    top = height.max()
+    if isinstance(target, PedicleTarget):
+        # Of vertebrae whose corners are not marked the pedicles' own height.
+        at = {int(row): place for row, place in zip(boxes.rows, middle)}
+        middle = np.array([at.get(int(row), place) for row, place in zip(target.rows, target.z)])
+        height = middle @ up
+    phase = np.pi * half_waves * (top - height) / length
     tilt = 0.5 * bend * np.cos(phase)
     aside = -0.5 * bend * length / (np.pi * half_waves) * np.sin(phase)
+    if isinstance(target, PedicleTarget):
+        arms = target.z - middle
+        turned = (arms @ up)[:, None] * left - (arms @ left)[:, None] * up
+        return np.asarray(aside[:, None] * left + tilt[:, None] * turned)
     arms = target.z - middle[:, None]
     turned = (arms @ up)[..., None] * left - (arms @ left)[..., None] * up
     return np.asarray(aside[:, None, None] * left + tilt[:, None, None] * turned)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from spinestiff.imaging.features import (
     target_features,
     vertebra_rows,
 )
+from spinestiff.imaging.pedicles import PediclePoints
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.words import counted
@@ -31,8 +32,28 @@ FEWEST_VERTEBRAE = 3
 
 
 @dataclass(frozen=True, repr=False)
+class Picture(ShortRepr):
+    """Another radiograph of what a trial shows, from another side: the same equilibrium under the same force.
+
+    Attributes
+    ----------
+    corners : of vertebrae, set by hand in this radiograph.
+    view : where source and detector were.
+    label : for messages, e.g. "push 1 frame 3 lateral".
+    sequence : radiographs of one carry the same name here: the patient stood alike before this detector.
+    pedicles : marked in it.
+    """
+
+    corners: VertebraCorners
+    view: XRayView
+    label: str
+    sequence: str
+    pedicles: PediclePoints | None = None
+
+
+@dataclass(frozen=True, repr=False)
 class Trial(ShortRepr):
-    """One radiograph under a known load (a term of Eq. 8).
+    """One radiograph under a known load (a term of Eq. 8), and what else is known of the same equilibrium.
 
     Attributes
     ----------
@@ -45,6 +66,8 @@ class Trial(ShortRepr):
     annotated : the corners were set by hand in this radiograph; others' were tracked.
     supports : measured "obliquity" (rad) and "shoulder" (mm), see ``mechanics.places.SupportPlace``, each with its
         standard deviation.
+    pedicles : marked in this radiograph. further : other radiographs of the same equilibrium. Only the weighed fit
+        makes use of them.
     """
 
     load: LoadCase
@@ -54,6 +77,8 @@ class Trial(ShortRepr):
     push: str = ""
     annotated: bool = False
     supports: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    pedicles: PediclePoints | None = None
+    further: tuple[Picture, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.push:
@@ -64,6 +89,20 @@ class Trial(ShortRepr):
                     f"{self.label or 'trial'}: support '{name}' at {value:g} with sd {sd:g}; wanted obliquity or "
                     "shoulder, finite, with an sd above 0"
                 )
+
+    def seen_in(self, picture: Picture) -> Trial:
+        """A further radiograph as a trial by itself, under the same load."""
+        return replace(
+            self,
+            corners=picture.corners,
+            view=picture.view,
+            label=picture.label,
+            push=picture.sequence,
+            annotated=True,
+            supports={},
+            pedicles=picture.pedicles,
+            further=(),
+        )
 
 
 @dataclass(frozen=True, repr=False)

@@ -45,6 +45,15 @@ class Priors:
         of 6 less or 5 more.
     source_distance : of the source's distance, relative; it scales motions.
     annotation_mm : of a corner set by hand, along one axis, common to all frames of a sequence.
+    marking_mm : of a corner set by hand in a radiograph from another side, along one axis, beside ``annotation_mm``:
+        each such radiograph is marked anew.
+    pedicle_mm : of a pedicle's mark, along one axis; each radiograph is marked anew. A judgement: a pedicle is a ring,
+        and its middle is told less well than a corner.
+    pedicles_mm, own_pedicle_mm : of where a person's pedicles lie, outwards, up and front, from where the template has
+        them: all alike, and each by itself; as ``personalise.prior`` has them.
+    stance_yaw_deg : of the patient's turn about the vertical between the rest radiographs and a sequence.
+    place_yaw_deg : the same from radiograph to radiograph of a sequence: nothing in the rig holds it but belt and wall.
+        A judgement. Both yaws count only where more is seen than corners of frontal radiographs.
     tracking_mm : of a tracked corner, along one axis, beside what tracking itself predicts.
     tracking_shared_mm, tracking_length : the same, shared with neighbours over so many vertebrae.
     tracking_factor : of the size of all tracking errors, in log; restricted likelihood tells the factor.
@@ -77,6 +86,12 @@ class Priors:
     tissue_volume: float = 1.0
     source_distance: float = 0.01
     annotation_mm: float = 0.3
+    marking_mm: float = 0.3
+    pedicle_mm: float = 0.7
+    pedicles_mm: float = 2.0
+    own_pedicle_mm: float = 1.0
+    stance_yaw_deg: float = 3.0
+    place_yaw_deg: float = 0.5
     tracking_mm: float = 0.1
     tracking_shared_mm: float = 0.1
     tracking_length: float = 2.0

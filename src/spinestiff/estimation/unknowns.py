@@ -130,12 +130,12 @@ def unknowns_of(
     fitted : groups of the ratios that are fitted.
     """
     p = priors
-    loaded = np.array([trial.load.size > 0.0 for trial in trials])
+    loaded = np.array([trial.load.size > 0.0 for trial in trials], dtype=bool)
     force = np.array([trial.load.size for trial in trials])
     pushes = np.array([trial.push or f"trial {i + 1}" for i, trial in enumerate(trials)])
     sides = np.array([_side(trial.load) for trial in trials])
-    held = np.array([bool(q.supports.held[q.torso.bone("pelvis")].all()) for q in problems])
-    on_bones = np.array([len(trial.load.nodes) == 0 for trial in trials])
+    held = np.array([q.supports.held[q.torso.bone("pelvis")].all() for q in problems], dtype=bool)
+    on_bones = np.array([len(trial.load.nodes) == 0 for trial in trials], dtype=bool)
     found: list[Unknown] = []
 
     def add(name: str, group: str, act: str, size: float, where: np.ndarray) -> None:
@@ -176,8 +176,8 @@ def unknowns_of(
     trunk = p.trunk_taped if taped else p.trunk
     for name, power in zip(("breadth", "depth"), p.trunk_power):
         add(f"trunk {name}", "trunk size", "tissue", trunk * power, loaded)
-    ribs = np.array([parameter_group(RIB_ROTATION, q.torso.joints.kinds).joints.any() for q in problems])
-    free = {act: np.full(len(trials), not is_fitted(act, fitted, problems[0].torso)) for act in RATIOS}
+    ribs = np.array([parameter_group(RIB_ROTATION, q.torso.joints.kinds).joints.any() for q in problems], dtype=bool)
+    free = {act: np.array([not is_fitted(act, fitted, q.torso) for q in problems], dtype=bool) for act in RATIOS}
     add("rib joints", "rib joints", "ribs", p.rib_joints, loaded & ribs & free["ribs"])
     add("tissue's volume", "tissue's volume", "volume", p.tissue_volume, loaded & free["volume"])
     add("source distance", "source distance", "motion", p.source_distance, loaded)

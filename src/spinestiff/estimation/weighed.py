@@ -21,12 +21,15 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.arrays import Floats, ShortRepr
+from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.estimation.discrepancy import (
+    IN_PLANE,
+    OUT_OF_PLANE,
     DiscrepancyFrame,
     as_corners,
     discrepancy_columns,
     modes_of,
+    out_of_plane_columns,
     plane_motion,
     pushed_site,
     relative_covariance,
@@ -36,6 +39,7 @@ from spinestiff.estimation.noise import Noise, Seen, restricted_factor
 from spinestiff.estimation.objective import Trial, make_target, residuals
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import RatioPrior
+from spinestiff.estimation.sights import SightResiduals, further_sights, sight_residuals
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS, Unknowns, unknowns_of
 from spinestiff.imaging.features import Orientation, state_features
@@ -54,11 +58,13 @@ class WeighedPoint(ShortRepr):
     evaluation : the loaded trials in equilibrium.
     values : (n,) channels of simulated minus measured features, mm, then supports and what is held of the ratios, in
         standard deviations.
+    further : what the loaded trials show beside their own corners, in the problem's order.
     """
 
     nuisances: Floats
     evaluation: Evaluation
     values: Floats
+    further: tuple[SightResiduals, ...] = ()
 
     @property
     def log_ratios(self) -> Floats:
@@ -125,23 +131,33 @@ class WeighedProblem:
         targets = [make_target(problem.torso, trial, orientation) for problem, trial in still]
         both = (*trial_set.targets, *targets)
         problems = (*trial_set.problems, *(problem for problem, _ in still))
-        at_rest = [residuals(p.torso, target, p.torso.rest_pose) for p, target in zip(problems, both)]
+        at_rest: list[SightResiduals] = [
+            residuals(p.torso, target, p.torso.rest_pose) for p, target in zip(problems, both)
+        ]
         seen = [
             Seen(target, target.trial.push or f"trial {i + 1}", target.trial.annotated) for i, target in enumerate(both)
         ]
-        self.noise = Noise(seen, at_rest, geometry, priors)
+        further = further_sights([problem.torso for problem in problems], both, orientation)
+        for one in further:
+            torso = problems[one.trial].torso
+            at_rest.append(sight_residuals(torso, one.target, torso.rest_pose))
+            seen.append(Seen(one.target, one.target.trial.push, True, one.radiograph, apart=True))
+        rest = problems[0].torso.rest_pose.bone_positions[problems[0].torso.vertebra_bones] if further else None
+        self.noise = Noise(seen, at_rest, geometry, priors, rest)
         self._constant = self.noise.constant
         self._at_rest = at_rest
         self._loaded = len(trial_set.trials)
-        self._still = np.concatenate(
-            [
-                np.zeros(0),
-                *(
-                    self.noise.channels[self._loaded + i].apply(at_rest[self._loaded + i].difference)
-                    for i in range(len(still))
-                ),
-            ]
+        self._further = tuple((len(both) + number, one.trial) for number, one in enumerate(further))
+        """Place among what is seen, and trial, of what trials show beside their own corners."""
+        self._sights = tuple(
+            (row, trial, one.target) for (row, trial), one in zip(self._further, further) if trial < self._loaded
         )
+        """The same of the loaded trials, with its target."""
+        moving = {*range(self._loaded), *(row for row, _, _ in self._sights)}
+        self._resting = np.zeros(self.noise.size)
+        for i in range(len(seen)):
+            if i not in moving:
+                self._resting[self.noise.of(i)] = self.noise.channels[i].apply(at_rest[i].difference)
         self._measured = [
             (i, ACTS.index(name), value, sd)
             for i, trial in enumerate(trial_set.trials)
@@ -168,13 +184,17 @@ class WeighedProblem:
             starts,
             linearised=True,
         )
-        parts = [
-            self.noise.channels[i].apply(part.difference + acts[i, _MOTION] * self._motion(part, i))
-            for i, part in enumerate(found.residuals)
-        ]
+        further = tuple(
+            sight_residuals(self.trial_set.problems[trial].torso, target, found.equilibria[trial].state)
+            for _, trial, target in self._sights
+        )
+        channels = self._resting.copy()
+        for row, trial, part in self._moving(found, further):
+            moved = part.difference + acts[trial, _MOTION] * self._motion(part, row)
+            channels[self.noise.of(row)] = self.noise.channels[row].apply(moved)
         supports = np.array([(acts[i, act] - value) / sd for i, act, value, sd in self._measured])
         held = self.ratio_prior.residuals(log_ratios)
-        return WeighedPoint(np.array(nuisances), found, np.concatenate([*parts, self._still, supports, held]))
+        return WeighedPoint(np.array(nuisances), found, np.concatenate([channels, supports, held]), further)
 
     def at(self, evaluation: Evaluation) -> WeighedPoint:
         """A point to start others from: what was solved with all nuisances 0."""
@@ -186,13 +206,13 @@ class WeighedProblem:
         assert found.acted is not None
         ratios = np.zeros((self.size, len(point.log_ratios)))
         nuisances = np.zeros((self.size, len(self.unknowns)))
-        for i, part in enumerate(point.evaluation.residuals):
-            channels, acts = self.noise.channels[i], point.evaluation.acts[i]
-            rows = self.noise.of(i)
+        for row, i, part in self._moving(point.evaluation, point.further):
+            channels, acts = self.noise.channels[row], point.evaluation.acts[i]
+            rows = self.noise.of(row)
             larger = 1.0 + acts[_MOTION]
             ratios[rows] = larger * channels.apply(part.moved(found.moves[i]))
             columns = larger * channels.apply(part.moved(found.acted[i]))
-            columns[:, _MOTION] = channels.apply(self._motion(part, i))
+            columns[:, _MOTION] = channels.apply(self._motion(part, row))
             nuisances[rows] = columns @ self.unknowns.acts[i]
         for row, (i, act, _, sd) in enumerate(self._measured):
             nuisances[self.noise.size + row] = self.unknowns.acts[i, act] / sd
@@ -200,9 +220,27 @@ class WeighedProblem:
         return WeighedSlope(found, ratios, nuisances)
 
     def motions(self, point: WeighedPoint) -> list[Floats]:
-        """(3 Nv,) of each loaded trial, channels of what the model moves from rest, mm."""
-        parts = point.evaluation.residuals
-        return [self.noise.channels[i].apply(self._motion(part, i)) for i, part in enumerate(parts)]
+        """(n_i,) mm, channels of what the model moves from rest: of each loaded trial's own corners, (3 Nv,), then of
+        all else that loaded trials show."""
+        moving = self._moving(point.evaluation, point.further)
+        return [self.noise.channels[row].apply(self._motion(part, row)) for row, _, part in moving]
+
+    def further_rows(self, trial: int) -> Ints:
+        """Rows of what a trial shows beside its own corners; the loaded trials come first, then those without load."""
+        rows = [np.arange(self.size)[self.noise.of(row)] for row, of in self._further if of == trial]
+        return np.concatenate([np.zeros(0, dtype=np.int64), *rows])
+
+    @property
+    def trials(self) -> int:
+        """How many there are, loaded and without load."""
+        return len(self.noise.seen) - len(self._further)
+
+    def _moving(
+        self, evaluation: Evaluation, further: Sequence[SightResiduals]
+    ) -> list[tuple[int, int, SightResiduals]]:
+        """Place among what is seen, trial and residuals of all that the loaded trials show."""
+        own: list[tuple[int, int, SightResiduals]] = [(i, i, part) for i, part in enumerate(evaluation.residuals)]
+        return [*own, *((row, trial, part) for (row, trial, _), part in zip(self._sights, further, strict=True))]
 
     def weights(self, point: WeighedPoint, slope: WeighedSlope, before: Weights | None) -> Weights:
         """The covariance at a point: tracking's size by restricted likelihood, outlying vertebrae with less weight."""
@@ -266,9 +304,10 @@ class WeighedProblem:
     def discrepancy(self, point: WeighedPoint) -> Floats:
         """(n, n) mm^2 of all channels: what the model lacks, as large as it moves at ``point``."""
         covariance = np.zeros((self.noise.size, self.noise.size))
-        end = int(self.noise.ends[self._loaded])
+        loaded = [*range(self._loaded), *(row for row, _, _ in self._sights)]
+        where = np.concatenate([np.arange(self.noise.size)[self.noise.of(row)] for row in loaded])
         if self._modes is None:
-            covariance[:end, :end] = relative_covariance(self.motions(point), end)
+            covariance[np.ix_(where, where)] = relative_covariance(self.motions(point))
             return covariance
         frames = [
             DiscrepancyFrame(*pushed_site(target.trial.load, problem.torso), self._whole_motion(i, point))
@@ -280,8 +319,28 @@ class WeighedProblem:
             moved = as_corners(columns[i][target.rows], target.z, target.trial.view)
             rows.append(self.noise.channels[i].apply(moved))
         whole = np.concatenate(rows)
-        covariance[:end, :end] = whole @ whole.T
+        if self._sights:
+            whole = self._with_further(whole, columns, out_of_plane_columns(frames, self._modes))
+        covariance[np.ix_(where, where)] = whole @ whole.T
         return covariance
+
+    def _with_further(self, whole: Floats, columns: Floats, others: Floats) -> Floats:
+        """(n, K) columns of the trials' own corners ``whole``, then of all else that the loaded trials show.
+
+        ``columns`` (F, V, 3, k) and ``others`` (F, V, 3, l) are what the model lacks in and out of the frontal plane,
+        as motions of the vertebrae. Learnt modes of corners hold what those see of the motion out of the plane.
+        """
+        jacobian = self.noise.pose_jacobian(self._at_rest, len(self.trial_set.problems[0].torso.vertebrae))
+        rows = []
+        for row, trial, _ in self._sights:
+            slopes = jacobian[self.noise.of(row)]
+            seen = [
+                np.einsum("nvc,vck->nk", slopes[:, :, list(pose)], moved[trial])
+                for pose, moved in ((IN_PLANE, columns), (OUT_OF_PLANE, others))
+            ]
+            rows.append(np.concatenate(seen, axis=1))
+        nothing = np.zeros((len(whole), others.shape[-1]))
+        return np.concatenate([np.concatenate([whole, nothing], axis=1), *rows])
 
     def _whole_motion(self, i: int, point: WeighedPoint) -> Floats:
         """(17, 3) of all vertebrae, seen or not, as ``discrepancy`` has motions."""
@@ -303,8 +362,8 @@ class WeighedProblem:
         solved = both[:, -1] + both[:, :-1] @ p
         return self.noise.inflation(self.noise.own_errors(solved, factor, before), factor)
 
-    def _motion(self, part: object, i: int) -> Floats:
-        return np.asarray(part.difference - self._at_rest[i].difference)  # type: ignore[attr-defined]
+    def _motion(self, part: SightResiduals, i: int) -> Floats:
+        return np.asarray(part.difference - self._at_rest[i].difference)
 
 
 def phi(point: WeighedPoint, weights: Weights) -> float:

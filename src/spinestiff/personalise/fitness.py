@@ -22,9 +22,9 @@ from spinestiff.imaging.features import (
     vertebra_rows,
     view_kind,
 )
+from spinestiff.imaging.pedicles import PediclePoints
 from spinestiff.imaging.projection import XRayView
 from spinestiff.personalise.adjustment import WRONG_WEIGHT
-from spinestiff.personalise.image_terms import PediclePoints
 
 # Of a view's vertebrae, how many may have corners that are no picture of a vertebra; the fit sets them aside.
 LARGEST_WRONG_SHARE = 0.25

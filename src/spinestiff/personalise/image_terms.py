@@ -24,45 +24,16 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import VertebraCorners, depth_axis, silhouette_pairs, vertebra_rows
+from spinestiff.imaging.pedicles import PediclePoints, pedicle_centres
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.silhouette import halves, rim_share, rim_share_slope
 from spinestiff.personalise.pose import Stance
-from spinestiff.personalise.sizes import pedicle_centres
 
 # What is unknown of a vertebra (15): dt (mm), dw (rad), log width, height and depth, how far its pedicles lie from the
 # template's (mm: outwards, up, front), and three tapers.
 UNKNOWNS = 15
 # Of a view (4): two shifts (mm at the patient plane), roll, yaw (rad).
 VIEW_UNKNOWNS = 4
-
-
-@dataclass(frozen=True, repr=False)
-class PediclePoints(ShortRepr):
-    """Centres of pedicles marked in one radiograph.
-
-    Attributes
-    ----------
-    vertebrae : (Nv,) names, each once.
-    points : (Nv, 2, 2) mm on the detector, the patient's left and right pedicle; NaN where one is not seen.
-
-    Raises
-    ------
-    TrackingError : wrong shapes, or repeated names.
-    """
-
-    vertebrae: tuple[str, ...]
-    points: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "vertebrae", tuple(self.vertebrae))
-        if len(set(self.vertebrae)) != len(self.vertebrae):
-            raise TrackingError("pedicles of a vertebra are given more than once")
-        points = np.asarray(self.points, dtype=float)
-        if points.shape != (len(self.vertebrae), 2, 2):
-            raise TrackingError(f"pedicle points have shape {points.shape}, wanted ({len(self.vertebrae)}, 2, 2)")
-        points = points.copy()
-        points.flags.writeable = False
-        object.__setattr__(self, "points", points)
 
 
 @dataclass(frozen=True, repr=False)

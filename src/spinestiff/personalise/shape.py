@@ -21,6 +21,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError, FitError, TorsoError
 from spinestiff.imaging.features import VertebraCorners, view_kind
+from spinestiff.imaging.pedicles import PediclePoints
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load
@@ -31,7 +32,6 @@ from spinestiff.personalise.fitness import VertebraFit, check_pictures, vertebra
 from spinestiff.personalise.image_terms import (
     UNKNOWNS,
     ImagePoints,
-    PediclePoints,
     Shape,
     image_points,
     own_boxes,

@@ -8,12 +8,10 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from spinestiff.anatomy.names import THORACIC
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TET10_EDGES, BoneSurface, TissueMesh, TorsoModel
 from spinestiff.arrays import Floats, Ints, read_only
 from spinestiff.errors import TorsoError
-from spinestiff.imaging.features import box_sizes
 
 # Factors beyond these belong to another species, or to corners in another unit.
 SIZE_LIMITS = (0.5, 2.0)
@@ -98,15 +96,3 @@ def spread(mesh: TissueMesh, values: Floats, told: np.ndarray) -> Floats:
             ends = mesh.elements[:, [first, second]]
             values[mesh.elements[:, middle]] = values[ends].mean(1)
     return values
-
-
-def pedicle_centres(torso: TorsoModel) -> Floats:
-    """(V, 2, 3) mm in the vertebra's frame: the middles of the left and the right pedicle of this torso's vertebrae.
-
-    As the template's bone surfaces have them (``anatomy.template.vertebrae``): at 0.36 (lumbar: 0.30) of the body's
-    width plus 2 mm aside, 0.18 of its height above the middle, and 5 mm behind the body's rear wall.
-    """
-    width, height, depth = box_sizes(torso).T
-    share = np.where([name in THORACIC for name in torso.vertebrae], 0.36, 0.30)
-    left = np.stack([share * width + 2.0, 0.18 * height, -0.5 * depth - 5.0], -1)
-    return np.stack([left, left * [-1.0, 1.0, 1.0]], 1)

@@ -82,7 +82,9 @@ class Step:
         for step in self.also:
             names += recorded_steps(subject)[step].outputs if is_unchanged(subject, step) else ()
         paths = [subject.image_path(f"rest/{view}") for view in subject.rest_views if "rest" in self.images]
-        paths += [subject.image_path(push.image) for push in subject.pushes if "push" in self.images]
+        if "push" in self.images:
+            paths += [subject.image_path(push.image) for push in subject.pushes]
+            paths += [subject.folder / view.files for push in subject.pushes for view in push.views]
         if BODY in self.parts:
             paths += [path for path in (subject.torso_path, subject.scan_path) if path is not None]
         return [*names, *(path.relative_to(subject.folder).as_posix() for path in paths)]

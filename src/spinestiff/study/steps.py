@@ -21,11 +21,12 @@ from spinestiff.estimation.forecast import Forecast
 from spinestiff.estimation.linear import MOST_PROFILED
 from spinestiff.files import write_bytes
 from spinestiff.imaging.features import VertebraCorners
+from spinestiff.imaging.pedicles import PediclePoints
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking import support_motion, track
 from spinestiff.observer import Observer
-from spinestiff.personalise.image_terms import PediclePoints
 from spinestiff.personalise.measured_skin import TrunkSize
+from spinestiff.personalise.pose import posed
 from spinestiff.personalise.scan import SkinScan, read_scan
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess, single_ratio
@@ -51,23 +52,29 @@ from spinestiff.study.visit import START, Visit, load_pushes, load_start
 from spinestiff.study.wording import response_lines
 from spinestiff.study.written import estimate_record, geometry_record, proposal_record, write_draws
 from spinestiff.subject.folder import (
+    Subject,
     image_corners,
     image_pedicles,
     image_supports,
     push_corners,
     read_push,
     read_rest,
+    read_view,
 )
+from spinestiff.subject.outcome_parts import ViewRecord
 from spinestiff.subject.outcomes import (
     Assessment,
     Comparison,
     Estimate,
     FrameProposals,
     GeometryRecord,
+    MarkedPedicles,
+    SidePicture,
+    SideView,
     Tracked,
     TrackedPush,
 )
-from spinestiff.subject.records import SubjectRecord
+from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.subject.run_record import read_outcome, result_path, write_outcome
 from spinestiff.words import counted
 
@@ -90,11 +97,64 @@ def track_step(visit: Visit, say: Observer) -> None:
         tracked = track(frames, annotated, progress)
         supports = support_motion(frames, image_supports(subject, push.image))
         said = {"millimetres": dict(frames[0].provenance), "annotated_frames": list(annotated)}
+        said |= {"pedicles": marked_pedicles(subject, push, view), "sides": side_views(subject, push)}
         pushes[push.id] = TrackedPush.of(view, push.forces_n, tracked, supports, **said)
         for i, frame in enumerate(pushes[push.id].frames):
             if frame.support_note:
                 say(f"push '{push.id}' frame {i}: {frame.support_note}")
     write_outcome(subject, Tracked(pushes=pushes))
+
+
+def marked_pedicles(subject: Subject, push: PushRecord, view: XRayView) -> list[MarkedPedicles]:
+    """Of the frames of a push in which a person marked any. Raises SubjectError as ``image_pedicles``."""
+    found = []
+    for frame in range(len(push.forces_n)):
+        if push.frame_image(frame) in subject.annotation.images:
+            marked = _pedicles(subject, push.frame_image(frame), view, frame)
+            if marked is not None:
+                found.append(marked)
+    return found
+
+
+def side_views(subject: Subject, push: PushRecord) -> list[SideView]:
+    """The radiographs of a push from other sides, read and with what was marked in them.
+
+    Raises
+    ------
+    SubjectError, RadiographError : they can't be read, or what was marked is no picture of vertebrae.
+    """
+    found = []
+    for record in push.views:
+        radiographs = read_view(subject, push, record)
+        view = posed(radiographs[0].view, np.zeros(2), 0.0, float(np.deg2rad(record.turned_deg)))
+        pictures = []
+        for frame in sorted(record.frames):
+            name = push.view_image(frame, record.id)
+            corners = image_corners(subject, name, view)
+            pictures.append(
+                SidePicture.model_validate(
+                    {
+                        "frame": frame,
+                        "vertebrae": corners.vertebrae,
+                        "corners_px": view.pixels(corners.corners).round(3).tolist(),
+                        "pedicles": _pedicles(subject, name, view, frame),
+                    }
+                )
+            )
+        millimetres = dict(radiographs[0].provenance)
+        found.append(
+            SideView(id=record.id, view=ViewRecord.of(view), millimetres=millimetres, pictures=tuple(pictures))
+        )
+    return found
+
+
+def _pedicles(subject: Subject, name: str, view: XRayView, frame: int) -> MarkedPedicles | None:
+    names, points = image_pedicles(subject, name, view)
+    if not names:
+        return None
+    return MarkedPedicles.model_validate(
+        {"frame": frame, "vertebrae": names, "centres_px": view.pixels(points).round(3).tolist()}
+    )
 
 
 def frames_step(visit: Visit, say: Observer) -> None:

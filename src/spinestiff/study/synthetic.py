@@ -9,12 +9,14 @@ import json
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, stiffness_ratios
 from spinestiff.anatomy.template import OWN_MESH, template_torso
@@ -24,6 +26,7 @@ from spinestiff.curves.tilts import cobb_angle, cobb_change, tilts
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
 from spinestiff.imaging.features import silhouette_shares, state_features
+from spinestiff.imaging.pedicles import pedicle_centres
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.imaging.synthetic.acquisition import LATERAL, Acquisition, Gauge, acquire
@@ -34,6 +37,7 @@ from spinestiff.mechanics.places import place_of_pelvis
 from spinestiff.mechanics.supports import Supports
 from spinestiff.observer import Observer
 from spinestiff.parallel import in_parallel
+from spinestiff.personalise.prior import OWN_PEDICLE_SD, PERSON_PEDICLE_SD
 from spinestiff.personalise.quality import mesh_quality
 from spinestiff.personalise.rebuild import NODES
 from spinestiff.personalise.shape import place_vertebrae
@@ -52,6 +56,8 @@ from spinestiff.subject.records import Annotation, ImageAnnotation, PushRecord, 
 # Table 4's range of estimated ratios, where a subject's own are drawn from.
 BENDING_RANGE, TISSUE_RANGE = (0.05, 0.63), (0.01, 0.15)
 ANNOTATION_SD_MM = 0.3  # of a hand-set corner, at the patient plane
+PEDICLE_SD_MM = 0.7  # of a pedicle's mark, the same
+SIDE = "lateral"  # id of the further view
 STANDING_SD_MM, STANDING_SD_RAD = 4.0, 0.012  # how differently a patient stands from one exposure to the next
 DETECTOR_WIDTH_MM = 427.0
 LARGEST_FORCE_N = 500.0  # that the gauge shows
@@ -122,6 +128,7 @@ class Recipe:
     acquisition : how the radiographs are taken; four a second (paper 2.1).
     lateral_exposure : of the lateral rest radiograph.
     supports : how much belt and shoulder's pad give under ``force_n``; drawn from 0 to 4 degrees and 0 to 4 mm if None.
+    biplanar : each frame of a push has a lateral radiograph, too, and pedicles are marked in all frontal ones.
     """
 
     seed: int = 0
@@ -138,6 +145,7 @@ class Recipe:
     acquisition: Acquisition = field(default_factory=Acquisition)
     lateral_exposure: Exposure = LATERAL
     supports: SyntheticSupports | None = None
+    biplanar: bool = False
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -313,6 +321,8 @@ class _Acquisition:
         path = self.folder / "pushes" / f"{push.id}.dcm"
         self._write(path, pixels, view, ("L", "F"), f"push {push.id}")
         self.images[f"push/{push.id}"] = self._annotation(view, supports=True)
+        if self.recipe.biplanar:
+            self._seen_aside(push, states, view)
         shares = silhouette_shares(self.torso, view, self.torso.rest_pose)
         self.truth[push.id] = [
             {
@@ -323,6 +333,35 @@ class _Acquisition:
             }
             for state in states
         ]
+
+    def _seen_aside(self, push: SyntheticPush, states: list[TorsoState], frontal: XRayView) -> None:
+        """Lateral radiographs of a push's frames with their corners, and pedicles in the frontal ones."""
+        side = self._standing(self._nominal(lateral_view))
+        how = replace(self.recipe.acquisition, exposure=self.recipe.lateral_exposure)
+        path = self.folder / "pushes" / f"{push.id}-{SIDE}.dcm"
+        self._write(path, self._radiographs(states, side, how), side, ("A", "F"), f"push {push.id} lateral")
+        record = next(record for record in self.pushes if record.id == push.id)
+        for number, state in enumerate(states):
+            self.images[record.view_image(number, SIDE)] = self._annotation(side, supports=False, state=state)
+            name = record.frame_image(number)
+            there = self.images[name].model_dump() if name in self.images else {"vertebrae": {}}
+            marked = {**there, "pedicles": self._marked_pedicles(frontal, state)}
+            self.images[name] = ImageAnnotation.model_validate(marked)
+
+    def _marked_pedicles(self, view: XRayView, state: TorsoState) -> dict[str, list[list[float]]]:
+        points = PointsOnBones(np.repeat(self.torso.vertebra_bones, 2), self._own_pedicles.reshape(-1, 3))
+        seen = view.project(points.positions(state))
+        seen = seen + self.random.normal(0.0, PEDICLE_SD_MM, seen.shape) * view.magnification
+        pixels = view.pixels(seen).round(2).reshape(-1, 2, 2)
+        inside = self._shown(pixels, view).all(1)
+        return {VERTEBRAE[i]: pixels[i].tolist() for i in np.flatnonzero(inside)}
+
+    @cached_property
+    def _own_pedicles(self) -> Floats:
+        """(V, 2, 3) mm in the vertebra's frame: those of this person."""
+        outwards = np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
+        there = pedicle_centres(self.torso) + outwards * self.random.normal(0.0, PERSON_PEDICLE_SD, 3)
+        return np.asarray(there + self.random.normal(0.0, OWN_PEDICLE_SD, there.shape))
 
     def finish(self, ratios: dict[str, float], give: SyntheticSupports, stiffness: SupportStiffness) -> Path:
         recipe = self.recipe
@@ -383,10 +422,12 @@ class _Acquisition:
             description=description,
         )
 
-    def _annotation(self, view: XRayView, supports: bool) -> ImageAnnotation:
-        """What a person would click in the unloaded torso's image: the visible vertebrae, a little off."""
+    def _annotation(self, view: XRayView, supports: bool, state: TorsoState | None = None) -> ImageAnnotation:
+        """What a person would click in a state's image, by default the unloaded torso's: the visible vertebrae, a
+        little off."""
         rest = self.torso.rest_pose
-        corners = state_features(self.torso, view, rest, silhouette_shares(self.torso, view, rest)).corners
+        shares = silhouette_shares(self.torso, view, rest)
+        corners = state_features(self.torso, view, rest if state is None else state, shares).corners
         noise = self.random.normal(0.0, ANNOTATION_SD_MM, corners.shape) * view.magnification
         pixels = view.pixels(corners + noise).round(2)
         inside = self._shown(pixels, view).all(1)
@@ -418,6 +459,10 @@ class _Acquisition:
             "forces_n": [round(share * self.recipe.force_n, 3) for share in push.shares],
             "roles": push.roles,
         }
+        if self.recipe.biplanar:
+            every = list(range(len(push.shares)))
+            files = f"pushes/{push.id}-{SIDE}.dcm"
+            record["views"] = [{"id": SIDE, "kind": "lateral", "files": files, "frames": every}]
         return parse_record(json.dumps(record), f"push '{push.id}' of the recipe", PushRecord)
 
     def _heights(self, level: float) -> tuple[float, float, float]:

@@ -12,7 +12,7 @@ from spinestiff.errors import FitError, SubjectError, TrackingError
 from spinestiff.estimation.evaluation import OnFitStep
 from spinestiff.estimation.fit import Extent, fit_stiffness, likelihood_rise
 from spinestiff.estimation.fitted import Method, StiffnessFit
-from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Trial
+from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Picture, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import check_population
 from spinestiff.imaging.features import Orientation
@@ -190,13 +190,25 @@ def push_set(
             view, poses[push.id] = align_view(torso, torso.rest_pose, found.view.view(), corners[least])
         except TrackingError as error:
             raise TrackingError(f"push '{push.id}' frame {least}: {error}") from None
+        aside, told = _pictures_aside(torso, push, found)
+        warnings += told
         for index, (frame, force, role) in enumerate(zip(found.frames, push.forces_n, push.roles)):
             label = f"push '{push.id}' frame {index}"
             if frame.support_note and role != "unused":
                 warnings.append(f"{label}: {frame.support_note}; the paper leaves such a frame out")
             load = push_load(torso, site, force, rig, label)
             by_hand = index in (found.annotated_frames or (0,))
-            trial = Trial(load, corners[index], view, label, push.id, by_hand, _measured_supports(frame))
+            trial = Trial(
+                load,
+                corners[index],
+                view,
+                label,
+                push.id,
+                by_hand,
+                _measured_supports(frame),
+                next((marks.points(view) for marks in found.pedicles if marks.frame == index), None),
+                tuple(picture for frame_of, picture in aside if frame_of == index),
+            )
             lost = len(found.vertebrae) - len(trial.corners)
             if index not in usable:
                 left = len(trial.corners)
@@ -209,6 +221,44 @@ def push_set(
     if not any(t.role == "training" and t.force_n > 0.0 for t in trials):
         raise SubjectError("no training frame is left after tracking; see the messages of the tracking step")
     return PushSet(torso, problems, tuple(trials), poses, tuple(warnings), orientation, known or Known())
+
+
+def _pictures_aside(
+    torso: TorsoModel, push: PushRecord, found: TrackedPush
+) -> tuple[list[tuple[int, Picture]], list[str]]:
+    """Frame and radiograph of all from other sides, each view moved to meet that of the least force; warnings."""
+    pictures, warnings = [], []
+    for side in found.sides:
+        least = min(side.pictures, key=lambda picture: push.forces_n[picture.frame])
+        if push.forces_n[least.frame] > 0.0:
+            warnings.append(
+                f"push '{push.id}' view '{side.id}': its least force is {push.forces_n[least.frame]:g} N, so that "
+                "where the patient stood is read under load; take one of a frame without force"
+            )
+        try:
+            view, _ = align_view(torso, torso.rest_pose, side.view.view(), side.corners(least))
+        except TrackingError as error:
+            raise TrackingError(f"push '{push.id}' frame {least.frame} view '{side.id}': {error}") from None
+        for picture in side.pictures:
+            label = f"push '{push.id}' frame {picture.frame} view '{side.id}'"
+            pedicles = None if picture.pedicles is None else picture.pedicles.points(view)
+            shown = Picture(side.corners(picture), view, label, f"{push.id} {side.id}", pedicles)
+            pictures.append((picture.frame, shown))
+    return pictures, warnings
+
+
+def seen_beside(pushes: PushSet) -> tuple[str, ...]:
+    """What an estimate is made from beside corners of frontal radiographs, a line each push."""
+    found = []
+    for push in pushes.poses:
+        trials = [item.trial for item in pushes.fitted if item.push == push]
+        marked = sum(trial.pedicles is not None for trial in trials)
+        sides = [picture.sequence.removeprefix(f"{push} ") for trial in trials for picture in trial.further]
+        parts = [f"pedicles in {counted(marked, 'frame')}"] if marked else []
+        parts += [f"{counted(sides.count(name), 'radiograph')} of view '{name}'" for name in dict.fromkeys(sides)]
+        if parts:
+            found.append(f"push '{push}': beside the frontal corners, {' and '.join(parts)}")
+    return tuple(found)
 
 
 def fit_from_coarse(

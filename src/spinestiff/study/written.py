@@ -22,7 +22,7 @@ from spinestiff.personalise.shape import Personalised
 from spinestiff.study.frame_selection import Proposal
 from spinestiff.study.judgement import RestShape, failed, judge, outlying_notes
 from spinestiff.study.plain import plain_stiffness
-from spinestiff.study.trials import PushSet
+from spinestiff.study.trials import PushSet, seen_beside
 from spinestiff.study.visit import Visit
 from spinestiff.subject.folder import read_identities
 from spinestiff.subject.outcome_parts import LEAST_FIRST, PoseRecord, ViewRecord, finite, nested
@@ -146,7 +146,7 @@ def estimate_record(visit: Visit, pushes: PushSet, fit: StiffnessFit, geometry: 
             *pushes.warnings,
             *fit.warnings,
             *outlying_notes(fit),
-            *((PAPER_NOTE,) if fit.method == "paper" else ()),
+            *((PAPER_NOTE,) if fit.method == "paper" else seen_beside(pushes)),
         ),
     )
 

@@ -24,6 +24,7 @@ from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.subject.records import (
     ANNOTATION_FILE,
     FURTHER_FRAME,
+    FURTHER_VIEW,
     LATERAL,
     REST_IMAGES,
     RESULTS,
@@ -31,6 +32,7 @@ from spinestiff.subject.records import (
     SUBJECT_FILE,
     USUAL_LIMIT_N,
     Annotation,
+    FurtherViewRecord,
     ImageAnnotation,
     PushRecord,
     SubjectRecord,
@@ -92,7 +94,27 @@ class Subject:
         """File (or folder of frames) of an image by its name in the annotation."""
         if image in REST_IMAGES:
             return self.folder / REST_IMAGES[image]
+        aside = re.fullmatch(FURTHER_VIEW, image)
+        if aside is not None:
+            return self.folder / self.view(image)[1].files
         return self.folder / self.push(image.split("/")[1]).frames
+
+    def view(self, image: str) -> tuple[int, FurtherViewRecord]:
+        """Frame and record of a radiograph from another side, by its name in the annotation.
+
+        Raises
+        ------
+        SubjectError : no such radiograph of this subject.
+        """
+        named = re.fullmatch(FURTHER_VIEW, image)
+        ids = {push.image for push in self.pushes}
+        if named is not None and named["push"] in ids:
+            for view in self.push(named["push"].removeprefix("push/")).views:
+                if view.id == named["view"] and int(named["frame"]) in view.frames:
+                    return int(named["frame"]), view
+        raise SubjectError(
+            f"{self.folder / ANNOTATION_FILE}: images.{shown_key(image)}: no such view of this frame in {SUBJECT_FILE}"
+        )
 
     @property
     def rest_views(self) -> tuple[Literal["frontal", "lateral"], ...]:
@@ -215,6 +237,23 @@ def read_push(subject: Subject, push: PushRecord) -> tuple[Radiograph, ...]:
     return frames
 
 
+def read_view(subject: Subject, push: PushRecord, view: FurtherViewRecord) -> tuple[Radiograph, ...]:
+    """The radiographs of a push's frames from another side, one for each of the view's frames.
+
+    Raises
+    ------
+    SubjectError : another number of radiographs, or they are of another kind.
+    RadiographError : see ``read_radiographs``.
+    """
+    frames = _read_images(subject, push.view_image(view.frames[0], view.id), view.kind)
+    if len(frames) != len(view.frames):
+        raise SubjectError(
+            f"{subject.folder / SUBJECT_FILE}: view '{view.id}' of push '{push.id}' names "
+            f"{counted(len(view.frames), 'frame')}, but {view.files} holds {len(frames)}; wanted one radiograph a frame"
+        )
+    return frames
+
+
 def read_identities(subject: Subject) -> dict[str, Identity]:
     """Whose radiographs the rest images and the pushes' first files are, by image; to be compared, never written.
 
@@ -227,6 +266,11 @@ def read_identities(subject: Subject) -> dict[str, Identity]:
 
     images = (*(f"rest/{view}" for view in subject.rest_views), *(push.image for push in subject.pushes))
     paths = {image: subject.image_path(image) for image in images}
+    paths |= {
+        push.view_image(view.frames[0], view.id): subject.folder / view.files
+        for push in subject.pushes
+        for view in push.views
+    }
     return {image: read_identity(candidates(path)[0] if path.is_dir() else path) for image, path in paths.items()}
 
 
@@ -277,7 +321,7 @@ def push_corners(subject: Subject, push: PushRecord, view: XRayView) -> Mapping[
     return {
         frame: image_corners(subject, name, view)
         for frame, name in names.items()
-        if frame == 0 or name in subject.annotation.images
+        if frame == 0 or (name in subject.annotation.images and subject.annotation.images[name].vertebrae)
     }
 
 
@@ -331,7 +375,7 @@ def _read_images(subject: Subject, image: str, which: Literal["frontal", "latera
 
     path = subject.image_path(image)
     try:
-        geometry = image_geometry(subject.record, subject.annotation, image)
+        geometry = image_geometry(subject.record, subject.annotation, image, which)
     except SubjectError as problem:
         raise SubjectError(f"{subject.folder / SUBJECT_FILE}: {problem}") from None
     frames = read_radiographs(path, geometry=geometry, within=subject.folder)
@@ -354,10 +398,12 @@ def check_image_name(subject: Subject, name: str) -> None:
         count = len(subject.push(found["push"].removeprefix("push/")).forces_n)
         if int(found["frame"]) >= count:
             raise SubjectError(f"{path}: images.{name}: the push has {counted(count, 'frame')}, counted from 0")
+    elif re.fullmatch(FURTHER_VIEW, name):
+        subject.view(name)
     elif name not in needed:
         raise SubjectError(
             f"{path}: images.{shown_key(name)}: unknown image; wanted {', '.join(needed)} (push/<id>/<frame> for "
-            "frames after the first)"
+            "frames after the first, push/<id>/<frame>/<view> for those from other sides)"
         )
 
 
@@ -372,6 +418,12 @@ def _check_images(subject: Subject) -> None:
             continue
         if name not in images:
             raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
+    for push in subject.pushes:
+        for view in push.views:
+            for frame in view.frames:
+                name = push.view_image(frame, view.id)
+                if name not in images:
+                    raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
 
 
 def check_output_beside(folder: Path, path: Path, option: str, *, force: bool) -> None:

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
 from spinestiff.errors import SubjectError
 from spinestiff.imaging.dicom.millimetres import Geometry, Scale
-from spinestiff.subject.records import LATERAL, Annotation, ScaleRecord, SubjectRecord
+from spinestiff.subject.records import Annotation, ScaleRecord, SubjectRecord
 
 AGREEMENT_OF_VERTEBRA = 0.1
 """Relative difference up to which a file's spacing agrees with a vertebra's known size; edges are seen no better."""
 
 
-def image_geometry(record: SubjectRecord, annotation: Annotation | None, image: str) -> Geometry:
+def image_geometry(
+    record: SubjectRecord, annotation: Annotation | None, image: str, kind: Literal["frontal", "lateral"]
+) -> Geometry:
     """The geometry given for an image.
 
     Parameters
     ----------
     annotation : resolves the vertebra of a scale; None if there is none yet.
-    image : its name in the annotation.
+    image : its name in the annotation. kind : what it is to be.
 
     Raises
     ------
@@ -31,7 +35,7 @@ def image_geometry(record: SubjectRecord, annotation: Annotation | None, image: 
         xray.source_detector_mm,
         xray.source_patient_mm,
         xray.imager_pixel_mm,
-        ("lateral" if image == LATERAL else "frontal") if usual else None,
+        kind if usual else None,
         None if scale is None else _scale(scale, annotation, image),
     )
 

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from spinestiff.errors import RadiographError, SpinestiffError, SubjectError
 from spinestiff.files import listed, regular_file
@@ -174,33 +174,44 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
     annotation = read_record(marked, Annotation) if marked.is_file() else None
     paths = {name: folder / path for name, path in REST_IMAGES.items()}
     forces = {push.image: len(push.forces_n) for push in record.pushes}
+    marks: dict[str, tuple[str, ...]] = {}
     paths |= {push.image: folder / push.frames for push in record.pushes}
+    kinds: dict[str, Literal["frontal", "lateral"]] = {LATERAL: "lateral"}
+    for push in record.pushes:
+        for view in push.views:
+            name = f"{push.image}, view {view.id}"
+            paths[name], forces[name], kinds[name] = folder / view.files, len(view.frames), view.kind
+            marks[name] = tuple(push.view_image(frame, view.id) for frame in view.frames)
     found = []
     for name, path in paths.items():
         if name == LATERAL and not path.exists() and not path.is_symlink():
             continue
         try:
-            geometry = image_geometry(record, annotation, name)
+            geometry = image_geometry(record, annotation, name, kinds.get(name, "frontal"))
         except SpinestiffError as problem:
             found.append(Inspection(name, str(problem)))
             continue
         one = _image(path, name, geometry, folder)
-        found.append(one if one.reason else _fitting(one, name, annotation, forces.get(name, 1)))
+        kind, frames, wanted = kinds.get(name, "frontal"), forces.get(name, 1), marks.get(name, (name,))
+        found.append(one if one.reason else _fitting(one, name, annotation, frames, kind, wanted))
     return tuple(found)
 
 
-def _fitting(one: Inspection, name: str, annotation: Annotation | None, frames: int) -> Inspection:
-    """Held against what the subject folder wants of this image."""
-    wanted = "lateral" if name == LATERAL else "frontal"
+def _fitting(
+    one: Inspection, name: str, annotation: Annotation | None, frames: int, wanted: str, marks: tuple[str, ...]
+) -> Inspection:
+    """Held against what the subject folder wants of this image; ``marks``: its names in the annotation."""
     if one.seen["view"] not in (None, wanted):
         reason = f"{one.seen['file']}: found a {one.seen['view']} radiograph, wanted a {wanted} one"
         return Inspection(name, reason, one.seen)
     if one.seen["frames"] != frames:
-        rest = "1, at rest" if name in REST_IMAGES else f"{frames}, one for each of forces_n in subject.json"
+        each = "forces_n" if marks == (name,) else "the view's frames"
+        rest = "1, at rest" if name in REST_IMAGES else f"{frames}, one for each of {each} in subject.json"
         return Inspection(name, f"{one.seen['file']}: found {one.seen['frames']} frames, wanted {rest}", one.seen)
     missing = one.missing
-    if annotation is None or name not in annotation.images:
-        missing += (f"no corners of {name} in {ANNOTATION_FILE}",)
+    for mark in marks:
+        if annotation is None or mark not in annotation.images:
+            missing += (f"no corners of {mark} in {ANNOTATION_FILE}",)
     return Inspection(name, "", one.seen, missing, one.warnings)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from spinestiff.imaging.features import Orientation, VertebraCorners
+from spinestiff.imaging.pedicles import PediclePoints
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking import SupportMotion
 from spinestiff.subject.outcome_parts import (
@@ -85,6 +86,52 @@ class TrackedFrame(Outcome):
         return None if self.obliquity_deg is None else self.obliquity_deg.scaled(pi / 180.0)
 
 
+class MarkedPedicles(Outcome):
+    """Pedicles that a person marked in a push's frame: of each vertebra the left and the right one, column, row."""
+
+    frame: int
+    vertebrae: tuple[VertebraName, ...]
+    centres_px: tuple[tuple[Pair, Pair], ...]
+
+    def points(self, view: XRayView) -> PediclePoints:
+        """In mm on the detector of the frame's view."""
+        return PediclePoints(self.vertebrae, view.from_pixels(np.array(self.centres_px)))
+
+
+class SidePicture(Outcome):
+    """A frame's radiograph from another side, as a person marked it.
+
+    Attributes
+    ----------
+    frame : of the push. vertebrae : (Nv,) names, head to foot. corners_px : (Nv, 4, 2) column, row.
+    pedicles : marked in it; None without.
+    """
+
+    frame: int
+    vertebrae: tuple[VertebraName, ...]
+    corners_px: tuple[tuple[Pair, Pair, Pair, Pair], ...]
+    pedicles: MarkedPedicles | None = None
+
+
+class SideView(Outcome):
+    """A push's radiographs from another side.
+
+    Attributes
+    ----------
+    id : as in ``subject.json``. view : nominal. millimetres : where they come from.
+    pictures : in the order of their frames.
+    """
+
+    id: str
+    view: ViewRecord
+    millimetres: dict[str, str] = Field(default_factory=dict)
+    pictures: tuple[SidePicture, ...]
+
+    def corners(self, picture: SidePicture) -> VertebraCorners:
+        """In mm on the detector."""
+        return VertebraCorners(picture.vertebrae, self.view.view().from_pixels(np.array(picture.corners_px)))
+
+
 class TrackedPush(Outcome):
     """A push as tracked.
 
@@ -94,6 +141,7 @@ class TrackedPush(Outcome):
     vertebrae : (Nv,) names, head to foot.
     annotated_frames : those whose corners a person set.
     frames : one a radiograph.
+    pedicles : as marked, by frame; they are not tracked. sides : the same frames from other sides.
     """
 
     view: ViewRecord
@@ -101,6 +149,8 @@ class TrackedPush(Outcome):
     vertebrae: tuple[VertebraName, ...]
     annotated_frames: tuple[int, ...] = ()
     frames: tuple[TrackedFrame, ...]
+    pedicles: tuple[MarkedPedicles, ...] = ()
+    sides: tuple[SideView, ...] = ()
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:
@@ -126,7 +176,7 @@ class TrackedPush(Outcome):
         Parameters
         ----------
         supports : what was seen of pelvis and shoulder in these frames.
-        said : ``millimetres`` and ``annotated_frames``.
+        said : ``millimetres``, ``annotated_frames``, ``pedicles`` and ``sides``.
         """
         frames = [
             {

@@ -41,6 +41,11 @@ MOST_TURNED_DEG = 45.0
 DISTANCES_MM = (30.0, 1000.0)
 FURTHER_FRAME = r"(?P<push>push/[^/]+)/(?P<frame>[1-9][0-9]{0,3})"
 """Name of an annotated frame of a push after its first, which is push/<id>."""
+FURTHER_VIEW = r"(?P<push>push/[^/]+)/(?P<frame>0|[1-9][0-9]{0,3})/(?P<view>[^/]+)"
+"""Name of a radiograph of a push's frame from another side."""
+FEWEST_OF_VIEW = 3
+MOST_TURNED_VIEW_DEG = 40.0
+"""Of an oblique radiograph, against the frontal or lateral one; beyond, it is nearer to the other of the two."""
 _IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 _NAME = "1 to 64 letters (A to Z), digits, '.', '_' or '-', the first a letter or digit"
 LONGEST_PATH = 250
@@ -120,6 +125,38 @@ class XRayRecord(_Record):
     scale: dict[str, ScaleRecord] | None = None
 
 
+class FurtherViewRecord(_Record):
+    """Radiographs of a push's frames from another side.
+
+    Attributes
+    ----------
+    id : name, unique in the push, also in ``annotation.json`` as push/<id>/<frame>/<view>.
+    kind : what it is, or what it is turned from: "lateral" or "frontal".
+    files : file or folder of the radiographs, relative to the subject folder.
+    frames : the push's frame (0-based) that each of them belongs to, in their order: it has that frame's force.
+    turned_deg : how far the patient was turned to the left about the vertical, against ``kind``.
+    """
+
+    id: Identifier
+    kind: Literal["frontal", "lateral"]
+    files: str
+    frames: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1, strict=False)]
+    turned_deg: Annotated[float, Field(ge=-MOST_TURNED_VIEW_DEG, le=MOST_TURNED_VIEW_DEG)] = 0.0
+
+    @field_validator("files")
+    @classmethod
+    def _stay_inside(cls, path: str) -> str:
+        return _inside(path)
+
+    @field_validator("frames")
+    @classmethod
+    def _are_different(cls, frames: tuple[int, ...]) -> tuple[int, ...]:
+        for i, frame in enumerate(frames):
+            if frame in frames[:i]:
+                raise ValueError(f"found frame {frame} twice, wanted each once")
+        return frames
+
+
 class PushRecord(_Record):
     """One series of radiographs under a growing rib force.
 
@@ -132,6 +169,7 @@ class PushRecord(_Record):
     frames : file or folder of the radiographs, relative to the subject folder.
     forces_n : magnitude for each frame, N.
     roles : for each frame; left out = not chosen yet, all "unused".
+    views : radiographs of some of the frames from other sides.
     """
 
     id: Identifier
@@ -142,6 +180,7 @@ class PushRecord(_Record):
     frames: str
     forces_n: Annotated[tuple[float, ...], Field(min_length=1, strict=False)]
     roles: Annotated[tuple[Role, ...], Field(strict=False)]
+    views: Annotated[tuple[FurtherViewRecord, ...], Field(strict=False)] = ()
 
     @model_validator(mode="before")
     @classmethod
@@ -176,6 +215,15 @@ class PushRecord(_Record):
                 f"d31_mm {self.d31_mm:g} is not below d21_mm {self.d21_mm:g}; "
                 "wanted the push between shoulder and pelvis (Eqs. 1-2)"
             )
+        names = [view.id.casefold() for view in self.views]
+        for i, view in enumerate(self.views):
+            if names[i] in names[:i]:
+                raise ValueError(f"views[{i}].id: '{view.id}' is used twice; give each view its own id")
+            if max(view.frames) >= len(self.forces_n):
+                raise ValueError(
+                    f"views[{i}].frames: found frame {max(view.frames)}, but the push has "
+                    f"{counted(len(self.forces_n), 'frame')}, counted from 0"
+                )
         used = [force for force, role in zip(self.forces_n, self.roles) if role != "unused"]
         if used and not any(used):
             raise ValueError("all forces are zero, so there is nothing to identify; check the force log")
@@ -189,6 +237,10 @@ class PushRecord(_Record):
     def frame_image(self, frame: int) -> str:
         """Name of a frame (0-based) in the annotation: push/<id> for the first, push/<id>/<frame> for others."""
         return self.image if frame == 0 else f"{self.image}/{frame}"
+
+    def view_image(self, frame: int, view: str) -> str:
+        """Name of a frame's radiograph from another side in the annotation."""
+        return f"{self.image}/{frame}/{view}"
 
     @property
     def sign(self) -> int:
@@ -336,7 +388,7 @@ class ImageAnnotation(_Record):
         the patient in a frontal image; superior-anterior, superior-posterior, inferior-posterior, inferior-anterior in
         a lateral one.
     supports : points on the pelvis and on the shoulder that rests on the wall; they show whether the supports moved.
-    pedicles : centres of the left and the right pedicle, in rest images; they determine axial rotation.
+    pedicles : centres of the left and the right pedicle; they determine axial rotation.
     """
 
     vertebrae: dict[VertebraName, Quad]
@@ -346,15 +398,20 @@ class ImageAnnotation(_Record):
     @field_validator("vertebrae")
     @classmethod
     def _is_a_spine(cls, vertebrae: dict[VertebraName, Quad]) -> dict[VertebraName, Quad]:
-        if not vertebrae:
-            raise ValueError("found no vertebra, wanted at least one")
         ordered = dict(sorted(vertebrae.items(), key=lambda item: VERTEBRAE.index(item[0])))
-        _check_quads(tuple(ordered), np.array(list(ordered.values())))
+        if ordered:
+            _check_quads(tuple(ordered), np.array(list(ordered.values())))
         return ordered
+
+    @model_validator(mode="after")
+    def _shows_something(self) -> Self:
+        if not self.vertebrae and not self.pedicles:
+            raise ValueError("vertebrae: found no vertebra, wanted at least one")
+        return self
 
     def pixels(self) -> Floats:
         """(Nv, 4, 2) column, row, head to foot."""
-        return np.array(list(self.vertebrae.values()))
+        return np.array(list(self.vertebrae.values()), dtype=float).reshape(-1, 4, 2)
 
 
 class Annotation(_Record):
@@ -363,7 +420,8 @@ class Annotation(_Record):
     Attributes
     ----------
     schema_version : 1.
-    images : by name: "rest/frontal", "rest/lateral", "push/<id>" (frame 0), "push/<id>/<frame>".
+    images : by name: "rest/frontal", "rest/lateral", "push/<id>" (frame 0), "push/<id>/<frame>", and, from other
+        sides, "push/<id>/<frame>/<view>".
     """
 
     schema_version: Literal[1]
@@ -373,11 +431,16 @@ class Annotation(_Record):
     @classmethod
     def _points_are_where_they_serve(cls, images: dict[str, ImageAnnotation]) -> dict[str, ImageAnnotation]:
         for name, image in images.items():
-            further = re.fullmatch(FURTHER_FRAME, name)
-            if further is None and len(image.vertebrae) < FEWEST_VERTEBRAE:
+            further, aside = re.fullmatch(FURTHER_FRAME, name), re.fullmatch(FURTHER_VIEW, name)
+            fewest = FEWEST_OF_VIEW if aside else FEWEST_VERTEBRAE if further is None else 0
+            if len(image.vertebrae) < fewest:
                 raise ValueError(
                     f"{shown_key(name)}.vertebrae: found {counted(len(image.vertebrae), 'vertebra', 'vertebrae')}, "
-                    f"wanted at least {FEWEST_VERTEBRAE}"
+                    f"wanted at least {fewest}"
+                )
+            if aside is not None and image.supports:
+                raise ValueError(
+                    f"{shown_key(name)} has supports; wanted them in the push's first frame, {aside['push']}"
                 )
             if further is not None and image.supports:
                 raise ValueError(
@@ -386,10 +449,6 @@ class Annotation(_Record):
             if image.supports and not name.startswith("push/"):
                 raise ValueError(
                     f"{shown_key(name)} has supports; wanted them in push images only, where they can move"
-                )
-            if image.pedicles and name.startswith("push/"):
-                raise ValueError(
-                    f"{shown_key(name)} has pedicles; wanted them in rest images only, where the shape is found"
                 )
             if further is not None and further["push"] in images:
                 _check_turned(name, image, images[further["push"]])
