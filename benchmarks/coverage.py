@@ -47,6 +47,7 @@ from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.discrepancy import Mesh
 from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess
 from spinestiff.study.forecasts import forecasts
@@ -189,9 +190,9 @@ def told(fit: StiffnessFit, truth: Mapping[str, float]) -> dict[str, Any]:
         "high": np.exp(likely.high).tolist(),
         "open": (likely.open_low | likely.open_high).tolist(),
         "kinds": list(likely.kinds),
-        # Signed root of twice the rise at the truth: a standard normal number, if all is well.
-        "z": [float(np.sign(a - b) * np.sqrt(2.0 * max(r, 0.0))) for a, b, r in zip(best, at, rises)],
-        "joint": 2.0 * joint,
+        # Signed root of twice the rise at the truth, in units of the intervals: a standard normal number, if all is well.
+        "z": [float(np.sign(a - b) * np.sqrt(2.0 * max(r, 0.0)) / WIDTH_FACTOR) for a, b, r in zip(best, at, rises)],
+        "joint": 2.0 * joint / WIDTH_FACTOR**2,
         "p_value": weighed.p_value,
         "tracking_factor": weighed.tracking_factor,
         "outlying": len(weighed.outlying),

@@ -130,26 +130,36 @@ def make_subject(
     nodes: int = 3000,
     visit: int = 0,
     annotator: int = 0,
+    ratios: Mapping[str, float] | None = None,
 ) -> Subject:
     """The subject of a seed, at a visit, as an annotator marks the radiographs.
 
-    The person is the same whatever the pushes; all forces shrink alike where one bends the torso too far.
+    Pushes of one's own make a later visit (``visit`` from 1 on): so the person is the same whatever they are. All
+    forces shrink alike where one bends the torso too far.
+
+    Parameters
+    ----------
+    ratios : true ones; drawn if left out.
 
     Raises
     ------
     SpinestiffError : this torso can't be bent that far, or can't carry even a small push.
     """
-    pushes = PUSHES[acquisition] if isinstance(acquisition, str) else acquisition
+    pushes = first = PUSHES[acquisition] if isinstance(acquisition, str) else acquisition
+    if not isinstance(acquisition, str):
+        assert visit, "pushes of one's own make a later visit"
+        first = PUSHES["paper"]
     random, p = np.random.default_rng([13, seed]), Priors()
     sex: Literal["female", "male"] = "female" if random.uniform() < 0.8 else "male"
     age = float(random.uniform(*AGES))
     mean = float(np.interp(age, (10.0, 16.0), (138.0, 163.0) if sex == "female" else (138.0, 174.0)))
     height = mean + float(np.clip(random.normal(0.0, HEIGHT_SD_CM), -LARGEST_HEIGHT_CM, LARGEST_HEIGHT_CM))
     torso = _of_drawn_stiffness(_true_torso(random, height, age, sex, nodes, seed), random, p)
-    ratios = {
+    drawn = {
         name: float(np.exp(random.uniform(*np.log(limits))))
         for name, limits in (("lateral_bending", BENDING), ("tissue", TISSUE))
     }
+    ratios = drawn if ratios is None else dict(ratios)
     nominal = {
         name: nominal_view(make, height) for name, make in (("frontal", frontal_view), ("lateral", lateral_view))
     }
@@ -159,7 +169,7 @@ def make_subject(
     convex: Side = "left" if cobb > 0.0 else "right"
     sides = {name: push.side or convex for name, push in pushes.items()}
     hand = None if not annotator else np.random.default_rng([17, seed, visit, annotator])
-    own = _drawn_visit(torso, nominal, pushes, p, random, None if visit else hand)
+    own = _drawn_visit(torso, nominal, first, p, random, None if visit else hand)
     if visit:
         # What belongs to the person is drawn as at the first visit.
         again = np.random.default_rng([19, seed, visit])
