@@ -93,16 +93,15 @@ def test_every_frame_is_solved_once_from_the_least_force_up(torso, rest):
     pushes, problem = noting(make_set(torso, [rest] * 4, (0.0, 30.0, 10.0, 20.0)))
     lines = []
     found = predict(pushes, {"default": Model(), "fit": Model(SOFT)}, {}, lines.append)
-    assert [(force, model) for force, model, _ in problem.asked] == [
-        (force, model) for force in (10, 20, 30) for model in (None, SOFT)
-    ]
+    for model in (None, SOFT):  # in turn or side by side
+        assert [force for force, whose, _ in problem.asked if whose is model] == [10, 20, 30]
     # Each model goes on from what it found under the force before.
     starts = [start for _, model, start in problem.asked if model is SOFT]
     states = {p.item.force_n: p.states["fit"] for p in found.frames}
     assert starts[0] is None and starts[1] is states[10.0] and starts[2] is states[20.0]
     assert [p.item.frame for p in found.frames] == [1, 2, 3]
     assert set(found.frames[0].states) == {REST, "default", "fit"}
-    assert lines[0] == "push 'main' frame 2: default at 10 N"
+    assert "push 'main' frame 2: default at 10 N" in lines and len(lines) == 6
     np.testing.assert_array_equal(found.frames[0].solved["fit"].reactions, np.full((1, 3), 30.0))
 
 
@@ -136,7 +135,8 @@ def test_a_model_without_an_equilibrium_is_said_and_left_out(torso, rest):
     assert set(by_force[20.0].states) == {REST, "fit"} and set(by_force[30.0].states) == {REST, "fit", "default"}
     assert any(line.startswith("push 'main' frame 3: no prediction by 'default': ") for line in lines)
     # The next force starts from the last one that was found.
-    assert problem.asked[-2][2] is by_force[10.0].states["default"]
+    last = [start for _, model, start in problem.asked if model is None][-1]
+    assert last is by_force[10.0].states["default"]
 
 
 def test_errors_and_boxes_are_those_of_the_state(torso, rest):
