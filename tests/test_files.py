@@ -20,6 +20,7 @@ from spinestiff.files import (
     read_text,
     regular_file,
     regular_files,
+    whole_folder,
     write_bytes,
     write_json,
 )
@@ -273,3 +274,20 @@ def test_a_pipe_is_not_waited_for(inside):
             ask(inside / "pipe")
     with pytest.raises(SubjectError, match="pipe: found a named pipe, wanted a file"):
         file_digest(inside)
+
+
+def test_a_folder_is_there_whole_or_not_at_all(tmp_path, monkeypatch):
+    with whole_folder(tmp_path / "new", TorsoError) as draft:
+        (draft / "a").write_text("a")
+        assert not (tmp_path / "new").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["new"]
+    other = tmp_path / "other"
+    with (
+        pytest.raises(SubjectError, match=f"^{re.escape(str(other))}/b: no$"),
+        whole_folder(other, TorsoError) as draft,
+    ):
+        raise SubjectError(f"{draft}/b: no")
+    assert [path.name for path in tmp_path.iterdir()] == ["new"]
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(TorsoError, match="no folder that could be made anew"), whole_folder(Path("."), TorsoError):
+        pass

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from threading import Barrier, current_thread
+from threading import Barrier, Event, current_thread
 
 import pytest
 
@@ -72,3 +72,21 @@ def test_what_is_no_number_of_threads_is_refused(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setenv("SPINESTIFF_THREADS", said)
     with pytest.raises(OptionError, match=f"SPINESTIFF_THREADS={said}: wanted a whole number above 0"):
         in_parallel(abs, [1])
+
+
+def test_an_interruption_does_not_wait_for_what_is_at_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPINESTIFF_THREADS", "2")
+    go_on, done = Event(), []
+
+    def work(i: int) -> None:
+        if i == 0:
+            raise KeyboardInterrupt
+        go_on.wait(20.0)
+        done.append(i)
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            in_parallel(work, range(2))
+        assert not done
+    finally:
+        go_on.set()

@@ -356,6 +356,8 @@ def whole_folder(folder: Path, error: type[SpinestiffError]) -> Iterator[Path]:
     ------
     error : the folder holds something or can't be written; what is raised inside names ``folder``, not the draft.
     """
+    if not folder.name:
+        raise error(f"{folder}: is no folder that could be made anew; name a new one")
     draft = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.tmp")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)

@@ -59,10 +59,13 @@ def in_parallel(function: Callable[[Piece], Result], pieces: Iterable[Piece]) ->
         _here.busy = True
         return function(piece)
 
-    with ThreadPoolExecutor(count, "spinestiff") as pool:
+    pool = ThreadPoolExecutor(count, "spinestiff")
+    wait = True
+    try:
         waiting = [pool.submit(alone, piece) for piece in todo]
-        try:
-            return [one.result() for one in waiting]
-        finally:
-            for one in waiting:
-                one.cancel()
+        return [one.result() for one in waiting]
+    except KeyboardInterrupt:
+        wait = False  # for nobody: what is at work ends by itself
+        raise
+    finally:
+        pool.shutdown(wait=wait, cancel_futures=True)

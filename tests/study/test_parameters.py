@@ -187,7 +187,7 @@ THREE = ("lateral_bending", "tissue_mu", "tissue_lambda")
     [
         (0.8, 90.0, (), "is worth a ratio here"),
         (0.99, 90.0, (), "is not worth a ratio here: frames left out are forecast no better"),
-        (None, 90.0, (), "is not worth a ratio here: frames left out are forecast no better"),
+        (None, 90.0, (), "is not worth a ratio here: no frame could be left out"),
         (0.8, 99.0, (), "is not worth a ratio here: Akaike's criterion does not ask for it"),
         (0.8, 90.0, ("tissue_mu",), "is not worth a ratio here: tissue_mu at the edge of what a fit allows"),
     ],

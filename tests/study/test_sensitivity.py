@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -336,3 +337,13 @@ def test_the_leading_mode_of_a_spine_is_a_shape_and_no_motion_as_one_body() -> N
     # The same whichever sign an eigenvector comes with.
     assert np.array_equal(found, leading_mode(np.asarray(whole), positions))
     assert found.reshape(-1)[np.argmax(np.abs(found * units.reshape(9, 6)))] > 0.0
+
+
+def test_refits_without_one_to_compare_with_are_not_drawn():
+    """Where the refit with nothing changed failed, the others have ratios and no percent."""
+    refits = [
+        SimpleNamespace(series="weighed", what="force", ratios={"tissue": 0.1}, stiffness_percent={}),
+        SimpleNamespace(series="weighed", what="mesh", ratios={"tissue": 0.1}, stiffness_percent={"tissue": 3.0}),
+    ]
+    rows = tornado_rows(SimpleNamespace(refits=refits))
+    assert [[one.what for one in own] for _, own in rows] == [["mesh"]]

@@ -99,6 +99,9 @@ def test_the_headline_is_in_plain_units_as_far_as_there_are_some():
     assert told(("tissue", "axial_rotation"), tissue_young=(closed, "tissue")) == [line, rotation]
     # Several ratios that scale one stiffness are not told one by one.
     assert told(("tissue@thorax", "tissue@abdomen"), tissue_young=(closed, None)) == [line]
+    # A ratio of a part is told itself where the rest of the stiffness stays at its default, which then has no interval.
+    part = rotation.replace("axial_rotation", "lateral_bending@lumbar")
+    assert told(("lateral_bending@lumbar", "tissue"), tissue_young=(closed, "tissue")) == [line, part]
     assert "not fixed by the radiographs" in told(("tissue",), "not determined", tissue_young=(closed, "tissue"))[0]
 
 

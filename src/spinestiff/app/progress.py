@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from threading import Lock
 
 
 @contextmanager
@@ -22,10 +23,14 @@ def progress(quiet: bool = False) -> Iterator[Callable[[str], None]]:
     if not console.is_terminal:
         yield lambda line: console.print(stamped(line), soft_wrap=True)
         return
-    last = ""
+    last, turn = "", Lock()
     with console.status("") as status:
 
         def say(line: str) -> None:
+            with turn:
+                _say(line)
+
+        def _say(line: str) -> None:
             nonlocal last
             if last and last.partition(":")[0] != line.partition(":")[0]:
                 console.print(stamped(last), soft_wrap=True)

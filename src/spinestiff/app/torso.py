@@ -127,6 +127,10 @@ def export(
 ) -> None:
     """Write a torso at rest for another program; says what that format leaves out."""
     if draws is not None:
+        sizes = {"height": height, "age": age, "sex": sex, "mass": mass, "kyphosis": kyphosis, "lordosis": lordosis}
+        given = [name for name, value in {**sizes, "mesh": mesh, "force": force or None}.items() if value is not None]
+        if given:
+            raise TorsoError(f"--draws are of a subject's own torso, into a new folder; leave out --{given[0]}")
         _export_drawn(file, kind, out, draws)
         return
     from spinestiff.anatomy.export import FORMATS, export_torso

@@ -87,17 +87,22 @@ def _compared(two: ModelScore, three: ModelScore, left_out: str) -> list[str]:
         lines.append(f"Akaike's criterion: {fixed(-gain, 1, True)} with lambda on its own ({verdict}; less is better)")
     against = [
         *([f"{' and '.join(three.extreme)} at the edge of what a fit allows"] if three.extreme else []),
-        *([] if _forecasts_better(two, three) else ["frames left out are forecast no better"]),
-        *([] if _likelier(two, three) else ["Akaike's criterion does not ask for it"]),
+        *_unless(_forecasts_better(two, three), "frames left out are forecast no better", "no frame could be left out"),
+        *_unless(_likelier(two, three), "Akaike's criterion does not ask for it", "Akaike's criterion is not known"),
     ]
     worth = f"is not worth a ratio here: {'; '.join(against)}" if against else "is worth a ratio here"
     return [*lines, f"lambda on its own {worth}"]
 
 
-def _forecasts_better(two: ModelScore, three: ModelScore) -> bool:
-    errors = (two.left_out_rmse_mm, three.left_out_rmse_mm)
-    return errors[0] is not None and errors[1] is not None and errors[1] < LESS * errors[0]
+def _unless(better: bool | None, no_better: str, unknown: str) -> list[str]:
+    return [] if better else [unknown if better is None else no_better]
 
 
-def _likelier(two: ModelScore, three: ModelScore) -> bool:
-    return two.aic is not None and three.aic is not None and two.aic - three.aic > CLOSE
+def _forecasts_better(two: ModelScore, three: ModelScore) -> bool | None:
+    if two.left_out_rmse_mm is None or three.left_out_rmse_mm is None:
+        return None
+    return three.left_out_rmse_mm < LESS * two.left_out_rmse_mm
+
+
+def _likelier(two: ModelScore, three: ModelScore) -> bool | None:
+    return None if two.aic is None or three.aic is None else two.aic - three.aic > CLOSE

@@ -35,6 +35,7 @@ from spinestiff.mechanics.loads import PUSH_DIRECTION, LoadCase, no_load
 from spinestiff.mechanics.supports import Supports
 from spinestiff.mechanics.terms import PointSprings
 from spinestiff.study.judgement import LIMITS
+from spinestiff.study.refits import converged
 from spinestiff.study.wording import HALF_WIDTH_95, fixed, number
 from spinestiff.subject.phantom_record import CORNERS_FILE, PHANTOM_FILE, FrameRecord, JointRecord, PhantomRecord
 from spinestiff.subject.records import read_record
@@ -265,14 +266,16 @@ def analyse(record: PhantomRecord, images: Sequence[ImageCorners]) -> PhantomRes
     trials = [_trial(phantom, frame, image) for frame, image in zip(record.frames, images)]
     fitted = [trial for frame, trial in zip(record.frames, trials) if frame.use == "fit"]
     names = ("lateral_bending",) if record.rubber is None else ("lateral_bending", "tissue")
-    fit = fit_stiffness(
-        phantom.problem,
-        fitted,
-        names,
-        start=dict.fromkeys(names, START),
-        priors=_priors(record),
-        taped=True,
-        extent="intervals",
+    fit = converged(
+        fit_stiffness(
+            phantom.problem,
+            fitted,
+            names,
+            start=dict.fromkeys(names, START),
+            priors=_priors(record),
+            taped=True,
+            extent="intervals",
+        )
     )
     assert fit.weighed is not None
     mean = float(np.mean([joint.stiffness for joint in phantom.joints]))

@@ -23,7 +23,8 @@ def plain_stiffness(
     """Lateral bending of a thoracic and of a lumbar level (mean, N m/rad), and the tissue's Young's modulus (kPa, mean
     over its volume).
 
-    The interval is that of the one estimated ratio that scales all of it; where several do, to first order.
+    The interval is that of the one estimated ratio that scales all of it; where several do together, to first order;
+    where a part stays at its default, there is none.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ def _plain(
     if len(scaling) == 1 and shares[scaling[0]] > 1.0 - 1e-9:
         ratio = scaling[0]
         ends = estimates[ratio].scaled(value / estimates[ratio].value)
-    elif scaling and covariance is not None:
+    elif covariance is not None and sum(shares[name] for name in scaling) > 1.0 - 1e-9:
         weights = np.array(list(shares.values()))
         factor = float(np.exp(HALF_WIDTH_95 * np.sqrt(weights @ covariance @ weights)))
         if np.isfinite(factor):

@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from spinestiff import __version__
 from spinestiff.anatomy.regions import AT
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.stiffness import TISSUE_PARAMETERS
@@ -109,7 +110,7 @@ def _shown(case: Case) -> str:
 def _digest(visit: Visit) -> str:
     """Of the estimate and of the mesh: refits of another estimate are none of this one."""
     made = recorded_steps(visit.subject)["estimate"]
-    return hashlib.sha256(json_text([made.digest, made.outputs, visit.settings.mesh]).encode()).hexdigest()
+    return hashlib.sha256(json_text([made.digest, made.outputs, visit.settings.mesh, __version__]).encode()).hexdigest()
 
 
 def _earlier(visit: Visit, digest: str) -> tuple[Refit, ...]:
@@ -121,7 +122,9 @@ def _earlier(visit: Visit, digest: str) -> tuple[Refit, ...]:
         found = Sensitivity.model_validate_json(read_text(path), strict=True)
     except (SpinestiffError, ValueError):
         return ()
-    return found.refits if found.basis == digest and not found.complete else ()
+    if found.basis != digest or found.complete:
+        return ()
+    return tuple(one for one in found.refits if one.ratios)  # what failed is tried again
 
 
 def _made(case: Case, before: Sequence[Refit]) -> Refit:

@@ -44,7 +44,8 @@ def tornado_rows(found: Sensitivity) -> list[tuple[str, tuple[Refit, ...]]]:
     """What was changed with its refits by the weighed fit, the largest change of a stiffness first."""
     rows = []
     for what, title in TITLES.items():
-        refits = tuple(one for one in found.refits if (one.series, one.what) == ("weighed", what) and one.ratios)
+        own = [one for one in found.refits if (one.series, one.what) == ("weighed", what)]
+        refits = tuple(one for one in own if one.stiffness_percent)
         if refits:
             rows.append((title, refits))
     return sorted(rows, key=lambda row: -largest(row[1]))

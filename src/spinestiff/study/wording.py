@@ -121,8 +121,13 @@ PLAIN = {
     "tissue_young": "Young's modulus of the trunk's soft tissue",
 }
 """Stiffness in plain units (``plain``), in words."""
-IN_PLAIN_UNITS = ("lateral_bending", "intervertebral_bending", "tissue", "everything")
-"""Ratios, of all or of a part of the torso, that scale one of these."""
+_BENDING = ("lateral_bending", "intervertebral_bending", "everything")
+IN_PLAIN_UNITS = {
+    "lateral_bending_thoracic": _BENDING,
+    "lateral_bending_lumbar": _BENDING,
+    "tissue_young": ("tissue", "everything"),
+}
+"""Ratios, of all or of a part of the torso, that scale these."""
 TIMES_DEFAULT = "times the default stiffness"
 
 
@@ -133,7 +138,15 @@ def headline(estimate: Estimate) -> list[str]:
         for key, found in ((key, estimate.plain[key]) for key in PLAIN)
         if found.ratio is not None or found.low is not None
     ]
-    alone = [name for name in estimate.parameters if not lines or name.partition(AT)[0] not in IN_PLAIN_UNITS]
+    told = {found.ratio for found in estimate.plain.values()}
+    # Of ratios that scale a stiffness together, what they make is told.
+    together = {
+        stem
+        for key, found in estimate.plain.items()
+        if found.ratio is None and found.low is not None
+        for stem in IN_PLAIN_UNITS[key]
+    }
+    alone = [name for name in estimate.parameters if name not in told and name.partition(AT)[0] not in together]
     return lines + [
         f"{name}: {span_in_words(estimate.ratios[name], TIMES_DEFAULT, _of_ratio(estimate, name))}" for name in alone
     ]
