@@ -29,6 +29,7 @@ from judgement_subjects import (
     PERSON_SD,
     SPINE_LENGTH_SD,
     VERTEBRA_SD,
+    drawn_drag,
     nominal_view,
     projected,
     standing,
@@ -211,12 +212,13 @@ def make_subject(
             raise EquilibriumError(
                 f"subject {seed}: bends by more than {np.rad2deg(MOST_TILT):.0f} degrees under any push"
             )
+    drag = drawn_drag(np.random.default_rng([23, seed, visit]))
     records, tracked = [], {}
     for push in sites:
         frames = pushes[push].frames
         told = [round(share * forces[push], 1) for share, _ in frames]
         tracked[push] = tracked_push(
-            torso, nominal["frontal"], states[push], told, ANNOTATION_MM, again if visit else random, hand
+            torso, nominal["frontal"], states[push], told, ANNOTATION_MM, drag, again if visit else random, hand
         )
         records.append(
             PushRecord(

@@ -66,6 +66,9 @@ SHIFT_SD_MM, ROLL_SD, YAW_SD, DISTANCE_SD = 4.0, 0.012, 0.026, 0.007
 SWAY_SD_DEG = 1.5  # change of the coronal angle from one exposure to another in which the patient was placed anew
 FRAME_SHIFT_SD_MM, FRAME_ROLL_SD = 0.5, 0.002  # within a push
 TRACK_MM, TRACK_SPREAD, OWN_SHARE, PREDICTED_WITHIN, LOST = 0.09, 0.7, 0.5, 0.3, 0.01
+# As tracking_drag.py has it, relative to the motion: shifts of all vertebrae alike, of neighbours over so many, of each
+# by itself; turns.
+DRAG_MEAN, DRAG_SMOOTH, DRAG_LENGTH, DRAG_OWN, DRAG_TURN = -0.004, 0.005, 3.5, 0.005, 0.007
 FORCE_SD, READING_SD_N, HEIGHT_SD_LEVELS = 0.02, 0.5, 0.2
 FORCE_N = (30.0, 90.0)
 PULLS = (30.0, 1000.0)  # N/mm, that bring the vertebrae of the truth to their places
@@ -142,6 +145,7 @@ def make_subject(seed: int) -> Subject:
     problem = EquilibriumProblem(torso, three_point_supports(torso, side))
     stiffness = stiffness_ratios(ratios, torso.joints.kinds)
     force = float(random.uniform(*FORCE_N))
+    drag = drawn_drag(np.random.default_rng([23, seed]))
     records, tracked = [], {}
     for push, level in (("main", float(random.uniform(7.0, 9.0))), ("second", float(random.uniform(5.0, 7.0)))):
         true_level = level + HEIGHT_SD_LEVELS * float(random.normal())
@@ -152,7 +156,7 @@ def make_subject(seed: int) -> Subject:
             states.append(state)
             reading = share * force * wrong + READING_SD_N * float(random.normal())
             told.append(round(max(reading, 0.0), 1) if share else 0.0)
-        tracked[push] = tracked_push(torso, nominal["frontal"], states, told, annotation, random)
+        tracked[push] = tracked_push(torso, nominal["frontal"], states, told, annotation, drag, random)
         records.append(
             PushRecord(
                 id=push,
@@ -227,17 +231,21 @@ def tracked_push(
     states: list[TorsoState],
     told: list[float],
     annotation: float,
+    drag: Floats,
     random: np.random.Generator,
     hand: np.random.Generator | None = None,
 ) -> TrackedPush:
-    """All errors are drawn from ``random``; with ``hand``, another annotator's, those of the annotation from it."""
+    """All errors but ``drag`` (``drawn_drag``) are drawn from ``random``; with ``hand``, another annotator's, those of
+    the annotation from it."""
     placed = standing(nominal, random, lateral=False)
     sway = float(np.radians(SWAY_SD_DEG) * random.normal())
     wrong = random.normal(0.0, annotation, (17, 4, 2))
     if hand is not None:
         wrong = hand.normal(0.0, annotation, (17, 4, 2))
     frames = []
+    first = projected(torso, placed, states[0]) / placed.magnification
     for number, state in enumerate(states):
+        dragged = _dragged(first, projected(torso, placed, state) / placed.magnification, drag)
         view = placed
         if number:
             view = placed.moved(random.normal(0.0, FRAME_SHIFT_SD_MM, 2), float(random.normal(0.0, FRAME_ROLL_SD)))
@@ -246,9 +254,30 @@ def tracked_push(
         error = size[..., None] * (random.normal(size=(17, 1, 2)) + OWN_SHARE * random.normal(size=(17, 4, 2)))
         predicted = np.sqrt(2.0 * (1.0 + OWN_SHARE**2)) * size * np.exp(PREDICTED_WITHIN * random.normal(size=(17, 4)))
         quality = quality_of(predicted) * (random.uniform(size=(17, 1)) > LOST * (number > 0))
-        corners = corners + (wrong + error) * view.magnification
+        corners = corners + (wrong + error + dragged) * view.magnification
         frames.append(VertebraCorners(VERTEBRAE, corners, quality))
     return TrackedPush.of(nominal, told, frames)
+
+
+def drawn_drag(random: np.random.Generator) -> Floats:
+    """(2, 17) how far tracking is taken along, shifts and turns, relative to the motion; a person's own."""
+    apart = np.abs(np.subtract.outer(np.arange(17), np.arange(17)))
+    root = np.linalg.cholesky(np.exp(-((apart / DRAG_LENGTH) ** 2)) + 1e-9 * np.eye(17))
+    shift = DRAG_MEAN + DRAG_SMOOTH * root @ random.normal(size=17) + DRAG_OWN * random.normal(size=17)
+    return np.stack([shift, DRAG_TURN * random.normal(size=17)])
+
+
+def _dragged(first: Floats, now: Floats, drag: Floats) -> Floats:
+    """(V, 4, 2) mm, errors of corners that moved from ``first`` to ``now``: along columns, and turns."""
+    along = (now - first).mean(1)[:, 0]
+    size = np.sign(along.sum()) * np.sqrt(np.mean(along**2))
+    arms = now - now.mean(1, keepdims=True)
+    # A channel's shift is twice the corners' mean, its turn is over the root of the arms' squares.
+    angle = 2.0 * size * drag[1] / np.linalg.norm(arms, axis=(1, 2))
+    turn = angle[:, None, None] * np.stack([-arms[..., 1], arms[..., 0]], -1)
+    shift = np.zeros_like(now)
+    shift[..., 0] = (size * drag[0])[:, None]
+    return np.asarray(shift + turn)
 
 
 def _swayed(corners: Floats, angle: float) -> Floats:

@@ -13,7 +13,7 @@ from spinestiff.arrays import Floats
 from spinestiff.estimation.emulator import Emulator, Place
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights
 
-TRACKING, DISCREPANCY, STANCE = "tracking", "model discrepancy", "stance"
+TRACKING, DRAG, DISCREPANCY, STANCE = "tracking", "drag of tracking", "model discrepancy", "stance"
 FACTORS = (0.5, 2.0)
 # What a person has at every visit, beside ratios: an error that two estimates of one person share.
 PERSONAL = (DISCREPANCY, "trunk size", "rib joints", "tissue's volume", "pedicles' places")
@@ -88,7 +88,7 @@ def covariance_parts(problem: WeighedProblem, fit: WeighedFit) -> dict[str, Floa
     tracking = whole(problem.noise.tracking(fit.weights.tracking_factor, fit.weights.inflation))
     tracking[range(problem.noise.size, n), range(problem.noise.size, n)] = 1.0
     found = {TRACKING: tracking} | {name: whole(part) for name, part in problem.noise.parts.items()}
-    found[DISCREPANCY] = whole(problem.discrepancy(fit.point))
+    found |= {DRAG: whole(problem.drag(fit.point)), DISCREPANCY: whole(problem.discrepancy(fit.point))}
     for group in problem.unknowns.groups:
         columns = fit.slope.nuisances[:, problem.unknowns.in_group(group)]
         found[group] = columns @ columns.T
@@ -130,8 +130,9 @@ def prior_changes(
             sds = np.where(problem.unknowns.in_group(group), factor, 1.0)
             found.append(_changed(group, factor, Emulator(places, fit.weights, sds, rough=rough), fit, limits))
     parts = covariance_parts(problem, fit)
-    fixed = sum(parts[name] for name in (TRACKING, DISCREPANCY, *problem.noise.parts))
-    for name in (DISCREPANCY, *problem.noise.parts):
+    kept = (DRAG, DISCREPANCY, *problem.noise.parts)
+    fixed = sum(parts[name] for name in (TRACKING, *kept))
+    for name in kept:
         for factor in FACTORS:
             root = cholesky(fixed + (factor**2 - 1.0) * parts[name], lower=True)
             weights = Weights(root, fit.weights.tracking_factor, fit.weights.inflation)

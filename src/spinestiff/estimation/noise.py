@@ -3,7 +3,9 @@
 A vertebra's picture has three numbers, its *channels*: shifts along columns and rows and the turn, as orthonormal
 combinations of its eight corner coordinates, in mm. Most of their errors are shared. An annotation's error is in all
 frames of its sequence, one of geometry in all frames of all sequences, where the patient stood in a whole radiograph.
-Only what tracking adds is a frame's own.
+Of what tracking adds a part is a frame's own. Another part, its *drag*, is not: a patch holds what lies before and
+behind the vertebra, too, which moves less or more and takes the patch along, in all frames alike and in proportion to
+how far the spine moved.
 
 Where more is seen than corners of frontal radiographs (``sights``), a mark's two coordinates are channels, too. Marks
 set by hand in a radiograph err for themselves, pedicles lie elsewhere than the template's, and how the patient was
@@ -32,6 +34,11 @@ CHANNELS = 3
 USUAL = 2.5
 # Of what is expected, in log: the range in which the size of tracking errors is looked for.
 WIDEST_FACTOR = 3.0
+# Of the drag's variance, in shifts along columns and in turns: the share that is each vertebra's own; of the rest, the
+# distance in vertebrae at which its correlation has fallen to 1/e; and the size of turns over that of shifts, as
+# channels. Measured on synthetic sequences (benchmarks/tracking_drag.py).
+DRAG_OWN, DRAG_LENGTH = (0.5, 0.6), (3.5, 2.0)
+DRAG_TURN = 1.0
 _VERTICAL = np.array([0.0, 1.0, 0.0])
 
 
@@ -110,7 +117,7 @@ class Seen:
     sequence : frames of one carry the same name here.
     annotated : its marks were set by hand, so that tracking adds no error.
     radiograph : number of the radiograph; None: this is the only thing that one shows.
-    apart : set by hand in this radiograph alone, while frames of a tracked sequence share their annotation.
+    apart : set by hand in this radiograph once more, while frames of a tracked sequence share their annotation.
     """
 
     target: Sight
@@ -167,10 +174,11 @@ class Noise:
         if geometry is not None:
             jacobian = self.pose_jacobian(still, len(geometry) // 6).reshape(self.size, -1)
             self.parts["rest geometry"] = np.asarray(jacobian @ geometry @ jacobian.T)
-        if positions is not None:
-            apart = np.repeat([one.apart for one in seen], counts)
+        apart = np.repeat([one.apart for one in seen], counts)
+        if apart.any():
             marked = np.where(self._of_boxes, priors.marking_mm, priors.pedicle_mm) * apart
             self.parts["marks set by hand"] = np.diag(marked**2)
+        if positions is not None:
             self.parts["pedicles' places"] = _outer(self._pedicles(seen, still))
             turned = self._turned(seen, still, positions)
             own, shared = (float(np.deg2rad(sd)) for sd in (priors.place_yaw_deg, priors.stance_yaw_deg))
@@ -191,6 +199,7 @@ class Noise:
         together = (self._trial[:, None] == self._trial) & (self._channel[:, None] == self._channel)
         both = tracked[:, None] & tracked
         self._shared = priors.tracking_shared_mm**2 * np.exp(-distance) * (together & both)
+        self._drag = priors.tracking_drag**2 * self._dragged() * both
 
     def boxes(self, number: int) -> Channels:
         """From corners to channels, of one that shows corners."""
@@ -212,6 +221,12 @@ class Noise:
         own = self._own if inflation is None else self._own * inflation
         return factor**2 * (self._shared + np.diag(own))
 
+    def drag(self, motions: Floats) -> Floats:
+        """(n, n) mm^2, what tracking is taken along, for how far the vertebrae of each radiograph have moved along
+        columns: (number of ``seen``,) mm, root mean square of that channel, with its sign."""
+        moved = np.repeat(motions, np.diff(self.ends))
+        return np.asarray(moved[:, None] * moved * self._drag)
+
     def inflation(self, own: Floats, factor: float) -> Floats:
         """(n,) by how much a vertebra's own variance is too small for the own errors (n,) found."""
         size = factor * np.sqrt(self._own)
@@ -225,6 +240,16 @@ class Noise:
     def own_errors(self, solved: Floats, factor: float, inflation: Floats) -> Floats:
         """(n,) mm, the most probable own errors for ``solved`` = Sigma^-1 r."""
         return np.asarray(factor**2 * self._own * inflation * solved)
+
+    def _dragged(self) -> Floats:
+        """(n, n) covariance of the drag per mm that vertebrae moved and in units of its size."""
+        apart = np.abs(np.subtract.outer(self._rows, self._rows))
+        whole = np.zeros((self.size, self.size))
+        for channel, size, own, length in zip((0, 2), (1.0, DRAG_TURN), DRAG_OWN, DRAG_LENGTH):
+            mine = self._of_boxes & (self._channel == channel)
+            alike = own * (apart == 0) + (1.0 - own) * np.exp(-((apart / length) ** 2))
+            whole += size**2 * alike * (mine[:, None] & mine)
+        return whole
 
     def _places(self, seen: Sequence[Seen], of: Ints, shift_mm: float, turn: float, scale: float) -> Floats:
         """(n, k) columns of each group of radiographs: shifts along both axes, a turn, another size of the picture."""

@@ -45,8 +45,8 @@ class Priors:
         of 6 less or 5 more.
     source_distance : of the source's distance, relative; it scales motions.
     annotation_mm : of a corner set by hand, along one axis, common to all frames of a sequence.
-    marking_mm : of a corner set by hand in a radiograph from another side, along one axis, beside ``annotation_mm``:
-        each such radiograph is marked anew.
+    marking_mm : of a corner set by hand in a loaded frame or in a radiograph from another side, along one axis, beside
+        ``annotation_mm``: each such radiograph is marked anew.
     pedicle_mm : of a pedicle's mark, along one axis; each radiograph is marked anew. A judgement: a pedicle is a ring,
         and its middle is told less well than a corner.
     pedicles_mm, own_pedicle_mm : of where a person's pedicles lie, outwards, up and front, from where the template has
@@ -56,7 +56,9 @@ class Priors:
         A judgement. Both yaws count only where more is seen than corners of frontal radiographs.
     tracking_mm : of a tracked corner, along one axis, beside what tracking itself predicts.
     tracking_shared_mm, tracking_length : the same, shared with neighbours over so many vertebrae.
-    tracking_factor : of the size of all tracking errors, in log; restricted likelihood tells the factor.
+    tracking_factor : of the size of these tracking errors, in log; restricted likelihood tells the factor.
+    tracking_drag : of how far tracked vertebrae are taken along by what lies before and behind them, relative to the
+        spine's motion sideways; alike in all frames of a person, see ``noise`` (docs/tracking.md).
     level_smoothness : of the difference of the logs of neighbouring levels' ratios, where each level has one
         (``ratio_priors``); 0: nothing is held. A judgement: the representative motions of neighbouring levels in
         lateral bending (White and Panjabi 1990, as recalled) differ by 0.25 (root mean square).
@@ -96,6 +98,7 @@ class Priors:
     tracking_shared_mm: float = 0.1
     tracking_length: float = 2.0
     tracking_factor: float = 0.7
+    tracking_drag: float = 0.008
     level_smoothness: float = 0.3
 
     def __post_init__(self) -> None:

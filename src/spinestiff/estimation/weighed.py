@@ -135,7 +135,14 @@ class WeighedProblem:
             residuals(p.torso, target, p.torso.rest_pose) for p, target in zip(problems, both)
         ]
         seen = [
-            Seen(target, target.trial.push or f"trial {i + 1}", target.trial.annotated) for i, target in enumerate(both)
+            Seen(
+                target,
+                target.trial.push or f"trial {i + 1}",
+                target.trial.annotated,
+                # Frames of a push without load are marked first; a loaded one that is marked, too, errs anew.
+                apart=target.trial.annotated and target.trial.load.size > 0.0,
+            )
+            for i, target in enumerate(both)
         ]
         further = further_sights([problem.torso for problem in problems], both, orientation)
         for one in further:
@@ -246,7 +253,7 @@ class WeighedProblem:
         """The covariance at a point: tracking's size by restricted likelihood, outlying vertebrae with less weight."""
         rest = np.eye(self.size)
         channels = slice(0, self.noise.size)
-        rest[channels, channels] = self._constant + self.discrepancy(point)
+        rest[channels, channels] = self._constant + self.discrepancy(point) + self.drag(point)
         free = point.values - slope.nuisances @ point.nuisances
         inflation = np.ones(self.noise.size) if before is None else before.inflation
         marginal = (rest + slope.nuisances @ slope.nuisances.T)[channels, channels]
@@ -268,7 +275,8 @@ class WeighedProblem:
         """(n, n) of all residuals at given nuisances, with tracking's errors ``tracking_factor`` times as predicted."""
         whole = np.eye(self.size)
         channels = slice(0, self.noise.size)
-        whole[channels, channels] = self._constant + self.discrepancy(point) + self.noise.tracking(tracking_factor)
+        whole[channels, channels] = self._constant + self.discrepancy(point) + self.drag(point)
+        whole[channels, channels] += self.noise.tracking(tracking_factor)
         return whole
 
     def as_expected(self, point: WeighedPoint) -> Weights:
@@ -300,6 +308,14 @@ class WeighedProblem:
         left = solve_triangular(root, free, lower=True)
         size = 2.0 * np.sum(np.log(np.diag(root))) + self.data * np.log(2.0 * np.pi)
         return -0.5 * float(left @ left + size)
+
+    def drag(self, point: WeighedPoint) -> Floats:
+        """(n, n) mm^2 of all channels: what tracking is taken along, as far as the model moves at ``point``."""
+        moved = np.zeros(len(self.noise.seen))
+        for (row, _, _), motion in zip(self._moving(point.evaluation, point.further), self.motions(point), strict=True):
+            along = motion.reshape(-1, self.noise.channels[row].each)[:, 0]
+            moved[row] = np.sign(along.sum()) * np.sqrt(np.mean(along**2))
+        return self.noise.drag(moved)
 
     def discrepancy(self, point: WeighedPoint) -> Floats:
         """(n, n) mm^2 of all channels: what the model lacks, as large as it moves at ``point``."""

@@ -20,7 +20,7 @@ Image = NDArray[np.float32]
 # Pictures finer than this (mm at the patient plane) are binned first: noise shrinks and flow needs its time.
 FINEST_MM = 0.3
 # Standard deviations in mm at the patient plane: what is registered, coarse then fine, and the shading taken off.
-SMOOTHING_MM = (1.2, 0.45)
+SMOOTHING_MM = (1.2, 0.3)
 SHADING_MM = 3.0
 
 
