@@ -9,6 +9,7 @@ import pytest
 
 from spinestiff.estimation.budget import (
     DISCREPANCY,
+    DRAG,
     PERSONAL,
     STANCE,
     TRACKING,
@@ -32,7 +33,7 @@ def sd_of(found):
 
 
 def test_every_unknown_and_every_part_of_the_noise_has_a_row(asked, budget) -> None:
-    wanted = {*asked.unknowns.groups, *asked.noise.parts, DISCREPANCY} - {STANCE}
+    wanted = {*asked.unknowns.groups, *asked.noise.parts, DRAG, DISCREPANCY} - {STANCE}
     assert {row.name for row in budget.rows} == wanted
     assert len(budget.rows) == len(wanted)
 
@@ -57,7 +58,7 @@ def test_together_is_the_fits_own_standard_deviation(found, budget) -> None:
 
 def test_parts_add_up_to_the_fits_covariance(asked, found) -> None:
     parts = covariance_parts(asked, found)
-    fixed = sum(parts[name] for name in (TRACKING, DISCREPANCY, *asked.noise.parts))
+    fixed = sum(parts[name] for name in (TRACKING, DRAG, DISCREPANCY, *asked.noise.parts))
     assert np.allclose(fixed, found.weights.root @ found.weights.root.T, atol=1e-9 * np.abs(fixed).max())
     moved = sum(parts[name] for name in asked.unknowns.groups)
     assert np.allclose(moved, found.slope.nuisances @ found.slope.nuisances.T, atol=1e-9)
@@ -73,7 +74,7 @@ def test_without_one_unknown_is_what_a_fit_without_it_would_say(column, noisy, f
 
 def test_other_priors_against_fits_with_them(column, noisy, asked, found, places) -> None:
     changes = prior_changes(asked, found, places, column.limits)
-    assert {change.name for change in changes} == {*asked.unknowns.groups, *asked.noise.parts, DISCREPANCY}
+    assert {change.name for change in changes} == {*asked.unknowns.groups, *asked.noise.parts, DRAG, DISCREPANCY}
     assert {change.factor for change in changes} == {0.5, 2.0}
     names = (("force scale", "force_scale"), ("push height", "push_height_mm"), ("annotation", "annotation_mm"))
     for name, prior in names:
@@ -81,7 +82,7 @@ def test_other_priors_against_fits_with_them(column, noisy, asked, found, places
             again = column.searched(column.weighed(noisy, Priors().scaled(prior, factor)))
             change = next(change for change in changes if (change.name, change.factor) == (name, factor))
             apart = (np.log(change.ratios) - again.point.log_ratios) / sd_of(found)
-            assert np.abs(apart).max() < 0.05, (name, factor)
+            assert np.abs(apart).max() < 0.1, (name, factor)
             assert np.allclose(change.sd, sd_of(again), rtol=0.1), (name, factor)
 
 

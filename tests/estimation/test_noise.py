@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.state import TorsoState, retract
-from spinestiff.estimation.noise import CHANNELS, USUAL, Channels, Noise, Seen, restricted_factor
+from spinestiff.estimation.noise import (
+    CHANNELS,
+    DRAG_LENGTH,
+    DRAG_OWN,
+    DRAG_TURN,
+    USUAL,
+    Channels,
+    Noise,
+    Seen,
+    restricted_factor,
+)
 from spinestiff.estimation.objective import make_target, residuals
 from spinestiff.estimation.priors import Priors
 from spinestiff.imaging.features import VertebraCorners
@@ -201,3 +211,22 @@ def test_restricted_likelihood_finds_how_large_tracking_errors_are(noise, factor
     # 60 channels tell a log to about 1/sqrt(2 x 60), ten simulations to 0.03.
     assert np.exp(np.mean(np.log(found))) == pytest.approx(factor, rel=0.1)
     assert restricted_factor(noise, rest, values, fixed, 0.0, nothing) == 1.0
+
+
+def test_drag_is_alike_in_all_tracked_frames_and_grows_with_their_motion(column, targets, noise) -> None:
+    p = Priors()
+    moved = np.array([3.0, 10.0, -20.0, 4.0, 30.0])
+    found = labels(noise)
+    sizes = {0: 1.0, 2: DRAG_TURN}
+
+    def expected(i, row, c, j, other, d) -> float:
+        if c != d or c not in sizes or ANNOTATED[i] or ANNOTATED[j]:
+            return 0.0
+        own, length = DRAG_OWN[c // 2], DRAG_LENGTH[c // 2]
+        alike = own * (row == other) + (1.0 - own) * np.exp(-(((row - other) / length) ** 2))
+        return float(p.tracking_drag**2 * sizes[c] ** 2 * alike * moved[i] * moved[j])
+
+    drag = noise.drag(moved)
+    assert np.allclose(drag, [[expected(*a, *b) for b in found] for a in found])
+    assert np.linalg.eigvalsh(drag).min() > -1e-12
+    assert not noise_of(column, targets, Priors(tracking_drag=0.0)).drag(moved).any()

@@ -39,7 +39,7 @@ def least_rise(asked, found, i, where):
 @pytest.mark.parametrize("i", [0, 1])
 @pytest.mark.parametrize("side", ["low", "high"])
 def test_ends_are_where_the_models_profile_has_risen_enough(asked, found, likely, i, side) -> None:
-    """phi, minimised over all else on the model, rises by 3.84/2 there, to 2 % of a standard deviation."""
+    """phi, minimised over all else on the model, rises by 3.84/2 there, to 4 % of a standard deviation."""
     end = float(getattr(likely, side)[i])
     profile = likely.profiles[i]
     start = profile.others[np.argmin(np.abs(profile.log_ratios - end))].copy()
@@ -50,7 +50,7 @@ def test_ends_are_where_the_models_profile_has_risen_enough(asked, found, likely
     farther, _ = least_rise(asked, found, i, other + step * np.eye(2)[i])
     steepness = (farther - rise) / step
     assert rise == pytest.approx(0.5 * chi2.ppf(0.95, 1), abs=0.05)
-    assert abs(0.5 * chi2.ppf(0.95, 1) - rise) / abs(steepness) < 0.02 * sd
+    assert abs(0.5 * chi2.ppf(0.95, 1) - rise) / abs(steepness) < 0.04 * sd
 
 
 def test_ends_lie_about_two_standard_deviations_apart(found, likely) -> None:

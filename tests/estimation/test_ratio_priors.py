@@ -40,7 +40,8 @@ def parted(column):
 
 @pytest.fixture(scope="module")
 def by_level(column, parted):
-    return fit_stiffness(column.problem, parted, LEVELS, bounds=BOUNDS)
+    # Ten ratios of so short a column need tracking that nothing takes along.
+    return fit_stiffness(column.problem, parted, LEVELS, bounds=BOUNDS, priors=Priors(tracking_drag=0.0))
 
 
 def with_prior(asked, prior):
@@ -201,7 +202,7 @@ def test_regions_are_told_apart_where_the_radiographs_show_them(column, parted):
         assert low < value < high, name
     assert fit.intervals95["lateral_bending@T9-T12"][1] < fit.intervals95["lateral_bending@lumbar"][0]
     common = fit_stiffness(column.problem, parted, bounds=BOUNDS, extent="estimate")
-    assert fit.weighed.p_value > 0.01 > 1e-4 > common.weighed.p_value
+    assert fit.weighed.p_value > 0.1 > 0.01 > common.weighed.p_value
 
 
 def test_levels_are_found_as_smooth_as_is_held(column, parted, by_level):
@@ -222,7 +223,7 @@ def test_levels_are_found_as_smooth_as_is_held(column, parted, by_level):
     assert (fit.weighed.data_sd >= 0.99 * np.sqrt(np.diag(fit.covariance))).all()
     assert fit.weighed.data_sd.max() > 3.0
     stiff = fit_stiffness(
-        column.problem, parted, LEVELS, bounds=BOUNDS, priors=Priors(level_smoothness=0.02), extent="estimate"
+        column.problem, parted, LEVELS, bounds=BOUNDS, priors=Priors(level_smoothness=0.02, tracking_drag=0.0), extent="estimate"
     )
     spread = [np.ptp(np.log(one.ratios.values[:-1])) for one in (fit, stiff)]
     assert spread[1] < 0.3 * spread[0]

@@ -106,6 +106,37 @@ def test_errors_fall_where_standard_deviations_say(column) -> None:
     assert 0.1 < np.mean(squares) < 2.2
 
 
+def test_tracking_that_is_taken_along_is_expected_in_all_frames_alike(column) -> None:
+    """Vertebrae that follow the motion by some percent too much or too little, the same ones in both frames."""
+    squares = {0.0: [], 0.1: []}
+    for seed in range(6):
+        share = 0.1 * np.random.default_rng(seed).normal(size=len(column.torso.vertebrae))
+        data = column.trials(tracking=0.05, seed=200 + seed)
+        for i, trial in enumerate(data[1:], start=1):
+            moved = (trial.corners.corners - data[0].corners.corners).mean(1)[:, 0]
+            size = np.sign(moved.sum()) * np.sqrt(np.mean(moved**2))
+            wrong = trial.corners.corners + size * share[:, None, None] * [1.0, 0.0]
+            corners = VertebraCorners(trial.corners.vertebrae, wrong, trial.corners.quality)
+            data[i] = replace(trial, corners=corners)
+        for drag, found in squares.items():
+            fit = column.searched(column.weighed(data, Priors(tracking_drag=drag)))
+            found.append(((logs(fit) - np.log(list(column.truth.values()))) / sd_of(fit)) ** 2)
+    assert np.mean(squares[0.1]) < 2.0 < 3.0 < np.mean(squares[0.0])
+
+
+def test_a_loaded_frame_marked_by_hand_errs_anew(column, noisy) -> None:
+    """Its annotation is no more the unloaded frame's; tracking adds nothing."""
+    by_hand = [*noisy[:-1], replace(noisy[-1], annotated=True)]
+    noise = column.weighed(by_hand).noise
+    marked = noise.parts["marks set by hand"]
+    last = next(i for i, one in enumerate(noise.seen) if one.target.trial.label == noisy[-1].label)
+    wanted = np.zeros(noise.size)
+    wanted[noise.of(last)] = Priors().marking_mm ** 2
+    assert np.allclose(marked, np.diag(wanted))
+    assert not noise.tracking()[noise.of(last)].any()
+    assert "marks set by hand" not in column.weighed(noisy).noise.parts
+
+
 def test_a_common_scale_of_stiffness_is_never_known_better_than_the_force(column) -> None:
     """Two pushes with a calibration each know it by the root of two better, one push with two frames does not."""
     priors = replace(EXACT, force_scale=0.3)
@@ -113,7 +144,7 @@ def test_a_common_scale_of_stiffness_is_never_known_better_than_the_force(column
     two = [*column.trials(forces=(40.0,)), *column.trials(forces=(40.0,), bones=(5, 6), push="push 2")]
     for data, pushes in ((one, 1), (two, 2)):
         found = column.searched(column.weighed(data, priors, ("everything",)), (1.0,))
-        assert sd_of(found)[0] >= 0.3 / np.sqrt(pushes)
+        assert sd_of(found)[0] >= 0.999 * 0.3 / np.sqrt(pushes)
         assert sd_of(found)[0] < 0.4 / np.sqrt(pushes)
     # An offset of 6 N is 15 % of the one frame's 40 N.
     asked = column.weighed(two[:2], replace(EXACT, force_scale=0.2, force_offset_n=6.0), ("everything",))
@@ -187,7 +218,7 @@ def test_the_size_of_tracking_errors_is_found_from_the_fits_residuals(column, fa
 def simulated(asked, point, slope, random):
     """Values of channels as the covariance before any scale is fitted has them, and any ratios' motion."""
     n = asked.noise.size
-    covariance = asked.noise.constant + asked.discrepancy(point) + asked.noise.tracking()
+    covariance = asked.noise.constant + asked.discrepancy(point) + asked.drag(point) + asked.noise.tracking()
     seen = np.linalg.cholesky(covariance + 1e-9 * np.eye(n)) @ random.normal(size=n)
     return seen + slope.nuisances @ random.normal(size=slope.nuisances.shape[1]) + slope.ratios @ random.normal(size=2)
 
