@@ -222,9 +222,8 @@ def test_levels_are_found_as_smooth_as_is_held(column, parted, by_level):
     assert list(fit.weighed.held) == [SMOOTHNESS]
     assert (fit.weighed.data_sd >= 0.99 * np.sqrt(np.diag(fit.covariance))).all()
     assert fit.weighed.data_sd.max() > 3.0
-    stiff = fit_stiffness(
-        column.problem, parted, LEVELS, bounds=BOUNDS, priors=Priors(level_smoothness=0.02, tracking_drag=0.0), extent="estimate"
-    )
+    smoother = Priors(level_smoothness=0.02, tracking_drag=0.0)
+    stiff = fit_stiffness(column.problem, parted, LEVELS, bounds=BOUNDS, priors=smoother, extent="estimate")
     spread = [np.ptp(np.log(one.ratios.values[:-1])) for one in (fit, stiff)]
     assert spread[1] < 0.3 * spread[0]
     # What the data know best is not what was held.

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from spinestiff.arrays import Floats, Ints
 
-# How far the band that is registered reaches outwards and inwards of a vertebra's outline, in parts of its size. Wider
-# ones follow more of what lies before and behind the vertebra and moves otherwise.
-OUTWARDS, INWARDS = 0.08, 0.12
+# Half width of the band along a vertebra's outline that is registered, in parts of the vertebra's size. Wider ones follow
+# more of what lies before and behind the vertebra and moves otherwise.
+BAND = 0.12
 PATCH_POINTS = 3000
 
 
@@ -49,8 +49,8 @@ class Body:
         and by parallax): the middle is left out, and where they cross the endplates they must not count sideways.
         """
         size = float(np.sqrt(_area(quad)))
-        grid = _grid(_dilated(quad, OUTWARDS * size))
-        middle = _within(_dilated(quad, -INWARDS * size), grid)
+        grid = _grid(_dilated(quad, BAND * size))
+        middle = _within(_dilated(quad, -BAND * size), grid)
         points, centre = grid[~middle], quad.mean(axis=0)
         along = np.roll(quad, -1, axis=0) - quad
         across = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1)[:, None]

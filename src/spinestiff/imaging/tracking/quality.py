@@ -20,7 +20,7 @@ LOWEST_QUALITY = 0.02
 # Fewer usable corners leave a vertebra's orientation to chance.
 FEWEST_CORNERS = 3
 # Error by the evidence: fitted on sequences of known truth (benchmarks/tracking.py --calibrate).
-WEIGHTS = np.array([0.638, 0.031, 0.175])
+WEIGHTS = np.array([0.453, 0.034, 0.205])
 WEIGHTS.setflags(write=False)
 
 
