@@ -55,6 +55,7 @@ EXPOSURES = 8
 MOST_TURN = np.deg2rad(45.0)
 # An exposure pays if it narrows the log of the interval (or the degrees) by more than this share.
 PAYS = 0.03
+ROUNDING = 1e-9  # of a sum of costs
 # Quality of a corner that tracking follows well; its error is about 0.11 mm.
 QUALITY = 0.7
 RATIO_OF: Mapping[Target, str] = {
@@ -104,7 +105,8 @@ class Wish:
     Raises
     ------
     SubjectError : a Cobb angle without the push that it is to be predicted for, or the other way round; a force too
-        small to plan with; no push or no view at all; a lateral radiograph that costs nothing.
+        small to plan with; no push or no view at all; a lateral radiograph that costs nothing; too few exposures for
+        any push.
     """
 
     target: Target = "bending"
@@ -130,6 +132,12 @@ class Wish:
         if not 0.0 < self.lateral_cost < math.inf:
             raise SubjectError(
                 f"a lateral radiograph that costs {self.lateral_cost:g} frontal ones; wanted a number above 0"
+            )
+        # An unloaded and a loaded one of each view.
+        least = 2.0 if "frontal" in self.views else 2.0 * (1.0 + self.lateral_cost)
+        if not self.exposures >= least - ROUNDING:
+            raise SubjectError(
+                f"exposures for {self.exposures:g} frontal radiographs; a push seen as {self.views[0]} takes {least:g}"
             )
 
     @property
@@ -400,17 +408,22 @@ def _composed(scene: Scene, wish: Wish, carried: _Carried, widths: _Widths, say:
         )
 
     def options(taken: tuple[int, ...], at_most: float) -> list[_Option]:
-        """All that add something, the one that narrows most for its cost first."""
-        before = widths.size(widths.of(taken))
+        """All that add something, in the candidates' order."""
         found = []
         for candidate in carried.candidates:
             added = widths.radiographs(candidate, taken)
-            if added and (cost := widths.cost(added)) <= at_most + 1e-9:
+            if added and (cost := widths.cost(added)) <= at_most + ROUNDING:
                 found.append(_Option(candidate, added, cost, widths.of((*taken, *added))))
-        return sorted(found, key=lambda one: (widths.size(one.width) - before) / one.cost)
+        return found
+
+    def narrowness(one: tuple[PlannedPush, _Option]) -> tuple[float, int]:
+        """As it is told, so that of two that come to the same the one with fewer radiographs is the better."""
+        push = one[0]
+        told = push.expected_deg if push.expected_factor is None else push.expected_factor
+        return told or 0.0, push.radiographs
 
     say("comparing")
-    singles = options(widths.taken, np.inf)
+    singles = sorted(((described(one), one) for one in options(widths.taken, np.inf)), key=narrowness)
     taken, sequence = widths.taken, list[PlanStep]()
     size, spent, pays = widths.size(widths.of(taken)), 0.0, True
     while True:
@@ -419,15 +432,15 @@ def _composed(scene: Scene, wish: Wish, carried: _Carried, widths: _Widths, say:
         found = options(taken, wish.exposures - spent)
         if not found:
             break
-        best = found[0]
-        taken, spent, before = (*taken, *best.added), spent + best.cost, size
-        size = widths.size(best.width)
+        before = size
+        best = min(found, key=lambda one: (widths.size(one.width) - before) / one.cost)
+        taken, spent, size = (*taken, *best.added), spent + best.cost, widths.size(best.width)
         pays = pays and 1.0 - size / before > PAYS * best.cost
         sequence.append(PlanStep(push=described(best), exposures=count + len(best.added), pays=bool(pays)))
     now = widths.of(widths.taken) if widths.taken else None
     taped = None
     if widths.taped:
-        with_tape = widths.of(widths.taken or singles[0].added, taped=True)
+        with_tape = widths.of(widths.taken or singles[0][1].added, taped=True)
         taped = widths.size(with_tape)
         taped = round(taped if wish.target == "cobb" else float(np.exp(taped)), 3)
     notes = [*scene.doubts, *_left_out(carried.left_out)]
@@ -442,7 +455,7 @@ def _composed(scene: Scene, wish: Wish, carried: _Carried, widths: _Widths, say:
         now={} if now is None else {n: round(float(np.exp(v)), 3) for n, v in zip(scene.names, now.logs)},
         estimated={name: round(factor, 3) for name, factor in scene.intervals.items()},
         now_deg=None if now is None or now.degrees is None else round(now.degrees, 2),
-        next=tuple(described(one) for one in singles),
+        next=tuple(push for push, _ in singles),
         sequence=tuple(sequence),
         taped=taped,
         predicted=None

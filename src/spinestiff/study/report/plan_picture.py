@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from spinestiff.study.plan_words import TITLES, now_of, push_words, size_of
 from spinestiff.study.report.figures import DEFAULT, FIT, MEASURED, STYLE
-from spinestiff.subject.plan_outcome import Plan
+from spinestiff.subject.plan_outcome import Plan, PlannedView
 
 COLOURS = {"left": MEASURED, "right": FIT}
 MARKS = {"left": "o", "right": "s"}
@@ -31,10 +31,12 @@ def draw_plan(plan: Plan) -> Figure:
 
 
 def _draw_singles(axis: Axes, plan: Plan) -> None:
+    line: PlannedView = "frontal" if any(push.view == "frontal" for push in plan.next) else "frontal+lateral"
     largest = max((push.force_n for push in plan.next), default=0.0)
     for side in COLOURS:
         for force in sorted({push.force_n for push in plan.next}, reverse=True):
-            points = sorted((p.level, size_of(p)) for p in plan.next if (p.side, p.force_n) == (side, force))
+            mine = [p for p in plan.next if (p.side, p.force_n) == (side, force)]
+            points = sorted((p.level, size_of(p)) for p in mine if p.view == line)
             if points:
                 axis.plot(
                     *zip(*points),
@@ -45,6 +47,11 @@ def _draw_singles(axis: Axes, plan: Plan) -> None:
                     linestyle="-" if force == largest else ":",
                     label=f"{force:g} N from the {side}",
                 )
+    beside = sorted((p.level, size_of(p), p.side) for p in plan.next if p.view != line)
+    if beside:
+        levels, sizes, sides = zip(*beside)
+        colours = [COLOURS[side] for side in sides]
+        axis.scatter(levels, sizes, s=55, c=colours, marker="+", linewidths=1.1, zorder=3, label="and lateral")
     _draw_now(axis, plan, "")
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_xlabel("rib")
@@ -64,7 +71,8 @@ def _draw_sequence(axis: Axes, plan: Plan) -> None:
     if rest:
         axis.plot(*zip(*rest), color="#8A8A8A", marker="o", linestyle="none", label="hardly narrows")
     for step, (x, y) in zip(steps, points):
-        axis.annotate(push_words(step.push), (x, y), (3, 6), textcoords="offset points", fontsize=8.5, rotation=48.0)
+        words = push_words(step.push) + ("" if step.push.view == "frontal" else ", and lateral")
+        axis.annotate(words, (x, y), (3, 6), textcoords="offset points", fontsize=8.5, rotation=48.0)
     _draw_now(axis, plan, "with what was taken so far")
     axis.set_xlim(-0.3, (points[-1][0] if points else 1) * 1.3)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
