@@ -47,11 +47,9 @@ def _draw_singles(axis: Axes, plan: Plan) -> None:
                     linestyle="-" if force == largest else ":",
                     label=f"{force:g} N from the {side}",
                 )
-    beside = sorted((p.level, size_of(p), p.side) for p in plan.next if p.view != line)
+    beside = [(p.level, size_of(p)) for p in plan.next if p.view != line]
     if beside:
-        levels, sizes, sides = zip(*beside)
-        colours = [COLOURS[side] for side in sides]
-        axis.scatter(levels, sizes, s=55, c=colours, marker="+", linewidths=1.1, zorder=3, label="and lateral")
+        axis.scatter(*zip(*beside), s=60, c="#222222", marker="+", linewidths=1.0, zorder=3, label="and lateral")
     _draw_now(axis, plan, "")
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_xlabel("rib")
