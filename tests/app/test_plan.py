@@ -9,8 +9,12 @@ import pytest
 
 from spinestiff.app.plan import exposures_of, wish_of
 from spinestiff.errors import OptionError
-from spinestiff.files import read_json
+from spinestiff.files import read_json, write_json
 from spinestiff.study.plan import RIBS, SIDES, VIEWS, Frame
+from spinestiff.study.runner import ALL_STEPS
+from spinestiff.study.visit import open_visit
+from spinestiff.subject.folder import read_subject
+from spinestiff.subject.run_record import changed_inputs, is_unchanged, recorded_steps
 
 ALL = ("bending", 80.0, 8, "both", None, None, 500.0)
 
@@ -38,6 +42,8 @@ def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, 
     assert factors[0] > 1.0
     results = subject / "results"
     assert read_json(results / "plan.json")["next"] == found
+    assert is_unchanged(read_subject(subject), "plan")
+    assert "results/plan.json" in ALL_STEPS["report"].inputs(open_visit(subject))
     assert cv2.imread(str(results / "plan.png")).shape[1] > 1000
     sheet = (results / "protocol.html").read_text(encoding="utf-8")
     assert "No push above 30 N." in sheet
@@ -52,6 +58,18 @@ def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, 
     assert "116 ± 25 N" in ran.out
     ran = spinestiff("plan", subject, "--json", "--limit", 30, "--ribs", "8", "--side", "left", "--views", "frontal")
     assert {push["view"] for push in json.loads(ran.out)} == {"frontal"}
+
+
+def test_a_plan_is_of_the_estimate_and_pushes_that_it_was_made_from(spinestiff, subject):
+    assert spinestiff("plan", subject, "--limit", 30, "--ribs", 8, "--side", "left", "--views", "frontal").status == 0
+    path = subject / "subject.json"
+    content = read_json(path)
+    content["pushes"][0]["level"] += 1.0
+    write_json(path, content)
+    assert changed_inputs(read_subject(subject), "plan") == ("subject.json: pushes",)
+    assert "results/plan.json" not in ALL_STEPS["report"].inputs(open_visit(subject))
+    recorded = recorded_steps(read_subject(subject))["plan"]
+    assert {"results/estimate.json", "results/posterior.csv", "results/torso.npz"} <= set(recorded.inputs)
 
 
 def test_options_become_a_wish():

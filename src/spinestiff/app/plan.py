@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 from rich.table import Table
 
 from spinestiff.app import tables
@@ -11,10 +13,10 @@ from spinestiff.observer import Observer
 from spinestiff.study.plan import RIBS, ROUNDING, SIDES, VIEWS, Frame, Wish, make_plan
 from spinestiff.study.plan_scene import scene_of
 from spinestiff.study.plan_words import VIEW_WORDS, plan_lines, push_words, size_of, width
-from spinestiff.study.runner import run_steps
+from spinestiff.study.runner import ALL_STEPS, PUSHES, run_steps
 from spinestiff.study.visit import Visit
 from spinestiff.subject.plan_outcome import Plan
-from spinestiff.subject.run_record import recorded_steps, write_outcome
+from spinestiff.subject.run_record import record_step, recorded_steps, step_record, write_outcome
 
 TARGETS = ("bending", "tissue", "rotation", "cobb")
 MOST_EXPOSURES = 40
@@ -114,7 +116,14 @@ def plan_next(visit: Visit, wish: Wish, say: Observer) -> Plan:
         run_steps(visit, ("personalise",), say)
     plan = make_plan(scene_of(visit), wish, lambda line: say(f"plan: {line}"))
     picture, sheet = as_png(draw_plan(plan)), protocol_page(plan, visit.subject.record.id)
-    write_outcome(visit.subject, plan)
+    subject = visit.subject
+    # Where an estimate is there, what it was made from and what it made; before any push what shapes the torso, and
+    # that there is no push.
+    step = "estimate" if plan.basis == "estimate" else "personalise"
+    inputs = {*ALL_STEPS[step].inputs(visit), *recorded_steps(subject)[step].outputs, PUSHES}
+    record = step_record(subject, inputs, asdict(wish))
+    write_outcome(subject, plan)
+    record_step(subject, Plan.STEP, record, [visit.file(Plan.FILE)])
     write_bytes(visit.file("plan.png"), picture)
     write_text(visit.file("protocol.html"), sheet)
     return plan

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -107,8 +107,13 @@ def scene_of(visit: Visit) -> Scene:
             f"{subject.folder}: pelvis is 'dead-loads', whose distances d21 and d31 are not known of a push that was "
             "not taken; plan with another pelvis"
         )
-    if "estimate" in recorded_steps(subject) and visit.file(Estimate.FILE).exists():
-        return _of_estimate(visit)
+    estimated = "estimate" in recorded_steps(subject) and visit.file(Estimate.FILE).exists()
+    scene = _of_estimate(visit) if estimated else _of_population(visit)
+    return replace(scene, marked_aside=_marked_aside(subject))
+
+
+def _of_population(visit: Visit) -> Scene:
+    subject = visit.subject
     if subject.pushes:
         raise SubjectError(
             f"{subject.folder}: pushes were taken, but there is no estimate from them; run spinestiff run first"
@@ -134,7 +139,6 @@ def scene_of(visit: Visit) -> Scene:
         USUAL,
         population_places(),
         population=visit.population,
-        marked_aside=_marked_aside(subject),
     )
 
 
@@ -170,7 +174,6 @@ def _of_estimate(visit: Visit) -> Scene:
             if np.isfinite(ratio.sd_log)
         },
         _doubts(estimate),
-        _marked_aside(subject),
     )
 
 

@@ -3,7 +3,8 @@
 ``track`` -> ``response`` -> ``personalise`` -> ``estimate`` -> ``assess`` -> ``report``. Results go to ``results/`` in
 the folder.
 ``view``, the 3D page alone, needs no report; the report brings it along. ``frames`` needs the tracking alone.
-``parameters`` and ``sensitivity`` need the estimate; the report shows the latter where it is there and up to date.
+``parameters`` and ``sensitivity`` need the estimate; the report shows the latter where it is there and up to date, and
+so a plan (``spinestiff plan``), which is asked for anew each time and is no step.
 """
 
 from __future__ import annotations
@@ -172,7 +173,7 @@ ALL_STEPS: Mapping[str, Step] = {
         ("tracked.json", "response.json", *SHAPE, "estimate.json", "assessment.json", "predictions.npz"),
         lambda visit: ("report.html", "view.html"),
         _truth,
-        also=("sensitivity",),
+        also=("sensitivity", "plan"),
     ),
     "view": Step(
         step_functions.view_step,

@@ -49,7 +49,8 @@ def _draw_singles(axis: Axes, plan: Plan) -> None:
                 )
     beside = [(p.level, size_of(p)) for p in plan.next if p.view != line]
     if beside:
-        axis.scatter(*zip(*beside), s=60, c="#222222", marker="+", linewidths=1.0, zorder=3, label="and lateral")
+        levels, sizes = zip(*beside)
+        axis.scatter(levels, sizes, s=60, c="#222222", marker="+", linewidths=1.0, zorder=3, label="and lateral")
     _draw_now(axis, plan, "")
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_xlabel("rib")
