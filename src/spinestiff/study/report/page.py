@@ -197,9 +197,9 @@ def _plan(visit: Visit, album: _Album) -> dict[str, object] | None:
     if not visit.file(Plan.FILE).is_file():
         return None
     if not is_unchanged(visit.subject, Plan.STEP):
-        return {"stale": stale_plan(visit)}
+        return {"stale": stale_plan(visit), "lines": [], "picture": None}
     plan = read_outcome(visit.subject, Plan)
-    return {"lines": plan_lines(plan), "picture": album.add(*_planned_picture(plan))}
+    return {"stale": "", "lines": plan_lines(plan), "picture": album.add(*_planned_picture(plan))}
 
 
 # Pictures
