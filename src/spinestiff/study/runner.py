@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from spinestiff.errors import SubjectError
@@ -199,7 +199,7 @@ def run_steps(
 
     Parameters
     ----------
-    steps : names of those wanted. force : run even what is current.
+    steps : names of those wanted. force : run even what is current, and nothing of a run that was stopped is kept.
     known : every step by name, in the order in which they run.
 
     Raises
@@ -207,6 +207,8 @@ def run_steps(
     SpinestiffError : the first step that fails; what was written before stays.
     """
     say = observer or (lambda line: None)
+    if force:
+        visit = replace(visit, settings=replace(visit.settings, redo=True))
     if not visit.subject.pushes and set(steps) - WITHOUT_PUSHES:
         path = visit.subject.folder / SUBJECT_FILE
         raise SubjectError(f"{path}: pushes is empty; spinestiff plan says which push to take first")
