@@ -41,7 +41,7 @@ from spinestiff.personalise.shape import personalise
 from spinestiff.study.plan import COMFORT_N, SIDES, Wish, make_plan
 from spinestiff.study.plan_scene import Scene, places_of_draws, population_places
 from spinestiff.study.trials import Known, PushSet, fit_pushes, push_set
-from spinestiff.subject.plan_outcome import Plan, PlannedPush
+from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlannedView
 
 RESULTS = Path(__file__).parent / "results" / "plan.json"
 NAMES = ("lateral_bending", "tissue")
@@ -54,6 +54,7 @@ PAPER = {
         8.0, ((0.0, "unused"), (1 / 3, "training"), (2 / 3, "training"), (1.0, "training")), force_n=COMFORT_N
     )
 }
+FRONTAL: tuple[PlannedView, ...] = ("frontal",)
 ARMS = ("paper", "paper and next", "best three", "best three, one side")
 
 
@@ -137,12 +138,12 @@ def run_one(seed: int) -> dict[str, Any]:
     try:
         paper = estimated(seed, 1, PAPER, ratios)
         row["paper"] = told(paper)
-        next_one = make_plan(after(paper), Wish()).next[0]
+        next_one = make_plan(after(paper), Wish(views=FRONTAL)).next[0]
         found = estimated(seed, 2, {**PAPER, **placed([next_one])}, ratios)
         row["paper and next"] = {**told(found), "promised": next_one.factors}
         convex = paper.subject.records[0].side
         for number, (arm, sides) in enumerate((("best three", SIDES), ("best three, one side", (convex,)))):
-            plan = make_plan(before_any(paper), Wish(sides=sides, exposures=2 * FRAMES))
+            plan = make_plan(before_any(paper), Wish(sides=sides, exposures=2 * FRAMES, views=FRONTAL))
             pushes, promised = best_of(plan)
             row[arm] = {**told(estimated(seed, 3 + number, placed(pushes), ratios)), "promised": promised}
     except SpinestiffError as error:

@@ -39,7 +39,7 @@ NUMBERS = numbers()
 
 
 def test_all_commands_were_walked():
-    assert len(NUMBERS) == 22
+    assert len(NUMBERS) == 23
     assert {words for words, _ in NUMBERS} == {
         ("synth",), ("demo",), ("cobb",), ("torso", "import"), ("torso", "export"), ("torso", "show"),
         ("plan",),
@@ -85,6 +85,7 @@ def test_each_option_has_the_limits_of_its_quantity(spinestiff, tmp_path):
         ("synth", "new", "--force", 501): "above 0 and at most 500 N",
         ("plan", "none", "--limit", 501): "5 to 500 N",
         ("plan", "none", "--dose", 0): "above 0 and at most 1e+06 of any unit",
+        ("plan", "none", "--lateral-dose", 0): "above 0 and at most 1e+06 of any unit",
         ("cobb", "none", "--noise-px", 0): "above 0 and at most 1000 pixels",
     }
     for arguments, limits in wanted.items():

@@ -9,28 +9,41 @@ import pytest
 
 from spinestiff.app.plan import exposures_of, wish_of
 from spinestiff.errors import OptionError
-from spinestiff.files import read_json
-from spinestiff.study.plan import RIBS, SIDES, Frame
+from spinestiff.files import read_json, write_json
+from spinestiff.study.plan import RIBS, SIDES, VIEWS, Frame
+from spinestiff.study.runner import ALL_STEPS
+from spinestiff.study.visit import open_visit
+from spinestiff.subject.folder import read_subject
+from spinestiff.subject.run_record import changed_inputs, is_unchanged, recorded_steps
 
 ALL = ("bending", 80.0, 8, "both", None, None, 500.0)
 
 
 def wished(**changes):
     names = ("target", "limit_n", "exposures", "side", "ribs", "under", "largest")
-    return wish_of(*{**dict(zip(names, ALL)), **changes}.values())
+    return wish_of(**{**dict(zip(names, ALL)), **changes})
 
 
 def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, subject):
     ran = spinestiff("plan", subject, "--json", "--limit", 30, "--ribs", "6,8", "--side", "left", "--exposures", 3)
     assert (ran.status, ran.err) == (0, "")
     found = json.loads(ran.out)
-    assert [(push["side"], push["force_n"], push["view"]) for push in found[:2]] == [("left", 30.0, "frontal")] * 2
+    assert all(push["side"] == "left" for push in found)
+    assert {(push["level"], push["force_n"], push["view"], push["radiographs"]) for push in found} == {
+        (rib, force, view, count)
+        for rib in (6.0, 8.0)
+        for force in (15.0, 30.0)
+        for view, count in (("frontal", 2), ("frontal+lateral", 4))
+    }
+    assert found[0]["force_n"] == 30.0
     assert {push["level"] for push in found} == {6.0, 8.0}
     factors = [push["expected_factor"] for push in found]
     assert factors == sorted(factors)
     assert factors[0] > 1.0
     results = subject / "results"
     assert read_json(results / "plan.json")["next"] == found
+    assert is_unchanged(read_subject(subject), "plan")
+    assert "results/plan.json" in ALL_STEPS["report"].inputs(open_visit(subject))
     assert cv2.imread(str(results / "plan.png")).shape[1] > 1000
     sheet = (results / "protocol.html").read_text(encoding="utf-8")
     assert "No push above 30 N." in sheet
@@ -39,14 +52,30 @@ def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, 
     assert sheet.count(f'<td>left</td><td class="number">{best["level"]:g}</td>') in (2, 3)
     ran = spinestiff("plan", subject, "--limit", 30, "--ribs", "6,8", "--side", "left", "--exposures", 3)
     assert ran.status == 0
-    assert f"best next: rib {best['level']:g} left, 30 N, expected within a factor of" in ran.out
+    assert f"best next: rib {best['level']:g} left, 30 N, frontal, expected within a factor of" in ran.out
+    assert "with a lateral radiograph beside each: within a factor of" in ran.out
     assert f"sheet to print: {results / 'protocol.html'}" in ran.out
     assert "116 ± 25 N" in ran.out
+    ran = spinestiff("plan", subject, "--json", "--limit", 30, "--ribs", "8", "--side", "left", "--views", "frontal")
+    assert {push["view"] for push in json.loads(ran.out)} == {"frontal"}
+
+
+def test_a_plan_is_of_the_estimate_and_pushes_that_it_was_made_from(spinestiff, subject):
+    assert spinestiff("plan", subject, "--limit", 30, "--ribs", 8, "--side", "left", "--views", "frontal").status == 0
+    path = subject / "subject.json"
+    content = read_json(path)
+    content["pushes"][0]["level"] += 1.0
+    write_json(path, content)
+    assert changed_inputs(read_subject(subject), "plan") == ("subject.json: pushes",)
+    assert "results/plan.json" not in ALL_STEPS["report"].inputs(open_visit(subject))
+    recorded = recorded_steps(read_subject(subject))["plan"]
+    assert {"results/estimate.json", "results/posterior.csv", "results/torso.npz"} <= set(recorded.inputs)
 
 
 def test_options_become_a_wish():
     wish = wished()
-    assert (wish.sides, wish.ribs, wish.predicted) == (SIDES, RIBS, None)
+    assert (wish.sides, wish.ribs, wish.predicted, wish.views) == (SIDES, RIBS, None, VIEWS)
+    assert wished(views="frontal+lateral").views == ("frontal+lateral",)
     wish = wished(target="cobb", side="right", ribs="5, 9.5,5", under="left,8,60")
     assert (wish.sides, wish.ribs, wish.predicted) == (("right",), (5.0, 9.5), Frame("left", 8.0, 60.0))
 
@@ -54,7 +83,8 @@ def test_options_become_a_wish():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"target": "torsion"}, "--target torsion: wanted one of bending, tissue, cobb"),
+        ({"target": "torsion"}, "--target torsion: wanted one of bending, tissue, rotation, cobb"),
+        ({"views": "oblique"}, "--views oblique: wanted frontal, frontal+lateral or both"),
         ({"side": "front"}, "--side front: wanted left, right or both"),
         ({"ribs": "5,x"}, "--ribs 5,x: wanted ribs from 1 to 12"),
         ({"ribs": "13"}, "--ribs 13: wanted ribs from 1 to 12"),
@@ -71,16 +101,26 @@ def test_options_that_say_nothing_are_refused(changes, message):
 
 
 def test_a_dose_is_a_number_of_radiographs():
-    assert exposures_of(100.0, 25.0) == 4
-    assert exposures_of(0.3, 0.1) == 3
-    assert exposures_of(1e9, 1.0) == 40
-    for dose, each, message in (
-        (100.0, None, "--dose and --frame-dose belong together"),
-        (None, 1.0, "--dose and --frame-dose belong together"),
-        (30.0, 20.0, "--dose 30: allows 1 of 20; a push takes 2 radiographs"),
+    assert exposures_of(100.0, 25.0, None) == (4.0, 1.0)
+    assert exposures_of(0.3, 0.1, 0.25) == pytest.approx((3.0, 2.5))
+    assert exposures_of(1e9, 1.0, 3.0) == (40.0, 3.0)
+    assert exposures_of(0.2, 0.1, None)[0] == 2.0
+    for dose, each, lateral, message in (
+        (100.0, None, None, "--dose and --frame-dose belong together"),
+        (None, 1.0, None, "--dose and --frame-dose belong together"),
+        (None, None, 2.0, "--lateral-dose to both"),
+        (30.0, 20.0, None, "--dose 30: allows 1 of 20; a push takes 2 radiographs"),
     ):
         with pytest.raises(OptionError, match=message):
-            exposures_of(dose, each)
+            exposures_of(dose, each, lateral)
+
+
+def test_a_dose_counts_lateral_radiographs_as_they_are(spinestiff, subject):
+    """Two frontal ones at 2 and two lateral ones at 5 come to 14."""
+    options = ("--limit", 30, "--ribs", 8, "--side", "left", "--dose", 11, "--frame-dose", 2, "--lateral-dose", 5)
+    ran = spinestiff("plan", subject, *options, "--views", "frontal+lateral")
+    assert ran.status == 2
+    assert ran.lines == ["spinestiff: exposures for 5.5 frontal radiographs; a push seen as frontal+lateral takes 7"]
 
 
 def test_a_force_that_no_gauge_reads_is_refused_before_anything_is_done(spinestiff, tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spinestiff.estimation.design import LEAST_PREDICTING, Design, design_at
+from spinestiff.estimation.design import LEAST_PREDICTING, Design, better_known, design_at
 from spinestiff.estimation.forecast import forecast
 from spinestiff.estimation.weighed import reduced
 
@@ -18,7 +18,15 @@ def random_design():
     random = np.random.default_rng(4)
     root = random.normal(size=(14, 20))
     rows = tuple(np.arange(4 * i, 4 * i + 4) for i in range(3))
-    return Design(root @ root.T, random.normal(size=(14, 2)), rows, slice(12, 14))
+    nuisances, turns = random.normal(size=(14, 3)), random.normal(size=(14, 2))
+    slopes = random.normal(size=(14, 2))
+    return Design(root @ root.T, nuisances, turns, slopes, rows, frozenset({2}), slice(12, 14))
+
+
+def whole(design, turned):
+    """The covariance with all that is not known, with the patient's turn or without."""
+    columns = np.column_stack([design.nuisances, design.turns]) if turned else design.nuisances
+    return design.covariance + columns @ columns.T
 
 
 @pytest.fixture
@@ -30,11 +38,20 @@ def of_column(column):
 
 def test_sds_are_those_of_generalised_least_squares(random_design) -> None:
     rows = np.r_[0:4, 8:12, 12:14]
-    inverse = np.linalg.inv(random_design.covariance[np.ix_(rows, rows)])
+    inverse = np.linalg.inv(whole(random_design, turned=True)[np.ix_(rows, rows)])
     x = random_design.slopes[rows]
     wanted = np.sqrt(np.diag(np.linalg.inv(x.T @ inverse @ x)))
     assert np.allclose(random_design.ratio_sds((0, 2)), wanted, rtol=1e-4)
     assert np.allclose(random_design.ratio_sds((2, 0)), wanted, rtol=1e-4)
+
+
+def test_the_patients_turn_counts_where_more_is_seen_than_frontal_corners(random_design) -> None:
+    for taken, turned in (((0, 1), False), ((0, 2), True)):
+        rows = np.concatenate([*(random_design.rows[i] for i in taken), np.r_[12:14]])
+        inverse = np.linalg.inv(whole(random_design, turned)[np.ix_(rows, rows)])
+        x = random_design.slopes[rows]
+        wanted = np.sqrt(np.diag(np.linalg.inv(x.T @ inverse @ x)))
+        assert np.allclose(random_design.ratio_sds(taken), wanted, rtol=1e-4)
 
 
 def test_every_radiograph_more_narrows(random_design) -> None:
@@ -49,9 +66,9 @@ def test_a_prediction_is_that_of_the_joint_normal_distribution(random_design) ->
     """Of all residuals, with ratios that are as little known as the design takes them to be."""
     rows, own = np.r_[0:4, 12:14], np.r_[4:8]
     x = random_design.slopes
-    whole = random_design.covariance + x @ x.T / LEAST_PREDICTING
-    across = np.linalg.solve(whole[np.ix_(rows, rows)], whole[np.ix_(rows, own)])
-    left = whole[np.ix_(own, own)] - whole[np.ix_(own, rows)] @ across
+    joint = whole(random_design, turned=False) + x @ x.T / LEAST_PREDICTING
+    across = np.linalg.solve(joint[np.ix_(rows, rows)], joint[np.ix_(rows, own)])
+    left = joint[np.ix_(own, own)] - joint[np.ix_(own, rows)] @ across
     weights = np.array([0.5, -1.0, 0.0, 2.0])
     wanted = np.sqrt(weights @ left @ weights)
     assert random_design.prediction_sd((0,), 1, weights) == pytest.approx(wanted, rel=1e-3)
@@ -76,9 +93,10 @@ def test_an_unseen_radiograph_is_predicted_as_by_a_forecast(of_column) -> None:
 
 def test_what_is_measured_besides_counts_for_its_group_alone(of_column) -> None:
     asked, point, slope = of_column
-    plain, better = (design_at(asked, point, slope, known_better=known) for known in (None, {"trunk size": 0.0}))
+    plain = design_at(asked, point, slope)
+    better = better_known(plain, asked.unknowns, {"trunk size": 0.0})
     mine = slope.nuisances[:, asked.unknowns.in_group("trunk size")]
     assert mine.any()
-    assert np.allclose(plain.covariance - better.covariance, mine @ mine.T)
+    assert np.allclose(whole(plain, turned=False) - whole(better, turned=False), mine @ mine.T)
     everything = range(len(plain.rows))
     assert better.ratio_sds(everything)[1] < 0.99 * plain.ratio_sds(everything)[1]

@@ -147,7 +147,7 @@ def test_what_more_is_seen_tells_of_axial_rotation_and_the_truth_is_found(column
     design = design_at(asked, found.point, found.slope)
     own = [np.arange(asked.size)[asked.noise.of(i)] for i in range(3)]
     frontal = replace(design, rows=tuple(own)).ratio_sds([0, 1, 2])
-    every = design.ratio_sds([0, 1, 2])
+    every = design.ratio_sds(range(6))
     assert every[2] < 0.85 * frontal[2]
     assert (every <= frontal).all()
 
@@ -225,12 +225,36 @@ def test_a_forecast_uses_nothing_of_the_unseen_trial(column, both) -> None:
     assert np.abs(moved.expected - before.expected).max() > 1e-3
 
 
-def test_a_design_counts_what_a_trial_shows_with_the_trial(asked_more) -> None:
+def test_a_design_counts_radiographs_each_with_its_corners_and_pedicles(asked_more) -> None:
     point = asked_more.solve(np.log(list(TRUTH.values())), np.zeros(len(asked_more.unknowns)))
-    design = design_at(asked_more, point, asked_more.slope(point))
-    assert len(design.rows) == 3
-    assert [len(rows) for rows in design.rows] == [9 * (3 + 4) + 9 * (3 + 4)] * 3
+    slope = asked_more.slope(point)
+    design = design_at(asked_more, point, slope)
+    assert asked_more.shown == ((0, 3), (1, 4), (2, 5))
+    assert [len(rows) for rows in design.rows] == [9 * (3 + 4)] * 6
     assert sorted(np.concatenate(design.rows).tolist()) == list(range(asked_more.noise.size))
+    assert design.more == set(range(6))
+    for trial, (own, aside) in enumerate(asked_more.shown):
+        shown = {*np.arange(asked_more.size)[asked_more.noise.of(trial)], *asked_more.further_rows(trial)}
+        assert shown == {*design.rows[own], *design.rows[aside]}
+    # All of them are what a fit of all has.
+    model = reduced(point, slope, asked_more.as_expected(point))
+    wanted = np.sqrt(np.diag(np.linalg.inv(model.ratios.T @ model.ratios)))
+    assert np.allclose(design.ratio_sds(range(6)), wanted, rtol=1e-3)
+
+
+def test_frontal_radiographs_tell_as_much_whether_or_not_lateral_ones_might_be_taken(column, twisted) -> None:
+    """A fit of corners in frontal radiographs leaves the patient's turn out."""
+    designs = []
+    for trials in (twisted, seen_more(column, twisted, pedicles=False)):
+        asked = column.weighed(trials, names=NAMES)
+        point = asked.solve(np.log(list(TRUTH.values())), np.zeros(len(asked.unknowns)))
+        designs.append(design_at(asked, point, asked.slope(point)))
+    alone, both = designs
+    assert (alone.more, both.more) == (frozenset(), {3, 4, 5})
+    assert np.allclose(both.ratio_sds([0, 1, 2]), alone.ratio_sds([0, 1, 2]), rtol=1e-9)
+    weights = np.array([0.0, 0.0, 1.0, *np.zeros(24)])
+    seen = [design.prediction_sd([0, 2], 1, weights) for design in designs]
+    assert seen[0] == pytest.approx(seen[1], rel=1e-9)
 
 
 def test_what_the_model_lacks_out_of_the_plane_goes_with_the_motion() -> None:

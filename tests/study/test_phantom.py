@@ -241,3 +241,21 @@ def test_pictures_that_do_not_fit_are_refused(folder, record) -> None:
         read_phantom(folder)
     with pytest.raises(SubjectError, match="no such folder"):
         read_phantom(folder / "none")
+
+
+def test_a_held_out_picture_without_a_block_of_the_one_at_rest_is_refused(record) -> None:
+    seen = pictures(record, bench_values(record))
+    count = len(record.levels) // 2
+    apart = [
+        replace(image, levels=image.levels[part], corners=image.corners[part])
+        for frame, image in zip(record.frames, seen)
+        for part in [slice(count, None) if frame.use == "predict" else slice(0, count)]
+    ]
+    shown = r"corners.csv: T12 left 7: shows L3, L4, L5, and 'rest', the picture without a push .* T12, L1, L2; mark a"
+    with pytest.raises(SubjectError, match=shown):
+        analyse(record, apart)
+    # One block is enough, and a picture that is fitted needs none.
+    first, held_out = apart[0], [image for frame, image in zip(record.frames, seen) if frame.use == "predict"]
+    assert set(held_out[0].levels) > set(first.levels)
+    found = analyse(record, [seen[0], *apart[1:]])
+    assert len(found.predicted) == len(held_out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.files import read_json, write_json
+from spinestiff.imaging.features import view_kind
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.study import plan as planning
 from spinestiff.study.plan import Frame, Wish, make_plan
@@ -38,15 +40,80 @@ def plan(scene):
 def test_single_pushes_come_best_first_and_all_of_them_narrow(plan) -> None:
     factors = [push.expected_factor for push in plan.next]
     assert factors == sorted(factors)
-    assert len(plan.next) == 8
+    assert [push.view for push in plan.next].count("frontal") == 8
+    assert len({(push.side, push.level, push.force_n, push.view) for push in plan.next}) == len(plan.next) == 16
     assert 1.0 < factors[0] <= factors[-1] < plan.now["lateral_bending"]
     for push in plan.next:
         assert push.factors["lateral_bending"] == push.expected_factor
         assert push.factors["tissue"] < plan.now["tissue"]
+        assert push.radiographs == (2 if push.view == "frontal" else 4)
+        same = [one for one in plan.next if one.expected_factor == push.expected_factor]
+        assert [one.radiographs for one in same] == sorted(one.radiographs for one in same)
+
+
+def test_a_frontal_radiograph_is_worth_the_same_whether_or_not_lateral_ones_are_compared(scene, plan) -> None:
+    alone = make_plan(scene, replace(SMALL, views=("frontal",)))
+    both = {(p.side, p.level, p.force_n): p.expected_factor for p in plan.next if p.view == "frontal"}
+    assert {(p.side, p.level, p.force_n) for p in alone.next} == set(both)
+    assert alone.now == pytest.approx(plan.now, abs=0.002)
+    for push in alone.next:
+        assert push.expected_factor == pytest.approx(both[push.side, push.level, push.force_n], abs=0.002)
+    assert "lateral radiograph" not in " ".join(plan_lines(alone))
+    assert "with a lateral radiograph beside each: within a factor of" in " ".join(plan_lines(plan))
+
+
+def test_all_views_of_a_push_are_taken_once(scene) -> None:
+    """Two forces from two sides and unloaded: a lateral radiograph adds itself to a frontal one that is there."""
+    wish = replace(SMALL, ribs=(8.0,), sides=("left",), exposures=12)
+    found = make_plan(replace(scene, places=scene.places[:1]), wish)
+    assert sum(step.push.radiographs for step in found.sequence) == found.sequence[-1].exposures == 6
+    seen: set[tuple[float, str]] = set()
+    for step in found.sequence:
+        push = step.push
+        wanted = {(force, view) for force in (0.0, push.force_n) for view in push.view.split("+")}
+        assert push.radiographs == len(wanted - seen)
+        seen |= wanted
+    assert len(seen) == 6
+
+
+def test_a_lateral_radiograph_may_cost_more(scene) -> None:
+    one = replace(scene, places=scene.places[:1])
+    wish = replace(SMALL, ribs=(8.0,), sides=("left",), views=("frontal+lateral",))
+    with pytest.raises(SubjectError, match=r"exposures for 7 frontal .* as frontal\+lateral takes 8"):
+        replace(wish, exposures=7, lateral_cost=3.0)
+    dear, cheap = (make_plan(one, replace(wish, exposures=8, lateral_cost=cost)) for cost in (3.0, 1.0))
+    assert [step.exposures for step in dear.sequence] == [4]
+    assert [step.exposures for step in cheap.sequence] == [4, 6]
+    for cost in (0.0, float("inf"), float("nan")):
+        with pytest.raises(SubjectError, match="wanted a number above 0"):
+            replace(wish, lateral_cost=cost)
+
+
+def test_a_lateral_radiograph_tells_of_the_vertebrae_that_it_shows(scene) -> None:
+    assert view_kind(scene.lateral) == "lateral"
+    few = replace(scene, places=scene.places[:1], marked_aside=scene.aside[-3:])
+    wish = replace(SMALL, ribs=(8.0,), sides=("left",), exposures=2)
+    found, more = (make_plan(one, wish) for one in (few, replace(few, marked_aside=None)))
+    fewer, all_of_them = (
+        {(push.view, push.force_n): push.factors["tissue"] for push in one.next} for one in (found, more)
+    )
+    assert fewer["frontal", 30.0] == all_of_them["frontal", 30.0]
+    assert fewer["frontal+lateral", 30.0] > all_of_them["frontal+lateral", 30.0]
+
+
+def test_axial_rotation_is_a_target_where_it_is_estimated(scene) -> None:
+    wish = replace(SMALL, target="rotation", ribs=(8.0,), sides=("left",), exposures=4)
+    with pytest.raises(SubjectError, match=r"no ratio axial_rotation .* with axial_rotation among its --parameters"):
+        make_plan(scene, wish)
+    places = np.column_stack([scene.places, np.zeros(len(scene.places))])[:1]
+    found = make_plan(replace(scene, names=(*scene.names, "axial_rotation"), places=places), wish)
+    assert found.next[0].expected_factor == found.next[0].factors["axial_rotation"] < found.now["axial_rotation"]
+    assert plan_lines(found)[0].startswith("axial rotation: now within a factor of")
 
 
 def test_the_whole_force_tells_more_than_half_of_it(plan) -> None:
-    of = {(push.side, push.level, push.force_n): push.expected_factor for push in plan.next}
+    frontal = [push for push in plan.next if push.view == "frontal"]
+    of = {(push.side, push.level, push.force_n): push.expected_factor for push in frontal}
     for side in ("left", "right"):
         for rib in (6.0, 8.0):
             assert of[side, rib, 30.0] < of[side, rib, 15.0]
@@ -54,7 +121,8 @@ def test_the_whole_force_tells_more_than_half_of_it(plan) -> None:
 
 def test_a_sequence_begins_with_the_best_and_counts_unloaded_radiographs(plan) -> None:
     first = plan.sequence[0]
-    assert first.push == plan.next[0]
+    # By what it narrows for each exposure, so that of its own view none is narrower.
+    assert first.push == next(push for push in plan.next if push.view == first.push.view)
     assert first.exposures == 2
     sizes = [step.push.expected_factor for step in plan.sequence]
     assert sizes == sorted(sizes, reverse=True)
@@ -88,6 +156,20 @@ def test_where_nothing_pays_no_radiograph_is_asked_for(plan) -> None:
     assert "No further radiograph pays" in sheet
     assert "<table>" not in sheet
     assert "<table>" in protocol_page(plan, "anna")
+
+
+def test_the_sheet_lists_lateral_radiographs_after_the_frontal_ones_of_the_same_push(plan) -> None:
+    first, second = plan.sequence[0], plan.sequence[1]
+    aside = first.push.model_copy(update={"view": "frontal+lateral", "side": "left", "level": 6.0, "force_n": 30.0})
+    alone = aside.model_copy(update={"view": "frontal", "force_n": 15.0})
+    steps = (first.model_copy(update={"push": aside}), second.model_copy(update={"push": alone, "pays": True}))
+    sheet = protocol_page(plan.model_copy(update={"sequence": steps}), "anna")
+    rows = re.findall(r'<td class="number">([\d.]+)</td><td>(\w+)</td>\n', sheet)
+    assert rows == [("0", "frontal"), ("0", "lateral"), ("15", "frontal"), ("30", "frontal"), ("30", "lateral")]
+    assert "5 radiographs in 1 push" in sheet
+    assert "hold it until both are exposed" in sheet
+    one_view = (first.model_copy(update={"push": alone}),)
+    assert "hold it until both" not in protocol_page(plan.model_copy(update={"sequence": one_view}), "anna")
 
 
 def test_a_push_that_does_not_settle_is_left_out(scene, monkeypatch) -> None:
@@ -223,6 +305,10 @@ def test_before_any_push_a_plan_is_for_the_population(subject) -> None:
     write_json(path, content)
     marks = read_json(subject / "annotation.json")
     marks["images"] = {name: image for name, image in marks["images"].items() if name.startswith("rest/")}
+    aside = marks["images"]["rest/lateral"]["vertebrae"]
+    hidden = [name for name in aside if name in marks["images"]["rest/frontal"]["vertebrae"]][-3:]
+    for name in hidden:
+        del aside[name]
     write_json(subject / "annotation.json", marks)
     visit = open_visit(subject, Settings(mesh="coarse"))
     with pytest.raises(SubjectError, match=r"pushes is empty; spinestiff plan says which push to take first"):
@@ -232,6 +318,8 @@ def test_before_any_push_a_plan_is_for_the_population(subject) -> None:
     scene = scene_of(visit)
     assert scene.taken is None
     assert np.array_equal(scene.places, population_places())
+    assert set(scene.aside) == set(aside)
+    assert set(hidden) < set(scene.vertebrae)
     found = make_plan(replace(scene, places=scene.places[:2]), replace(SMALL, ribs=(8.0,), exposures=4))
     assert (found.basis, found.taken, found.now, found.estimated) == ("population", 0, {}, {})
     assert found.sequence[0].pays
@@ -274,6 +362,10 @@ def test_impossible_wishes_are_refused(scene) -> None:
             Wish(limit_n=limit)
     with pytest.raises(SubjectError, match="no side or no rib"):
         Wish(ribs=())
+    with pytest.raises(SubjectError, match=r"no view to take; give one of frontal, frontal\+lateral, or both"):
+        Wish(views=())
+    with pytest.raises(SubjectError, match="exposures for 1 frontal radiographs; a push seen as frontal takes 2"):
+        Wish(exposures=1)
     assert max(frame.force_n for frame in Wish(limit_n=77.77).frames) == 77.7
     with pytest.raises(SubjectError, match="the estimate has no ratio tissue"):
         make_plan(replace(scene, names=("lateral_bending",)), Wish(target="tissue"))

@@ -9,7 +9,7 @@ import pytest
 
 from spinestiff.errors import EquilibriumError, FitError, RadiographError, SubjectError
 from spinestiff.files import file_digest, read_json, write_json
-from spinestiff.study.runner import ALL_STEPS, STEPS, run_steps
+from spinestiff.study.runner import ALL_STEPS, STEPS, Step, run_steps
 from spinestiff.study.visit import Settings, open_visit
 from spinestiff.subject.folder import read_subject
 from spinestiff.subject.outcome_parts import OUTCOME_VERSION
@@ -139,6 +139,16 @@ def test_refits_are_an_input_of_the_report_while_they_are_of_this_estimate(subje
 
 
 # When they are redone
+
+
+def test_a_step_is_told_when_all_of_it_is_to_be_made_anew(subject):
+    asked = []
+    step = Step(lambda visit, say: asked.append(visit.settings.redo), (), (), (), lambda visit: ())
+    visit, known = open_visit(subject), {"new": step, "view": ALL_STEPS["view"]}
+    for force in (False, True, False):
+        run_steps(visit, ("new",), force=force, known=known)
+    assert asked == [False, True]
+    assert not visit.settings.redo
 
 
 def test_nothing_changed_nothing_is_redone(subject, dry):

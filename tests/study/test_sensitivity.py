@@ -127,6 +127,74 @@ def test_what_is_changed_reaches_the_trials(visit, monkeypatch) -> None:
     assert np.allclose(two - here, here - one, atol=0.1 * np.abs(two - here).max())
 
 
+def at_rib(visit, **levels):
+    """The visit with all loaded frames in training, and pushes at other ribs."""
+
+    def changed(push):
+        roles = tuple("training" if force > 0.0 else "unused" for force in push.forces_n)
+        return push.model_copy(update={"roles": roles, "level": levels.get(push.id, push.level)})
+
+    pushes = tuple(changed(push) for push in visit.subject.pushes)
+    return replace(
+        visit, subject=replace(visit.subject, record=visit.subject.record.model_copy(update={"pushes": pushes}))
+    )
+
+
+def test_a_push_at_the_last_rib_stays_while_the_others_are_shifted(visit, monkeypatch) -> None:
+    shifted = at_rib(visit, second=12.0)
+    basis = replace(basis_of(visit), visit=shifted)
+    heights = {}
+
+    def kept(self, pushes, start=None):
+        for item in pushes.training:
+            load = item.trial.load
+            up = load.points.positions(pushes.torso.rest_pose)[:, 1]
+            heights.setdefault(item.push, []).append(np.linalg.norm(load.forces, axis=1) @ up / load.size)
+        raise FitError("not fitted")
+
+    monkeypatch.setattr(type(basis), "refit", kept)
+    cases = [case for case in weighed_cases(basis) if case.what in ("nothing", "push level")]
+    assert [case.by for case in cases] == ["", "one rib higher", "one rib lower"]
+    for case in cases:
+        with pytest.raises(FitError, match="not fitted"):
+            case.fit(None)
+    same, higher, lower = (heights["main"][::3][i] for i in range(3))
+    assert higher > same + 5.0 > lower + 10.0
+    same, higher, lower = heights["second"]
+    # The last rib is short, and ends hardly lower than the one before it.
+    assert abs(higher - same) > 1.0
+    assert lower == same
+    found = sensitivity_study(shifted, say, lambda basis: [told("weighed", "nothing", "", tissue=0.05)])
+    assert [note for note in found.notes if note.startswith("push level")] == [
+        "push level: there is no rib 13 to push at ('second'): it stays at rib 12 while others are pushed one rib lower"
+    ]
+    monkeypatch.undo()
+    alone = replace(basis, visit=at_rib(visit, main=1.0, second=1.0))
+    levels = [case.by for case in weighed_cases(alone) if case.what == "push level"]
+    assert levels == ["one rib lower"]
+    found = sensitivity_study(alone.visit, say, lambda basis: [told("weighed", "nothing", "", tissue=0.05)])
+    assert "push level: there is no rib 0 to push at ('main'): no refit is one rib higher" in found.notes
+
+
+def test_what_a_stopped_run_left_is_made_anew_where_all_is_asked_for_again(visit) -> None:
+    made = []
+
+    def refit(by, fails=False):
+        def fit(start):
+            if fails:
+                raise KeyboardInterrupt
+            made.append(by)
+            return {"tissue": 0.05}
+
+        return Case("weighed", "force" if by else "nothing", by, fit, {})
+
+    with pytest.raises(KeyboardInterrupt):
+        sensitivity_study(visit, say, lambda basis: [refit(""), refit("+10 %", fails=True)])
+    again = replace(visit, settings=replace(visit.settings, redo=True))
+    sensitivity_study(again, say, lambda basis: [refit(""), refit("+10 %")])
+    assert made == ["", "", "+10 %"]
+
+
 def test_a_run_that_was_stopped_goes_on_where_it_was(visit) -> None:
     made = []
 

@@ -234,7 +234,9 @@ def estimate(
 @app.command()
 def plan(
     folder: Folder,
-    target: Annotated[str, typer.Option(help="What is to become narrow: bending, tissue or cobb.")] = "bending",
+    target: Annotated[
+        str, typer.Option(help="What is to become narrow: bending, tissue, rotation or cobb.")
+    ] = "bending",
     limit: Annotated[
         float, typer.Option(callback=within("N", push_limits), help="Largest force to propose, N.")
     ] = 80.0,
@@ -255,8 +257,18 @@ def plan(
             help="Dose of one radiograph, in the unit of --dose.",
         ),
     ] = None,
+    lateral_dose: Annotated[
+        float | None,
+        typer.Option(
+            callback=within("of any unit", dose_limits, above=True),
+            help="Dose of one lateral radiograph, in the unit of --dose; default that of --frame-dose.",
+        ),
+    ] = None,
     side: Annotated[str, typer.Option(help="Where to push: left, right or both.")] = "both",
     ribs: Annotated[str | None, typer.Option(help="Ribs to push, e.g. 5,7,9; default 5 to 10.")] = None,
+    views: Annotated[
+        str, typer.Option(help="Radiographs of a pushed state: frontal, frontal+lateral or both (compared).")
+    ] = "both",
     under: Annotated[
         str | None, typer.Option(help="With --target cobb: the push it is predicted under, SIDE,RIB,FORCE.")
     ] = None,
@@ -269,9 +281,10 @@ def plan(
     from spinestiff.study.visit import open_visit
     from spinestiff.subject.lock import sole_run
 
-    if dose is not None or frame_dose is not None:
-        exposures = exposures_of(dose, frame_dose)
-    wish = wish_of(target, limit, exposures, side, ribs, under, push_limits()[1])
+    budget, lateral_cost = float(exposures), 1.0
+    if any(given is not None for given in (dose, frame_dose, lateral_dose)):
+        budget, lateral_cost = exposures_of(dose, frame_dose, lateral_dose)
+    wish = wish_of(target, limit, budget, side, ribs, under, push_limits()[1], views, lateral_cost)
     visit = open_visit(folder)
     with sole_run(visit.subject.folder), progress(quiet=json) as say:
         found = plan_next(visit, wish, say)

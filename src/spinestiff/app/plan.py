@@ -2,29 +2,43 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 from rich.table import Table
 
 from spinestiff.app import tables
 from spinestiff.errors import OptionError
 from spinestiff.files import write_bytes, write_text
 from spinestiff.observer import Observer
-from spinestiff.study.plan import RIBS, SIDES, Frame, Wish, make_plan
+from spinestiff.study.plan import RIBS, ROUNDING, SIDES, VIEWS, Frame, Wish, make_plan
 from spinestiff.study.plan_scene import scene_of
-from spinestiff.study.plan_words import plan_lines, push_words, size_of, width
-from spinestiff.study.runner import run_steps
+from spinestiff.study.plan_words import VIEW_WORDS, plan_lines, push_words, size_of, width
+from spinestiff.study.runner import ALL_STEPS, PUSHES, run_steps
 from spinestiff.study.visit import Visit
 from spinestiff.subject.plan_outcome import Plan
-from spinestiff.subject.run_record import recorded_steps, write_outcome
+from spinestiff.subject.run_record import record_step, recorded_steps, step_record, write_outcome
 
-TARGETS = ("bending", "tissue", "cobb")
+TARGETS = ("bending", "tissue", "rotation", "cobb")
 MOST_EXPOSURES = 40
 SHOWN = 6  # single pushes in the table
 
 
 def wish_of(
-    target: str, limit_n: float, exposures: int, side: str, ribs: str | None, under: str | None, largest: float
+    target: str,
+    limit_n: float,
+    exposures: float,
+    side: str,
+    ribs: str | None,
+    under: str | None,
+    largest: float,
+    views: str = "both",
+    lateral_cost: float = 1.0,
 ) -> Wish:
     """What the options ask for.
+
+    Parameters
+    ----------
+    exposures, lateral_cost : see ``exposures_of``.
 
     Raises
     ------
@@ -35,23 +49,33 @@ def wish_of(
     if side not in (*SIDES, "both"):
         raise OptionError(f"--side {side}: wanted left, right or both")
     predicted = None if under is None else _frame(under, largest)
-    sides = SIDES if side == "both" else (side,)
-    return Wish(target, limit_n, exposures, sides, RIBS if ribs is None else _ribs(ribs), predicted)  # type: ignore[arg-type]
+    if views not in (*VIEWS, "both"):
+        raise OptionError(f"--views {views}: wanted {', '.join(VIEWS)} or both")
+    return Wish(
+        target,  # type: ignore[arg-type]
+        limit_n,
+        exposures,
+        SIDES if side == "both" else (side,),  # type: ignore[arg-type]
+        RIBS if ribs is None else _ribs(ribs),
+        predicted,
+        VIEWS if views == "both" else (views,),  # type: ignore[arg-type]
+        lateral_cost,
+    )
 
 
-def exposures_of(dose: float | None, frame_dose: float | None) -> int:
-    """Radiographs that a dose allows.
+def exposures_of(dose: float | None, frame_dose: float | None, lateral_dose: float | None) -> tuple[float, float]:
+    """Frontal radiographs that a dose allows, and what a lateral one costs of them.
 
     Raises
     ------
-    OptionError : one of the two is missing, or they allow no push, which takes two radiographs.
+    OptionError : the dose or that of a radiograph is missing, or they allow no push, which takes two radiographs.
     """
     if dose is None or frame_dose is None:
-        raise OptionError("--dose and --frame-dose belong together; give both or none")
-    count = int(min(dose / frame_dose + 1e-9, MOST_EXPOSURES))
-    if count < 2:
-        raise OptionError(f"--dose {dose:g}: allows {count} of {frame_dose:g}; a push takes 2 radiographs")
-    return count
+        raise OptionError("--dose and --frame-dose belong together, --lateral-dose to both; give both or none of them")
+    count = min(dose / frame_dose, float(MOST_EXPOSURES))
+    if count < 2.0 - ROUNDING:
+        raise OptionError(f"--dose {dose:g}: allows {int(count)} of {frame_dose:g}; a push takes 2 radiographs")
+    return count, 1.0 if lateral_dose is None else lateral_dose / frame_dose
 
 
 def _ribs(text: str) -> tuple[float, ...]:
@@ -92,7 +116,14 @@ def plan_next(visit: Visit, wish: Wish, say: Observer) -> Plan:
         run_steps(visit, ("personalise",), say)
     plan = make_plan(scene_of(visit), wish, lambda line: say(f"plan: {line}"))
     picture, sheet = as_png(draw_plan(plan)), protocol_page(plan, visit.subject.record.id)
-    write_outcome(visit.subject, plan)
+    subject = visit.subject
+    # Where an estimate is there, what it was made from and what it made; before any push what shapes the torso, and
+    # that there is no push.
+    step = "estimate" if plan.basis == "estimate" else "personalise"
+    inputs = {*ALL_STEPS[step].inputs(visit), *recorded_steps(subject)[step].outputs, PUSHES}
+    record = step_record(subject, inputs, asdict(wish))
+    write_outcome(subject, plan)
+    record_step(subject, Plan.STEP, record, [visit.file(Plan.FILE)])
     write_bytes(visit.file("plan.png"), picture)
     write_text(visit.file("protocol.html"), sheet)
     return plan
@@ -101,17 +132,18 @@ def plan_next(visit: Visit, wish: Wish, say: Observer) -> Plan:
 def show_plan(plan: Plan, visit: Visit) -> None:
     """Print what was planned."""
     table = Table(title="One more push", title_justify="left", title_style="bold")
-    for column in ("push", "exposures", "expected, 95 %"):
-        table.add_column(column, justify="left" if column == "push" else "right")
+    for column in ("push", "view", "exposures", "expected, 95 %"):
+        table.add_column(column, justify="left" if column in ("push", "view") else "right")
     for push in plan.next[:SHOWN]:
-        table.add_row(push_words(push), "2", width(plan, size_of(push)))
+        table.add_row(push_words(push), VIEW_WORDS[push.view], str(push.radiographs), width(plan, size_of(push)))
     tables.show(table)
     table = Table(title="One push after the other", title_justify="left", title_style="bold")
-    for column in ("push", "exposures so far", "expected, 95 %", "pays"):
-        table.add_column(column, justify="left" if column == "push" else "right")
+    for column in ("push", "view", "exposures so far", "expected, 95 %", "pays"):
+        table.add_column(column, justify="left" if column in ("push", "view") else "right")
     for step in plan.sequence:
-        words = width(plan, size_of(step.push))
-        table.add_row(push_words(step.push), str(step.exposures), words, "yes" if step.pays else "hardly")
+        push, words = step.push, width(plan, size_of(step.push))
+        pays = "yes" if step.pays else "hardly"
+        table.add_row(push_words(push), VIEW_WORDS[push.view], str(step.exposures), words, pays)
     tables.show(table)
     for line in plan_lines(plan):
         print(line)

@@ -137,6 +137,11 @@ class Noise:
     geometry : (6V, 6V) covariance of the rest poses (dt mm, dw rad), or None: known.
     priors : of everything else.
     positions : (V, 3) mm, the vertebrae at rest, where more is seen than corners of frontal radiographs.
+
+    Attributes
+    ----------
+    turns : (n, k) columns of the part "turn of the patient", which counts where more is seen than corners of frontal
+        radiographs; k = 0 where there is no more.
     """
 
     def __init__(
@@ -178,13 +183,13 @@ class Noise:
         if apart.any():
             marked = np.where(self._of_boxes, priors.marking_mm, priors.pedicle_mm) * apart
             self.parts["marks set by hand"] = np.diag(marked**2)
+        self.turns = np.zeros((self.size, 0))
         if positions is not None:
             self.parts["pedicles' places"] = _outer(self._pedicles(seen, still))
             turned = self._turned(seen, still, positions)
             own, shared = (float(np.deg2rad(sd)) for sd in (priors.place_yaw_deg, priors.stance_yaw_deg))
-            self.parts["turn of the patient"] = _outer(
-                np.column_stack([own * _by_group(turned, self._trial), shared * _by_group(turned, sequence)])
-            )
+            self.turns = np.column_stack([own * _by_group(turned, self._trial), shared * _by_group(turned, sequence)])
+            self.parts["turn of the patient"] = _outer(self.turns)
         own_error = np.zeros(self.size)
         tracked = np.zeros(self.size, dtype=bool)
         for i, one in enumerate(seen):

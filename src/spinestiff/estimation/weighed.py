@@ -111,6 +111,11 @@ class WeighedProblem:
     ----------
     trial_set : the trials under load. still : those without, and their torso's problems.
     ratio_prior : what is held of the ratios; None: they are flat in log.
+
+    Attributes
+    ----------
+    shown : numbers of each trial's radiographs, its own first. Own ones are numbered as the trials are, the loaded
+        first; those from other sides come after them.
     """
 
     def __init__(
@@ -154,6 +159,8 @@ class WeighedProblem:
         self._constant = self.noise.constant
         self._at_rest = at_rest
         self._loaded = len(trial_set.trials)
+        aside = [(one.radiograph, one.trial) for one in further if one.radiograph >= len(both)]
+        self.shown = tuple((i, *dict.fromkeys(n for n, trial in aside if trial == i)) for i in range(len(both)))
         self._further = tuple((len(both) + number, one.trial) for number, one in enumerate(further))
         """Place among what is seen, and trial, of what trials show beside their own corners."""
         self._sights = tuple(
@@ -236,6 +243,21 @@ class WeighedProblem:
         """Rows of what a trial shows beside its own corners; the loaded trials come first, then those without load."""
         rows = [np.arange(self.size)[self.noise.of(row)] for row, of in self._further if of == trial]
         return np.concatenate([np.zeros(0, dtype=np.int64), *rows])
+
+    @property
+    def radiographs(self) -> tuple[Ints, ...]:
+        """Rows of each radiograph, by its number (``shown``): of its corners, then of its pedicles."""
+        rows: dict[int, list[Ints]] = {}
+        for i, one in enumerate(self.noise.seen):
+            number = i if one.radiograph is None else one.radiograph
+            rows.setdefault(number, []).append(np.arange(self.size)[self.noise.of(i)])
+        return tuple(np.concatenate(rows[number]) for number in sorted(rows))
+
+    @property
+    def showing_more(self) -> frozenset[int]:
+        """Numbers of the radiographs that show more than corners of frontal ones."""
+        found = (self.noise.seen[row].radiograph for row, _ in self._further)
+        return frozenset(number for number in found if number is not None)
 
     @property
     def trials(self) -> int:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -66,6 +66,7 @@ BENCH = Priors(
     level_smoothness=0.0,
 )
 """What is not quite known of a phantom on a bench, where nothing breathes, stands anew or gives way."""
+F = TypeVar("F")
 Verdict = Literal["agrees", "does not agree", "can't be told"]
 # Where the fit begins, far from the bench value.
 START = 3.0
@@ -260,8 +261,10 @@ def analyse(record: PhantomRecord, images: Sequence[ImageCorners]) -> PhantomRes
 
     Raises
     ------
-    SpinestiffError : see ``build_phantom`` and ``fit_stiffness``; an error that the priors do not know.
+    SpinestiffError : see ``build_phantom`` and ``fit_stiffness``; an error that the priors do not know; a held-out
+        frame that shows no block of the picture without a push.
     """
+    _refuse_unlike(record, images)
     phantom = build_phantom(record)
     trials = [_trial(phantom, frame, image) for frame, image in zip(record.frames, images)]
     fitted = [trial for frame, trial in zip(record.frames, trials) if frame.use == "fit"]
@@ -293,6 +296,22 @@ def analyse(record: PhantomRecord, images: Sequence[ImageCorners]) -> PhantomRes
         fit.status.name,
         fit.warnings,
     )
+
+
+def _refuse_unlike(record: PhantomRecord, images: Sequence[ImageCorners]) -> None:
+    """Raise SubjectError where a held-out frame shows no block whose motion since rest can be told."""
+    rest = _rest_of(record, images)
+    for frame, image in zip(record.frames, images):
+        if frame.use == "predict" and frame.force_n > 0.0 and set(image.levels).isdisjoint(rest.levels):
+            raise SubjectError(
+                f"{CORNERS_FILE}: {image.image}: shows {', '.join(image.levels)}, and '{rest.image}', the picture "
+                f"without a push that its motion is counted from, {', '.join(rest.levels)}; mark a block that both show"
+            )
+
+
+def _rest_of(record: PhantomRecord, of_frames: Sequence[F]) -> F:
+    """Of something for each frame, that of the fitted frame without force from which motions are counted."""
+    return next(one for frame, one in zip(record.frames, of_frames) if frame.use == "fit" and frame.force_n == 0.0)
 
 
 def _rmse_of_marking(sd: float) -> float:
@@ -339,7 +358,7 @@ def _predicted(
     phantom: Phantom, fit: StiffnessFit, record: PhantomRecord, trials: Sequence[Trial]
 ) -> list[PredictedFrame]:
     torso, view = phantom.torso, phantom.view
-    at_rest = next(t for f, t in zip(record.frames, trials) if f.use == "fit" and f.force_n == 0.0)
+    at_rest = _rest_of(record, trials)
     shares = silhouette_shares(torso, view, torso.rest_pose)
     model_rest = state_features(torso, view, torso.rest_pose, shares).z
     found = []

@@ -1,16 +1,17 @@
 """Which push to take next: the radiographs that would make an estimate narrowest (``estimation.design``).
 
 Candidates are pushes from the sides and at the ribs that are allowed, each at half and at the whole of the largest
-force, each push with an unloaded radiograph first. All of them, and those that the estimate has been made from, are put
-into equilibrium at a few places where the ratios may lie; there, the 95 % interval that a set of them leaves follows to
-first order. What is reported is the mean over the places, of factors the geometric one.
+force, seen from the front or from the front and the side, with an unloaded radiograph of each push and view first. All
+of them, and those that the estimate has been made from, are put into equilibrium at a few places where the ratios may
+lie, once for both views; there, the 95 % interval that a set of radiographs leaves follows to first order. What is
+reported is the mean over the places, of factors the geometric one.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal
 
@@ -20,22 +21,24 @@ from scipy.stats import norm
 from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, StiffnessRatios
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import EquilibriumError, SubjectError
-from spinestiff.estimation.design import Design, design_at
+from spinestiff.estimation.design import Design, better_known, design_at
 from spinestiff.estimation.evaluation import TrialSet
-from spinestiff.estimation.objective import Trial
+from spinestiff.estimation.objective import Picture, Trial
 from spinestiff.estimation.profiles import CONFIDENCE, WIDTH_FACTOR
 from spinestiff.estimation.ratio_priors import ratio_prior
 from spinestiff.estimation.weighed import WeighedProblem
-from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
+from spinestiff.imaging.features import Features, VertebraCorners, silhouette_shares, state_features
+from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load
 from spinestiff.mechanics.push import PushSite, push_load, push_problem
 from spinestiff.observer import Observer
 from spinestiff.study.plan_scene import Scene
-from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep, Target
+from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlannedView, PlanStep, Target
 from spinestiff.words import counted
 
 LEAST_LIMIT_N = 5.0
@@ -46,21 +49,27 @@ DISCOMFORT_N = (116.0, 25.0)
 RIBS = (5.0, 6.0, 7.0, 8.0, 9.0, 10.0)
 SIDES: tuple[Literal["left", "right"], ...] = ("left", "right")
 SHARES = (0.5, 1.0)  # of the largest force
+VIEWS: tuple[PlannedView, ...] = ("frontal", "frontal+lateral")
 EXPOSURES = 8
 # A push under which vertebrae would turn against each other by more than this is not proposed.
 MOST_TURN = np.deg2rad(45.0)
 # An exposure pays if it narrows the log of the interval (or the degrees) by more than this share.
 PAYS = 0.03
+ROUNDING = 1e-9  # of a sum of costs
 # Quality of a corner that tracking follows well; its error is about 0.11 mm.
 QUALITY = 0.7
-RATIO_OF: Mapping[Target, str] = {"bending": "lateral_bending", "tissue": "tissue"}
+RATIO_OF: Mapping[Target, str] = {
+    "bending": "lateral_bending",
+    "tissue": "tissue",
+    "rotation": "axial_rotation",
+}
 # The paper's distances; they matter where forces on shoulder and pelvis are loads.
 D21_MM, D31_MM = 400.0, 200.0
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A radiograph under a push from ``side`` at rib ``level``, N."""
+    """A torso under a push from ``side`` at rib ``level``, N."""
 
     side: Literal["left", "right"]
     level: float
@@ -75,27 +84,39 @@ class Frame:
 
 
 @dataclass(frozen=True)
+class Candidate:
+    """What may be taken: a pushed state, and from where it is seen."""
+
+    frame: Frame
+    view: PlannedView
+
+
+@dataclass(frozen=True)
 class Wish:
     """What a plan is asked for.
 
     Attributes
     ----------
-    target : "bending", "tissue", or "cobb", the Cobb angle under the push ``predicted``.
-    limit_n : largest force. exposures : radiographs at most, unloaded ones included.
-    sides, ribs : where to push.
+    target : "bending", "tissue", "rotation" (about the axis), or "cobb", the Cobb angle under the push ``predicted``.
+    limit_n : largest force. exposures : radiographs at most, unloaded ones included, in frontal ones.
+    sides, ribs : where to push. views : of a pushed state.
+    lateral_cost : of a lateral radiograph, in frontal ones.
 
     Raises
     ------
     SubjectError : a Cobb angle without the push that it is to be predicted for, or the other way round; a force too
-        small to plan with; no push at all.
+        small to plan with; no push or no view at all; a lateral radiograph that costs nothing; too few exposures for
+        any push.
     """
 
     target: Target = "bending"
     limit_n: float = COMFORT_N
-    exposures: int = EXPOSURES
+    exposures: float = EXPOSURES
     sides: tuple[Literal["left", "right"], ...] = SIDES
     ribs: tuple[float, ...] = RIBS
     predicted: Frame | None = None
+    views: tuple[PlannedView, ...] = VIEWS
+    lateral_cost: float = 1.0
 
     def __post_init__(self) -> None:
         if self.target == "cobb" and self.predicted is None:
@@ -106,10 +127,22 @@ class Wish:
             raise SubjectError(f"a largest force of {self.limit_n:g} N; wanted {LEAST_LIMIT_N:g} N or more")
         if not self.sides or not self.ribs:
             raise SubjectError("no side or no rib to push; give at least one of each")
+        if not self.views:
+            raise SubjectError(f"no view to take; give one of {', '.join(VIEWS)}, or both")
+        if not 0.0 < self.lateral_cost < math.inf:
+            raise SubjectError(
+                f"a lateral radiograph that costs {self.lateral_cost:g} frontal ones; wanted a number above 0"
+            )
+        # An unloaded and a loaded one of each view.
+        least = 2.0 if "frontal" in self.views else 2.0 * (1.0 + self.lateral_cost)
+        if not self.exposures >= least - ROUNDING:
+            raise SubjectError(
+                f"exposures for {self.exposures:g} frontal radiographs; a push seen as {self.views[0]} takes {least:g}"
+            )
 
     @property
     def frames(self) -> list[Frame]:
-        """All candidates."""
+        """All pushed states."""
         pushes = product(self.sides, self.ribs, SHARES)
         # Down, so that none is above the limit.
         return [Frame(side, rib, math.floor(10.0 * share * self.limit_n + 1e-9) / 10.0) for side, rib, share in pushes]
@@ -126,11 +159,15 @@ def make_plan(scene: Scene, wish: Wish, say: Observer = lambda line: None) -> Pl
     if wish.target != "cobb" and RATIO_OF[wish.target] not in scene.names:
         raise SubjectError(
             f"the estimate has no ratio {RATIO_OF[wish.target]} (it has {', '.join(scene.names)}); "
-            "run spinestiff estimate with lateral_bending,tissue, or choose another target"
+            f"run spinestiff estimate with {RATIO_OF[wish.target]} among its --parameters, or choose another target"
         )
     carried = _Carried(scene, wish, say)
     widths = _Widths(scene, wish, carried, say)
     return _composed(scene, wish, carried, widths, say)
+
+
+def _at_rest(torso: TorsoModel, view: XRayView) -> Features:
+    return state_features(torso, view, torso.rest_pose, silhouette_shares(torso, view, torso.rest_pose))
 
 
 class _Carried:
@@ -140,9 +177,13 @@ class _Carried:
         torso, taken = scene.torso, scene.taken
         self.groups = parameter_groups(torso, scene.names)
         self._problems: dict[str, EquilibriumProblem] = {}
-        rest = state_features(torso, scene.view, torso.rest_pose, silhouette_shares(torso, scene.view, torso.rest_pose))
+        rest = _at_rest(torso, scene.view)
         corners = VertebraCorners(torso.vertebrae, rest.corners).selected(scene.vertebrae)
         tracked = VertebraCorners(corners.vertebrae, corners.corners, np.full(corners.corners.shape[:2], QUALITY))
+        self._aside: tuple[VertebraCorners, XRayView] | None = None
+        if any(view != "frontal" for view in wish.views):
+            seen = VertebraCorners(torso.vertebrae, _at_rest(torso, scene.lateral).corners)
+            self._aside = seen.selected(scene.aside), scene.lateral
         self.known: list[tuple[EquilibriumProblem, Trial]] = []
         self.known_still: list[tuple[EquilibriumProblem, Trial]] = []
         for item in taken.fitted if taken else ():
@@ -156,7 +197,11 @@ class _Carried:
             load = push_load(torso, site, frame.force_n, scene.rig, str(frame))
             return self._problems[frame.side], Trial(load, seen, scene.view, str(frame), push, by_hand)
 
-        planned = {frame: trial(frame, frame.push, tracked, False) for frame in wish.frames}
+        planned = {
+            frame: (problem, self._from_aside(one))
+            for frame in wish.frames
+            for problem, one in [trial(frame, frame.push, tracked, False)]
+        }
         self.predicted = (
             None if wish.predicted is None else trial(wish.predicted, f"predicted {wish.predicted}", corners, True)
         )
@@ -197,11 +242,25 @@ class _Carried:
         ]
         self.pushes = list(dict.fromkeys(frame.push for frame in self.frames))
         self.still = [
-            (planned[f][0], Trial(no_load(), corners, scene.view, f"{push} unloaded", push, annotated=True))
+            (
+                planned[f][0],
+                self._from_aside(Trial(no_load(), corners, scene.view, f"{push} unloaded", push, annotated=True)),
+            )
             for push in self.pushes
             for f in [next(frame for frame in self.frames if frame.push == push)]
         ]
+        self.candidates = [Candidate(frame, view) for frame in self.frames for view in VIEWS if view in wish.views]
         self.end_vertebrae = self._curve(scene, corners)
+
+    def _from_aside(self, trial: Trial) -> Trial:
+        """A trial that is to be taken, with a lateral radiograph beside where one is allowed.
+
+        Where its corners are taken from does not matter; a plan depends on what they tell of a change.
+        """
+        if self._aside is None:
+            return trial
+        corners, view = self._aside
+        return replace(trial, further=(Picture(corners, view, f"{trial.label} lateral", f"{trial.push} lateral"),))
 
     @staticmethod
     def _chain(trials: Sequence[tuple[EquilibriumProblem, Trial]], ratios: StiffnessRatios) -> list[TorsoState]:
@@ -267,19 +326,19 @@ class _Widths:
         problem = WeighedProblem(trials, still, seen_as, known.priors, known.geometry, known.taped, held)
         better = {"trunk size": known.priors.trunk_taped / max(known.priors.trunk, 1e-300)}
         self.designs: list[Design] = []
-        self.taped: list[Design] = []
         for number, (place, states) in enumerate(zip(carried.places, carried.states)):
             say(f"place {number + 1} of {len(carried.places)}: what each radiograph would tell")
-            point = problem.solve(place, np.zeros(len(problem.unknowns)), starts=states)
-            slope = problem.slope(point)
-            self.designs.append(design_at(problem, point, slope, scene.tracking_factor))
-            if not known.taped:
-                self.taped.append(design_at(problem, point, slope, scene.tracking_factor, better))
-        first_still = len(loaded)
-        self.taken = (*range(len(carried.known)), *range(first_still, first_still + len(carried.known_still)))
-        self._of_frame = {frame: len(carried.known) + i for i, frame in enumerate(carried.frames)}
-        planned_still = first_still + len(carried.known_still)
-        self._of_push = {push: planned_still + i for i, push in enumerate(carried.pushes)}
+            self.designs.append(_told(problem, place, states, scene.tracking_factor))
+        self.taped = [] if known.taped else [better_known(one, problem.unknowns, better) for one in self.designs]
+        shown = iter(problem.shown)
+        known_ones = [n for _ in carried.known for n in next(shown)]
+        self._of_frame = {frame: next(shown) for frame in carried.frames}
+        if carried.predicted is not None:
+            next(shown)
+        self.taken = (*known_ones, *(n for _ in carried.known_still for n in next(shown)))
+        self._of_push = {push: next(shown) for push in carried.pushes}
+        self._own = problem.trials
+        self._lateral_cost = wish.lateral_cost
         self._unseen = len(loaded) - 1 if carried.predicted is not None else None
         if self._unseen is not None:
             self._weights = problem.noise.boxes(self._unseen).turning(*carried.end_vertebrae)
@@ -287,10 +346,15 @@ class _Widths:
         self._index = None if wish.target == "cobb" else scene.names.index(RATIO_OF[wish.target])
         self._widest = 0.5 * float(np.log(RATIO_BOUNDS[1] / RATIO_BOUNDS[0]))
 
-    def radiographs(self, frame: Frame, taken: Sequence[int]) -> tuple[int, ...]:
-        """Numbers of those that taking a frame adds: its own, and its push's unloaded one if there is none yet."""
-        still = self._of_push[frame.push]
-        return (self._of_frame[frame],) if still in taken else (still, self._of_frame[frame])
+    def radiographs(self, candidate: Candidate, taken: Sequence[int]) -> tuple[int, ...]:
+        """Numbers of those that taking it adds: its own, and the unloaded ones of its push that there are not yet."""
+        views = 1 if candidate.view == "frontal" else 2
+        wanted = self._of_push[candidate.frame.push][:views] + self._of_frame[candidate.frame][:views]
+        return tuple(number for number in wanted if number not in taken)
+
+    def cost(self, radiographs: Sequence[int]) -> float:
+        """In frontal ones."""
+        return sum(1.0 if number < self._own else self._lateral_cost for number in radiographs)
 
     def of(self, taken: Sequence[int], taped: bool = False) -> _Width:
         """Mean over the places."""
@@ -311,51 +375,72 @@ class _Widths:
         return width.degrees
 
 
+def _told(problem: WeighedProblem, place: Floats, states: Sequence[TorsoState], tracking_factor: float) -> Design:
+    """What each radiograph would tell at a place; the tangents, which are large, end with this call."""
+    point = problem.solve(place, np.zeros(len(problem.unknowns)), starts=states)
+    return design_at(problem, point, problem.slope(point), tracking_factor)
+
+
+@dataclass(frozen=True)
+class _Option:
+    """A candidate after what was taken: radiographs that it adds, their cost, what all of them leave."""
+
+    candidate: Candidate
+    added: tuple[int, ...]
+    cost: float
+    width: _Width
+
+
 def _composed(scene: Scene, wish: Wish, carried: _Carried, widths: _Widths, say: Observer) -> Plan:
-    def described(frame: Frame, width: _Width) -> PlannedPush:
+    def described(option: _Option) -> PlannedPush:
+        frame, width = option.candidate.frame, option.width
         factors = {name: round(float(np.exp(log)), 3) for name, log in zip(scene.names, width.logs)}
         ratio = wish.target != "cobb"
         return PlannedPush(
             side=frame.side,
             level=frame.level,
             force_n=frame.force_n,
+            view=option.candidate.view,
+            radiographs=len(option.added),
             expected_factor=factors[RATIO_OF[wish.target]] if ratio else None,
             expected_deg=None if ratio or width.degrees is None else round(width.degrees, 2),
             factors=factors,
         )
 
-    def after(frame: Frame, taken: tuple[int, ...]) -> tuple[tuple[int, ...], _Width]:
-        both = (*taken, *widths.radiographs(frame, taken))
-        return both, widths.of(both)
+    def options(taken: tuple[int, ...], at_most: float) -> list[_Option]:
+        """All that add something, in the candidates' order."""
+        found = []
+        for candidate in carried.candidates:
+            added = widths.radiographs(candidate, taken)
+            if added and (cost := widths.cost(added)) <= at_most + ROUNDING:
+                found.append(_Option(candidate, added, cost, widths.of((*taken, *added))))
+        return found
+
+    def narrowness(one: tuple[PlannedPush, _Option]) -> tuple[float, int]:
+        """As it is told, so that of two that come to the same the one with fewer radiographs is the better."""
+        push = one[0]
+        told = push.expected_deg if push.expected_factor is None else push.expected_factor
+        return told or 0.0, push.radiographs
 
     say("comparing")
-    singles = [(frame, after(frame, widths.taken)[1]) for frame in carried.frames]
-    singles.sort(key=lambda one: widths.size(one[1]))
-    taken, left, sequence = widths.taken, list(carried.frames), list[PlanStep]()
-    now = widths.of(taken) if taken else None
-    size = np.inf if now is None else widths.size(now)
-    exposures, pays = 0, True
-    while left:
-        say(f"sequence: {counted(exposures, 'exposure')} of {wish.exposures}")
-        fitting = [f for f in left if exposures + len(widths.radiographs(f, taken)) <= wish.exposures]
-        if not fitting:
+    singles = sorted(((described(one), one) for one in options(widths.taken, np.inf)), key=narrowness)
+    taken, sequence = widths.taken, list[PlanStep]()
+    size, spent, pays = widths.size(widths.of(taken)), 0.0, True
+    while True:
+        count = len(taken) - len(widths.taken)
+        say(f"sequence: {counted(count, 'exposure')}")
+        found = options(taken, wish.exposures - spent)
+        if not found:
             break
-        options = [(frame, *after(frame, taken)) for frame in fitting]
-
-        def gain(option: tuple[Frame, tuple[int, ...], _Width], before: float = size, had: int = len(taken)) -> float:
-            more = len(option[1]) - had
-            # Without anything before, the narrowest.
-            return -widths.size(option[2]) if np.isinf(before) else (before - widths.size(option[2])) / more
-
-        frame, both, width = max(options, key=gain)
-        more = len(both) - len(taken)
-        pays = pays and (np.isinf(size) or 1.0 - widths.size(width) / size > PAYS * more)
-        exposures, taken, size = exposures + more, both, widths.size(width)
-        left.remove(frame)
-        sequence.append(PlanStep(push=described(frame, width), exposures=exposures, pays=bool(pays)))
+        before = size
+        best = min(found, key=lambda one: (widths.size(one.width) - before) / one.cost)
+        taken, spent, size = (*taken, *best.added), spent + best.cost, widths.size(best.width)
+        pays = pays and 1.0 - size / before > PAYS * best.cost
+        sequence.append(PlanStep(push=described(best), exposures=count + len(best.added), pays=bool(pays)))
+    now = widths.of(widths.taken) if widths.taken else None
     taped = None
     if widths.taped:
-        with_tape = widths.of(widths.taken or after(singles[0][0], ())[0], taped=True)
+        with_tape = widths.of(widths.taken or singles[0][1].added, taped=True)
         taped = widths.size(with_tape)
         taped = round(taped if wish.target == "cobb" else float(np.exp(taped)), 3)
     notes = [*scene.doubts, *_left_out(carried.left_out)]
@@ -370,7 +455,7 @@ def _composed(scene: Scene, wish: Wish, carried: _Carried, widths: _Widths, say:
         now={} if now is None else {n: round(float(np.exp(v)), 3) for n, v in zip(scene.names, now.logs)},
         estimated={name: round(factor, 3) for name, factor in scene.intervals.items()},
         now_deg=None if now is None or now.degrees is None else round(now.degrees, 2),
-        next=tuple(described(*one) for one in singles),
+        next=tuple(push for push, _ in singles),
         sequence=tuple(sequence),
         taped=taped,
         predicted=None

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_text
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.push import Rig
-from spinestiff.personalise.pose import align_view
+from spinestiff.personalise.pose import align_view, posed
 from spinestiff.study.trials import Known, PushSet, known_of, rig_of
 from spinestiff.study.visit import USUAL, Visit, load_pushes, load_start, torso_on
-from spinestiff.subject.folder import image_corners, read_rest
+from spinestiff.subject.folder import Subject, image_corners, read_rest
 from spinestiff.subject.outcomes import Estimate, GeometryRecord
+from spinestiff.subject.records import LATERAL
 from spinestiff.subject.run_record import read_outcome, recorded_steps, refuse_changed, result_path
 
 # Lateral bending and tissue: the geometric mean of Table 4, and half a decade or so around it either way.
@@ -39,6 +41,7 @@ class Scene(ShortRepr):
     tracking_factor : of the size of tracking's errors. population : whose ratios are held.
     intervals : name -> the factor, either way on average, of the 95 % interval that the estimate has, if it is closed.
     doubts : about the estimate, in words.
+    marked_aside : vertebrae that a lateral radiograph shows; None: those that the frontal one does.
     """
 
     torso: TorsoModel
@@ -53,6 +56,17 @@ class Scene(ShortRepr):
     population: str | None = None
     intervals: Mapping[str, float] = field(default_factory=dict)
     doubts: tuple[str, ...] = ()
+    marked_aside: tuple[str, ...] | None = None
+
+    @property
+    def aside(self) -> tuple[str, ...]:
+        """Vertebrae that a lateral radiograph shows."""
+        return self.vertebrae if self.marked_aside is None else self.marked_aside
+
+    @property
+    def lateral(self) -> XRayView:
+        """From the side: as ``view``, with the patient turned by a quarter."""
+        return posed(self.view, np.zeros(2), 0.0, 0.5 * np.pi)
 
 
 def population_places() -> Floats:
@@ -93,8 +107,13 @@ def scene_of(visit: Visit) -> Scene:
             f"{subject.folder}: pelvis is 'dead-loads', whose distances d21 and d31 are not known of a push that was "
             "not taken; plan with another pelvis"
         )
-    if "estimate" in recorded_steps(subject) and visit.file(Estimate.FILE).exists():
-        return _of_estimate(visit)
+    estimated = "estimate" in recorded_steps(subject) and visit.file(Estimate.FILE).exists()
+    scene = _of_estimate(visit) if estimated else _of_population(visit)
+    return replace(scene, marked_aside=_marked_aside(subject))
+
+
+def _of_population(visit: Visit) -> Scene:
+    subject = visit.subject
     if subject.pushes:
         raise SubjectError(
             f"{subject.folder}: pushes were taken, but there is no estimate from them; run spinestiff run first"
@@ -156,6 +175,14 @@ def _of_estimate(visit: Visit) -> Scene:
         },
         _doubts(estimate),
     )
+
+
+def _marked_aside(subject: Subject) -> tuple[str, ...] | None:
+    """Vertebrae that are marked in the lateral rest radiograph; None: there is none."""
+    if LATERAL not in subject.annotation.images:
+        return None
+    marked = subject.annotation.images[LATERAL].vertebrae
+    return tuple(name for name in VERTEBRAE if name in marked)
 
 
 def _doubts(estimate: Estimate) -> tuple[str, ...]:

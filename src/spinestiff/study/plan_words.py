@@ -8,12 +8,23 @@ from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
 from spinestiff.words import counted
 
 NONE_PAYS = "no further radiograph pays: the best one narrows it by less than 3 % an exposure"
-TITLES = {"bending": "lateral bending", "tissue": "tissue", "cobb": "predicted Cobb angle"}
+TITLES = {
+    "bending": "lateral bending",
+    "tissue": "tissue",
+    "rotation": "axial rotation",
+    "cobb": "predicted Cobb angle",
+}
+VIEW_WORDS = {"frontal": "frontal", "frontal+lateral": "frontal and lateral"}
 
 
 def push_words(push: PlannedPush) -> str:
     """E.g. "rib 8 right, 60 N"."""
     return f"rib {push.level:g} {push.side}, {push.force_n:g} N"
+
+
+def taken_words(push: PlannedPush) -> str:
+    """The same with its view, e.g. "rib 8 right, 60 N, frontal"."""
+    return f"{push_words(push)}, {VIEW_WORDS[push.view]}"
 
 
 def size_of(push: PlannedPush) -> float:
@@ -36,6 +47,12 @@ def pays(plan: Plan) -> tuple[PlanStep, ...]:
     return tuple(step for step in plan.sequence if step.pays)
 
 
+def other_view(plan: Plan, push: PlannedPush) -> PlannedPush | None:
+    """The same single push seen otherwise; None where one view alone was planned with."""
+    same = (one for one in plan.next if (one.side, one.level, one.force_n) == (push.side, push.level, push.force_n))
+    return next((one for one in same if one.view != push.view), None)
+
+
 def plan_lines(plan: Plan) -> list[str]:
     """What a plan says, in sentences."""
     what, found = TITLES[plan.target], []
@@ -52,8 +69,14 @@ def plan_lines(plan: Plan) -> list[str]:
     worth = pays(plan)
     if not worth:
         return [*found, NONE_PAYS, *(f"note: {note}" for note in plan.notes)]
-    best, last = plan.next[0], worth[-1]
-    found.append(f"best next: {push_words(best)}, expected {width(plan, size_of(best))}")
+    best, last = plan.sequence[0].push, worth[-1]
+    found.append(f"best next: {taken_words(best)}, expected {width(plan, size_of(best))}")
+    other = other_view(plan, best)
+    if other is not None:
+        seen = "with a lateral radiograph beside each" if best.view == "frontal" else "with frontal radiographs alone"
+        found.append(
+            f"{seen}: {width(plan, size_of(other))} ({other.radiographs} in place of {best.radiographs} exposures)"
+        )
     until = f"{counted(last.exposures, 'exposure')} ({width(plan, size_of(last.push))})"
     if len(worth) < len(plan.sequence):
         found.append(f"further radiographs hardly narrow it after {until}")

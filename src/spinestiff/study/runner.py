@@ -3,14 +3,15 @@
 ``track`` -> ``response`` -> ``personalise`` -> ``estimate`` -> ``assess`` -> ``report``. Results go to ``results/`` in
 the folder.
 ``view``, the 3D page alone, needs no report; the report brings it along. ``frames`` needs the tracking alone.
-``parameters`` and ``sensitivity`` need the estimate; the report shows the latter where it is there and up to date.
+``parameters`` and ``sensitivity`` need the estimate; the report shows the latter where it is there and up to date, and
+so a plan (``spinestiff plan``), which is asked for anew each time and is no step.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from spinestiff.errors import SubjectError
@@ -172,7 +173,7 @@ ALL_STEPS: Mapping[str, Step] = {
         ("tracked.json", "response.json", *SHAPE, "estimate.json", "assessment.json", "predictions.npz"),
         lambda visit: ("report.html", "view.html"),
         _truth,
-        also=("sensitivity",),
+        also=("sensitivity", "plan"),
     ),
     "view": Step(
         step_functions.view_step,
@@ -198,7 +199,7 @@ def run_steps(
 
     Parameters
     ----------
-    steps : names of those wanted. force : run even what is current.
+    steps : names of those wanted. force : run even what is current, and nothing of a run that was stopped is kept.
     known : every step by name, in the order in which they run.
 
     Raises
@@ -206,6 +207,8 @@ def run_steps(
     SpinestiffError : the first step that fails; what was written before stays.
     """
     say = observer or (lambda line: None)
+    if force:
+        visit = replace(visit, settings=replace(visit.settings, redo=True))
     if not visit.subject.pushes and set(steps) - WITHOUT_PUSHES:
         path = visit.subject.folder / SUBJECT_FILE
         raise SubjectError(f"{path}: pushes is empty; spinestiff plan says which push to take first")

@@ -114,9 +114,10 @@ def _digest(visit: Visit) -> str:
 
 
 def _earlier(visit: Visit, digest: str) -> tuple[Refit, ...]:
-    """Refits of a run that was stopped; none if it wasn't, or of another estimate or mesh, or there is no such file."""
+    """Refits of a run that was stopped; none if it wasn't, or of another estimate or mesh, or there is no such file, or
+    all are to be made anew."""
     path = visit.file(Sensitivity.FILE)
-    if not path.is_file():
+    if visit.settings.redo or not path.is_file():
         return ()
     try:
         found = Sensitivity.model_validate_json(read_text(path), strict=True)
@@ -186,11 +187,25 @@ def _notes(basis: Basis) -> list[str]:
     found = []
     if not has_start(basis.visit):
         found.append("mesh: the torso is on one mesh alone, so that there is no other one to compare with")
-    for push in _trained(basis.visit):
-        for sign in SIGNS:
-            if not LEVELS[0] <= push.level + sign <= LEVELS[1]:
-                found.append(f"push level: there is no rib {push.level + sign:g} to push at ('{push.id}')")
+    for sign in SIGNS:
+        movable = _movable(basis.visit, sign)
+        for push in _trained(basis.visit):
+            if push.id not in movable:
+                then = f"it stays at rib {push.level:g} while others are pushed" if movable else "no refit is"
+                found.append(
+                    f"push level: there is no rib {push.level + sign:g} to push at ('{push.id}'): {then} "
+                    f"{_rib_words(sign)}"
+                )
     return found
+
+
+def _rib_words(sign: int) -> str:
+    return f"one rib {'lower' if sign > 0 else 'higher'}"
+
+
+def _movable(visit: Visit, sign: int) -> set[str]:
+    """Ids of the training pushes that have a rib lower, or higher with -1, to push at."""
+    return {push.id for push in _trained(visit) if LEVELS[0] <= push.level + sign <= LEVELS[1]}
 
 
 def _trained(visit: Visit) -> list[PushRecord]:
@@ -226,8 +241,8 @@ def weighed_cases(basis: Basis) -> Iterator[Case]:
     for sign in SIGNS:
         yield case("force", _percent(sign * FORCE), with_force(visit, 1.0 + sign * FORCE))
     for sign in SIGNS:
-        if all(LEVELS[0] <= push.level + sign <= LEVELS[1] for push in _trained(visit)):
-            yield case("push level", f"one rib {'lower' if sign > 0 else 'higher'}", _with_level(visit, sign))
+        if _movable(visit, sign):
+            yield case("push level", _rib_words(sign), _with_level(visit, sign))
     for other in ORIENTATIONS:
         if other != estimate.orientation:
             yield case("corners", other, orientation=other)
@@ -289,8 +304,8 @@ def with_force(visit: Visit, factor: float) -> Visit:
 
 
 def _with_level(visit: Visit, ribs: int) -> Visit:
-    """Every training push some ribs lower."""
-    moved = {push.id for push in _trained(visit)}
+    """Every training push that has such a rib one lower, or higher with -1."""
+    moved = _movable(visit, ribs)
     return _with_pushes(
         visit, lambda push: push.model_copy(update={"level": push.level + ribs}) if push.id in moved else push
     )

@@ -38,6 +38,7 @@ class Settings:
     method : "weighed" or "paper". orientation : "procrustes" or "covariance".
     parameters : ratios to estimate, by name (``anatomy.regions``); None: those of ``subject.json``, else ``USUAL``.
     population : whose ratios are held as a prior; "none": nobody's; None: as ``subject.json`` says.
+    redo : make everything anew, also what a run that was stopped has left.
     """
 
     mesh: str = "fine"
@@ -45,6 +46,7 @@ class Settings:
     orientation: str = "procrustes"
     parameters: tuple[str, ...] | None = None
     population: str | None = None
+    redo: bool = False
 
     def __post_init__(self) -> None:
         if self.parameters is not None:

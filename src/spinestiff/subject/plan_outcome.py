@@ -6,7 +6,9 @@ from typing import ClassVar, Literal
 
 from spinestiff.subject.outcome_parts import Outcome, OutcomeFile
 
-Target = Literal["bending", "tissue", "cobb"]
+Target = Literal["bending", "tissue", "rotation", "cobb"]
+PlannedView = Literal["frontal", "frontal+lateral"]
+"""What is taken of a pushed state: a frontal radiograph, or a lateral one beside it."""
 
 
 class PlannedPush(Outcome):
@@ -14,7 +16,8 @@ class PlannedPush(Outcome):
 
     Attributes
     ----------
-    side : pushed, the patient's. level : rib. force_n : N. view : of the radiograph.
+    side : pushed, the patient's. level : rib. force_n : N. view : what is taken of the pushed state.
+    radiographs : that this adds to those before, unloaded ones included.
     expected_factor : either way, the 95 % interval of the target ratio once this is taken, too; None where the target
         is an angle.
     expected_deg : either way, of the predicted Cobb angle; None where the target is a ratio.
@@ -24,7 +27,8 @@ class PlannedPush(Outcome):
     side: Literal["left", "right"]
     level: float
     force_n: float
-    view: Literal["frontal"] = "frontal"
+    view: PlannedView = "frontal"
+    radiographs: int
     expected_factor: float | None
     expected_deg: float | None = None
     factors: dict[str, float]

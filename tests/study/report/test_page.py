@@ -53,8 +53,9 @@ from spinestiff.subject.outcomes import (
     Tracked,
     TrackedPush,
 )
+from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
 from spinestiff.subject.records import Annotation, ImageAnnotation, PushRecord, SubjectRecord
-from spinestiff.subject.run_record import read_outcome, write_outcome
+from spinestiff.subject.run_record import read_outcome, record_step, step_record, write_outcome
 from spinestiff.subject.sensitivity_outcome import Refit, Sensitivity
 
 TRUE = {"lateral_bending": 0.22, "tissue": 0.045}
@@ -430,6 +431,48 @@ def test_refits_are_shown_where_they_are_of_this_estimate(visit: Visit, html: st
     path.write_text(path.read_text(encoding="utf-8") + " ", encoding="utf-8")
     assert "If something had been otherwise" not in written(again)
     assert not list(again.file("figures").glob("*-sensitivity.png"))
+
+
+def test_a_plan_is_shown_where_it_is_of_this_estimate_and_named_where_it_is_not(
+    visit: Visit, html: str, tmp_path: Path
+) -> None:
+    assert "Which push next" not in html
+    shutil.copytree(visit.subject.folder, tmp_path / "girl")
+    again = open_visit(tmp_path / "girl")
+
+    def push(level: float, factor: float, view: str, radiographs: int) -> PlannedPush:
+        return PlannedPush(
+            side="left", level=level, force_n=60.0, view=view, radiographs=radiographs, expected_factor=factor,
+            factors={"lateral_bending": factor, "tissue": 1.5},
+        )  # fmt: skip
+
+    near, far, aside = push(6.0, 1.4, "frontal", 2), push(8.0, 1.6, "frontal", 2), push(6.0, 1.39, "frontal+lateral", 4)
+    plan = Plan(
+        target="bending", limit_n=60.0, basis="estimate", taken=3, now={"lateral_bending": 2.1, "tissue": 1.9},
+        now_deg=None, estimated={}, next=(aside, near, far), taped=None,
+        sequence=(PlanStep(push=near, exposures=2, pays=True), PlanStep(push=far, exposures=4, pays=False)),
+    )  # fmt: skip
+    write_outcome(again.subject, plan)
+    made_from = step_record(again.subject, [f"results/{Estimate.FILE}"], {})
+    record_step(again.subject, Plan.STEP, made_from, [again.file(Plan.FILE)])
+    shown = Page(written(again))
+    assert tuple(shown.all("section", "id")) == (*SECTIONS[:6], "plan", *SECTIONS[6:])
+    assert set(shown.all("a", "href")) >= {"#plan"}
+    assert "rib 6 left, 60 N: within a factor of 1.4" in " ".join(shown.all("img", "alt"))
+    assert "Best next: rib 6 left, 60 N, frontal, expected within a factor of 1.4" in shown.words
+    assert "Further radiographs hardly narrow it after 2 exposures" in shown.words
+    assert [path.name for path in sorted(again.file("figures").glob("*.png"))][-1].endswith("-plan.png")
+    path = again.file(Estimate.FILE)
+    path.write_text(path.read_text(encoding="utf-8") + " ", encoding="utf-8")
+    register(again.subject, "estimate", Estimate.FILE)
+    stale = Page(written(again))
+    assert "A plan is not shown: results/plan.json was made before results/estimate.json changed" in stale.words
+    assert "Best next" not in stale.words
+    assert not list(again.file("figures").glob("*-plan.png"))
+    write_outcome(again.subject, plan.model_copy(update={"limit_n": 50.0}))
+    record_step(again.subject, Plan.STEP, step_record(again.subject, [], {}), [again.file(Plan.FILE)])
+    again.file(Plan.FILE).write_text("{}", encoding="utf-8")
+    assert "results/plan.json is not as spinestiff plan wrote it; run spinestiff plan again" in written(again)
 
 
 def test_every_section_is_there_and_linked(page: Page) -> None:

@@ -51,6 +51,8 @@ from spinestiff.subject.outcomes import (
     Responses,
     Tracked,
 )
+from spinestiff.subject.plan_outcome import Plan
+from spinestiff.subject.run_record import changed_inputs
 from spinestiff.subject.sensitivity_outcome import Sensitivity
 
 # Secant lateral-bending stiffness of cadaver thoracic segments at 7.5 N m (Wilke et al. 2017), N m/degree.
@@ -328,6 +330,13 @@ def sensitivity_content(found: Sensitivity) -> dict[str, Any]:
         "columns": tuple(FORCE_COLUMNS),
         "rows": [{"title": title, "cells": force_cells(percent)} for title, percent in force_rows(found)],
     }
+
+
+def stale_plan(visit: Visit) -> str:
+    """Why a plan is not shown."""
+    changed = changed_inputs(visit.subject, Plan.STEP)
+    why = f"was made before {changed[0]} changed" if changed else "is not as spinestiff plan wrote it"
+    return f"{visit.subject.results.name}/{Plan.FILE} {why}; run spinestiff plan again"
 
 
 def _gain(estimate: Estimate, name: str) -> dict[str, str]:

@@ -24,6 +24,7 @@ from spinestiff.imaging.features import picture_axes, silhouette_shares, state_f
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.observer import Observer
+from spinestiff.study.plan_words import TITLES, plan_lines, push_words, size_of, width
 from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.report.certainty_pictures import ProfileCurve, draw_profiles, draw_support_places
 from spinestiff.study.report.content import (
@@ -40,6 +41,7 @@ from spinestiff.study.report.content import (
     response_content,
     result_content,
     sensitivity_content,
+    stale_plan,
     subject_content,
     support_places,
     support_rows,
@@ -60,6 +62,7 @@ from spinestiff.study.report.figures import (
     draw_ratio_map,
     draw_tilt_changes,
 )
+from spinestiff.study.report.plan_picture import draw_plan
 from spinestiff.study.report.tornado_picture import draw_tornado
 from spinestiff.study.report.viewer.files import scene_of
 from spinestiff.study.report.viewer.page import component, page_environment, script_hash, view_page
@@ -70,6 +73,7 @@ from spinestiff.study.visit import Visit
 from spinestiff.study.wording import fixed, listed, number
 from spinestiff.subject.folder import image_corners, read_push, read_rest
 from spinestiff.subject.outcomes import Assessment, Estimate, GeometryRecord, Responses, Tracked
+from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import is_unchanged, read_outcome
 from spinestiff.subject.sensitivity_outcome import Sensitivity
@@ -153,6 +157,7 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
         "support_places": _added(album, _support_picture(estimate, predictions)),
         "levels": album.add(*_tilt_picture(visit, predictions)),
         "sensitivity": _sensitivity(visit, album),
+        "plan": _plan(visit, album),
         "scene": component(scene),
         "script_hash": script_hash(),
     }  # fmt: skip
@@ -185,6 +190,16 @@ def _sensitivity(visit: Visit, album: _Album) -> dict[str, object] | None:
         return None
     found = read_outcome(visit.subject, Sensitivity)
     return {**sensitivity_content(found), "picture": album.add(*_tornado_picture(found))}
+
+
+def _plan(visit: Visit, album: _Album) -> dict[str, object] | None:
+    """The next pushes, where they were planned from what is there now; of a plan that wasn't, why it is not shown."""
+    if not visit.file(Plan.FILE).is_file():
+        return None
+    if not is_unchanged(visit.subject, Plan.STEP):
+        return {"stale": stale_plan(visit), "lines": [], "picture": None}
+    plan = read_outcome(visit.subject, Plan)
+    return {"stale": "", "lines": plan_lines(plan), "picture": album.add(*_planned_picture(plan))}
 
 
 # Pictures
@@ -416,6 +431,17 @@ def _tornado_picture(found: Sensitivity) -> tuple[str, Figure, str, str]:
         "one thing changed; the largest change first. A push +1 rib acts a rib lower."
     )
     return "sensitivity", draw_tornado(found), alt, caption
+
+
+def _planned_picture(plan: Plan) -> tuple[str, Figure, str, str]:
+    title = TITLES[plan.target]
+    steps = [f"{push_words(step.push)}: {width(plan, size_of(step.push))}" for step in plan.sequence]
+    alt = f"Expected 95 % width of {title} with further radiographs, {listed(steps)}."
+    caption = (
+        f"Expected 95 % width of {title} with one more push, by rib (left), and with one push after the other, by "
+        "further radiographs (right). To first order: it ranks pushes and says about how much another one brings."
+    )
+    return "plan", draw_plan(plan), alt, caption
 
 
 def _within_a_sentence(title: str) -> str:

@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from spinestiff.study.plan_words import TITLES, now_of, push_words, size_of
 from spinestiff.study.report.figures import DEFAULT, FIT, MEASURED, STYLE
-from spinestiff.subject.plan_outcome import Plan
+from spinestiff.subject.plan_outcome import Plan, PlannedView
 
 COLOURS = {"left": MEASURED, "right": FIT}
 MARKS = {"left": "o", "right": "s"}
@@ -31,10 +31,12 @@ def draw_plan(plan: Plan) -> Figure:
 
 
 def _draw_singles(axis: Axes, plan: Plan) -> None:
+    line: PlannedView = "frontal" if any(push.view == "frontal" for push in plan.next) else "frontal+lateral"
     largest = max((push.force_n for push in plan.next), default=0.0)
     for side in COLOURS:
         for force in sorted({push.force_n for push in plan.next}, reverse=True):
-            points = sorted((p.level, size_of(p)) for p in plan.next if (p.side, p.force_n) == (side, force))
+            mine = [p for p in plan.next if (p.side, p.force_n) == (side, force)]
+            points = sorted((p.level, size_of(p)) for p in mine if p.view == line)
             if points:
                 axis.plot(
                     *zip(*points),
@@ -43,8 +45,12 @@ def _draw_singles(axis: Axes, plan: Plan) -> None:
                     markersize=5.5,
                     markerfacecolor=COLOURS[side] if force == largest else "white",
                     linestyle="-" if force == largest else ":",
-                    label=f"{force:g} N from the {side}",
+                    label=f"{force:g} N from the {side}{_aside(line)}",
                 )
+    beside = [(p.level, size_of(p)) for p in plan.next if p.view != line]
+    if beside:
+        levels, sizes = zip(*beside)
+        axis.scatter(levels, sizes, s=60, c="#222222", marker="+", linewidths=1.0, zorder=3, label="with a lateral one")
     _draw_now(axis, plan, "")
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_xlabel("rib")
@@ -64,12 +70,18 @@ def _draw_sequence(axis: Axes, plan: Plan) -> None:
     if rest:
         axis.plot(*zip(*rest), color="#8A8A8A", marker="o", linestyle="none", label="hardly narrows")
     for step, (x, y) in zip(steps, points):
-        axis.annotate(push_words(step.push), (x, y), (3, 6), textcoords="offset points", fontsize=8.5, rotation=48.0)
+        words = push_words(step.push) + _aside(step.push.view)
+        axis.annotate(words, (x, y), (3, 6), textcoords="offset points", fontsize=8.5, rotation=48.0)
     _draw_now(axis, plan, "with what was taken so far")
     axis.set_xlim(-0.3, (points[-1][0] if points else 1) * 1.3)
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_xlabel("further radiographs, unloaded ones included")
     axis.set_title("One push after the other", fontsize=11)
+
+
+def _aside(view: PlannedView) -> str:
+    """What a label says of a view beside the frontal one."""
+    return "" if view == "frontal" else " + lateral"
 
 
 def _draw_now(axis: Axes, plan: Plan, label: str) -> None:

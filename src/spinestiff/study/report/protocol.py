@@ -10,20 +10,25 @@ from spinestiff.words import counted
 
 
 def protocol_page(plan: Plan, subject: str) -> str:
-    """The sequence as far as it pays; each push has its unloaded radiograph first, and its forces grow."""
-    pushes: dict[tuple[str, float], list[float]] = {}
+    """The sequence as far as it pays; each push has its unloaded radiographs first, and its forces grow."""
+    views: dict[tuple[str, float], dict[float, set[str]]] = {}
     for step in pays(plan):
-        pushes.setdefault((step.push.side, step.push.level), []).append(step.push.force_n)
+        push = step.push
+        seen = set(push.view.split("+"))
+        for force in (0.0, push.force_n):
+            views.setdefault((push.side, push.level), {}).setdefault(force, set()).update(seen)
     rows = [
-        {"side": side, "rib": f"{rib:g}", "force": f"{force:g}"}
-        for (side, rib), forces in pushes.items()
-        for force in (0.0, *sorted(forces))
+        {"side": side, "rib": f"{rib:g}", "force": f"{force:g}", "view": view}
+        for (side, rib), forces in views.items()
+        for force in sorted(forces)
+        for view in sorted(forces[force])
     ]
     page = {
         "subject": subject,
         "limit": f"{plan.limit_n:g}",
         "exposures": counted(len(rows), "radiograph"),
-        "pushes": counted(len(pushes), "push", "pushes"),
+        "pushes": counted(len(views), "push", "pushes"),
+        "aside": any(row["view"] == "lateral" for row in rows),
         "rows": [{"number": i + 1, **row} for i, row in enumerate(rows)],
         "tape": plan.taped is not None,
         "lines": [line for line in plan_lines(plan) if not line.startswith("note:")],
