@@ -37,6 +37,7 @@ COMMANDS = {
         "--spine-id",
         "--nodes",
         "--biplanar",
+        "--markers",
     ),
     "inspect": ("--json",),
     "annotate": ("--port", "--no-browser"),

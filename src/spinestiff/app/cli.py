@@ -79,6 +79,13 @@ Nodes = Annotated[
         help="About how many nodes of a tissue mesh built for this subject alone, by its seed; needs the extra [mesh].",
     ),
 ]
+Markers = Annotated[
+    int | None,
+    typer.Option(
+        callback=within("markers", marker_limits),
+        help="So many markers on the skin, seen by cameras in every frame of a push.",
+    ),
+]
 TorsoFile = Annotated[Path | None, typer.Option("--torso", help="A torso file instead of a subject folder.")]
 Page = Annotated[Path | None, typer.Option("--out", help="Where the page goes; results/view.html if left out.")]
 Replace = Annotated[bool, typer.Option("--force", help="Replace a file that is there; never one that is read.")]
@@ -145,12 +152,14 @@ def synth(
     biplanar: Annotated[
         bool, typer.Option("--biplanar", help="Lateral radiographs and marked pedicles in every frame of a push, too.")
     ] = False,
+    markers: Markers = None,
 ) -> None:
     """Make a synthetic subject of known stiffness: DICOM radiographs, force log, annotation."""
     from spinestiff.app.progress import progress
     from spinestiff.study.synthetic import synthesise
 
-    recipe = replace(_recipe(seed, height, cobb, curve, force, ratios, spine, spine_id), nodes=nodes, biplanar=biplanar)
+    recipe = _recipe(seed, height, cobb, curve, force, ratios, spine, spine_id)
+    recipe = replace(recipe, nodes=nodes, biplanar=biplanar, markers=markers or 0)
     with progress() as say:
         truth = synthesise(folder, recipe, say)
     typer.echo(f"subject: {folder}\ntruth:   {truth}")

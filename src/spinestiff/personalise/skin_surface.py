@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
+from spinestiff.anatomy.tissue_points import PointsOnTissue, face_functions
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints, ShortRepr
 
@@ -70,6 +71,12 @@ class SkinSurface(ShortRepr):
         return every, direction / np.linalg.norm(direction, axis=1, keepdims=True)
 
 
+def tissue_points(torso: TorsoModel, skin: SkinSurface, which: Ints) -> PointsOnTissue:
+    """Some of the points (numbers) of a torso's skin, as what rides on its tissue."""
+    nodes = torso.tissue.boundary_faces()[skin.face[which]]
+    return PointsOnTissue(nodes, face_functions(skin.share[which], nodes.shape[1])[0])
+
+
 def skin_surface(torso: TorsoModel, step: float = STEP_MM) -> SkinSurface:
     """The skin of a torso at rest, as points about ``step`` mm apart."""
     boundary = torso.tissue.boundary_faces()
@@ -87,7 +94,7 @@ def skin_surface(torso: TorsoModel, step: float = STEP_MM) -> SkinSurface:
         face.append(np.repeat(mine, len(at)))
         share.append(np.tile(np.column_stack([1.0 - at.sum(1), at]), (len(mine), 1)))
     number, weight = np.concatenate(face), np.vstack(share)
-    value, slope = _shape_functions(weight, nodes.shape[1])
+    value, slope = face_functions(weight, nodes.shape[1])
     points = np.einsum("pk,pki->pi", value, nodes[number])
     tangents = np.einsum("pck,pki->pci", slope, nodes[number])
     length = np.linalg.norm(np.cross(tangents[:, 0], tangents[:, 1]), axis=1)
@@ -100,15 +107,3 @@ def skin_surface(torso: TorsoModel, step: float = STEP_MM) -> SkinSurface:
     floor = (upward < -END_FACING) & (level.max(1) < low + band)
     area = 0.5 * length / np.bincount(number)[number]
     return SkinSurface(boundary[:, :3], number, weight, points, tangents, area, (lid | floor)[number])
-
-
-def _shape_functions(share: Floats, columns: int) -> tuple[Floats, Floats]:
-    # Values (P, n) on a triangle of 3 or 6 nodes, and derivatives (P, 2, n) along its second and third share.
-    step = np.array([[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]])
-    if columns == 3:
-        return share, np.broadcast_to(step, (len(share), 2, 3))
-    edges = ([0, 1, 2], [1, 2, 0])
-    value = np.hstack([share * (2.0 * share - 1.0), 4.0 * share[:, edges[0]] * share[:, edges[1]]])
-    corner = (4.0 * share - 1.0)[:, None] * step
-    middle = 4.0 * (step[:, edges[0]] * share[:, None, edges[1]] + step[:, edges[1]] * share[:, None, edges[0]])
-    return value, np.concatenate([corner, middle], axis=2)

@@ -61,6 +61,7 @@ from spinestiff.subject.folder import (
     read_rest,
     read_view,
 )
+from spinestiff.subject.marker_table import read_markers
 from spinestiff.subject.outcome_parts import ViewRecord
 from spinestiff.subject.outcomes import (
     Assessment,
@@ -96,8 +97,9 @@ def track_step(visit: Visit, say: Observer) -> None:
 
         tracked = track(frames, annotated, progress)
         supports = support_motion(frames, image_supports(subject, push.image))
-        said = {"millimetres": dict(frames[0].provenance), "annotated_frames": list(annotated)}
+        said: dict[str, object] = {"millimetres": dict(frames[0].provenance), "annotated_frames": list(annotated)}
         said |= {"pedicles": marked_pedicles(subject, push, view), "sides": side_views(subject, push)}
+        said |= {"markers": read_markers(subject, push, view)}
         pushes[push.id] = TrackedPush.of(view, push.forces_n, tracked, supports, **said)
         for i, frame in enumerate(pushes[push.id].frames):
             if frame.support_note:

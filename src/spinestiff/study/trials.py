@@ -6,20 +6,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
+import numpy as np
+
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import FitError, SubjectError, TrackingError
 from spinestiff.estimation.evaluation import OnFitStep
 from spinestiff.estimation.fit import Extent, fit_stiffness, likelihood_rise
 from spinestiff.estimation.fitted import Method, StiffnessFit
-from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Picture, Trial
+from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Picture, SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import check_population
 from spinestiff.imaging.features import Orientation
+from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.push import PushSite, Rig, push_load, push_problem
 from spinestiff.observer import Observer
+from spinestiff.personalise.markers import place_markers
 from spinestiff.personalise.pose import ViewPose, align_view
 from spinestiff.subject.outcomes import TrackedFrame, TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
@@ -192,6 +196,7 @@ def push_set(
             raise TrackingError(f"push '{push.id}' frame {least}: {error}") from None
         aside, told = _pictures_aside(torso, push, found)
         warnings += told
+        markers = _markers(torso, push, found, view, known or Known())
         for index, (frame, force, role) in enumerate(zip(found.frames, push.forces_n, push.roles)):
             label = f"push '{push.id}' frame {index}"
             if frame.support_note and role != "unused":
@@ -208,6 +213,7 @@ def push_set(
                 _measured_supports(frame),
                 next((marks.points(view) for marks in found.pedicles if marks.frame == index), None),
                 tuple(picture for frame_of, picture in aside if frame_of == index),
+                None if markers is None else markers[index],
             )
             lost = len(found.vertebrae) - len(trial.corners)
             if index not in usable:
@@ -247,6 +253,39 @@ def _pictures_aside(
     return pictures, warnings
 
 
+def _markers(
+    torso: TorsoModel, push: PushRecord, found: TrackedPush, view: XRayView, known: Known
+) -> list[SkinMarkers] | None:
+    """Of each frame, in the torso's place; None where no markers were seen. ``view`` : as it meets the torso.
+
+    Raises
+    ------
+    SubjectError : they lie on no skin of this torso.
+    """
+    tracks = found.markers
+    if tracks is None:
+        return None
+    rows, pixels = tracks.shown
+    turn_sd = float(np.deg2rad(known.priors.marker_turn_deg))
+    positions = tracks.positions
+    try:
+        placed = place_markers(
+            torso,
+            tracks.names,
+            positions[tracks.reference],
+            (rows, view.from_pixels(pixels)),
+            view,
+            tracks.side,
+            turn_sd,
+        )
+    except SubjectError as error:
+        raise SubjectError(f"push '{push.id}': skin markers: {error}") from None
+    return [
+        SkinMarkers(tracks.names, placed.placed(frame), placed.points, placed.outward, f"{push.id} markers")
+        for frame in positions
+    ]
+
+
 def seen_beside(pushes: PushSet) -> tuple[str, ...]:
     """What an estimate is made from beside corners of frontal radiographs, a line each push."""
     found = []
@@ -256,6 +295,9 @@ def seen_beside(pushes: PushSet) -> tuple[str, ...]:
         sides = [picture.sequence.removeprefix(f"{push} ") for trial in trials for picture in trial.further]
         parts = [f"pedicles in {counted(marked, 'frame')}"] if marked else []
         parts += [f"{counted(sides.count(name), 'radiograph')} of view '{name}'" for name in dict.fromkeys(sides)]
+        counts = [int(np.isfinite(t.markers.positions).all(1).sum()) for t in trials if t.markers is not None]
+        if counts:
+            parts.append(f"up to {counted(max(counts), 'skin marker')} in {counted(len(counts), 'frame')}")
         if parts:
             found.append(f"push '{push}': beside the frontal corners, {' and '.join(parts)}")
     return tuple(found)

@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from spinestiff.arrays import Floats, Ints
 from spinestiff.imaging.features import Orientation, VertebraCorners
 from spinestiff.imaging.pedicles import PediclePoints
 from spinestiff.imaging.projection import XRayView
@@ -132,6 +133,34 @@ class SideView(Outcome):
         return VertebraCorners(picture.vertebrae, self.view.view().from_pixels(np.array(picture.corners_px)))
 
 
+class MarkerTracks(Outcome):
+    """Markers on the skin under a push, as their table has them.
+
+    Attributes
+    ----------
+    names : (M,). reference : the frame without force from which motion counts.
+    side : of the trunk. shown_px : where that frame's radiograph shows them, column and row, by name.
+    frames : of each, (M,) mm along the body's left, up and front, from the cameras' origin; None: not seen.
+    """
+
+    names: tuple[str, ...]
+    reference: int
+    side: Literal["front", "back", "both"]
+    shown_px: dict[str, Pair]
+    frames: tuple[tuple[Vector | None, ...], ...]
+
+    @property
+    def positions(self) -> Floats:
+        """(frames, M, 3) mm; NaN: not seen."""
+        return np.array([[(np.nan,) * 3 if place is None else place for place in frame] for frame in self.frames])
+
+    @property
+    def shown(self) -> tuple[Ints, Floats]:
+        """Numbers (S,) of the markers that the radiograph shows, and where, (S, 2) column, row."""
+        rows = np.array([self.names.index(name) for name in self.shown_px], dtype=np.int64)
+        return rows, np.array(list(self.shown_px.values()))
+
+
 class TrackedPush(Outcome):
     """A push as tracked.
 
@@ -142,6 +171,7 @@ class TrackedPush(Outcome):
     annotated_frames : those whose corners a person set.
     frames : one a radiograph.
     pedicles : as marked, by frame; they are not tracked. sides : the same frames from other sides.
+    markers : on the skin, in the same frames; None without.
     """
 
     view: ViewRecord
@@ -151,6 +181,7 @@ class TrackedPush(Outcome):
     frames: tuple[TrackedFrame, ...]
     pedicles: tuple[MarkedPedicles, ...] = ()
     sides: tuple[SideView, ...] = ()
+    markers: MarkerTracks | None = None
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:
@@ -160,6 +191,8 @@ class TrackedPush(Outcome):
                     raise ValueError(f"frames[{index}].{what}: {len(found)} for {len(self.vertebrae)} vertebrae")
         if not self.frames:
             raise ValueError("frames: found none, wanted one a radiograph")
+        if self.markers is not None and len(self.markers.frames) != len(self.frames):
+            raise ValueError(f"markers.frames: {len(self.markers.frames)} for {len(self.frames)} radiographs")
         return self
 
     @classmethod
@@ -176,7 +209,7 @@ class TrackedPush(Outcome):
         Parameters
         ----------
         supports : what was seen of pelvis and shoulder in these frames.
-        said : ``millimetres``, ``annotated_frames``, ``pedicles`` and ``sides``.
+        said : ``millimetres``, ``annotated_frames``, ``pedicles``, ``sides`` and ``markers``.
         """
         frames = [
             {
