@@ -1,4 +1,4 @@
-"""Files: told from pipes, devices and links, JSON and CSV read strictly, written whole, never over an input; digests."""
+"""Files: told from pipes, devices and links, JSON and CSV read strictly, written whole, never over an input, hashes."""
 
 from __future__ import annotations
 

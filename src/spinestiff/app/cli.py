@@ -22,6 +22,7 @@ from spinestiff.app.options import (
     dose_limits,
     force_limits,
     height_limits,
+    marker_limits,
     node_limits,
     noise_limits,
     push_limits,

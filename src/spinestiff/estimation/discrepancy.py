@@ -62,10 +62,10 @@ IN_PLANE, OUT_OF_PLANE = (0, 1, 5), (2, 3, 4)
 # frontal motion, and over how many vertebrae these are alike (``benchmarks/discrepancy_out_of_plane.py``).
 OUT_OF_PLANE_SD = np.array([0.06, 0.01, 0.015])
 OUT_OF_PLANE_LENGTH = 8.0
-# Of the skin's motion to the left, upwards and to the front, over the size of the frontal motion, and mm over which it
-# is alike along the skin (the same).
-SKIN_SD = np.array([0.15, 0.08, 0.15])
-SKIN_LENGTH_MM = 150.0
+# Of the skin's motion to the left, upwards and to the front, over the size of the frontal motion, and mm over which
+# each is alike along the skin (``benchmarks/discrepancy_skin.py``).
+SKIN_SD = np.array([0.10, 0.07, 0.07])
+SKIN_LENGTH_MM = np.array([300.0, 120.0, 120.0])
 # Mirroring turns a shift to the left into one to the right, and with it the sense of a turn.
 MIRROR = np.array([-1.0, 1.0, -1.0])
 LOWEST_LEVEL, HIGHEST_LEVEL = 1.0, 12.0
@@ -308,8 +308,11 @@ def skin_covariance(
     sizes = np.array([motion_size(frame.motion) for frame in frames])
     sharing = sizes[:, None] * _sharing(frames, modes)
     apart = np.linalg.norm(points[:, None] - points, axis=-1)
-    alike = (sharing @ sharing.T)[np.ix_(of, of)] * np.exp(-apart / SKIN_LENGTH_MM)
-    return np.kron(alike, np.diag(SKIN_SD**2 + slide**2))
+    shared = (sharing @ sharing.T)[np.ix_(of, of)]
+    found = np.zeros((len(points), 3, len(points), 3))
+    for axis, (sd, length) in enumerate(zip(SKIN_SD, SKIN_LENGTH_MM)):
+        found[:, axis, :, axis] = (sd**2 + slide**2) * shared * np.exp(-apart / length)
+    return found.reshape(3 * len(points), -1)
 
 
 def _sharing(frames: Sequence[DiscrepancyFrame], modes: DiscrepancyModes) -> Floats:

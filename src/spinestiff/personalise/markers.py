@@ -14,12 +14,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.rotation import cross_matrix, exp_so3
-from spinestiff.anatomy.tissue_points import PointsOnTissue, face_functions
+from spinestiff.anatomy.tissue_points import PointsOnTissue
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.errors import RadiographError, SubjectError
 from spinestiff.imaging.projection import XRayView
-from spinestiff.personalise.skin_surface import SkinSurface, skin_surface
+from spinestiff.personalise.skin_surface import nearest_points, skin_surface
 
 Side = Literal["front", "back", "both"]
 STEP_MM = 6.0
@@ -143,32 +143,10 @@ def place_markers(
         raise SubjectError(f"can't be placed in the frontal radiograph ({error}); check unit, axes and shown") from None
     rotation = exp_so3(turn)
     placed = (positions - centre) @ rotation.T + centre + shift
-    points, outward = _attached(torso, skin, there[tree.query(placed)[1]], placed)
+    points, outward = nearest_points(torso, skin, placed, there)
     apart = placed - points.positions(torso, torso.rest_pose)
     _check_place(names, rows, np.linalg.norm(apart, axis=1), np.linalg.norm(pictures(placed)[0], axis=1), turn)
     return PlacedMarkers(rotation, centre, shift, points, outward, np.einsum("mi,mi->m", apart, outward))
-
-
-def _attached(torso: TorsoModel, skin: SkinSurface, start: Ints, wanted: Floats) -> tuple[PointsOnTissue, Floats]:
-    """Points of the tissue's boundary nearest to ``wanted`` (M, 3) on the faces of points of the skin, and the skin's
-    outward direction (M, 3) there."""
-    nodes = torso.tissue.boundary_faces()[skin.face[start]]
-    corners = torso.tissue.rest_positions[nodes]
-    share = skin.share[start]
-    for _ in range(10):
-        value, slope = face_functions(share, nodes.shape[1])
-        tangents = np.einsum("mck,mki->mci", slope, corners)
-        off = wanted - np.einsum("mk,mki->mi", value, corners)
-        step = np.linalg.solve(
-            np.einsum("mci,mdi->mcd", tangents, tangents), np.einsum("mci,mi->mc", tangents, off)[..., None]
-        )[..., 0]
-        inner = np.maximum(share[:, 1:] + step, 0.0)
-        inner /= np.maximum(inner.sum(1, keepdims=True), 1.0)
-        share = np.column_stack([1.0 - inner.sum(1), inner])
-    value, slope = face_functions(share, nodes.shape[1])
-    tangents = np.einsum("mck,mki->mci", slope, corners)
-    normal = np.cross(tangents[:, 0], tangents[:, 1])
-    return PointsOnTissue(nodes, value), normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
 def _check_extent(positions: Floats, height: float) -> None:

@@ -15,6 +15,8 @@ from spinestiff.arrays import Floats, Ints, ShortRepr
 STEP_MM = 14.0
 # Floor and lid close the tissue where the trunk was cut: they face along the body, near its ends.
 END_FACING, END_SHARE = 0.9, 0.06
+# Points of the skin from which the nearest place is looked for, and rounds of that.
+CANDIDATES, ROUNDS = 8, 12
 
 
 @dataclass(frozen=True, repr=False)
@@ -75,6 +77,50 @@ def tissue_points(torso: TorsoModel, skin: SkinSurface, which: Ints) -> PointsOn
     """Some of the points (numbers) of a torso's skin, as what rides on its tissue."""
     nodes = torso.tissue.boundary_faces()[skin.face[which]]
     return PointsOnTissue(nodes, face_functions(skin.share[which], nodes.shape[1])[0])
+
+
+def nearest_points(
+    torso: TorsoModel, skin: SkinSurface, wanted: Floats, among: Ints | None = None
+) -> tuple[PointsOnTissue, Floats]:
+    """What of a torso's skin at rest lies nearest to ``wanted`` (M, 3) mm, and its outward direction (M, 3).
+
+    Parameters
+    ----------
+    among : numbers of points of the skin on whose faces is looked; default all but floor and lid.
+    """
+    there = np.flatnonzero(~skin.ends) if among is None else among
+    boundary = torso.tissue.boundary_faces()
+    near = there[cKDTree(skin.points[there]).query(wanted, k=min(CANDIDATES, len(there)))[1]].reshape(len(wanted), -1)
+    nodes = boundary[skin.face[near]]
+    corners = torso.tissue.rest_positions[nodes]
+    share = skin.share[near]
+    best, distance = share[:, 0].copy(), np.full(len(wanted), np.inf)
+    face = near[:, 0].copy()
+    rows = np.arange(len(wanted))
+    for _ in range(ROUNDS):
+        value, slope = (part.reshape(*share.shape[:2], *part.shape[1:]) for part in _functions(share, nodes))
+        tangents = np.einsum("mncf,mnfi->mnci", slope, corners)
+        off = wanted[:, None] - np.einsum("mnf,mnfi->mni", value, corners)
+        apart = np.linalg.norm(off, axis=2)
+        which = np.argmin(apart, axis=1)
+        nearer = apart[rows, which] < distance
+        best[nearer], distance[nearer] = share[rows, which][nearer], apart[rows, which][nearer]
+        face[nearer] = near[rows, which][nearer]
+        step = np.linalg.solve(
+            np.einsum("mnci,mndi->mncd", tangents, tangents), np.einsum("mnci,mni->mnc", tangents, off)[..., None]
+        )[..., 0]
+        inner = np.maximum(share[..., 1:] + step, 0.0)
+        inner /= np.maximum(inner.sum(2, keepdims=True), 1.0)
+        share = np.concatenate([1.0 - inner.sum(2, keepdims=True), inner], axis=2)
+    nodes = boundary[skin.face[face]]
+    value, slope = face_functions(best, nodes.shape[1])
+    tangents = np.einsum("mcf,mfi->mci", slope, torso.tissue.rest_positions[nodes])
+    normal = np.cross(tangents[:, 0], tangents[:, 1])
+    return PointsOnTissue(nodes, value), normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def _functions(share: Floats, nodes: Ints) -> tuple[Floats, Floats]:
+    return face_functions(share.reshape(-1, 3), nodes.shape[-1])
 
 
 def skin_surface(torso: TorsoModel, step: float = STEP_MM) -> SkinSurface:
