@@ -1,6 +1,6 @@
-"""What other views, pedicles and skin markers tell of axial rotation: synthetic subjects, estimated from less and more.
+"""What other views, pedicles and skin markers tell of axial rotation: synthetic subjects estimated from less and more.
 
-    python benchmarks/biplanar.py --log FILE [--seeds N ...] [--seen NAME ...]    make and estimate subjects, a line each
+    python benchmarks/biplanar.py --log FILE [--seeds N ...] [--seen NAME ...]  make and estimate, a line each
     python benchmarks/biplanar.py --store FILE                  keep the log's figures, and those of the rigs made anew,
                                                                 in benchmarks/results/biplanar.json
     python benchmarks/biplanar.py [--json]                      print that file
@@ -9,7 +9,7 @@ A subject is a body of ``coverage_subjects.py``, of its own mesh, proportions an
 bending, tissue and axial rotation, one push at rib 8 with an unloaded and two loaded frames, supports that give, and a
 force, place, stance and marks that are off by as much as ``estimation.priors.Priors`` say. The radiographs are frontal
 and lateral, as of a biplanar system; pedicles are marked in the frontal ones, corners in both; cameras see 16 markers
-on front and flanks. All three ratios are estimated on the coarse mesh from the frontal corners, from these with pedicles,
+on front and flanks. All three ratios are estimated on the coarse mesh from frontal corners, from these with pedicles,
 with lateral corners, with both, with markers, and with all of it; ``--seen`` asks for some of these. Lines of a log
 about one subject are joined.
 

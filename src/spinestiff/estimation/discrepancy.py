@@ -64,8 +64,8 @@ OUT_OF_PLANE_SD = np.array([0.06, 0.01, 0.015])
 OUT_OF_PLANE_LENGTH = 8.0
 # Of the skin's motion to the left, upwards and to the front, over the size of the frontal motion, and mm over which
 # each is alike along the skin (``benchmarks/discrepancy_skin.py``).
-SKIN_SD = np.array([0.10, 0.07, 0.07])
-SKIN_LENGTH_MM = np.array([300.0, 120.0, 120.0])
+SKIN_SD = np.array([0.09, 0.07, 0.06])
+SKIN_LENGTH_MM = np.array([350.0, 150.0, 120.0])
 # Mirroring turns a shift to the left into one to the right, and with it the sense of a turn.
 MIRROR = np.array([-1.0, 1.0, -1.0])
 LOWEST_LEVEL, HIGHEST_LEVEL = 1.0, 12.0

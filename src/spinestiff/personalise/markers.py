@@ -143,7 +143,7 @@ def place_markers(
         raise SubjectError(f"can't be placed in the frontal radiograph ({error}); check unit, axes and shown") from None
     rotation = exp_so3(turn)
     placed = (positions - centre) @ rotation.T + centre + shift
-    points, outward = nearest_points(torso, skin, placed, there)
+    points, outward = nearest_points(torso, skin, placed)
     apart = placed - points.positions(torso, torso.rest_pose)
     _check_place(names, rows, np.linalg.norm(apart, axis=1), np.linalg.norm(pictures(placed)[0], axis=1), turn)
     return PlacedMarkers(rotation, centre, shift, points, outward, np.einsum("mi,mi->m", apart, outward))

@@ -79,16 +79,10 @@ def tissue_points(torso: TorsoModel, skin: SkinSurface, which: Ints) -> PointsOn
     return PointsOnTissue(nodes, face_functions(skin.share[which], nodes.shape[1])[0])
 
 
-def nearest_points(
-    torso: TorsoModel, skin: SkinSurface, wanted: Floats, among: Ints | None = None
-) -> tuple[PointsOnTissue, Floats]:
-    """What of a torso's skin at rest lies nearest to ``wanted`` (M, 3) mm, and its outward direction (M, 3).
-
-    Parameters
-    ----------
-    among : numbers of points of the skin on whose faces is looked; default all but floor and lid.
-    """
-    there = np.flatnonzero(~skin.ends) if among is None else among
+def nearest_points(torso: TorsoModel, skin: SkinSurface, wanted: Floats) -> tuple[PointsOnTissue, Floats]:
+    """What of a torso's skin at rest, floor and lid left out, lies nearest to ``wanted`` (M, 3) mm, and its outward
+    direction (M, 3)."""
+    there = np.flatnonzero(~skin.ends)
     boundary = torso.tissue.boundary_faces()
     near = there[cKDTree(skin.points[there]).query(wanted, k=min(CANDIDATES, len(there)))[1]].reshape(len(wanted), -1)
     nodes = boundary[skin.face[near]]
