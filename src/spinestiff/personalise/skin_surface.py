@@ -100,17 +100,32 @@ def nearest_points(torso: TorsoModel, skin: SkinSurface, wanted: Floats) -> tupl
         nearer = apart[rows, which] < distance
         best[nearer], distance[nearer] = share[rows, which][nearer], apart[rows, which][nearer]
         face[nearer] = near[rows, which][nearer]
-        step = np.linalg.solve(
-            np.einsum("mnci,mndi->mncd", tangents, tangents), np.einsum("mnci,mni->mnc", tangents, off)[..., None]
-        )[..., 0]
-        inner = np.maximum(share[..., 1:] + step, 0.0)
-        inner /= np.maximum(inner.sum(2, keepdims=True), 1.0)
+        inner = _nearest_inside(tangents, off, share[..., 1:])
         share = np.concatenate([1.0 - inner.sum(2, keepdims=True), inner], axis=2)
     nodes = boundary[skin.face[face]]
     value, slope = face_functions(best, nodes.shape[1])
     tangents = np.einsum("mcf,mfi->mci", slope, torso.tissue.rest_positions[nodes])
     normal = np.cross(tangents[:, 0], tangents[:, 1])
     return PointsOnTissue(nodes, value), normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def _nearest_inside(tangents: Floats, off: Floats, share: Floats) -> Floats:
+    """(..., 2) second and third share of the place nearest to what lies ``off`` (..., 3) from that of ``share``,
+    on a triangle that is flat along its ``tangents`` (..., 2, 3)."""
+    gram = np.einsum("...ci,...di->...cd", tangents, tangents)
+    free = share + np.linalg.solve(gram, np.einsum("...ci,...i->...c", tangents, off)[..., None])[..., 0]
+    outside = (free < 0.0).any(-1) | (free.sum(-1) > 1.0)
+    found, least = free, np.where(outside, np.inf, 0.0)
+    for start, end in (((0.0, 0.0), (1.0, 0.0)), ((0.0, 0.0), (0.0, 1.0)), ((1.0, 0.0), (0.0, 1.0))):
+        way = np.subtract(end, start)
+        along = np.einsum("c,...ci->...i", way, tangents)
+        left = off - np.einsum("...c,...ci->...i", np.array(start) - share, tangents)
+        part = np.clip(np.sum(along * left, -1) / np.sum(along**2, -1), 0.0, 1.0)[..., None]
+        apart = np.linalg.norm(left - part * along, axis=-1)
+        nearer = apart < least
+        least = np.where(nearer, apart, least)
+        found = np.where(nearer[..., None], np.array(start) + part * way, found)
+    return np.asarray(found)
 
 
 def _functions(share: Floats, nodes: Ints) -> tuple[Floats, Floats]:
