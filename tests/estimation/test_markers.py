@@ -25,12 +25,13 @@ from spinestiff.estimation.objective import SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.weighed import WeighedProblem, reduced
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
-from spinestiff.imaging.projection import frontal_view
+from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study.synthetic import spread_markers
 
+LATERAL = lateral_view(centre=(0, 150, 0))
 TRUTH = {"lateral_bending": 0.3, "tissue": 0.4}
 NAMES = tuple(TRUTH)
 PARTS = {
@@ -101,9 +102,32 @@ def test_markers_take_no_equilibrium_of_their_own_and_leave_the_corners_as_they_
     assert np.array_equal(before.values[:own], after.values[:own])
     assert np.array_equal(slope.ratios[:own], wider.ratios[:own])
     assert set(more.noise.parts) - set(less.noise.parts) == PARTS
+    # Neither corners of frontal radiographs nor markers tell of how the patient was turned before the tube.
+    assert "turn of the patient" not in more.noise.parts
     for name, part in less.noise.parts.items():
         assert np.array_equal(more.noise.parts[name][:own, :own], part)
         assert not more.noise.parts[name][own:].any()
+
+
+def test_markers_stand_beside_pedicles_and_other_radiographs(column, marked) -> None:
+    """Each keeps its own errors: no hand marks a marker, and the patient's turn before a tube moves none."""
+    every = []
+    for trial in marked:
+        state = state_of(column, trial)
+        side = column.picture(state, LATERAL, f"{trial.label} side", "side", True)
+        every.append(replace(trial, further=(side,), pedicles=column.pedicles(state)))
+    whole = column.weighed(every)
+    alone = column.weighed([replace(trial, markers=None) for trial in every])
+    markers = np.array([one.sequence == "push 1 markers" for one in whole.noise.seen])
+    rows = np.concatenate([np.arange(whole.noise.size)[whole.noise.of(i)] for i in np.flatnonzero(markers)])
+    assert len(rows) == 9 * len(marked[0].markers.names)
+    others = np.setdiff1d(np.arange(whole.noise.size), rows)
+    for name, part in alone.noise.parts.items():
+        assert np.array_equal(whole.noise.parts[name][np.ix_(others, others)], part), name
+        assert not whole.noise.parts[name][rows].any(), name
+    point = whole.solve(np.log(list(TRUTH.values())), np.zeros(len(whole.unknowns)))
+    assert np.abs(point.values[: whole.noise.size]).max() < 1e-6
+    assert np.isfinite(whole.weights(point, whole.slope(point), None).root).all()
 
 
 def test_without_errors_all_is_met_at_the_truth_and_markers_tell_more(column, plain, marked) -> None:
