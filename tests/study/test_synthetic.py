@@ -179,14 +179,15 @@ def test_a_biplanar_subject_has_lateral_radiographs_and_pedicles_of_every_frame(
 
 def test_a_subject_with_markers_has_a_table_of_them_that_meets_its_skin(tmp_path, tiny):
     push = SyntheticPush("main", 8.0, (0.0, 1.0), ("unused", "training"))
-    recipe = replace(tiny, pushes=(push,), shape=(256, 256))
+    recipe = replace(tiny, pushes=(push, replace(push, id="other")), shape=(256, 256))
     for name, count in (("bare", 0), ("marked", 12)):
         truth = synthesise(tmp_path / name, replace(recipe, markers=count))
     assert json.loads(truth.read_text())["recipe"]["markers"] == 12
     bare, marked = (digests(tmp_path / name) for name in ("bare", "marked"))
-    assert {name for name in marked if bare.get(name) != marked[name]} == {"subject.json", "pushes/main-markers.csv"}
+    tables = {"pushes/main-markers.csv", "pushes/other-markers.csv"}
+    assert {name for name in marked if bare.get(name) != marked[name]} == {"subject.json"} | tables
     subject = read_subject(tmp_path / "marked")
-    (record,) = subject.pushes
+    record = subject.push("main")
     view = read_push(subject, record)[0].view
     tracks = read_markers(subject, record, view)
     torso = subject_torso(recipe)
