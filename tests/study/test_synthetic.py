@@ -13,16 +13,17 @@ from scipy.spatial import cKDTree
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS
 from spinestiff.anatomy.template import MESHES, template_torso
-from spinestiff.errors import EquilibriumError, SpinestiffError, SubjectError
+from spinestiff.errors import EquilibriumError, SpinestiffError, SubjectError, TrackingError
 from spinestiff.files import file_digest
 from spinestiff.imaging.pedicles import pedicle_centres
+from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.personalise.markers import place_markers
 from spinestiff.personalise.pose import align_view
 from spinestiff.study import synthetic
 from spinestiff.study.elastic_supports import SyntheticSupports
-from spinestiff.study.steps import marked_pedicles, side_views
+from spinestiff.study.steps import followed_view, marked_pedicles, side_views
 from spinestiff.study.synthetic import (
     BENDING_RANGE,
     TISSUE_RANGE,
@@ -33,7 +34,7 @@ from spinestiff.study.synthetic import (
     synthesise,
     truth_path,
 )
-from spinestiff.subject.folder import image_corners, image_supports, read_push, read_rest, read_subject
+from spinestiff.subject.folder import image_corners, image_supports, read_push, read_rest, read_subject, read_view
 from spinestiff.subject.marker_table import read_markers
 
 PUSH = SyntheticPush("main", 8.0, (0.0, 1.0), ("unused", "training"))
@@ -175,6 +176,33 @@ def test_a_biplanar_subject_has_lateral_radiographs_and_pedicles_of_every_frame(
     beams = [one.view.view().normal for one in (side, oblique)]
     assert np.degrees(np.arccos(beams[0] @ beams[1])) == pytest.approx(30.0)
     assert oblique.view.view().source[2] - side.view.view().source[2] == pytest.approx(-670.0, abs=1.0)
+
+
+def test_what_nobody_marked_in_a_view_is_followed_and_marks_by_hand_win(tmp_path, tiny):
+    push = SyntheticPush("main", 8.0, (0.0, 0.3, 0.6, 1.0), ("unused", "unused", "training", "training"))
+    synthesise(tmp_path / "both", replace(tiny, biplanar=True, pushes=(push,), shape=(512, 512)))
+    whole = read_subject(tmp_path / "both")
+    (record,) = whole.pushes
+    (every,) = side_views(whole, record)
+    kept = {
+        name: image
+        for name, image in whole.annotation.images.items()
+        if name not in ("push/main/1/lateral", "push/main/3/lateral")
+    }
+    (some,) = side_views(replace(whole, annotation=whole.annotation.model_copy(update={"images": kept})), record)
+    assert [one.followed_from for one in every.pictures] == [None] * 4
+    assert [one.followed_from for one in some.pictures] == [None, 0, None, 2]
+    assert some.pictures[0] == every.pictures[0] and some.pictures[2] == every.pictures[2]
+    for number in (1, 3):
+        found, marked = some.corners(some.pictures[number]), every.corners(every.pictures[number])
+        names = [name for name in usable_corners(found).vertebrae if name in marked.vertebrae]
+        assert len(names) > 5
+        apart = found.selected(names).corners - marked.selected(names).corners
+        # Each mark errs by 0.3 mm; tracking adds as much and more.
+        assert np.median(np.abs(apart)) / every.view.view().magnification < 0.8
+    blank = [replace(frame, pixels=np.ones_like(frame.pixels)) for frame in read_view(whole, record, record.views[0])]
+    with pytest.raises(TrackingError, match=r"^push 'x' view 'y': .*; or mark the corners in each of its radiographs$"):
+        followed_view(blank, {0: every.corners(every.pictures[0])}, "push 'x' view 'y'")
 
 
 def test_a_subject_with_markers_has_a_table_of_them_that_meets_its_skin(tmp_path, tiny):

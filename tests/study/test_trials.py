@@ -29,7 +29,7 @@ from spinestiff.personalise.pose import posed
 from spinestiff.study.synthetic import spread_markers
 from spinestiff.study.trials import Known, fit_pushes, known_of, push_set, rig_of, seen_beside
 from spinestiff.subject.outcome_parts import ViewRecord
-from spinestiff.subject.outcomes import MarkedPedicles, MarkerTracks, Measured, SideView, TrackedPush
+from spinestiff.subject.outcomes import MarkedPedicles, MarkerTracks, Measured, SidePicture, SideView, TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
 
 STOOD = ((6.0, -4.0), 0.02)
@@ -118,6 +118,53 @@ def test_a_view_without_an_unloaded_frame_is_told_and_mirrored_marks_are_refused
     push = record((0.0, 20.0), ("unused", "training"))
     with pytest.raises(TrackingError, match="push 'main' frame 0 view 'side': corners of T4 are mirrored"):
         push_set(torso, [push], {"main": wrong})
+
+
+def followed(side, frame, quality, start=0):
+    """The view with one of its radiographs as tracking left it."""
+    pictures = [
+        picture.model_copy(update={"quality": ((quality,) * 4,) * 9, "followed_from": start, "pedicles": None})
+        if picture.frame == frame
+        else picture
+        for picture in side.pictures
+    ]
+    return side.model_copy(update={"pictures": tuple(pictures)})
+
+
+def test_corners_followed_in_a_view_say_from_where_and_are_left_out_where_they_were_lost(torso, corners):
+    side = followed(aside(torso, (0, 1, 2)), 2, 0.8)
+    push = tracked(corners, corners, corners).model_copy(update={"sides": (side,)})
+    found = push_set(torso, [record()], {"main": push})
+    pictures = [item.trial.further[0] for item in found.trials]
+    assert [one.followed_from for one in pictures] == ["", "", "push 'main' frame 0 view 'side'"]
+    assert pictures[2].followed_from == pictures[0].label
+    assert [item.trial.seen_in(one).annotated for item, one in zip(found.trials, pictures)] == [True, True, False]
+    assert np.unique(pictures[2].corners.quality).tolist() == [0.8] and found.warnings == ()
+    rows = [[0.8] * 4] * 7 + [[0.0] * 4] * 2
+    some = [one.model_copy(update={"quality": rows}) if one.frame == 2 else one for one in side.pictures]
+    push = push.model_copy(update={"sides": (side.model_copy(update={"pictures": tuple(some)}),)})
+    less = push_set(torso, [record()], {"main": push})
+    assert less.warnings == ("push 'main' frame 2 view 'side': 2 vertebrae lost in tracking and left out",)
+    assert len(less.trials[2].trial.further[0].corners) == 7
+    push = push.model_copy(update={"sides": (followed(side, 2, 0.0),)})
+    gone = push_set(torso, [record()], {"main": push})
+    assert gone.warnings == ("push 'main' frame 2 view 'side': dropped, no vertebrae left (wanted 3); mark it by hand",)
+    assert [len(item.trial.further) for item in gone.trials] == [1, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"quality": [[1.0] * 4] * 9}, "quality, followed_from: wanted both"),
+        ({"followed_from": 0}, "quality, followed_from: wanted both"),
+        ({"quality": [[1.0] * 4] * 8, "followed_from": 0}, "quality: 8 for 9 vertebrae"),
+        ({"corners_px": [[[1.0, 2.0]] * 4] * 3}, "corners_px: 3 for 9 vertebrae"),
+    ],
+)
+def test_a_picture_from_aside_is_marked_or_followed_and_whole(torso, changes, words):
+    picture = aside(torso, (0,)).pictures[0].model_dump()
+    with pytest.raises(ValidationError, match=words):
+        SidePicture.model_validate({**picture, **changes})
 
 
 def marked(torso, view, seen, **changes):

@@ -27,6 +27,7 @@ from spinestiff.estimation.marker_noise import SeenMarkers, marker_parts
 from spinestiff.estimation.objective import Target
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.sights import (
+    OWN,
     MarkerResiduals,
     MarkerTarget,
     PedicleTarget,
@@ -123,14 +124,15 @@ class Seen:
     sequence : frames of one carry the same name here.
     annotated : its marks were set by hand, so that tracking adds no error.
     radiograph : number of the radiograph; None: this is the only thing that one shows.
-    apart : set by hand in this radiograph once more, while frames of a tracked sequence share their annotation.
+    marked : set by hand once more, while frames of a tracked sequence share their annotation: corners with one number
+        here were, in one radiograph; ``OWN``: each mark by itself; None: not (``sights.FurtherSight``).
     """
 
     target: Sight
     sequence: str
     annotated: bool
     radiograph: int | None = None
-    apart: bool = False
+    marked: int | None = None
 
 
 class Noise:
@@ -183,10 +185,12 @@ class Noise:
         if geometry is not None:
             jacobian = self.pose_jacobian(still, len(geometry) // 6).reshape(self.size, -1)
             self.parts["rest geometry"] = np.asarray(jacobian @ geometry @ jacobian.T)
-        apart = np.repeat([one.apart for one in seen], counts)
-        if apart.any():
-            marked = np.where(self._of_boxes, priors.marking_mm, priors.pedicle_mm) * apart
-            self.parts["marks set by hand"] = np.diag(marked**2)
+        anew = np.repeat([one.marked is not None for one in seen], counts)
+        if anew.any():
+            sizes = np.where(self._of_boxes, priors.marking_mm, priors.pedicle_mm) * anew
+            group = np.repeat([OWN if one.marked is None else one.marked for one in seen], counts)
+            together = alike & (group[:, None] == group) & (group != OWN)
+            self.parts["marks set by hand"] = np.where(together | np.eye(self.size, dtype=bool), sizes**2, 0.0)
         if positions is not None:
             self.parts["pedicles' places"] = _outer(self._pedicles(still))
             turned = self._turned(still, positions)

@@ -38,11 +38,13 @@ class Picture(ShortRepr):
 
     Attributes
     ----------
-    corners : of vertebrae, set by hand in this radiograph.
+    corners : of vertebrae.
     view : where source and detector were.
     label : for messages, e.g. "push 1 frame 3 lateral".
     sequence : radiographs of one carry the same name here: the patient stood alike before this detector.
     pedicles : marked in it.
+    followed_from : label of the radiograph in which the corners were set by hand and from which tracking followed them;
+        empty: set by hand in this one.
     """
 
     corners: VertebraCorners
@@ -50,6 +52,7 @@ class Picture(ShortRepr):
     label: str
     sequence: str
     pedicles: PediclePoints | None = None
+    followed_from: str = ""
 
 
 @dataclass(frozen=True, repr=False)
@@ -140,7 +143,7 @@ class Trial(ShortRepr):
             view=picture.view,
             label=picture.label,
             push=picture.sequence,
-            annotated=True,
+            annotated=not picture.followed_from,
             supports={},
             pedicles=picture.pedicles,
             further=(),

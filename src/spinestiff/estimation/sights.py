@@ -9,7 +9,7 @@ And markers on the skin, which ride on the boundary of the tissue, in three dime
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,7 @@ from spinestiff.anatomy.tissue_points import PointsOnTissue
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.errors import TrackingError
-from spinestiff.estimation.objective import Residuals, SkinMarkers, Target, Trial, make_target, residuals
+from spinestiff.estimation.objective import Picture, Residuals, SkinMarkers, Target, Trial, make_target, residuals
 from spinestiff.imaging.features import Orientation
 from spinestiff.imaging.pedicles import pedicle_centres
 
@@ -116,6 +116,9 @@ Sight = PictureSight | MarkerTarget
 SightResiduals = PictureResiduals | MarkerResiduals
 
 
+OWN = -1
+
+
 @dataclass(frozen=True)
 class FurtherSight:
     """A sight beside those of the frontal radiographs' corners.
@@ -124,11 +127,14 @@ class FurtherSight:
     ----------
     trial : number of the trial whose equilibrium it shows. target : what it shows.
     radiograph : numbers of radiographs, and of what cameras saw; the trials' own ones come first, in their order.
+    marked : corners with one number here were set by hand in one radiograph, and followed from there; ``OWN``: each
+        mark was set by itself; None: nobody marked anything.
     """
 
     trial: int
     target: Sight
     radiograph: int
+    marked: int | None = None
 
     @property
     def sequence(self) -> str:
@@ -156,20 +162,29 @@ def further_sights(
     """
     found: list[FurtherSight] = []
     count = len(targets)
+    marked = _marked_anew([picture for target in targets for picture in target.trial.further])
     for number, (torso, target) in enumerate(zip(torsos, targets)):
         if target.trial.pedicles is not None:
-            found.append(FurtherSight(number, _pedicle_target(torso, target), number))
+            found.append(FurtherSight(number, _pedicle_target(torso, target), number, OWN))
         for picture in target.trial.further:
             boxes = make_target(torso, target.trial.seen_in(picture), orientation)
-            found.append(FurtherSight(number, boxes, count))
+            found.append(FurtherSight(number, boxes, count, next(marked)))
             if picture.pedicles is not None:
-                found.append(FurtherSight(number, _pedicle_target(torso, boxes), count))
+                found.append(FurtherSight(number, _pedicle_target(torso, boxes), count, OWN))
             count += 1
         markers = target.trial.markers
         if markers is not None and np.isfinite(markers.positions).any():
             found.append(FurtherSight(number, _marker_target(torso, target.trial, markers), count))
             count += 1
     return tuple(found)
+
+
+def _marked_anew(pictures: Sequence[Picture]) -> Iterator[int]:
+    """``FurtherSight.marked`` of the corners of each radiograph from another side."""
+    by_hand = {(one.sequence, one.label): i for i, one in enumerate(pictures) if not one.followed_from}
+    for i, one in enumerate(pictures):
+        # The radiograph that was marked need not be among these.
+        yield by_hand.setdefault((one.sequence, one.followed_from), len(pictures) + i) if one.followed_from else i
 
 
 def sight_residuals(torso: TorsoModel, target: Sight, state: TorsoState) -> SightResiduals:

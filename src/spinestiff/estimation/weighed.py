@@ -40,7 +40,15 @@ from spinestiff.estimation.noise import Noise, Seen, restricted_factor
 from spinestiff.estimation.objective import Trial, make_target, residuals
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import RatioPrior
-from spinestiff.estimation.sights import MarkerResiduals, MarkerTarget, SightResiduals, further_sights, sight_residuals
+from spinestiff.estimation.sights import (
+    OWN,
+    MarkerResiduals,
+    MarkerTarget,
+    PedicleTarget,
+    SightResiduals,
+    further_sights,
+    sight_residuals,
+)
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS, Unknowns, unknowns_of
 from spinestiff.imaging.features import Orientation, state_features
@@ -141,7 +149,7 @@ class WeighedProblem:
                 target.trial.push or f"trial {i + 1}",
                 target.trial.annotated,
                 # Frames of a push without load are marked first; a loaded one that is marked, too, errs anew.
-                apart=target.trial.annotated and target.trial.load.size > 0.0,
+                marked=OWN if target.trial.annotated and target.trial.load.size > 0.0 else None,
             )
             for i, target in enumerate(both)
         ]
@@ -149,8 +157,8 @@ class WeighedProblem:
         for one in further:
             torso = problems[one.trial].torso
             at_rest.append(sight_residuals(torso, one.target, torso.rest_pose))
-            in_picture = not isinstance(one.target, MarkerTarget)
-            seen.append(Seen(one.target, one.sequence, True, one.radiograph, apart=in_picture))
+            by_hand = isinstance(one.target, MarkerTarget | PedicleTarget) or one.target.trial.annotated
+            seen.append(Seen(one.target, one.sequence, by_hand, one.radiograph, one.marked))
         more = any(not isinstance(one.target, MarkerTarget) for one in further)
         rest = problems[0].torso.rest_pose.bone_positions[problems[0].torso.vertebra_bones] if more else None
         self.noise = Noise(seen, at_rest, geometry, priors, rest)

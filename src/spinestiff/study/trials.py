@@ -25,7 +25,7 @@ from spinestiff.mechanics.push import PushSite, Rig, push_load, push_problem
 from spinestiff.observer import Observer
 from spinestiff.personalise.markers import place_markers
 from spinestiff.personalise.pose import ViewPose, align_view
-from spinestiff.subject.outcomes import TrackedFrame, TrackedPush
+from spinestiff.subject.outcomes import SideView, TrackedFrame, TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.words import counted
 
@@ -246,11 +246,26 @@ def _pictures_aside(
         except TrackingError as error:
             raise TrackingError(f"push '{push.id}' frame {least.frame} view '{side.id}': {error}") from None
         for picture in side.pictures:
-            label = f"push '{push.id}' frame {picture.frame} view '{side.id}'"
+            label = _side_label(push, side, picture.frame)
+            corners, start = side.corners(picture), ""
+            if picture.followed_from is not None:
+                corners, start = usable_corners(corners), _side_label(push, side, picture.followed_from)
+                lost = len(picture.vertebrae) - len(corners)
+                if len(corners) < FEWEST_VERTEBRAE:
+                    left = counted(len(corners), "vertebra", "vertebrae") if len(corners) else "no vertebrae"
+                    warnings.append(f"{label}: dropped, {left} left (wanted {FEWEST_VERTEBRAE}); mark it by hand")
+                    continue
+                if lost:
+                    gone = counted(lost, "vertebra", "vertebrae")
+                    warnings.append(f"{label}: {gone} lost in tracking and left out")
             pedicles = None if picture.pedicles is None else picture.pedicles.points(view)
-            shown = Picture(side.corners(picture), view, label, f"{push.id} {side.id}", pedicles)
+            shown = Picture(corners, view, label, f"{push.id} {side.id}", pedicles, start)
             pictures.append((picture.frame, shown))
     return pictures, warnings
+
+
+def _side_label(push: PushRecord, side: SideView, frame: int) -> str:
+    return f"push '{push.id}' frame {frame} view '{side.id}'"
 
 
 def _markers(

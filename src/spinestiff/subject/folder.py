@@ -425,10 +425,9 @@ def _check_images(subject: Subject) -> None:
             raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
     for push in subject.pushes:
         for view in push.views:
-            for frame in view.frames:
-                name = push.view_image(frame, view.id)
-                if name not in images:
-                    raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
+            name = push.view_image(push.least_of(view), view.id)
+            if name not in images:
+                raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
 
 
 def check_output_beside(folder: Path, path: Path, option: str, *, force: bool) -> None:

@@ -100,18 +100,32 @@ class MarkedPedicles(Outcome):
 
 
 class SidePicture(Outcome):
-    """A frame's radiograph from another side, as a person marked it.
+    """A frame's radiograph from another side, as a person marked it or as tracking followed it.
 
     Attributes
     ----------
     frame : of the push. vertebrae : (Nv,) names, head to foot. corners_px : (Nv, 4, 2) column, row.
+    quality : (Nv, 4), from 0 to 1, of corners that were followed; None: set by hand.
+    followed_from : the frame from which they were, the nearest of those marked by hand; None: set by hand.
     pedicles : marked in it; None without.
     """
 
     frame: int
     vertebrae: tuple[VertebraName, ...]
     corners_px: tuple[tuple[Pair, Pair, Pair, Pair], ...]
+    quality: tuple[tuple[float, float, float, float], ...] | None = None
+    followed_from: int | None = None
     pedicles: MarkedPedicles | None = None
+
+    @model_validator(mode="after")
+    def _is_one_of_two(self) -> Self:
+        if (self.quality is None) != (self.followed_from is None):
+            raise ValueError("quality, followed_from: wanted both, of corners that were followed, or none")
+        if len(self.corners_px) != len(self.vertebrae):
+            raise ValueError(f"corners_px: {len(self.corners_px)} for {len(self.vertebrae)} vertebrae")
+        if self.quality is not None and len(self.quality) != len(self.vertebrae):
+            raise ValueError(f"quality: {len(self.quality)} for {len(self.vertebrae)} vertebrae")
+        return self
 
 
 class SideView(Outcome):
@@ -129,8 +143,11 @@ class SideView(Outcome):
     pictures: tuple[SidePicture, ...]
 
     def corners(self, picture: SidePicture) -> VertebraCorners:
-        """In mm on the detector."""
-        return VertebraCorners(picture.vertebrae, self.view.view().from_pixels(np.array(picture.corners_px)))
+        """In mm on the detector, with their quality."""
+        places = self.view.view().from_pixels(np.array(picture.corners_px))
+        if picture.quality is None:
+            return VertebraCorners(picture.vertebrae, places)
+        return VertebraCorners(picture.vertebrae, places, np.array(picture.quality))
 
 
 class MarkerTracks(Outcome):

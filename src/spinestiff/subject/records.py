@@ -289,6 +289,10 @@ class PushRecord(_Record):
         """Name of a frame's radiograph from another side in the annotation."""
         return f"{self.image}/{frame}/{view}"
 
+    def least_of(self, view: FurtherViewRecord) -> int:
+        """The first of a view's frames with the least force among them: it has to be marked by hand."""
+        return min(sorted(view.frames), key=lambda frame: self.forces_n[frame])
+
     @property
     def unloaded(self) -> int:
         """The first of the frames with the least force."""
