@@ -36,6 +36,7 @@ from spinestiff.study.synthetic import (
 )
 from spinestiff.subject.folder import image_corners, image_supports, read_push, read_rest, read_subject, read_view
 from spinestiff.subject.marker_table import read_markers
+from spinestiff.subject.records import ImageAnnotation
 
 PUSH = SyntheticPush("main", 8.0, (0.0, 1.0), ("unused", "training"))
 
@@ -183,6 +184,10 @@ def test_what_nobody_marked_in_a_view_is_followed_and_marks_by_hand_win(tmp_path
     synthesise(tmp_path / "both", replace(tiny, biplanar=True, pushes=(push,), shape=(512, 512)))
     whole = read_subject(tmp_path / "both")
     (record,) = whole.pushes
+    fewer = whole.annotation.images["push/main/2/lateral"].model_dump()
+    del fewer["vertebrae"]["T8"]
+    images = {**whole.annotation.images, "push/main/2/lateral": ImageAnnotation.model_validate(fewer)}
+    whole = replace(whole, annotation=whole.annotation.model_copy(update={"images": images}))
     (every,) = side_views(whole, record)
     kept = {
         name: image
@@ -193,6 +198,7 @@ def test_what_nobody_marked_in_a_view_is_followed_and_marks_by_hand_win(tmp_path
     assert [one.followed_from for one in every.pictures] == [None] * 4
     assert [one.followed_from for one in some.pictures] == [None, 0, None, 2]
     assert some.pictures[0] == every.pictures[0] and some.pictures[2] == every.pictures[2]
+    assert [("T8" in one.vertebrae) for one in some.pictures] == [True, True, False, True]
     for number in (1, 3):
         found, marked = some.corners(some.pictures[number]), every.corners(every.pictures[number])
         names = [name for name in usable_corners(found).vertebrae if name in marked.vertebrae]
