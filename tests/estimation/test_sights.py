@@ -199,6 +199,9 @@ def test_corners_that_tracking_followed_keep_the_error_of_the_marks_they_came_fr
         own = np.diag(asked.noise.tracking())[first]
         assert (own > p.tracking_mm**2).all()
         assert not asked.noise.tracking()[first, second].any()
+        # Taken along in all frames alike, but not as in the frontal radiographs.
+        drag = asked.noise.drag(np.ones(len(asked.noise.seen)))
+        assert drag[first, second].any() and not drag[asked.noise.of(0), first].any()
         if start != "another one":
             base = seen[start]
             assert np.allclose(marks[base, second], p.marking_mm**2 * np.eye(count))

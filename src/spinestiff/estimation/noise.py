@@ -218,7 +218,9 @@ class Noise:
         together = (self._trial[:, None] == self._trial) & (self._channel[:, None] == self._channel)
         both = tracked[:, None] & tracked
         self._shared = priors.tracking_shared_mm**2 * np.exp(-distance) * (together & both)
-        self._drag = priors.tracking_drag**2 * self._dragged() * both
+        # What lies behind a spine from the side is other than from the front.
+        aside = np.repeat([one.radiograph is not None for one in seen], counts)
+        self._drag = priors.tracking_drag**2 * self._dragged() * (both & (aside[:, None] == aside))
 
     def boxes(self, number: int) -> Channels:
         """From corners to channels, of one that shows corners."""
