@@ -99,8 +99,9 @@ def test_the_nearest_point_is_nearer_than_any_sample_of_the_skin(torso, there):
         ({"change": lambda seen: seen + 60.0 * np.eye(COUNT)[:, :1] * [0.0, 0.0, 1.0]}, "marker 'm0' lies"),
         ({"change": lambda seen: seen @ exp_so3(np.array([0.0, 0.0, 0.6])).T}, "lies|degrees from the body's"),
         ({"rows": (0, 4), "beside": np.array([[0.0, 0.0], [0.0, 90.0]])}, "beside its picture|from the skin"),
+        ({"side": "back"}, r"they lie within \d mm of the skin of the front, but \d+ mm off that of the back"),
     ],
-    ids=["small", "large", "off", "turned", "shown"],
+    ids=["small", "large", "off", "turned", "shown", "side"],
 )
 def test_what_cannot_be_on_this_skin_is_refused(torso, there, how, words):
     with pytest.raises(SubjectError, match=words):

@@ -19,7 +19,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.errors import RadiographError, SubjectError
 from spinestiff.imaging.projection import XRayView
-from spinestiff.personalise.skin_surface import nearest_points, skin_surface
+from spinestiff.personalise.skin_surface import SkinSurface, nearest_points, skin_surface
 
 Side = Literal["front", "back", "both"]
 STEP_MM = 6.0
@@ -35,6 +35,8 @@ STILL = 1e-5
 # What no marker on the trunk has: mm off the skin, mm at the patient plane beside its picture, degrees between the
 # cameras' and the body's axes.
 MOST_OFF_MM, MOST_BESIDE_MM, MOST_TURNED_DEG = 35.0, 15.0, 12.0
+# Off the skin of the other side over off that of the stated one, where the other is taken for meant.
+CLEARLY_NEARER = 0.6
 EXTENTS = (0.08, 0.7)
 """Shares of the body height between the two markers farthest apart."""
 
@@ -91,8 +93,7 @@ def place_markers(
     """
     _check_extent(positions, 10.0 * torso.height_cm)
     skin = skin_surface(torso, STEP_MM)
-    facing = skin.normals[:, 2] * (1.0 if side == "front" else -1.0)
-    there = np.flatnonzero(~skin.ends & ((side == "both") | (facing > -FLANK)))
+    there = _skin_of(skin, side)
     tree = cKDTree(skin.points[there])
     centre = positions.mean(0)
     rows, marks = shown
@@ -111,11 +112,16 @@ def place_markers(
             shift[:2] -= np.linalg.lstsq(level, off.reshape(-1), rcond=None)[0]
         return shift
 
-    def misfit(shift: Floats) -> float:
-        return float(np.mean(np.minimum(tree.query(positions + shift)[0], FARTHEST_START_MM) ** 2))
+    def apart(shift: Floats, on: cKDTree) -> float:
+        return float(np.sqrt(np.mean(np.minimum(on.query(positions + shift)[0], FARTHEST_START_MM) ** 2)))
 
     try:
-        shift = min((in_picture(depth) for depth in DEPTHS_MM), key=misfit)
+        starts = [in_picture(depth) for depth in DEPTHS_MM]
+        shift = min(starts, key=lambda start: apart(start, tree))
+        if side != "both":
+            other: Side = "back" if side == "front" else "front"
+            beyond = cKDTree(skin.points[_skin_of(skin, other)])
+            _check_side(side, other, apart(shift, tree), min(apart(start, beyond) for start in starts))
         turn = np.zeros(3)
         for _ in range(ROUNDS):
             rotation = exp_so3(turn)
@@ -144,9 +150,23 @@ def place_markers(
     rotation = exp_so3(turn)
     placed = (positions - centre) @ rotation.T + centre + shift
     points, outward = nearest_points(torso, skin, placed)
-    apart = placed - points.positions(torso, torso.rest_pose)
-    _check_place(names, rows, np.linalg.norm(apart, axis=1), np.linalg.norm(pictures(placed)[0], axis=1), turn)
-    return PlacedMarkers(rotation, centre, shift, points, outward, np.einsum("mi,mi->m", apart, outward))
+    left = placed - points.positions(torso, torso.rest_pose)
+    _check_place(names, rows, np.linalg.norm(left, axis=1), np.linalg.norm(pictures(placed)[0], axis=1), turn)
+    return PlacedMarkers(rotation, centre, shift, points, outward, np.einsum("mi,mi->m", left, outward))
+
+
+def _skin_of(skin: SkinSurface, side: Side) -> Ints:
+    """Numbers of the points of the skin that belong to a side."""
+    facing = skin.normals[:, 2] * (1.0 if side == "front" else -1.0)
+    return np.flatnonzero(~skin.ends & ((side == "both") | (facing > -FLANK)))
+
+
+def _check_side(side: Side, other: Side, here: float, there: float) -> None:
+    if there < CLEARLY_NEARER * here and here - there > SKIN_SD_MM:
+        raise SubjectError(
+            f"they lie within {there:.0f} mm of the skin of the {other}, but {here:.0f} mm off that of the {side} "
+            "(root mean square); check side and axes"
+        )
 
 
 def _check_extent(positions: Floats, height: float) -> None:
