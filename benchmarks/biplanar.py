@@ -1,6 +1,6 @@
-"""What other views and pedicles tell of axial rotation: synthetic subjects, estimated from less and from more.
+"""What other views, pedicles and skin markers tell of axial rotation: synthetic subjects estimated from less and more.
 
-    python benchmarks/biplanar.py --log FILE [--seeds N ...]    make and estimate subjects, a line each
+    python benchmarks/biplanar.py --log FILE [--seeds N ...] [--seen NAME ...]  make and estimate, a line each
     python benchmarks/biplanar.py --store FILE                  keep the log's figures, and those of the rigs made anew,
                                                                 in benchmarks/results/biplanar.json
     python benchmarks/biplanar.py [--json]                      print that file
@@ -8,8 +8,10 @@
 A subject is a body of ``coverage_subjects.py``, of its own mesh, proportions and curve, with drawn ratios of lateral
 bending, tissue and axial rotation, one push at rib 8 with an unloaded and two loaded frames, supports that give, and a
 force, place, stance and marks that are off by as much as ``estimation.priors.Priors`` say. The radiographs are frontal
-and lateral, as of a biplanar system; pedicles are marked in the frontal ones, corners in both. All three ratios are
-estimated on the coarse mesh from the frontal corners, from these with pedicles, with lateral corners, and with both.
+and lateral, as of a biplanar system; pedicles are marked in the frontal ones, corners in both; cameras see 16 markers
+on front and flanks. All three ratios are estimated on the coarse mesh from frontal corners, from these with pedicles,
+with lateral corners, with both, with markers, and with all of it; ``--seen`` asks for some of these. Lines of a log
+about one subject are joined.
 
 The rigs: to first order at given ratios, what standard deviation the log of axial rotation has on the reference body
 with a thoracic curve of 30 degrees under 40 and 60 N at rib 8, with the wall behind the back and without, the shape at
@@ -42,15 +44,18 @@ from rich.table import Table
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.tissue_points import PointsOnTissue
 from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fitted import StiffnessFit
-from spinestiff.estimation.objective import Picture, Trial
+from spinestiff.estimation.objective import Picture, SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.unknowns import ACTS, changed_load, load_changes
 from spinestiff.estimation.weighed import WeighedProblem, reduced
@@ -65,8 +70,9 @@ from spinestiff.personalise.pose import align_view, posed
 from spinestiff.personalise.shape import personalise, place_vertebrae
 from spinestiff.study.elastic_supports import drawn_supports, elastic_supports, support_stiffness
 from spinestiff.study.spines import curved_spine
+from spinestiff.study.synthetic import spread_markers
 from spinestiff.study.trials import Known, PushSet, PushTrial, fit_pushes, push_set
-from spinestiff.subject.outcomes import TrackedPush
+from spinestiff.subject.outcomes import MarkerTracks, TrackedPush
 from spinestiff.subject.records import PushRecord
 
 RESULTS = Path(__file__).parent / "results" / "biplanar.json"
@@ -75,13 +81,17 @@ START = {"lateral_bending": 0.07, "tissue": 0.04, "axial_rotation": 0.3}
 LIMITS = {"lateral_bending": (0.03, 0.3), "tissue": (0.03, 0.2), "axial_rotation": (0.05, 1.0)}
 SHARES = (0.0, 0.6, 1.0)
 FORCE_N = 60.0
-SEEN: Mapping[str, tuple[bool, bool]] = {
-    "frontal corners": (False, False),
-    "and pedicles": (True, False),
-    "and lateral corners": (False, True),
-    "and both": (True, True),
+SEEN: Mapping[str, tuple[bool, bool, bool]] = {
+    "frontal corners": (False, False, False),
+    "and pedicles": (True, False, False),
+    "and lateral corners": (False, True, False),
+    "and both": (True, True, False),
+    "and skin markers": (False, False, True),
+    "and all": (True, True, True),
 }
-"""By name, whether pedicles in the frontal and corners in a lateral radiograph are used, too."""
+"""By name, whether pedicles in the frontal and corners in a lateral radiograph, and skin markers are used, too."""
+MARKERS = 16
+SWAY_STREAM = 31
 
 
 @dataclass(frozen=True)
@@ -97,6 +107,7 @@ class Subject:
     pedicles: Sequence[PediclePoints]
     lateral: Sequence[VertebraCorners]
     largest_turn_deg: float
+    markers: MarkerTracks
 
 
 def make_subject(seed: int) -> Subject:
@@ -152,6 +163,7 @@ def make_subject(seed: int) -> Subject:
         pedicles,
         _lateral(torso, nominal["lateral"], states, random, p),
         _turn_deg(torso, states[-1]),
+        _markers(torso, nominal["frontal"], states, site, np.random.default_rng([SWAY_STREAM, seed]), p),
     )
 
 
@@ -199,8 +211,39 @@ def _lateral(
     return found
 
 
-def with_more(pushes: PushSet, subject: Subject, pedicles: bool, lateral: bool) -> PushSet:
-    """The trials with pedicles in their radiographs, and with lateral ones."""
+def _markers(
+    torso: TorsoModel,
+    nominal: XRayView,
+    states: Sequence[TorsoState],
+    site: LoadCase,
+    random: np.random.Generator,
+    p: Priors,
+) -> MarkerTracks:
+    """Markers as cameras see them: turned axes, an origin of their own, a patient who sways and breathes."""
+    points, outward = spread_markers(torso, MARKERS, site.points.positions(torso.rest_pose))
+    there = np.array([points.positions(torso, state) for state in states])
+    shown = nominal.pixels(nominal.project(there[0]) + random.normal(0.0, 1.0, (MARKERS, 2)))
+    there += p.marker_breath_mm * random.normal(size=(len(states), 1, 1)) * outward
+    there += random.normal(0.0, p.marker_mm, there.shape)
+    middle = there[0].mean(0)
+    sway = np.deg2rad([p.place_deg, p.place_yaw_deg, p.place_deg])
+    for number in range(1, len(states)):
+        turned = (there[number] - middle) @ exp_so3(sway * random.normal(size=3)).T
+        there[number] = middle + turned + random.normal(0.0, p.place_mm, 3)
+    turn = exp_so3(np.deg2rad(p.marker_turn_deg) * random.normal(size=3))
+    cameras = (there - middle) @ turn.T + random.normal(0.0, 400.0, 3)
+    names = tuple(f"m{number + 1}" for number in range(MARKERS))
+    return MarkerTracks(
+        names=names,
+        reference=0,
+        side="front",
+        shown_px={name: tuple(pixel) for name, pixel in zip(names, shown.tolist())},
+        frames=tuple(tuple(tuple(place) for place in frame) for frame in cameras.tolist()),
+    )
+
+
+def with_more(pushes: PushSet, subject: Subject, pedicles: bool, lateral: bool, markers: bool) -> PushSet:
+    """The trials with pedicles in their radiographs, with lateral ones, and with markers or without."""
     nominal = subject.rest["lateral"][1]
     view, _ = align_view(pushes.torso, pushes.torso.rest_pose, nominal, subject.lateral[0])
     found: list[PushTrial] = []
@@ -210,6 +253,7 @@ def with_more(pushes: PushSet, subject: Subject, pedicles: bool, lateral: bool) 
             item.trial,
             pedicles=subject.pedicles[item.frame] if pedicles else None,
             further=(picture,) if lateral else (),
+            markers=item.trial.markers if markers else None,
         )
         found.append(replace(item, trial=trial))
     return replace(pushes, trials=tuple(found))
@@ -237,7 +281,7 @@ def told(fit: StiffnessFit, truth: Mapping[str, float]) -> dict[str, Any]:
     return found
 
 
-def run_one(seed: int) -> dict[str, Any]:
+def run_one(seed: int, seen: Sequence[str]) -> dict[str, Any]:
     """A subject made and estimated from less and from more, as a line of the log."""
     began = time.process_time()
     try:
@@ -245,7 +289,8 @@ def run_one(seed: int) -> dict[str, Any]:
         template = template_torso(subject.height_cm, age_years=13.0, sex="female")
         shaped = personalise(template, subject.rest)
         known = Known(Priors(), shaped.covariance)
-        pushes = push_set(shaped.torso, [subject.record], {"main": subject.tracked}, known=known)
+        tracked = subject.tracked.model_copy(update={"markers": subject.markers})
+        pushes = push_set(shaped.torso, [subject.record], {"main": tracked}, known=known)
     except SpinestiffError as error:
         return {"seed": seed, "not made": str(error)}
     row: dict[str, Any] = {
@@ -255,10 +300,10 @@ def run_one(seed: int) -> dict[str, Any]:
         "ratios": dict(subject.ratios),
     }
 
-    for name, (pedicles, lateral) in SEEN.items():
+    for name in seen:
         try:
             own = time.process_time()
-            fit = fit_pushes(with_more(pushes, subject, pedicles, lateral), NAMES, START, extent="intervals")
+            fit = fit_pushes(with_more(pushes, subject, *SEEN[name]), NAMES, START, extent="intervals")
             row[name] = {**told(fit, subject.ratios), "cpu_s": round(time.process_time() - own)}
             print(f"{seed} {name}: {row[name]}", flush=True)
         except SpinestiffError as error:
@@ -280,8 +325,14 @@ def rigs() -> list[dict[str, Any]]:
             loads = [rib_push(torso, "right", 8.0, force) for force in (0.0, 40.0, 60.0)]
             states = _pushed(problem, loads, ratios)
             row: dict[str, Any] = {"wall": wall, "axial_rotation": axial, "turn_deg": _turn_deg(torso, states[-1])}
-            for name, (pedicles, lateral) in SEEN.items():
+            markers = spread_markers(torso, MARKERS, loads[-1].points.positions(torso.rest_pose))
+            for name, (pedicles, lateral, marked) in SEEN.items():
                 trials = [_exact(torso, load, state, views, pedicles, lateral) for load, state in zip(loads, states)]
+                if marked:
+                    trials = [
+                        replace(trial, markers=_exact_markers(torso, state, *markers))
+                        for trial, state in zip(trials, states)
+                    ]
                 trial_set = TrialSet([problem] * 2, trials[1:], ratios.groups, "procrustes", None)
                 asked = WeighedProblem(trial_set, [(problem, trials[0])], "procrustes", Priors(), None, False)
                 nothing = np.zeros(len(asked.unknowns))
@@ -326,6 +377,12 @@ def _exact(
     )
 
 
+def _exact_markers(torso: TorsoModel, state: TorsoState, points: PointsOnTissue, outward: Floats) -> SkinMarkers:
+    """Markers of a state, without errors."""
+    names = tuple(f"m{number + 1}" for number in range(len(points)))
+    return SkinMarkers(names, points.positions(torso, state), points, outward, "main markers")
+
+
 def rig_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """What ``rigs`` found."""
     table = Table("wall", "axial rotation", "turn", *SEEN, title="sd of the log of axial rotation, to first order")
@@ -349,7 +406,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> Table:
             "truth",
             *(f"{row['ratios'][name]:.3g}" for name in NAMES),
         )
-        for seen in SEEN:
+        for seen in (name for name in SEEN if name in row):
             one = row[seen]
             if "failed" in one:
                 table.add_row("", "", seen, one["failed"])
@@ -369,16 +426,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--log", type=Path)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--seen", nargs="+", choices=tuple(SEEN), default=list(SEEN))
     parser.add_argument("--store", type=Path)
     parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
     if asked.log:
         with asked.log.open("a", encoding="utf-8") as log:
             for seed in asked.seeds:
-                print(json.dumps(run_one(seed)), file=log, flush=True)
+                print(json.dumps(run_one(seed, asked.seen)), file=log, flush=True)
         return
     if asked.store:
-        rows = [json.loads(line) for line in asked.store.read_text(encoding="utf-8").splitlines()]
+        joined: dict[int, dict[str, Any]] = {}
+        for line in asked.store.read_text(encoding="utf-8").splitlines():
+            row = json.loads(line)
+            joined[row["seed"]] = {**joined.get(row["seed"], {}), **row}
+        rows = [joined[seed] for seed in sorted(joined)]
         RESULTS.write_text(json.dumps({"subjects": rows, "rigs": rigs()}, indent=1) + "\n", encoding="utf-8")
     stored = json.loads(RESULTS.read_text(encoding="utf-8"))
     if asked.json:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +71,16 @@ def of_subject(subject: Subject, cache: Path) -> dict[str, list[Any]]:
 
 
 def _differences(subject: Subject, kind: str, base: Bench, frames: list[Any], cache: Path) -> Floats:
+    found = []
+    for truth, true, own, state in pairs(subject, kind, base, frames, cache):
+        found.append((motion(truth, true) - motion(own, state)) / motion_size(own.motion(state)))
+    return np.array(found)
+
+
+def pairs(
+    subject: Subject, kind: str, base: Bench, frames: list[Any], cache: Path
+) -> Iterator[tuple[Bench, TorsoState, Bench, TorsoState]]:
+    """Of each frame truth and its state, model and its state."""
     random, ratios, own = subject.random(kind), subject.ratios, base
     if kind in OF_BASE:
         truth, _ = OF_BASE[kind](base.torso, random)
@@ -83,16 +94,12 @@ def _differences(subject: Subject, kind: str, base: Bench, frames: list[Any], ca
     else:
         name = f"coarse {int(random.choice(OTHER_SEEDS))}"
         truth = Bench(subject.shaped(on_mesh(name, subject.height_cm, cache)))
-    found = []
     for frame, state in frames:
         where = frame.side, frame.level, frame.force_n
         if own is not base:
             state = own.solve(frame.side, own.load(*where), subject.ratios)
         start = state if truth.torso.rest_pose.dofs == state.dofs else None
-        true = truth.solve(frame.side, truth.load(*where), ratios, start)
-        size = motion_size(own.motion(state))
-        found.append((motion(truth, true) - motion(own, state)) / size)
-    return np.array(found)
+        yield truth, truth.solve(frame.side, truth.load(*where), ratios, start), own, state
 
 
 def summary(rows: list[dict[str, list[Any]]]) -> dict[str, Any]:

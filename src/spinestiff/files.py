@@ -1,24 +1,28 @@
-"""Files: told from pipes, devices and links, JSON read strictly, written whole and never over an input, digests."""
+"""Files: told from pipes, devices and links, JSON and CSV read strictly, written whole, never over an input, hashes."""
 
 from __future__ import annotations
 
+import csv
 import errno
 import hashlib
+import io
 import json
 import math
 import os
 import secrets
 import shutil
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
 from spinestiff.errors import SpinestiffError, SubjectError
+from spinestiff.words import counted
 
 LARGEST_JSON = 10 * 2**20
 """Bytes. A subject's files are a few kilobytes; anything larger is another file or an accident."""
+_LONGEST_SHOWN = 60
 
 _TROUBLE = {
     errno.ENOSPC: "the disk is full",
@@ -89,6 +93,42 @@ def parse_json(text: str, name: str) -> Any:
     except ValueError:
         # Python's own limit on the digits of an integer.
         raise SubjectError(f"{name}: holds a number with too many digits") from None
+
+
+def parse_csv(text: str, name: str, columns: Sequence[str]) -> Iterator[tuple[int, tuple[str, ...]]]:
+    """Rows of a CSV with just these columns, in any order; empty lines are skipped.
+
+    Parameters
+    ----------
+    text : of the file.
+    name : of the file, for messages.
+
+    Yields
+    ------
+    The row's last line in the file, and its texts without blanks around them, in the order of ``columns``.
+
+    Raises
+    ------
+    SubjectError : other columns, a row with another number of fields, no CSV at all.
+    """
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    wanted = ",".join(columns)
+    try:
+        header = [column.strip() for column in next(reader, [])]
+        if sorted(header) != sorted(columns):
+            hint = "; separate by commas" if len(header) == 1 and ";" in header[0] else ""
+            shown = "".join(c if c.isprintable() else "?" for c in ",".join(header)[:_LONGEST_SHOWN])
+            raise SubjectError(f"{name}: row 1: columns {shown}, wanted {wanted}{hint}")
+        at = [header.index(column) for column in columns]
+        for row in reader:
+            if not row:
+                continue
+            if len(row) != len(columns):
+                fields = f"{counted(len(row), 'field')}, wanted {len(columns)} ({wanted})"
+                raise SubjectError(f"{name}: row {reader.line_num}: {fields}")
+            yield reader.line_num, tuple(row[i].strip() for i in at)
+    except csv.Error as error:
+        raise SubjectError(f"{name}: row {reader.line_num}: not CSV ({error})") from None
 
 
 def write_json(path: Path, data: Any) -> None:

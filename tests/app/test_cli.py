@@ -37,6 +37,7 @@ COMMANDS = {
         "--spine-id",
         "--nodes",
         "--biplanar",
+        "--markers",
     ),
     "inspect": ("--json",),
     "annotate": ("--port", "--no-browser"),
@@ -415,6 +416,8 @@ def test_synth_and_demo_hand_their_options_on(spinestiff, tmp_path, monkeypatch)
     assert asked[2] == (tmp_path / "z", synthetic.Recipe(nodes=4000))
     refused(spinestiff("synth", tmp_path / "z", "--biplanar"), "far enough", 3)
     assert asked[3] == (tmp_path / "z", synthetic.Recipe(biplanar=True))
+    refused(spinestiff("synth", tmp_path / "z", "--markers", 12), "far enough", 3)
+    assert asked[4] == (tmp_path / "z", synthetic.Recipe(markers=12))
 
 
 # What is refused

@@ -82,6 +82,7 @@ def test_each_option_has_the_limits_of_its_quantity(spinestiff, tmp_path):
         ("torso", "import", "none", "--out", "new", "--spacing", 1): "9 to 60 mm",
         ("synth", "new", "--cobb", -81): "-80 to 80 degrees",
         ("synth", "new", "--nodes", 2999): "3000 to 65000 nodes",
+        ("synth", "new", "--markers", 2): "3 to 60 markers",
         ("synth", "new", "--force", 501): "above 0 and at most 500 N",
         ("plan", "none", "--limit", 501): "5 to 500 N",
         ("plan", "none", "--dose", 0): "above 0 and at most 1e+06 of any unit",

@@ -12,11 +12,12 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios, lame_parameters, stiffness_ratios
+from spinestiff.anatomy.tissue_points import PointsOnTissue
 from spinestiff.anatomy.torso import JointTable, TissueMesh, TorsoModel, joint_frames
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.mode import search
-from spinestiff.estimation.objective import Picture, Trial
+from spinestiff.estimation.objective import Picture, SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import Likely, likely_ratios
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem
@@ -134,6 +135,17 @@ class Column:
         """A further radiograph of a state, without errors."""
         corners = VertebraCorners(self.torso.vertebrae, self.corners(state, view))
         return Picture(corners, view, label, sequence, self.pedicles(state, view) if pedicles else None)
+
+    def markers(self, state: TorsoState, sequence: str = "push 1 markers") -> SkinMarkers:
+        """On nodes of the block's front, without errors; one rides on a bone's node, too."""
+        tissue = self.torso.tissue
+        front = np.flatnonzero((tissue.rest_positions[:, 2] > 39.0) & (tissue.bone_of_node < 0))[::3]
+        tied = np.flatnonzero((tissue.bone_of_node >= 0) & (tissue.bone_of_node < len(NAMES) - 1))
+        nodes = np.column_stack([front, np.roll(front, 1), np.resize(tied, len(front))])
+        points = PointsOnTissue(nodes, np.tile([0.7, 0.2, 0.1], (len(front), 1)))
+        names = tuple(f"m{i}" for i in range(len(front)))
+        outward = np.tile([0.0, 0.0, 1.0], (len(front), 1))
+        return SkinMarkers(names, points.positions(self.torso, state), points, outward, sequence)
 
     def shown(self, load: LoadCase, state: TorsoState, errors: np.ndarray | float = 0.0, **facts) -> Trial:
         """A radiograph of a state, ``errors`` (9, 4, 2) in mm at the patient plane."""

@@ -172,6 +172,42 @@ def test_errors_of_marks_are_each_their_own_and_pedicles_lie_where_they_lie(colu
     assert places[first, second].any()
 
 
+def test_corners_that_tracking_followed_keep_the_error_of_the_marks_they_came_from(column, both) -> None:
+    """And have tracking's own beside; whether the marked radiograph is among these or not."""
+    p, count = Priors(), 4 * len(column.torso.vertebrae) * 3 // 4
+    rest = both[2].further[0] if not both[2].load.size else both[0].further[0]
+    loaded = [trial for trial in both if trial.load.size]
+    still = [trial for trial in both if not trial.load.size]
+    quality = np.full((9, 4), 0.9)
+
+    def as_followed(trial, start):
+        (picture,) = trial.further
+        corners = replace(picture.corners, quality=quality)
+        return replace(trial, further=(replace(picture, corners=corners, followed_from=start, pedicles=None),))
+
+    for others, start in ((still, still[0].further[0].label), ([replace(still[0], further=())], "another one")):
+        asked = column.weighed([*others, *(as_followed(trial, start) for trial in loaded)], names=NAMES)
+        marks = asked.noise.parts["marks set by hand"]
+        seen = {
+            one.target.trial.label: asked.noise.of(i)
+            for i, one in enumerate(asked.noise.seen)
+            if one.marked is not None and one.sequence == rest.sequence and not isinstance(one.target, PedicleTarget)
+        }
+        first, second = (seen[trial.further[0].label] for trial in loaded)
+        assert first.stop - first.start == count
+        assert np.allclose(marks[first, second], p.marking_mm**2 * np.eye(count))
+        own = np.diag(asked.noise.tracking())[first]
+        assert (own > p.tracking_mm**2).all()
+        assert not asked.noise.tracking()[first, second].any()
+        # Taken along in all frames alike, but not as in the frontal radiographs.
+        drag = asked.noise.drag(np.ones(len(asked.noise.seen)))
+        assert drag[first, second].any() and not drag[asked.noise.of(0), first].any()
+        if start != "another one":
+            base = seen[start]
+            assert np.allclose(marks[base, second], p.marking_mm**2 * np.eye(count))
+            assert not asked.noise.tracking()[base, base].any()
+
+
 def test_a_patient_who_turns_moves_pedicles_against_corners(column, both) -> None:
     p = Priors(stance_yaw_deg=3.0, place_yaw_deg=2.0)
     asked_more = column.weighed(both, p, names=NAMES)

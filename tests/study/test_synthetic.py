@@ -13,14 +13,17 @@ from scipy.spatial import cKDTree
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS
 from spinestiff.anatomy.template import MESHES, template_torso
-from spinestiff.errors import EquilibriumError, SpinestiffError, SubjectError
+from spinestiff.errors import EquilibriumError, SpinestiffError, SubjectError, TrackingError
 from spinestiff.files import file_digest
 from spinestiff.imaging.pedicles import pedicle_centres
+from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import rib_push
+from spinestiff.personalise.markers import place_markers
 from spinestiff.personalise.pose import align_view
 from spinestiff.study import synthetic
 from spinestiff.study.elastic_supports import SyntheticSupports
-from spinestiff.study.steps import marked_pedicles, side_views
+from spinestiff.study.steps import followed_view, marked_pedicles, side_views
 from spinestiff.study.synthetic import (
     BENDING_RANGE,
     TISSUE_RANGE,
@@ -31,7 +34,9 @@ from spinestiff.study.synthetic import (
     synthesise,
     truth_path,
 )
-from spinestiff.subject.folder import image_corners, image_supports, read_push, read_rest, read_subject
+from spinestiff.subject.folder import image_corners, image_supports, read_push, read_rest, read_subject, read_view
+from spinestiff.subject.marker_table import read_markers
+from spinestiff.subject.records import ImageAnnotation
 
 PUSH = SyntheticPush("main", 8.0, (0.0, 1.0), ("unused", "training"))
 
@@ -172,6 +177,77 @@ def test_a_biplanar_subject_has_lateral_radiographs_and_pedicles_of_every_frame(
     beams = [one.view.view().normal for one in (side, oblique)]
     assert np.degrees(np.arccos(beams[0] @ beams[1])) == pytest.approx(30.0)
     assert oblique.view.view().source[2] - side.view.view().source[2] == pytest.approx(-670.0, abs=1.0)
+
+
+def test_what_nobody_marked_in_a_view_is_followed_and_marks_by_hand_win(tmp_path, tiny):
+    push = SyntheticPush("main", 8.0, (0.0, 0.3, 0.6, 1.0), ("unused", "unused", "training", "training"))
+    synthesise(tmp_path / "both", replace(tiny, biplanar=True, pushes=(push,), shape=(512, 512)))
+    whole = read_subject(tmp_path / "both")
+    (record,) = whole.pushes
+    fewer = whole.annotation.images["push/main/2/lateral"].model_dump()
+    del fewer["vertebrae"]["T8"]
+    images = {**whole.annotation.images, "push/main/2/lateral": ImageAnnotation.model_validate(fewer)}
+    whole = replace(whole, annotation=whole.annotation.model_copy(update={"images": images}))
+    (every,) = side_views(whole, record)
+    kept = {
+        name: image
+        for name, image in whole.annotation.images.items()
+        if name not in ("push/main/1/lateral", "push/main/3/lateral")
+    }
+    (some,) = side_views(replace(whole, annotation=whole.annotation.model_copy(update={"images": kept})), record)
+    assert [one.followed_from for one in every.pictures] == [None] * 4
+    assert [one.followed_from for one in some.pictures] == [None, 0, None, 2]
+    assert some.pictures[0] == every.pictures[0] and some.pictures[2] == every.pictures[2]
+    assert [("T8" in one.vertebrae) for one in some.pictures] == [True, True, False, True]
+    for number in (1, 3):
+        found, marked = some.corners(some.pictures[number]), every.corners(every.pictures[number])
+        names = [name for name in usable_corners(found).vertebrae if name in marked.vertebrae]
+        assert len(names) > 5
+        apart = found.selected(names).corners - marked.selected(names).corners
+        # Each mark errs by 0.3 mm; tracking adds as much and more.
+        assert np.median(np.abs(apart)) / every.view.view().magnification < 0.8
+    blank = [replace(frame, pixels=np.ones_like(frame.pixels)) for frame in read_view(whole, record, record.views[0])]
+    with pytest.raises(TrackingError, match=r"^push 'x' view 'y': .*; or mark the corners in each of its radiographs$"):
+        followed_view(blank, {0: every.corners(every.pictures[0])}, "push 'x' view 'y'")
+
+
+def test_a_subject_with_markers_has_a_table_of_them_that_meets_its_skin(tmp_path, tiny):
+    push = SyntheticPush("main", 8.0, (0.0, 1.0), ("unused", "training"))
+    recipe = replace(tiny, pushes=(push, replace(push, id="other")), shape=(256, 256))
+    for name, count in (("bare", 0), ("marked", 12)):
+        truth = synthesise(tmp_path / name, replace(recipe, markers=count))
+    assert json.loads(truth.read_text())["recipe"]["markers"] == 12
+    bare, marked = (digests(tmp_path / name) for name in ("bare", "marked"))
+    tables = {"pushes/main-markers.csv", "pushes/other-markers.csv"}
+    assert {name for name in marked if bare.get(name) != marked[name]} == {"subject.json"} | tables
+    subject = read_subject(tmp_path / "marked")
+    record = subject.push("main")
+    view = read_push(subject, record)[0].view
+    tracks = read_markers(subject, record, view)
+    torso = subject_torso(recipe)
+    clicked = image_corners(subject, "push/main", view)
+    standing, _ = align_view(torso, torso.rest_pose, view, clicked)
+    rows, pixels = tracks.shown
+    shown = rows, view.from_pixels(pixels)
+    placed = place_markers(torso, tracks.names, tracks.positions[0], shown, standing, tracks.side, np.deg2rad(3.0))
+    # A breath and errors of the cameras away from this very skin.
+    assert np.abs(placed.off_mm).max() < 6.0
+    places = placed.placed(tracks.positions)
+    moved = places[1] - places[0]
+    # A push of 10 N from the right moves the trunk to the left, or the other way.
+    assert np.sign(np.median(moved[:, 0])) == record.sign
+    assert 1.0 < np.abs(moved[:, 0]).max() < 60.0
+    # Off the gauge's pad.
+    load = rib_push(torso, record.side, 8.0, 1.0).points.positions(torso.rest_pose)
+    assert cKDTree(load).query(places[0])[0].min() > 50.0
+
+
+def test_markers_that_are_too_few_or_find_no_room_are_refused(tiny):
+    with pytest.raises(SubjectError, match="2 markers; wanted 0, or 3 to 60"):
+        replace(tiny, markers=2)
+    torso = subject_torso(tiny)
+    with pytest.raises(SubjectError, match="this torso's front and flanks have room for"):
+        synthetic.spread_markers(torso, 100_000, np.zeros((1, 3)))
 
 
 def test_the_same_seed_gives_the_same_bytes(twins):

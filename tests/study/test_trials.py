@@ -26,9 +26,10 @@ from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.push import Rig, push_problem
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.pose import posed
+from spinestiff.study.synthetic import spread_markers
 from spinestiff.study.trials import Known, fit_pushes, known_of, push_set, rig_of, seen_beside
 from spinestiff.subject.outcome_parts import ViewRecord
-from spinestiff.subject.outcomes import MarkedPedicles, Measured, SideView
+from spinestiff.subject.outcomes import MarkedPedicles, MarkerTracks, Measured, SidePicture, SideView, TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
 
 STOOD = ((6.0, -4.0), 0.02)
@@ -117,6 +118,98 @@ def test_a_view_without_an_unloaded_frame_is_told_and_mirrored_marks_are_refused
     push = record((0.0, 20.0), ("unused", "training"))
     with pytest.raises(TrackingError, match="push 'main' frame 0 view 'side': corners of T4 are mirrored"):
         push_set(torso, [push], {"main": wrong})
+
+
+def followed(side, frame, quality, start=0):
+    """The view with one of its radiographs as tracking left it."""
+    pictures = [
+        picture.model_copy(update={"quality": ((quality,) * 4,) * 9, "followed_from": start, "pedicles": None})
+        if picture.frame == frame
+        else picture
+        for picture in side.pictures
+    ]
+    return side.model_copy(update={"pictures": tuple(pictures)})
+
+
+def test_corners_followed_in_a_view_say_from_where_and_are_left_out_where_they_were_lost(torso, corners):
+    side = followed(aside(torso, (0, 1, 2)), 2, 0.8)
+    push = tracked(corners, corners, corners).model_copy(update={"sides": (side,)})
+    found = push_set(torso, [record()], {"main": push})
+    pictures = [item.trial.further[0] for item in found.trials]
+    assert [one.followed_from for one in pictures] == ["", "", "push 'main' frame 0 view 'side'"]
+    assert pictures[2].followed_from == pictures[0].label
+    assert [item.trial.seen_in(one).annotated for item, one in zip(found.trials, pictures)] == [True, True, False]
+    assert np.unique(pictures[2].corners.quality).tolist() == [0.8] and found.warnings == ()
+    rows = [[0.8] * 4] * 7 + [[0.0] * 4] * 2
+    some = [one.model_copy(update={"quality": rows}) if one.frame == 2 else one for one in side.pictures]
+    push = push.model_copy(update={"sides": (side.model_copy(update={"pictures": tuple(some)}),)})
+    less = push_set(torso, [record()], {"main": push})
+    assert less.warnings == ("push 'main' frame 2 view 'side': 2 vertebrae lost in tracking and left out",)
+    assert len(less.trials[2].trial.further[0].corners) == 7
+    push = push.model_copy(update={"sides": (followed(side, 2, 0.0),)})
+    gone = push_set(torso, [record()], {"main": push})
+    assert gone.warnings == ("push 'main' frame 2 view 'side': dropped, no vertebrae left (wanted 3); mark it by hand",)
+    assert [len(item.trial.further) for item in gone.trials] == [1, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"quality": [[1.0] * 4] * 9}, "quality, followed_from: wanted both"),
+        ({"followed_from": 0}, "quality, followed_from: wanted both"),
+        ({"quality": [[1.0] * 4] * 8, "followed_from": 0}, "quality: 8 for 9 vertebrae"),
+        ({"corners_px": [[[1.0, 2.0]] * 4] * 3}, "corners_px: 3 for 9 vertebrae"),
+    ],
+)
+def test_a_picture_from_aside_is_marked_or_followed_and_whole(torso, changes, words):
+    picture = aside(torso, (0,)).pictures[0].model_dump()
+    with pytest.raises(ValidationError, match=words):
+        SidePicture.model_validate({**picture, **changes})
+
+
+def marked(torso, view, seen, **changes):
+    """Markers on front and flanks in three frames, cameras with an origin of their own; ``seen`` of their places."""
+    points, _ = spread_markers(torso, 12, np.full((1, 3), 1e4))
+    there = points.positions(torso, torso.rest_pose)
+    names = tuple(f"m{i}" for i in range(12))
+    frames = [there + [300.0, -800.0, 50.0] + [0.0, 0.0, step] for step in seen]
+    shown = {name: tuple(view.pixels(view.project(place))) for name, place in zip(names[:4], there)}
+    said = {"names": names, "reference": 0, "side": "front", "shown_px": shown, **changes}
+    return MarkerTracks.model_validate({**said, "frames": [frame.tolist() for frame in frames]}), there
+
+
+def test_markers_come_to_the_torso_and_go_with_their_frame(torso, corners):
+    view = frontal_view().moved(*STOOD)
+    tracks, there = marked(torso, view, (0.0, 3.0, 5.0))
+    push = tracked(corners, corners, corners).model_copy(update={"markers": tracks})
+    found = push_set(torso, [record()], {"main": push})
+    frames = [item.trial.markers for item in found.trials]
+    assert [frame.sequence for frame in frames] == ["main markers"] * 3
+    assert np.abs(frames[0].positions - there).max() < 2.0
+    assert np.allclose(frames[2].positions - frames[0].positions, [0.0, 0.0, 5.0], atol=0.1)
+    on = frames[0].points.positions(torso, torso.rest_pose)
+    assert np.linalg.norm(on - there, axis=1).max() < 3.0
+    assert frames[1].points is frames[0].points
+    assert seen_beside(found) == ("push 'main': beside the frontal corners, up to 12 skin markers in 2 frames",)
+    assert found.warnings == ()
+
+
+def test_markers_that_lie_on_no_skin_are_refused_with_the_push(torso, corners):
+    view = frontal_view().moved(*STOOD)
+    tracks, _ = marked(torso, view, (0.0, 3.0, 5.0))
+    small = tracks.model_copy(
+        update={"frames": tuple(tuple(tuple(0.01 * np.array(p)) for p in frame) for frame in tracks.frames)}
+    )
+    push = tracked(corners, corners, corners).model_copy(update={"markers": small})
+    with pytest.raises(SubjectError, match=r"push 'main': skin markers: the two farthest apart are 4.* check the unit"):
+        push_set(torso, [record()], {"main": push})
+
+
+def test_as_many_frames_of_markers_as_of_radiographs(torso, corners):
+    tracks, _ = marked(torso, frontal_view(), (0.0, 3.0))
+    whole = tracked(corners, corners, corners).model_dump()
+    with pytest.raises(ValidationError, match=r"markers\.frames: 2 for 3 radiographs"):
+        TrackedPush.model_validate({**whole, "markers": tracks})
 
 
 def test_pedicles_go_with_the_frame_they_were_marked_in(torso, corners):

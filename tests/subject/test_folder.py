@@ -484,8 +484,14 @@ def test_impossible_views_are_refused(folder, changes, words):
     assert words in refusal(with_view(folder, **changes))
 
 
+def subject_view(folder):
+    return read_subject(folder).pushes[0].views[0]
+
+
 def test_what_is_marked_in_a_view_is_checked(folder):
-    assert "images.push/right-8/2/side: missing; wanted the vertebra corners" in refusal(with_view(folder, (0,)))
+    # Tracking follows corners into frame 2, not into the one without force.
+    assert read_subject(with_view(folder, (0,))).pushes[0].least_of(subject_view(folder)) == 0
+    assert "images.push/right-8/0/side: missing; wanted the vertebra corners" in refusal(with_view(folder, (2,)))
     few = {"vertebrae": dict(list(SIDE_MARKS["vertebrae"].items())[:2])}
     with_view(folder)
     content = json.loads((folder / "annotation.json").read_text())

@@ -22,6 +22,7 @@ from spinestiff.app.options import (
     dose_limits,
     force_limits,
     height_limits,
+    marker_limits,
     node_limits,
     noise_limits,
     push_limits,
@@ -77,6 +78,13 @@ Nodes = Annotated[
     typer.Option(
         callback=within("nodes", node_limits),
         help="About how many nodes of a tissue mesh built for this subject alone, by its seed; needs the extra [mesh].",
+    ),
+]
+Markers = Annotated[
+    int | None,
+    typer.Option(
+        callback=within("markers", marker_limits),
+        help="So many markers on the skin, seen by cameras in every frame of a push.",
     ),
 ]
 TorsoFile = Annotated[Path | None, typer.Option("--torso", help="A torso file instead of a subject folder.")]
@@ -145,12 +153,14 @@ def synth(
     biplanar: Annotated[
         bool, typer.Option("--biplanar", help="Lateral radiographs and marked pedicles in every frame of a push, too.")
     ] = False,
+    markers: Markers = None,
 ) -> None:
     """Make a synthetic subject of known stiffness: DICOM radiographs, force log, annotation."""
     from spinestiff.app.progress import progress
     from spinestiff.study.synthetic import synthesise
 
-    recipe = replace(_recipe(seed, height, cobb, curve, force, ratios, spine, spine_id), nodes=nodes, biplanar=biplanar)
+    recipe = _recipe(seed, height, cobb, curve, force, ratios, spine, spine_id)
+    recipe = replace(recipe, nodes=nodes, biplanar=biplanar, markers=markers or 0)
     with progress() as say:
         truth = synthesise(folder, recipe, say)
     typer.echo(f"subject: {folder}\ntruth:   {truth}")

@@ -96,6 +96,13 @@ def node_limits() -> tuple[float, float]:
     return NODES
 
 
+def marker_limits() -> tuple[float, float]:
+    """Skin markers of a synthetic subject."""
+    from spinestiff.subject.marker_table import FEWEST, MOST
+
+    return FEWEST, MOST
+
+
 def cobb_limits() -> tuple[float, float]:
     """Degrees, of a synthetic curve."""
     from spinestiff.study.spines import LARGEST_COBB_DEG

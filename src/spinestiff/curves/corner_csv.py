@@ -7,13 +7,11 @@ import io
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from spinestiff.errors import SubjectError
-from spinestiff.words import counted
+from spinestiff.files import parse_csv
 
 COLUMNS = ("image", "level", "corner", "x", "y")
 # What a spreadsheet takes for the start of a formula (OWASP, "CSV Injection").
 _FORMULA = ("=", "+", "-", "@")
-_LONGEST_SHOWN = 60
 
 
 class CsvRow(NamedTuple):
@@ -39,24 +37,8 @@ def parse(text: str, name: str) -> Iterator[CsvRow]:
     ------
     SubjectError : other columns, a row with another number of fields, no CSV at all.
     """
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    try:
-        header = [column.strip() for column in next(reader, [])]
-        if sorted(header) != sorted(COLUMNS):
-            hint = "; separate by commas" if len(header) == 1 and ";" in header[0] else ""
-            shown = "".join(c if c.isprintable() else "?" for c in ",".join(header)[:_LONGEST_SHOWN])
-            raise SubjectError(f"{name}: row 1: columns {shown}, wanted {','.join(COLUMNS)}{hint}")
-        at = [header.index(column) for column in COLUMNS]
-        for row in reader:
-            if not row:
-                continue
-            if len(row) != len(COLUMNS):
-                fields = f"{counted(len(row), 'field')}, wanted {len(COLUMNS)} ({','.join(COLUMNS)})"
-                raise SubjectError(f"{name}: row {reader.line_num}: {fields}")
-            image, *rest = (row[i].strip() for i in at)
-            yield CsvRow(reader.line_num, image[1:] if _is_guarded(image) else image, *rest)
-    except csv.Error as error:
-        raise SubjectError(f"{name}: row {reader.line_num}: not CSV ({error})") from None
+    for line, (image, *rest) in parse_csv(text, name, COLUMNS):
+        yield CsvRow(line, image[1:] if _is_guarded(image) else image, *rest)
 
 
 def text(rows: Iterable[tuple[str, str, str, float, float]]) -> str:

@@ -29,7 +29,7 @@ import numpy as np
 
 from spinestiff.anatomy.names import RIBS, VERTEBRAE
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.arrays import Floats, ShortRepr, read_only
+from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import FitError
 from spinestiff.files import regular_file, write_bytes
 from spinestiff.imaging.features import picture_axes
@@ -62,6 +62,10 @@ IN_PLANE, OUT_OF_PLANE = (0, 1, 5), (2, 3, 4)
 # frontal motion, and over how many vertebrae these are alike (``benchmarks/discrepancy_out_of_plane.py``).
 OUT_OF_PLANE_SD = np.array([0.06, 0.01, 0.015])
 OUT_OF_PLANE_LENGTH = 8.0
+# Of the skin's motion to the left, upwards and to the front, over the size of the frontal motion, and mm over which
+# each is alike along the skin (``benchmarks/discrepancy_skin.py``).
+SKIN_SD = np.array([0.09, 0.07, 0.06])
+SKIN_LENGTH_MM = np.array([350.0, 150.0, 120.0])
 # Mirroring turns a shift to the left into one to the right, and with it the sense of a turn.
 MIRROR = np.array([-1.0, 1.0, -1.0])
 LOWEST_LEVEL, HIGHEST_LEVEL = 1.0, 12.0
@@ -283,12 +287,40 @@ def out_of_plane_columns(frames: Sequence[DiscrepancyFrame], modes: DiscrepancyM
     apart = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows)))
     root = np.linalg.cholesky(np.exp(-apart / OUT_OF_PLANE_LENGTH))
     sizes = np.array([motion_size(frame.motion) for frame in frames])
+    sds = OUT_OF_PLANE_SD / np.array([1.0, TURN_ARM_MM, TURN_ARM_MM])
+    found = np.einsum("f,fs,c,vw,cd->fvcsdw", sizes, _sharing(frames, modes), sds, root, np.eye(len(sds)))
+    return np.asarray(found.reshape(count, rows, len(sds), -1))
+
+
+def skin_covariance(
+    frames: Sequence[DiscrepancyFrame], modes: DiscrepancyModes, of: Ints, points: Floats, slide: float
+) -> Floats:
+    """(3 P, 3 P) mm^2, covariance of truth - model of how points of the skin move in loaded frames, point by point.
+
+    In proportion to the size of the frame's motion, alike along the skin over ``SKIN_LENGTH_MM``, and shared by frames
+    as in ``out_of_plane_columns``; independent of the vertebrae's.
+
+    Parameters
+    ----------
+    of : (P,) frame of each point. points : (P, 3) mm, at rest.
+    slide : standard deviation, relative to the frame's motion along each axis, of what no variant of the model shows.
+    """
+    sizes = np.array([motion_size(frame.motion) for frame in frames])
+    sharing = sizes[:, None] * _sharing(frames, modes)
+    apart = np.linalg.norm(points[:, None] - points, axis=-1)
+    shared = (sharing @ sharing.T)[np.ix_(of, of)]
+    found = np.zeros((len(points), 3, len(points), 3))
+    for axis, (sd, length) in enumerate(zip(SKIN_SD, SKIN_LENGTH_MM)):
+        found[:, axis, :, axis] = (sd**2 + slide**2) * shared * np.exp(-apart / length)
+    return found.reshape(3 * len(points), -1)
+
+
+def _sharing(frames: Sequence[DiscrepancyFrame], modes: DiscrepancyModes) -> Floats:
+    """(F, K) rows of length 1 whose products say how alike frames err: those of one site, but for an own part."""
+    count = len(frames)
     weights = np.stack([modes.weights(frame.side, frame.level) for frame in frames]).reshape(count, -1)
     mixed = weights[:, weights.any(axis=0)] / np.linalg.norm(weights, axis=1, keepdims=True)
-    sharing = np.column_stack([np.sqrt(1.0 - modes.own_share) * mixed, np.sqrt(modes.own_share) * np.eye(count)])
-    sds = OUT_OF_PLANE_SD / np.array([1.0, TURN_ARM_MM, TURN_ARM_MM])
-    found = np.einsum("f,fs,c,vw,cd->fvcsdw", sizes, sharing, sds, root, np.eye(len(sds)))
-    return np.asarray(found.reshape(count, rows, len(sds), -1))
+    return np.column_stack([np.sqrt(1.0 - modes.own_share) * mixed, np.sqrt(modes.own_share) * np.eye(count)])
 
 
 def write_data(path: Path, data: DiscrepancyData) -> None:

@@ -10,7 +10,7 @@ how far the spine moved.
 Where more is seen than corners of frontal radiographs (``sights``), a mark's two coordinates are channels, too. Marks
 set by hand in a radiograph err for themselves, pedicles lie elsewhere than the template's, and how the patient was
 turned about the vertical is not known. Corners of frontal radiographs alone hardly tell of that turn, and leave it
-out.
+out. Of markers on the skin all three coordinates are channels (``marker_noise``).
 """
 
 from __future__ import annotations
@@ -23,9 +23,19 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize_scalar
 
 from spinestiff.arrays import Floats, Ints, ShortRepr
+from spinestiff.estimation.marker_noise import SeenMarkers, marker_parts
 from spinestiff.estimation.objective import Target
 from spinestiff.estimation.priors import Priors
-from spinestiff.estimation.sights import PedicleTarget, Sight, SightResiduals
+from spinestiff.estimation.sights import (
+    OWN,
+    MarkerResiduals,
+    MarkerTarget,
+    PedicleTarget,
+    PictureSight,
+    PointResiduals,
+    Sight,
+    SightResiduals,
+)
 from spinestiff.imaging.features import picture_axes
 from spinestiff.imaging.tracking.quality import error_of
 
@@ -88,43 +98,41 @@ class Channels(ShortRepr):
 
 @dataclass(frozen=True, repr=False)
 class PointChannels(ShortRepr):
-    """From marked points to their channels, which are their coordinates.
+    """From points to their channels, which are their coordinates.
 
     Attributes
     ----------
-    rows : (P,) the points' vertebrae among the torso's.
+    rows : (P,) the points' vertebrae among the torso's, or numbers of markers.
+    each : how many a point has.
     """
 
     rows: Ints
-
-    @property
-    def each(self) -> int:
-        """How many a point has."""
-        return 2
+    each: int = 2
 
     def apply(self, features: Floats) -> Floats:
-        """(2 P, ...) channels of features (P, 2, ...), point by point."""
-        return np.asarray(features.reshape(2 * len(self.rows), *features.shape[2:]))
+        """(each P, ...) channels of features (P, each, ...), point by point."""
+        return np.asarray(features.reshape(self.each * len(self.rows), *features.shape[2:]))
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What a radiograph shows of one kind, among all of a fit.
+    """What a radiograph shows of one kind, or cameras of markers, among all of a fit.
 
     Attributes
     ----------
-    target : corners, or pedicles.
+    target : corners, pedicles, or markers.
     sequence : frames of one carry the same name here.
     annotated : its marks were set by hand, so that tracking adds no error.
     radiograph : number of the radiograph; None: this is the only thing that one shows.
-    apart : set by hand in this radiograph once more, while frames of a tracked sequence share their annotation.
+    marked : set by hand once more, while frames of a tracked sequence share their annotation: corners with one number
+        here were, in one radiograph; ``OWN``: each mark by itself; None: not (``sights.FurtherSight``).
     """
 
     target: Sight
     sequence: str
     annotated: bool
     radiograph: int | None = None
-    apart: bool = False
+    marked: int | None = None
 
 
 class Noise:
@@ -136,7 +144,7 @@ class Noise:
     still : of each, at rest: residuals whose derivatives are those in the rest poses of its vertebrae.
     geometry : (6V, 6V) covariance of the rest poses (dt mm, dw rad), or None: known.
     priors : of everything else.
-    positions : (V, 3) mm, the vertebrae at rest, where more is seen than corners of frontal radiographs.
+    positions : (V, 3) mm, the vertebrae at rest, where radiographs show more than frontal corners.
 
     Attributes
     ----------
@@ -153,6 +161,9 @@ class Noise:
         positions: Floats | None = None,
     ) -> None:
         self.seen = tuple(seen)
+        self._pictures = tuple(
+            (i, one.target) for i, one in enumerate(seen) if not isinstance(one.target, MarkerTarget)
+        )
         self.channels = tuple(_channels(one.target) for one in seen)
         counts = [one.each * len(one.rows) for one in self.channels]
         self.ends = np.concatenate([[0], np.cumsum(counts)])
@@ -173,23 +184,31 @@ class Noise:
         }
         stance_roll = float(np.deg2rad(priors.stance_deg))
         roll = float(np.deg2rad(priors.place_deg))
-        self.parts["place in the picture"] = _outer(self._places(seen, self._trial, priors.place_mm, roll, 0.0))
-        self.parts["posture"] = _outer(self._waves(seen, sequence, float(np.deg2rad(priors.posture_deg))))
-        self.parts["stance"] = _outer(self._places(seen, sequence, priors.stance_mm, stance_roll, priors.stance_scale))
+        self.parts["place in the picture"] = _outer(self._places(self._trial, priors.place_mm, roll, 0.0))
+        self.parts["posture"] = _outer(self._waves(sequence, float(np.deg2rad(priors.posture_deg))))
+        self.parts["stance"] = _outer(self._places(sequence, priors.stance_mm, stance_roll, priors.stance_scale))
         if geometry is not None:
             jacobian = self.pose_jacobian(still, len(geometry) // 6).reshape(self.size, -1)
             self.parts["rest geometry"] = np.asarray(jacobian @ geometry @ jacobian.T)
-        apart = np.repeat([one.apart for one in seen], counts)
-        if apart.any():
-            marked = np.where(self._of_boxes, priors.marking_mm, priors.pedicle_mm) * apart
-            self.parts["marks set by hand"] = np.diag(marked**2)
+        anew = np.repeat([one.marked is not None for one in seen], counts)
+        if anew.any():
+            sizes = np.where(self._of_boxes, priors.marking_mm, priors.pedicle_mm) * anew
+            group = np.repeat([OWN if one.marked is None else one.marked for one in seen], counts)
+            together = alike & (group[:, None] == group) & (group != OWN)
+            self.parts["marks set by hand"] = np.where(together | np.eye(self.size, dtype=bool), sizes**2, 0.0)
         self.turns = np.zeros((self.size, 0))
         if positions is not None:
-            self.parts["pedicles' places"] = _outer(self._pedicles(seen, still))
-            turned = self._turned(seen, still, positions)
+            self.parts["pedicles' places"] = _outer(self._pedicles(still))
+            turned = self._turned(still, positions)
             own, shared = (float(np.deg2rad(sd)) for sd in (priors.place_yaw_deg, priors.stance_yaw_deg))
             self.turns = np.column_stack([own * _by_group(turned, self._trial), shared * _by_group(turned, sequence)])
             self.parts["turn of the patient"] = _outer(self.turns)
+        markers = [
+            SeenMarkers(one.target, one.sequence, self.of(i))
+            for i, one in enumerate(seen)
+            if isinstance(one.target, MarkerTarget)
+        ]
+        self.parts |= marker_parts(markers, self.size, priors)
         own_error = np.zeros(self.size)
         tracked = np.zeros(self.size, dtype=bool)
         for i, one in enumerate(seen):
@@ -204,7 +223,9 @@ class Noise:
         together = (self._trial[:, None] == self._trial) & (self._channel[:, None] == self._channel)
         both = tracked[:, None] & tracked
         self._shared = priors.tracking_shared_mm**2 * np.exp(-distance) * (together & both)
-        self._drag = priors.tracking_drag**2 * self._dragged() * both
+        # What lies behind a spine from the side is other than from the front.
+        aside = np.repeat([one.radiograph is not None for one in seen], counts)
+        self._drag = priors.tracking_drag**2 * self._dragged() * (both & (aside[:, None] == aside))
 
     def boxes(self, number: int) -> Channels:
         """From corners to channels, of one that shows corners."""
@@ -256,70 +277,77 @@ class Noise:
             whole += size**2 * alike * (mine[:, None] & mine)
         return whole
 
-    def _places(self, seen: Sequence[Seen], of: Ints, shift_mm: float, turn: float, scale: float) -> Floats:
+    def _groups(self, of: Ints) -> tuple[int, ...]:
+        """Groups of radiographs, each once, in their order; ``of`` (n,) of each channel."""
+        return tuple(dict.fromkeys(int(of[self.ends[i]]) for i, _ in self._pictures))
+
+    def _places(self, of: Ints, shift_mm: float, turn: float, scale: float) -> Floats:
         """(n, k) columns of each group of radiographs: shifts along both axes, a turn, another size of the picture."""
         columns = []
-        for group in dict.fromkeys(of.tolist()):
+        for group in self._groups(of):
             for kind, size in enumerate((shift_mm, shift_mm, turn, scale)):
                 if size == 0.0:
                     continue
                 column = np.zeros(self.size)
-                for i, one in enumerate(seen):
+                for i, target in self._pictures:
                     if of[self.ends[i]] == group:
-                        column[self.of(i)] = size * self.channels[i].apply(_place_change(one.target.z, kind))
+                        column[self.of(i)] = size * self.channels[i].apply(_place_change(target.z, kind))
                 columns.append(column)
         return np.stack(columns, axis=1) if columns else np.zeros((self.size, 0))
 
-    def _waves(self, seen: Sequence[Seen], of: Ints, bend: float) -> Floats:
+    def _waves(self, of: Ints, bend: float) -> Floats:
         """(n, 3 k) columns: the spine of each group of radiographs bent sideways by smooth waves.
 
         A wave's steepest tilts differ by ``bend`` rad, and its vertebrae turn with it.
         """
         columns = []
-        for group in dict.fromkeys(of.tolist()) if bend else ():
+        for group in self._groups(of) if bend else ():
             for half_waves in (1, 2, 3):
                 column = np.zeros(self.size)
-                for i, one in enumerate(seen):
+                for i, target in self._pictures:
                     if of[self.ends[i]] == group:
-                        column[self.of(i)] = self.channels[i].apply(_wave(one.target, half_waves, bend))
+                        column[self.of(i)] = self.channels[i].apply(_wave(target, half_waves, bend))
                 columns.append(column)
         return np.stack(columns, axis=1) if columns else np.zeros((self.size, 0))
 
     def pose_jacobian(self, still: Sequence[SightResiduals], vertebrae: int) -> Floats:
-        """(n, V, 6), derivative of all channels in the rest poses (dt mm, dw rad) of the vertebrae."""
+        """(n, V, 6), derivative of all channels in the rest poses (dt mm, dw rad) of the vertebrae; of markers none."""
         jacobian = np.zeros((self.size, vertebrae, 6))
         for i, (channels, part) in enumerate(zip(self.channels, still)):
+            if isinstance(part, MarkerResiduals):
+                continue
             found = channels.apply(part.jacobian).reshape(-1, channels.each, 6)
             rows = np.arange(self.ends[i], self.ends[i + 1]).reshape(-1, channels.each)
             for own, where, vertebra in zip(found, rows, channels.rows):
                 jacobian[where, vertebra] = own
         return jacobian
 
-    def _turned(self, seen: Sequence[Seen], still: Sequence[SightResiduals], positions: Floats) -> Floats:
+    def _turned(self, still: Sequence[SightResiduals], positions: Floats) -> Floats:
         """(n,) change of the channels per rad that the patient is turned about the vertical through the patient plane's
         middle."""
         jacobian = self.pose_jacobian(still, len(positions))
         found = np.zeros(self.size)
-        for i, one in enumerate(seen):
-            view = one.target.trial.view
+        for i, target in self._pictures:
+            view = target.trial.view
             pivot = view.source + view.source_to_patient * view.normal
             moved = np.cross(_VERTICAL, positions - pivot)
             pose = np.column_stack([moved, np.broadcast_to(_VERTICAL, moved.shape)])
             found[self.of(i)] = np.einsum("nvc,vc->n", jacobian[self.of(i)], pose)
         return found
 
-    def _pedicles(self, seen: Sequence[Seen], still: Sequence[SightResiduals]) -> Floats:
+    def _pedicles(self, still: Sequence[SightResiduals]) -> Floats:
         """(n, k) columns: where all pedicles lie from the template's, outwards, up and front, and each by itself.
 
         Along the world's axes, from which vertebrae are turned by little.
         """
         p = self._priors
         columns: dict[tuple[int, int, int], Floats] = {}
-        for i, one in enumerate(seen):
-            if not isinstance(one.target, PedicleTarget):
+        for i, target in self._pictures:
+            part = still[i]
+            if not (isinstance(target, PedicleTarget) and isinstance(part, PointResiduals)):
                 continue
-            slopes = still[i].jacobian[:, :, :3]
-            for number, (row, side) in enumerate(zip(one.target.rows, one.target.outward)):
+            slopes = part.jacobian[:, :, :3]
+            for number, (row, side) in enumerate(zip(target.rows, target.outward)):
                 where = self.ends[i] + 2 * number + np.arange(2)
                 for axis in range(3):
                     way = float(side) if axis == 0 else 1.0
@@ -330,7 +358,9 @@ class Noise:
 
 
 def _channels(target: Sight) -> Channels | PointChannels:
-    return Channels.of(target) if isinstance(target, Target) else PointChannels(target.rows)
+    if isinstance(target, Target):
+        return Channels.of(target)
+    return PointChannels(target.rows, target.z.shape[1])
 
 
 def _by_group(column: Floats, of: Ints) -> Floats:
@@ -351,7 +381,7 @@ def _place_change(z: Floats, kind: int) -> Floats:
     return z if z.ndim == 2 else np.broadcast_to(z.mean(axis=1, keepdims=True), z.shape)
 
 
-def _wave(target: Sight, half_waves: int, bend: float) -> Floats:
+def _wave(target: PictureSight, half_waves: int, bend: float) -> Floats:
     """(Nv, 4, 2) mm, how a wave along the picture moves a target's boxes; (P, 2) of pedicles, with their vertebrae."""
     boxes = target if isinstance(target, Target) else target.boxes
     left, up = picture_axes(target.trial.view)

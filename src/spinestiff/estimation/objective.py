@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.tissue_points import PointsOnTissue
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
 from spinestiff.errors import FitError
@@ -37,11 +38,13 @@ class Picture(ShortRepr):
 
     Attributes
     ----------
-    corners : of vertebrae, set by hand in this radiograph.
+    corners : of vertebrae.
     view : where source and detector were.
     label : for messages, e.g. "push 1 frame 3 lateral".
     sequence : radiographs of one carry the same name here: the patient stood alike before this detector.
     pedicles : marked in it.
+    followed_from : label of the radiograph in which the corners were set by hand and from which tracking followed them;
+        empty: set by hand in this one.
     """
 
     corners: VertebraCorners
@@ -49,6 +52,47 @@ class Picture(ShortRepr):
     label: str
     sequence: str
     pedicles: PediclePoints | None = None
+    followed_from: str = ""
+
+
+@dataclass(frozen=True, repr=False)
+class SkinMarkers(ShortRepr):
+    """Markers on the skin, as cameras saw them under a trial's load.
+
+    Attributes
+    ----------
+    names : (M,), the same in all frames of a sequence.
+    positions : (M, 3) mm in the torso's place; NaN: not seen in this frame.
+    points : (M) what of the torso's tissue carries them.
+    outward : (M, 3) unit, the skin's direction there at rest.
+    sequence : frames of one carry the same name here: the same markers before the same cameras.
+
+    Raises
+    ------
+    FitError : wrong shapes, or a marker of which only some coordinates are there.
+    """
+
+    names: tuple[str, ...]
+    positions: Floats
+    points: PointsOnTissue
+    outward: Floats
+    sequence: str
+
+    def __post_init__(self) -> None:
+        shape = (len(self.names), 3)
+        positions = np.array(self.positions, dtype=float)
+        if positions.shape != shape or len(self.points) != len(self.names):
+            raise FitError(
+                f"{counted(len(self.names), 'marker')}, but positions of shape {positions.shape} and "
+                f"{counted(len(self.points), 'point')} of the tissue; wanted three coordinates and a point of each"
+            )
+        seen = np.isfinite(positions)
+        if (seen.any(1) != seen.all(1)).any():
+            name = self.names[int(np.argmax(seen.any(1) != seen.all(1)))]
+            raise FitError(f"marker '{name}' has some coordinates but not all; wanted three, or three times NaN")
+        positions.flags.writeable = False
+        object.__setattr__(self, "positions", positions)
+        object.__setattr__(self, "outward", read_only("outward directions", self.outward, shape, FitError))
 
 
 @dataclass(frozen=True, repr=False)
@@ -66,8 +110,8 @@ class Trial(ShortRepr):
     annotated : the corners were set by hand in this radiograph; others' were tracked.
     supports : measured "obliquity" (rad) and "shoulder" (mm), see ``mechanics.places.SupportPlace``, each with its
         standard deviation.
-    pedicles : marked in this radiograph. further : other radiographs of the same equilibrium. Only the weighed fit
-        makes use of them.
+    pedicles : marked in this radiograph. further : other radiographs of the same equilibrium. markers : on the skin,
+        under the same load. Only the weighed fit makes use of them.
     """
 
     load: LoadCase
@@ -79,6 +123,7 @@ class Trial(ShortRepr):
     supports: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     pedicles: PediclePoints | None = None
     further: tuple[Picture, ...] = ()
+    markers: SkinMarkers | None = None
 
     def __post_init__(self) -> None:
         if not self.push:
@@ -98,10 +143,11 @@ class Trial(ShortRepr):
             view=picture.view,
             label=picture.label,
             push=picture.sequence,
-            annotated=True,
+            annotated=not picture.followed_from,
             supports={},
             pedicles=picture.pedicles,
             further=(),
+            markers=None,
         )
 
 

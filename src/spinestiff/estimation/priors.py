@@ -54,6 +54,18 @@ class Priors:
     stance_yaw_deg : of the patient's turn about the vertical between the rest radiographs and a sequence.
     place_yaw_deg : the same from radiograph to radiograph of a sequence: nothing in the rig holds it but belt and wall.
         A judgement. Both yaws count only where more is seen than corners of frontal radiographs.
+    marker_mm : of a marker on the skin as cameras see it, along one axis, in each frame by itself: optical systems
+        scatter by some tenths of a mm, points of a surface scan by about this much.
+    marker_place_mm : of where a marker sits against the point of the model's skin that carries it, along one axis,
+        alike in all frames of a push: a torso's skin lies up to centimetres from a person's, and so may the cameras'
+        origin; wide, as the unloaded frame shows it.
+    marker_turn_deg : of the cameras' axes against the torso's, about each axis: axes are stated by eye, and nobody
+        stands quite straight. It turns the markers' motion.
+    marker_breath_mm : of how far out the skin under all markers has moved in a frame, by a breath: the chest's wall
+        moves by 3 to 5 mm between the ends of a quiet one. A judgement.
+    marker_slide : of the skin's motion along each axis, relative to the size of the frontal motion of the spine, beside
+        what variants of the model show (``discrepancy.SKIN_SD``): the model's skin is one with the tissue under it, a
+        person's slides on it. A judgement.
     tracking_mm : of a tracked corner, along one axis, beside what tracking itself predicts.
     tracking_shared_mm, tracking_length : the same, shared with neighbours over so many vertebrae.
     tracking_factor : of the size of these tracking errors, in log; restricted likelihood tells the factor.
@@ -94,6 +106,11 @@ class Priors:
     own_pedicle_mm: float = 1.0
     stance_yaw_deg: float = 3.0
     place_yaw_deg: float = 0.5
+    marker_mm: float = 0.5
+    marker_place_mm: float = 20.0
+    marker_turn_deg: float = 3.0
+    marker_breath_mm: float = 1.5
+    marker_slide: float = 0.1
     tracking_mm: float = 0.1
     tracking_shared_mm: float = 0.1
     tracking_length: float = 2.0
@@ -106,7 +123,7 @@ class Priors:
             found = np.atleast_1d(getattr(self, field.name))
             if not (np.isfinite(found).all() and (found >= 0.0).all()):
                 raise FitError(f"prior {field.name} {getattr(self, field.name)}; wanted finite numbers from 0")
-        for name in ("annotation_mm", "tracking_mm", "tracking_length", "support_force_n"):
+        for name in ("annotation_mm", "marker_mm", "tracking_mm", "tracking_length", "support_force_n"):
             if not getattr(self, name) > 0.0:
                 raise FitError(f"prior {name} {getattr(self, name):g}; wanted above 0")
         for whole, part in (("obliquity_deg", "frame_obliquity_deg"), ("shoulder_mm", "frame_shoulder_mm")):

@@ -3,21 +3,25 @@
 Pedicles, in any radiograph, and corners in radiographs from other sides. A pedicle's mark is compared with where the
 torso's lies (``imaging.pedicles``), point by point: it lies behind the vertebra's body, so that in a frontal view a
 turn about the body's own axis moves it against the corners, which such a turn hardly moves.
+
+And markers on the skin, which ride on the boundary of the tissue, in three dimensions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.tissue_points import PointsOnTissue
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.errors import TrackingError
-from spinestiff.estimation.objective import Residuals, Target, Trial, make_target, residuals
+from spinestiff.estimation.objective import Picture, Residuals, SkinMarkers, Target, Trial, make_target, residuals
 from spinestiff.imaging.features import Orientation
 from spinestiff.imaging.pedicles import pedicle_centres
 
@@ -67,9 +71,52 @@ class PointResiduals(ShortRepr):
         return np.asarray(np.einsum("pic,pck->pik", self.jacobian, own))
 
 
-Sight = Target | PedicleTarget
+@dataclass(frozen=True, repr=False)
+class MarkerTarget(ShortRepr):
+    """Markers on the skin seen in one frame, P of them; constant during a fit.
+
+    Attributes
+    ----------
+    trial : under whose load they were seen.
+    rows : (P,) which of the sequence's markers. points : what of the tissue carries them.
+    z : (P, 3) mm in the torso's place, as seen. outward : (P, 3) unit, the skin's direction at rest.
+    resting : (P, 3) mm, the points at rest.
+    """
+
+    trial: Trial
+    rows: Ints
+    points: PointsOnTissue
+    z: Floats
+    outward: Floats
+    resting: Floats
+
+
+@dataclass(frozen=True, repr=False)
+class MarkerResiduals(ShortRepr):
+    """Simulated minus seen markers of one frame in one state.
+
+    Attributes
+    ----------
+    difference : (P, 3) mm. slope : (3 P, dofs), derivative in the state.
+    """
+
+    difference: Floats
+    slope: csr_array
+
+    def moved(self, directions: Floats) -> Floats:
+        """(P, 3, K) derivative of ``difference`` along changes of state dx/dp (dofs, K)."""
+        return np.asarray(self.slope @ directions).reshape(len(self.difference), 3, -1)
+
+
+PictureSight = Target | PedicleTarget
 """What a radiograph shows of one kind."""
-SightResiduals = Residuals | PointResiduals
+PictureResiduals = Residuals | PointResiduals
+Sight = PictureSight | MarkerTarget
+"""What is seen of one kind."""
+SightResiduals = PictureResiduals | MarkerResiduals
+
+
+OWN = -1
 
 
 @dataclass(frozen=True)
@@ -79,12 +126,24 @@ class FurtherSight:
     Attributes
     ----------
     trial : number of the trial whose equilibrium it shows. target : what it shows.
-    radiograph : numbers of radiographs; the trials' own ones come first, in their order.
+    radiograph : numbers of radiographs, and of what cameras saw; the trials' own ones come first, in their order.
+    marked : corners with one number here were set by hand in one radiograph, and followed from there; ``OWN``: each
+        mark was set by itself; None: nobody marked anything.
     """
 
     trial: int
     target: Sight
     radiograph: int
+    marked: int | None = None
+
+    @property
+    def sequence(self) -> str:
+        """Frames of one carry the same name here."""
+        if isinstance(self.target, MarkerTarget):
+            markers = self.target.trial.markers
+            assert markers is not None
+            return markers.sequence
+        return self.target.trial.push
 
 
 def further_sights(
@@ -103,26 +162,49 @@ def further_sights(
     """
     found: list[FurtherSight] = []
     count = len(targets)
+    marked = _marked_anew([picture for target in targets for picture in target.trial.further])
     for number, (torso, target) in enumerate(zip(torsos, targets)):
         if target.trial.pedicles is not None:
-            found.append(FurtherSight(number, _pedicle_target(torso, target), number))
+            found.append(FurtherSight(number, _pedicle_target(torso, target), number, OWN))
         for picture in target.trial.further:
             boxes = make_target(torso, target.trial.seen_in(picture), orientation)
-            found.append(FurtherSight(number, boxes, count))
+            found.append(FurtherSight(number, boxes, count, next(marked)))
             if picture.pedicles is not None:
-                found.append(FurtherSight(number, _pedicle_target(torso, boxes), count))
+                found.append(FurtherSight(number, _pedicle_target(torso, boxes), count, OWN))
+            count += 1
+        markers = target.trial.markers
+        if markers is not None and np.isfinite(markers.positions).any():
+            found.append(FurtherSight(number, _marker_target(torso, target.trial, markers), count))
             count += 1
     return tuple(found)
+
+
+def _marked_anew(pictures: Sequence[Picture]) -> Iterator[int]:
+    """``FurtherSight.marked`` of the corners of each radiograph from another side."""
+    by_hand = {(one.sequence, one.label): i for i, one in enumerate(pictures) if not one.followed_from}
+    for i, one in enumerate(pictures):
+        # The radiograph that was marked need not be among these.
+        yield by_hand.setdefault((one.sequence, one.followed_from), len(pictures) + i) if one.followed_from else i
 
 
 def sight_residuals(torso: TorsoModel, target: Sight, state: TorsoState) -> SightResiduals:
     """Simulated minus measured, with derivatives."""
     if isinstance(target, Target):
         return residuals(torso, target, state)
+    if isinstance(target, MarkerTarget):
+        difference = target.points.positions(torso, state) - target.z
+        return MarkerResiduals(difference, target.points.jacobian(torso, state))
     view = target.trial.view
     detector, jacobian = view.project_with_jacobian(target.points.positions(state))
     slope = (jacobian / view.magnification) @ target.points.jacobian(state)
     return PointResiduals(view.to_patient_plane(detector) - target.z, slope, target.points.bone)
+
+
+def _marker_target(torso: TorsoModel, trial: Trial, markers: SkinMarkers) -> MarkerTarget:
+    rows = np.flatnonzero(np.isfinite(markers.positions).all(1))
+    points = markers.points[rows]
+    resting = points.positions(torso, torso.rest_pose)
+    return MarkerTarget(trial, rows, points, markers.positions[rows], markers.outward[rows], resting)
 
 
 def _pedicle_target(torso: TorsoModel, boxes: Target) -> PedicleTarget:

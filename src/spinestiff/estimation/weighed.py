@@ -33,13 +33,22 @@ from spinestiff.estimation.discrepancy import (
     plane_motion,
     pushed_site,
     relative_covariance,
+    skin_covariance,
 )
 from spinestiff.estimation.evaluation import Evaluation, Slope, TrialSet
 from spinestiff.estimation.noise import Noise, Seen, restricted_factor
 from spinestiff.estimation.objective import Trial, make_target, residuals
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import RatioPrior
-from spinestiff.estimation.sights import SightResiduals, further_sights, sight_residuals
+from spinestiff.estimation.sights import (
+    OWN,
+    MarkerResiduals,
+    MarkerTarget,
+    PedicleTarget,
+    SightResiduals,
+    further_sights,
+    sight_residuals,
+)
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS, Unknowns, unknowns_of
 from spinestiff.imaging.features import Orientation, state_features
@@ -145,7 +154,7 @@ class WeighedProblem:
                 target.trial.push or f"trial {i + 1}",
                 target.trial.annotated,
                 # Frames of a push without load are marked first; a loaded one that is marked, too, errs anew.
-                apart=target.trial.annotated and target.trial.load.size > 0.0,
+                marked=OWN if target.trial.annotated and target.trial.load.size > 0.0 else None,
             )
             for i, target in enumerate(both)
         ]
@@ -153,8 +162,10 @@ class WeighedProblem:
         for one in further:
             torso = problems[one.trial].torso
             at_rest.append(sight_residuals(torso, one.target, torso.rest_pose))
-            seen.append(Seen(one.target, one.target.trial.push, True, one.radiograph, apart=True))
-        rest = problems[0].torso.rest_pose.bone_positions[problems[0].torso.vertebra_bones] if further else None
+            by_hand = isinstance(one.target, MarkerTarget | PedicleTarget) or one.target.trial.annotated
+            seen.append(Seen(one.target, one.sequence, by_hand, one.radiograph, one.marked))
+        more = any(not isinstance(one.target, MarkerTarget) for one in further)
+        rest = problems[0].torso.rest_pose.bone_positions[problems[0].torso.vertebra_bones] if more else None
         self.noise = Noise(seen, at_rest, geometry, priors, rest)
         self._constant = self.noise.constant
         self._at_rest = at_rest
@@ -204,7 +215,7 @@ class WeighedProblem:
         )
         channels = self._resting.copy()
         for row, trial, part in self._moving(found, further):
-            moved = part.difference + acts[trial, _MOTION] * self._motion(part, row)
+            moved = part.difference + self._larger(part, acts[trial]) * self._motion(part, row)
             channels[self.noise.of(row)] = self.noise.channels[row].apply(moved)
         supports = np.array([(acts[i, act] - value) / sd for i, act, value, sd in self._measured])
         held = self.ratio_prior.residuals(log_ratios)
@@ -223,10 +234,10 @@ class WeighedProblem:
         for row, i, part in self._moving(point.evaluation, point.further):
             channels, acts = self.noise.channels[row], point.evaluation.acts[i]
             rows = self.noise.of(row)
-            larger = 1.0 + acts[_MOTION]
+            larger = 1.0 + self._larger(part, acts)
             ratios[rows] = larger * channels.apply(part.moved(found.moves[i]))
             columns = larger * channels.apply(part.moved(found.acted[i]))
-            columns[:, _MOTION] = channels.apply(self._motion(part, row))
+            columns[:, _MOTION] = 0.0 if isinstance(part, MarkerResiduals) else channels.apply(self._motion(part, row))
             nuisances[rows] = columns @ self.unknowns.acts[i]
         for row, (i, act, _, sd) in enumerate(self._measured):
             nuisances[self.noise.size + row] = self.unknowns.acts[i, act] / sd
@@ -360,6 +371,14 @@ class WeighedProblem:
         if self._sights:
             whole = self._with_further(whole, columns, out_of_plane_columns(frames, self._modes))
         covariance[np.ix_(where, where)] = whole @ whole.T
+        skin = [(row, trial, target) for row, trial, target in self._sights if isinstance(target, MarkerTarget)]
+        if skin:
+            rows_of = np.concatenate([np.arange(self.noise.size)[self.noise.of(row)] for row, _, _ in skin])
+            of = np.concatenate([np.full(len(target.rows), trial) for _, trial, target in skin])
+            points = np.concatenate([target.resting for _, _, target in skin])
+            covariance[np.ix_(rows_of, rows_of)] += skin_covariance(
+                frames, self._modes, of, points, self.priors.marker_slide
+            )
         return covariance
 
     def _with_further(self, whole: Floats, columns: Floats, others: Floats) -> Floats:
@@ -399,6 +418,11 @@ class WeighedProblem:
         p = np.linalg.lstsq(precision, -fixed.T @ both[:, -1] - rows.T @ held, rcond=None)[0]
         solved = both[:, -1] + both[:, :-1] @ p
         return self.noise.inflation(self.noise.own_errors(solved, factor, before), factor)
+
+    @staticmethod
+    def _larger(part: SightResiduals, acts: Floats) -> float:
+        """By how much of itself a motion is seen larger than it is; cameras know nothing of the X-ray source."""
+        return 0.0 if isinstance(part, MarkerResiduals) else float(acts[_MOTION])
 
     def _motion(self, part: SightResiduals, i: int) -> Floats:
         return np.asarray(part.difference - self._at_rest[i].difference)

@@ -8,12 +8,15 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
+from spinestiff.anatomy.tissue_points import PointsOnTissue, face_functions
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints, ShortRepr
 
 STEP_MM = 14.0
 # Floor and lid close the tissue where the trunk was cut: they face along the body, near its ends.
 END_FACING, END_SHARE = 0.9, 0.06
+# Points of the skin from which the nearest place is looked for, and rounds of that.
+CANDIDATES, ROUNDS = 8, 12
 
 
 @dataclass(frozen=True, repr=False)
@@ -70,6 +73,65 @@ class SkinSurface(ShortRepr):
         return every, direction / np.linalg.norm(direction, axis=1, keepdims=True)
 
 
+def tissue_points(torso: TorsoModel, skin: SkinSurface, which: Ints) -> PointsOnTissue:
+    """Some of the points (numbers) of a torso's skin, as what rides on its tissue."""
+    nodes = torso.tissue.boundary_faces()[skin.face[which]]
+    return PointsOnTissue(nodes, face_functions(skin.share[which], nodes.shape[1])[0])
+
+
+def nearest_points(torso: TorsoModel, skin: SkinSurface, wanted: Floats) -> tuple[PointsOnTissue, Floats]:
+    """What of a torso's skin at rest, floor and lid left out, lies nearest to ``wanted`` (M, 3) mm, and its outward
+    direction (M, 3)."""
+    there = np.flatnonzero(~skin.ends)
+    boundary = torso.tissue.boundary_faces()
+    near = there[cKDTree(skin.points[there]).query(wanted, k=min(CANDIDATES, len(there)))[1]].reshape(len(wanted), -1)
+    nodes = boundary[skin.face[near]]
+    corners = torso.tissue.rest_positions[nodes]
+    share = skin.share[near]
+    best, distance = share[:, 0].copy(), np.full(len(wanted), np.inf)
+    face = near[:, 0].copy()
+    rows = np.arange(len(wanted))
+    for _ in range(ROUNDS):
+        value, slope = (part.reshape(*share.shape[:2], *part.shape[1:]) for part in _functions(share, nodes))
+        tangents = np.einsum("mncf,mnfi->mnci", slope, corners)
+        off = wanted[:, None] - np.einsum("mnf,mnfi->mni", value, corners)
+        apart = np.linalg.norm(off, axis=2)
+        which = np.argmin(apart, axis=1)
+        nearer = apart[rows, which] < distance
+        best[nearer], distance[nearer] = share[rows, which][nearer], apart[rows, which][nearer]
+        face[nearer] = near[rows, which][nearer]
+        inner = _nearest_inside(tangents, off, share[..., 1:])
+        share = np.concatenate([1.0 - inner.sum(2, keepdims=True), inner], axis=2)
+    nodes = boundary[skin.face[face]]
+    value, slope = face_functions(best, nodes.shape[1])
+    tangents = np.einsum("mcf,mfi->mci", slope, torso.tissue.rest_positions[nodes])
+    normal = np.cross(tangents[:, 0], tangents[:, 1])
+    return PointsOnTissue(nodes, value), normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def _nearest_inside(tangents: Floats, off: Floats, share: Floats) -> Floats:
+    """(..., 2) second and third share of the place nearest to what lies ``off`` (..., 3) from that of ``share``,
+    on a triangle that is flat along its ``tangents`` (..., 2, 3)."""
+    gram = np.einsum("...ci,...di->...cd", tangents, tangents)
+    free = share + np.linalg.solve(gram, np.einsum("...ci,...i->...c", tangents, off)[..., None])[..., 0]
+    outside = (free < 0.0).any(-1) | (free.sum(-1) > 1.0)
+    found, least = free, np.where(outside, np.inf, 0.0)
+    for start, end in (((0.0, 0.0), (1.0, 0.0)), ((0.0, 0.0), (0.0, 1.0)), ((1.0, 0.0), (0.0, 1.0))):
+        way = np.subtract(end, start)
+        along = np.einsum("c,...ci->...i", way, tangents)
+        left = off - np.einsum("...c,...ci->...i", np.array(start) - share, tangents)
+        part = np.clip(np.sum(along * left, -1) / np.sum(along**2, -1), 0.0, 1.0)[..., None]
+        apart = np.linalg.norm(left - part * along, axis=-1)
+        nearer = apart < least
+        least = np.where(nearer, apart, least)
+        found = np.where(nearer[..., None], np.array(start) + part * way, found)
+    return np.asarray(found)
+
+
+def _functions(share: Floats, nodes: Ints) -> tuple[Floats, Floats]:
+    return face_functions(share.reshape(-1, 3), nodes.shape[-1])
+
+
 def skin_surface(torso: TorsoModel, step: float = STEP_MM) -> SkinSurface:
     """The skin of a torso at rest, as points about ``step`` mm apart."""
     boundary = torso.tissue.boundary_faces()
@@ -87,7 +149,7 @@ def skin_surface(torso: TorsoModel, step: float = STEP_MM) -> SkinSurface:
         face.append(np.repeat(mine, len(at)))
         share.append(np.tile(np.column_stack([1.0 - at.sum(1), at]), (len(mine), 1)))
     number, weight = np.concatenate(face), np.vstack(share)
-    value, slope = _shape_functions(weight, nodes.shape[1])
+    value, slope = face_functions(weight, nodes.shape[1])
     points = np.einsum("pk,pki->pi", value, nodes[number])
     tangents = np.einsum("pck,pki->pci", slope, nodes[number])
     length = np.linalg.norm(np.cross(tangents[:, 0], tangents[:, 1]), axis=1)
@@ -100,15 +162,3 @@ def skin_surface(torso: TorsoModel, step: float = STEP_MM) -> SkinSurface:
     floor = (upward < -END_FACING) & (level.max(1) < low + band)
     area = 0.5 * length / np.bincount(number)[number]
     return SkinSurface(boundary[:, :3], number, weight, points, tangents, area, (lid | floor)[number])
-
-
-def _shape_functions(share: Floats, columns: int) -> tuple[Floats, Floats]:
-    # Values (P, n) on a triangle of 3 or 6 nodes, and derivatives (P, 2, n) along its second and third share.
-    step = np.array([[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]])
-    if columns == 3:
-        return share, np.broadcast_to(step, (len(share), 2, 3))
-    edges = ([0, 1, 2], [1, 2, 0])
-    value = np.hstack([share * (2.0 * share - 1.0), 4.0 * share[:, edges[0]] * share[:, edges[1]]])
-    corner = (4.0 * share - 1.0)[:, None] * step
-    middle = 4.0 * (step[:, edges[0]] * share[:, None, edges[1]] + step[:, edges[1]] * share[:, None, edges[0]])
-    return value, np.concatenate([corner, middle], axis=2)

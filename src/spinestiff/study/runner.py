@@ -86,6 +86,7 @@ class Step:
         if "push" in self.images:
             paths += [subject.image_path(push.image) for push in subject.pushes]
             paths += [subject.folder / view.files for push in subject.pushes for view in push.views]
+            paths += subject.marker_paths
         if BODY in self.parts:
             paths += [path for path in (subject.torso_path, subject.scan_path) if path is not None]
         return [*names, *(path.relative_to(subject.folder).as_posix() for path in paths)]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from spinestiff.anatomy.regions import AT, expanded, torso_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.pushes import push_responses
-from spinestiff.errors import EquilibriumError, FitError, SubjectError
+from spinestiff.errors import EquilibriumError, FitError, SubjectError, TrackingError
 from spinestiff.estimation.evaluation import FitStep
 from spinestiff.estimation.fitted import Method, StiffnessFit
 from spinestiff.estimation.forecast import Forecast
@@ -61,6 +62,7 @@ from spinestiff.subject.folder import (
     read_rest,
     read_view,
 )
+from spinestiff.subject.marker_table import read_markers
 from spinestiff.subject.outcome_parts import ViewRecord
 from spinestiff.subject.outcomes import (
     Assessment,
@@ -77,6 +79,9 @@ from spinestiff.subject.outcomes import (
 from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.subject.run_record import read_outcome, result_path, write_outcome
 from spinestiff.words import counted
+
+if TYPE_CHECKING:
+    from spinestiff.imaging.radiograph import Radiograph
 
 # Where a fit starts: the geometric means of Table 4. From the default ratios it gets to the same place in more steps.
 USUAL_RATIOS = {"lateral_bending": 0.07, "intervertebral_bending": 0.07, "tissue": 0.04}
@@ -96,8 +101,9 @@ def track_step(visit: Visit, say: Observer) -> None:
 
         tracked = track(frames, annotated, progress)
         supports = support_motion(frames, image_supports(subject, push.image))
-        said = {"millimetres": dict(frames[0].provenance), "annotated_frames": list(annotated)}
+        said: dict[str, object] = {"millimetres": dict(frames[0].provenance), "annotated_frames": list(annotated)}
         said |= {"pedicles": marked_pedicles(subject, push, view), "sides": side_views(subject, push)}
+        said |= {"markers": read_markers(subject, push, view)}
         pushes[push.id] = TrackedPush.of(view, push.forces_n, tracked, supports, **said)
         for i, frame in enumerate(pushes[push.id].frames):
             if frame.support_note:
@@ -119,33 +125,65 @@ def marked_pedicles(subject: Subject, push: PushRecord, view: XRayView) -> list[
 def side_views(subject: Subject, push: PushRecord) -> list[SideView]:
     """The radiographs of a push from other sides, read and with what was marked in them.
 
+    Corners that nobody marked in a radiograph are followed from those of its view that somebody did.
+
     Raises
     ------
     SubjectError, RadiographError : they can't be read, or what was marked is no picture of vertebrae.
+    TrackingError : corners can't be followed.
     """
     found = []
     for record in push.views:
         radiographs = read_view(subject, push, record)
         view = posed(radiographs[0].view, np.zeros(2), 0.0, float(np.deg2rad(record.turned_deg)))
+        order = sorted(range(len(record.frames)), key=lambda number: record.frames[number])
+        frames = [record.frames[number] for number in order]
+        names = [push.view_image(frame, record.id) for frame in frames]
+        marked = {
+            number: image_corners(subject, name, view)
+            for number, name in enumerate(names)
+            if name in subject.annotation.images
+        }
+        corners = followed_view(
+            [radiographs[number] for number in order], marked, f"push '{push.id}' view '{record.id}'"
+        )
         pictures = []
-        for frame in sorted(record.frames):
-            name = push.view_image(frame, record.id)
-            corners = image_corners(subject, name, view)
-            pictures.append(
-                SidePicture.model_validate(
-                    {
-                        "frame": frame,
-                        "vertebrae": corners.vertebrae,
-                        "corners_px": view.pixels(corners.corners).round(3).tolist(),
-                        "pedicles": _pedicles(subject, name, view, frame),
-                    }
-                )
-            )
+        for number, (frame, name) in enumerate(zip(frames, names)):
+            said: dict[str, object] = {
+                "frame": frame,
+                "vertebrae": corners[number].vertebrae,
+                "corners_px": view.pixels(corners[number].corners).round(3).tolist(),
+            }
+            if number in marked:
+                said["pedicles"] = _pedicles(subject, name, view, frame)
+            else:
+                said["quality"] = corners[number].quality.round(3).tolist()
+                said["followed_from"] = frames[min(marked, key=lambda other: abs(other - number))]
+            pictures.append(SidePicture.model_validate(said))
         millimetres = dict(radiographs[0].provenance)
         found.append(
             SideView(id=record.id, view=ViewRecord.of(view), millimetres=millimetres, pictures=tuple(pictures))
         )
     return found
+
+
+def followed_view(
+    frames: Sequence[Radiograph], marked: Mapping[int, VertebraCorners], label: str
+) -> Sequence[VertebraCorners]:
+    """Corners in each radiograph of a view, in order of the push's frames: as marked, else followed by ``track``.
+
+    Raises
+    ------
+    TrackingError : as ``track``, with what to do.
+    """
+    if len(marked) == len(frames):
+        return [marked[number] for number in range(len(frames))]
+    try:
+        tracked = track(frames, marked)
+    except TrackingError as error:
+        raise TrackingError(f"{label}: {error}; or mark the corners in each of its radiographs") from None
+    # A frame that somebody marked has just what was marked in it.
+    return [marked.get(number, corners) for number, corners in enumerate(tracked)]
 
 
 def _pedicles(subject: Subject, name: str, view: XRayView, frame: int) -> MarkedPedicles | None:

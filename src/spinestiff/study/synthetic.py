@@ -14,16 +14,21 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from spinestiff.anatomy.axes import Axis, body_axes
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, stiffness_ratios
 from spinestiff.anatomy.template import OWN_MESH, template_torso
+from spinestiff.anatomy.tissue_points import PointsOnTissue
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, cobb_change, tilts
 from spinestiff.errors import SubjectError
+from spinestiff.estimation.priors import Priors
 from spinestiff.files import read_json, write_json
 from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.pedicles import pedicle_centres
@@ -41,6 +46,7 @@ from spinestiff.personalise.prior import OWN_PEDICLE_SD, PERSON_PEDICLE_SD
 from spinestiff.personalise.quality import mesh_quality
 from spinestiff.personalise.rebuild import NODES
 from spinestiff.personalise.shape import place_vertebrae
+from spinestiff.personalise.skin_surface import skin_surface, tissue_points
 from spinestiff.study.elastic_supports import (
     SupportStiffness,
     SyntheticSupports,
@@ -51,6 +57,7 @@ from spinestiff.study.elastic_supports import (
 )
 from spinestiff.study.spines import VertebraPoses, curved_spine, real_spine
 from spinestiff.subject.folder import write_annotation, write_subject
+from spinestiff.subject.marker_table import FEWEST, MOST, write_markers
 from spinestiff.subject.records import Annotation, ImageAnnotation, PushRecord, Role, SubjectRecord, parse_record
 
 # Table 4's range of estimated ratios, where a subject's own are drawn from.
@@ -58,6 +65,13 @@ BENDING_RANGE, TISSUE_RANGE = (0.05, 0.63), (0.01, 0.15)
 ANNOTATION_SD_MM = 0.3  # of a hand-set corner, at the patient plane
 PEDICLE_SD_MM = 0.7  # of a pedicle's mark, the same
 SIDE = "lateral"  # id of the further view
+BEAD_SD_MM = 0.5  # of a marker's picture in a radiograph, the same
+# Where markers are: between these vertebrae, not further round than this normal's share to the front (a wall hides the
+# back), and off the gauge's pad.
+MARKED_BETWEEN, BACKMOST, PAD_MM = ("T3", "L4"), -0.3, 60.0
+CAMERAS_SD_MM = 400.0  # of the cameras' origin
+CAMERA_AXES: dict[str, Axis] = {"left": "+x", "up": "+z", "front": "-y"}
+MARKER_STREAM = 29
 STANDING_SD_MM, STANDING_SD_RAD = 4.0, 0.012  # how differently a patient stands from one exposure to the next
 DETECTOR_WIDTH_MM = 427.0
 LARGEST_FORCE_N = 500.0  # that the gauge shows
@@ -129,6 +143,7 @@ class Recipe:
     lateral_exposure : of the lateral rest radiograph.
     supports : how much belt and shoulder's pad give under ``force_n``; drawn from 0 to 4 degrees and 0 to 4 mm if None.
     biplanar : each frame of a push has a lateral radiograph, too, and pedicles are marked in all frontal ones.
+    markers : on the skin of front and flanks, seen by cameras in each frame of a push; 0 = none.
     """
 
     seed: int = 0
@@ -146,6 +161,7 @@ class Recipe:
     lateral_exposure: Exposure = LATERAL
     supports: SyntheticSupports | None = None
     biplanar: bool = False
+    markers: int = 0
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -156,6 +172,8 @@ class Recipe:
             raise SubjectError(f"{self.nodes} nodes; wanted {NODES[0]} to {NODES[1]}")
         if self.nodes is not None and self.mesh != OWN_MESH:
             raise SubjectError(f"nodes {self.nodes} of mesh '{self.mesh}'; wanted mesh '{OWN_MESH}', or no nodes")
+        if self.markers and not FEWEST <= self.markers <= MOST:
+            raise SubjectError(f"{self.markers} markers; wanted 0, or {FEWEST} to {MOST}")
         low, high = RATIO_BOUNDS
         for value in self.ratios or ():
             if not low <= value <= high:
@@ -301,6 +319,8 @@ class _Acquisition:
         # A push on the convex side straightens the curve.
         self.pushed_side: Literal["left", "right"] = "left" if self.rest_cobb.degrees > 0.0 else "right"
         self.pushes = tuple(self._push_record(push) for push in recipe.pushes)
+        # A stream of its own: what else is random is the same with and without markers.
+        self._marker_random = np.random.default_rng([recipe.seed, MARKER_STREAM])
 
     def rest_images(self) -> None:
         lateral = replace(self.recipe.acquisition, exposure=self.recipe.lateral_exposure)
@@ -323,6 +343,8 @@ class _Acquisition:
         self.images[f"push/{push.id}"] = self._annotation(view, supports=True)
         if self.recipe.biplanar:
             self._seen_aside(push, states, view)
+        if self.recipe.markers:
+            self._seen_by_cameras(push, states, view)
         shares = silhouette_shares(self.torso, view, self.torso.rest_pose)
         self.truth[push.id] = [
             {
@@ -347,6 +369,32 @@ class _Acquisition:
             there = self.images[name].model_dump() if name in self.images else {"vertebrae": {}}
             marked = {**there, "pedicles": self._marked_pedicles(frontal, state)}
             self.images[name] = ImageAnnotation.model_validate(marked)
+
+    def _seen_by_cameras(self, push: SyntheticPush, states: list[TorsoState], frontal: XRayView) -> None:
+        """The table of a push's skin markers, and where its first radiograph shows those that lie in the picture."""
+        random, priors = self._marker_random, Priors()
+        load = rib_push(self.torso, self.pushed_side, push.level, 1.0)
+        spots = load.points.positions(self.torso.rest_pose)
+        points, outward = spread_markers(self.torso, self.recipe.markers, spots)
+        there = np.array([points.positions(self.torso, state) for state in states])
+        seen = view_of_markers(frontal, there[0], random)
+        inside = self._shown(seen, frontal)
+        if not inside.any():
+            raise SubjectError("no marker lies in the frontal radiograph; ask for more of them")
+        breath = priors.marker_breath_mm * random.normal(size=(len(states), 1, 1)) * outward
+        there = there + breath + random.normal(0.0, priors.marker_mm, there.shape)
+        turn = exp_so3(np.deg2rad(priors.marker_turn_deg) * random.normal(size=3))
+        cameras = (there - self.centre) @ turn.T + random.normal(0.0, CAMERAS_SD_MM, 3)
+        names = tuple(f"m{number + 1:02d}" for number in range(len(points)))
+        file = f"pushes/{push.id}-markers.csv"
+        axes = body_axes(*CAMERA_AXES.values())
+        write_markers(self.folder / file, names, cameras @ axes)
+        shown = {names[i]: seen[i].round(2).tolist() for i in np.flatnonzero(inside)}
+        record = {"file": file, "unit": "mm", "axes": CAMERA_AXES, "side": "front", "shown": shown}
+        number = next(i for i, own in enumerate(self.pushes) if own.id == push.id)
+        marked = {**self.pushes[number].model_dump(mode="json"), "markers": record}
+        whole = parse_record(json.dumps(marked), f"push '{push.id}' of the recipe", PushRecord)
+        self.pushes = (*self.pushes[:number], whole, *self.pushes[number + 1 :])
 
     def _marked_pedicles(self, view: XRayView, state: TorsoState) -> dict[str, list[list[float]]]:
         points = PointsOnBones(np.repeat(self.torso.vertebra_bones, 2), self._own_pedicles.reshape(-1, 3))
@@ -482,6 +530,42 @@ class _Acquisition:
         view = self._nominal(frontal_view)
         shares = silhouette_shares(self.torso, view, self.torso.rest_pose)
         return tilts(VERTEBRAE, state_features(self.torso, view, state, shares).corners, view)
+
+
+def spread_markers(torso: TorsoModel, count: int, spots: Floats) -> tuple[PointsOnTissue, Floats]:
+    """Markers spread over the front and the flanks of a torso between T3 and L4, off where it is pushed: a wall hides
+    the back.
+
+    Parameters
+    ----------
+    count : of markers. spots : (n, 3) mm, points that are pushed.
+
+    Returns
+    -------
+    The points, and the skin's outward directions (count, 3).
+    """
+    skin = skin_surface(torso)
+    heights = [torso.rest_pose.bone_positions[torso.bone(name), 1] for name in MARKED_BETWEEN]
+    free = ~skin.ends & (skin.normals[:, 2] > BACKMOST) & (skin.points[:, 1] < heights[0])
+    free &= (skin.points[:, 1] > heights[1]) & (cKDTree(spots).query(skin.points)[0] > PAD_MM)
+    there = np.flatnonzero(free)
+    if len(there) < count:
+        raise SubjectError(f"{count} markers; this torso's front and flanks have room for {len(there)}")
+    # Each as far from those before as can be, the first in the middle of the front.
+    chosen = [int(np.argmax(skin.normals[there, 2]))]
+    distance = np.full(len(there), np.inf)
+    for _ in range(count - 1):
+        own = np.linalg.norm(skin.points[there] - skin.points[there[chosen[-1]]], axis=1)
+        distance = np.minimum(distance, own)
+        chosen.append(int(np.argmax(distance)))
+    which = there[chosen]
+    return tissue_points(torso, skin, which), skin.normals[which]
+
+
+def view_of_markers(view: XRayView, places: Floats, random: np.random.Generator) -> Floats:
+    """(M, 2) column, row, where somebody marks the pictures of markers at ``places`` (M, 3) mm."""
+    seen = view.project(places)
+    return view.pixels(seen + random.normal(0.0, BEAD_SD_MM, seen.shape) * view.magnification)
 
 
 def _plain(items: list[tuple[str, object]]) -> dict[str, object]:

@@ -6,22 +6,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
+import numpy as np
+
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import FitError, SubjectError, TrackingError
 from spinestiff.estimation.evaluation import OnFitStep
 from spinestiff.estimation.fit import Extent, fit_stiffness, likelihood_rise
 from spinestiff.estimation.fitted import Method, StiffnessFit
-from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Picture, Trial
+from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Picture, SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import check_population
 from spinestiff.imaging.features import Orientation
+from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.push import PushSite, Rig, push_load, push_problem
 from spinestiff.observer import Observer
+from spinestiff.personalise.markers import place_markers
 from spinestiff.personalise.pose import ViewPose, align_view
-from spinestiff.subject.outcomes import TrackedFrame, TrackedPush
+from spinestiff.subject.outcomes import SideView, TrackedFrame, TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.words import counted
 
@@ -192,6 +196,7 @@ def push_set(
             raise TrackingError(f"push '{push.id}' frame {least}: {error}") from None
         aside, told = _pictures_aside(torso, push, found)
         warnings += told
+        markers = _markers(torso, push, found, view, known or Known())
         for index, (frame, force, role) in enumerate(zip(found.frames, push.forces_n, push.roles)):
             label = f"push '{push.id}' frame {index}"
             if frame.support_note and role != "unused":
@@ -208,6 +213,7 @@ def push_set(
                 _measured_supports(frame),
                 next((marks.points(view) for marks in found.pedicles if marks.frame == index), None),
                 tuple(picture for frame_of, picture in aside if frame_of == index),
+                None if markers is None else markers[index],
             )
             lost = len(found.vertebrae) - len(trial.corners)
             if index not in usable:
@@ -240,11 +246,59 @@ def _pictures_aside(
         except TrackingError as error:
             raise TrackingError(f"push '{push.id}' frame {least.frame} view '{side.id}': {error}") from None
         for picture in side.pictures:
-            label = f"push '{push.id}' frame {picture.frame} view '{side.id}'"
+            label = _side_label(push, side, picture.frame)
+            corners, start = side.corners(picture), ""
+            if picture.followed_from is not None:
+                corners, start = usable_corners(corners), _side_label(push, side, picture.followed_from)
+                lost = len(picture.vertebrae) - len(corners)
+                if len(corners) < FEWEST_VERTEBRAE:
+                    left = counted(len(corners), "vertebra", "vertebrae") if len(corners) else "no vertebrae"
+                    warnings.append(f"{label}: dropped, {left} left (wanted {FEWEST_VERTEBRAE}); mark it by hand")
+                    continue
+                if lost:
+                    gone = counted(lost, "vertebra", "vertebrae")
+                    warnings.append(f"{label}: {gone} lost in tracking and left out")
             pedicles = None if picture.pedicles is None else picture.pedicles.points(view)
-            shown = Picture(side.corners(picture), view, label, f"{push.id} {side.id}", pedicles)
+            shown = Picture(corners, view, label, f"{push.id} {side.id}", pedicles, start)
             pictures.append((picture.frame, shown))
     return pictures, warnings
+
+
+def _side_label(push: PushRecord, side: SideView, frame: int) -> str:
+    return f"push '{push.id}' frame {frame} view '{side.id}'"
+
+
+def _markers(
+    torso: TorsoModel, push: PushRecord, found: TrackedPush, view: XRayView, known: Known
+) -> list[SkinMarkers] | None:
+    """Of each frame, in the torso's place; None where no markers were seen. ``view`` : as it meets the torso.
+
+    Raises
+    ------
+    SubjectError : they lie on no skin of this torso.
+    """
+    tracks = found.markers
+    if tracks is None:
+        return None
+    rows, pixels = tracks.shown
+    turn_sd = float(np.deg2rad(known.priors.marker_turn_deg))
+    positions = tracks.positions
+    try:
+        placed = place_markers(
+            torso,
+            tracks.names,
+            positions[tracks.reference],
+            (rows, view.from_pixels(pixels)),
+            view,
+            tracks.side,
+            turn_sd,
+        )
+    except SubjectError as error:
+        raise SubjectError(f"push '{push.id}': skin markers: {error}") from None
+    return [
+        SkinMarkers(tracks.names, placed.placed(frame), placed.points, placed.outward, f"{push.id} markers")
+        for frame in positions
+    ]
 
 
 def seen_beside(pushes: PushSet) -> tuple[str, ...]:
@@ -256,6 +310,9 @@ def seen_beside(pushes: PushSet) -> tuple[str, ...]:
         sides = [picture.sequence.removeprefix(f"{push} ") for trial in trials for picture in trial.further]
         parts = [f"pedicles in {counted(marked, 'frame')}"] if marked else []
         parts += [f"{counted(sides.count(name), 'radiograph')} of view '{name}'" for name in dict.fromkeys(sides)]
+        counts = [int(np.isfinite(t.markers.positions).all(1).sum()) for t in trials if t.markers is not None]
+        if counts:
+            parts.append(f"up to {counted(max(counts), 'skin marker')} in {counted(len(counts), 'frame')}")
         if parts:
             found.append(f"push '{push}': beside the frontal corners, {' and '.join(parts)}")
     return tuple(found)

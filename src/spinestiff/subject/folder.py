@@ -131,6 +131,11 @@ class Subject:
         """The surface scan of the trunk, if there is one."""
         return None if self.record.skin_scan is None else self.folder / self.record.skin_scan.file
 
+    @property
+    def marker_paths(self) -> tuple[Path, ...]:
+        """Tables of skin markers, of the pushes that have one."""
+        return tuple(self.folder / push.markers.file for push in self.pushes if push.markers is not None)
+
 
 def read_subject(folder: str | Path) -> Subject:
     """Read and check a subject folder; radiographs only for being there.
@@ -152,6 +157,8 @@ def read_subject(folder: str | Path) -> Subject:
     for file, what in own:
         if file is not None:
             _check_input(subject, file, what)
+    for path in subject.marker_paths:
+        _check_input(subject, path, "the table of skin markers that subject.json names")
     return subject
 
 
@@ -294,9 +301,7 @@ def image_corners(subject: Subject, image: str, view: XRayView) -> VertebraCorne
     where, annotated = _annotated(subject, image)
     names, pixels = tuple(annotated.vertebrae), annotated.pixels()
     for name, quad in zip(names, pixels):
-        _check_inside(
-            f"{where}.vertebrae.{name}", "corner", quad, view, "leave out a vertebra that is not wholly in it"
-        )
+        check_inside(f"{where}.vertebrae.{name}", "corner", quad, view, "leave out a vertebra that is not wholly in it")
     corners = view.from_pixels(pixels)
     first, up = picture_axes(view)
     for name, quad in zip(names, corners):
@@ -336,7 +341,7 @@ def image_pedicles(subject: Subject, image: str, view: XRayView) -> tuple[tuple[
     names = tuple(sorted(annotated.pedicles, key=VERTEBRAE.index))
     points = np.array([annotated.pedicles[name] for name in names], dtype=float).reshape(-1, 2, 2)
     for name, pair in zip(names, points):
-        _check_inside(f"{where}.pedicles.{name}", "pedicle", pair, view, "leave out pedicles that can't be seen")
+        check_inside(f"{where}.pedicles.{name}", "pedicle", pair, view, "leave out pedicles that can't be seen")
     points = view.from_pixels(points)
     first, _ = picture_axes(view)
     for name, (left, right) in zip(names, points):
@@ -345,7 +350,7 @@ def image_pedicles(subject: Subject, image: str, view: XRayView) -> tuple[tuple[
     return names, points
 
 
-def _check_inside(where: str, what: str, points: Floats, view: XRayView, advice: str) -> None:
+def check_inside(where: str, what: str, points: Floats, view: XRayView, advice: str) -> None:
     """Raise SubjectError unless points (n, 2), column and row, lie in the picture, up to its pixels' outer edges."""
     rows, columns = view.shape
     for column, row in points:
@@ -420,10 +425,9 @@ def _check_images(subject: Subject) -> None:
             raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
     for push in subject.pushes:
         for view in push.views:
-            for frame in view.frames:
-                name = push.view_image(frame, view.id)
-                if name not in images:
-                    raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
+            name = push.view_image(push.least_of(view), view.id)
+            if name not in images:
+                raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
 
 
 def check_output_beside(folder: Path, path: Path, option: str, *, force: bool) -> None:

@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from spinestiff.arrays import Floats, Ints
 from spinestiff.imaging.features import Orientation, VertebraCorners
 from spinestiff.imaging.pedicles import PediclePoints
 from spinestiff.imaging.projection import XRayView
@@ -99,18 +100,32 @@ class MarkedPedicles(Outcome):
 
 
 class SidePicture(Outcome):
-    """A frame's radiograph from another side, as a person marked it.
+    """A frame's radiograph from another side, as a person marked it or as tracking followed it.
 
     Attributes
     ----------
     frame : of the push. vertebrae : (Nv,) names, head to foot. corners_px : (Nv, 4, 2) column, row.
+    quality : (Nv, 4), from 0 to 1, of corners that were followed; None: set by hand.
+    followed_from : the frame from which they were, the nearest of those marked by hand; None: set by hand.
     pedicles : marked in it; None without.
     """
 
     frame: int
     vertebrae: tuple[VertebraName, ...]
     corners_px: tuple[tuple[Pair, Pair, Pair, Pair], ...]
+    quality: tuple[tuple[float, float, float, float], ...] | None = None
+    followed_from: int | None = None
     pedicles: MarkedPedicles | None = None
+
+    @model_validator(mode="after")
+    def _is_one_of_two(self) -> Self:
+        if (self.quality is None) != (self.followed_from is None):
+            raise ValueError("quality, followed_from: wanted both, of corners that were followed, or none")
+        if len(self.corners_px) != len(self.vertebrae):
+            raise ValueError(f"corners_px: {len(self.corners_px)} for {len(self.vertebrae)} vertebrae")
+        if self.quality is not None and len(self.quality) != len(self.vertebrae):
+            raise ValueError(f"quality: {len(self.quality)} for {len(self.vertebrae)} vertebrae")
+        return self
 
 
 class SideView(Outcome):
@@ -128,8 +143,39 @@ class SideView(Outcome):
     pictures: tuple[SidePicture, ...]
 
     def corners(self, picture: SidePicture) -> VertebraCorners:
-        """In mm on the detector."""
-        return VertebraCorners(picture.vertebrae, self.view.view().from_pixels(np.array(picture.corners_px)))
+        """In mm on the detector, with their quality."""
+        places = self.view.view().from_pixels(np.array(picture.corners_px))
+        if picture.quality is None:
+            return VertebraCorners(picture.vertebrae, places)
+        return VertebraCorners(picture.vertebrae, places, np.array(picture.quality))
+
+
+class MarkerTracks(Outcome):
+    """Markers on the skin under a push, as their table has them.
+
+    Attributes
+    ----------
+    names : (M,). reference : the frame without force from which motion counts.
+    side : of the trunk. shown_px : where that frame's radiograph shows them, column and row, by name.
+    frames : of each, (M,) mm along the body's left, up and front, from the cameras' origin; None: not seen.
+    """
+
+    names: tuple[str, ...]
+    reference: int
+    side: Literal["front", "back", "both"]
+    shown_px: dict[str, Pair]
+    frames: tuple[tuple[Vector | None, ...], ...]
+
+    @property
+    def positions(self) -> Floats:
+        """(frames, M, 3) mm; NaN: not seen."""
+        return np.array([[(np.nan,) * 3 if place is None else place for place in frame] for frame in self.frames])
+
+    @property
+    def shown(self) -> tuple[Ints, Floats]:
+        """Numbers (S,) of the markers that the radiograph shows, and where, (S, 2) column, row."""
+        rows = np.array([self.names.index(name) for name in self.shown_px], dtype=np.int64)
+        return rows, np.array(list(self.shown_px.values()))
 
 
 class TrackedPush(Outcome):
@@ -142,6 +188,7 @@ class TrackedPush(Outcome):
     annotated_frames : those whose corners a person set.
     frames : one a radiograph.
     pedicles : as marked, by frame; they are not tracked. sides : the same frames from other sides.
+    markers : on the skin, in the same frames; None without.
     """
 
     view: ViewRecord
@@ -151,6 +198,7 @@ class TrackedPush(Outcome):
     frames: tuple[TrackedFrame, ...]
     pedicles: tuple[MarkedPedicles, ...] = ()
     sides: tuple[SideView, ...] = ()
+    markers: MarkerTracks | None = None
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:
@@ -160,6 +208,8 @@ class TrackedPush(Outcome):
                     raise ValueError(f"frames[{index}].{what}: {len(found)} for {len(self.vertebrae)} vertebrae")
         if not self.frames:
             raise ValueError("frames: found none, wanted one a radiograph")
+        if self.markers is not None and len(self.markers.frames) != len(self.frames):
+            raise ValueError(f"markers.frames: {len(self.markers.frames)} for {len(self.frames)} radiographs")
         return self
 
     @classmethod
@@ -176,7 +226,7 @@ class TrackedPush(Outcome):
         Parameters
         ----------
         supports : what was seen of pelvis and shoulder in these frames.
-        said : ``millimetres``, ``annotated_frames``, ``pedicles`` and ``sides``.
+        said : ``millimetres``, ``annotated_frames``, ``pedicles``, ``sides`` and ``markers``.
         """
         frames = [
             {

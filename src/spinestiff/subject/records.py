@@ -44,6 +44,7 @@ FURTHER_FRAME = r"(?P<push>push/[^/]+)/(?P<frame>[1-9][0-9]{0,3})"
 FURTHER_VIEW = r"(?P<push>push/[^/]+)/(?P<frame>0|[1-9][0-9]{0,3})/(?P<view>[^/]+)"
 """Name of a radiograph of a push's frame from another side."""
 FEWEST_OF_VIEW = 3
+MARKER_NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}"
 MOST_TURNED_VIEW_DEG = 40.0
 """Of an oblique radiograph, against the frontal or lateral one; beyond, it is nearer to the other of the two."""
 _IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
@@ -157,6 +158,45 @@ class FurtherViewRecord(_Record):
         return frames
 
 
+class ScanAxes(_Record):
+    """Which axes of a scan, or of cameras, run to the body's left, up and to the front."""
+
+    left: Axis
+    up: Axis
+    front: Axis
+
+    @model_validator(mode="after")
+    def _are_a_frame(self) -> Self:
+        try:
+            body_axes(self.left, self.up, self.front)
+        except SubjectError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+
+class MarkersRecord(_Record):
+    """Markers on the skin of the trunk, seen by cameras or a surface scanner in each frame of a push.
+
+    Attributes
+    ----------
+    file : CSV table of their places, relative to the subject folder (``marker_table``).
+    unit : of its coordinates. axes : its axes.
+    side : of the trunk, that all of them lie on.
+    shown : where the frontal radiograph without force shows some of them, (column, row), by name.
+    """
+
+    file: str
+    unit: Unit
+    axes: ScanAxes
+    side: Literal["front", "back", "both"]
+    shown: Annotated[dict[Annotated[str, Field(pattern=f"^{MARKER_NAME}$")], Point], Field(min_length=1, max_length=60)]
+
+    @field_validator("file")
+    @classmethod
+    def _stays_inside(cls, path: str) -> str:
+        return _inside(path)
+
+
 class PushRecord(_Record):
     """One series of radiographs under a growing rib force.
 
@@ -170,6 +210,7 @@ class PushRecord(_Record):
     forces_n : magnitude for each frame, N.
     roles : for each frame; left out = not chosen yet, all "unused".
     views : radiographs of some of the frames from other sides.
+    markers : on the skin, seen in each frame.
     """
 
     id: Identifier
@@ -181,6 +222,7 @@ class PushRecord(_Record):
     forces_n: Annotated[tuple[float, ...], Field(min_length=1, strict=False)]
     roles: Annotated[tuple[Role, ...], Field(strict=False)]
     views: Annotated[tuple[FurtherViewRecord, ...], Field(strict=False)] = ()
+    markers: MarkersRecord | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -224,6 +266,11 @@ class PushRecord(_Record):
                     f"views[{i}].frames: found frame {max(view.frames)}, but the push has "
                     f"{counted(len(self.forces_n), 'frame')}, counted from 0"
                 )
+        if self.markers is not None and min(self.forces_n) > 0.0:
+            raise ValueError(
+                f"markers: no frame is without force, the least is {min(self.forces_n):g} N; wanted one, from which "
+                "the markers' motion counts"
+            )
         used = [force for force, role in zip(self.forces_n, self.roles) if role != "unused"]
         if used and not any(used):
             raise ValueError("all forces are zero, so there is nothing to identify; check the force log")
@@ -242,6 +289,15 @@ class PushRecord(_Record):
         """Name of a frame's radiograph from another side in the annotation."""
         return f"{self.image}/{frame}/{view}"
 
+    def least_of(self, view: FurtherViewRecord) -> int:
+        """The first of a view's frames with the least force among them: it has to be marked by hand."""
+        return min(sorted(view.frames), key=lambda frame: self.forces_n[frame])
+
+    @property
+    def unloaded(self) -> int:
+        """The first of the frames with the least force."""
+        return self.forces_n.index(min(self.forces_n))
+
     @property
     def sign(self) -> int:
         """+1 for a push from the patient's right, -1 from the left (towards a left or a right curve, Table 2)."""
@@ -257,22 +313,6 @@ class TrunkRecord(_Record):
 
     breadth_mm: Annotated[float, Field(ge=100.0, le=600.0)]
     depth_mm: Annotated[float, Field(ge=80.0, le=500.0)]
-
-
-class ScanAxes(_Record):
-    """Which axes of a scan run to the body's left, up and to the front."""
-
-    left: Axis
-    up: Axis
-    front: Axis
-
-    @model_validator(mode="after")
-    def _are_a_frame(self) -> Self:
-        try:
-            body_axes(self.left, self.up, self.front)
-        except SubjectError as error:
-            raise ValueError(str(error)) from None
-        return self
 
 
 class ScanRecord(_Record):

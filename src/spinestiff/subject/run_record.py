@@ -73,9 +73,9 @@ _ASKED = {"parameters", "population"}
 
 PARTS: Mapping[str, Callable[[Subject], object]] = {
     f"{SUBJECT_FILE}: X-ray geometry": lambda s: s.record.xray.model_dump(mode="json"),
-    f"{SUBJECT_FILE}: frames and forces": lambda s: _pushes(s, "id", "frames", "forces_n", "views"),
+    f"{SUBJECT_FILE}: frames and forces": lambda s: _pushes(s, "id", "frames", "forces_n", "views", "markers"),
     f"{SUBJECT_FILE}: pushes": lambda s: _pushes(
-        s, "id", "frames", "forces_n", "side", "level", "d21_mm", "d31_mm", "views"
+        s, "id", "frames", "forces_n", "side", "level", "d21_mm", "d31_mm", "views", "markers"
     ),
     f"{SUBJECT_FILE}: roles": lambda s: _pushes(s, "id", "roles"),
     f"{SUBJECT_FILE}: body": lambda s: s.record.model_dump(
