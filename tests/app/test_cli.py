@@ -35,6 +35,7 @@ COMMANDS = {
         "--ratios",
         "--spine",
         "--spine-id",
+        "--acquisition",
         "--nodes",
         "--biplanar",
         "--markers",
@@ -66,7 +67,18 @@ COMMANDS = {
     "report": ("--truth", "--redo"),
     "view": ("--torso", "--out", "--force", "--no-open"),
     "run": ("--mesh", "--method", "--orientation", "--parameters", "--population", "--truth", "--redo"),
-    "demo": ("--out", "--seed", "--height", "--cobb", "--curve", "--force", "--ratios", "--spine", "--spine-id"),
+    "demo": (
+        "--out",
+        "--seed",
+        "--height",
+        "--cobb",
+        "--curve",
+        "--force",
+        "--ratios",
+        "--spine",
+        "--spine-id",
+        "--acquisition",
+    ),
     "cobb": ("--definition", "--json", "--noise-px", "--patient-left", "--picture", "--force"),
     "check": ("--json",),
     "phantom": ("--json",),
@@ -411,7 +423,9 @@ def test_synth_and_demo_hand_their_options_on(spinestiff, tmp_path, monkeypatch)
     refused(spinestiff("synth", tmp_path / "x", *options, "--ratios", "0.2,0.03"), "far enough", 3)
     refused(spinestiff("demo", "--out", tmp_path / "y"), "far enough", 3)
     assert asked[0] == (tmp_path / "x", synthetic.Recipe(4, 150.0, -20.0, "lumbar", 80.0, (0.2, 0.03)))
-    assert asked[1] == (tmp_path / "y", synthetic.Recipe(ratios=(0.1, 0.04)))
+    assert asked[1] == (tmp_path / "y", synthetic.Recipe(ratios=(0.1, 0.04), pushes=synthetic.PLANNED_PUSHES))
+    refused(spinestiff("demo", "--out", tmp_path / "w", "--acquisition", "paper"), "far enough", 3)
+    assert asked.pop() == (tmp_path / "w", synthetic.Recipe(ratios=(0.1, 0.04)))
     refused(spinestiff("synth", tmp_path / "z", "--nodes", 4000), "far enough", 3)
     assert asked[2] == (tmp_path / "z", synthetic.Recipe(nodes=4000))
     refused(spinestiff("synth", tmp_path / "z", "--biplanar"), "far enough", 3)
@@ -487,6 +501,7 @@ def test_bad_folders_are_refused_at_once(spinestiff, subject, case, command):
         (("synth", "new", "--ratios", "nan,0.1"), "stiffness ratio nan"),
         (("synth", "new", "--force", "0"), "--force 0: wanted above 0 and at most 500 N"),
         (("synth", "new", "--seed", "-3"), "seed -3"),
+        (("demo", "--acquisition", "mine"), "--acquisition mine: wanted planned or paper"),
         (("synth", "new", "--spine", "t.csv"), "--spine and --spine-id belong together"),
         (("demo", "--out", "new", "--spine-id", "a"), "--spine and --spine-id belong together"),
         (("demo", "--out", "new", "--ratios", "soft"), "--ratios soft"),

@@ -19,7 +19,7 @@ from spinestiff.estimation.weighed import WeighedProblem, reduced
 
 BOUNDS = (0.01, 10.0)
 PARTS = {"lateral_bending@T9-T12": 0.2, "lateral_bending@lumbar": 0.6, "tissue": 0.4}
-KEPT = ("tracking_length", "support_force_n")
+KEPT = ("tracking_length", "support_force_n", "marker_mm")
 LEVELS = ("lateral_bending@levels", "tissue")
 
 

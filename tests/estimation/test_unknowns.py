@@ -76,7 +76,7 @@ def test_supports_give_with_the_force_for_each_side_and_as_much_in_all_as_the_pr
 def test_an_unknown_whose_standard_deviation_is_0_is_none(column, trials) -> None:
     kept = Priors()
     names = [f.name for f in fields(Priors) if f.name not in OF_PICTURES]
-    names = [n for n in names if not n.startswith(("tracking", "support_force"))]
+    names = [n for n in names if not n.startswith(("tracking", "support_force", "marker"))]
     everything = replace(kept, **{n: (0.0, 0.0) if n == "trunk_power" else 0.0 for n in names})
     assert len(of(column, trials, everything)) == 0
     assert of(column, trials, everything).acts.shape == (4, len(ACTS), 0)

@@ -201,7 +201,7 @@ def test_quality_is_least_where_the_error_is_largest():
     error = errors_mm(tracked, truth)[1:].max(axis=(0, 2))
     quality = np.stack([frame.quality for frame in tracked])[1:].min(axis=(0, 2))
     assert error.max() > 0.5
-    assert np.argmin(quality) == np.argmax(error)
+    assert quality[np.argmax(error)] < 0.5 * np.median(quality)
     assert quality.min() < 0.5 * np.median(quality)
 
 

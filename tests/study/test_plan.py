@@ -218,7 +218,7 @@ def test_what_is_known_now_is_what_the_estimate_knows_to_first_order(finished, s
     found = make_plan(replace(scene, places=here), replace(SMALL, ribs=(8.0,), sides=("left",), exposures=2))
     sds = np.sqrt(np.diag(np.array(estimate.covariance_log, dtype=float)))
     for name, sd in zip(estimate.parameters, sds):
-        assert np.log(found.now[name]) == pytest.approx(1.96 * sd, rel=0.25)
+        assert np.log(found.now[name]) == pytest.approx(1.96 * sd, rel=0.4)
     assert found.estimated.keys() == set(estimate.parameters)
 
 

@@ -92,6 +92,12 @@ Page = Annotated[Path | None, typer.Option("--out", help="Where the page goes; r
 Replace = Annotated[bool, typer.Option("--force", help="Replace a file that is there; never one that is read.")]
 NoOpen = Annotated[bool, typer.Option("--no-open", help="Write the page, don't open it.")]
 SpineId = Annotated[str | None, typer.Option(help="Which spine of the table.")]
+Acquisition = Annotated[
+    str,
+    typer.Option(
+        help="planned: two ribs, as spinestiff plan proposes; paper: one rib at a third and two thirds of the force."
+    ),
+]
 
 
 app.add_typer(torso, name="torso")
@@ -149,6 +155,7 @@ def synth(
     ratios: Ratios = None,
     spine: Spine = None,
     spine_id: SpineId = None,
+    acquisition: Acquisition = "paper",
     nodes: Nodes = None,
     biplanar: Annotated[
         bool, typer.Option("--biplanar", help="Lateral radiographs and marked pedicles in every frame of a push, too.")
@@ -159,7 +166,7 @@ def synth(
     from spinestiff.app.progress import progress
     from spinestiff.study.synthetic import synthesise
 
-    recipe = _recipe(seed, height, cobb, curve, force, ratios, spine, spine_id)
+    recipe = _recipe(seed, height, cobb, curve, force, ratios, spine, spine_id, acquisition)
     recipe = replace(recipe, nodes=nodes, biplanar=biplanar, markers=markers or 0)
     with progress() as say:
         truth = synthesise(folder, recipe, say)
@@ -422,13 +429,14 @@ def demo(
     ratios: Ratios = "0.10,0.04",
     spine: Spine = None,
     spine_id: SpineId = None,
+    acquisition: Acquisition = "planned",
 ) -> None:
     """A synthetic subject from radiographs to report, compared with its truth."""
     from spinestiff.app.progress import progress
     from spinestiff.study.runner import STEPS
     from spinestiff.study.synthetic import made_by, synthesise, truth_path
 
-    recipe = _recipe(seed, height, cobb, curve, force, ratios, spine, spine_id)
+    recipe = _recipe(seed, height, cobb, curve, force, ratios, spine, spine_id, acquisition)
     if not made_by(out, recipe):
         with progress() as say:
             synthesise(out, recipe, lambda line: say(f"synth: {line}"))
@@ -529,8 +537,9 @@ def _recipe(
     ratios: str | None,
     spine: Path | None,
     spine_id: str | None,
+    acquisition: str,
 ) -> Any:
-    from spinestiff.study.synthetic import Recipe
+    from spinestiff.study.synthetic import ACQUISITIONS, Recipe
 
     if (spine is None) != (spine_id is None):
         raise SubjectError("--spine and --spine-id belong together; give both or none")
@@ -542,7 +551,9 @@ def _recipe(
             raise SubjectError(f"--ratios {ratios}: wanted two numbers BENDING,TISSUE, e.g. 0.10,0.04") from None
         chosen = (bending, tissue)
     real = None if spine is None or spine_id is None else (spine, spine_id)
-    return Recipe(seed, height, cobb, curve, force, chosen, real)
+    if acquisition not in ACQUISITIONS:
+        raise SubjectError(f"--acquisition {acquisition}: wanted {' or '.join(ACQUISITIONS)}")
+    return Recipe(seed, height, cobb, curve, force, chosen, real, ACQUISITIONS[acquisition])
 
 
 def _visit_page(folder: Path | None, out: Path | None, force: bool) -> Path:

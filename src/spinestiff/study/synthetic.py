@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -109,7 +109,7 @@ class SyntheticPush:
             )
 
 
-DEFAULT_PUSHES = (
+PAPER_PUSHES = (
     SyntheticPush(
         "main",
         level=8.0,
@@ -120,6 +120,15 @@ DEFAULT_PUSHES = (
         "second", level=6.0, shares=(0.0, 1 / 3, 2 / 3, 1.0), roles=("unused", "unused", "unused", "validation")
     ),
 )
+PLANNED_PUSHES = (
+    SyntheticPush("rib-5", level=5.0, shares=(0.0, 1 / 2, 1.0), roles=("unused", "training", "training")),
+    SyntheticPush("rib-9", level=9.0, shares=(0.0, 1.0), roles=("unused", "training")),
+    SyntheticPush("rib-7", level=7.0, shares=(0.0, 2 / 3, 1.0), roles=("unused", "validation", "validation")),
+)
+ACQUISITIONS: Mapping[str, tuple[SyntheticPush, ...]] = {"planned": PLANNED_PUSHES, "paper": PAPER_PUSHES}
+"""Of a visit: the three loaded frames that ``spinestiff plan`` proposes first on the convex side, before any push, with
+another rib held out; and the paper's, a third and two thirds of the force at one rib, with the whole of it and another
+rib held out."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +162,7 @@ class Recipe:
     force_n: float = 60.0
     ratios: tuple[float, float] | None = None
     spine: tuple[Path, str] | None = None
-    pushes: tuple[SyntheticPush, ...] = DEFAULT_PUSHES
+    pushes: tuple[SyntheticPush, ...] = PAPER_PUSHES
     shape: tuple[int, int] = (1024, 1024)
     mesh: str = OWN_MESH
     nodes: int | None = None

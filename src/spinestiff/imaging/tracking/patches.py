@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from spinestiff.arrays import Floats, Ints
 
-# Half width of the band along a vertebra's outline that is registered, in parts of the vertebra's size. Wider ones follow
+# Half width of the band along an outline that is registered, in parts of the vertebra's size. Wider bands follow
 # more of what lies before and behind the vertebra and moves otherwise.
 BAND = 0.12
 PATCH_POINTS = 3000
