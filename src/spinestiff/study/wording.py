@@ -176,6 +176,7 @@ def has_intervals(estimate: Estimate) -> bool:
 
 UNKNOWNS = {
     "annotation": "corners set by hand",
+    "drag of tracking": "what takes tracking along",
     "place in the picture": "the patient's place in each picture",
     "posture": "the spine's posture in each sequence",
     "rest geometry": "the spine's shape at rest",
