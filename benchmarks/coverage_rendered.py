@@ -12,12 +12,14 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from coverage_subjects import BENDING, COBB_DEG, FORCE_N, LEAST_FORCE_N, MOST_TILT, PUSHES, TISSUE
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.stiffness import stiffness_ratios
+from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.priors import Priors
@@ -28,13 +30,14 @@ from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study.runner import run_steps
 from spinestiff.study.spines import CURVES
-from spinestiff.study.synthetic import Recipe, SyntheticPush, subject_torso, synthesise
+from spinestiff.study.synthetic import Recipe, SyntheticPush, push_heights, subject_torso, synthesise
 from spinestiff.study.trials import PushSet
 from spinestiff.study.visit import load_pushes, load_start, open_visit
-from spinestiff.subject.records import SUBJECT_FILE
+from spinestiff.subject.records import DISTANCES_MM, SUBJECT_FILE
 
 HEIGHT_CM = (138.0, 174.0)
 LEVEL_MM = 25.0  # from rib to rib along the spine
+LEVEL_STEP = 0.1
 # Of the push that a subject can bear; the supports that give add some degrees to the level pelvis' tilt.
 SUPPORTS_TILT = np.deg2rad(5.0)
 
@@ -88,13 +91,15 @@ def rendered_subject(seed: int, nodes: int, folder: Path) -> Rendered:
 
 
 def _bearable(recipe: Recipe) -> tuple[Recipe, float]:
-    """With a force under which no two vertebrae turn by more than ``MOST_TILT``; the curve at rest, degrees."""
+    """With a force under which no two vertebrae turn by more than ``MOST_TILT``, and pushes as far below the held
+    shoulder as a record wants them; the curve at rest, degrees."""
     torso = subject_torso(recipe)
     view, rest = frontal_view(), torso.rest_pose
     shares = silhouette_shares(torso, view, rest)
     before = tilts(VERTEBRAE, state_features(torso, view, rest, shares).corners, view)
     cobb = cobb_angle(before).degrees
-    side = "left" if cobb > 0.0 else "right"
+    side: Literal["left", "right"] = "left" if cobb > 0.0 else "right"
+    recipe = replace(recipe, pushes=tuple(_below_shoulder(torso, side, push) for push in recipe.pushes))
     problem = EquilibriumProblem(torso, three_point_supports(torso, side, "level"))
     assert recipe.ratios is not None
     ratios = stiffness_ratios(dict(zip(("lateral_bending", "tissue"), recipe.ratios)))
@@ -113,6 +118,14 @@ def _bearable(recipe: Recipe) -> tuple[Recipe, float]:
         force *= float(np.clip(most / bent, 0.5, 0.9))
         if force < LEAST_FORCE_N:
             raise EquilibriumError(f"subject {recipe.seed}: bends by more than {np.rad2deg(most):.0f} degrees")
+
+
+def _below_shoulder(torso: TorsoModel, side: Literal["left", "right"], push: SyntheticPush) -> SyntheticPush:
+    while True:
+        shoulder, _, rib = push_heights(torso, side, push.level)
+        if shoulder - rib > DISTANCES_MM[0]:
+            return push
+        push = replace(push, level=round(push.level + LEVEL_STEP, 1))
 
 
 def _told(path: Path, random: np.random.Generator) -> None:

@@ -505,7 +505,7 @@ class _Acquisition:
         return np.asarray(((pixels > first + 4.5) & (pixels < last - 4.5)).all(-1))
 
     def _push_record(self, push: SyntheticPush) -> PushRecord:
-        shoulder, pelvis, rib = self._heights(push.level)
+        shoulder, pelvis, rib = push_heights(self.torso, self.pushed_side, push.level)
         record = {
             "id": push.id,
             "side": self.pushed_side,
@@ -522,23 +522,24 @@ class _Acquisition:
             record["views"] = [{"id": SIDE, "kind": "lateral", "files": files, "frames": every}]
         return parse_record(json.dumps(record), f"push '{push.id}' of the recipe", PushRecord)
 
-    def _heights(self, level: float) -> tuple[float, float, float]:
-        """Heights of the held shoulder, the pelvis and the push point, mm."""
-        rest, marks = self.torso.rest_pose, self.torso.landmarks
-        load = rib_push(self.torso, self.pushed_side, level, 1.0)
-        share = np.abs(load.forces[:, 0])
-        rib = float(share @ load.points.positions(rest)[:, 1])
-        held = 1 if self.pushed_side == "left" else 0
-        return (
-            float(marks["humerus_head"].positions(rest)[held, 1]),
-            float(marks["pelvis_belt"].positions(rest)[0, 1]),
-            rib,
-        )
-
     def _tilts(self, state: TorsoState):  # type: ignore[no-untyped-def]
         view = self._nominal(frontal_view)
         shares = silhouette_shares(self.torso, view, self.torso.rest_pose)
         return tilts(VERTEBRAE, state_features(self.torso, view, state, shares).corners, view)
+
+
+def push_heights(torso: TorsoModel, side: Literal["left", "right"], level: float) -> tuple[float, float, float]:
+    """Heights of the held shoulder, the pelvis and the point of a push at rest, mm."""
+    rest, marks = torso.rest_pose, torso.landmarks
+    load = rib_push(torso, side, level, 1.0)
+    share = np.abs(load.forces[:, 0])
+    rib = float(share @ load.points.positions(rest)[:, 1])
+    held = 1 if side == "left" else 0
+    return (
+        float(marks["humerus_head"].positions(rest)[held, 1]),
+        float(marks["pelvis_belt"].positions(rest)[0, 1]),
+        rib,
+    )
 
 
 def spread_markers(torso: TorsoModel, count: int, spots: Floats) -> tuple[PointsOnTissue, Floats]:
