@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from spinestiff.estimation.emulator import Place
+from spinestiff.estimation.emulator import FARTHEST_NUISANCES, Place
 from spinestiff.estimation.priors import Priors
-from spinestiff.estimation.profiles import Profile, likely_ratios, profile_kind, region_rise, rise_at
-from spinestiff.estimation.weighed import phi, reduced
+from spinestiff.estimation.profiles import (
+    Profile,
+    likely_ratios,
+    profile_kind,
+    region_rise,
+    rise_at,
+    solved_place,
+)
+from spinestiff.estimation.status import FitStatus
+from spinestiff.estimation.weighed import WeighedFit, WeighedPoint, WeighedSlope, Weights, phi, reduced
 
 
 def sd_of(found):
@@ -51,6 +60,41 @@ def test_ends_are_where_the_models_profile_has_risen_enough(asked, found, likely
     steepness = (farther - rise) / step
     assert rise == pytest.approx(0.5 * chi2.ppf(0.95, 1), abs=0.05)
     assert abs(0.5 * chi2.ppf(0.95, 1) - rise) / abs(steepness) < 0.04 * sd
+
+
+class Bent:
+    """One ratio that does nothing, and a nuisance n whose residual 5 atan(2 (n - 1)) full Gauss-Newton steps overshoot
+    farther every time."""
+
+    def __init__(self) -> None:
+        self.solved: list[float] = []
+        self.trial_set = SimpleNamespace(note=lambda *of: None)
+
+    def solve(self, log_ratios, nuisances, near=None, slope=None):
+        self.solved.append(float(nuisances[0]))
+        return WeighedPoint(
+            np.array(nuisances), SimpleNamespace(log_ratios=log_ratios), 5.0 * np.arctan(2.0 * (nuisances - 1.0))
+        )
+
+    def slope(self, point):
+        column = 10.0 / (1.0 + (2.0 * (point.nuisances - 1.0)) ** 2)
+        return WeighedSlope(SimpleNamespace(), np.zeros((1, 1)), column[:, None])
+
+
+def test_nuisances_that_swing_are_brought_to_rest() -> None:
+    bent = Bent()
+    start = bent.solve(np.zeros(1), np.ones(1))
+    fit = WeighedFit(start, bent.slope(start), Weights(np.eye(1), 1.0, np.ones(1)), FitStatus.CONVERGED, ())
+    place, height = solved_place(bent, fit, np.array([0.3]), np.zeros(1))
+    model = reduced(place.point, place.slope, fit.weights)
+    assert abs(model.nuisances[0] - place.point.nuisances[0]) < FARTHEST_NUISANCES
+    assert height == pytest.approx(0.5 * float(model.values @ model.values))
+
+
+def test_no_place_is_solved_twice(asked, found, likely, places) -> None:
+    at = np.array([place.point.log_ratios for place in places])
+    apart = np.abs(at[:, None] - at[None]).max(axis=2) + np.eye(len(at))
+    assert apart[len(found.visited) + 1 :].min() > 1e-3
 
 
 def test_ends_lie_about_two_standard_deviations_apart(found, likely) -> None:

@@ -3,7 +3,8 @@
 Where a place was solved, residuals, nuisances and their slopes are known. Kriging with a squared-exponential kernel on
 what a first-order model about the estimate leaves carries them to all others at no equilibrium (Morris, Mitchell and
 Ylvisaker 1993). What needs many places (profiles, regions, draws) is read there; the ends of intervals are solved for
-and become places themselves (``profiles``).
+and become places themselves (``profiles``). Where the same residuals are known on a coarser mesh, those tell the
+shape, and what phi differs by at the places of the finer one, which changes slowly, is carried to all others.
 """
 
 from __future__ import annotations
@@ -17,10 +18,12 @@ from scipy.linalg import cho_factor, cho_solve
 from spinestiff.arrays import Floats
 from spinestiff.estimation.weighed import Reduced, WeighedPoint, WeighedSlope, Weights, reduced
 
-# Correlation length in log ratio: residuals change their course over a factor of four or so.
-LENGTH = 1.5
+# Correlation length in log ratio: residuals change their course over a factor of seven or so.
+LENGTH = 2.0
 # Relative variance that keeps places close to each other, which first order has a little wrong, from being at odds.
-NUGGET = 1e-5
+NUGGET = 1e-4
+# Of a difference's derivatives by its own values, in log ratio.
+DIFFERENCE = 1e-3
 # A place whose nuisances are farther than this from the most probable ones there tells of another part of the space;
 # where phi is higher than the estimate's by ``HIGH``, they may be as far as ``FAR_AND_HIGH``. One where it is higher by
 # ``HIGHEST`` tells of nothing that matters, one as near as ``NEAREST`` to another of no more than that.
@@ -41,14 +44,14 @@ class Kriging:
 
     Parameters
     ----------
-    places : (K, P). values : (K, R). slopes : (K, R, P) or None: of the first place only, 0.
-    level : far from all places the function is as at the first one; else it rises as there.
+    places : (K, P). values : (K, R). slopes : (K, R, P) or None: of the first place only, 0. Far from all places the
+        function rises as at the first one.
     """
 
-    def __init__(self, places: Floats, values: Floats, slopes: Floats | None, level: bool = False) -> None:
+    def __init__(self, places: Floats, values: Floats, slopes: Floats | None) -> None:
         self._places, self._sloped = places, slopes is not None
         self._base, self._value = places[0], values[0]
-        self._slope = np.zeros((values.shape[1], places.shape[1])) if slopes is None or level else slopes[0]
+        self._slope = np.zeros((values.shape[1], places.shape[1])) if slopes is None else slopes[0]
         left = values - self._first_order(places)
         targets = left
         if slopes is not None:
@@ -127,16 +130,13 @@ class _Surface:
 
     Parameters
     ----------
-    kept : places and their linear models. below : a surface that this one is added to, whose nuisances it takes.
+    kept : places and their linear models.
     """
 
-    def __init__(self, kept: list[tuple[Place, Reduced]], weights: Weights, below: _Surface | None = None) -> None:
+    def __init__(self, kept: list[tuple[Place, Reduced]], weights: Weights) -> None:
         log_ratios = np.array([place.point.log_ratios for place, _ in kept])
-        if below is None:
-            most, follow = (np.array([getattr(model, name) for _, model in kept]) for name in ("nuisances", "follow"))
-            self.nuisances = Kriging(log_ratios, most, follow)
-        else:
-            self.nuisances = below.nuisances
+        most, follow = (np.array([getattr(model, name) for _, model in kept]) for name in ("nuisances", "follow"))
+        self.nuisances = Kriging(log_ratios, most, follow)
         smooth, along = self.nuisances.at(log_ratios), self.nuisances.slopes(log_ratios)
         values, slopes, columns = [], [], []
         for (place, _), nuisances, change in zip(kept, smooth, along):
@@ -146,26 +146,14 @@ class _Surface:
             values.append(whitened[:, 0])
             columns.append(whitened[:, 1 + p :])
             slopes.append(whitened[:, 1 : 1 + p] + columns[-1] @ change)
-        added, rising, across = np.array(values), np.array(slopes), np.array(columns)
-        self._below, self._shape = below, across.shape[1:]
-        if below is not None:
-            residuals, own = below.at(log_ratios)
-            added, rising, across = added - residuals, rising - below.slopes(log_ratios), across - own
-        self._residuals = Kriging(log_ratios, added, rising, level=below is not None)
+        across = np.array(columns)
+        self._shape = across.shape[1:]
+        self._residuals = Kriging(log_ratios, np.array(values), np.array(slopes))
         self._columns = Kriging(log_ratios, across.reshape(len(kept), -1), None)
 
     def at(self, where: Floats) -> tuple[Floats, Floats]:
         """(S, R) residuals at the most probable nuisances and (S, R, M) derivatives, at places (S, P)."""
-        residuals, columns = self._residuals.at(where), self._columns.at(where).reshape(len(where), *self._shape)
-        if self._below is None:
-            return residuals, columns
-        lower, others = self._below.at(where)
-        return residuals + lower, columns + others
-
-    def slopes(self, where: Floats) -> Floats:
-        """(S, R, P) of the residuals."""
-        own = self._residuals.slopes(where)
-        return own if self._below is None else np.asarray(own + self._below.slopes(where))
+        return self._residuals.at(where), self._columns.at(where).reshape(len(where), *self._shape)
 
 
 class Emulator:
@@ -178,7 +166,7 @@ class Emulator:
     prior_sds : (M,) factors on the nuisances' prior standard deviations.
     telling : keep only places that tell of where the estimate may be.
     rough : where the same residuals are known on a coarser mesh, its estimate first; they tell the shape, ``places``
-        what is to be added to it.
+        what is to be added to phi and to the most probable nuisances.
     """
 
     def __init__(
@@ -189,21 +177,42 @@ class Emulator:
         telling: bool = True,
         rough: Sequence[Place] = (),
     ) -> None:
-        below = _Surface(_kept(rough, weights, True), weights) if rough else None
         kept = _kept(places, weights, telling)
-        self._surface = _Surface(kept, weights, below)
+        self._surface = _Surface(_kept(rough, weights, True) if rough else kept, weights)
         self.log_ratios = np.array([place.point.log_ratios for place, _ in kept])
         self._m = kept[0][0].slope.nuisances.shape[1]
-        self._sds = np.ones(self._m) if prior_sds is None else prior_sds
+        self._sds = np.ones(self._m)
+        self._added = self._difference([model for _, model in kept]) if rough else None
+        if prior_sds is not None:
+            self._sds = prior_sds
+
+    def _difference(self, models: list[Reduced]) -> Kriging:
+        """Of phi (first) and the most probable nuisances at the kept places, from what the surface alone has there."""
+        wanted = np.array([[_height(model), *model.nuisances] for model in models])
+        slopes = np.array([np.vstack([model.ratios.T @ model.values, model.follow]) for model in models])
+        steps = DIFFERENCE * np.eye(self.log_ratios.shape[1])
+        own, rising = self._on_surface(self.log_ratios), np.zeros_like(slopes)
+        for i, step in enumerate(steps):
+            ahead, behind = (self._on_surface(self.log_ratios + sign * step) for sign in (1.0, -1.0))
+            rising[:, :, i] = (ahead - behind) / (2.0 * DIFFERENCE)
+        return Kriging(self.log_ratios, wanted - own, slopes - rising)
+
+    def _on_surface(self, where: Floats) -> Floats:
+        phi, nuisances, _ = self._solved(where)
+        return np.column_stack([phi, nuisances])
 
     def phi(self, log_ratios: Floats) -> Floats:
         """(S,) at places (S, P)."""
-        return self._solved(np.atleast_2d(log_ratios))[0]
+        where = np.atleast_2d(log_ratios)
+        phi = self._solved(where)[0]
+        return phi if self._added is None else np.asarray(phi + self._added.at(where)[:, 0])
 
     def nuisances(self, log_ratios: Floats) -> tuple[Floats, Floats]:
         """Most probable nuisances (M,) at a place (P,), and their covariance (M, M) there, in prior sds."""
-        _, found, inverse = self._solved(np.atleast_2d(log_ratios), True)
-        return found[0], inverse[0]
+        where = np.atleast_2d(log_ratios)
+        _, found, inverse = self._solved(where, True)
+        most = found if self._added is None else found + self._added.at(where)[:, 1:]
+        return most[0], inverse[0]
 
     def _solved(self, where: Floats, covariance: bool = False) -> tuple[Floats, Floats, Floats]:
         phi, most, inverses = [], [], []

@@ -18,7 +18,7 @@ from skimage.measure import find_contours
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.emulator import FAR_AND_HIGH, FARTHEST_NUISANCES, HIGH, Emulator, Place
-from spinestiff.estimation.weighed import WeighedFit, WeighedPoint, WeighedProblem, WeighedSlope, phi, reduced
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, phi, reduced
 
 CONFIDENCE = 0.95
 WIDTH_FACTOR = 1.0
@@ -26,10 +26,12 @@ WIDTH_FACTOR = 1.0
 CLOSE_ENOUGH = 0.1
 MOST_ROUNDS = 8
 # A place as near as this to a solved one, in the estimate's standard deviations, is not solved, since the emulator
-# knows phi and its slope next to it; one farther than this from all of them, in log ratio, is approached first.
-NEAR, FARTHEST_STEP = 0.1, 1.2
-# Nuisances that the emulator has so wrong that the place would tell it nothing are solved for again, so many times.
-MOST_AGAIN = 3
+# knows phi and its slope next to it; one farther than this from all of them, in log ratio, is approached first. None is
+# solved twice, give or take ``SAME``.
+NEAR, FARTHEST_STEP, SAME = 0.1, 1.2, 1e-3
+# Nuisances that the emulator has so wrong that the place would tell it nothing are solved for again, so many times; by
+# half as much where they are not as near as this share of how near they were.
+MOST_AGAIN, SHRINKING = 3, 0.7
 # Steps of a profile, in standard deviations, and how far beyond the linear end it is followed at most.
 STEP, FARTHEST = 0.35, 6.0
 # A profile that rises by less than this anywhere inside the bounds is flat.
@@ -159,36 +161,57 @@ def _solve_ends(
 ) -> bool:
     """Solve the model at those ends where the emulator may be wrong; whether it was."""
     wrong = False
-    matters = phi(fit.point, fit.weights) + HIGH
     solved = list(emulator.log_ratios)
     for end in ends:
         apart = np.array(solved) - end
         nearest = int(np.argmin(np.abs(apart).max(axis=1)))
         if np.einsum("ki,ij,kj->k", apart, precision, apart).min() < NEAR**2:
             continue
+        # Solved before, too far from its most probable nuisances to tell anything.
+        if min(np.abs(place.point.log_ratios - end).max() for place in places) < SAME:
+            continue
         farther = np.abs(apart[nearest]).max() / FARTHEST_STEP
         where = end if farther <= 1.0 else end + apart[nearest] * (1.0 - 1.0 / farther)
         wrong |= farther > 1.0
         solved.append(where)
-        nuisances, _ = emulator.nuisances(where)
-        near: tuple[WeighedPoint, WeighedSlope] = fit.point, fit.slope
         try:
-            for _ in range(1 + MOST_AGAIN):
-                point = problem.solve(where, nuisances, *near)
-                slope = problem.slope(point)
-                problem.trial_set.note(where, phi(point, fit.weights), point.evaluation, False)
-                model = reduced(point, slope, fit.weights)
-                height = 0.5 * float(model.values @ model.values)
-                far = np.abs(model.nuisances - point.nuisances).max(initial=0.0)
-                if far <= (FAR_AND_HIGH if height > matters else FARTHEST_NUISANCES):
-                    break
-                nuisances, near = model.nuisances, (point, slope)
+            place, height = solved_place(problem, fit, where, emulator.nuisances(where)[0])
         except EquilibriumError:
             problem.trial_set.note(where, float("nan"), None, False)
             continue
         wrong |= abs(height - float(emulator.phi(where)[0])) > CLOSE_ENOUGH
-        places.append(Place(point, slope.light))
+        places.append(place)
     return wrong
+
+
+def solved_place(
+    problem: WeighedProblem, fit: WeighedFit, log_ratios: Floats, nuisances: Floats
+) -> tuple[Place, float]:
+    """The model solved at log ratios (P,), at nuisances near the most probable ones there, and phi at those.
+
+    Parameters
+    ----------
+    nuisances : (M,) to begin with.
+
+    Raises
+    ------
+    EquilibriumError : it has no equilibrium there.
+    """
+    matters = phi(fit.point, fit.weights) + HIGH
+    point, slope, share, before = fit.point, fit.slope, 1.0, float("inf")
+    for _ in range(1 + MOST_AGAIN):
+        point = problem.solve(log_ratios, nuisances, point, slope)
+        slope = problem.slope(point)
+        problem.trial_set.note(log_ratios, phi(point, fit.weights), point.evaluation, False)
+        model = reduced(point, slope, fit.weights)
+        height = 0.5 * float(model.values @ model.values)
+        far = np.abs(model.nuisances - point.nuisances).max(initial=0.0)
+        if far <= (FAR_AND_HIGH if height > matters else FARTHEST_NUISANCES):
+            break
+        if far > SHRINKING * before:
+            share *= 0.5
+        nuisances, before = point.nuisances + share * (model.nuisances - point.nuisances), far
+    return Place(point, slope.light), height
 
 
 class _Tracer:
