@@ -29,7 +29,7 @@ from spinestiff.app.options import (
     within,
 )
 from spinestiff.app.torso import torso
-from spinestiff.errors import SpinestiffError, SubjectError
+from spinestiff.errors import SpinestiffError, SubjectError, SubjectGaps
 
 app = typer.Typer(
     name="spinestiff",
@@ -108,6 +108,10 @@ def main() -> None:
     warnings.showwarning = lambda message, *_, **__: _complain(f"warning: {message}")
     try:
         app()
+    except SubjectGaps as error:
+        for line in error.lines:
+            _complain(line)
+        sys.exit(error.exit_status)
     except SpinestiffError as error:
         _complain(str(error))
         sys.exit(error.exit_status)
