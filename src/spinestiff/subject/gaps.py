@@ -13,15 +13,22 @@ from pathlib import Path
 from typing import Any, Final
 
 from spinestiff.files import parse_json, read_text
-from spinestiff.subject.records import DISTANCES_MM, GAUGE_LIMIT_N, SUBJECT_FILE, SubjectRecord, parse_record
+from spinestiff.subject.records import (
+    DISTANCES_MM,
+    GAUGE_LIMIT_N,
+    HEIGHTS_CM,
+    LEVELS,
+    OLDEST,
+    SUBJECT_FILE,
+    SubjectRecord,
+    parse_record,
+)
 
-AGE, HEIGHT, LEVELS = (0.0, 120.0), (120.0, 200.0), (1.0, 12.0)
-"""Of ``SubjectRecord`` and ``PushRecord``: years (above the first), cm, ribs."""
 _MM = f"mm ({DISTANCES_MM[0]:g} to {DISTANCES_MM[1]:g})"
 PERSON: Final = {
-    "age": f"age in years (above {AGE[0]:g}, at most {AGE[1]:g})",
+    "age": f"age in years (above 0, at most {OLDEST:g})",
     "sex": "female or male",
-    "height_cm": f"standing height in cm ({HEIGHT[0]:g} to {HEIGHT[1]:g})",
+    "height_cm": f"standing height in cm ({HEIGHTS_CM[0]:g} to {HEIGHTS_CM[1]:g})",
 }
 PUSH: Final = {
     "side": "the patient's side that was pushed (left or right)",
