@@ -139,6 +139,7 @@ def _fill(folder: Path, asked: Asked) -> None:
 def _ask_and_log(work: _Work, asked: Asked, notes: list[str], named: Callable[[], None]) -> None:
     data = work.data
     if asked.may_ask:
+        typer.echo("An empty answer leaves a question open.", err=True)
         questions.ask_open(data, PERSON, "")
         for push in data["pushes"]:
             frames = counted(len(push["forces_n"]), "frame")
@@ -220,6 +221,8 @@ def _log(path: Path, asked: Asked) -> tuple[ForceLog, str]:
         if force_unit is None:
             force_unit = _ask_unit(path, columns.force, FORCE_UNITS)
         columns = with_units(columns, path, time_unit, force_unit)
+        if not questions.confirmed(f"{path.name}: {columns.words}; is that right"):
+            raise OptionError(f"--log {path}: columns or units are others; give --log-columns and --log-units")
     return read_force_log(path, columns), columns.words
 
 

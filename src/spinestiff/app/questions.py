@@ -33,7 +33,7 @@ def ask_open(
     """
     for key in keys:
         if data[key] is None:
-            data[key] = asked(f"{where}{key}, {keys[key]}", partial(_value, key), ask)
+            data[key] = asked(f"{where}{key}, {keys[key]}", partial(_value, key, data), ask)
 
 
 def ask_forces(push: dict[str, Any], ask: Callable[[str], str] | None = None) -> None:
@@ -70,21 +70,36 @@ def asked(question: str, read: Callable[[str], T], ask: Callable[[str], str] | N
             print(f"  {problem}", file=sys.stderr)
 
 
+def confirmed(question: str, ask: Callable[[str], str] | None = None) -> bool:
+    """Whether somebody says that it is so; an empty answer says it, too."""
+
+    def read(text: str) -> bool:
+        if text.casefold() not in ("y", "yes", "n", "no"):
+            raise ValueError("wanted yes or no")
+        return text.casefold() in ("y", "yes")
+
+    return asked(f"{question}; yes or no", read, ask) is not False
+
+
 def _terminal(question: str) -> str:
-    print(f"{question} (empty: leave open): ", end="", file=sys.stderr, flush=True)
+    print(f"{question}: ", end="", file=sys.stderr, flush=True)
     line = sys.stdin.readline()
     if not line:
         raise EOFError
     return line
 
 
-def _value(key: str, text: str) -> Any:
+def _value(key: str, data: Mapping[str, Any], text: str) -> Any:
     if key in _WORDS:
         found = [word for word in _WORDS[key] if word.startswith(text.casefold())]
         if len(found) != 1:
             raise ValueError(f"wanted {' or '.join(_WORDS[key])}")
         return found[0]
-    return number(text, *_RANGES[key], above=key == "age")
+    value = number(text, *_RANGES[key], above=key == "age")
+    d21, d31 = (value if key == name else data.get(name) for name in ("d21_mm", "d31_mm"))
+    if key in ("d21_mm", "d31_mm") and d21 is not None and d31 is not None and d31 >= d21:
+        raise ValueError(f"found d31_mm {d31:g} and d21_mm {d21:g}, wanted d31_mm below d21_mm: above the pelvis")
+    return value
 
 
 def number(text: str, low: float, high: float, above: bool = False) -> float:

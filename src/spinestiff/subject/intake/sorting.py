@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -152,7 +153,10 @@ def _follows(one: Exported, last: Exported) -> bool:
 
 def _in_time(files: Sequence[Exported]) -> tuple[Exported, ...]:
     """In the order in which a folder of them will be read. Raises RadiographError if they are no sequence."""
-    scans = in_order("the push", [one.scan for one in files])
+    with warnings.catch_warnings():
+        # What is odd about the order is said of the folder that is made.
+        warnings.simplefilter("ignore")
+        scans = in_order("the push", [one.scan for one in files])
     by_scan = {id(one.scan): one for one in files}
     return tuple(by_scan[id(scan)] for scan in scans)
 
