@@ -52,6 +52,8 @@ from spinestiff.words import counted
 
 # Images whose frames stay in memory; a push of 1024 x 1024 has a few megabytes a frame.
 KEPT = 3
+SHOWN = 3
+"""Of the values that subject.json does not know yet; ``spinestiff inspect`` lists all."""
 
 
 class ChangedElsewhere(SubjectError):
@@ -210,7 +212,9 @@ class AnnotationSession:
     def missing(self, marks: Mapping[str, DraftImage]) -> list[str]:
         """What a fit still needs, a line each, in words; empty when there is all."""
         lines = [f"{name}: no radiograph in the folder yet" for name in self.absent]
-        lines += [f"{SUBJECT_FILE}: {gap.field} is missing: {gap.words}" for gap in self.subject.gaps]
+        if open_ := [gap.field for gap in self.subject.gaps]:
+            more = f" and {len(open_) - SHOWN} more" if len(open_) > SHOWN else ""
+            lines.append(f"{SUBJECT_FILE}: not known yet: {', '.join(open_[:SHOWN])}{more}")
         for name in self.images:
             image = marks.get(name, DraftImage())
             problem = self.judged(name, image).problem
