@@ -36,6 +36,8 @@ def test_a_complete_subject_has_no_gaps(folder):
 
 def test_each_thing_that_is_not_known_has_a_line_that_says_what_it_is(folder):
     path = folder(age=None, level=None, forces_n=[0, None, None, 60]) / "subject.json"
+    (path.parent / "rest").mkdir()
+    (path.parent / "rest/frontal.dcm").touch()
     with pytest.raises(SubjectGaps) as caught:
         read_subject(path.parent)
     assert caught.value.exit_status == 2
@@ -45,6 +47,7 @@ def test_each_thing_that_is_not_known_has_a_line_that_says_what_it_is(folder):
         f"{path}: pushes[0].level is missing: the rib that was pushed (1 to 12; 8.5 lies between two); "
         f"{end.format('--level')}",
         f"{path}: pushes[0].forces_n[1 to 2] is missing: force on the ribs in N (0 to 500); {end.format('--log')}",
+        f"{path.parent / 'pushes/right-8.dcm'}: no such file; wanted the radiograph of push/right-8",
     )
 
 

@@ -145,12 +145,19 @@ def read_subject(folder: str | Path) -> Subject:
 
     Raises
     ------
-    SubjectGaps : values that are not known yet, a line each.
+    SubjectGaps : values that are not known yet, a line each, and the radiographs that are missing besides.
     SubjectError : anything missing, unknown, out of range or contradictory.
     """
     bare = read_unannotated(folder)
     if bare.gaps:
-        raise SubjectGaps(*(f"{bare.folder / SUBJECT_FILE}: {gap.line}" for gap in bare.gaps))
+        raise SubjectGaps(
+            *(f"{bare.folder / SUBJECT_FILE}: {gap.line}" for gap in bare.gaps),
+            *(
+                f"{bare.image_path(image)}: no such file; wanted the radiograph of {image}"
+                for image in annotatable(bare.record)
+                if image != LATERAL and not os.path.lexists(bare.image_path(image))
+            ),
+        )
     subject = replace(bare, annotation=read_annotation(bare.folder / ANNOTATION_FILE))
     folder = subject.folder
     _check_images(subject)

@@ -67,7 +67,7 @@ def test_a_unit_that_the_header_contradicts_is_refused(log):
         ("0,0\n1,1\n", "found no header, wanted columns of time and force"),
         (
             "time s,force N,force 2 N\n0,0,0\n",
-            "line 1: several columns of force: force N, force 2 N; give --log-columns",
+            "line 1: several columns of force: 'force N', 'force 2 N'; give --log-columns",
         ),
         ("time s,force N kgf\n0,0\n1,1\n", "line 1: column 'force N kgf' names several units; rename it"),
         ("time s,force N\n0,0\n1,x\n", "line 3: found '1,x', wanted numbers of time and force"),

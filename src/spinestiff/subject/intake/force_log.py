@@ -57,7 +57,7 @@ class LogColumns:
     def words(self) -> str:
         """What was found."""
         time, force = (unit or "unit not told" for unit in (self.time_unit, self.force_unit))
-        return f"time in column '{self.time}' ({time}), force in column '{self.force}' ({force})"
+        return f"time in column {_shown(self.time)} ({time}), force in column {_shown(self.force)} ({force})"
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def find_columns(path: Path, names: tuple[str, str] | None = None) -> LogColumns
             if len(times) > 1 or len(forces) > 1:
                 raise SubjectError(
                     f"{path}: line {number + 1}: several columns of {'time' if len(times) > 1 else 'force'}: "
-                    f"{', '.join(cells[i] for i in (times if len(times) > 1 else forces))}; give --log-columns "
+                    f"{', '.join(_shown(cells[i]) for i in (times if len(times) > 1 else forces))}; give --log-columns "
                     "TIME,FORCE"
                 )
             return _with_units(path, lines, number, cells, (times[0], forces[0]), separator)
@@ -130,7 +130,7 @@ def _with_units(
         told = {known[word] for word in words[1 if len(words) > 1 and words[0] in ("t", "f") else 0 :] if word in known}
         unclear = [word for word in words if word in _UNCLEAR]
         if len(told) > 1:
-            raise SubjectError(f"{path}: line {number + 1}: column '{cells[i]}' names several units; rename it")
+            raise SubjectError(f"{path}: line {number + 1}: column {_shown(cells[i])} names several units; rename it")
         units.append(None if unclear or not told else told.pop())
     first += 1 + has_row
     return LogColumns(cells[at[0]], cells[at[1]], units[0], units[1], number + 1, at, separator, first)
@@ -146,7 +146,7 @@ def with_units(columns: LogColumns, path: Path, time_unit: str | None, force_uni
     for given, told, name in ((time_unit, columns.time_unit, columns.time),
                               (force_unit, columns.force_unit, columns.force)):  # fmt: skip
         if given is not None and told is not None and given != told:
-            raise SubjectError(f"{path}: column '{name}' is in {told}, but {given} was given; correct either")
+            raise SubjectError(f"{path}: column {_shown(name)} is in {told}, but {given} was given; correct either")
     return replace(columns, time_unit=columns.time_unit or time_unit, force_unit=columns.force_unit or force_unit)
 
 
@@ -159,9 +159,13 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
         of both signs or beyond the gauge's limit.
     """
     if columns.time_unit is None:
-        raise SubjectError(f"{path}: column '{columns.time}' tells no unit; give --log-units s,N (or ms; kgf, lbf)")
+        raise SubjectError(
+            f"{path}: column {_shown(columns.time)} tells no unit; give --log-units s,N (or ms; kgf, lbf)"
+        )
     if columns.force_unit is None:
-        raise SubjectError(f"{path}: column '{columns.force}' tells no unit; give --log-units s,N (or s,kgf or s,lbf)")
+        raise SubjectError(
+            f"{path}: column {_shown(columns.force)} tells no unit; give --log-units s,N (or s,kgf or s,lbf)"
+        )
     rows = []
     lines = read_text(path).splitlines()
     for number, line in enumerate(lines[columns.first - 1 :], columns.first):
