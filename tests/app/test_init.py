@@ -216,6 +216,23 @@ def test_geometry_that_the_files_lack_is_named_and_can_be_given(spinestiff, tmp_
     assert inspect(tmp_path / "two")[0].seen["pixel_mm_at_detector"] == [0.4, 0.4]
 
 
+def test_single_frames_become_a_folder_in_order_of_time_each_with_its_force(spinestiff, tmp_path):
+    for name, time, number in (("z", "102000", 1), ("a", "102010", 2), ("m", "102020", 3)):
+        export(tmp_path / "in" / name, time=time, InstanceNumber=number)
+    export(tmp_path / "in" / "rest", time="101000")
+    table = tmp_path / "pushes.csv"
+    rows = ["a,,20,right,8,400,210", "m,,41,right,8,400,210", "z,,0,right,8,400,210"]
+    table.write_text("\n".join([TABLE.splitlines()[0].removesuffix(",role"), *rows]) + "\n")
+    out = tmp_path / "girl"
+    assert spinestiff("init", out, tmp_path / "in", "--pushes", table, *PERSON).status == 0
+    assert files_of(out / "pushes") == ["right-8/000.dcm", "right-8/001.dcm", "right-8/002.dcm"]
+    assert (out / "pushes/right-8/000.dcm").read_bytes() == (tmp_path / "in/z").read_bytes()
+    (push,) = read_unannotated(out).pushes
+    assert push.forces_n == (0.0, 20.0, 41.0)
+    seen = {one.image: one.seen for one in inspect(out)}["push/right-8"]
+    assert (seen["frames"], seen["times_s"]) == (3, [0.0, 10.0, 20.0])
+
+
 # What is open is filled later
 
 

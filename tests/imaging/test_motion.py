@@ -26,7 +26,8 @@ def test_the_largest_motion_is_above_zero_whichever_way_it_goes():
 
 def test_brightness_is_no_motion():
     picture = texture(3)
-    assert np.abs(motion_course([picture, 1.3 * picture, 0.8 * picture + 500.0])).max() < 0.05
+    steeper = 20_000.0 * (picture / 20_000.0) ** 3
+    assert np.abs(motion_course([picture, 1.3 * picture, 0.8 * picture + 500.0, steeper])).max() < 0.03
 
 
 def test_half_a_picture_that_moves_counts_as_its_root_mean_square():

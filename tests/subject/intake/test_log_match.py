@@ -53,6 +53,30 @@ def test_a_known_offset_is_found_to_a_twentieth_of_a_second_where_little_disturb
     np.testing.assert_allclose(found.forces_n, log.at(times + 3.1), atol=1.5)
 
 
+def test_a_trunk_that_creeps_by_a_tenth_within_a_second_leaves_the_true_offset_in_the_interval():
+    rng = np.random.default_rng(8)
+    log = pushed(rng)
+    at_once = log.forces_n / PEAK_N
+    late, step = np.zeros_like(at_once), log.step_s
+    for i in range(1, len(late)):
+        late[i] = late[i - 1] + step * (at_once[i] - late[i - 1])
+    crept = 12.0 * (0.9 * at_once + 0.1 * late)
+    times = np.arange(40) / 4.0
+    for start in (2.0, 2.6, 3.3):
+        motion = np.interp(times + start, log.times_s, crept) + 0.03 * rng.standard_normal(40)
+        found = match_log(log, times, motion - motion[0])
+        assert found.offset_s < start and found.low_s <= start <= found.high_s
+
+
+def test_a_motion_that_turns_back_while_the_force_rises_is_none_of_a_push():
+    rng = np.random.default_rng(9)
+    log = pushed(rng, pull_back=False)
+    times = np.arange(36) / 4.0
+    share = log.at(times + 3.1) / PEAK_N
+    found = match_log(log, times, 48.0 * share * (1.0 - share) + 0.03 * rng.standard_normal(36))
+    assert not found.determined and "of the motion at best" in found.why
+
+
 def test_a_motion_that_runs_the_other_way_is_matched_alike():
     rng = np.random.default_rng(1)
     log = pushed(rng)
@@ -92,13 +116,14 @@ def test_a_flat_log_a_still_picture_and_few_frames_are_not_matched():
         assert not found.determined and why in found.why, found.why
 
 
-def test_a_log_that_begins_within_the_push_is_not_matched():
+@pytest.mark.parametrize(("begins", "why"), [(3.8, "the match lies at an end of the log"), (6.5, "")])
+def test_a_log_that_begins_after_the_frames_is_not_matched(begins, why):
     rng = np.random.default_rng(5)
     whole = pushed(rng, pull_back=False)
-    late = ForceLog(whole.times_s[whole.times_s > 6.5], whole.forces_n[whole.times_s > 6.5])
+    late = ForceLog(whole.times_s[whole.times_s > begins], whole.forces_n[whole.times_s > begins])
     times = np.arange(36) / 4.0
-    found = match_log(late, times, moved(whole, times + 3.1, 0.03, rng))
-    assert not found.determined
+    found = match_log(late, times, moved(whole, times + 3.0, 0.03, rng))
+    assert not found.determined and why in found.why
 
 
 def test_a_log_that_begins_with_the_first_frame_is_matched():

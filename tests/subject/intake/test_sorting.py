@@ -44,7 +44,11 @@ def test_of_several_the_first_in_time_is_at_rest_and_says_so(exported):
 
 def test_words_of_the_series_go_before_time(exported):
     found = [exported("a", time="101000"), exported("b", time="102000", SeriesDescription="AP standing")]
-    assert names(sort_files(found))[0] == "b"
+    sorting = sort_files(found)
+    assert names(sorting)[0] == "b"
+    assert sorting.reasons["b"] == (
+        "single frontal (PatientOrientation L\\F) radiograph whose series is called one at rest"
+    )
     found = [exported("a", time="101000", SeriesDescription="PUSH 60 N"), exported("b", time="102000")]
     assert names(sort_files(found))[0] == "b"
     sorting = sort_files(found[:1])
@@ -82,6 +86,13 @@ def test_single_frames_of_one_series_are_one_push_in_order_of_time(exported):
     assert names(sorting) == ("rest", None, [["y", "x", "z"]])
     assert sorting.pushes[0].times_s == (0.0, 10.0, 55.0)
     assert sorting.reasons["x"] == "frontal, one of 3 of a series within 60 s of each other"
+
+
+def test_one_at_rest_is_no_frame_of_a_push_though_it_is_of_its_series(exported):
+    found = [exported(name, time=time, series="1.2.7", InstanceNumber=number, SeriesDescription=words) for
+             name, time, number, words in (("x", "102000", 1, "AP"), ("y", "102010", 2, "AP standing"),
+                                           ("z", "102020", 3, "AP"), ("w", "102030", 4, "AP"))]  # fmt: skip
+    assert names(sort_files(found)) == ("y", None, [["z", "w"]])
 
 
 def test_the_table_says_what_is_a_push_and_what_is_not(exported, tmp_path):

@@ -10,7 +10,7 @@ import datetime
 import hashlib
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -389,15 +389,15 @@ def identity_tags(dataset: Dataset) -> tuple[tuple[str, str], int | None, bool]:
     name, birth = (str(dataset.get(keyword) or "").strip() for keyword in ("PatientName", "PatientBirthDate"))
     person = _hash(f"{name.casefold()}\0{birth}") if name and birth else ""
     removed = str(dataset.get("PatientIdentityRemoved") or "").strip().upper() == "YES"
-    return (_hashed(dataset, "PatientID"), person), _day(dataset), removed
+    return (_hashed(dataset, "PatientID"), person), _day(str(dataset.get(key) or "") for key in _DAYS), removed
 
 
-def _day(dataset: Dataset) -> int | None:
-    for keyword in ("AcquisitionDateTime", "AcquisitionDate", "ContentDate", "SeriesDate", "StudyDate"):
-        day = _ordinal(str(dataset.get(keyword) or "").replace(".", "").strip()[:8])
-        if day is not None:
-            return day
-    return None
+_DAYS = ("AcquisitionDateTime", "AcquisitionDate", "ContentDate", "SeriesDate", "StudyDate")
+
+
+def _day(dates: Iterable[str]) -> int | None:
+    """The first that is one, as days since the year 1."""
+    return next((day for date in dates if (day := _ordinal(date.replace(".", "").strip()[:8])) is not None), None)
 
 
 @dataclass(frozen=True)
@@ -482,13 +482,13 @@ def _moment(dataset: Dataset) -> float | None:
     for date, time in pairs:
         seconds = _seconds(time)
         if seconds is not None:
-            day = _ordinal(date) or _day(dataset) or 0
+            day = _ordinal(date) or _day(_told(dataset, key) for key in _DAYS) or 0
             return 86400.0 * day + seconds
     return None
 
 
 def _age(dataset: Dataset) -> tuple[float | None, str]:
-    birth, day = _ordinal(_told(dataset, "PatientBirthDate")), _day(dataset)
+    birth, day = _ordinal(_told(dataset, "PatientBirthDate")), _day(_told(dataset, key) for key in _DAYS)
     if birth is not None and day is not None and 0 < day - birth <= 120 * 365:
         return int(10.0 * (day - birth) / 365.25) / 10.0, "PatientBirthDate and the day of the exposure"
     found = re.fullmatch(r"(\d{1,3})([YMWD])", _told(dataset, "PatientAge").upper())

@@ -24,8 +24,6 @@ _FORCE_WORDS = {"force", "f", "load", "kraft", "last", "fuerza"}
 _TIME_NAMES = {**dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
                **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), "ms")}  # fmt: skip
 _FORCE_NAMES = {**dict.fromkeys(("n", "newton", "newtons"), "N"), **dict.fromkeys(("kgf", "kp"), "kgf"), "lbf": "lbf"}
-# Words that look like units but are none of force, or that stand for more than one.
-_UNCLEAR = {"kg", "lb", "lbs", "g", "kn", "mn", "v", "mv", "min", "h", "us", "pounds", "oz", "ozf"}
 LAST_HEADER = 60
 """Lines within which the header has to be: gauges write some of their own above it."""
 MOST_ROWS = 1_000_000
@@ -128,10 +126,9 @@ def _with_units(
     for i, known in zip(at, (_TIME_NAMES, _FORCE_NAMES)):
         words = _tokens(cells[i]) + (_tokens(below[i]) if has_row else [])
         told = {known[word] for word in words[1 if len(words) > 1 and words[0] in ("t", "f") else 0 :] if word in known}
-        unclear = [word for word in words if word in _UNCLEAR]
         if len(told) > 1:
             raise SubjectError(f"{path}: line {number + 1}: column {_shown(cells[i])} names several units; rename it")
-        units.append(None if unclear or not told else told.pop())
+        units.append(told.pop() if told else None)
     first += 1 + has_row
     return LogColumns(cells[at[0]], cells[at[1]], units[0], units[1], number + 1, at, separator, first)
 
