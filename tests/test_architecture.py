@@ -57,6 +57,7 @@ HOMES: dict[str, tuple[str, ...]] = {
         "study/report/certainty_pictures.py",
         "study/report/cobb_picture.py",
         "study/report/frame_strip.py",
+        "study/report/log_picture.py",
         "study/report/plan_picture.py",
         "study/report/repeat_picture.py",
         "study/report/tornado_picture.py",

@@ -21,6 +21,19 @@ class SubjectError(SpinestiffError):
     """A subject folder, or a file in it, can't be used."""
 
 
+class SubjectGaps(SubjectError):
+    """A subject lacks values that a step needs.
+
+    Attributes
+    ----------
+    lines : one for each.
+    """
+
+    def __init__(self, *lines: str) -> None:
+        super().__init__("; ".join(lines))
+        self.lines = lines
+
+
 class RadiographError(SpinestiffError):
     """A radiograph can't be read, or lacks what a measurement in millimetres needs."""
 

@@ -95,38 +95,44 @@ def parse_json(text: str, name: str) -> Any:
         raise SubjectError(f"{name}: holds a number with too many digits") from None
 
 
-def parse_csv(text: str, name: str, columns: Sequence[str]) -> Iterator[tuple[int, tuple[str, ...]]]:
+def parse_csv(
+    text: str, name: str, columns: Sequence[str], optional: Sequence[str] = ()
+) -> Iterator[tuple[int, tuple[str, ...]]]:
     """Rows of a CSV with just these columns, in any order; empty lines are skipped.
 
     Parameters
     ----------
     text : of the file.
     name : of the file, for messages.
+    optional : columns that may be there besides.
 
     Yields
     ------
-    The row's last line in the file, and its texts without blanks around them, in the order of ``columns``.
+    The row's last line in the file, and its texts without blanks around them, in the order of ``columns`` and then of
+    ``optional``; "" for a column that is not there.
 
     Raises
     ------
     SubjectError : other columns, a row with another number of fields, no CSV at all.
     """
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    wanted = ",".join(columns)
+    wanted = ",".join(columns) + (f" and perhaps {','.join(optional)}" if optional else "")
     try:
         header = [column.strip() for column in next(reader, [])]
-        if sorted(header) != sorted(columns):
+        if sorted(column for column in header if column not in optional) != sorted(columns) or (
+            len(set(header)) < len(header)
+        ):
             hint = "; separate by commas" if len(header) == 1 and ";" in header[0] else ""
             shown = "".join(c if c.isprintable() else "?" for c in ",".join(header)[:_LONGEST_SHOWN])
             raise SubjectError(f"{name}: row 1: columns {shown}, wanted {wanted}{hint}")
-        at = [header.index(column) for column in columns]
+        at = [header.index(column) if column in header else None for column in (*columns, *optional)]
         for row in reader:
             if not row:
                 continue
-            if len(row) != len(columns):
-                fields = f"{counted(len(row), 'field')}, wanted {len(columns)} ({wanted})"
+            if len(row) != len(header):
+                fields = f"{counted(len(row), 'field')}, wanted {len(header)} ({','.join(header)})"
                 raise SubjectError(f"{name}: row {reader.line_num}: {fields}")
-            yield reader.line_num, tuple(row[i].strip() for i in at)
+            yield reader.line_num, tuple("" if i is None else row[i].strip() for i in at)
     except csv.Error as error:
         raise SubjectError(f"{name}: row {reader.line_num}: not CSV ({error})") from None
 

@@ -10,6 +10,7 @@ import pytest
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.annotate.draft import Draft, DraftImage, parse_draft
 from spinestiff.annotate.exchange import exported, imported
+from spinestiff.annotate.server import session_record
 from spinestiff.annotate.session import AnnotationSession, ChangedElsewhere
 from spinestiff.curves.cobb import read_cobb
 from spinestiff.curves.corner_files import read_corners
@@ -177,11 +178,37 @@ def test_folders_that_can_not_be_annotated_are_refused_in_a_line(tmp_path, unann
     assert "\n" not in str(refused.value)
 
 
-def test_a_missing_or_outer_radiograph_is_refused(unannotated, tmp_path):
+def test_a_folder_that_is_not_complete_can_be_annotated_and_says_what_it_lacks(unannotated):
+    path = unannotated / "subject.json"
+    data = json.loads(path.read_text())
+    data |= {"age": None, "height_cm": None}
+    data["pushes"][0] |= {"level": None, "forces_n": [0, None, 40]}
+    path.write_text(json.dumps(data))
+    (unannotated / "rest/frontal.dcm").unlink()
+    session = AnnotationSession(unannotated)
+    assert session.images == ("rest/lateral", "push/a") and session.absent == ("rest/frontal",)
+    lines = session.missing({})
+    assert lines[:2] == [
+        "rest/frontal: no radiograph in the folder yet",
+        "subject.json: not known yet: age, height_cm, pushes[0].level and 1 more",
+    ]
+    record = session_record(session)
+    assert [image["forces"] for image in record["images"]] == [[None], [0.0, None, 40.0]]
+    session.save(draft(push__a=marked("push/a")), 0)
+    assert on_disk(session) == {"subject.json", "annotation.json"}
+    data |= {"age": 13, "height_cm": 157}
+    data["pushes"][0] |= {"level": 8, "forces_n": [0, 20, 40]}
+    path.write_text(json.dumps(data))
+    assert "subject.json" not in " ".join(AnnotationSession(unannotated).missing({}))
+
+
+def test_a_folder_without_any_radiograph_and_an_outer_one_are_refused(unannotated, tmp_path):
     frontal = unannotated / "rest/frontal.dcm"
     outside = tmp_path / "outside.dcm"
     frontal.rename(outside)
-    with pytest.raises(SubjectError, match="wanted the radiograph of rest/frontal"):
+    (unannotated / "rest/lateral.dcm").unlink()
+    (unannotated / "pushes/a.dcm").unlink()
+    with pytest.raises(SubjectError, match="no radiograph to annotate"):
         AnnotationSession(unannotated)
     frontal.symlink_to(outside)
     with pytest.raises(SubjectError, match="leads out of the folder"):

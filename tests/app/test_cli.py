@@ -40,6 +40,29 @@ COMMANDS = {
         "--biplanar",
         "--markers",
     ),
+    "init": (
+        "--pushes",
+        "--id",
+        "--age",
+        "--sex",
+        "--height",
+        "--side",
+        "--level",
+        "--d21",
+        "--d31",
+        "--log",
+        "--log-columns",
+        "--log-units",
+        "--log-offset",
+        "--study",
+        "--frontal",
+        "--lateral",
+        "--source-detector",
+        "--source-patient",
+        "--imager-pixel",
+        "--orientation",
+        "--no-questions",
+    ),
     "inspect": ("--json",),
     "annotate": ("--port", "--no-browser"),
     "track": ("--redo",),
@@ -118,7 +141,7 @@ def test_help_lists_every_command_and_option(spinestiff):
         assert re.search(rf"^ +{command} ", overview.out, re.M), command
         shown = spinestiff(command, "--help")
         assert shown.status == 0
-        assert set(re.findall(r"^ +(--[a-z-]+)", shown.out, re.M)) == {*options, "--help"}
+        assert set(re.findall(r"^ +(--[a-z0-9-]+)", shown.out, re.M)) == {*options, "--help"}
 
 
 def test_help_imports_nothing_heavy():

@@ -31,6 +31,7 @@ def numbers(typed=app, words=()):
 # What stands before the options; nothing of it is ever looked at.
 ARGUMENTS = {
     ("synth",): ("new",),
+    ("init",): ("new", "none"),
     ("cobb",): ("none",),
     ("plan",): ("none",),
     ("torso", "import"): ("none", "--out", "new"),
@@ -39,9 +40,9 @@ NUMBERS = numbers()
 
 
 def test_all_commands_were_walked():
-    assert len(NUMBERS) == 23
+    assert len(NUMBERS) == 31
     assert {words for words, _ in NUMBERS} == {
-        ("synth",), ("demo",), ("cobb",), ("torso", "import"), ("torso", "export"), ("torso", "show"),
+        ("synth",), ("init",), ("demo",), ("cobb",), ("torso", "import"), ("torso", "export"), ("torso", "show"),
         ("plan",),
     }  # fmt: skip
 

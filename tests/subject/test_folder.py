@@ -612,8 +612,8 @@ def test_keys_and_paths_that_are_odd_are_shown_in_short(folder):
         assert len(message) < 200 + len(str(folder)) and message.isprintable()
     lay_out(folder, subject=changed(SUBJECT, ["pushes", 0, "frames"], "a" * 5000))
     assert "wanted at most 250 characters that can be printed" in refusal(folder)
-    lay_out(folder, subject=changed(SUBJECT, ["age"], None))
-    assert "age: found null" in refusal(folder)
+    lay_out(folder, subject=changed(SUBJECT, ["schema_version"], None))
+    assert "schema_version: found null" in refusal(folder)
     lay_out(folder, subject=changed(SUBJECT, ["id"], "a b"))
     assert "id: found 'a b', wanted 1 to 64 letters" in refusal(folder)
 

@@ -116,10 +116,10 @@ def session_record(session: AnnotationSession) -> dict[str, Any]:
             images.append({"name": name, "title": f"Rest, {kind}", "kind": kind, "forces": [None], "roles": [None]})
         else:
             push = session.subject.push(name.removeprefix("push/"))
+            unknown = {i for gap in session.subject.gaps if gap.push == record.pushes.index(push) for i in gap.frames}
+            forces = [None if i in unknown else force for i, force in enumerate(push.forces_n)]
             title = f"Push {push.id}"
-            images.append(
-                {"name": name, "title": title, "kind": "frontal", "forces": push.forces_n, "roles": push.roles}
-            )
+            images.append({"name": name, "title": title, "kind": "frontal", "forces": forces, "roles": push.roles})
     marks = {name: image.model_dump(mode="json") for name, image in session.marks.items()}
     return {
         "version": __version__,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
@@ -42,6 +43,7 @@ from spinestiff.subject.records import (
     LATERAL,
     REST_IMAGES,
     SCHEMA_VERSION,
+    SUBJECT_FILE,
     Annotation,
     ImageAnnotation,
     complaint_of,
@@ -50,6 +52,8 @@ from spinestiff.words import counted
 
 # Images whose frames stay in memory; a push of 1024 x 1024 has a few megabytes a frame.
 KEPT = 3
+SHOWN = 3
+"""Of the values that subject.json does not know yet; ``spinestiff inspect`` lists all."""
 
 
 class ChangedElsewhere(SubjectError):
@@ -77,7 +81,12 @@ class AnnotationSession:
 
     Parameters
     ----------
-    folder : with ``subject.json`` and radiographs; ``annotation.json`` may be missing, a draft is taken up.
+    folder : with ``subject.json``, complete or not, and at least one radiograph; ``annotation.json`` may be missing, a
+        draft is taken up.
+
+    Attributes
+    ----------
+    images : names of those that are there. absent : of those that a fit needs and that are not there yet.
 
     Raises
     ------
@@ -86,7 +95,9 @@ class AnnotationSession:
 
     def __init__(self, folder: str | Path) -> None:
         self.subject = read_unannotated(folder)
-        self.images = tuple(name for name in annotatable(self.subject.record) if self._offered(name))
+        wanted = annotatable(self.subject.record)
+        self.images = tuple(name for name in wanted if self._offered(name))
+        self.absent = tuple(name for name in wanted if name != LATERAL and name not in self.images)
         if not self.images:
             raise SubjectError(f"{folder}: no radiograph to annotate; wanted {', '.join(REST_IMAGES.values())}")
         self.lock = RLock()
@@ -97,7 +108,7 @@ class AnnotationSession:
         self.reload()
 
     def _offered(self, name: str) -> bool:
-        if name == LATERAL and not self.subject.image_path(name).exists():
+        if not os.path.lexists(self.subject.image_path(name)):
             return False
         check_radiograph_path(self.subject, name)
         return True
@@ -200,7 +211,10 @@ class AnnotationSession:
 
     def missing(self, marks: Mapping[str, DraftImage]) -> list[str]:
         """What a fit still needs, a line each, in words; empty when there is all."""
-        lines = []
+        lines = [f"{name}: no radiograph in the folder yet" for name in self.absent]
+        if open_ := [gap.field for gap in self.subject.gaps]:
+            more = f" and {len(open_) - SHOWN} more" if len(open_) > SHOWN else ""
+            lines.append(f"{SUBJECT_FILE}: not known yet: {', '.join(open_[:SHOWN])}{more}")
         for name in self.images:
             image = marks.get(name, DraftImage())
             problem = self.judged(name, image).problem

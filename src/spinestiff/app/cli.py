@@ -19,17 +19,23 @@ from spinestiff.app import INTERRUPTED, STOPPED
 from spinestiff.app.annotate import annotate_folder, opened
 from spinestiff.app.options import (
     cobb_limits,
+    distance_limits,
     dose_limits,
     force_limits,
     height_limits,
+    level_limits,
     marker_limits,
     node_limits,
     noise_limits,
+    oldest_limits,
+    pixel_limits,
     push_limits,
+    source_limits,
+    stature_limits,
     within,
 )
 from spinestiff.app.torso import torso
-from spinestiff.errors import SpinestiffError, SubjectError
+from spinestiff.errors import SpinestiffError, SubjectError, SubjectGaps
 
 app = typer.Typer(
     name="spinestiff",
@@ -108,6 +114,10 @@ def main() -> None:
     warnings.showwarning = lambda message, *_, **__: _complain(f"warning: {message}")
     try:
         app()
+    except SubjectGaps as error:
+        for line in error.lines:
+            _complain(line)
+        sys.exit(error.exit_status)
     except SpinestiffError as error:
         _complain(str(error))
         sys.exit(error.exit_status)
@@ -182,6 +192,86 @@ def inspect(
     from spinestiff.app.inspect import show_inspection
 
     show_inspection(path, json)
+
+
+@app.command()
+def init(
+    out: Annotated[Path, typer.Argument(help="New subject folder; or one that is not complete, without SOURCE.")],
+    sources: Annotated[
+        list[Path] | None, typer.Argument(metavar="SOURCE...", help="DICOM files, or folders with some in them.")
+    ] = None,
+    pushes: Annotated[
+        Path | None,
+        typer.Option(help="Table, a row a frame: file,frame,force_n,side,level,d21_mm,d31_mm; and perhaps role,push."),
+    ] = None,
+    id: Annotated[str | None, typer.Option(help="Of the subject; default the folder's name.")] = None,
+    age: Annotated[
+        float | None, typer.Option(callback=within("years", oldest_limits, above=True), help="Age, years.")
+    ] = None,
+    sex: Annotated[str | None, typer.Option(help="female or male.")] = None,
+    height: Annotated[
+        float | None, typer.Option(callback=within("cm", stature_limits), help="Standing height, cm.")
+    ] = None,
+    side: Annotated[str | None, typer.Option(help="The patient's side that is pushed: left or right.")] = None,
+    level: Annotated[
+        float | None,
+        typer.Option(callback=within("ribs", level_limits), help="Rib that is pushed; 8.5 lies between two."),
+    ] = None,
+    d21: Annotated[
+        float | None, typer.Option(callback=within("mm", distance_limits), help="From shoulder to pelvis support, mm.")
+    ] = None,
+    d31: Annotated[
+        float | None, typer.Option(callback=within("mm", distance_limits), help="From shoulder support to push, mm.")
+    ] = None,
+    log: Annotated[
+        list[str] | None, typer.Option(help="Force log of a push: FILE, or PUSH=FILE where there are several pushes.")
+    ] = None,
+    log_columns: Annotated[str | None, typer.Option(help="Names of the logs' columns: TIME,FORCE.")] = None,
+    log_units: Annotated[
+        str | None, typer.Option(help="Units of the logs: s or ms, then N, kgf or lbf, e.g. s,N.")
+    ] = None,
+    log_offset: Annotated[
+        list[str] | None,
+        typer.Option(help="The log's time at the push's first frame, s: SECONDS or PUSH=SECONDS; else it is found."),
+    ] = None,
+    study: Annotated[str | None, typer.Option(help="Which of several studies, e.g. A1 or A1,A2.")] = None,
+    frontal: Annotated[str | None, typer.Option(help="File of the frontal rest radiograph.")] = None,
+    lateral: Annotated[str | None, typer.Option(help="File of the lateral rest radiograph.")] = None,
+    source_detector: Annotated[
+        float | None,
+        typer.Option(callback=within("mm", source_limits, above=True), help="X-ray source to detector, mm."),
+    ] = None,
+    source_patient: Annotated[
+        float | None,
+        typer.Option(callback=within("mm", source_limits, above=True), help="X-ray source to patient, mm."),
+    ] = None,
+    imager_pixel: Annotated[
+        float | None, typer.Option(callback=within("mm", pixel_limits, above=True), help="Pixel at the detector, mm.")
+    ] = None,
+    orientation: Annotated[
+        str | None, typer.Option(help="standard: radiographs without an orientation are shown as usual.")
+    ] = None,
+    no_questions: Annotated[bool, typer.Option("--no-questions", help="Ask nothing on a terminal.")] = False,
+) -> None:
+    """Make a subject folder from a hospital's DICOM files; what is not known stays open, and is named."""
+    from spinestiff.app.init import Asked, make_subject
+    from spinestiff.app.options import one_of
+    from spinestiff.app.questions import on_terminal
+    from spinestiff.subject.intake.making import Given
+
+    one_of("--sex", sex, "female", "male")
+    one_of("--side", side, "left", "right")
+    one_of("--orientation", orientation, "standard")
+    person = {"age": age, "sex": sex, "height_cm": height}
+    push = {"side": side, "level": level, "d21_mm": d21, "d31_mm": d31}
+    xray = {"source_detector_mm": source_detector, "source_patient_mm": source_patient}
+    geometry = {**xray, "imager_pixel_mm": imager_pixel, "orientation": orientation}
+    given = Given(
+        *({key: value for key, value in part.items() if value is not None} for part in (person, push, geometry))
+    )
+    asked = Asked(given, id, pushes, study, frontal, lateral, tuple(log or ()), tuple(log_offset or ()), log_columns,
+                  log_units, not no_questions and on_terminal())  # fmt: skip
+    make_subject(out, sources or [], asked)
 
 
 @app.command()

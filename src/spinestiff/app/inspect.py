@@ -45,7 +45,16 @@ def _lines(one: Inspection) -> Iterator[str]:
     if one.reason:
         yield f"  refused      {one.reason}"
         return
-    seen, sources = one.seen, one.seen["sources"]
+    if one.seen:
+        yield from _seen(one.seen)
+    for line in one.warnings:
+        yield f"  warning      {line}"
+    for line in one.missing:
+        yield f"  missing      {line}"
+
+
+def _seen(seen: dict[str, Any]) -> Iterator[str]:
+    sources = seen["sources"]
     yield f"  file         {seen['file']}" + (f" and {seen['files'] - 1} more" if seen["files"] > 1 else "")
     yield f"  modality     {seen['modality']}, {seen['kind']}"
     frames = counted(seen["frames"], "frame")
@@ -58,10 +67,6 @@ def _lines(one: Inspection) -> Iterator[str]:
         yield f"  to {key:<9} {known}"
     yield f"  orientation  {_orientation(seen)}"
     yield f"  times        {_times(seen['times_s'])}"
-    for line in one.warnings:
-        yield f"  warning      {line}"
-    for line in one.missing:
-        yield f"  missing      {line}"
 
 
 def _pitch(seen: dict[str, Any]) -> str:

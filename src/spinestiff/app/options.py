@@ -133,3 +133,51 @@ def push_limits() -> tuple[float, float]:
 def dose_limits() -> tuple[float, float]:
     """In any unit of dose."""
     return 0.0, 1e6
+
+
+def one_of(option: str, value: str | None, *words: str) -> None:
+    """Raise OptionError unless an option that was given has one of these words."""
+    if value is not None and value not in words:
+        raise OptionError(f"{option} {value[:40]}: wanted {' or '.join(words)}")
+
+
+def oldest_limits() -> tuple[float, float]:
+    """Years, of a subject."""
+    from spinestiff.subject.records import OLDEST
+
+    return 0.0, OLDEST
+
+
+def stature_limits() -> tuple[float, float]:
+    """cm, of a subject."""
+    from spinestiff.subject.records import HEIGHTS_CM
+
+    return HEIGHTS_CM
+
+
+def level_limits() -> tuple[float, float]:
+    """Ribs, of a push."""
+    from spinestiff.subject.records import LEVELS
+
+    return LEVELS
+
+
+def distance_limits() -> tuple[float, float]:
+    """mm, between supports and push."""
+    from spinestiff.subject.records import DISTANCES_MM
+
+    return DISTANCES_MM
+
+
+def source_limits() -> tuple[float, float]:
+    """mm, of an X-ray source from detector or patient."""
+    from spinestiff.subject.records import FARTHEST_SOURCE_MM
+
+    return 0.0, FARTHEST_SOURCE_MM
+
+
+def pixel_limits() -> tuple[float, float]:
+    """mm, of a detector's pixel."""
+    from spinestiff.subject.records import LARGEST_PIXEL_MM
+
+    return 0.0, LARGEST_PIXEL_MM

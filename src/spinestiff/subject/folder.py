@@ -17,10 +17,11 @@ import numpy as np
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
-from spinestiff.errors import SubjectError
+from spinestiff.errors import SubjectError, SubjectGaps
 from spinestiff.files import check_output, regular_file, regular_files, write_json
 from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_HEADER_BYTES
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
+from spinestiff.subject.gaps import Gap, read_open_record
 from spinestiff.subject.records import (
     ANNOTATION_FILE,
     FURTHER_FRAME,
@@ -66,12 +67,14 @@ class Subject:
     record : ``subject.json``.
     annotation : ``annotation.json``.
     warnings : what is allowed but unusual, a line each.
+    gaps : what ``subject.json`` does not know yet; ``record`` has stand-ins there, and no step takes it.
     """
 
     folder: Path
     record: SubjectRecord
     annotation: Annotation
     warnings: tuple[str, ...] = ()
+    gaps: tuple[Gap, ...] = ()
 
     @property
     def results(self) -> Path:
@@ -142,9 +145,19 @@ def read_subject(folder: str | Path) -> Subject:
 
     Raises
     ------
+    SubjectGaps : values that are not known yet, a line each, and the radiographs that are missing besides.
     SubjectError : anything missing, unknown, out of range or contradictory.
     """
     bare = read_unannotated(folder)
+    if bare.gaps:
+        raise SubjectGaps(
+            *(f"{bare.folder / SUBJECT_FILE}: {gap.line}" for gap in bare.gaps),
+            *(
+                f"{bare.image_path(image)}: no such file; wanted the radiograph of {image}"
+                for image in annotatable(bare.record)
+                if image != LATERAL and not os.path.lexists(bare.image_path(image))
+            ),
+        )
     subject = replace(bare, annotation=read_annotation(bare.folder / ANNOTATION_FILE))
     folder = subject.folder
     _check_images(subject)
@@ -163,7 +176,8 @@ def read_subject(folder: str | Path) -> Subject:
 
 
 def read_unannotated(folder: str | Path) -> Subject:
-    """A subject as far as ``subject.json`` tells, its annotation still empty: what annotation starts from.
+    """A subject as far as ``subject.json`` tells, complete or not, its annotation still empty: what annotation starts
+    from.
 
     Raises
     ------
@@ -175,10 +189,11 @@ def read_unannotated(folder: str | Path) -> Subject:
     if not os.path.lexists(folder / SUBJECT_FILE):
         raise SubjectError(
             f"{folder / SUBJECT_FILE}: no such file; write one with the person, the pushes and their forces, as "
-            "docs/subject-folder.md shows"
+            "docs/subject-folder.md shows, or have spinestiff init make the folder from DICOM files"
         )
-    record = read_record(folder / SUBJECT_FILE, SubjectRecord)
-    return Subject(folder, record, Annotation(schema_version=SCHEMA_VERSION, images={}), _unusual(record))
+    record, gaps = read_open_record(folder / SUBJECT_FILE)
+    bare = Annotation(schema_version=SCHEMA_VERSION, images={})
+    return Subject(folder, record, bare, _unusual(record), gaps)
 
 
 def check_radiograph_path(subject: Subject, image: str) -> None:

@@ -13,6 +13,7 @@ from spinestiff.files import listed, regular_file
 from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.dicom.reading import Scan, read_scan
 from spinestiff.imaging.radiograph import candidates, check_files, in_order, read_scans, times_of
+from spinestiff.subject.gaps import read_open_record
 from spinestiff.subject.geometry import image_geometry
 from spinestiff.subject.records import (
     ANNOTATION_FILE,
@@ -20,7 +21,6 @@ from spinestiff.subject.records import (
     REST_IMAGES,
     SUBJECT_FILE,
     Annotation,
-    SubjectRecord,
     read_record,
 )
 
@@ -169,7 +169,7 @@ def _folder(folder: Path, top: Path) -> tuple[Inspection, ...]:
 
 
 def _subject(folder: Path) -> tuple[Inspection, ...]:
-    record = read_record(folder / SUBJECT_FILE, SubjectRecord)
+    record, gaps = read_open_record(folder / SUBJECT_FILE)
     marked = folder / ANNOTATION_FILE
     annotation = read_record(marked, Annotation) if marked.is_file() else None
     paths = {name: folder / path for name, path in REST_IMAGES.items()}
@@ -183,6 +183,8 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
             paths[name], forces[name], kinds[name] = folder / view.files, len(view.frames), view.kind
             marks[name] = tuple(push.view_image(frame, view.id) for frame in view.frames)
     found = []
+    if gaps:
+        found.append(Inspection(SUBJECT_FILE, missing=tuple(f"{gap.field}: {gap.words}" for gap in gaps)))
     for name, path in paths.items():
         if name == LATERAL and not path.exists() and not path.is_symlink():
             continue

@@ -39,6 +39,12 @@ USUAL_LIMIT_N = 114.0
 MOST_TURNED_DEG = 45.0
 """Of a vertebra between two frames of a push: half of what corners begun at the wrong one make of it."""
 DISTANCES_MM = (30.0, 1000.0)
+LEVELS = (1.0, 12.0)
+"""Ribs."""
+HEIGHTS_CM = (120.0, 200.0)
+OLDEST = 120.0
+"""Years; an age is above 0."""
+FARTHEST_SOURCE_MM, LARGEST_PIXEL_MM = 10_000.0, 5.0
 FURTHER_FRAME = r"(?P<push>push/[^/]+)/(?P<frame>[1-9][0-9]{0,3})"
 """Name of an annotated frame of a push after its first, which is push/<id>."""
 FURTHER_VIEW = r"(?P<push>push/[^/]+)/(?P<frame>0|[1-9][0-9]{0,3})/(?P<view>[^/]+)"
@@ -47,8 +53,8 @@ FEWEST_OF_VIEW = 3
 MARKER_NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}"
 MOST_TURNED_VIEW_DEG = 40.0
 """Of an oblique radiograph, against the frontal or lateral one; beyond, it is nearer to the other of the two."""
-_IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
-_NAME = "1 to 64 letters (A to Z), digits, '.', '_' or '-', the first a letter or digit"
+IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
+WANTED_ID = "1 to 64 letters (A to Z), digits, '.', '_' or '-', the first a letter or digit"
 LONGEST_PATH = 250
 
 Role = Literal["training", "validation", "unused"]
@@ -59,7 +65,7 @@ VertebraName = Literal[
 Point = Annotated[tuple[float, float], Field(strict=False)]
 Quad = Annotated[tuple[Point, Point, Point, Point], Field(strict=False)]
 Pair = Annotated[tuple[Point, Point], Field(strict=False)]
-Identifier = Annotated[str, Field(pattern=_IDENTIFIER)]
+Identifier = Annotated[str, Field(pattern=IDENTIFIER)]
 Distance = Annotated[float, Field(ge=DISTANCES_MM[0], le=DISTANCES_MM[1])]
 
 
@@ -119,9 +125,9 @@ class XRayRecord(_Record):
     scale : known lengths, by the image in which they were marked.
     """
 
-    source_detector_mm: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
-    source_patient_mm: Annotated[float, Field(gt=0.0, le=10_000.0)] | None = None
-    imager_pixel_mm: Annotated[float, Field(gt=0.0, le=5.0)] | None = None
+    source_detector_mm: Annotated[float, Field(gt=0.0, le=FARTHEST_SOURCE_MM)] | None = None
+    source_patient_mm: Annotated[float, Field(gt=0.0, le=FARTHEST_SOURCE_MM)] | None = None
+    imager_pixel_mm: Annotated[float, Field(gt=0.0, le=LARGEST_PIXEL_MM)] | None = None
     orientation: Literal["standard"] | None = None
     scale: dict[str, ScaleRecord] | None = None
 
@@ -215,7 +221,7 @@ class PushRecord(_Record):
 
     id: Identifier
     side: Literal["left", "right"]
-    level: Annotated[float, Field(ge=1.0, le=12.0)]
+    level: Annotated[float, Field(ge=LEVELS[0], le=LEVELS[1])]
     d21_mm: Distance
     d31_mm: Distance
     frames: str
@@ -367,9 +373,9 @@ class SubjectRecord(_Record):
 
     schema_version: Literal[1]
     id: Identifier
-    age: Annotated[float, Field(gt=0.0, le=120.0)]
+    age: Annotated[float, Field(gt=0.0, le=OLDEST)]
     sex: Literal["female", "male"]
-    height_cm: Annotated[float, Field(ge=120.0, le=200.0)]
+    height_cm: Annotated[float, Field(ge=HEIGHTS_CM[0], le=HEIGHTS_CM[1])]
     mass_kg: Annotated[float, Field(gt=0.0, le=300.0)] | None = None
     xray: XRayRecord = XRayRecord()
     torso: str | None = None
@@ -611,7 +617,7 @@ def _complaint(complaint: ErrorDetails, page: str) -> str:
     if kind == "value_error":
         return message.removeprefix("Value error, ")
     if kind == "string_pattern_mismatch":
-        return f"found {_shown(complaint['input'])}, wanted {_NAME}"
+        return f"found {_shown(complaint['input'])}, wanted {WANTED_ID}"
     wanted = re.sub(r"^(Input|String|Tuple|Dictionary) should (be |have |match )?", "", message)
     return f"found {_shown(complaint['input'])}, wanted {wanted}"
 

@@ -208,7 +208,8 @@ export class Panel {
     const slider = need<HTMLInputElement>("frame");
     slider.max = String(count - 1);
     slider.value = String(frame);
-    const words_ = `${frame} (0 to ${count - 1}), ${image.forces[frame] ?? 0} N, ${image.roles[frame] ?? ""}`;
+    const force = image.forces[frame] ?? null;
+    const words_ = `${frame} (0 to ${count - 1}), ${force === null ? "force not known yet" : `${force} N`}, ${image.roles[frame] ?? ""}`;
     slider.setAttribute("aria-valuetext", words_);
     const state = app.tracking[image.name], here = Object.keys(app.marks.vertebrae).length;
     const source = frame === 0 ? "marked" : here ? `${here} corrected, the others tracked` : app.tracked ? "tracked" : "not tracked yet";

@@ -10,7 +10,7 @@ import datetime
 import hashlib
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -362,15 +362,25 @@ def _clock(dataset: Dataset) -> float | None:
     date, time = (moment[:8], moment[8:]) if len(moment) > 8 else (
         str(_own(dataset, "AcquisitionDate") or ""), str(_own(dataset, "AcquisitionTime") or "")
     )  # fmt: skip
+    seconds = _seconds(time)
+    return None if seconds is None else 86400.0 * (_ordinal(date) or 0) + seconds
+
+
+def _seconds(time: str) -> float | None:
+    """Since midnight."""
     found = re.match(r"(\d\d):?(\d\d)?:?(\d\d(?:\.\d+)?)?", time)
     if found is None:
         return None
     hours, minutes, seconds = (float(part or 0.0) for part in found.groups())
+    return 3600.0 * hours + 60.0 * minutes + seconds
+
+
+def _ordinal(date: str) -> int | None:
+    """Day since the year 1."""
     try:
-        day = datetime.date.fromisoformat(date.replace(".", "").strip()).toordinal()
+        return datetime.date.fromisoformat(date.replace(".", "").strip()).toordinal()
     except ValueError:
-        day = 0
-    return 86400.0 * day + 3600.0 * hours + 60.0 * minutes + seconds
+        return None
 
 
 def identity_tags(dataset: Dataset) -> tuple[tuple[str, str], int | None, bool]:
@@ -379,17 +389,111 @@ def identity_tags(dataset: Dataset) -> tuple[tuple[str, str], int | None, bool]:
     name, birth = (str(dataset.get(keyword) or "").strip() for keyword in ("PatientName", "PatientBirthDate"))
     person = _hash(f"{name.casefold()}\0{birth}") if name and birth else ""
     removed = str(dataset.get("PatientIdentityRemoved") or "").strip().upper() == "YES"
-    return (_hashed(dataset, "PatientID"), person), _day(dataset), removed
+    return (_hashed(dataset, "PatientID"), person), _day(str(dataset.get(key) or "") for key in _DAYS), removed
 
 
-def _day(dataset: Dataset) -> int | None:
-    for keyword in ("AcquisitionDateTime", "AcquisitionDate", "ContentDate", "SeriesDate", "StudyDate"):
-        text = str(dataset.get(keyword) or "").replace(".", "").strip()
-        try:
-            return datetime.date.fromisoformat(text[:8]).toordinal()
-        except ValueError:
-            continue
+_DAYS = ("AcquisitionDateTime", "AcquisitionDate", "ContentDate", "SeriesDate", "StudyDate")
+
+
+def _day(dates: Iterable[str]) -> int | None:
+    """The first that is one, as days since the year 1."""
+    return next((day for date in dates if (day := _ordinal(date.replace(".", "").strip()[:8])) is not None), None)
+
+
+@dataclass(frozen=True)
+class ExportTags:
+    """What a file of an export tells beside its picture; a value that can't be read counts as not told.
+
+    Attributes
+    ----------
+    patient, study, series : hashes, only to be compared; "" if not told.
+    moment : s of the exposure since the year 1, or since midnight; None if not told.
+    view : what the words of the series call it, "frontal" or "lateral"; None if nothing, or both.
+    use : the same, "rest" or "push".
+    age, age_source : years and the field that tells them. sex : "female" or "male".
+    """
+
+    patient: str = ""
+    study: str = ""
+    series: str = ""
+    moment: float | None = None
+    view: str | None = None
+    use: str | None = None
+    age: float | None = None
+    age_source: str = ""
+    sex: str | None = None
+
+
+# Words by which series are named, in a few languages; whole words, dots taken out.
+_FRONTAL = frozenset({"ap", "pa", "frontal", "front", "coronal", "koronar", "anteroposterior", "posteroanterior"})
+_LATERAL = frozenset({"lat", "lateral", "ll", "rl", "sagittal", "seitlich", "profil", "profile", "perfil"})
+_REST = frozenset({"rest", "standing", "stehend", "neutral", "unloaded", "upright", "ruhe", "repos", "baseline"})
+_BENDING = frozenset({"bending", "bend"})
+_PUSH = _BENDING | {"push", "pushed", "pushing", "force", "load", "loaded", "druck", "kraft", "newton"}
+_AGE_UNITS = {"Y": 1.0, "M": 1.0 / 12.0, "W": 7.0 / 365.25, "D": 1.0 / 365.25}
+
+
+def export_tags(dataset: Dataset) -> ExportTags:
+    """What a file of an export tells beside its picture."""
+    words = _words(dataset)
+    # A lateral bending is a frontal picture.
+    sideways = bool(words & _LATERAL) and not words & _BENDING
+    view = _either("frontal", bool(words & _FRONTAL), "lateral", sideways)
+    use = _either("rest", bool(words & _REST), "push", bool(words & _PUSH))
+    age, source = _age(dataset)
+    sex = {"F": "female", "M": "male"}.get(_told(dataset, "PatientSex").upper())
+    patient, study, series = (_told(dataset, key) for key in ("PatientID", "StudyInstanceUID", "SeriesInstanceUID"))
+    return ExportTags(
+        _hash(patient) if patient else "",
+        _hash(study) if study else "",
+        _hash(series) if series else "",
+        _moment(dataset),
+        view,
+        use,
+        age,
+        source,
+        sex,
+    )
+
+
+def _either(one: str, is_one: bool, other: str, is_other: bool) -> str | None:
+    """What is told, if it is told alone."""
+    if is_one == is_other:
+        return None
+    return one if is_one else other
+
+
+def _told(dataset: Dataset, keyword: str) -> str:
+    try:
+        return str(dataset.get(keyword) or "").strip()
+    except Exception:  # what pydicom can't parse raises all sorts; such a value tells nothing
+        return ""
+
+
+def _words(dataset: Dataset) -> set[str]:
+    text = " ".join(_told(dataset, key) for key in ("SeriesDescription", "ProtocolName", "ViewPosition"))
+    return set(re.findall(r"[^\W\d_]+", text.casefold().replace(".", "")))
+
+
+def _moment(dataset: Dataset) -> float | None:
+    whole = _told(dataset, "AcquisitionDateTime")
+    pairs = [(whole[:8], whole[8:])]
+    pairs += [(_told(dataset, f"{of}Date"), _told(dataset, f"{of}Time")) for of in ("Acquisition", "Content", "Series")]
+    for date, time in pairs:
+        seconds = _seconds(time)
+        if seconds is not None:
+            day = _ordinal(date) or _day(_told(dataset, key) for key in _DAYS) or 0
+            return 86400.0 * day + seconds
     return None
+
+
+def _age(dataset: Dataset) -> tuple[float | None, str]:
+    birth, day = _ordinal(_told(dataset, "PatientBirthDate")), _day(_told(dataset, key) for key in _DAYS)
+    if birth is not None and day is not None and 0 < day - birth <= 120 * 365:
+        return int(10.0 * (day - birth) / 365.25) / 10.0, "PatientBirthDate and the day of the exposure"
+    found = re.fullmatch(r"(\d{1,3})([YMWD])", _told(dataset, "PatientAge").upper())
+    years = 0.0 if found is None else round(int(found[1]) * _AGE_UNITS[found[2]], 1)
+    return (years, "PatientAge") if 0.0 < years <= 120.0 else (None, "")
 
 
 def _hashed(dataset: Dataset, keyword: str) -> str:

@@ -44,7 +44,7 @@ class Pictures:
         _check_frames(frames)
         mm = float((frames[0].view.pixel_spacing / frames[0].view.magnification).mean())
         factor = max(1, int(FINEST_MM / mm))
-        images = [_binned(frame.pixels, factor) for frame in frames]
+        images = [block_means(frame.pixels, factor) for frame in frames]
         middle, spread = images[0].mean(), images[0].std()
         if not spread > 0.0:
             raise TrackingError("the first frame is one grey value; wanted a radiograph")
@@ -59,7 +59,8 @@ class Pictures:
         return np.asarray(bins * self.factor + 0.5 * (self.factor - 1))
 
 
-def _binned(pixels: Image, factor: int) -> Image:
+def block_means(pixels: Image, factor: int) -> Image:
+    """Means over squares of ``factor`` pixels; what fills none at the last edges is left out."""
     if factor == 1:
         return np.asarray(pixels, dtype=np.float32)
     rows, columns = (n // factor for n in pixels.shape)

@@ -1,0 +1,368 @@
+"""``spinestiff init``: a subject folder from what a hospital exports; what is not known stays open, and is named."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from spinestiff.app import questions, tables
+from spinestiff.app.progress import progress
+from spinestiff.errors import OptionError, SubjectError
+from spinestiff.files import write_bytes, write_text
+from spinestiff.imaging.dicom.export import Exported
+from spinestiff.subject.gaps import PERSON, PUSH, gaps_of
+from spinestiff.subject.inspection import inspect
+from spinestiff.subject.intake import making
+from spinestiff.subject.intake.collecting import Refused, Study, by_name, chosen_studies, collect
+from spinestiff.subject.intake.force_log import (
+    FORCE_UNITS,
+    TIME_UNITS,
+    ForceLog,
+    find_columns,
+    read_force_log,
+    with_units,
+)
+from spinestiff.subject.intake.logged import Logged, put_beside
+from spinestiff.subject.intake.making import Given
+from spinestiff.subject.intake.push_table import pushes_of, read_push_table
+from spinestiff.subject.intake.sorting import Sorting, sort_files
+from spinestiff.subject.lock import sole_run
+from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
+from spinestiff.words import counted
+
+SHOWN_ALONE = 3
+"""Files of a folder that are left out for one reason: more share a row."""
+WORTH_TELLING_N = 3.0
+"""What the prior of a force's offset covers at 95 % (``estimation.priors``)."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The options of the command.
+
+    Attributes
+    ----------
+    given : values. identifier : of the subject.
+    table : of pushes. study, frontal, lateral : which radiographs.
+    logs, offsets : "FILE" or "PUSH=FILE", "SECONDS" or "PUSH=SECONDS". columns, units : of logs, "TIME,FORCE".
+    may_ask : on a terminal.
+    """
+
+    given: Given
+    identifier: str | None = None
+    table: Path | None = None
+    study: str | None = None
+    frontal: str | None = None
+    lateral: str | None = None
+    logs: tuple[str, ...] = ()
+    offsets: tuple[str, ...] = ()
+    columns: str | None = None
+    units: str | None = None
+    may_ask: bool = False
+
+
+@dataclass
+class _Work:
+    """A subject in the making: its JSON, and the files of its pushes by number."""
+
+    data: dict[str, Any]
+    files: Sequence[Sequence[Path]]
+    names: Sequence[tuple[str, ...]]
+    logged: dict[int, Logged] = field(default_factory=dict)
+
+
+def make_subject(out: Path, sources: Sequence[Path], asked: Asked) -> None:
+    """Make a subject folder, or fill what is open in one, and say what was done and what is open still.
+
+    Raises
+    ------
+    OptionError, SubjectError, RadiographError : see ``subject.intake``; nothing is written then.
+    """
+    if not sources:
+        _fill_folder(out, asked)
+        return
+    making.check_place(out, sources)
+    identifier = making.identifier_of(out, asked.identifier)
+    rows = None if asked.table is None else read_push_table(asked.table)
+    with progress() as say:
+        found, refused = collect(sources, say)
+    chosen, others = chosen_studies(found, asked.study)
+    table = None if rows is None or asked.table is None else pushes_of(asked.table, rows, chosen)
+    frontal, lateral = (
+        None if name is None else _one(by_name(name, chosen, option), option)
+        for name, option in ((asked.frontal, "--frontal"), (asked.lateral, "--lateral"))
+    )
+    sorting = sort_files(chosen, table, frontal, lateral)
+    data = making.subject_data(identifier, sorting)
+    notes = making.fill(data, asked.given)
+    making.name_pushes(data, sorting)
+    tables.show(_table(sorting, [push["id"] for push in data["pushes"]], chosen, refused, others))
+    told, lines = making.person_of(chosen)
+    notes += lines
+    making.fill(data, Given({key: value for key, value in told.items() if key not in asked.given.person}))
+    notes += _contradictions(told, asked.given)
+    files = [[one.path for one in push.files] for push in sorting.pushes]
+    work = _Work(data, files, [tuple(one.name for one in push.files) for push in sorting.pushes])
+    _ask_and_log(work, asked, notes, lambda: making.name_pushes(data, sorting))
+    making.make_folder(out, data, sorting)
+    _finish(out, work, notes)
+
+
+def _fill_folder(folder: Path, asked: Asked) -> None:
+    """Fill what is open in a subject folder; nothing else changes."""
+    for name, given in (("--pushes", asked.table), ("--study", asked.study), ("--frontal", asked.frontal),
+                        ("--lateral", asked.lateral), ("--id", asked.identifier)):  # fmt: skip
+        if given is not None:
+            raise OptionError(f"{name}: belongs to DICOM files; name those to make a subject from, or leave it out")
+    with sole_run(folder) if folder.is_dir() else nullcontext():
+        _fill(folder, asked)
+
+
+def _fill(folder: Path, asked: Asked) -> None:
+    data = making.read_open_data(folder)
+    notes = making.fill(data, asked.given)
+    pushes = data["pushes"]
+    work = _Work(data, [[folder / push["frames"]] for push in pushes], [(push["frames"],) for push in pushes])
+    _ask_and_log(work, asked, notes, lambda: None)
+    making.write_filled(folder, data)
+    _finish(folder, work, notes)
+
+
+def _ask_and_log(work: _Work, asked: Asked, notes: list[str], named: Callable[[], None]) -> None:
+    data = work.data
+    if asked.may_ask:
+        typer.echo("An empty answer leaves a question open.", err=True)
+        questions.ask_open(data, PERSON, "")
+        for push in data["pushes"]:
+            frames = counted(len(push["forces_n"]), "frame")
+            questions.ask_open(push, PUSH, f"push {push['id']} ({frames}), ")
+    named()
+    logs, offsets = _by_push(asked.logs, work, "--log"), _by_push(asked.offsets, work, "--log-offset")
+    if set(offsets) - set(logs):
+        raise OptionError("--log-offset: belongs to a --log of the same push; give both")
+    for number, text in logs.items():
+        _read_log(work, number, Path(text), offsets.get(number), asked, notes)
+    if asked.may_ask:
+        for push in data["pushes"]:
+            questions.ask_forces(push)
+
+
+def _by_push(texts: Sequence[str], work: _Work, option: str) -> dict[int, str]:
+    """Values "VALUE" or "PUSH=VALUE" by the number of the push."""
+    found: dict[int, str] = {}
+    count = len(work.data["pushes"])
+    for text in texts:
+        name, equals, value = text.rpartition("=")
+        numbers = [i for i in range(count) if not equals or _is_push(name, i, work)]
+        if not equals and count != 1:
+            known = ", ".join(push["id"] for push in work.data["pushes"])
+            many = counted(count, "push", "pushes")
+            raise OptionError(f"{option} {text}: found {many} ({known}), wanted one; say which: {option} PUSH={text}")
+        if len(numbers) != 1:
+            known = ", ".join(push["id"] for push in work.data["pushes"])
+            raise OptionError(f"{option} {text}: no push '{name}'; wanted one of {known}, or the name of its file")
+        if numbers[0] in found:
+            raise OptionError(f"{option}: given twice for push {work.data['pushes'][numbers[0]]['id']}; wanted once")
+        found[numbers[0]] = value
+    return found
+
+
+def _is_push(name: str, number: int, work: _Work) -> bool:
+    wanted = PurePosixPath(name.replace("\\", "/")).parts
+    inside = (PurePosixPath(file).parts for file in work.names[number])
+    return name == work.data["pushes"][number]["id"] or any(
+        wanted and (parts[-len(wanted) :] == wanted or parts[:-1][-len(wanted) :] == wanted) for parts in inside
+    )
+
+
+def _read_log(work: _Work, number: int, path: Path, offset: str | None, asked: Asked, notes: list[str]) -> None:
+    push = work.data["pushes"][number]
+    if any(force is not None for force in push["forces_n"]):
+        raise SubjectError(f"--log {path}: the forces of push {push['id']} are known already; leave out either")
+    log, words = _log(path, asked)
+    notes.append(f"log of push {push['id']}: {words}")
+    notes += [f"log of push {push['id']}: {note}" for note in log.notes]
+    seconds = None if offset is None else _seconds(offset)
+    logged = put_beside(log, work.files[number], push["id"], seconds)
+    if not logged.placed and asked.may_ask:
+        typer.echo(f"push {push['id']}: where the log begins is not determined: {logged.match.why}", err=True)
+        seconds = questions.asked(
+            f"push {push['id']}, time of the log at its first frame in s ({log.times_s[0]:g} to {log.times_s[-1]:g})",
+            lambda text: questions.number(text, -math.inf, math.inf),
+        )
+        if seconds is not None:
+            logged = put_beside(log, work.files[number], push["id"], seconds)
+    work.logged[number] = logged
+    if logged.placed:
+        push["forces_n"] = logged.forces_n
+
+
+def _log(path: Path, asked: Asked) -> tuple[ForceLog, str]:
+    names = None if asked.columns is None else _pair(asked.columns, "--log-columns", "TIME,FORCE")
+    columns = find_columns(path, names)
+    if asked.units is not None:
+        time, force = _pair(asked.units, "--log-units", "s,N")
+        for unit, known in ((time, TIME_UNITS), (force, FORCE_UNITS)):
+            if unit not in known:
+                raise OptionError(f"--log-units {asked.units[:40]}: found {unit[:20]!r}, wanted {', '.join(known)}")
+        columns = with_units(columns, path, time, force)
+    elif asked.may_ask:
+        time_unit, force_unit = columns.time_unit, columns.force_unit
+        if time_unit is None:
+            time_unit = _ask_unit(path, columns.time, TIME_UNITS)
+        if force_unit is None:
+            force_unit = _ask_unit(path, columns.force, FORCE_UNITS)
+        columns = with_units(columns, path, time_unit, force_unit)
+        if not questions.confirmed(f"{path.name}: {columns.words}; is that right"):
+            raise OptionError(f"--log {path}: columns or units are others; give --log-columns and --log-units")
+    return read_force_log(path, columns), columns.words
+
+
+def _ask_unit(path: Path, column: str, known: dict[str, float]) -> str | None:
+    def read(text: str) -> str:
+        if text not in known:
+            raise ValueError(f"wanted {' or '.join(known)}")
+        return text
+
+    return questions.asked(f"{path.name}: unit of column '{column}', {' or '.join(known)}", read)
+
+
+def _pair(text: str, option: str, wanted: str) -> tuple[str, str]:
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 2 or not all(parts):
+        raise OptionError(f"{option} {text[:40]}: wanted {wanted}")
+    return parts[0], parts[1]
+
+
+def _seconds(text: str) -> float:
+    try:
+        return questions.number(text, -1e9, 1e9)
+    except ValueError as problem:
+        raise OptionError(f"--log-offset: {problem}; wanted the log's time at the first frame, s") from None
+
+
+def _one(found: Sequence[Exported], option: str) -> Exported:
+    if len(found) != 1 or found[0].frames != 1:
+        raise OptionError(f"{option}: found {found[0].name} of several frames or files, wanted one rest radiograph")
+    return found[0]
+
+
+def _contradictions(told: dict[str, Any], given: Given) -> Iterator[str]:
+    for key, value in told.items():
+        mine = given.person.get(key, value)
+        if mine != value and (key != "age" or abs(mine - value) > 1.0):
+            yield f"{key}: {mine} as given, though the DICOM header tells {value}; check whose radiographs these are"
+
+
+def _table(
+    sorting: Sorting,
+    names: Sequence[str],
+    chosen: Sequence[Exported],
+    refused: Sequence[Refused],
+    others: Sequence[Study],
+) -> Table:
+    """Every file, what it becomes and why; ``names`` are those of the pushes."""
+    table = Table(title="Radiographs", title_justify="left", title_style="bold")
+    for name in ("file", "frames", "time s", "becomes", "why"):
+        table.add_column(name, justify="right" if name in ("frames", "time s") else "left", overflow="fold")
+    becomes = {}
+    for name, push in zip(names, sorting.pushes):
+        for number, one in enumerate(push.files):
+            becomes[one.name] = f"push {name}" + (f", frame {number}" if len(push.files) > 1 else "")
+    for name, rest in (("rest, frontal", sorting.frontal), ("rest, lateral", sorting.lateral)):
+        if rest is not None:
+            becomes[rest.name] = name
+    moments = [one.tags.moment for one in chosen if one.tags.moment is not None]
+    for one in sorted(chosen, key=lambda one: (one.name not in becomes, one.tags.moment or 0.0, one.name)):
+        time = "" if one.tags.moment is None else f"{one.tags.moment - min(moments):.0f}"
+        use = becomes.get(one.name, "left out")
+        table.add_row(escape(one.name), str(one.frames), time, use, escape(sorting.reasons[one.name]))
+    alike: dict[tuple[str, str], list[Refused]] = {}
+    for one_ in refused:
+        alike.setdefault((PurePosixPath(one_.name).parent.as_posix(), one_.why), []).append(one_)
+    for (folder, why), files in alike.items():
+        if len(files) > SHOWN_ALONE:
+            table.add_row(escape(f"{len(files)} files in {folder}"), "", "", "left out", escape(why))
+        else:
+            for left in files:
+                table.add_row(escape(left.name), "", "", "left out", escape(why))
+    for study in others:
+        table.add_row(escape(study.words), "", "", "left out", "another study than asked for")
+    return table
+
+
+def _finish(out: Path, work: _Work, notes: Sequence[str]) -> None:
+    from spinestiff.study.report.figures import as_png
+    from spinestiff.study.report.log_picture import draw_log
+
+    for note in notes:
+        typer.echo(note)
+    for number, logged in work.logged.items():
+        name = work.data["pushes"][number]["id"]
+        place = out / RESULTS / f"force-log-{name}.png"
+        picture = draw_log(f"push {name}", logged.log, logged.match, logged.times_s, logged.motion)
+        write_bytes(place, as_png(picture))
+        write_text(place.with_suffix(".csv"), logged.table())
+        for line in _log_lines(name, logged):
+            typer.echo(line)
+        typer.echo(f"  picture: {place}\n  table:   {place.with_suffix('.csv')}")
+    typer.echo(f"subject: {out}")
+    for push in work.data["pushes"]:
+        typer.echo(f"  {_push_words(push)}")
+    lacking = [f"{SUBJECT_FILE}: {gap.line}" for gap in gaps_of(work.data)]
+    for one in inspect(out):
+        if one.image != SUBJECT_FILE:
+            lines = [one.reason] if one.reason else one.missing
+            lacking += [f"{one.image}: {line}" for line in lines if ANNOTATION_FILE not in line]
+            for warning in one.warnings:
+                typer.echo(f"note: {one.image}: {warning}")
+    if not work.data["pushes"]:
+        typer.echo("note: no pushes were found; without one there is a plan (spinestiff plan), and no estimate")
+    if lacking:
+        typer.echo("open still, to be known before spinestiff run:")
+    for line in lacking:
+        typer.echo(f"  {line}")
+    typer.echo(f"next: spinestiff annotate {out}")
+
+
+def _push_words(push: dict[str, Any]) -> str:
+    forces = ", ".join("?" if force is None else f"{force:g}" for force in push["forces_n"])
+    told = {key: "?" if push[key] is None else push[key] if key == "side" else f"{push[key]:g}" for key in PUSH}
+    return (
+        f"push {push['id']}: {counted(len(push['forces_n']), 'frame')}, from the {told['side']}, rib {told['level']}, "
+        f"d21 {told['d21_mm']} mm, d31 {told['d31_mm']} mm, {forces} N"
+    )
+
+
+def _log_lines(name: str, logged: Logged) -> Iterator[str]:
+    match = logged.match
+    if not logged.placed:
+        yield (
+            f"log of push {name}: where it begins is not determined: {match.why}; give the log's time at the first "
+            f"frame with --log-offset"
+        )
+        return
+    explained = ""
+    if math.isfinite(match.explained):
+        explained = f"; the force explains {100.0 * max(match.explained, 0.0):.0f} % of the picture's motion"
+    if match.given:
+        yield f"log of push {name}: first frame at {match.offset_s:.2f} s of the log, as given{explained}"
+        return
+    yield (
+        f"log of push {name}: first frame at {match.offset_s:.2f} s of the log, 95 % {match.low_s:.2f} to "
+        f"{match.high_s:.2f} s, found from the motion{explained}, and the offset leaves a frame's force open by at "
+        f"most ± {match.open_n:.1f} N; look at the picture"
+    )
+    if match.open_n > WORTH_TELLING_N:
+        yield (
+            f"  that is more than the usual prior holds; write priors.force_offset_n {0.5 * match.open_n:.1f} into "
+            f"{SUBJECT_FILE}"
+        )

@@ -1,0 +1,1 @@
+"""A subject folder from what a hospital exports (docs/from-hospital.md)."""

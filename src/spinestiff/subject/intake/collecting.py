@@ -1,0 +1,195 @@
+"""What is in an export: every file of nested folders, whose radiograph it is, and why another is none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from spinestiff.errors import OptionError, RadiographError, SubjectError
+from spinestiff.files import listed, regular_file
+from spinestiff.imaging.dicom.export import Exported, read_exported
+from spinestiff.words import counted
+
+MOST_FILES = 20_000
+MOST_DEPTH = 16
+SAID_EVERY = 20
+"""Files."""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A file that is left out, and why."""
+
+    name: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Study:
+    """Radiographs of one patient and one study; ``label`` names it in messages and options, e.g. A1."""
+
+    label: str
+    files: tuple[Exported, ...]
+
+    @property
+    def words(self) -> str:
+        """What is in it, without anything of the patient."""
+        singles = [sum(one.view == view and one.frames == 1 for one in self.files) for view in ("frontal", "lateral")]
+        kinds = [f"{count} {view}" for count, view in zip(singles, ("frontal", "lateral")) if count]
+        several = sum(one.frames > 1 for one in self.files)
+        kinds += [f"{several} of several frames"] if several else []
+        first = min(self.files, key=lambda one: one.name).name
+        inside = f": {', '.join(kinds)}" if kinds else ""
+        return f"{self.label} ({counted(len(self.files), 'file')}{inside}; {first})"
+
+
+def collect(
+    sources: Sequence[Path], say: Callable[[str], None] = lambda line: None
+) -> tuple[tuple[Exported, ...], tuple[Refused, ...]]:
+    """The radiographs in files and nested folders, in the order of their names, and what else is there.
+
+    Links to folders are not followed, nor links that lead out of the folder; hidden files are passed by.
+
+    Raises
+    ------
+    RadiographError : no such file or folder, more files or deeper folders than are read, no radiograph at all.
+    """
+    found: list[Exported] = []
+    refused: list[Refused] = []
+    seen: dict[str, str] = {}
+    for source in sources:
+        files = _files(source, sources)
+        for number, (path, name) in enumerate(files):
+            if number % SAID_EVERY == 0:
+                say(f"init: reading file {number + 1} of {len(files)}")
+            try:
+                if path.is_dir():
+                    raise RadiographError("a link to a folder, which is not followed; name that folder itself")
+                within = source if source.is_dir() else source.parent
+                regular_file(path, RadiographError, within=within, name=path.name)
+                one = read_exported(path, name, within)
+            except RadiographError as problem:
+                refused.append(Refused(name, str(problem).removeprefix(f"{path.name}: ")))
+                continue
+            mark = one.scan.tags.identity or one.scan.sha256
+            if mark in seen:
+                refused.append(Refused(name, f"the same image as {seen[mark]}"))
+            else:
+                seen[mark] = name
+                found.append(one)
+    if not found:
+        what = counted(len(refused), "file")
+        first = f"; {refused[0].name}: {refused[0].why}" if refused else ""
+        raise RadiographError(f"found no radiograph in {what} of {', '.join(map(str, sources))}, wanted some{first}")
+    return tuple(found), tuple(refused)
+
+
+def _files(source: Path, sources: Sequence[Path]) -> list[tuple[Path, str]]:
+    """Files of a source and their names, in the order of names; links to folders are among them."""
+    if not source.is_dir():
+        regular_file(source, RadiographError)
+        return [(source, source.name)]
+    # Below one folder names are told without it; of several folders each name begins with its own.
+    top = "" if len(sources) == 1 else f"{source.resolve().name}/"
+    found, todo = [], [(source, 0)]
+    while todo:
+        folder, depth = todo.pop()
+        for path in listed(folder, RadiographError):
+            if path.name.startswith("."):
+                continue
+            if path.is_dir() and not path.is_symlink():
+                if depth == MOST_DEPTH:
+                    raise RadiographError(f"{source}: folders more than {MOST_DEPTH} deep; name one of those inside")
+                todo.append((path, depth + 1))
+            else:
+                found.append((path, top + path.relative_to(source).as_posix()))
+        if len(found) > MOST_FILES:
+            raise RadiographError(f"{source}: more than {MOST_FILES} files; name the folder of the study")
+    return sorted(found, key=lambda one: one[1])
+
+
+def studies(found: Sequence[Exported]) -> tuple[Study, ...]:
+    """Radiographs by patient (A, B, ...) and study (1, 2, ... in order of time)."""
+    order = sorted(found, key=lambda one: (math.inf if one.tags.moment is None else one.tags.moment, one.name))
+    patients = list(dict.fromkeys(one.tags.patient for one in order))
+    groups: list[Study] = []
+    for number, patient in enumerate(patients):
+        mine = [one for one in order if one.tags.patient == patient]
+        for count, study in enumerate(dict.fromkeys(one.tags.study for one in mine), 1):
+            files = tuple(one for one in mine if one.tags.study == study)
+            groups.append(Study(f"{_letters(number)}{count}", files))
+    return tuple(groups)
+
+
+def _letters(number: int) -> str:
+    """A to Z, then AA, AB and so on."""
+    return ("" if number < 26 else _letters(number // 26 - 1)) + chr(ord("A") + number % 26)
+
+
+def chosen_studies(found: Sequence[Exported], wanted: str | None) -> tuple[tuple[Exported, ...], tuple[Study, ...]]:
+    """The radiographs of the one study, or of those that were asked for, and the studies that are left out.
+
+    Parameters
+    ----------
+    wanted : labels separated by commas; None where there is one study only.
+
+    Raises
+    ------
+    SubjectError : several patients or studies, and none chosen.
+    OptionError : no study of that label, studies of several patients.
+    """
+    groups = studies(found)
+    labels = [group.label for group in groups]
+    listing = ", ".join(group.words for group in groups)
+    patients = len({one.tags.patient for one in found})
+    if wanted is None:
+        if len(groups) == 1:
+            return groups[0].files, ()
+        what = f"{counted(patients, 'patient')} and {counted(len(groups), 'study', 'studies')}"
+        several = next((f", or several of one patient, as --study {a},{b}" for a, b in zip(labels, labels[1:])
+                        if a.rstrip("0123456789") == b.rstrip("0123456789")), "")  # fmt: skip
+        raise SubjectError(f"found {what}, wanted one: {listing}; choose with --study {labels[0]}{several}")
+    asked = [label.strip().upper() for label in wanted.split(",")]
+    for label in asked:
+        if label not in labels:
+            raise OptionError(f"--study {label[:20]}: no such study; there are {listing}")
+    mine = [group for group in groups if group.label in asked]
+    if len({one.tags.patient for group in mine for one in group.files}) > 1:
+        raise OptionError(f"--study {wanted[:40]}: studies of several patients; wanted those of one: {listing}")
+    files = tuple(one for group in mine for one in group.files)
+    return files, tuple(group for group in groups if group not in mine)
+
+
+def by_name(text: str, found: Sequence[Exported], where: str) -> tuple[Exported, ...]:
+    """The file of that name, or the files of a folder of that name: a path in the export, or the end of one.
+
+    Raises
+    ------
+    SubjectError : none, or several that the text does not tell apart.
+    """
+    wanted = PurePosixPath(text.replace("\\", "/")).parts
+    files = [one for one in found if PurePosixPath(one.name).parts[-len(wanted) :] == wanted]
+    exact = [one for one in files if PurePosixPath(one.name).parts == wanted]
+    if len(files) == 1 or len(exact) == 1:
+        return tuple(exact or files)
+    if files:
+        raise SubjectError(
+            f"{where}: '{text[:80]}' is the name of {len(files)} radiographs ({_some(files)}); write more of the path"
+        )
+    folders: dict[tuple[str, ...], list[Exported]] = {}
+    for one in found:
+        folder = PurePosixPath(one.name).parts[:-1]
+        if wanted and folder[-len(wanted) :] == wanted:
+            folders.setdefault(folder, []).append(one)
+    if len(folders) == 1:
+        return tuple(*folders.values())
+    if folders:
+        names = ", ".join("/".join(folder) for folder in folders)
+        raise SubjectError(f"{where}: '{text[:80]}' is the name of several folders ({names}); write more of the path")
+    raise SubjectError(f"{where}: no radiograph '{text[:80]}' in the sources; there are {_some(found)}")
+
+
+def _some(found: Sequence[Exported]) -> str:
+    return ", ".join(one.name for one in found[:6]) + (", ..." if len(found) > 6 else "")

@@ -1,0 +1,241 @@
+"""The force log of a gauge: columns and units found in its header, asked for where they are not told, never guessed."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from spinestiff.arrays import Floats, read_only
+from spinestiff.errors import SubjectError
+from spinestiff.files import read_text
+from spinestiff.subject.records import GAUGE_LIMIT_N
+
+TIME_UNITS = {"s": 1.0, "ms": 1e-3}
+FORCE_UNITS = {"N": 1.0, "kgf": 9.80665, "lbf": 4.4482216152605}
+"""Factors to s and N (BIPM SI Brochure; the avoirdupois pound under standard gravity)."""
+_TIME_WORDS = {"time", "t", "zeit", "temps", "tiempo", "elapsed", "timestamp"}
+_FORCE_WORDS = {"force", "f", "load", "kraft", "last", "fuerza"}
+_TIME_NAMES = {**dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
+               **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), "ms")}  # fmt: skip
+_FORCE_NAMES = {**dict.fromkeys(("n", "newton", "newtons"), "N"), **dict.fromkeys(("kgf", "kp"), "kgf"), "lbf": "lbf"}
+LAST_HEADER = 60
+"""Lines within which the header has to be: gauges write some of their own above it."""
+MOST_ROWS = 1_000_000
+NOTHING_N = 0.5
+"""Forces below count as none: what a hand-held gauge shows in the air."""
+
+
+@dataclass(frozen=True)
+class LogColumns:
+    """Where a log has time and force.
+
+    Attributes
+    ----------
+    time, force : names of the columns. time_unit, force_unit : of ``TIME_UNITS`` and ``FORCE_UNITS``; None if not told.
+    header : line of the header, from 1. at : positions of both columns. separator : of fields.
+    first : line of the first row of numbers.
+    """
+
+    time: str
+    force: str
+    time_unit: str | None
+    force_unit: str | None
+    header: int
+    at: tuple[int, int]
+    separator: str
+    first: int
+
+    @property
+    def words(self) -> str:
+        """What was found."""
+        time, force = (unit or "unit not told" for unit in (self.time_unit, self.force_unit))
+        return f"time in column {_shown(self.time)} ({time}), force in column {_shown(self.force)} ({force})"
+
+
+@dataclass(frozen=True)
+class ForceLog:
+    """A log: times (N,), s, growing, and forces (N,), N, not negative; ``notes``: what was made of it, a line each."""
+
+    times_s: Floats
+    forces_n: Floats
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "times_s", read_only("times_s", self.times_s, np.shape(self.times_s), SubjectError))
+        object.__setattr__(self, "forces_n", read_only("forces_n", self.forces_n, self.times_s.shape, SubjectError))
+
+    @property
+    def step_s(self) -> float:
+        """Between two entries, the median."""
+        return float(np.median(np.diff(self.times_s)))
+
+    def at(self, times_s: Floats) -> Floats:
+        """Forces at times of the log, between its entries along straight lines, beyond its ends those of the ends."""
+        forces: Floats = np.interp(times_s, self.times_s, self.forces_n)
+        return np.where(forces < NOTHING_N, 0.0, forces)
+
+
+def find_columns(path: Path, names: tuple[str, str] | None = None) -> LogColumns:
+    """The columns of time and force in a log.
+
+    Parameters
+    ----------
+    names : of both columns, where the header does not tell or has several.
+
+    Raises
+    ------
+    SubjectError : no header with a column of time and one of force, or several.
+    """
+    lines = read_text(path).splitlines()
+    best: tuple[str, str] | None = None
+    for number, line in enumerate(lines[:LAST_HEADER]):
+        for separator in (";", "\t", ","):
+            cells = _cells(line, separator)
+            if len(cells) < 2 or all(_number(cell, separator) is not None for cell in cells):
+                continue
+            best = best or (separator, line)
+            times, forces = _matching(cells, names)
+            if not times or not forces:
+                continue
+            if len(times) > 1 or len(forces) > 1:
+                raise SubjectError(
+                    f"{path}: line {number + 1}: several columns of {'time' if len(times) > 1 else 'force'}: "
+                    f"{', '.join(_shown(cells[i]) for i in (times if len(times) > 1 else forces))}; give --log-columns "
+                    "TIME,FORCE"
+                )
+            return _with_units(path, lines, number, cells, (times[0], forces[0]), separator)
+    wanted = "columns of time and force" if names is None else f"columns '{names[0]}' and '{names[1]}'"
+    found = "no header" if best is None else f"the header {_shown(best[1])}"
+    raise SubjectError(f"{path}: found {found}, wanted {wanted}; name them as it does with --log-columns TIME,FORCE")
+
+
+def _with_units(
+    path: Path, lines: list[str], number: int, cells: list[str], at: tuple[int, int], separator: str
+) -> LogColumns:
+    units: list[str | None] = []
+    first = number + 1
+    below = _cells(lines[first], separator) if first < len(lines) else []
+    # Some gauges write the units in a line of their own.
+    has_row = len(below) > max(at) and all(_number(below[i], separator) is None for i in at)
+    for i, known in zip(at, (_TIME_NAMES, _FORCE_NAMES)):
+        words = _tokens(cells[i]) + (_tokens(below[i]) if has_row else [])
+        told = {known[word] for word in words[1 if len(words) > 1 and words[0] in ("t", "f") else 0 :] if word in known}
+        if len(told) > 1:
+            raise SubjectError(f"{path}: line {number + 1}: column {_shown(cells[i])} names several units; rename it")
+        units.append(told.pop() if told else None)
+    first += 1 + has_row
+    return LogColumns(cells[at[0]], cells[at[1]], units[0], units[1], number + 1, at, separator, first)
+
+
+def with_units(columns: LogColumns, path: Path, time_unit: str | None, force_unit: str | None) -> LogColumns:
+    """Columns with units as the user gives them; None: as the header tells.
+
+    Raises
+    ------
+    SubjectError : a unit that the header contradicts.
+    """
+    for given, told, name in ((time_unit, columns.time_unit, columns.time),
+                              (force_unit, columns.force_unit, columns.force)):  # fmt: skip
+        if given is not None and told is not None and given != told:
+            raise SubjectError(f"{path}: column {_shown(name)} is in {told}, but {given} was given; correct either")
+    return replace(columns, time_unit=columns.time_unit or time_unit, force_unit=columns.force_unit or force_unit)
+
+
+def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
+    """The log's numbers.
+
+    Raises
+    ------
+    SubjectError : a unit that is not known, a row without numbers, times that do not grow, fewer than two rows, forces
+        of both signs or beyond the gauge's limit.
+    """
+    if columns.time_unit is None:
+        raise SubjectError(
+            f"{path}: column {_shown(columns.time)} tells no unit; give --log-units s,N (or ms; kgf, lbf)"
+        )
+    if columns.force_unit is None:
+        raise SubjectError(
+            f"{path}: column {_shown(columns.force)} tells no unit; give --log-units s,N (or s,kgf or s,lbf)"
+        )
+    rows = []
+    lines = read_text(path).splitlines()
+    for number, line in enumerate(lines[columns.first - 1 :], columns.first):
+        if not line.strip(columns.separator + " \t"):
+            continue
+        cells = _cells(line, columns.separator)
+        pair = [_number(cells[i], columns.separator) if i < len(cells) else None for i in columns.at]
+        if pair[0] is None or pair[1] is None:
+            raise SubjectError(f"{path}: line {number}: found {_shown(line)}, wanted numbers of time and force")
+        rows.append((number, pair[0], pair[1]))
+        if len(rows) > MOST_ROWS:
+            raise SubjectError(f"{path}: more than {MOST_ROWS} rows; cut the log to the push")
+    if len(rows) < 2:
+        raise SubjectError(f"{path}: found {len(rows)} rows of numbers, wanted 2 or more")
+    times = TIME_UNITS[columns.time_unit] * np.array([row[1] for row in rows])
+    forces = FORCE_UNITS[columns.force_unit] * np.array([row[2] for row in rows])
+    backwards = np.flatnonzero(np.diff(times) <= 0.0)
+    if len(backwards):
+        number = rows[backwards[0] + 1][0]
+        raise SubjectError(f"{path}: line {number}: the time does not grow; wanted one log, in order of time")
+    return _magnitudes(path, times, forces)
+
+
+def _magnitudes(path: Path, times: Floats, forces: Floats) -> ForceLog:
+    """Forces as magnitudes: some gauges count compression below 0."""
+    high, low = float(forces.max()), float(forces.min())
+    slack = max(2.0, 0.05 * max(high, -low))
+    if high > slack and low < -slack:
+        raise SubjectError(
+            f"{path}: forces from {low:.1f} to {high:.1f} N, wanted one sign: a push, and no pull; set the gauge's zero"
+        )
+    notes = []
+    if -low > high:
+        forces, high = -forces, -low
+        notes.append("forces below 0: the gauge counts a push so; taken as magnitudes")
+    if high > GAUGE_LIMIT_N:
+        raise SubjectError(f"{path}: forces up to {high:.0f} N, wanted at most {GAUGE_LIMIT_N:g} N; check the unit")
+    return ForceLog(times, np.maximum(forces, 0.0), tuple(notes))
+
+
+def _matching(cells: list[str], names: tuple[str, str] | None) -> tuple[list[int], list[int]]:
+    if names is not None:
+        found = [[i for i, cell in enumerate(cells) if cell.casefold() == name.strip().casefold()] for name in names]
+        return found[0], found[1]
+    times, forces = [], []
+    for i, cell in enumerate(cells):
+        words = _tokens(cell)
+        if any(word in _TIME_WORDS for word in words) or (words and words[0] in _TIME_NAMES):
+            times.append(i)
+        elif any(word in _FORCE_WORDS for word in words) or (words and words[0] in _FORCE_NAMES):
+            forces.append(i)
+    return times, forces
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    try:
+        return [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=separator), [])]
+    except csv.Error:
+        return []
+
+
+def _number(text: str, separator: str) -> float | None:
+    """A number, with a decimal comma where commas do not separate fields."""
+    try:
+        value = float(text if separator == "," else text.replace(",", "."))
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _tokens(text: str) -> list[str]:
+    return re.findall(r"[^\W\d_]+", text.casefold())
+
+
+def _shown(text: str) -> str:
+    return repr("".join(c if c.isprintable() else "?" for c in text[:60]))

@@ -1,0 +1,86 @@
+"""A push's forces from the log of its gauge: radiographs read, their motion measured, the log put beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from spinestiff.arrays import Floats
+from spinestiff.errors import SubjectError
+from spinestiff.imaging.dicom.millimetres import Geometry
+from spinestiff.imaging.motion import motion_course
+from spinestiff.imaging.radiograph import read_scans, times_of
+from spinestiff.subject.intake.force_log import ForceLog
+from spinestiff.subject.intake.log_match import LogMatch, given_offset, match_log, outside
+
+MOST_OUTSIDE_S = 1.0
+"""By which the frames may reach beyond a log whose offset is given; there it has the force of its end."""
+
+
+@dataclass(frozen=True)
+class Logged:
+    """A push's log beside its frames: times (F,), s since the first, and motion (F,), pixels (``imaging.motion``)."""
+
+    log: ForceLog
+    times_s: Floats
+    motion: Floats
+    match: LogMatch
+
+    @property
+    def placed(self) -> bool:
+        """Whether the frames' forces are known."""
+        return self.match.given or self.match.determined
+
+    @property
+    def forces_n(self) -> list[float]:
+        """At the frames, to 0.1 N."""
+        return [round(float(force), 1) + 0.0 for force in self.match.forces_n]
+
+    def table(self) -> str:
+        """CSV, a row a frame; forces are empty where the offset is not determined."""
+        lines = ["frame,time_s,log_time_s,force_n,force_low_n,force_high_n,motion_px"]
+        for i, (time, motion) in enumerate(zip(self.times_s, self.motion)):
+            forces = (self.match.forces_n[i], self.match.forces_low_n[i], self.match.forces_high_n[i])
+            cells = [f"{time + self.match.offset_s:.3f}", *(f"{force:.2f}" for force in forces)]
+            shown = cells if self.placed else [""] * 4
+            lines.append(",".join([str(i), f"{time:.3f}", *shown, f"{motion:.2f}"]))
+        return "\n".join(lines) + "\n"
+
+
+def put_beside(log: ForceLog, files: Sequence[Path], name: str, offset_s: float | None) -> Logged:
+    """A log beside the radiographs of a push.
+
+    Parameters
+    ----------
+    files : one of several frames, or files of one frame each in order of time; or their folder.
+    name : of the push, for messages.
+    offset_s : time of the log at the first frame; None: found from the motion.
+
+    Raises
+    ------
+    SubjectError : frames without times, or beyond a log whose offset is given. RadiographError : a file can't be read.
+    """
+    scans = [scan for file in files for scan in read_scans(file, Geometry())]
+    told = times_of(tuple(scans))
+    frames = [frame for scan in scans for frame in scan.pixels]
+    times = np.array([np.nan if time is None else time for time in told])
+    if not np.isfinite(times).all():
+        raise SubjectError(
+            f"push {name}: its radiographs tell no times of their frames (FrameTime, AcquisitionTime), so a force log "
+            "can't be put beside them; write the forces into --pushes"
+        )
+    if (np.diff(times) <= 0.0).any():
+        raise SubjectError(f"push {name}: times of its frames do not grow, so a force log can't be put beside them")
+    motion = motion_course(frames)
+    if offset_s is None:
+        return Logged(log, times, motion, match_log(log, times, motion))
+    beyond = outside(log, times, offset_s)
+    if beyond > MOST_OUTSIDE_S:
+        raise SubjectError(
+            f"push {name}: with the first frame at {offset_s:g} s of the log frames lie {beyond:.1f} s beyond its ends "
+            f"({log.times_s[0]:g} and {log.times_s[-1]:g} s); wanted a log around them"
+        )
+    return Logged(log, times, motion, given_offset(log, times, offset_s, motion))

@@ -1,0 +1,184 @@
+"""``subject.json`` and the folder around it, from sorted radiographs; what is known stays, what is open is filled."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from spinestiff.errors import OptionError, SubjectError
+from spinestiff.files import read_json, trouble, whole_folder, write_json
+from spinestiff.imaging.dicom.export import Exported
+from spinestiff.subject.gaps import PERSON, PUSH, check_open_record, gaps_of
+from spinestiff.subject.intake.sorting import Sorting
+from spinestiff.subject.records import IDENTIFIER, REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE, WANTED_ID
+
+
+@dataclass(frozen=True)
+class Given:
+    """What the user says: of the person, of all pushes for which nothing else is told, and of the X-ray geometry."""
+
+    person: Mapping[str, Any] = field(default_factory=dict)
+    pushes: Mapping[str, Any] = field(default_factory=dict)
+    xray: Mapping[str, Any] = field(default_factory=dict)
+
+
+def identifier_of(out: Path, given: str | None) -> str:
+    """The subject's id: as given, else the folder's name.
+
+    Raises
+    ------
+    OptionError : it can be no id.
+    """
+    name = out.resolve().name if given is None else given
+    if not re.fullmatch(IDENTIFIER, name):
+        asked = "--id" if given is not None else "the folder's name can be no id; give --id: found"
+        raise OptionError(f"{asked} {name[:64]!r}: wanted {WANTED_ID}")
+    return name
+
+
+def person_of(files: Sequence[Exported]) -> tuple[dict[str, Any], list[str]]:
+    """Age and sex as the headers tell them, and a line each that says so; nothing where they contradict each other."""
+    told: dict[str, Any] = {}
+    notes = []
+    aged = sorted((one for one in files if one.tags.age is not None), key=lambda one: one.tags.moment or 0.0)
+    if aged:
+        ages = [one.tags.age or 0.0 for one in aged]
+        if max(ages) - min(ages) > 1.0:
+            notes.append(f"age: not taken from the DICOM headers, which tell {min(ages):g} to {max(ages):g} years")
+        else:
+            told["age"] = ages[0]
+            notes.append(f"age: {ages[0]:g} years, from the DICOM header ({aged[0].tags.age_source})")
+    sexes = {one.tags.sex for one in files if one.tags.sex is not None}
+    if len(sexes) == 1:
+        told["sex"] = sexes.pop()
+        notes.append(f"sex: {told['sex']}, from the DICOM header (PatientSex)")
+    elif sexes:
+        notes.append("sex: not taken from the DICOM headers, which tell both")
+    return told, notes
+
+
+def subject_data(identifier: str, sorting: Sorting) -> dict[str, Any]:
+    """``subject.json`` with all that is open as None; pushes are named by ``name_pushes`` once more is known."""
+    pushes = []
+    for push in sorting.pushes:
+        record: dict[str, Any] = {key: push.shared.get(key) for key in PUSH}
+        record["forces_n"] = list(push.forces_n)
+        if push.roles is not None:
+            record["roles"] = list(push.roles)
+        pushes.append(record)
+    data = {"schema_version": SCHEMA_VERSION, "id": identifier, **dict.fromkeys(PERSON), "pushes": pushes}
+    name_pushes(data, sorting)
+    return data
+
+
+def name_pushes(data: dict[str, Any], sorting: Sorting) -> None:
+    """Give each push its id and the place of its frames: the user's name, else side and rib where they are known, else
+    a number; each once.
+
+    Raises
+    ------
+    SubjectError : a name of the user that can be no id.
+    """
+    names: list[str] = []
+    for number, (push, record) in enumerate(zip(sorting.pushes, data["pushes"]), 1):
+        name = push.name
+        if name is not None and not re.fullmatch(IDENTIFIER, name):
+            raise SubjectError(f"the table of pushes: push: found {name[:64]!r}, wanted {WANTED_ID}")
+        if name is None and record["side"] is not None and record["level"] is not None:
+            name = f"{record['side']}-{record['level']:g}"
+        first = name or f"push-{number}"
+        name, count = first, 1
+        while name.casefold() in map(str.casefold, names):
+            count += 1
+            name = f"{first}-{count}"
+        names.append(name)
+        record |= {"id": name, "frames": f"pushes/{name}" + (".dcm" if len(push.files) == 1 else "")}
+
+
+def fill(data: dict[str, Any], given: Given) -> list[str]:
+    """Put what the user says where ``data`` has None; returns a line for each thing that was told otherwise already."""
+    notes = []
+    for key, value in given.person.items():
+        if data.get(key) is None:
+            data[key] = value
+        elif data[key] != value:
+            notes.append(f"{key}: stays {data[key]}, {value} was given; change it in {SUBJECT_FILE}")
+    for push in data["pushes"]:
+        for key, value in given.pushes.items():
+            if push.get(key) is None:
+                push[key] = value
+            elif push[key] != value:
+                notes.append(f"push {push['id']}, {key}: stays {push[key]}, {value} was given for all pushes")
+    for key, value in given.xray.items():
+        there = data.setdefault("xray", {})
+        if there.setdefault(key, value) != value:
+            notes.append(f"xray.{key}: stays {there[key]}, {value} was given; change it in {SUBJECT_FILE}")
+    return notes
+
+
+def check_place(out: Path, sources: Sequence[Path]) -> None:
+    """Raise SubjectError unless a new folder can be made there, outside of what is read."""
+    if os.path.lexists(out) and not (out.is_dir() and not any(out.iterdir())):
+        what = f"a subject folder, with {SUBJECT_FILE}" if (out / SUBJECT_FILE).exists() else "not empty"
+        raise SubjectError(f"{out}: is there already ({what}); nothing is overwritten, name a new folder")
+    place = Path(os.path.realpath(out))
+    for source in sources:
+        if source.is_dir() and place.is_relative_to(Path(os.path.realpath(source))):
+            raise SubjectError(f"{out}: lies in {source}, which is read; name a folder outside of it")
+
+
+def make_folder(out: Path, data: dict[str, Any], sorting: Sorting) -> None:
+    """Write ``subject.json`` and copies of the radiographs: all of it, or nothing.
+
+    Raises
+    ------
+    SubjectError : values that the schema does not allow, a file that can't be read or written.
+    """
+    check_open_record(data)
+    with whole_folder(out, SubjectError) as draft:
+        for image, one in (("rest/frontal", sorting.frontal), ("rest/lateral", sorting.lateral)):
+            if one is not None:
+                _copy(one, draft / REST_IMAGES[image])
+        for push, record in zip(sorting.pushes, data["pushes"]):
+            if len(push.files) == 1:
+                _copy(push.files[0], draft / record["frames"])
+            else:
+                for number, one in enumerate(push.files):
+                    _copy(one, draft / record["frames"] / f"{number:03d}.dcm")
+        write_json(draft / SUBJECT_FILE, data)
+
+
+def _copy(one: Exported, place: Path) -> None:
+    place.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        shutil.copyfile(one.path, place)
+    except OSError as problem:
+        raise SubjectError(f"{one.name}: can't be copied ({trouble(problem)})") from None
+
+
+def read_open_data(folder: Path) -> dict[str, Any]:
+    """The JSON of a subject that is not complete, to be filled.
+
+    Raises
+    ------
+    SubjectError : no such file, nothing is open in it, or the schema does not allow it for another reason.
+    """
+    path = folder / SUBJECT_FILE
+    if not path.is_file():
+        raise SubjectError(f"{path}: no such file; name the DICOM files or folders from which to make the subject")
+    data = read_json(path)
+    if not gaps_of(data):
+        raise SubjectError(f"{path}: nothing is missing; to make another subject, name a new folder and DICOM files")
+    check_open_record(data)
+    return dict(data)
+
+
+def write_filled(folder: Path, data: dict[str, Any]) -> None:
+    """Write ``subject.json`` anew. Raises SubjectError for what the schema does not allow."""
+    check_open_record(data)
+    write_json(folder / SUBJECT_FILE, data)

@@ -1,0 +1,179 @@
+"""The table of pushes that ``spinestiff init`` reads: a row a frame, read strictly (docs/from-hospital.md)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+from spinestiff.errors import SubjectError
+from spinestiff.files import parse_csv, read_text
+from spinestiff.imaging.dicom.export import Exported
+from spinestiff.subject.intake.collecting import by_name
+from spinestiff.subject.records import DISTANCES_MM, GAUGE_LIMIT_N, LEVELS, Role
+from spinestiff.words import counted
+
+COLUMNS = ("file", "frame", "force_n", "side", "level", "d21_mm", "d31_mm")
+OPTIONAL = ("role", "push")
+LARGEST_BYTES = 2**20
+_RANGES = {
+    "force_n": (0.0, GAUGE_LIMIT_N, "N"), "level": (*LEVELS, "ribs"), "d21_mm": (*DISTANCES_MM, "mm"),
+    "d31_mm": (*DISTANCES_MM, "mm"),
+}  # fmt: skip
+_WORDS = {"side": ("left", "right"), "role": get_args(Role)}
+SHARED = ("side", "level", "d21_mm", "d31_mm")
+"""What all frames of a push have in common."""
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """A row; None for an empty cell. ``line`` is its last line in the file, ``push`` the name of the push it is of."""
+
+    line: int
+    file: str
+    frame: int
+    force_n: float | None
+    side: str | None
+    level: float | None
+    d21_mm: float | None
+    d31_mm: float | None
+    role: str | None
+    push: str | None
+
+
+@dataclass(frozen=True)
+class TablePush:
+    """A push as the table tells it.
+
+    Attributes
+    ----------
+    files : its radiographs: one of several frames, or some of one frame each.
+    rows : by file and frame.
+    shared : of ``SHARED``, what the table tells.
+    name : of the push; None if the table gives none.
+    """
+
+    files: tuple[Exported, ...]
+    rows: dict[tuple[str, int], TableRow]
+    shared: dict[str, Any]
+    name: str | None
+
+
+def read_push_table(path: Path) -> tuple[TableRow, ...]:
+    """The rows of a table of pushes.
+
+    Raises
+    ------
+    SubjectError : other columns, no rows, a cell that is no value of its column (row, column, found, wanted).
+    """
+    rows = []
+    columns = (*COLUMNS, *OPTIONAL)
+    for line, texts in parse_csv(read_text(path, LARGEST_BYTES), str(path), COLUMNS, OPTIONAL):
+        cells = dict(zip(columns, texts))
+        where = f"{path}: row {line}"
+        if not cells["file"]:
+            raise SubjectError(f"{where}: file: found nothing, wanted the name of a radiograph or a folder of some")
+        force, level, d21, d31 = (_number(cells[key], key, where) for key in _RANGES)
+        side, role = (_word(cells[key], key, where) for key in _WORDS)
+        frame, push = _frame(cells["frame"], where), cells["push"] or None
+        rows.append(TableRow(line, cells["file"], frame, force, side, level, d21, d31, role, push))
+    if not rows:
+        raise SubjectError(f"{path}: no rows; wanted one for each frame of a push")
+    return tuple(rows)
+
+
+def _frame(text: str, where: str) -> int:
+    if not text:
+        return 0
+    if not (text.isascii() and text.isdigit() and len(text) <= 4):
+        raise SubjectError(f"{where}: frame: found {_shown(text)}, wanted a whole number, the first frame being 0")
+    return int(text)
+
+
+def _number(text: str, key: str, where: str) -> float | None:
+    if not text:
+        return None
+    low, high, unit = _RANGES[key]
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        raise SubjectError(f"{where}: {key}: found {_shown(text)}, wanted {low:g} to {high:g} {unit}, or nothing")
+    return value
+
+
+def _word(text: str, key: str, where: str) -> str | None:
+    if text and text.casefold() not in _WORDS[key]:
+        wanted = ", ".join(_WORDS[key])
+        raise SubjectError(f"{where}: {key}: found {_shown(text)}, wanted {wanted}, or nothing")
+    return text.casefold() or None
+
+
+def _shown(text: str) -> str:
+    return repr("".join(c if c.isprintable() else "?" for c in text[:40]))
+
+
+def pushes_of(path: Path, rows: Sequence[TableRow], found: Sequence[Exported]) -> tuple[TablePush, ...]:
+    """The pushes of a table, in its order.
+
+    Rows of one file of several frames, or of one folder, are one push. Rows of files of one frame each are one push
+    where their ``push`` is the same or, without one, all that they have in common is the same.
+
+    Raises
+    ------
+    SubjectError : a file or frame that is not there, a row twice, rows of one push that contradict each other.
+    """
+    groups: dict[tuple[Any, ...], list[tuple[TableRow, tuple[Exported, ...]]]] = {}
+    for row in rows:
+        where = f"{path}: row {row.line}"
+        files = by_name(row.file, found, where)
+        frames = files[0].frames if len(files) == 1 else len(files)
+        if row.frame >= frames:
+            raise SubjectError(f"{where}: frame {row.frame}, but {row.file} has {counted(frames, 'frame')}, from 0 on")
+        if len(files) > 1 and any(one.frames > 1 for one in files):
+            raise SubjectError(f"{where}: the folder {row.file} holds files of several frames; name them one by one")
+        if row.push is not None:
+            key: tuple[Any, ...] = ("push", row.push)
+        elif len(files) > 1 or files[0].frames > 1:
+            key = ("file", files[0].name)
+        else:
+            key = ("alike", *(getattr(row, shared) for shared in SHARED))
+        groups.setdefault(key, []).append((row, files))
+    pushes = tuple(_push(path, group) for group in groups.values())
+    owners: dict[str, int] = {}
+    for number, push in enumerate(pushes):
+        for one in push.files:
+            if owners.setdefault(one.name, number) != number:
+                line = next(iter(push.rows.values())).line
+                raise SubjectError(f"{path}: row {line}: {one.name} is part of another push already; wanted it in one")
+    return pushes
+
+
+def _push(path: Path, group: list[tuple[TableRow, tuple[Exported, ...]]]) -> TablePush:
+    files = {one.name: one for _, several in group for one in several}
+    rows: dict[tuple[str, int], TableRow] = {}
+    for row, several in group:
+        where = f"{path}: row {row.line}"
+        if len(files) > 1 and any(one.frames > 1 for one in files.values()):
+            raise SubjectError(
+                f"{where}: {row.file} is in a push of several files, one of which has several frames; wanted either "
+                "one file of several frames or files of one frame each"
+            )
+        # A folder's frames count in order of time, which ``sorting`` knows; until then they go by the folder's name.
+        key = (several[0].name if len(several) == 1 else "", row.frame)
+        if key in rows:
+            raise SubjectError(f"{where}: {row.file}, frame {row.frame} is in row {rows[key].line} already; keep one")
+        rows[key] = row
+    if len({name for name, _ in rows if not name}) and len({name for name, _ in rows}) > 1:
+        raise SubjectError(f"{path}: row {group[0][0].line}: names a folder beside single files in it; keep either")
+    shared: dict[str, Any] = {}
+    for name in SHARED:
+        told = {getattr(row, name): row.line for row, _ in group if getattr(row, name) is not None}
+        if len(told) > 1:
+            values = " and ".join(f"{value} (row {line})" for value, line in list(told.items())[:2])
+            raise SubjectError(f"{path}: {name}: found {values} for frames of one push, wanted one value")
+        shared |= dict.fromkeys([name], next(iter(told))) if told else {}
+    return TablePush(tuple(files.values()), rows, shared, group[0][0].push)

@@ -1,0 +1,220 @@
+"""Which radiographs of an export are the rest ones and which the pushes, and why: by view, frames, series and time."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from spinestiff.errors import RadiographError, SubjectError
+from spinestiff.imaging.dicom.export import Exported
+from spinestiff.imaging.radiograph import in_order, times_of
+from spinestiff.subject.intake.push_table import SHARED, TablePush, TableRow
+from spinestiff.words import counted
+
+LONGEST_PAUSE_S = 60.0
+"""Between radiographs of one frame each that are taken for one push."""
+
+
+@dataclass(frozen=True)
+class PushFiles:
+    """The radiographs of one push.
+
+    Attributes
+    ----------
+    files : one of several frames, or several of one frame each, in order of time.
+    shared : what is known of side, level, d21_mm and d31_mm.
+    forces_n, roles : a value a frame; None: not known.
+    name : given by the user; None if not.
+    why : they are taken for a push.
+    """
+
+    files: tuple[Exported, ...]
+    shared: dict[str, Any] = field(default_factory=dict)
+    forces_n: tuple[float | None, ...] = ()
+    roles: tuple[str, ...] | None = None
+    name: str | None = None
+    why: str = ""
+
+    @property
+    def frames(self) -> int:
+        return self.files[0].frames if len(self.files) == 1 else len(self.files)
+
+    @property
+    def times_s(self) -> tuple[float | None, ...]:
+        """Since the first frame."""
+        return times_of(tuple(one.scan for one in self.files))
+
+
+@dataclass(frozen=True)
+class Sorting:
+    """What every radiograph is taken for.
+
+    Attributes
+    ----------
+    frontal, lateral : the rest radiographs; None if there is none.
+    pushes : in order of time.
+    reasons : why, by name of the file.
+    """
+
+    frontal: Exported | None
+    lateral: Exported | None
+    pushes: tuple[PushFiles, ...]
+    reasons: dict[str, str]
+
+
+def sort_files(
+    found: Sequence[Exported],
+    table: Sequence[TablePush] | None = None,
+    frontal: Exported | None = None,
+    lateral: Exported | None = None,
+) -> Sorting:
+    """Rest radiographs and pushes.
+
+    Parameters
+    ----------
+    table : the pushes, as the user's table tells them; None: they are found.
+    frontal, lateral : what the user says of the rest radiographs.
+
+    Raises
+    ------
+    SubjectError : a radiograph that is said to be two things. RadiographError : files of a push that are no sequence.
+    """
+    reasons: dict[str, str] = {}
+    for one, view in ((frontal, "frontal"), (lateral, "lateral")):
+        if one is not None:
+            reasons[one.name] = f"named by --{view}"
+    if frontal is not None and frontal is lateral:
+        raise SubjectError(f"{frontal.name}: named as frontal and as lateral rest radiograph; wanted two")
+    rest = [one for one in found if one.name not in reasons]
+    if table is None:
+        pushes, taken = _found_pushes(rest)
+    else:
+        pushes, taken = [_ordered(push) for push in table], {one.name for push in table for one in push.files}
+        for push in table:
+            for one in push.files:
+                if one.name in reasons:
+                    raise SubjectError(f"{one.name}: named as a rest radiograph and in the table of pushes; keep one")
+    reasons |= {one.name: push.why for push in pushes for one in push.files}
+    left = [one for one in rest if one.name not in taken]
+    singles = [one for one in left if one.frames == 1]
+    chosen = {"frontal": frontal, "lateral": lateral}
+    for view in ("frontal", "lateral"):
+        mine = [one for one in singles if one.view == view]
+        if chosen[view] is None and mine:
+            chosen[view], why = _at_rest(mine, view)
+            for one in mine:
+                reasons[one.name] = why if one is chosen[view] else _another(one, view, chosen[view])
+        else:
+            reasons |= {one.name: f"single {view} radiograph, but --{view} names another" for one in mine}
+    for one in left:
+        if one.name not in reasons:
+            reasons[one.name] = _left_out(one, table is not None)
+    pushes.sort(key=lambda push: _moment(push.files[0]))
+    return Sorting(chosen["frontal"], chosen["lateral"], tuple(pushes), reasons)
+
+
+def _moment(one: Exported) -> tuple[float, str]:
+    return one.tags.moment or 0.0, one.name
+
+
+def _found_pushes(found: Sequence[Exported]) -> tuple[list[PushFiles], set[str]]:
+    """Files of several frames that are not lateral, and radiographs of one frontal series one shortly after another."""
+    pushes = [
+        PushFiles((one,), forces_n=(None,) * one.frames, why=f"{counted(one.frames, 'frame')}, {_seen(one)}")
+        for one in found
+        if one.frames > 1 and one.view != "lateral"
+    ]
+    runs: list[list[Exported]] = []
+    singles = [one for one in found if one.frames == 1 and one.view == "frontal" and one.tags.series]
+    for one in sorted(singles, key=lambda one: (one.tags.series, *_moment(one))):
+        if one.tags.use != "rest" and runs and _follows(one, runs[-1][-1]):
+            runs[-1].append(one)
+        else:
+            runs.append([one])
+    for run in runs:
+        if len(run) > 1:
+            try:
+                files = _in_time(run)
+            except RadiographError:
+                continue
+            why = f"frontal, one of {len(run)} of a series within {LONGEST_PAUSE_S:g} s of each other"
+            pushes.append(PushFiles(files, forces_n=(None,) * len(run), why=why))
+    return pushes, {one.name for push in pushes for one in push.files}
+
+
+def _follows(one: Exported, last: Exported) -> bool:
+    same = one.tags.series == last.tags.series and one.size == last.size and last.tags.use != "rest"
+    if not same or one.tags.moment is None or last.tags.moment is None:
+        return False
+    return one.tags.moment - last.tags.moment <= LONGEST_PAUSE_S
+
+
+def _in_time(files: Sequence[Exported]) -> tuple[Exported, ...]:
+    """In the order in which a folder of them will be read. Raises RadiographError if they are no sequence."""
+    with warnings.catch_warnings():
+        # What is odd about the order is said of the folder that is made.
+        warnings.simplefilter("ignore")
+        scans = in_order("the push", [one.scan for one in files])
+    by_scan = {id(one.scan): one for one in files}
+    return tuple(by_scan[id(scan)] for scan in scans)
+
+
+def _seen(one: Exported) -> str:
+    return f"{one.view} ({one.view_source})" if one.view else "its view is not told"
+
+
+def _at_rest(mine: Sequence[Exported], view: str) -> tuple[Exported | None, str]:
+    """Which of the single radiographs of a view is the one at rest, and why."""
+    if len(mine) == 1 and mine[0].tags.use != "push":
+        return mine[0], f"the only single {_seen(mine[0])} radiograph"
+    said = [one for one in mine if one.tags.use == "rest"]
+    if len(said) == 1:
+        return said[0], f"single {_seen(said[0])} radiograph whose series is called one at rest"
+    open_ = [one for one in said or mine if one.tags.use != "push"]
+    if len(open_) == 1:
+        return open_[0], f"the only single {_seen(open_[0])} radiograph that is not called a push"
+    moments = sorted(one.tags.moment for one in open_ if one.tags.moment is not None)
+    if open_ and len(moments) == len(open_) and moments[0] < moments[1]:
+        first = min(open_, key=_moment)
+        return first, f"the first of {len(mine)} single {view} radiographs ({first.view_source})"
+    return None, ""
+
+
+def _another(one: Exported, view: str, chosen: Exported | None) -> str:
+    if chosen is None and one.tags.use == "push":
+        return f"single {view} radiograph whose series is called a push; name it in --pushes"
+    if chosen is None:
+        return f"one of several single {view} radiographs of unknown order; say which is at rest with --{view}"
+    if view == "frontal":
+        return "single frontal radiograph after the one at rest; if it shows a push, name it in --pushes"
+    return "single lateral radiograph after the one at rest"
+
+
+def _left_out(one: Exported, has_table: bool) -> str:
+    if one.frames > 1 and one.view == "lateral":
+        return f"{counted(one.frames, 'frame')}, but {_seen(one)}; pushes are seen from the front"
+    if one.frames > 1 and has_table:
+        return f"{counted(one.frames, 'frame')}, {_seen(one)}, but not in the table of pushes"
+    return "nothing tells its view; name it with --frontal or --lateral, or in --pushes"
+
+
+def _ordered(push: TablePush) -> PushFiles:
+    """A push of the table with its frames in order of time."""
+    try:
+        files = _in_time(push.files) if len(push.files) > 1 else push.files
+    except RadiographError as problem:
+        raise SubjectError(f"row {next(iter(push.rows.values())).line} of the table of pushes: {problem}") from None
+    if len(files) == 1:
+        count = files[0].frames
+        rows = [push.rows.get((files[0].name, frame)) for frame in range(count)]
+    else:
+        rows = [push.rows.get(("", frame), push.rows.get((one.name, 0))) for frame, one in enumerate(files)]
+    forces = tuple(None if row is None else row.force_n for row in rows)
+    told: list[TableRow] = [row for row in rows if row is not None]
+    roles = tuple("unused" if row is None else row.role or "unused" for row in rows)
+    why = f"in the table of pushes, row{'s' if len(told) > 1 else ''} " + ", ".join(str(row.line) for row in told[:4])
+    why += ", ..." if len(told) > 4 else ""
+    shared = {name: push.shared[name] for name in SHARED if name in push.shared}
+    return PushFiles(files, shared, forces, roles if any(row.role for row in told) else None, push.name, why)

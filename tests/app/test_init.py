@@ -1,0 +1,408 @@
+"""``spinestiff init``: a subject folder from what a hospital exports, as the installed program makes it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import re
+import sys
+
+import numpy as np
+import pydicom
+import pytest
+
+from hospital import CANARY, disc, export, shifted, texture
+from spinestiff.app import questions
+from spinestiff.app.init import Asked, make_subject
+from spinestiff.errors import OptionError
+from spinestiff.subject.folder import read_unannotated
+from spinestiff.subject.inspection import inspect
+from spinestiff.subject.intake.making import Given
+
+TABLE = """file,frame,force_n,side,level,d21_mm,d31_mm,role
+SE000007/IM000001,0,0,left,5,401.5,65.6,unused
+SE000007/IM000001,1,30,,,,,training
+SE000007/IM000001,2,60.5,,,,,training
+SE000008/IM000001,0,0,left,9,401.5,164.4,unused
+SE000008/IM000001,1,60,,,,,validation
+"""
+PERSON = ("--age", 13, "--sex", "female", "--height", 157)
+
+
+@pytest.fixture
+def source(tmp_path):
+    return disc(tmp_path / "disc")
+
+
+@pytest.fixture
+def table(tmp_path):
+    path = tmp_path / "pushes.csv"
+    path.write_text(TABLE, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(autouse=True)
+def nobody_to_ask(monkeypatch):
+    """Whoever reads the input fails."""
+
+    class Closed(io.StringIO):
+        def read(self, *_):
+            raise AssertionError("the input was read")
+
+        readline = read
+
+    monkeypatch.setattr(sys, "stdin", Closed())
+
+
+def files_of(folder):
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+
+
+def rows_of(path):
+    return list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+
+
+def bytes_of(folder):
+    return {name: (folder / name).read_bytes() for name in files_of(folder)}
+
+
+def test_a_disc_and_a_table_make_a_subject_that_steps_take(spinestiff, tmp_path, source, table):
+    before = bytes_of(source)
+    out = tmp_path / "girl"
+    done = spinestiff("init", out, source, "--pushes", table, *PERSON)
+    assert done.status == 0, done.err
+    assert files_of(out) == [
+        "pushes/left-5.dcm", "pushes/left-9.dcm", "rest/frontal.dcm", "rest/lateral.dcm", "subject.json",
+    ]  # fmt: skip
+    inside = source / "DICOM/PA000001/ST000001"
+    for name, place in (("SE000003", "rest/frontal.dcm"), ("SE000007", "pushes/left-5.dcm")):
+        assert (inside / name / "IM000001").read_bytes() == (out / place).read_bytes()
+    subject = read_unannotated(out)
+    assert subject.gaps == () and subject.record.id == "girl"
+    assert [(push.id, push.forces_n, push.roles, push.d31_mm) for push in subject.pushes] == [
+        ("left-5", (0.0, 30.0, 60.5), ("unused", "training", "training"), 65.6),
+        ("left-9", (0.0, 60.0), ("unused", "validation"), 164.4),
+    ]
+    assert "open still" not in done.out
+    assert bytes_of(source) == before
+    assert {one.image: one.missing for one in inspect(out)} == {
+        name: (f"no corners of {name} in annotation.json",)
+        for name in ("rest/frontal", "rest/lateral", "push/left-5", "push/left-9")
+    }
+
+
+def test_every_file_is_in_the_table_with_its_reason_and_nobody_is_named(spinestiff, tmp_path, source, table):
+    done = spinestiff("init", tmp_path / "girl", source, "--pushes", table, *PERSON)
+    rows = [line for line in done.out.splitlines() if line.startswith("│")]
+    told = {tuple(cell.strip() for cell in row.split("│")[1:-1])[0:1][0]: row for row in rows}
+    for name, words in (
+        ("DICOM/PA000001/ST000001/SE000003/IM000001", "rest, frontal"),
+        ("DICOM/PA000001/ST000001/SE000004/IM000001", "rest, lateral"),
+        ("DICOM/PA000001/ST000001/SE000007/IM000001", "push left-5"),
+        ("DICOM/PA000001/ST000001/SE000008/IM000001", "in the table of pushes, rows 5, 6"),
+        ("DICOM/PA000001/ST000001/SE000011/IM000001", "Modality: found CT"),
+        ("autorun.inf", "no DICOM file"),
+        ("5 files in VIEWER", "left out"),
+    ):
+        assert words in told[name]
+    assert CANARY not in done.out + done.err
+
+
+def test_what_is_not_known_stays_open_and_each_step_names_it(spinestiff, tmp_path, source):
+    out = tmp_path / "girl"
+    done = spinestiff("init", out, source, "--age", 13, "--sex", "female", "--side", "right")
+    assert done.status == 0
+    data = json.loads((out / "subject.json").read_text())
+    assert data["height_cm"] is None and data["pushes"][0]["forces_n"] == [None] * 3
+    assert [push["id"] for push in data["pushes"]] == ["push-1", "push-2"]
+    lines = done.out.partition("open still")[2]
+    assert lines.count("is missing: ") == 9
+    for step in ("run", "track", "estimate", "frames"):
+        ended = spinestiff(step, out)
+        assert ended.status == 2
+        assert len(ended.lines) == 9
+        assert all(re.match(r"spinestiff: .*subject\.json: [\w.\[\] ]+ is missing: ", line) for line in ended.lines)
+    assert "pushes[1].level is missing: the rib that was pushed" in ended.err
+
+
+def test_age_and_sex_of_the_header_are_taken_and_said(spinestiff, tmp_path):
+    export(tmp_path / "in" / "a", PatientBirthDate="20120504", PatientSex="F")
+    done = spinestiff("init", tmp_path / "one", tmp_path / "in", "--height", 150)
+    assert "age: 13.1 years, from the DICOM header (PatientBirthDate and the day of the exposure)" in done.out
+    data = json.loads((tmp_path / "one/subject.json").read_text())
+    assert (data["age"], data["sex"], data["pushes"]) == (13.1, "female", [])
+    assert "no pushes were found" in done.out
+    done = spinestiff("init", tmp_path / "two", tmp_path / "in", "--age", 15, "--sex", "male", "--height", 150)
+    data = json.loads((tmp_path / "two/subject.json").read_text())
+    assert (data["age"], data["sex"]) == (15.0, "male")
+    assert "sex: male as given, though the DICOM header tells female" in done.out
+    assert "age: 15.0 as given, though the DICOM header tells 13.1" in done.out
+
+
+def test_headers_that_contradict_each_other_tell_nothing(spinestiff, tmp_path):
+    export(tmp_path / "in" / "a", PatientAge="013Y", PatientSex="F")
+    export(tmp_path / "in" / "b", "lateral", PatientAge="031Y", PatientSex="M")
+    done = spinestiff("init", tmp_path / "out", tmp_path / "in")
+    data = json.loads((tmp_path / "out/subject.json").read_text())
+    assert (data["age"], data["sex"]) == (None, None)
+    assert "age: not taken from the DICOM headers, which tell 13 to 31 years" in done.out
+
+
+def test_two_patients_are_refused_and_one_can_be_chosen(spinestiff, tmp_path, source):
+    export(source / "other" / "I1", patient="P2", study="1.2.9", time="090000")
+    out = tmp_path / "girl"
+    done = spinestiff("init", out, source)
+    assert done.status == 2 and not out.exists()
+    (line,) = [line for line in done.lines if line.startswith("spinestiff: ")]
+    assert "found 2 patients and 2 studies, wanted one: A1 (1 file: 1 frontal; other/I1), B1 (4 files" in line
+    assert "P2" not in done.out + done.err
+    done = spinestiff("init", out, source, "--study", "B1")
+    assert done.status == 0 and len(files_of(out)) == 5
+    assert "another study than asked for" in done.out
+
+
+def test_nothing_is_overwritten_and_nothing_is_left_behind(spinestiff, tmp_path, source, table):
+    out = tmp_path / "girl"
+    assert spinestiff("init", out, source, "--pushes", table).status == 0
+    before = bytes_of(out)
+    done = spinestiff("init", out, source, "--pushes", table)
+    assert done.status == 2 and "is there already (a subject folder, with subject.json); nothing is" in done.err
+    assert bytes_of(out) == before
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "a").touch()
+    assert "is there already (not empty)" in spinestiff("init", tmp_path / "full", source).err
+    assert "which is read; name a folder outside of it" in spinestiff("init", source / "inner", source).err
+    table.write_text(TABLE.replace("60.5", "600"))
+    done = spinestiff("init", tmp_path / "new", source, "--pushes", table)
+    assert done.status == 2 and "row 4: force_n: found '600'" in done.err
+    table.write_text(TABLE.replace(",65.6", ",500"))
+    done = spinestiff("init", tmp_path / "new", source, "--pushes", table)
+    assert done.status == 2 and "d31_mm 500 is not below d21_mm 401.5" in done.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["disc", "full", "girl", "pushes.csv"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--sex", "girl"), "--sex girl: wanted female or male"),
+        (("--side", "up"), "--side up: wanted left or right"),
+        (("--id", "a b"), "--id 'a b': wanted 1 to 64 letters"),
+        (("--orientation", "odd"), "--orientation odd: wanted standard"),
+        (("--frontal", "nowhere"), "--frontal: no radiograph 'nowhere' in the sources"),
+        (("--lateral", "SE000007/IM000001"), "of several frames or files, wanted one rest radiograph"),
+        (("--pushes", "nowhere.csv"), "nowhere.csv: no such file"),
+        (("--log", "a.csv"), "--log a.csv: found 2 pushes (push-1, push-2), wanted one; say which: --log PUSH=a.csv"),
+        (("--log", "other=a.csv"), "--log other=a.csv: no push 'other'; wanted one of push-1, push-2"),
+        (("--log-offset", "push-1=3"), "--log-offset: belongs to a --log of the same push"),
+    ],
+)
+def test_options_that_say_nothing_sensible_are_refused(spinestiff, tmp_path, source, options, words):
+    done = spinestiff("init", tmp_path / "girl", source, *options)
+    assert done.status == 2 and not (tmp_path / "girl").exists()
+    (line,) = [line for line in done.lines if line.startswith("spinestiff: ")]
+    assert words in line
+
+
+def test_geometry_that_the_files_lack_is_named_and_can_be_given(spinestiff, tmp_path):
+    lacking = ("ImagerPixelSpacing", "DistanceSourceToDetector", "DistanceSourceToPatient", "PatientOrientation")
+    export(tmp_path / "in" / "a", without=lacking)
+    done = spinestiff("init", tmp_path / "one", tmp_path / "in", *PERSON)
+    assert done.out.partition("open still")[2].count("rest/frontal: ") == 3
+    geometry = ("--source-detector", 1500, "--source-patient", 1340, "--imager-pixel", 0.4, "--orientation", "standard")
+    done = spinestiff("init", tmp_path / "two", tmp_path / "in", *PERSON, *geometry)
+    assert "open still" not in done.out
+    assert inspect(tmp_path / "two")[0].seen["pixel_mm_at_detector"] == [0.4, 0.4]
+
+
+def test_single_frames_become_a_folder_in_order_of_time_each_with_its_force(spinestiff, tmp_path):
+    for name, time, number in (("z", "102000", 1), ("a", "102010", 2), ("m", "102020", 3)):
+        export(tmp_path / "in" / name, time=time, InstanceNumber=number)
+    export(tmp_path / "in" / "rest", time="101000")
+    table = tmp_path / "pushes.csv"
+    rows = ["a,,20,right,8,400,210", "m,,41,right,8,400,210", "z,,0,right,8,400,210"]
+    table.write_text("\n".join([TABLE.splitlines()[0].removesuffix(",role"), *rows]) + "\n")
+    out = tmp_path / "girl"
+    assert spinestiff("init", out, tmp_path / "in", "--pushes", table, *PERSON).status == 0
+    assert files_of(out / "pushes") == ["right-8/000.dcm", "right-8/001.dcm", "right-8/002.dcm"]
+    assert (out / "pushes/right-8/000.dcm").read_bytes() == (tmp_path / "in/z").read_bytes()
+    (push,) = read_unannotated(out).pushes
+    assert push.forces_n == (0.0, 20.0, 41.0)
+    seen = {one.image: one.seen for one in inspect(out)}["push/right-8"]
+    assert (seen["frames"], seen["times_s"]) == (3, [0.0, 10.0, 20.0])
+
+
+# What is open is filled later
+
+
+def test_what_is_open_is_filled_and_nothing_else_changes(spinestiff, tmp_path, source, table):
+    out = tmp_path / "girl"
+    spinestiff("init", out, source, "--pushes", table)
+    before = bytes_of(out)
+    done = spinestiff("init", out, "--height", 157, "--age", 12, "--level", 3)
+    assert done.status == 0
+    assert "push left-5, level: stays 5.0, 3.0 was given for all pushes" in done.out
+    assert "sex is missing" in done.out
+    after = bytes_of(out)
+    assert {name for name in after if before.get(name) != after[name]} == {"subject.json"}
+    old, new = (json.loads(files["subject.json"]) for files in (before, after))
+    assert new == {**old, "height_cm": 157.0, "age": 12.0}
+    assert spinestiff("init", out, "--sex", "female").status == 0
+    assert read_unannotated(out).gaps == ()
+    done = spinestiff("init", out, "--sex", "male")
+    assert done.status == 2 and "nothing is missing" in done.err
+    assert "belongs to DICOM files" in spinestiff("init", out, "--pushes", table).err
+    assert "no such file; name the DICOM files" in spinestiff("init", tmp_path / "nowhere").err
+
+
+# Logs of gauges
+
+
+@pytest.fixture
+def logged(tmp_path):
+    """An export with a push of 30 frames at 4 a second, its first frame 3.1 s after the log's start."""
+    start = 3.1
+    rng = np.random.default_rng(0)
+    times = np.arange(0.0, 16.0, 0.02)
+    forces = np.interp(times, [0.0, 4.5, 7.5, 11.0, 12.5], [0.0, 0.0, 58.0, 58.0, 0.0])
+    picture = texture(5)
+    seen = [shifted(picture, 0.15 * np.interp(start + i / 4.0, times, forces)) for i in range(30)]
+    noisy = np.stack([one + 150.0 * rng.standard_normal(one.shape) for one in seen])
+    export(tmp_path / "in" / "x" / "I7", frames=30, pixels=noisy)
+    export(tmp_path / "in" / "x" / "I2")
+    path = tmp_path / "gauge.csv"
+    rows = [f"{1000 * t:.0f};{(f + 0.1 * rng.standard_normal()) / 9.80665:.4f}".replace(".", ",")
+            for t, f in zip(times, forces)]  # fmt: skip
+    path.write_text("\n".join(["Time (ms);Load (kgf)", *rows]), encoding="utf-8")
+    return tmp_path, np.interp(start + np.arange(30) / 4.0, times, forces)
+
+
+SITE = ("--side", "left", "--level", 5, "--d21", 400, "--d31", 66)
+
+
+def test_a_log_is_put_beside_the_frames_by_their_motion_and_shown(spinestiff, logged):
+    folder, true = logged
+    out = folder / "girl"
+    done = spinestiff("init", out, folder / "in", "--log", folder / "gauge.csv", *PERSON, *SITE)
+    assert done.status == 0, done.err
+    (offset, low, high) = map(
+        float, re.search(r"frame at ([\d.]+) s of the log, 95 % ([\d.]+) to ([\d.]+) s", done.out).groups()
+    )
+    assert low <= 3.1 <= high and abs(offset - 3.1) < 0.1
+    assert "time in column 'Time (ms)' (ms), force in column 'Load (kgf)' (kgf)" in done.out
+    (push,) = read_unannotated(out).pushes
+    np.testing.assert_allclose(push.forces_n, true, atol=2.5)
+    assert push.forces_n[0] == 0.0
+    assert (out / "results/force-log-left-5.png").read_bytes()[:4] == b"\x89PNG"
+    rows = rows_of(out / "results/force-log-left-5.csv")
+    assert [
+        float(row["force_low_n"]) <= f + 0.6 and f - 0.6 <= float(row["force_high_n"]) for row, f in zip(rows, true)
+    ] == [True] * 30
+    assert "SubjectGaps" not in done.err and "open still" not in done.out
+
+
+def test_a_log_without_an_offset_leaves_the_forces_open_until_it_is_given(spinestiff, logged):
+    folder, true = logged
+    out, flat = folder / "girl", folder / "flat.csv"
+    flat.write_text("time_s,force_n\n" + "\n".join(f"{i / 10},1.5" for i in range(200)))
+    done = spinestiff("init", out, folder / "in", "--log", f"x/I7={flat}", *PERSON, *SITE)
+    assert done.status == 0
+    assert "where it begins is not determined: the log's force changes by 0.0 N only; give the log's time" in done.out
+    assert [gap.field for gap in read_unannotated(out).gaps] == ["pushes[0].forces_n[0 to 29]"]
+    rows = rows_of(out / "results/force-log-left-5.csv")
+    assert {row["force_n"] for row in rows} == {""} and rows[29]["time_s"] == "7.250"
+    done = spinestiff("init", out, "--log", folder / "gauge.csv", "--log-offset", "left-5=3.1")
+    assert done.status == 0 and "first frame at 3.10 s of the log, as given" in done.out
+    np.testing.assert_allclose(read_unannotated(out).pushes[0].forces_n, true, atol=0.6)
+
+
+def test_forces_from_two_places_a_wrong_offset_and_no_times_are_refused(spinestiff, logged, tmp_path):
+    folder, _ = logged
+    table = folder / "pushes.csv"
+    table.write_text("file,frame,force_n,side,level,d21_mm,d31_mm\nI7,3,20,left,5,400,66\n")
+    done = spinestiff("init", folder / "a", folder / "in", "--pushes", table, "--log", folder / "gauge.csv")
+    assert done.status == 2 and "the forces of push left-5 are known already; leave out either" in done.err
+    log = ("--log", folder / "gauge.csv", *SITE)
+    done = spinestiff("init", folder / "a", folder / "in", *log, "--log-offset", 30)
+    assert done.status == 2 and "beyond its ends (0 and 15.98 s)" in done.err
+    done = spinestiff("init", folder / "a", folder / "in", *log, "--log-offset", "soon")
+    assert done.status == 2 and "--log-offset: found 'soon', wanted a number" in done.err
+    done = spinestiff("init", folder / "a", folder / "in", *log, "--log-units", "s,kgf")
+    assert done.status == 2 and "column 'Time (ms)' is in ms, but s was given" in done.err
+    done = spinestiff("init", folder / "a", folder / "in", *log, "--log-units", "s,stone")
+    assert done.status == 2 and "--log-units s,stone: found 'stone', wanted N, kgf, lbf" in done.err
+    path = folder / "in" / "x" / "I7"
+    dataset = pydicom.dcmread(path)
+    del dataset.FrameTime
+    dataset.save_as(path)
+    done = spinestiff("init", folder / "a", folder / "in", *log)
+    assert done.status == 2 and "tell no times of their frames" in done.err
+    assert not (folder / "a").exists()
+
+
+# Questions
+
+
+def test_on_a_terminal_what_is_open_is_asked_for(tmp_path, source, monkeypatch, capsys):
+    def answers(question):
+        key = re.match(r"(?:push \S+ \(\d+ frames\), )?(\w+),|.*(force)", question)
+        return given[key[1] or key[2]].pop(0)
+
+    given = {
+        "age": ["old", "13"],
+        "sex": ["f"],
+        "height_cm": ["1570", "157"],
+        "side": ["up", "left", "r"],
+        "level": ["5", "9"],
+        "d21_mm": ["400", ""],
+        "d31_mm": ["400", "66", ""],
+        "force": ["0 30", "0 30 x", "0 30,5 60", ""],
+    }
+    monkeypatch.setattr(questions, "_terminal", answers)
+    make_subject(tmp_path / "girl", [source], Asked(Given(), may_ask=True))
+    subject = read_unannotated(tmp_path / "girl")
+    record = subject.record
+    assert (record.age, record.sex, record.height_cm) == (13.0, "female", 157.0)
+    one, two = subject.pushes
+    assert (one.id, one.level, one.d21_mm, one.d31_mm, one.forces_n) == ("left-5", 5.0, 400.0, 66.0, (0.0, 30.5, 60.0))
+    assert (two.id, two.side) == ("right-9", "right")
+    assert [gap.field for gap in subject.gaps] == ["pushes[1].d21_mm", "pushes[1].d31_mm", "pushes[1].forces_n[0 to 1]"]
+    complaints = capsys.readouterr().err
+    for words in ("found 'old', wanted a number", "found 1570, wanted 120 to 200", "wanted d31_mm below d21_mm",
+                  "found 2 numbers, wanted 3", "found 'x', wanted a number", "wanted left or right"):  # fmt: skip
+        assert words in complaints
+
+
+def test_the_end_of_the_input_leaves_everything_open(tmp_path, source, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    make_subject(tmp_path / "girl", [source], Asked(Given(), may_ask=True))
+    assert len(read_unannotated(tmp_path / "girl").gaps) == 13
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no terminals of this kind")
+def test_without_a_terminal_or_with_no_questions_nobody_is_asked(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    assert not questions.on_terminal()
+    monkeypatch.setattr(sys, "stdin", Terminal())
+    assert questions.on_terminal()
+
+
+def test_columns_and_units_of_a_log_are_confirmed_on_a_terminal(logged, monkeypatch):
+    folder, _ = logged
+    said = []
+    monkeypatch.setattr(questions, "_terminal", lambda question: said.append(question) or "no")
+    given = Given(
+        {"age": 13.0, "sex": "female", "height_cm": 157.0},
+        {"side": "left", "level": 5.0, "d21_mm": 400.0, "d31_mm": 66.0},
+    )
+    with pytest.raises(OptionError, match="columns or units are others; give --log-columns and --log-units"):
+        make_subject(folder / "a", [folder / "in"], Asked(given, logs=(str(folder / "gauge.csv"),), may_ask=True))
+    assert said == [
+        "gauge.csv: time in column 'Time (ms)' (ms), force in column 'Load (kgf)' (kgf); is that right; yes or no"
+    ]

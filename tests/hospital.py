@@ -1,0 +1,87 @@
+"""Radiographs as a hospital exports them: nested folders, names without meaning, headers of a patient and a study."""
+
+from __future__ import annotations
+
+import warnings
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pydicom
+
+from spinestiff.imaging.projection import frontal_view, lateral_view
+from spinestiff.imaging.radiograph import write_radiographs
+
+SHAPE = (192, 160)
+CANARY = "DOE^JANE"
+DAY = "20250612"
+
+
+def texture(seed: int = 0, shape: tuple[int, int] = SHAPE) -> np.ndarray:
+    """(H, W) float32, smooth on the scale of some pixels."""
+    noise = np.random.default_rng(seed).standard_normal(shape).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 3.0)
+    return 20_000.0 + 8_000.0 * smooth / float(np.abs(smooth).max())
+
+
+def shifted(pixels: np.ndarray, columns: float) -> np.ndarray:
+    """The picture with everything moved along the columns."""
+    move = np.array([[1.0, 0.0, columns], [0.0, 1.0, 0.0]], np.float32)
+    return cv2.warpAffine(pixels, move, pixels.shape[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+
+
+def export(
+    path: Path,
+    kind: str = "frontal",
+    frames: int = 1,
+    *,
+    patient: str = "P1",
+    study: str = "1.2.1",
+    series: str | None = None,
+    time: str | None = "101500",
+    pixels: np.ndarray | None = None,
+    without: tuple[str, ...] = (),
+    **tags: object,
+) -> Path:
+    """Write a radiograph; each path has a picture, an instance and, if none is given, a series of its own."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    view = (frontal_view if kind == "frontal" else lateral_view)(shape=SHAPE if pixels is None else pixels.shape[1:])
+    own = zlib.crc32(str(path).encode())
+    if pixels is None:
+        pixels = np.stack([shifted(texture(own), 2.0 * i) for i in range(frames)])
+    write_radiographs(path, np.clip(pixels, 0, 65535).astype(np.uint16), view, frame_time_ms=250.0)
+    dataset = pydicom.dcmread(path)
+    dataset.PatientID, dataset.PatientName, dataset.StudyInstanceUID = patient, CANARY, study
+    dataset.SeriesInstanceUID, dataset.SOPInstanceUID = series or f"1.2.3.{own}", f"1.2.4.{own}"
+    dataset.PatientIdentityRemoved = ""
+    if time is not None:
+        dataset.AcquisitionDate, dataset.AcquisitionTime = DAY, time
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for keyword, value in tags.items():
+            setattr(dataset, keyword, value)
+    for keyword in without:
+        delattr(dataset, keyword)
+    dataset.save_as(path)
+    return path
+
+
+def disc(folder: Path) -> Path:
+    """A whole export of one study: two rest radiographs, a push of three frames and one of two, and what else lies on
+    a disc.
+    """
+    inside = folder / "DICOM" / "PA000001" / "ST000001"
+    export(inside / "SE000003" / "IM000001", time="101500")
+    export(inside / "SE000004" / "IM000001", "lateral", time="101630")
+    export(inside / "SE000007" / "IM000001", frames=3, time="102200")
+    export(inside / "SE000008" / "IM000001", frames=2, time="102800")
+    (folder / "autorun.inf").write_text("[autorun]", encoding="utf-8")
+    (folder / "VIEWER").mkdir()
+    for number in range(5):
+        (folder / "VIEWER" / f"lib{number}.dll").write_bytes(b"MZ" * 100)
+    ct = export(inside / "SE000011" / "IM000001")
+    dataset = pydicom.dcmread(ct)
+    dataset.Modality = "CT"
+    dataset.save_as(ct)
+    return folder

@@ -1,0 +1,118 @@
+"""Files of nested folders, whose they are, and how the user names them."""
+
+from __future__ import annotations
+
+import os
+import re
+
+import pytest
+
+from hospital import CANARY, disc, export
+from spinestiff.errors import OptionError, RadiographError, SubjectError
+from spinestiff.subject.intake.collecting import MOST_DEPTH, by_name, chosen_studies, collect, studies
+
+
+def test_a_disc_is_read_to_its_depth_and_each_other_file_has_its_reason(tmp_path):
+    found, refused = collect([disc(tmp_path / "disc")])
+    assert [one.name.removeprefix("DICOM/PA000001/ST000001/") for one in found] == [
+        f"SE00000{n}/IM000001" for n in (3, 4, 7, 8)
+    ]
+    assert [one.frames for one in found] == [1, 1, 3, 2]
+    why = {one.name: one.why for one in refused}
+    assert len(why) == 7
+    assert why["DICOM/PA000001/ST000001/SE000011/IM000001"].startswith("Modality: found CT")
+    assert why["autorun.inf"].startswith("no DICOM file")
+
+
+def test_names_of_several_sources_begin_with_theirs(tmp_path):
+    export(tmp_path / "one" / "a")
+    export(tmp_path / "two" / "a")
+    alone = export(tmp_path / "x.dcm")
+    found, _ = collect([tmp_path / "one", tmp_path / "two", alone])
+    assert [one.name for one in found] == ["one/a", "two/a", "x.dcm"]
+
+
+def test_the_same_image_counts_once(tmp_path):
+    first = export(tmp_path / "in" / "a")
+    (tmp_path / "in" / "b").write_bytes(first.read_bytes())
+    found, refused = collect([tmp_path / "in"])
+    assert [one.name for one in found] == ["a"]
+    assert [(one.name, one.why) for one in refused] == [("b", "the same image as a")]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no links")
+def test_links_out_of_the_folder_and_to_folders_are_not_followed(tmp_path):
+    outside = export(tmp_path / "elsewhere" / "a")
+    export(tmp_path / "in" / "b")
+    (tmp_path / "in" / "link").symlink_to(outside)
+    (tmp_path / "in" / "loop").symlink_to(tmp_path / "in")
+    found, refused = collect([tmp_path / "in"])
+    assert [one.name for one in found] == ["b"]
+    why = {one.name: one.why for one in refused}
+    assert "leads out of the folder in" in why["link"] and why["loop"].startswith("a link to a folder")
+
+
+def test_nothing_to_read_and_folders_without_end_are_refused(tmp_path):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a.txt").write_text("no")
+    with pytest.raises(RadiographError, match=r"^found no radiograph in 1 file of .*; a\.txt: no DICOM file"):
+        collect([tmp_path / "in"])
+    export(tmp_path.joinpath("deep", *"f" * (MOST_DEPTH + 1), "a"))
+    with pytest.raises(RadiographError, match=rf"folders more than {MOST_DEPTH} deep; name one of those inside$"):
+        collect([tmp_path / "deep"])
+    with pytest.raises(RadiographError, match="no such file"):
+        collect([tmp_path / "nowhere"])
+
+
+@pytest.fixture
+def mixed(exported):
+    return [
+        exported("x/1", time="101500"),
+        exported("x/2", "lateral", time="101600"),
+        exported("x/3", frames=2, time="102000"),
+        exported("y/1", study="1.2.2", time="111500"),
+        exported("z/1", patient="P2", study="1.2.9", time="091500"),
+    ]
+
+
+def test_patients_and_studies_are_counted_in_order_of_time(mixed):
+    assert [(group.label, [one.name for one in group.files]) for group in studies(mixed)] == [
+        ("A1", ["z/1"]),
+        ("B1", ["x/1", "x/2", "x/3"]),
+        ("B2", ["y/1"]),
+    ]
+
+
+def test_several_are_refused_in_one_line_without_the_patients(mixed):
+    with pytest.raises(SubjectError) as caught:
+        chosen_studies(mixed, None)
+    line = str(caught.value)
+    assert line == (
+        "found 2 patients and 3 studies, wanted one: A1 (1 file: 1 frontal; z/1), B1 (3 files: 1 frontal, 1 lateral, 1 "
+        "of several frames; x/1), B2 (1 file: 1 frontal; y/1); choose with --study A1, or several of one patient, as "
+        "--study B1,B2"
+    )
+    assert not any(plain in line for plain in (CANARY, "P1", "P2", "1.2.9"))
+
+
+def test_one_study_or_several_of_one_patient_can_be_chosen(mixed):
+    files, others = chosen_studies(mixed, "b1, B2")
+    assert [one.name for one in files] == ["x/1", "x/2", "x/3", "y/1"]
+    assert [group.label for group in others] == ["A1"]
+    assert [one.name for one in chosen_studies(mixed[:3], None)[0]] == ["x/1", "x/2", "x/3"]
+    with pytest.raises(OptionError, match=r"^--study C1: no such study; there are A1 "):
+        chosen_studies(mixed, "C1")
+    with pytest.raises(OptionError, match=r"^--study A1,B1: studies of several patients"):
+        chosen_studies(mixed, "A1,B1")
+
+
+def test_a_file_is_named_by_the_end_of_its_path(exported):
+    found = [exported("a/s1/I1"), exported("a/s2/I1"), exported("b/I10"), exported("I1")]
+    names = {
+        text: [one.name for one in by_name(text, found, "row 2")] for text in ("s2/I1", "I10", "I1", "b", "s1\\I1")
+    }
+    assert names == {"s2/I1": ["a/s2/I1"], "I10": ["b/I10"], "I1": ["I1"], "b": ["b/I10"], "s1\\I1": ["a/s1/I1"]}
+    with pytest.raises(SubjectError, match=re.escape("row 2: 'I1' is the name of 2 radiographs (a/s1/I1, a/s2/I1)")):
+        by_name("I1", found[:3], "row 2")
+    with pytest.raises(SubjectError, match=r"^row 2: no radiograph 'I9' in the sources; there are a/s1/I1, "):
+        by_name("I9", found, "row 2")

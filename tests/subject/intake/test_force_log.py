@@ -1,0 +1,105 @@
+"""Logs of gauges: columns and units found, told or refused, never guessed."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from spinestiff.errors import SubjectError
+from spinestiff.subject.intake.force_log import find_columns, read_force_log, with_units
+
+
+@pytest.fixture
+def log(tmp_path):
+    def write(text):
+        path = tmp_path / "gauge.csv"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def read(path, names=None, units=(None, None)):
+    return read_force_log(path, with_units(find_columns(path, names), path, *units))
+
+
+@pytest.mark.parametrize(
+    ("text", "times", "forces"),
+    [
+        ("time_s,force_n\n0,0\n0.5,10\n", [0.0, 0.5], [0.0, 10.0]),
+        ("Time (ms);Force (kgf)\n0;0\n500;1,5\n", [0.0, 0.5], [0.0, 14.709975]),
+        ("t [s]\tF [lbf]\n0\t0\n1\t2\n", [0.0, 1.0], [0.0, 8.8964432]),
+        ("Gauge M5\nSerial;1\n\nZeit;Kraft\ns;N\n1;2\n2;-0,5\n", [1.0, 2.0], [2.0, 0.0]),
+        ("n,load N,peak,time s\n1,3,9,0\n2,4,9,1\n", [0.0, 1.0], [3.0, 4.0]),
+        ("s,N\n0,0\n1,2\n,\n\n", [0.0, 1.0], [0.0, 2.0]),
+    ],
+)
+def test_columns_and_units_are_found(log, text, times, forces):
+    found = read(log(text), ("time s", "load N") if text.startswith("n,") else None)
+    np.testing.assert_allclose(found.times_s, times)
+    np.testing.assert_allclose(found.forces_n, forces)
+    assert found.notes == ()
+
+
+@pytest.mark.parametrize("force", ["Load", "Force (kg)", "Force lb", "Force (kN)", "Kraft [mV]"])
+def test_a_unit_that_is_not_told_is_asked_for(log, force):
+    path = log(f"time_s,{force}\n0,0\n1,2\n")
+    with pytest.raises(SubjectError, match=re.escape(f"column '{force}' tells no unit; give --log-units s,N")):
+        read(path)
+    np.testing.assert_allclose(read(path, units=("s", "kgf")).forces_n, [0.0, 19.6133])
+
+
+def test_a_unit_that_the_header_contradicts_is_refused(log):
+    path = log("time_s,force_n\n0,0\n1,2\n")
+    assert read(path, units=("s", "N")).forces_n[1] == 2.0
+    with pytest.raises(SubjectError, match=r"column 'force_n' is in N, but kgf was given; correct either$"):
+        read(path, units=("s", "kgf"))
+    with pytest.raises(SubjectError, match=r"column 'time_s' is in s, but ms was given"):
+        read(path, units=("ms", "N"))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a,b\n0,0\n", "found the header 'a,b', wanted columns of time and force"),
+        ("0,0\n1,1\n", "found no header, wanted columns of time and force"),
+        (
+            "time s,force N,force 2 N\n0,0,0\n",
+            "line 1: several columns of force: 'force N', 'force 2 N'; give --log-columns",
+        ),
+        ("time s,force N kgf\n0,0\n1,1\n", "line 1: column 'force N kgf' names several units; rename it"),
+        ("time s,force N\n0,0\n1,x\n", "line 3: found '1,x', wanted numbers of time and force"),
+        ("time s,force N\n0,0\n1,inf\n", "line 3: found '1,inf', wanted numbers"),
+        ("time s,force N\n0,0\n1\n", "line 3: found '1', wanted numbers"),
+        ("time s,force N\n0,0\n2,1\n2,3\n", "line 4: the time does not grow"),
+        ("time s,force N\n0,0\n", "found 1 rows of numbers, wanted 2 or more"),
+        ("time s,force N\n0,-30\n1,30\n", "forces from -30.0 to 30.0 N, wanted one sign"),
+        ("time s,force N\n0,0\n1,501\n", "forces up to 501 N, wanted at most 500 N; check the unit"),
+        ("", "found no header"),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_line(log, text, words):
+    with pytest.raises(SubjectError, match=re.escape(words)):
+        read(log(text))
+
+
+def test_columns_that_are_named_have_to_be_there(log):
+    path = log("a,b,c\n0,5,1\n1,6,2\n")
+    found = read(path, ("a", "c"), ("s", "N"))
+    np.testing.assert_allclose(found.forces_n, [1.0, 2.0])
+    with pytest.raises(SubjectError, match=r"wanted columns 'a' and 'd'"):
+        read(path, ("a", "d"))
+
+
+def test_a_gauge_that_counts_pushes_below_zero_is_read_and_said(log):
+    found = read(log("time s,force N\n0,0.3\n1,-20\n2,-40\n"))
+    np.testing.assert_allclose(found.forces_n, [0.0, 20.0, 40.0])
+    assert found.notes == ("forces below 0: the gauge counts a push so; taken as magnitudes",)
+
+
+def test_between_entries_the_force_is_on_a_line_and_what_is_in_the_air_is_none(log):
+    found = read(log("time s,force N\n0,0.3\n1,0.4\n2,20.4\n"))
+    np.testing.assert_allclose(found.at(np.array([-1.0, 0.0, 1.0, 1.5, 9.0])), [0.0, 0.0, 0.0, 10.4, 20.4])
+    assert found.step_s == 1.0

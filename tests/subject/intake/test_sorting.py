@@ -1,0 +1,124 @@
+"""What each radiograph is taken for, and the reason."""
+
+from __future__ import annotations
+
+import pytest
+
+from spinestiff.errors import SubjectError
+from spinestiff.subject.intake.push_table import COLUMNS, pushes_of, read_push_table
+from spinestiff.subject.intake.sorting import sort_files
+
+BLIND = ("PatientOrientation", "ViewPosition")
+
+
+def names(sorting):
+    rest = [None if one is None else one.name for one in (sorting.frontal, sorting.lateral)]
+    return (*rest, [[one.name for one in push.files] for push in sorting.pushes])
+
+
+def test_views_and_frames_tell_rest_from_pushes(exported):
+    found = [
+        exported("I9", frames=2, time="104000"),
+        exported("I3", "lateral", time="101500"),
+        exported("I4", time="101600"),
+        exported("I5", frames=3, time="102000"),
+    ]
+    sorting = sort_files(found)
+    assert names(sorting) == ("I4", "I3", [["I5"], ["I9"]])
+    assert sorting.pushes[0].forces_n == (None, None, None)
+    assert sorting.reasons == {
+        "I3": "the only single lateral (PatientOrientation A\\F) radiograph",
+        "I4": "the only single frontal (PatientOrientation L\\F) radiograph",
+        "I5": "3 frames, frontal (PatientOrientation L\\F)",
+        "I9": "2 frames, frontal (PatientOrientation L\\F)",
+    }
+
+
+def test_of_several_the_first_in_time_is_at_rest_and_says_so(exported):
+    found = [exported("b", time="102000"), exported("a", time="103000"), exported("c", time="101000")]
+    sorting = sort_files(found)
+    assert names(sorting) == ("c", None, [])
+    assert sorting.reasons["c"] == "the first of 3 single frontal radiographs (PatientOrientation L\\F)"
+    assert "name it in --pushes" in sorting.reasons["a"]
+
+
+def test_words_of_the_series_go_before_time(exported):
+    found = [exported("a", time="101000"), exported("b", time="102000", SeriesDescription="AP standing")]
+    sorting = sort_files(found)
+    assert names(sorting)[0] == "b"
+    assert sorting.reasons["b"] == (
+        "single frontal (PatientOrientation L\\F) radiograph whose series is called one at rest"
+    )
+    found = [exported("a", time="101000", SeriesDescription="PUSH 60 N"), exported("b", time="102000")]
+    assert names(sort_files(found))[0] == "b"
+    sorting = sort_files(found[:1])
+    assert names(sorting) == (None, None, [])
+    assert sorting.reasons["a"] == "single frontal radiograph whose series is called a push; name it in --pushes"
+
+
+def test_without_times_nothing_is_guessed_and_the_user_can_say(exported):
+    found = [exported("a", time=None), exported("b", time=None)]
+    sorting = sort_files(found)
+    assert names(sorting)[0] is None
+    assert sorting.reasons["a"] == (
+        "one of several single frontal radiographs of unknown order; say which is at rest with --frontal"
+    )
+    named = sort_files(found, frontal=found[1])
+    assert names(named)[0] == "b" and named.reasons["b"] == "named by --frontal"
+    assert named.reasons["a"] == "single frontal radiograph, but --frontal names another"
+
+
+def test_a_view_that_nothing_tells_is_left_open(exported):
+    found = [exported("a", without=BLIND), exported("b", frames=2, without=BLIND), exported("c", "lateral", frames=2)]
+    sorting = sort_files(found)
+    assert names(sorting) == (None, None, [["b"]])
+    assert sorting.reasons["a"] == "nothing tells its view; name it with --frontal or --lateral, or in --pushes"
+    assert sorting.reasons["b"] == "2 frames, its view is not told"
+    assert sorting.reasons["c"].startswith("2 frames, but lateral")
+    assert names(sort_files(found, lateral=found[0]))[1] == "a"
+
+
+def test_single_frames_of_one_series_are_one_push_in_order_of_time(exported):
+    found = [exported(name, time=time, series="1.2.7", InstanceNumber=number) for name, time, number in
+             (("x", "102010", 2), ("y", "102000", 1), ("z", "102055", 3), ("later", "103000", 4))]  # fmt: skip
+    found.append(exported("rest", time="101000"))
+    sorting = sort_files(found)
+    assert names(sorting) == ("rest", None, [["y", "x", "z"]])
+    assert sorting.pushes[0].times_s == (0.0, 10.0, 55.0)
+    assert sorting.reasons["x"] == "frontal, one of 3 of a series within 60 s of each other"
+
+
+def test_one_at_rest_is_no_frame_of_a_push_though_it_is_of_its_series(exported):
+    found = [exported(name, time=time, series="1.2.7", InstanceNumber=number, SeriesDescription=words) for
+             name, time, number, words in (("x", "102000", 1, "AP"), ("y", "102010", 2, "AP standing"),
+                                           ("z", "102020", 3, "AP"), ("w", "102030", 4, "AP"))]  # fmt: skip
+    assert names(sort_files(found)) == ("y", None, [["z", "w"]])
+
+
+def test_the_table_says_what_is_a_push_and_what_is_not(exported, tmp_path):
+    path = tmp_path / "pushes.csv"
+    path.write_text(
+        ",".join(COLUMNS) + ",role\nI5,2,40,left,5,400,66,training\nI5,0,0,,,,,\nS,1,30,left,7,400,99,\nS,0,0,,,,,\n"
+    )
+    found = [exported("I5", frames=3, time="102000"), exported("I6", frames=2), exported("I4", time="101000"),
+             exported("S/b", time="103000"), exported("S/a", time="103010")]  # fmt: skip
+    table = pushes_of(path, read_push_table(path), found)
+    sorting = sort_files(found, table)
+    assert names(sorting) == ("I4", None, [["I5"], ["S/b", "S/a"]])
+    first, second = sorting.pushes
+    assert (first.forces_n, first.roles) == ((0.0, None, 40.0), ("unused", "unused", "training"))
+    assert (second.forces_n, second.roles, second.shared["level"]) == ((0.0, 30.0), None, 7.0)
+    assert sorting.reasons["I6"].endswith("but not in the table of pushes")
+    assert sorting.reasons["I5"] == "in the table of pushes, rows 3, 2"
+    with pytest.raises(SubjectError, match=r"^I5: named as a rest radiograph and in the table of pushes; keep one$"):
+        sort_files(found, table, frontal=found[0])
+    with pytest.raises(SubjectError, match=r"wanted two$"):
+        sort_files(found, table, frontal=found[2], lateral=found[2])
+
+
+def test_files_of_a_push_that_are_no_sequence_are_refused(exported, tmp_path):
+    path = tmp_path / "pushes.csv"
+    path.write_text(",".join(COLUMNS) + "\na,0,0,left,5,400,66\nb,0,9,left,5,400,66\n")
+    found = [exported("a", time=None, without=("InstanceNumber",)), exported("b", time=None)]
+    with pytest.raises(SubjectError, match=r"^row 2 of the table of pushes: the push: neither all acquisition times"):
+        sort_files(found, pushes_of(path, read_push_table(path), found))
