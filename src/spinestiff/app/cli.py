@@ -460,12 +460,13 @@ def cobb(
         typer.Option(help="left or right: where in the image the patient's left is, if the file can't tell."),
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the spines, end vertebrae and angles (PNG).")] = None,
+    table: Annotated[Path | None, typer.Option("--csv", help="Write all curves as a CSV, too, one row a curve.")] = None,
     force: Replace = False,
 ) -> None:
     """Cobb angles of a subject's rest image and tracked frames, or of a file of vertebra corners."""
     from spinestiff.app.cobb import cobb as run_cobb
 
-    status = run_cobb(path, definition, json, noise_px, patient_left, picture, force)
+    status = run_cobb(path, definition, json, noise_px, patient_left, picture, force, table)
     if status:
         raise typer.Exit(status)
 
