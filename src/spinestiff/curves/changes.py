@@ -78,7 +78,7 @@ def change_words(degrees: float, sd: float | None, levels: str) -> str:
     """A change of a Cobb angle, e.g. "−10.4° ± 1.2° (T6–T11)"; ± is half the 95 % interval, none of a model's."""
     size = f"{round(degrees, 1) + 0.0:+.1f}".replace("-", "−").replace("+0.0", "0.0")
     around = "" if sd is None else f" ± {NORMAL_95 * sd:.1f}°"
-    return f"{size}°{around} ({levels})"
+    return f"{size}°{around}" + (f" ({levels})" if levels else "")
 
 
 def forms_in_words(change: CobbChange) -> dict[str, str]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from spinestiff.anatomy.regions import AT
 from spinestiff.arrays import Floats
-from spinestiff.curves.pushes import rest_reading
+from spinestiff.curves.changes import change_words
 from spinestiff.estimation.unknowns import ACTS, PLACING, unknowns_of
 from spinestiff.study.predictions import Model, Predictions, predicted_acts
 from spinestiff.study.report.certainty_pictures import SupportPlace
@@ -125,26 +125,8 @@ def ratio_title(name: str) -> str:
 
 
 def subject_content(visit: Visit) -> dict[str, Any]:
-    """Who was radiographed, and the curve at rest."""
-    record = visit.subject.record
-    curve = rest_reading(visit.subject).largest
-    shown = MISSING
-    if curve is not None:
-        angle = curve.angle
-        size = f"{fixed(abs(angle.degrees))}° ± {fixed(curve.half_width_deg)}°"
-        shown = f"{size} between {angle.upper} and {angle.lower}, {angle.convexity}-convex"
-    largest = max(max(push.forces_n) for push in visit.subject.pushes)
-    return {
-        "id": record.id,
-        "synthetic": visit.truth is not None,
-        "facts": {
-            "Age": f"{record.age:g} years",
-            "Sex": record.sex,
-            "Height": f"{record.height_cm:g} cm",
-            "Cobb angle at rest": shown,
-            "Largest push": f"{largest:.0f} N",
-        },
-    }
+    """Whose report it is."""
+    return {"id": visit.subject.record.id, "synthetic": visit.truth is not None}
 
 
 def response_content(responses: Responses) -> dict[str, Any]:
@@ -191,7 +173,7 @@ def result_content(visit: Visit, estimate: Estimate, assessment: Assessment) -> 
         "ratios": ratios,
         "plain": _plain_rows(estimate, [key for key in PLAIN_TITLES if _of_several(estimate.plain[key])]),
         "held": held_lines(estimate),
-        "bending": _bending_line(estimate),
+        "bending": bending_line(estimate),
         "notes": list(dict.fromkeys((*estimate.notes, *assessment.notes))),
     }
 
@@ -235,7 +217,7 @@ def _strip(name: str, ratio: RatioEstimate, bounds: Sequence[float], truth: floa
     }
 
 
-def _bending_line(estimate: Estimate) -> dict[str, Any] | None:
+def bending_line(estimate: Estimate) -> dict[str, Any] | None:
     """The bending stiffness of a level beside cadaver segments."""
     found = estimate.plain["lateral_bending_thoracic"]
     if not _of_several(found) and (found.ratio or "").partition(AT)[0] not in BENDING:
@@ -243,19 +225,19 @@ def _bending_line(estimate: Estimate) -> dict[str, Any] | None:
     low, high = (float(np.degrees(edge)) for edge in BENDING_BAND)
     value = found.value
     overlap = (found.low is None or found.low <= high) and (found.high is None or found.high >= low)
-    if value < low:
-        verdict = f"about {number(0.5 * (low + high) / value, 2)} times softer than"
-    elif value > high:
-        verdict = f"about {number(value / (0.5 * (low + high)), 2)} times stiffer than"
-    else:
-        verdict = "within the range of"
+    factor, verdict = None, "within the range of"
+    if not low <= value <= high:
+        middle = 0.5 * (low + high)
+        factor = max(value / middle, middle / value)
+        verdict = f"about {number(factor, 2)} times {'softer' if value < low else 'stiffer'} than"
     return {
         "value": estimated(found),
         "per_degree": number(value * np.pi / 180.0, 2),
         "band": f"{BENDING_BAND[0]:g} to {BENDING_BAND[1]:g}",
         "band_rad": f"{low:.0f} to {high:.0f}",
         "verdict": verdict,
-        "overlap": overlap and not low <= value <= high,
+        "factor": factor,
+        "overlap": overlap and factor is not None,
     }
 
 
@@ -266,7 +248,6 @@ def certainty_content(estimate: Estimate, comparison: Comparison | None) -> dict
         "correlation": fixed(estimate.correlation, 2),
         "steps": sum(step.accepted for step in estimate.history),
         "evaluations": len(estimate.history),
-        "fit": estimate.fit_status_text,
         "truth": "" if contains is None else "holds" if contains else "does not hold",
     }
 
@@ -342,12 +323,20 @@ def stale_plan(visit: Visit) -> str:
 def _gain(estimate: Estimate, name: str) -> dict[str, str]:
     """What would be gained most for a ratio, and by measuring what."""
     found = {"title": ratio_title(name), "now": factor95(estimate.sd_log[name]), "model": "", "what": "", "then": ""}
-    first, row = most_costly(estimate, name), most_costly(estimate, name, measurable=True)
+    first = most_costly(estimate, name)
     if first is not None and first.name in UNMEASURABLE:
         found["model"] = factor95(first.without[name])
-    if row is not None:
-        found |= {"what": _unknown(row.name), "then": factor95(row.without[name])}
-    return found
+    return found | measuring_gain(estimate, name)
+
+
+def measuring_gain(estimate: Estimate, name: str) -> dict[str, str]:
+    """Of what can be measured, what a ratio would gain most from, and the factors now and then; empty for nothing."""
+    row = most_costly(estimate, name, measurable=True)
+    if row is None:
+        return {}
+    return {
+        "what": _unknown(row.name), "now": factor95(estimate.sd_log[name]), "then": factor95(row.without[name])
+    }  # fmt: skip
 
 
 def support_places(predictions: Predictions, estimate: Estimate) -> dict[str, dict[str, SupportPlace]]:
@@ -477,13 +466,22 @@ def _cobb_rows(frame: HeldOutFrame) -> dict[str, Any]:
         if change is None:
             rows.append({"title": title, "cells": [MISSING] * 3})
             continue
-        cells = [
-            f"{fixed(change.signed, 1, True)}°",
-            f"{fixed(change.fixed_levels, 1, True)}° ({'–'.join(change.levels)})",
-            f"{fixed(change.tilt, 1, True)}° ({'–'.join(change.tilt_levels)})",
-        ]
-        rows.append({"title": title, "cells": cells})
+        sds = change.sds or (None, None, None)
+        levels = (change.signed_levels, "–".join(change.levels), "–".join(change.tilt_levels))
+        sizes = (change.signed, change.fixed_levels, change.tilt)
+        rows.append({"title": title, "cells": [change_words(*one) for one in zip(sizes, sds, levels)]})
+    expected = expected_change(frame)
+    if expected:
+        rows.append({"title": "Forecast", "cells": ["–", expected, "–"]})
     return {"title": _frame_title(frame), "rows": rows}
+
+
+def expected_change(frame: HeldOutFrame) -> str:
+    """The change of the Cobb angle between fixed levels that the training frames let expect, with its ±; or nothing."""
+    found, measured = frame.forecast, frame.cobb_change_deg.get("measured")
+    if found is None or measured is None or found.cobb_error_deg is None or found.cobb_sd_deg is None:
+        return ""
+    return change_words(measured.fixed_levels + found.cobb_error_deg, found.cobb_sd_deg, "–".join(measured.levels))
 
 
 def reaction_rows(found: Reactions) -> list[dict[str, str]]:
