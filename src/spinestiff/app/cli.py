@@ -375,10 +375,21 @@ def repeat(
 
 
 @app.command()
-def report(folder: Folder, truth: Truth = None, redo: Force = False) -> None:
-    """Write the report."""
+def report(
+    folder: Folder,
+    truth: Truth = None,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Print it to results/report.pdf, too, by a browser.")] = False,
+    paper: Annotated[str, typer.Option(help="Of the PDF: a4 or letter.")] = "a4",
+    redo: Force = False,
+) -> None:
+    """Write the report: a first page for the clinician, then all the rest."""
+    from spinestiff.study.report.pdf import check_paper, print_report
+
+    check_paper(paper)
     visit = _steps(folder, ("report",), redo, truth=truth)
     typer.echo(f"report: {visit.file('report.html')}")
+    if pdf:
+        typer.echo(f"pdf: {print_report(visit.file('report.html'), paper)}")
 
 
 @app.command()

@@ -19,7 +19,6 @@ from spinestiff.study.report.content import (
     BENDING_BAND,
     bending_line,
     comparison_content,
-    measuring_gain,
     ratio_title,
     stale_plan,
 )
@@ -27,6 +26,7 @@ from spinestiff.study.visit import Visit
 from spinestiff.study.wording import (
     badge,
     estimated,
+    factor95,
     fixed,
     flexibility,
     force_per_degree,
@@ -57,6 +57,18 @@ MEANINGS: dict[Determination, str] = {
     "not determined": "the radiographs leave it open",
 }
 """What the badge of one stiffness says."""
+ADVICE = {
+    "trunk size": "measure the trunk’s breadth and depth",
+    "force scale": "calibrate the gauge",
+    "force offset": "zero the gauge before each push",
+    "push direction": "measure the direction of the push",
+    "push height": "mark the pushed point so that radiographs show it",
+    "annotation": "have the vertebrae’s corners marked a second time",
+    "source distance": "measure how far the tube is from the detector",
+}
+"""Unknowns of the variance budget that somebody can do something about, and what."""
+WORTH = 0.95
+"""Of a standard deviation: what is left of it is worth an effort."""
 TICKS = tuple(digit * 10.0**power for power in range(-4, 5) for digit in (1.0, 3.0))
 
 
@@ -240,14 +252,22 @@ def next_lines(visit: Visit, estimate: Estimate) -> list[str]:
     if estimate.failed:
         found.append("look for the mistake named under “What to distrust” first, and run again")
     found += _planned(visit)
-    for name in estimate.parameters:
-        gain = measuring_gain(estimate, name)
-        if gain and estimate.ratios[name].determined != "determined":
-            found.append(
-                f"{ratio_title(name)[0].lower()}{ratio_title(name)[1:]} would gain most from measuring {gain['what']}: "
-                f"known within a factor of {gain['then']} in place of {gain['now']}"
-            )
+    found += [advice for name in estimate.parameters if (advice := _worth_measuring(estimate, name))]
     return found
+
+
+def _worth_measuring(estimate: Estimate, name: str) -> str:
+    """What somebody can measure that makes a ratio known clearly better; nothing where it is determined."""
+    rows = [row for row in estimate.budget if row.name in ADVICE]
+    best = min(rows, key=lambda row: row.without[name], default=None)
+    now = estimate.sd_log.get(name, 0.0)
+    if best is None or estimate.ratios[name].determined == "determined" or best.without[name] > WORTH * now:
+        return ""
+    title = ratio_title(name)
+    return (
+        f"{ADVICE[best.name]}: {title[0].lower()}{title[1:]} would be known within a factor of "
+        f"{factor95(best.without[name])} in place of {factor95(now)}"
+    )
 
 
 def _planned(visit: Visit) -> list[str]:
@@ -291,8 +311,10 @@ def picture_words(kind: str, force_n: float, change: str, error_mm: float | None
     """What stands below a picture of the pushed spine: "pushed", or "predicted" or "fitted" by the model."""
     if kind == "pushed":
         return f"Pushed with {force_n:g} N. Cobb angle changed by {change}."
-    words = "Predicted by the estimate, which has not seen this radiograph" if kind == "predicted" else "The estimate"
-    off = "" if error_mm is None or moved_mm is None else (
-        f" Vertebra corners {fixed(error_mm)} mm off (RMS), moved by {fixed(moved_mm)} mm."
-    )  # fmt: skip
-    return f"{words}: {change}.{off}"
+    if kind == "predicted":
+        words = f"Predicted by the estimate, which has not seen this radiograph: changed by {change}."
+    else:
+        words = f"The estimate, fitted to this radiograph: changed by {change}."
+    if error_mm is None or moved_mm is None:
+        return words
+    return f"{words} Vertebra corners {fixed(error_mm)} mm off (RMS); the push moved them by {fixed(moved_mm)} mm."

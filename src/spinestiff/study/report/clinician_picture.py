@@ -26,7 +26,7 @@ from spinestiff.study.visit import Visit
 from spinestiff.subject.outcomes import Assessment
 
 HEIGHT = 5.2  # inches
-MARGIN_MM = (42.0, 14.0)
+MARGIN_MM = (75.0, 14.0)
 """Beside and above the spine: room for the lines of the end vertebrae and for the push."""
 REACH_MM = 34.0
 """By which the line of an end vertebra goes beyond it."""
@@ -182,7 +182,7 @@ def _draw_spine(axis: Axes, picture: SpinePicture) -> None:
 
 
 def _draw_marks(axis: Axes, picture: SpinePicture, crop: tuple[float, float, float, float]) -> None:
-    """Letters of the sides, names of the end vertebrae, of the first and of the last, and the push."""
+    """Letters of the sides, names of the end vertebrae, and the push."""
     left, right, top, bottom = crop
     column, row = picture.mm_per_pixel
     light: dict[str, Any] = {"color": WHITE_ON_DARK, "fontweight": "bold"}
@@ -190,7 +190,7 @@ def _draw_marks(axis: Axes, picture: SpinePicture, crop: tuple[float, float, flo
         axis.text(place, 0.985, letter, ha=side, va="top", fontsize=13, transform=axis.transAxes, **light)
     # Names stand on the side that the push leaves free.
     names_left = picture.arrow is None or picture.arrow[1] < 0.0
-    for name in dict.fromkeys((picture.vertebrae[0], *picture.ends, picture.vertebrae[-1])):
+    for name in picture.ends:
         height = float(picture.corners[picture.vertebrae.index(name)][:, 1].mean())
         place = left + 3.0 / column if names_left else right - 3.0 / column
         axis.text(place, height, name, ha="left" if names_left else "right", va="center", fontsize=9.5, **light)

@@ -114,6 +114,7 @@ PROFILES = {
 }
 MOST_BARS = 10
 MOST_PANELS = 4  # of the variance budget's picture
+NUMBERED = (0.01, 0.1, 1.0, 5.0)  # ticks of a strip
 MOVED_SD = 0.2  # of a ratio's log, by other priors: what is worth a row
 
 
@@ -210,7 +211,8 @@ def _strip(name: str, ratio: RatioEstimate, bounds: Sequence[float], truth: floa
         "value": place(ratio.value),
         "start": place(bounds[0] if ratio.low is None else ratio.low),
         "end": place(bounds[1] if ratio.high is None else ratio.high),
-        "ticks": [(place(v), f"{v:g}") for v in ticks],
+        # So few numbers that they stand apart on a phone, too.
+        "ticks": [(place(v), f"{v:g}" if v in NUMBERED else "") for v in ticks],
         "one": place(1.0),
         "band": None if band is None else (place(band[0]), place(band[1])),
         "truth": None if truth is None else place(truth),
@@ -323,20 +325,12 @@ def stale_plan(visit: Visit) -> str:
 def _gain(estimate: Estimate, name: str) -> dict[str, str]:
     """What would be gained most for a ratio, and by measuring what."""
     found = {"title": ratio_title(name), "now": factor95(estimate.sd_log[name]), "model": "", "what": "", "then": ""}
-    first = most_costly(estimate, name)
+    first, row = most_costly(estimate, name), most_costly(estimate, name, measurable=True)
     if first is not None and first.name in UNMEASURABLE:
         found["model"] = factor95(first.without[name])
-    return found | measuring_gain(estimate, name)
-
-
-def measuring_gain(estimate: Estimate, name: str) -> dict[str, str]:
-    """Of what can be measured, what a ratio would gain most from, and the factors now and then; empty for nothing."""
-    row = most_costly(estimate, name, measurable=True)
-    if row is None:
-        return {}
-    return {
-        "what": _unknown(row.name), "now": factor95(estimate.sd_log[name]), "then": factor95(row.without[name])
-    }  # fmt: skip
+    if row is not None:
+        found |= {"what": _unknown(row.name), "then": factor95(row.without[name])}
+    return found
 
 
 def support_places(predictions: Predictions, estimate: Estimate) -> dict[str, dict[str, SupportPlace]]:

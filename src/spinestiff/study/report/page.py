@@ -63,6 +63,7 @@ from spinestiff.study.report.figures import (
     draw_ratio_map,
     draw_tilt_changes,
 )
+from spinestiff.study.report.pdf import PDF_FILE
 from spinestiff.study.report.placing import pixel_mm, pixels_of, push_arrow, sides_of
 from spinestiff.study.report.plan_picture import draw_plan
 from spinestiff.study.report.theme import dark_style, for_page
@@ -113,6 +114,8 @@ def write_report(visit: Visit, predictions: Predictions, say: Observer) -> None:
             old.unlink()
     for name, content in pictures.items():
         write_bytes(folder / name, content)
+    # A PDF of an earlier report would be none of this one.
+    visit.file(PDF_FILE).unlink(missing_ok=True)
     write_text(visit.file("view.html"), view)
     write_text(visit.file("report.html"), page)
     say(f"{visit.file('report.html')} and {counted(len(pictures), 'figure')}")
