@@ -471,7 +471,7 @@ def cobb(
         typer.Option(help="left or right: where in the image the patient's left is, if the file can't tell."),
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the spines, end vertebrae and angles (PNG).")] = None,
-    table: Annotated[Path | None, typer.Option("--csv", help="Write all curves as a CSV, too, one row a curve.")] = None,
+    table: Annotated[Path | None, typer.Option("--csv", help="Write all curves as a CSV, too.")] = None,
     force: Replace = False,
 ) -> None:
     """Cobb angles of a subject's rest image and tracked frames, or of a file of vertebra corners."""

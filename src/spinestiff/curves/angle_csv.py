@@ -12,8 +12,8 @@ from spinestiff.curves.corner_csv import guarded
 from spinestiff.curves.pushes import FORMS, CobbFrame
 
 COLUMNS = (
-    "image", "status", "definition", "largest", "degrees", "half_width95", "upper_level", "lower_level", "apex", "region",
-    "convexity", "words",
+    "image", "status", "definition", "largest", "degrees", "half_width95", "upper_level", "lower_level", "apex",
+    "region", "convexity", "words",
 )  # fmt: skip
 """``half_width95``: half the width of the angle's 95 % interval. ``words``: as every table and the report say it."""
 CHANGES = tuple(f"{form}_{what}" for form in FORMS for what in ("change", "half_width95", "words"))

@@ -18,7 +18,6 @@ from spinestiff.subject.folder import Subject, image_corners, read_rest
 from spinestiff.subject.outcomes import Responses, Tracked, TrackedPush
 from spinestiff.subject.run_record import read_outcome
 
-
 FORMS = ("signed", "fixed_levels", "tilt")
 """Of a change of the Cobb angle, in the order of ``CobbChange.sds``."""
 
@@ -74,7 +73,7 @@ def cobb_frames(
 
 
 def annotated_frame(push: TrackedPush, frame: int) -> int:
-    """From which frame's annotation a frame's corners come; of frames between two of them the nearer one weighs more."""
+    """From which frame's annotation a frame's corners come: the nearest one's, which weighs most."""
     return min(push.annotated_frames, key=lambda one: abs(one - frame), default=0)
 
 
@@ -114,7 +113,8 @@ def cobb_rows(frames: Sequence[CobbFrame]) -> list[tuple[str, str, str, str, str
     rows = []
     for frame in frames:
         forms = dict.fromkeys(FORMS, "") if frame.change is None else forms_in_words(frame.change)
-        rows.append((frame.reading.image, frame.reading.words(), *(forms[name] for name in FORMS)))
+        signed, fixed, tilt = (forms[name] for name in FORMS)
+        rows.append((frame.reading.image, frame.reading.words(), signed, fixed, tilt))
     return rows
 
 

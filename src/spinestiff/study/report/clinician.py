@@ -24,7 +24,6 @@ from spinestiff.study.report.content import (
 )
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import (
-    badge,
     estimated,
     factor95,
     fixed,
@@ -42,7 +41,7 @@ from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import is_unchanged, read_outcome
 from spinestiff.words import counted
 
-MOST_PUSHES, MOST_STIFFNESSES, MOST_DOUBTS, MOST_NEXT = 4, 3, 5, 3
+MOST_PUSHES, MOST_STIFFNESSES, MOST_DOUBTS, MOST_NEXT, MOST_FAILED = 4, 3, 5, 3, 2
 LONGEST = 230
 """Characters of an item; of a longer one the engineer's part has the whole."""
 STIFFNESSES = {
@@ -86,8 +85,7 @@ def clinician_content(visit: Visit, estimate: Estimate, assessment: Assessment, 
         "pushes": [push_row(push, responses) for push in visit.subject.pushes[:MOST_PUSHES]],
         "more_pushes": _more(len(visit.subject.pushes) - MOST_PUSHES, "push", "pushes"),
         "beside": _beside(visit),
-        "badge": badge(estimate),
-        "doubtful": estimate.status == "DOUBTFUL",
+        "failed": shortened([f"{check.name}: {check.text}" for check in estimate.failed], MOST_FAILED),
         "stiffnesses": [stiffness(estimate, *one) for one in told[:MOST_STIFFNESSES]],
         "more_stiffnesses": _more(len(told) - MOST_STIFFNESSES, "stiffness", "stiffnesses"),
         "doubts": shortened(doubts(estimate, assessment, reading.warnings), MOST_DOUBTS),
@@ -114,7 +112,7 @@ def push_row(push: PushRecord, responses: Responses) -> dict[str, str]:
         return row | {"missing": "not measured" if found is None else found.missing}
     curve = found.curve
     return row | {
-        "change": f"{found.force_n:g} N: " + change_words(curve.change_deg, curve.change_sd_deg, "–".join(curve.levels)),
+        "change": f"{found.force_n:g} N: {change_words(curve.change_deg, curve.change_sd_deg, '–'.join(curve.levels))}",
         "flexibility": flexibility(found.flexibility),
         "per_degree": force_per_degree(curve),
     }
@@ -164,7 +162,7 @@ def in_words(what: str, found: Quantity, unit: str, determined: Determination) -
         return f"{value} {unit}, without an interval."
     ends = f"between {number(low, 2)} and {number(high, 2)} {unit}"
     if found.open_low and found.open_high:
-        return f"The radiographs do not fix {what}: anything that was allowed fits them, {ends[8:].replace(' and ', ' to ')}."
+        return f"The radiographs do not fix {what}; anything that was allowed fits them, {ends}."
     if found.open_low:
         return f"At most {number(high, 2)} {unit}; the radiographs give no lower end."
     if found.open_high:
@@ -204,14 +202,13 @@ def _strip(estimate: Estimate, name: str, found: Quantity) -> dict[str, Any] | N
 
 
 def doubts(estimate: Estimate, assessment: Assessment, warnings: Sequence[str]) -> list[str]:
-    """What to distrust, the gravest first.
+    """What to distrust beside checks that failed, the gravest first.
 
     Parameters
     ----------
     warnings : of the Cobb angles at rest.
     """
-    found = [f"{check.name}: {check.text}" for check in estimate.failed]
-    found += [] if estimate.fit_status == "CONVERGED" else [estimate.fit_status_text]
+    found = [] if estimate.fit_status == "CONVERGED" else [estimate.fit_status_text]
     vague = [
         STIFFNESSES.get(name, (ratio_title(name),))[0]
         for name, one, _, known in told_stiffness(estimate)
@@ -241,7 +238,7 @@ def _of_prediction(assessment: Assessment) -> list[str]:
         than = "better" if found["verdict"] == "worse" else "as well"
         return [
             f"a simpler predictor does {than} on the radiographs kept as a test (“{found['rival']}”, "
-            f"{found['rival_error']} mm, the estimate {found['fit']} mm): a good prediction does not prove the stiffness"
+            f"{found['rival_error']} mm, the estimate {found['fit']} mm): predicting well proves no stiffness"
         ]
     return []
 
@@ -250,7 +247,7 @@ def next_lines(visit: Visit, estimate: Estimate) -> list[str]:
     """What to do next: by the plan, if there is one of this estimate, and what is worth measuring."""
     found = []
     if estimate.failed:
-        found.append("look for the mistake named under “What to distrust” first, and run again")
+        found.append("look for the mistakes named above first, and run again")
     found += _planned(visit)
     found += [advice for name in estimate.parameters if (advice := _worth_measuring(estimate, name))]
     return found
@@ -273,8 +270,8 @@ def _worth_measuring(estimate: Estimate, name: str) -> str:
 def _planned(visit: Visit) -> list[str]:
     if not visit.file(Plan.FILE).is_file():
         return [
-            f"no further push was planned: “spinestiff plan {visit.subject.folder.name}” proposes side, rib, force and "
-            "view, and says when further radiographs no longer pay"
+            "no further push was planned: “spinestiff plan” proposes side, rib, force and view, and says when further "
+            "radiographs no longer pay"
         ]
     if not is_unchanged(visit.subject, Plan.STEP):
         return [f"a plan is not shown: {stale_plan(visit)}"]

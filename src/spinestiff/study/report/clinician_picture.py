@@ -84,12 +84,12 @@ def moments(
     before, after = (one.trial.corners.selected(common) for one in (start, item))
     film = {one.frame: one.pixels for one in films[item.push]}
     record = visit.subject.push(item.push)
-    shared = {"ends": change.levels, "mm_per_pixel": pixel_mm(view), "sides": sides_of(view)}
+    shared = (change.levels, pixel_mm(view), sides_of(view))
     arrow = push_arrow(torso, view, record, item)
     seen, measured = (np.asarray(view.pixels(one.corners)) for one in (before, after))
     pictures = [
-        SpinePicture(film[start.frame], common, seen, None, **shared),
-        SpinePicture(film[item.frame], common, measured, None, **shared, arrow=arrow),
+        SpinePicture(film[start.frame], common, seen, None, *shared),
+        SpinePicture(film[item.frame], common, measured, None, *shared, arrow),
     ]
     reading = reading_of("at rest", before, view)
     force = "without force" if start.force_n == 0.0 else f"under {start.force_n:g} N"
@@ -101,7 +101,7 @@ def moments(
         shares = frame.target.shares
         found = state_features(torso, view, frame.states["fit"], shares).corners
         simulated = np.asarray(view.pixels(found[vertebra_rows(torso, after)]))
-        pictures.append(SpinePicture(film[item.frame], common, simulated, measured, **shared, arrow=arrow))
+        pictures.append(SpinePicture(film[item.frame], common, simulated, measured, *shared, arrow))
         captions.append(_predicted(predictions, frame, assessment))
     where = f"push “{item.push}”, frame {item.frame}, {item.force_n:.0f} N from the patient’s {record.side}"
     names = ("at-rest", "pushed", "predicted")

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import rc_context
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
@@ -218,13 +217,12 @@ def _saved(figure: Figure, kind: str, metadata: dict[str, None]) -> bytes:
 
 def part_tick_labels(figure: Figure) -> None:
     """Hide each tick label that would touch the one before it; the tick itself stays."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
+    figure.draw_without_rendering()
     for axes in figure.axes:
         for side, along in ((axes.xaxis, 0), (axes.yaxis, 1)):
             last = -np.inf
             labels = [tick.label1 for tick in side.get_major_ticks() if tick.label1.get_text()]
-            boxes = [(label, label.get_window_extent(canvas.get_renderer())) for label in labels if label.get_visible()]
+            boxes = [(label, label.get_window_extent()) for label in labels if label.get_visible()]
             for label, box in sorted(boxes, key=lambda found: found[1].min[along]):
                 touches = box.min[along] < last + LABEL_GAP * figure.dpi
                 label.set_visible(not touches)
@@ -301,7 +299,8 @@ def _draw_marks(axis: Axes, overlay: Overlay, first: bool) -> None:
     for name, box in zip(overlay.vertebrae, overlay.measured):
         place = left + 4.0 / column if names_left else right - 4.0 / column
         height = float(box[:, 1].mean())
-        axis.text(place, height, name, color=WHITE_ON_DARK, fontsize=7.5, ha="left" if names_left else "right", va="center")
+        side = "left" if names_left else "right"
+        axis.text(place, height, name, color=WHITE_ON_DARK, fontsize=7.5, ha=side, va="center")
     length, height = SCALE_BAR_MM / column, bottom - 7.0 / row
     start = right - 5.0 / column - length if names_left else left + 5.0 / column
     axis.plot([start, start + length], [height, height], color=WHITE_ON_DARK, linewidth=3, solid_capstyle="butt")

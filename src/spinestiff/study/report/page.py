@@ -25,6 +25,7 @@ from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.observer import Observer
 from spinestiff.study.plan_words import TITLES, plan_lines, push_words, size_of, width
 from spinestiff.study.predictions import Prediction, Predictions
+from spinestiff.study.report.beside import beside_pictures, beside_rows, pixels_in
 from spinestiff.study.report.certainty_pictures import ProfileCurve, draw_profiles, draw_support_places
 from spinestiff.study.report.clinician import clinician_content
 from spinestiff.study.report.clinician_picture import moments
@@ -163,6 +164,8 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
         "budget": album.add(*_budget_picture(estimate)) if estimate.budget else None,
         "support_places": _added(album, _support_picture(estimate, predictions)),
         "levels": album.add(*_tilt_picture(visit, predictions)),
+        "beside": beside_rows(predictions),
+        "beside_pictures": [album.add(*picture) for picture in beside_pictures(predictions, pixels_in(visit))],
         "sensitivity": _sensitivity(visit, album),
         "plan": _plan(visit, album),
         "scene": component(scene),
