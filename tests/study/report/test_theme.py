@@ -1,4 +1,4 @@
-"""Figures in a page: every colour has one for the dark, nothing in a figure refers outside of it, labels stand apart."""
+"""Figures in a page: every colour has one for the dark, a figure refers to itself alone, labels stand apart."""
 
 from __future__ import annotations
 
@@ -33,10 +33,9 @@ def drawn() -> dict[str, Figure]:
     ends = ((0.1, 0.2), (0.1, 0.2))
     place = SupportPlace(1.0, 2.0, (0.5, 0.3), True)
     rows = np.array([[0.1, 0.4]])
+    measured = dict.fromkeys(("training", "validation", "unused"), LINE)
     return {
-        "curves": draw_curve_changes(
-            [CurveChange("main", dict.fromkeys(("training", "validation", "unused"), LINE), {"fit": LINE, "default": LINE})]
-        ),
+        "curves": draw_curve_changes([CurveChange("main", measured, {"fit": LINE, "default": LINE})]),
         "tilts": draw_tilt_changes([TiltChange("main", ("T5", "T6"), np.ones(2), {"fit": np.ones(2)}, 0.5)]),
         "ratios": draw_ratio_map(
             RatioMap(("a", "b"), region.mean(0), region, np.ones((2, 2)), (0.0025, 5.0), ends, region[0])

@@ -52,7 +52,7 @@ def print_report(page: Path, paper: str) -> Path:
     (size, height), browser = check_paper(paper), installed_browser()
     if browser is None:
         raise OptionError(
-            f"--pdf: no browser on PATH (looked for {', '.join(BROWSERS)}); or open {page} in any and print"
+            f"--pdf: no browser on PATH (looked for {', '.join(BROWSERS)}); install one, or open {page} and print"
         )
     # Beside the page: browsers in a sandbox of their own (snap, flatpak) see no temporary folder of the system.
     with tempfile.TemporaryDirectory(dir=page.parent, prefix="pdf-", ignore_cleanup_errors=True) as folder:

@@ -59,4 +59,4 @@ def for_page(svg: bytes, name: str) -> str:
     text = re.sub(r'( id="| href="#|url\(#)', rf"\g<1>{name}-", text)
     text = _COLOUR.sub(lambda found: f"{found[1]}: var({variable(found[2])}, {found[2]})", text)
     # Named by the text around it: a reader of the page aloud hears that once.
-    return text.strip().replace("<svg ", '<svg class="drawing" aria-hidden="true" focusable="false" ', 1)
+    return re.sub(r"<svg\b", '<svg class="drawing" aria-hidden="true" focusable="false"', text.strip(), count=1)
