@@ -42,7 +42,9 @@ from spinestiff.subject.run_record import is_unchanged, read_outcome
 from spinestiff.words import counted
 
 MOST_PUSHES, MOST_STIFFNESSES, MOST_DOUBTS, MOST_NEXT, MOST_FAILED = 4, 3, 5, 3, 2
-LONGEST = 230
+MOST_BESIDE_FAILED = 3
+"""Of doubts, where checks failed."""
+LONGEST = 170
 """Characters of an item; of a longer one the engineer's part has the whole."""
 STIFFNESSES = {
     "lateral_bending_thoracic": ("Bending a thoracic level sideways", "spine bending"),
@@ -88,7 +90,9 @@ def clinician_content(visit: Visit, estimate: Estimate, assessment: Assessment, 
         "failed": shortened([f"{check.name}: {check.text}" for check in estimate.failed], MOST_FAILED),
         "stiffnesses": [stiffness(estimate, *one) for one in told[:MOST_STIFFNESSES]],
         "more_stiffnesses": _more(len(told) - MOST_STIFFNESSES, "stiffness", "stiffnesses"),
-        "doubts": shortened(doubts(estimate, assessment, reading.warnings), MOST_DOUBTS),
+        "doubts": shortened(
+            doubts(estimate, assessment, reading.warnings), MOST_BESIDE_FAILED if estimate.failed else MOST_DOUBTS
+        ),
         "next": shortened(next_lines(visit, estimate), MOST_NEXT),
     }
 
