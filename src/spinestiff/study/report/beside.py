@@ -1,5 +1,4 @@
-"""What was seen beside the corners of frontal radiographs, and how the models meet it: pedicles, radiographs from other
-sides, markers on the skin."""
+"""Further views, pedicles and skin markers in the report: what was seen beside frontal corners, how models meet it."""
 
 from __future__ import annotations
 
