@@ -110,17 +110,20 @@ def test_a_view_and_markers_are_drawn(predictions: Predictions) -> None:
     assert len(figure.axes) == 2
 
 
-def test_arrows_are_as_long_as_the_motion_and_sides_are_the_patient_s() -> None:
+def test_ways_are_as_long_as_the_motion_and_sides_are_the_patient_s() -> None:
     rest = np.array([[0.0, 0.0, 0.0], [50.0, 100.0, 40.0]])
     moved = np.array([[6.0, 1.0, 2.0], [6.0, 1.0, 2.0]])
-    front, side = draw_markers([MarkerMotion("one", rest, moved, 0.5 * moved)]).axes
-    measured, simulated = (arrows for arrows in front.collections)
-    np.testing.assert_allclose(np.column_stack([measured.U, measured.V]), moved[:, :2])
-    np.testing.assert_allclose(np.column_stack([simulated.U, simulated.V]), 0.5 * moved[:, :2])
-    # To the left of the page is the patient's front.
-    np.testing.assert_allclose(side.collections[0].U, -moved[:, 2])
-    np.testing.assert_allclose(side.collections[0].XY, rest[:, [2, 1]] * [-1.0, 1.0])
-    assert measured.scale == 1.0 and measured.angles == "xy" and measured.scale_units == "xy"
+    figure = draw_markers([MarkerMotion("one", rest, moved, 0.5 * moved)] * 2)
+    figure.draw_without_rendering()
+    front, side, *_ = figure.axes
+    # To the right of the page is the patient's left from the front, and the front from the right.
+    for axis, along in ((front, 0), (side, 2)):
+        *ways, start, measured, simulated = [np.column_stack(line.get_data()) for line in axis.lines]
+        np.testing.assert_allclose(start, rest[:, [along, 1]])
+        np.testing.assert_allclose(measured - start, moved[:, [along, 1]])
+        np.testing.assert_allclose(simulated - start, 0.5 * moved[:, [along, 1]])
+        np.testing.assert_allclose(ways, np.stack([start, measured], axis=1))
+        assert axis.get_aspect() == 1.0
 
 
 def test_without_any_nothing_is_told(predictions: Predictions) -> None:

@@ -781,7 +781,9 @@ def test_a_result_that_passed_says_no_doubt(page: Page, html: str) -> None:
 def test_names_from_files_are_escaped(odd_html: str) -> None:
     found = Page(odd_html)
     assert found.tags.count("script") == odd_html.count("<script") == 2
-    assert found.words.count(HOSTILE) == 12
+    first, engineer = found.words.split("The engineer’s part", 1)
+    # On the first page long ones are cut.
+    assert first.count(HOSTILE) >= 2 and engineer.count(HOSTILE) == 9
     assert not [name for _, name, _ in found.attributes if name.startswith("on")]
     assert found.tags.count("svg") == 13 and "img" not in found.tags
 

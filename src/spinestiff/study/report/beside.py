@@ -26,6 +26,7 @@ from spinestiff.study.wording import fixed
 from spinestiff.subject.folder import read_view
 from spinestiff.words import counted
 
+AROUND_MM = 15.0  # around what is drawn of markers
 ROLES = {"training": "fitted", "validation": "held out", "unused": "not used"}
 
 
@@ -112,36 +113,43 @@ class MarkerMotion:
 
 
 def draw_markers(motions: Sequence[MarkerMotion]) -> Figure:
-    """Arrows from where the markers were at rest, seen from the front and from the patient's left, a row a push."""
+    """Ways of the markers in true size, seen from the front and from the patient's right, a row a push."""
     with rc_context(STYLE):
-        figure = Figure(figsize=(8.6, 5.2 * len(motions) + 0.5), layout="constrained")
-        for row, motion in zip(figure.subplots(len(motions), 2, squeeze=False), motions):
-            # Seen from the front the patient's left is on the right; from the left the front is on the left.
-            _draw_side(row[0], motion, 0, 1.0, "mm to the patient’s left", f"{motion.title}, from the front")
-            _draw_side(row[1], motion, 2, -1.0, "mm to the rear", "from the patient’s left")
+        every = np.concatenate([one.resting + way for one in motions for way in (0.0, one.measured, one.simulated)])
+        low, high = every.min(0) - AROUND_MM, every.max(0) + AROUND_MM
+        across, up, front = high - low
+        height = 8.0 * up / (across + front)
+        figure = Figure(figsize=(9.4, (height + 0.9) * len(motions) + 0.5), layout="constrained")
+        for row, motion in zip(figure.subplots(len(motions), 2, squeeze=False, width_ratios=(across, front)), motions):
+            # From the front the patient's left is on the right; from the right the front is.
+            _draw_side(row[0], motion, 0, "mm to the patient’s left", f"{motion.title}, from the front")
+            _draw_side(row[1], motion, 2, "mm to the front", "from the patient’s right")
+            for axis, along in zip(row, (0, 2)):
+                axis.set_xlim(low[along], high[along])
+                axis.set_ylim(low[1], high[1])
+            row[0].set_ylabel("mm up")
         handles = [
-            Line2D([], [], color=MEASURED, linewidth=2.4, label="measured"),
-            Line2D([], [], color=FIT, linewidth=1.4, label="estimated stiffness"),
-        ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=2)
+            Line2D([], [], color="#444444", marker="o", markersize=3.0, linestyle="none", label="without force"),
+            Line2D([], [], color=MEASURED, linewidth=1.8, marker="o", markersize=4.5, label="measured"),
+            Line2D([], [], color=FIT, marker="o", markerfacecolor="none", markersize=8.0, linestyle="none",
+                   label="estimated stiffness"),
+        ]  # fmt: skip
+        figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
 
 
-def _draw_side(axis: Axes, motion: MarkerMotion, along: int, sign: float, across: str, title: str) -> None:
-    start = motion.resting[:, [along, 1]] * [sign, 1.0]
-    for moved, colour, width in ((motion.measured, MEASURED, 0.008), (motion.simulated, FIT, 0.004)):
-        arrows = moved[:, [along, 1]] * [sign, 1.0]
-        # In the axes' own mm, so that an arrow is as long as the motion.
-        axis.quiver(*start.T, *arrows.T, color=colour, angles="xy", scale_units="xy", scale=1.0, width=width)
+def _draw_side(axis: Axes, motion: MarkerMotion, along: int, across: str, title: str) -> None:
+    start, measured, simulated = (
+        (motion.resting + moved)[:, [along, 1]]
+        for moved in (np.zeros_like(motion.resting), motion.measured, motion.simulated)
+    )
+    for one, other in zip(start, measured):
+        axis.plot(*np.stack([one, other]).T, color=MEASURED, linewidth=1.8)
     axis.plot(*start.T, linestyle="none", marker="o", markersize=3.0, color="#444444")
-    moved = np.stack([np.zeros_like(motion.resting), motion.measured, motion.simulated])
-    ends = (start + moved[..., [along, 1]] * [sign, 1.0]).reshape(-1, 2)
-    low, high = ends.min(0) - 15.0, ends.max(0) + 15.0
-    axis.set_xlim(low[0], high[0])
-    axis.set_ylim(low[1], high[1])
+    axis.plot(*measured.T, linestyle="none", marker="o", markersize=4.5, color=MEASURED)
+    axis.plot(*simulated.T, linestyle="none", marker="o", markersize=8.0, color=FIT, markerfacecolor="none")
     axis.set_aspect("equal")
     axis.set_xlabel(across)
-    axis.set_ylabel("mm up")
     axis.set_title(title, fontsize=11)
 
 
@@ -215,6 +223,6 @@ def _marker_pictures(predictions: Predictions) -> list[tuple[str, Figure, str, s
     alt = f"Motion of skin markers under the largest force of each push, measured and simulated; {'; '.join(words)}."
     caption = (
         "Markers on the skin under the largest force of each push, in true size: from where they were without force to "
-        "where they were seen (blue), and to where the estimate takes them (orange)."
+        "where they were seen (blue), and where the estimate takes them (orange)."
     )
     return [("skin-markers", draw_markers(list(largest.values())), alt, caption)]
