@@ -426,7 +426,7 @@ def test_refits_are_shown_where_they_are_of_this_estimate(visit: Visit, html: st
     register(again.subject, "sensitivity", Sensitivity.FILE)
     shown = written(again)
     page = Page(shown)
-    assert tuple(page.all("section", "id")) == (*SECTIONS[:6], "sensitivity", *SECTIONS[6:])
+    assert tuple(page.all("section", "id")) == (*SECTIONS[:7], "sensitivity", *SECTIONS[7:])
     assert set(page.all("a", "href")) >= {"#sensitivity"}
     assert "push level ±1 rib: at most 26 %" in " ".join(pictures(page))
     assert "Koutras et al. 2025, mean of seven subjects" in page.words
