@@ -26,6 +26,7 @@ from spinestiff.study.report.figures import (
 from spinestiff.study.report.theme import DARK, ON_RADIOGRAPH, colours_of, dark_style, for_page
 
 LINE = np.array([[0.0, 0.0], [60.0, -12.0]])
+SEEN = np.column_stack([LINE, [0.0, 1.0]])
 
 
 def drawn() -> dict[str, Figure]:
@@ -33,7 +34,7 @@ def drawn() -> dict[str, Figure]:
     ends = ((0.1, 0.2), (0.1, 0.2))
     place = SupportPlace(1.0, 2.0, (0.5, 0.3), True)
     rows = np.array([[0.1, 0.4]])
-    measured = dict.fromkeys(("training", "validation", "unused"), LINE)
+    measured = dict.fromkeys(("training", "validation", "unused"), SEEN)
     return {
         "curves": draw_curve_changes([CurveChange("main", measured, {"fit": LINE, "default": LINE})]),
         "tilts": draw_tilt_changes([TiltChange("main", ("T5", "T6"), np.ones(2), {"fit": np.ones(2)}, 0.5)]),
@@ -80,7 +81,7 @@ def test_two_figures_in_a_page_share_no_name() -> None:
 
 def test_titles_from_files_are_in_no_figure() -> None:
     """Letters are drawn as outlines; the comments that name them are dropped."""
-    change = CurveChange("--><script>x</script>", {"training": LINE}, {"fit": LINE})
+    change = CurveChange("--><script>x</script>", {"training": SEEN}, {"fit": LINE})
     assert "script" not in for_page(as_svg(draw_curve_changes([change])), "one")
 
 

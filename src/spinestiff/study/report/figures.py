@@ -130,7 +130,7 @@ class CurveChange:
     Attributes
     ----------
     push : its name.
-    measured : role -> (n, 2) force N and change of the Cobb angle, degrees.
+    measured : role -> (n, 3) force N, change of the Cobb angle and half its 95 % interval, degrees.
     simulated : "default" and "fit" -> (n, 2), with rising force.
     """
 
@@ -340,7 +340,8 @@ def draw_curve_changes(changes: Sequence[CurveChange]) -> Figure:
             for role, style in _ROLES.items():
                 points = change.measured.get(role)
                 if points is not None and len(points):
-                    handles[role] = axis.plot(*points.T, **_POINTS, **style)[0]
+                    axis.errorbar(*points.T, fmt="none", ecolor=MEASURED, elinewidth=1.2, zorder=3)
+                    handles[role] = axis.plot(*points[:, :2].T, **_POINTS, **style)[0]
             axis.axhline(0.0, color="#999999", linewidth=0.9, zorder=1)
             axis.set_title(f"Push “{change.push}”", fontsize=11)
             axis.set_xlabel("force, N")

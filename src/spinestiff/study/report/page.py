@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from spinestiff import __version__
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
+from spinestiff.curves.changes import NORMAL_95
 from spinestiff.curves.tilts import tilts
 from spinestiff.estimation.unknowns import PLACING
 from spinestiff.files import write_bytes, write_text
@@ -263,13 +264,13 @@ def curve_changes(predictions: Predictions) -> list[CurveChange]:
     """Change of the Cobb angle against force, of every push: measured by role, and as the models make it."""
     pushes, changes = predictions.pushes, []
     for push in pushes.problems:
-        measured: dict[str, list[tuple[float, float]]] = {"training": [], "validation": [], "unused": []}
+        measured: dict[str, list[tuple[float, ...]]] = {"training": [], "validation": [], "unused": []}
         for item in (t for t in pushes.trials if t.push == push):
             change = predictions.measured_change(item)
-            if change is not None:
-                measured[item.role].append((item.force_n, change.tilt))
+            if change is not None and change.sds is not None:
+                measured[item.role].append((item.force_n, change.tilt, NORMAL_95 * change.sds[2]))
         start = pushes.reference(push).force_n
-        simulated: dict[str, list[tuple[float, float]]] = {"default": [(start, 0.0)], "fit": [(start, 0.0)]}
+        simulated: dict[str, list[tuple[float, ...]]] = {"default": [(start, 0.0)], "fit": [(start, 0.0)]}
         for p in (p for p in predictions.frames if p.item.push == push and p.item.force_n > start):
             for name, points in simulated.items():
                 change = predictions.simulated_change(p, name)
@@ -282,20 +283,20 @@ def curve_changes(predictions: Predictions) -> list[CurveChange]:
 def _curve_picture(predictions: Predictions) -> tuple[str, Figure, str, str]:
     changes = curve_changes(predictions)
     words = [
-        f"push {c.push}: measured {rows[-1, 1]:+.1f} degrees at {rows[-1, 0]:.0f} N"
+        f"push {c.push}: measured {rows[-1, 1]:+.1f} ± {rows[-1, 2]:.1f} degrees at {rows[-1, 0]:.0f} N"
         for c in changes
         for rows in [np.vstack(list(c.measured.values()))]
         for rows in [rows[np.argsort(rows[:, 0])]]
     ]
     alt = "Change of the Cobb angle against force, measured and simulated; " + listed(words) + "."
     caption = (
-        "Change of the Cobb angle (tilt form) against force. Left-convex counts as positive. "
+        "Change of the Cobb angle (tilt form, by endplates) against force, bars: 95 %. Left-convex counts as positive. "
         "Frames that the estimate did not use test it."
     )
     return "force-and-curve", draw_curve_changes(changes), alt, caption
 
 
-def _sorted_points(groups: Mapping[str, list[tuple[float, float]]]) -> dict[str, Floats]:
+def _sorted_points(groups: Mapping[str, list[tuple[float, ...]]]) -> dict[str, Floats]:
     return {name: np.array(sorted(points)) for name, points in groups.items() if points}
 
 
