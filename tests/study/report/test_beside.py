@@ -124,6 +124,8 @@ def test_ways_are_as_long_as_the_motion_and_sides_are_the_patient_s() -> None:
         np.testing.assert_allclose(simulated - start, 0.5 * moved[:, [along, 1]])
         np.testing.assert_allclose(ways, np.stack([start, measured], axis=1))
         assert axis.get_aspect() == 1.0
+        ends = np.concatenate([start, measured])[:, 0]
+        assert axis.get_xlim() == pytest.approx((ends.min() - 15.0, ends.max() + 15.0))
 
 
 def test_without_any_nothing_is_told(predictions: Predictions) -> None:
