@@ -78,6 +78,7 @@ def test_json_of_a_frame_names_its_levels(finished):
         "tilt": change.tilt,
         "levels": list(change.levels),
         "tilt_levels": list(change.tilt_levels),
+        "sds": dict(zip(("signed", "fixed_levels", "tilt"), change.sds)),
     }
 
 

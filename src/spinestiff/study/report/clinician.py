@@ -241,8 +241,8 @@ def _of_prediction(assessment: Assessment) -> list[str]:
     if found["verdict"] in ("worse", "equal"):
         than = "better" if found["verdict"] == "worse" else "as well"
         return [
-            f"a simpler predictor does {than} on the radiographs kept as a test (“{found['rival']}”, "
-            f"{found['rival_error']} mm, the estimate {found['fit']} mm): predicting well proves no stiffness"
+            f"a simpler predictor does {than} on the test radiographs (“{found['rival']}”, {found['rival_error']} mm; "
+            f"the estimate {found['fit']} mm): this proves no stiffness"
         ]
     return []
 
