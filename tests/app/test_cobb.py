@@ -58,7 +58,7 @@ def test_the_table_says_angle_ends_and_side(cobb, corners):
         "right)",
         "convex to the",
         "main thoracic",
-        "apex T7)",
+        "apex T11)",
     ):
         assert words in " ".join(out.split()), words
     assert "left-convex)" in cobb(corners, "--patient-left", "right")[1]
