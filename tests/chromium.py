@@ -135,10 +135,11 @@ class Tab:
         """The window, or the whole page, as PNG."""
         return base64.b64decode(self.call("Page.captureScreenshot", captureBeyondViewport=whole)["data"])
 
-    def pdf(self) -> bytes:
-        """The page as it is printed, on A4."""
-        paper = {"paperWidth": 8.27, "paperHeight": 11.69, "printBackground": False}
-        return base64.b64decode(self.call("Page.printToPDF", **paper)["data"])
+    def pdf(self, paper: str = "a4") -> bytes:
+        """The page as it is printed, on "a4" or "letter"."""
+        width, height = {"a4": (8.27, 11.69), "letter": (8.5, 11.0)}[paper]
+        asked = {"paperWidth": width, "paperHeight": height, "printBackground": False, "preferCSSPageSize": False}
+        return base64.b64decode(self.call("Page.printToPDF", **asked)["data"])
 
     def _next(self, seconds: float) -> dict[str, Any]:
         while b"\0" not in self.buffer:

@@ -54,7 +54,9 @@ HOMES: dict[str, tuple[str, ...]] = {
     "rslab": ("mechanics/factor.py",),
     "matplotlib": (
         "study/report/figures.py",
+        "study/report/beside.py",
         "study/report/certainty_pictures.py",
+        "study/report/clinician_picture.py",
         "study/report/cobb_picture.py",
         "study/report/frame_strip.py",
         "study/report/log_picture.py",

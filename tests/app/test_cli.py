@@ -378,9 +378,9 @@ def test_view_without_a_display_says_so(spinestiff, subject, browsers, monkeypat
 def test_cobb_prints_three_forms(spinestiff, subject):
     result = spinestiff("cobb", subject)
     assert (result.status, result.err) == (0, "")
-    for words in ("signed", "fixed levels", "tilt", "rest/frontal", "convexity left", "main frame 3, 30 N"):
+    for words in ("signed", "fixed levels", "tilt", "rest/frontal", "endplates, left-convex", "main frame 3, 30 N"):
         assert words in result.out
-    forms = re.search(r"main frame 3, 30 N.*│ +(-\d+\.\d) │ +(-\d+\.\d) │ +(-\d+\.\d) │", result.out)
+    forms = re.search(r"main frame 3, 30 N.*" + 3 * r"│ +−\d+\.\d° ± \d+\.\d° \(.*\) ", result.out)
     assert forms is not None
     lines = response_lines(read_outcome(read_subject(subject), Responses))
     assert result.out.splitlines()[-len(lines) :] == lines

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import re
 
 import pytest
 
 from spine_images import image
 from spinestiff.curves.corner_files import write_corners
+from spinestiff.curves.pushes import cobb_frames, cobb_rows
+from spinestiff.study.report.clinician import clinician_content
+from spinestiff.study.report.viewer.page import component
+from spinestiff.study.visit import open_visit
+from spinestiff.subject.folder import read_subject
+from spinestiff.subject.outcomes import Assessment, Estimate, Responses
+from spinestiff.subject.run_record import read_outcome
 
 TILTS = [12, 6, 0, -8, -16, -12, -4, 6, 12]
 
@@ -45,14 +54,32 @@ def test_the_table_says_angle_ends_and_side(cobb, corners):
     for words in (
         "good",
         "other [bold]",
-        "28.0 ± ",
-        "T5-T9",
-        "convex to the image's right",
+        "28.0° ± 4.5° (T5–T9, endplates,",
+        "right)",
+        "convex to the",
         "main thoracic",
-        "endplate",
+        "apex T11)",
     ):
-        assert words in out, words
-    assert "convex to the patient's left" in cobb(corners, "--patient-left", "right")[1]
+        assert words in " ".join(out.split()), words
+    assert "left-convex)" in cobb(corners, "--patient-left", "right")[1]
+
+
+def test_the_csv_says_what_the_table_says(cobb, corners, tmp_path):
+    spoil(corners, "other", 1)
+    path = tmp_path / "angles.csv"
+    status, out, _ = cobb(corners, "--csv", path)
+    rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+    good = [row for row in rows if row["image"] == "good"]
+    (largest,) = [row for row in good if row["largest"] == "yes"]
+    # A narrow table breaks a cell over lines.
+    assert status == 0 and largest["words"].split(", ")[0] in " ".join(out.split())
+    assert (largest["degrees"], largest["upper_level"], largest["lower_level"]) == ("28.00", "T5", "T9")
+    assert f"± {float(largest['half_width95']):.1f}°" in largest["words"] and largest["signed_change"] == ""
+    assert len(good) > 1 and {row["definition"] for row in rows} == {"endplate"}
+    assert rows[-1]["status"] == "refused" and "x is 'nan'" in rows[-1]["words"]
+    # No row is lost or overwritten without a word.
+    assert cobb(corners, "--csv", path)[0] == 2 and cobb(corners, "--csv", corners, "--force")[0] == 2
+    assert cobb(corners, "--csv", path, "--force")[0] == 0
 
 
 def test_json_has_a_record_an_image(cobb, corners):
@@ -125,3 +152,24 @@ def test_what_is_no_file_of_corners_is_one_line(cobb, tmp_path):
         assert (status, out) == (2, "") and words in err and err.count("\n") == 1, err
     status, _, err = cobb(tmp_path, "--patient-left", "left")
     assert status == 2 and "--patient-left is for files of corners" in err
+
+
+def test_the_cobb_angle_is_the_same_everywhere(finished, viewed, spinestiff, tmp_path):
+    """First page, table, CSV, JSON and the viewer: size, ±, levels, definition and side."""
+    frames = cobb_frames(read_subject(finished.folder))
+    words = frames[0].reading.words()
+    assert re.fullmatch(r"\d+\.\d° ± \d+\.\d° \([TL]\d+–[TL]\d+, endplates, (left|right)-convex\)", words)
+    visit = open_visit(finished.folder)
+    outcomes = [read_outcome(visit.subject, kind) for kind in (Estimate, Assessment, Responses)]
+    assert clinician_content(visit, *outcomes)["curve"] == words
+    table = tmp_path / "angles.csv"
+    printed = spinestiff("cobb", finished.folder, "--csv", table)
+    assert printed.status == 0 and words in " ".join(printed.out.split())
+    assert words in table.read_text(encoding="utf-8")
+    record = json.loads(spinestiff("cobb", finished.folder, "--json").out)[0]
+    assert f"{record['largest_deg']:.1f}° ± {1.96 * record['sd_deg']:.1f}°" in words
+    shown = {row[0]: row[1] for row in cobb_rows(frames)}
+    rows = component(viewed.scene).rows
+    assert len(rows) > 4
+    for push, frame, force, *_, said in rows:
+        assert shown[f"{push} frame {frame}, {float(force):.0f} N"] == said

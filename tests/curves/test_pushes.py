@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -29,12 +30,12 @@ def test_cobb_rows(finished, subject):
         "second frame 0, 0 N",
         "second frame 1, 30 N",
     ]
-    assert rows[0][1].startswith("+1")  # a left curve of 12 degrees or a little more
-    assert "convexity left" in rows[0][1]
+    # A left curve of 12 degrees or a little more.
+    assert re.fullmatch(r"1\d\.\d° ± \d\.\d° \(T\d+–[TL]\d+, endplates, left-convex\)", rows[0][1])
     assert rows[0][2:] == ("", "", "")
-    assert rows[1][2:] == ("+0.0", "+0.0", "+0.0")
+    assert all(form.startswith("0.0° ± 0.") for form in rows[1][2:])
     truth = json.loads(finished.truth.read_text())["pushes"]["main"][3]["cobb_change_deg"]
-    signed, fixed, tilt = (float(value) for value in rows[4][2:])
+    signed, fixed, tilt = (float(form.split("°")[0].replace("−", "-")) for form in rows[4][2:])
     assert tilt == pytest.approx(truth["tilt"], abs=2.5)
     assert tilt < -1.0
     assert fixed < 0.0
@@ -77,6 +78,7 @@ def test_json_of_a_frame_names_its_levels(finished):
         "tilt": change.tilt,
         "levels": list(change.levels),
         "tilt_levels": list(change.tilt_levels),
+        "sds": dict(zip(("signed", "fixed_levels", "tilt"), change.sds)),
     }
 
 

@@ -13,7 +13,7 @@ from results import tracked_push
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
-from spinestiff.curves.tilts import change_between
+from spinestiff.curves.changes import change_between
 from spinestiff.errors import SubjectError
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.unknowns import ACTS

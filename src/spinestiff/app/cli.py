@@ -465,10 +465,21 @@ def repeat(
 
 
 @app.command()
-def report(folder: Folder, truth: Truth = None, redo: Force = False) -> None:
-    """Write the report."""
+def report(
+    folder: Folder,
+    truth: Truth = None,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Print it to results/report.pdf, too, by a browser.")] = False,
+    paper: Annotated[str, typer.Option(help="Of the PDF: a4 or letter.")] = "a4",
+    redo: Force = False,
+) -> None:
+    """Write the report: a first page for the clinician, then all the rest."""
+    from spinestiff.study.report.pdf import check_paper, print_report
+
+    check_paper(paper)
     visit = _steps(folder, ("report",), redo, truth=truth)
     typer.echo(f"report: {visit.file('report.html')}")
+    if pdf:
+        typer.echo(f"pdf: {print_report(visit.file('report.html'), paper)}")
 
 
 @app.command()
@@ -550,12 +561,13 @@ def cobb(
         typer.Option(help="left or right: where in the image the patient's left is, if the file can't tell."),
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the spines, end vertebrae and angles (PNG).")] = None,
+    table: Annotated[Path | None, typer.Option("--csv", help="Write all curves as a CSV, too.")] = None,
     force: Replace = False,
 ) -> None:
     """Cobb angles of a subject's rest image and tracked frames, or of a file of vertebra corners."""
     from spinestiff.app.cobb import cobb as run_cobb
 
-    status = run_cobb(path, definition, json, noise_px, patient_left, picture, force)
+    status = run_cobb(path, definition, json, noise_px, patient_left, picture, force, table)
     if status:
         raise typer.Exit(status)
 

@@ -16,6 +16,7 @@ from spinestiff.files import check_output
 if TYPE_CHECKING:
     from spinestiff.curves.cobb import CobbReading, Curve, Definition
     from spinestiff.curves.corner_files import Side
+    from spinestiff.curves.pushes import CobbFrame
 
 REFUSED = 2
 
@@ -28,6 +29,7 @@ def cobb(
     patient_left: str | None,
     picture: Path | None,
     force: bool = False,
+    table: Path | None = None,
 ) -> int:
     """Print the Cobb angles of a folder or file; the exit status: 0, or 2 if no image could be measured.
 
@@ -39,12 +41,13 @@ def cobb(
     side = _side(patient_left)
     # What is neither is looked for as a folder, unless its name ends as a file's of corners does.
     if path.is_file() or path.suffix.lower() in (".csv", ".json"):
-        if picture is not None:
-            check_output(picture, "--picture", inputs=[path], force=force)
-        return _of_file(path, chosen, as_json, noise_px, side, picture)
+        for out, option in ((picture, "--picture"), (table, "--csv")):
+            if out is not None:
+                check_output(out, option, inputs=[path], force=force)
+        return _of_file(path, chosen, as_json, noise_px, side, picture, table)
     if side is not None:
         raise SubjectError("--patient-left is for files of corners; the radiographs of a subject folder tell it")
-    return _of_folder(path, chosen, as_json, noise_px, picture, force)
+    return _of_folder(path, chosen, as_json, noise_px, picture, force, table)
 
 
 def _definition(name: str) -> Definition:
@@ -66,17 +69,25 @@ def _side(name: str | None) -> Side | None:
 
 
 def _of_folder(
-    folder: Path, definition: Definition, as_json: bool, noise_px: float | None, picture: Path | None, force: bool
+    folder: Path,
+    definition: Definition,
+    as_json: bool,
+    noise_px: float | None,
+    picture: Path | None,
+    force: bool,
+    table: Path | None,
 ) -> int:
     from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses
     from spinestiff.study.wording import response_lines
     from spinestiff.subject.folder import check_output_beside, read_subject
 
     subject = read_subject(folder)
-    if picture is not None:
-        check_output_beside(subject.folder, picture, "--picture", force=force)
+    for out, option in ((picture, "--picture"), (table, "--csv")):
+        if out is not None:
+            check_output_beside(subject.folder, out, option, force=force)
     frames = cobb_frames(subject, definition, noise_px)
     _draw([frame.reading for frame in frames], picture)
+    _write(frames, table)
     if as_json:
         tables.show_json([frame.as_dict() for frame in frames])
     else:
@@ -94,12 +105,15 @@ def _of_file(
     noise_px: float | None,
     side: Side | None,
     picture: Path | None,
+    table: Path | None,
 ) -> int:
     from spinestiff.curves.cobb import read_cobb
     from spinestiff.curves.corner_files import read_corner_file
+    from spinestiff.curves.pushes import CobbFrame
 
     readings = [read_cobb(image, definition, noise_px, side) for image in read_corner_file(path).images]
     _draw(readings, picture)
+    _write([CobbFrame(reading) for reading in readings], table)
     if as_json:
         tables.show_json([reading.as_dict() for reading in readings])
     else:
@@ -119,33 +133,34 @@ def _draw(readings: Sequence[CobbReading], picture: Path | None) -> None:
     write_picture(readings, picture)
 
 
+def _write(frames: Sequence[CobbFrame], path: Path | None) -> None:
+    if path is None:
+        return
+    from spinestiff.curves.angle_csv import angles_csv
+    from spinestiff.files import write_text
+
+    write_text(path, angles_csv(frames))
+
+
 def readings_table(readings: Sequence[CobbReading]) -> Table:
-    """A row an image: the largest angle with its noise and levels, its convexity, and the angle of each region."""
+    """A row an image: the largest angle, and that of each region."""
     from spinestiff.curves.cobb import REGIONS
 
-    definition = readings[0].definition
     table = Table(
-        title=f"Cobb angles, degrees ({definition} definition; ± 95 % by corner noise)",
+        title="Cobb angles, ± half of the 95 % interval, by corner noise",
         title_justify="left",
         title_style="bold",
     )
-    for i, column in enumerate(
-        ("image", "status", "largest", "levels", "convexity", *(n for _, n in REGIONS.values()))
-    ):
-        table.add_column(column, justify="left" if i in (0, 1, 4) else "right")
+    for column in ("image", "status", "largest angle", *(name for _, name in REGIONS.values())):
+        table.add_column(column)
     for reading in readings:
-        largest = reading.largest
-        if largest is None:
+        if reading.largest is None:
             table.add_row(escape(reading.image), reading.status)
             continue
-        regions = [_cell(curve) for curve in reading.by_region().values()]
-        angle = f"{abs(largest.angle.degrees):.1f} ± {largest.half_width_deg:.1f}"
-        levels = f"{largest.angle.upper}-{largest.angle.lower}"
-        table.add_row(escape(reading.image), reading.status, angle, levels, reading.convexity(largest), *regions)
+        regions = ["-" if curve is None else _cell(reading, curve) for curve in reading.by_region().values()]
+        table.add_row(escape(reading.image), reading.status, reading.words(), *regions)
     return table
 
 
-def _cell(curve: Curve | None) -> str:
-    if curve is None:
-        return "-"
-    return f"{abs(curve.angle.degrees):.1f} ({curve.angle.upper}-{curve.angle.lower}, apex {curve.apex})"
+def _cell(reading: CobbReading, curve: Curve) -> str:
+    return reading.size_words(curve, f"apex {curve.apex}")

@@ -147,8 +147,9 @@ def _motion(support: Mapping[Any, float | None] | None) -> str:
 def cobb_table(rows: Sequence[tuple[str, str, str, str, str]]) -> Table:
     """Rows of image, Cobb angle with levels, and the three forms of its change."""
     table = _table(
-        "Cobb angles, degrees (above 0: convex to the left)", "image", "angle", "signed", "fixed levels", "tilt"
-    )
+        "Cobb angles, ± half of the 95 % interval; changes above 0: convex to the left",
+        "image", "angle", "change: signed", "fixed levels", "tilt",
+    )  # fmt: skip
     for row in rows:
         table.add_row(*[escape(cell) for cell in row])
     return table

@@ -110,6 +110,25 @@ class CobbReading:
             return f"convex to the image's {'right' if self.bulges_right(curve) else 'left'}"
         return f"convex to the patient's {curve.angle.convexity}"
 
+    def words(self, curve: Curve | None = None) -> str:
+        """An angle with all that belongs to it, the same wherever it is told; of the largest curve by default.
+
+        E.g. "13.1° ± 4.7° (T6–T11, endplates, left-convex)"; ± is half the 95 % interval, the sides are the patient's.
+        """
+        found = curve or self.largest
+        if found is None:
+            return f"not measured: {self.warnings[0]}"
+        side = found.angle.convexity
+        known = self.patient_left is not None and side != "none"
+        bends = f"{side}-convex" if known else self.convexity(found)
+        return self.size_words(found, DEFINITIONS[self.definition], bends)
+
+    @staticmethod
+    def size_words(curve: Curve, *further: str) -> str:
+        """Size, ± and levels alone, e.g. "13.1° ± 4.7° (T6–T11)", with what is to stand behind the levels."""
+        behind = ", ".join((f"{curve.angle.upper}–{curve.angle.lower}", *further))
+        return f"{abs(curve.angle.degrees):.1f}° ± {curve.half_width_deg:.1f}° ({behind})"
+
     def bulges_right(self, curve: Curve) -> bool:
         """Whether the curve's convex side is the image's right."""
         return (curve.angle.degrees > 0.0) == (self.patient_left != "left")

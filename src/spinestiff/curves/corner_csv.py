@@ -47,9 +47,14 @@ def text(rows: Iterable[tuple[str, str, str, float, float]]) -> str:
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(COLUMNS)
     for image, level, corner, x, y in rows:
-        guarded = f"'{image}"
-        writer.writerow((guarded if _is_guarded(guarded) else image, level, corner, repr(x), repr(y)))
+        writer.writerow((guarded(image), level, corner, repr(x), repr(y)))
     return stream.getvalue()
+
+
+def guarded(name: str) -> str:
+    """A name that no spreadsheet runs as a formula: where it begins like one, with an apostrophe in front."""
+    found = f"'{name}"
+    return found if _is_guarded(found) else name
 
 
 def _is_guarded(name: str) -> bool:

@@ -7,15 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spinestiff.curves.cobb import DEFINITIONS, CobbReading, Definition, read_cobb_of_view
+from spinestiff.curves.changes import change_between, forms_in_words
+from spinestiff.curves.cobb import CobbReading, Definition, read_cobb_of_view
 from spinestiff.curves.response import GAUGE, FrameCorners, GaugeError, push_response
-from spinestiff.curves.tilts import CobbChange, change_between, tilts
+from spinestiff.curves.tilts import CobbChange, tilts
 from spinestiff.imaging.features import VertebraCorners, picture_axes
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.subject.folder import Subject, image_corners, read_rest
 from spinestiff.subject.outcomes import Responses, Tracked, TrackedPush
 from spinestiff.subject.run_record import read_outcome
+
+FORMS = ("signed", "fixed_levels", "tilt")
+"""Of a change of the Cobb angle, in the order of ``CobbChange.sds``."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,7 @@ class CobbFrame:
         change = None if c is None else {
             "signed": c.signed, "fixed_levels": c.fixed_levels, "tilt": c.tilt,
             "levels": list(c.levels), "tilt_levels": list(c.tilt_levels),
+            "sds": None if c.sds is None else dict(zip(FORMS, c.sds)),
         }  # fmt: skip
         return {**self.reading.as_dict(), "change_deg": change}
 
@@ -39,7 +44,7 @@ def rest_reading(subject: Subject, definition: Definition = "endplate", noise_px
     """The Cobb angles of the annotated frontal rest image. Raises SubjectError as ``image_corners`` does."""
     rest = read_rest(subject, "frontal")
     corners = image_corners(subject, "rest/frontal", rest.view)
-    return _reading("rest/frontal", corners, rest.view, definition, noise_px)
+    return reading_of("rest/frontal", corners, rest.view, definition, noise_px)
 
 
 def cobb_frames(
@@ -58,12 +63,18 @@ def cobb_frames(
     for push, found in read_outcome(subject, Tracked).pushes.items():
         forces, view = subject.push(push).forces_n, found.view.view()
         usable = [usable_corners(found.corners(i)) for i in range(len(found.frames))]
-        least = usable[int(np.argmin(forces))]
+        least = int(np.argmin(forces))
         for index, force in enumerate(forces):
-            change = change_between(view, least, usable[index], DEFINITIONS[definition])
+            alike = annotated_frame(found, least) == annotated_frame(found, index)
+            change = change_between(view, usable[least], usable[index], definition, alike)
             name = f"{push} frame {index}, {force:.0f} N"
-            frames.append(CobbFrame(_reading(name, usable[index], view, definition, noise_px), change))
+            frames.append(CobbFrame(reading_of(name, usable[index], view, definition, noise_px), change))
     return frames
+
+
+def annotated_frame(push: TrackedPush, frame: int) -> int:
+    """From which frame's annotation a frame's corners come: the nearest one's, which weighs most."""
+    return min(push.annotated_frames, key=lambda one: abs(one - frame), default=0)
 
 
 def push_responses(subject: Subject, gauge: GaugeError = GAUGE) -> Responses:
@@ -91,26 +102,30 @@ def seen_frames(push: TrackedPush) -> list[FrameCorners]:
     found = []
     for index, frame in enumerate(push.frames):
         corners = push.corners(index)
-        # Of frames between two annotated ones both count; the nearer one weighs more.
-        origin = min(push.annotated_frames, key=lambda one: abs(one - index), default=0)
+        origin = annotated_frame(push, index)
         points = view.to_patient_plane(corners.corners) @ axes
         found.append(FrameCorners(index, frame.force_n, corners.vertebrae, points, corners.quality, origin))
     return found
 
 
 def cobb_rows(frames: Sequence[CobbFrame]) -> list[tuple[str, str, str, str, str]]:
-    """Image, Cobb angle with its levels, and the three forms of its change from the push's least force."""
+    """Image, Cobb angle, and the three forms of its change from the push's least force."""
     rows = []
     for frame in frames:
-        largest, c = frame.reading.largest, frame.change
-        forms = ["", "", ""] if c is None else [f"{value:+.1f}" for value in (c.signed, c.fixed_levels, c.tilt)]
-        rows.append((frame.reading.image, str(largest.angle if largest else "-"), forms[0], forms[1], forms[2]))
+        forms = dict.fromkeys(FORMS, "") if frame.change is None else forms_in_words(frame.change)
+        signed, fixed, tilt = (forms[name] for name in FORMS)
+        rows.append((frame.reading.image, frame.reading.words(), signed, fixed, tilt))
     return rows
 
 
-def _reading(
-    image: str, corners: VertebraCorners, view: XRayView, definition: Definition, noise_px: float | None
+def reading_of(
+    image: str,
+    corners: VertebraCorners,
+    view: XRayView,
+    definition: Definition = "endplate",
+    noise_px: float | None = None,
 ) -> CobbReading:
+    """The Cobb angles of corners on the detector of a frontal view."""
     left, up = picture_axes(view)
     noise = None if noise_px is None else noise_px * float(view.pixel_spacing.mean())
     return read_cobb_of_view(

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spinestiff.arrays import Floats
+from spinestiff.curves.changes import LEAST_ERROR_MM
 from spinestiff.curves.cobb import tilt_sds, usual_noise
 from spinestiff.curves.tilts import SpineTilts, cobb_angle, cobb_change, tilts_from_points
 from spinestiff.errors import SpinestiffError
@@ -22,8 +23,6 @@ from spinestiff.imaging.tracking.quality import LOWEST_QUALITY, error_of
 from spinestiff.subject.outcomes import AngleResponse, Flexibility, ForcePerDegree, PushResponse
 
 NORMAL_95 = 1.96
-LEAST_ERROR_MM = 0.004
-"""Of a tracked corner: stored qualities have three digits, so that smaller predicted errors read as none."""
 CHOSEN_95 = 3.5
 """As ``NORMAL_95`` for the largest of a spine's 136 pairs: which pair is largest is chosen by noise, too."""
 

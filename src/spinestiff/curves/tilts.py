@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import SpinestiffError
-from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
+from spinestiff.imaging.features import picture_axes, view_kind
 
 if TYPE_CHECKING:
     from spinestiff.imaging.projection import XRayView
@@ -105,6 +105,8 @@ class CobbChange:
     rest, pushed : the two angles behind ``signed``.
     levels : upper and lower end vertebra of ``fixed_levels``: those of the rest pose, or given ones.
     tilt_levels : upper and lower vertebra behind ``tilt``.
+    sds : standard deviations of ``signed``, ``fixed_levels`` and ``tilt`` by the errors of the corners; None: of a
+        model's corners, which have none.
     """
 
     signed: float
@@ -114,6 +116,7 @@ class CobbChange:
     pushed: CobbAngle
     levels: tuple[str, str]
     tilt_levels: tuple[str, str]
+    sds: tuple[float, float, float] | None = None
 
 
 def tilts(
@@ -197,26 +200,6 @@ def cobb_change(rest: SpineTilts, pushed: SpineTilts, levels: tuple[str, str] | 
         levels=fixed,
         tilt_levels=(largest.upper, largest.lower),
     )
-
-
-def change_between(
-    view: XRayView, rest: VertebraCorners, pushed: VertebraCorners, method: EndplateMethod = "endplates"
-) -> CobbChange | None:
-    """The measured change of the Cobb angle between two pictures of one view.
-
-    Parameters
-    ----------
-    rest, pushed : corners on the detector or at the patient plane.
-
-    Returns
-    -------
-    None with fewer than two vertebrae in both.
-    """
-    common = tuple(name for name in rest.vertebrae if name in pushed.vertebrae)
-    if len(common) < 2:
-        return None
-    before, after = (tilts(common, corners.selected(common).corners, view, method) for corners in (rest, pushed))
-    return cobb_change(before, after)
 
 
 def _direction(leftward: Floats) -> Floats:

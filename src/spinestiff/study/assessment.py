@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from spinestiff.arrays import Floats
+from spinestiff.curves.changes import signed_levels
 from spinestiff.curves.tilts import CobbChange
 from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.fitted import Method
@@ -75,6 +76,8 @@ def change_record(change: CobbChange) -> CobbChangeRecord:
         tilt=round(change.tilt, 3),
         levels=change.levels,
         tilt_levels=change.tilt_levels,
+        signed_levels=signed_levels(change),
+        sds=None if change.sds is None else tuple(round(sd, 3) for sd in change.sds),  # type: ignore[arg-type]
     )
 
 

@@ -16,7 +16,8 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
-from spinestiff.curves.tilts import CobbChange, change_between, cobb_change, tilts
+from spinestiff.curves.changes import change_between
+from spinestiff.curves.tilts import CobbChange, cobb_change, tilts
 from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.estimation.evaluation import acted
 from spinestiff.estimation.fitted import StiffnessFit
@@ -153,7 +154,8 @@ class Predictions:
     def measured_change(self, item: PushTrial) -> CobbChange | None:
         """The measured change of the Cobb angle from the push's least force."""
         reference = self.pushes.reference(item.push)
-        return change_between(item.trial.view, reference.trial.corners, item.trial.corners)
+        alike = self.pushes.annotated_frame(reference) == self.pushes.annotated_frame(item)
+        return change_between(item.trial.view, reference.trial.corners, item.trial.corners, same_origin=alike)
 
     def simulated_change(self, prediction: Prediction, name: str) -> CobbChange | None:
         """The same of a model, of the corners that the picture would show, between the end vertebrae measured."""

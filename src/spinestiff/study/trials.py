@@ -139,6 +139,11 @@ class PushSet(ShortRepr):
         """The frame of a push with the least force, to which changes are measured."""
         return min((t for t in self.trials if t.push == push), key=lambda t: t.force_n)
 
+    def annotated_frame(self, item: PushTrial) -> int:
+        """The frame of its push from whose annotation a frame's corners come, the nearest one."""
+        frames = [t.frame for t in self.trials if t.push == item.push and t.trial.annotated]
+        return min(frames, key=lambda frame: abs(frame - item.frame), default=0)
+
 
 def _measured_supports(frame: TrackedFrame) -> dict[str, tuple[float, float]]:
     """Pelvis and shoulder as a frame shows them, as ``Trial.supports`` has it."""

@@ -133,8 +133,17 @@ TIMES_DEFAULT = "times the default stiffness"
 
 def headline(estimate: Estimate) -> list[str]:
     """What was found, in plain units and words, a line a stiffness that was estimated."""
-    lines = [
-        f"{PLAIN[key]}: {span_in_words(found, found.unit, _of_ratio(estimate, found.ratio))}"
+    return [
+        f"{PLAIN.get(name, name)}: {span_in_words(found, unit, determined)}"
+        for name, found, unit, determined in told_stiffness(estimate)
+    ]
+
+
+def told_stiffness(estimate: Estimate) -> list[tuple[str, Quantity, str, Determination | None]]:
+    """What is told of an estimate first: name in ``plain``, or of a ratio that is no part of one; value with interval,
+    unit, and how far the data determine it."""
+    lines: list[tuple[str, Quantity, str, Determination | None]] = [
+        (key, found, found.unit, _of_ratio(estimate, found.ratio))
         for key, found in ((key, estimate.plain[key]) for key in PLAIN)
         if found.ratio is not None or found.low is not None
     ]
@@ -147,9 +156,7 @@ def headline(estimate: Estimate) -> list[str]:
         for stem in IN_PLAIN_UNITS[key]
     }
     alone = [name for name in estimate.parameters if name not in told and name.partition(AT)[0] not in together]
-    return lines + [
-        f"{name}: {span_in_words(estimate.ratios[name], TIMES_DEFAULT, _of_ratio(estimate, name))}" for name in alone
-    ]
+    return lines + [(name, estimate.ratios[name], TIMES_DEFAULT, _of_ratio(estimate, name)) for name in alone]
 
 
 def _of_ratio(estimate: Estimate, name: str | None) -> Determination | None:

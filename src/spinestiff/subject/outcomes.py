@@ -703,6 +703,8 @@ class CobbChangeRecord(Outcome):
     ----------
     signed, fixed_levels, tilt : its three forms.
     levels : end vertebrae of ``fixed_levels``. tilt_levels : those of ``tilt``.
+    signed_levels : those of the two angles behind ``signed``, e.g. "T6–T11 to T5–T12".
+    sds : standard deviations of the three, by the corners' errors; None: a model's, which has none.
     """
 
     signed: float
@@ -710,6 +712,8 @@ class CobbChangeRecord(Outcome):
     tilt: float
     levels: tuple[str, str]
     tilt_levels: tuple[str, str]
+    signed_levels: str = ""
+    sds: tuple[float, float, float] | None = None
 
 
 class ForecastRecord(Outcome):

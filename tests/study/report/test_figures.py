@@ -101,13 +101,18 @@ def test_flat_picture_is_drawn(overlay: Overlay) -> None:
 
 
 def test_curves_show_all_points_by_role() -> None:
-    measured = {"training": np.array([[20.0, -3.0], [40.0, -6.5]]), "validation": np.array([[60.0, -9.0]])}
+    measured = {
+        "training": np.array([[20.0, -3.0, 0.5], [40.0, -6.5, 1.5]]),
+        "validation": np.array([[60.0, -9.0, 1.0]]),
+    }
     simulated = {"fit": np.array([[0.0, 0.0], [60.0, -9.5]]), "default": np.array([[0.0, 0.0], [60.0, -1.0]])}
     figure = draw_curve_changes([CurveChange("a", measured, simulated), CurveChange("b", measured, {})])
     first, second = figure.axes
     by_mark = {line.get_marker(): line.get_xydata() for line in first.lines}
-    np.testing.assert_array_equal(by_mark["o"], measured["training"])
-    np.testing.assert_array_equal(by_mark["D"], measured["validation"])
+    np.testing.assert_array_equal(by_mark["o"], measured["training"][:, :2])
+    np.testing.assert_array_equal(by_mark["D"], measured["validation"][:, :2])
+    bars = [bar for found in first.collections for bar in found.get_segments()]
+    np.testing.assert_allclose(bars, [[[20, -3.5], [20, -2.5]], [[40, -8], [40, -5]], [[60, -10], [60, -8]]])
     np.testing.assert_array_equal(lines(first, FIT)[0], simulated["fit"])
     assert lines(second, FIT) == []
 

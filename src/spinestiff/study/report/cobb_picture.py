@@ -68,7 +68,7 @@ def draw_readings(readings: Sequence[CobbReading]) -> Figure:
 
 
 def _draw(axis: Axes, reading: CobbReading) -> None:
-    axis.set_title(_title(reading), fontsize=10)
+    axis.set_title(_title(reading), fontsize=9)
     if reading.corners is None or reading.largest is None:
         reason = fill(reading.warnings[0], 34)
         axis.text(0.5, 0.5, reason, ha="center", va="center", transform=axis.transAxes, fontsize=9)
@@ -110,7 +110,7 @@ def _draw_curve(axis: Axes, reading: CobbReading, curve: Curve, width: float) ->
         axis.plot(*line.T, color=colour, linewidth=2.0 if largest else 1.4, linestyle="-" if largest else (0, (4, 2)))
         ends.append(line[1])
     height = 0.5 * (ends[0][1] + ends[1][1])
-    text = f"{abs(curve.angle.degrees):.0f}° ± {curve.half_width_deg:.0f}°\n{curve.angle.upper}–{curve.angle.lower}"
+    text = f"{abs(curve.angle.degrees):.1f}° ± {curve.half_width_deg:.1f}°\n{curve.angle.upper}–{curve.angle.lower}"
     columns = corners[i : j + 1, :, 0]
     axis.text(
         float(columns.max() if hollow > 0 else columns.min()) + 0.3 * width * hollow,
@@ -139,4 +139,4 @@ def _title(reading: CobbReading) -> str:
     if reading.largest is None:
         return f"{reading.image}\nrefused"
     words = f"{reading.image}{'' if reading.status == 'ok' else ' (repaired)'}"
-    return f"{words}\n{abs(reading.largest.angle.degrees):.1f}°, {reading.convexity(reading.largest)}"
+    return f"{words}\n{reading.words()}"

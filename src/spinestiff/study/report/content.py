@@ -9,7 +9,7 @@ import numpy as np
 
 from spinestiff.anatomy.regions import AT
 from spinestiff.arrays import Floats
-from spinestiff.curves.pushes import rest_reading
+from spinestiff.curves.changes import change_words
 from spinestiff.estimation.unknowns import ACTS, PLACING, unknowns_of
 from spinestiff.study.predictions import Model, Predictions, predicted_acts
 from spinestiff.study.report.certainty_pictures import SupportPlace
@@ -114,6 +114,7 @@ PROFILES = {
 }
 MOST_BARS = 10
 MOST_PANELS = 4  # of the variance budget's picture
+NUMBERED = (0.01, 0.1, 1.0, 5.0)  # ticks of a strip
 MOVED_SD = 0.2  # of a ratio's log, by other priors: what is worth a row
 
 
@@ -125,26 +126,8 @@ def ratio_title(name: str) -> str:
 
 
 def subject_content(visit: Visit) -> dict[str, Any]:
-    """Who was radiographed, and the curve at rest."""
-    record = visit.subject.record
-    curve = rest_reading(visit.subject).largest
-    shown = MISSING
-    if curve is not None:
-        angle = curve.angle
-        size = f"{fixed(abs(angle.degrees))}° ± {fixed(curve.half_width_deg)}°"
-        shown = f"{size} between {angle.upper} and {angle.lower}, {angle.convexity}-convex"
-    largest = max(max(push.forces_n) for push in visit.subject.pushes)
-    return {
-        "id": record.id,
-        "synthetic": visit.truth is not None,
-        "facts": {
-            "Age": f"{record.age:g} years",
-            "Sex": record.sex,
-            "Height": f"{record.height_cm:g} cm",
-            "Cobb angle at rest": shown,
-            "Largest push": f"{largest:.0f} N",
-        },
-    }
+    """Whose report it is."""
+    return {"id": visit.subject.record.id, "synthetic": visit.truth is not None}
 
 
 def response_content(responses: Responses) -> dict[str, Any]:
@@ -191,7 +174,7 @@ def result_content(visit: Visit, estimate: Estimate, assessment: Assessment) -> 
         "ratios": ratios,
         "plain": _plain_rows(estimate, [key for key in PLAIN_TITLES if _of_several(estimate.plain[key])]),
         "held": held_lines(estimate),
-        "bending": _bending_line(estimate),
+        "bending": bending_line(estimate),
         "notes": list(dict.fromkeys((*estimate.notes, *assessment.notes))),
     }
 
@@ -228,14 +211,15 @@ def _strip(name: str, ratio: RatioEstimate, bounds: Sequence[float], truth: floa
         "value": place(ratio.value),
         "start": place(bounds[0] if ratio.low is None else ratio.low),
         "end": place(bounds[1] if ratio.high is None else ratio.high),
-        "ticks": [(place(v), f"{v:g}") for v in ticks],
+        # So few numbers that they stand apart on a phone, too.
+        "ticks": [(place(v), f"{v:g}" if v in NUMBERED else "") for v in ticks],
         "one": place(1.0),
         "band": None if band is None else (place(band[0]), place(band[1])),
         "truth": None if truth is None else place(truth),
     }
 
 
-def _bending_line(estimate: Estimate) -> dict[str, Any] | None:
+def bending_line(estimate: Estimate) -> dict[str, Any] | None:
     """The bending stiffness of a level beside cadaver segments."""
     found = estimate.plain["lateral_bending_thoracic"]
     if not _of_several(found) and (found.ratio or "").partition(AT)[0] not in BENDING:
@@ -243,19 +227,19 @@ def _bending_line(estimate: Estimate) -> dict[str, Any] | None:
     low, high = (float(np.degrees(edge)) for edge in BENDING_BAND)
     value = found.value
     overlap = (found.low is None or found.low <= high) and (found.high is None or found.high >= low)
-    if value < low:
-        verdict = f"about {number(0.5 * (low + high) / value, 2)} times softer than"
-    elif value > high:
-        verdict = f"about {number(value / (0.5 * (low + high)), 2)} times stiffer than"
-    else:
-        verdict = "within the range of"
+    factor, verdict = None, "within the range of"
+    if not low <= value <= high:
+        middle = 0.5 * (low + high)
+        factor = max(value / middle, middle / value)
+        verdict = f"about {number(factor, 2)} times {'softer' if value < low else 'stiffer'} than"
     return {
         "value": estimated(found),
         "per_degree": number(value * np.pi / 180.0, 2),
         "band": f"{BENDING_BAND[0]:g} to {BENDING_BAND[1]:g}",
         "band_rad": f"{low:.0f} to {high:.0f}",
         "verdict": verdict,
-        "overlap": overlap and not low <= value <= high,
+        "factor": factor,
+        "overlap": overlap and factor is not None,
     }
 
 
@@ -266,7 +250,6 @@ def certainty_content(estimate: Estimate, comparison: Comparison | None) -> dict
         "correlation": fixed(estimate.correlation, 2),
         "steps": sum(step.accepted for step in estimate.history),
         "evaluations": len(estimate.history),
-        "fit": estimate.fit_status_text,
         "truth": "" if contains is None else "holds" if contains else "does not hold",
     }
 
@@ -477,13 +460,22 @@ def _cobb_rows(frame: HeldOutFrame) -> dict[str, Any]:
         if change is None:
             rows.append({"title": title, "cells": [MISSING] * 3})
             continue
-        cells = [
-            f"{fixed(change.signed, 1, True)}°",
-            f"{fixed(change.fixed_levels, 1, True)}° ({'–'.join(change.levels)})",
-            f"{fixed(change.tilt, 1, True)}° ({'–'.join(change.tilt_levels)})",
-        ]
-        rows.append({"title": title, "cells": cells})
+        sds = change.sds or (None, None, None)
+        levels = (change.signed_levels, "–".join(change.levels), "–".join(change.tilt_levels))
+        sizes = (change.signed, change.fixed_levels, change.tilt)
+        rows.append({"title": title, "cells": [change_words(*one) for one in zip(sizes, sds, levels)]})
+    expected = expected_change(frame)
+    if expected:
+        rows.append({"title": "Forecast", "cells": ["–", expected, "–"]})
     return {"title": _frame_title(frame), "rows": rows}
+
+
+def expected_change(frame: HeldOutFrame) -> str:
+    """The change of the Cobb angle between fixed levels that the training frames let expect, with its ±; or nothing."""
+    found, measured = frame.forecast, frame.cobb_change_deg.get("measured")
+    if found is None or measured is None or found.cobb_error_deg is None or found.cobb_sd_deg is None:
+        return ""
+    return change_words(measured.fixed_levels + found.cobb_error_deg, found.cobb_sd_deg, "–".join(measured.levels))
 
 
 def reaction_rows(found: Reactions) -> list[dict[str, str]]:

@@ -25,20 +25,26 @@ from spinestiff.imaging.features import FEATURE_SHAPE
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MEASURED, FIT, DEFAULT, TRUTH = "#0072B2", "#D55E00", "#6E6E6E", "#000000"
+INK = "#18202A"
+MEASURED, FIT, DEFAULT, TRUTH = "#0072B2", "#D55E00", "#6E6E6E", INK
 # The same hues, lighter, over the dark of a radiograph.
-MEASURED_ON_DARK, SIMULATED_ON_DARK = "#56C1FF", "#FFA530"
+MEASURED_ON_DARK, SIMULATED_ON_DARK, WHITE_ON_DARK = "#56C1FF", "#FFA530", "#FEFEFE"
 PNG_DPI = 130
 PANEL_HEIGHT = 7.0  # inches
 NARROWEST_CROP_MM = 150.0
 MARGIN_MM = 18.0
 PERCENTILES = (1.0, 99.7)  # of the crop's grey values, black to white
 SCALE_BAR_MM = 50.0
+LABEL_GAP = 0.04  # inches between tick labels
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 10.5,
     "axes.spines.top": False,
     "axes.spines.right": False,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
     "axes.edgecolor": "#444444",
     "axes.grid": True,
     "grid.color": "#E3E3E3",
@@ -124,7 +130,7 @@ class CurveChange:
     Attributes
     ----------
     push : its name.
-    measured : role -> (n, 2) force N and change of the Cobb angle, degrees.
+    measured : role -> (n, 3) force N, change of the Cobb angle and half its 95 % interval, degrees.
     simulated : "default" and "fit" -> (n, 2), with rising force.
     """
 
@@ -204,8 +210,23 @@ def as_svg(figure: Figure) -> bytes:
 def _saved(figure: Figure, kind: str, metadata: dict[str, None]) -> bytes:
     stream = BytesIO()
     with rc_context(STYLE):
+        part_tick_labels(figure)
         figure.savefig(stream, format=kind, dpi=PNG_DPI, metadata=metadata)
     return stream.getvalue()
+
+
+def part_tick_labels(figure: Figure) -> None:
+    """Hide each tick label that would touch the one before it; the tick itself stays."""
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        for side, along in ((axes.xaxis, 0), (axes.yaxis, 1)):
+            last = -np.inf
+            labels = [tick.label1 for tick in side.get_major_ticks() if tick.label1.get_text()]
+            boxes = [(label, label.get_window_extent()) for label in labels if label.get_visible()]
+            for label, box in sorted(boxes, key=lambda found: found[1].min[along]):
+                touches = box.min[along] < last + LABEL_GAP * figure.dpi
+                label.set_visible(not touches)
+                last = last if touches else box.max[along]
 
 
 def draw_overlay(overlay: Overlay) -> Figure:
@@ -258,7 +279,7 @@ def _draw_marks(axis: Axes, overlay: Overlay, first: bool) -> None:
     """Letters of the sides, names of every other level, a scale bar and the push."""
     left, right, top, bottom = overlay.crop
     column, row = overlay.mm_per_pixel
-    light: dict[str, Any] = {"color": "white", "fontsize": 10, "fontweight": "bold"}
+    light: dict[str, Any] = {"color": WHITE_ON_DARK, "fontsize": 10, "fontweight": "bold"}
     for place, letter, side in ((0.0, overlay.sides[0], "left"), (1.0, overlay.sides[1], "right")):
         axis.text(place, 1.008, letter, ha=side, va="bottom", fontweight="bold", transform=axis.transAxes)
     if overlay.arrow is not None:
@@ -266,7 +287,7 @@ def _draw_marks(axis: Axes, overlay: Overlay, first: bool) -> None:
         if top < height < bottom:
             tail = left if direction > 0 else right
             length = 22.0 / column * direction
-            arrow = {"arrowstyle": "-|>", "color": "white", "linewidth": 2.2, "mutation_scale": 16}
+            arrow = {"arrowstyle": "-|>", "color": WHITE_ON_DARK, "linewidth": 2.2, "mutation_scale": 16}
             axis.annotate("", (tail + length, height), (tail, height), arrowprops=arrow)
             place = tail + 0.1 * length
             side = "left" if direction > 0 else "right"
@@ -278,12 +299,13 @@ def _draw_marks(axis: Axes, overlay: Overlay, first: bool) -> None:
     for name, box in zip(overlay.vertebrae, overlay.measured):
         place = left + 4.0 / column if names_left else right - 4.0 / column
         height = float(box[:, 1].mean())
-        axis.text(place, height, name, color="white", fontsize=7.5, ha="left" if names_left else "right", va="center")
+        side = "left" if names_left else "right"
+        axis.text(place, height, name, color=WHITE_ON_DARK, fontsize=7.5, ha=side, va="center")
     length, height = SCALE_BAR_MM / column, bottom - 7.0 / row
     start = right - 5.0 / column - length if names_left else left + 5.0 / column
-    axis.plot([start, start + length], [height, height], color="white", linewidth=3, solid_capstyle="butt")
+    axis.plot([start, start + length], [height, height], color=WHITE_ON_DARK, linewidth=3, solid_capstyle="butt")
     above = height - 3.0 / row
-    axis.text(start, above, f"{SCALE_BAR_MM:g} mm", color="white", fontsize=8.5, ha="left", va="bottom")
+    axis.text(start, above, f"{SCALE_BAR_MM:g} mm", color=WHITE_ON_DARK, fontsize=8.5, ha="left", va="bottom")
 
 
 _LINES: dict[str, dict[str, Any]] = {
@@ -318,7 +340,8 @@ def draw_curve_changes(changes: Sequence[CurveChange]) -> Figure:
             for role, style in _ROLES.items():
                 points = change.measured.get(role)
                 if points is not None and len(points):
-                    handles[role] = axis.plot(*points.T, **_POINTS, **style)[0]
+                    axis.errorbar(*points.T, fmt="none", ecolor=MEASURED, elinewidth=1.2, zorder=3)
+                    handles[role] = axis.plot(*points[:, :2].T, **_POINTS, **style)[0]
             axis.axhline(0.0, color="#999999", linewidth=0.9, zorder=1)
             axis.set_title(f"Push “{change.push}”", fontsize=11)
             axis.set_xlabel("force, N")

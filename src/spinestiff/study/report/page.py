@@ -6,7 +6,6 @@ in ``results/figures``, its 3D torso as a page of its own, ``results/view.html``
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,16 +16,20 @@ from matplotlib.figure import Figure
 from spinestiff import __version__
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
+from spinestiff.curves.changes import NORMAL_95
 from spinestiff.curves.tilts import tilts
 from spinestiff.estimation.unknowns import PLACING
 from spinestiff.files import write_bytes, write_text
-from spinestiff.imaging.features import picture_axes, silhouette_shares, state_features, target_features, vertebra_rows
+from spinestiff.imaging.features import silhouette_shares, state_features, target_features, vertebra_rows
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.observer import Observer
 from spinestiff.study.plan_words import TITLES, plan_lines, push_words, size_of, width
 from spinestiff.study.predictions import Prediction, Predictions
+from spinestiff.study.report.beside import beside_pictures, beside_rows, pixels_in
 from spinestiff.study.report.certainty_pictures import ProfileCurve, draw_profiles, draw_support_places
+from spinestiff.study.report.clinician import clinician_content
+from spinestiff.study.report.clinician_picture import moments
 from spinestiff.study.report.content import (
     MODELS,
     budget_bars,
@@ -62,19 +65,20 @@ from spinestiff.study.report.figures import (
     draw_ratio_map,
     draw_tilt_changes,
 )
+from spinestiff.study.report.pdf import PDF_FILE
+from spinestiff.study.report.placing import pixel_mm, pixels_of, push_arrow, sides_of
 from spinestiff.study.report.plan_picture import draw_plan
+from spinestiff.study.report.theme import dark_style, for_page
 from spinestiff.study.report.tornado_picture import draw_tornado
 from spinestiff.study.report.viewer.files import scene_of
 from spinestiff.study.report.viewer.page import component, page_environment, script_hash, view_page
 from spinestiff.study.sensitivity_words import largest, tornado_rows
-from spinestiff.study.trials import PushTrial
 from spinestiff.study.truth import known_comparison, read_truth, true_values
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import fixed, listed, number
 from spinestiff.subject.folder import image_corners, read_push, read_rest
 from spinestiff.subject.outcomes import Assessment, Estimate, GeometryRecord, Responses, Tracked
 from spinestiff.subject.plan_outcome import Plan
-from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import is_unchanged, read_outcome
 from spinestiff.subject.sensitivity_outcome import Sensitivity
 from spinestiff.words import counted
@@ -87,12 +91,12 @@ class Picture:
     Attributes
     ----------
     file : name of the PNG.
-    source : data URI.
+    drawing : the same as an element of the page; not to be escaped.
     alt, caption : in words.
     """
 
     file: str
-    source: str
+    drawing: str
     alt: str
     caption: str
 
@@ -112,6 +116,8 @@ def write_report(visit: Visit, predictions: Predictions, say: Observer) -> None:
             old.unlink()
     for name, content in pictures.items():
         write_bytes(folder / name, content)
+    # A PDF of an earlier report would be none of this one.
+    visit.file(PDF_FILE).unlink(missing_ok=True)
     write_text(visit.file("view.html"), view)
     write_text(visit.file("report.html"), page)
     say(f"{visit.file('report.html')} and {counted(len(pictures), 'figure')}")
@@ -127,9 +133,12 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
     region = _region_picture(visit, estimate)
     scene = scene_of(visit, predictions)
     album, films = _Album(), {push.id: read_push(subject, push) for push in subject.pushes}
+    responses = read_outcome(subject, Responses)
     page = {
+        "first": clinician_content(visit, estimate, assessment, responses),
+        "moments": [album.add(*picture) for picture in moments(visit, predictions, films, assessment)],
         "subject": subject_content(visit),
-        "response": response_content(read_outcome(subject, Responses)),
+        "response": response_content(responses),
         "result": result_content(visit, estimate, assessment),
         "checks": check_rows(estimate.checks),
         "comparison": comparison_content(assessment),
@@ -156,10 +165,13 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
         "budget": album.add(*_budget_picture(estimate)) if estimate.budget else None,
         "support_places": _added(album, _support_picture(estimate, predictions)),
         "levels": album.add(*_tilt_picture(visit, predictions)),
+        "beside": beside_rows(predictions),
+        "beside_pictures": [album.add(*picture) for picture in beside_pictures(predictions, pixels_in(visit))],
         "sensitivity": _sensitivity(visit, album),
         "plan": _plan(visit, album),
         "scene": component(scene),
         "script_hash": script_hash(),
+        "dark_figures": dark_style(),
     }  # fmt: skip
     return album.files, page_environment().get_template("report.html.j2").render(page), view_page(scene)
 
@@ -171,13 +183,10 @@ class _Album:
         self.files: dict[str, bytes] = {}
 
     def add(self, name: str, figure: Figure, alt: str, caption: str) -> Picture:
-        file = f"{len(self.files) + 1:02d}-{name}.png"
-        content = self.files[file] = as_png(figure)
-        kind = "image/png"
-        # Lines stay sharp at any zoom; radiographs would only grow.
-        if not any(axis.images for axis in figure.axes):
-            kind, content = "image/svg+xml", as_svg(figure)
-        return Picture(file, f"data:{kind};base64,{base64.b64encode(content).decode()}", alt, caption)
+        number = f"{len(self.files) + 1:02d}"
+        file = f"{number}-{name}.png"
+        self.files[file] = as_png(figure)
+        return Picture(file, for_page(as_svg(figure), f"figure-{number}"), alt, caption)
 
 
 def _added(album: _Album, picture: tuple[str, Figure, str, str] | None) -> Picture | None:
@@ -213,13 +222,13 @@ def _frame_picture(
     push = visit.subject.push(item.push)
     errors = {name: prediction.rmse(torso, name) for name in MODELS if name in prediction.solved}
     panels = tuple(
-        Panel(title, _pixels(view, prediction.boxes(torso, name)), errors[name])
+        Panel(title, pixels_of(view, prediction.boxes(torso, name)), errors[name])
         for name, title in MODELS.items()
         if name in errors
     )
     frame = next(f for f in film if f.frame == item.frame)
     names = item.trial.corners.vertebrae
-    overlay = _overlay(frame, view, names, target.z, panels, _arrow(torso, view, push, item))
+    overlay = _overlay(frame, view, names, target.z, panels, push_arrow(torso, view, push, item))
     found = listed(f"{MODELS[name].lower()} {error:.1f} mm" for name, error in errors.items())
     where = f"push “{item.push}”, frame {item.frame}, {item.force_n:.0f} N from the patient’s {push.side}"
     alt = f"Radiograph of {where}, with measured and simulated vertebra boxes. RMSE: {found}."
@@ -234,7 +243,7 @@ def _rest_picture(visit: Visit, torso: TorsoModel, name: str, geometry: Geometry
     shares = silhouette_shares(torso, view, torso.rest_pose)
     seen = state_features(torso, view, torso.rest_pose, shares).z[vertebra_rows(torso, corners)]
     error = geometry.rmse_mm[name]
-    panel = Panel(f"Rest, {name}", _pixels(view, seen), error)
+    panel = Panel(f"Rest, {name}", pixels_of(view, seen), error)
     overlay = _overlay(picture, view, corners.vertebrae, target_features(torso, view, corners), (panel,), None)
     alt = f"{name.capitalize()} radiograph at rest with measured and modelled vertebra boxes, RMSE {error:.1f} mm."
     return f"rest-{name}", draw_overlay(overlay), alt, f"{name.capitalize()} view at rest: the fitted geometry."
@@ -248,41 +257,20 @@ def _overlay(
     panels: tuple[Panel, ...],
     arrow: tuple[float, float, str] | None,
 ) -> Overlay:
-    first, _ = picture_axes(view)
-    letters = ("L", "R") if _is_frontal(view) else ("A", "P")
-    sides = letters if first[0] < 0.0 else letters[::-1]
-    column, row = (float(v) for v in view.pixel_spacing / view.magnification)
-    return Overlay(frame.pixels, names, _pixels(view, measured), panels, (column, row), sides, arrow)
-
-
-def _is_frontal(view: XRayView) -> bool:
-    return bool(abs(view.normal[2]) > abs(view.normal[0]))
-
-
-def _pixels(view: XRayView, plane_mm: Floats) -> Floats:
-    return np.asarray(view.pixels(view.from_patient_plane(plane_mm)))
-
-
-def _arrow(torso: TorsoModel, view: XRayView, push: PushRecord, item: PushTrial) -> tuple[float, float, str]:
-    """Pushed height (row), direction along the columns and force."""
-    load = item.trial.load
-    share = np.linalg.norm(load.forces, axis=1) / load.size
-    place = share @ load.points.positions(torso.rest_pose)
-    there, onward = view.pixels(view.project(np.stack([place, place + [10.0 * push.sign, 0.0, 0.0]])))
-    return float(there[1]), float(np.sign(onward[0] - there[0])), f"{item.force_n:.0f} N"
+    return Overlay(frame.pixels, names, pixels_of(view, measured), panels, pixel_mm(view), sides_of(view), arrow)
 
 
 def curve_changes(predictions: Predictions) -> list[CurveChange]:
     """Change of the Cobb angle against force, of every push: measured by role, and as the models make it."""
     pushes, changes = predictions.pushes, []
     for push in pushes.problems:
-        measured: dict[str, list[tuple[float, float]]] = {"training": [], "validation": [], "unused": []}
+        measured: dict[str, list[tuple[float, ...]]] = {"training": [], "validation": [], "unused": []}
         for item in (t for t in pushes.trials if t.push == push):
             change = predictions.measured_change(item)
-            if change is not None:
-                measured[item.role].append((item.force_n, change.tilt))
+            if change is not None and change.sds is not None:
+                measured[item.role].append((item.force_n, change.tilt, NORMAL_95 * change.sds[2]))
         start = pushes.reference(push).force_n
-        simulated: dict[str, list[tuple[float, float]]] = {"default": [(start, 0.0)], "fit": [(start, 0.0)]}
+        simulated: dict[str, list[tuple[float, ...]]] = {"default": [(start, 0.0)], "fit": [(start, 0.0)]}
         for p in (p for p in predictions.frames if p.item.push == push and p.item.force_n > start):
             for name, points in simulated.items():
                 change = predictions.simulated_change(p, name)
@@ -295,20 +283,20 @@ def curve_changes(predictions: Predictions) -> list[CurveChange]:
 def _curve_picture(predictions: Predictions) -> tuple[str, Figure, str, str]:
     changes = curve_changes(predictions)
     words = [
-        f"push {c.push}: measured {rows[-1, 1]:+.1f} degrees at {rows[-1, 0]:.0f} N"
+        f"push {c.push}: measured {rows[-1, 1]:+.1f} ± {rows[-1, 2]:.1f} degrees at {rows[-1, 0]:.0f} N"
         for c in changes
         for rows in [np.vstack(list(c.measured.values()))]
         for rows in [rows[np.argsort(rows[:, 0])]]
     ]
     alt = "Change of the Cobb angle against force, measured and simulated; " + listed(words) + "."
     caption = (
-        "Change of the Cobb angle (tilt form) against force. Left-convex counts as positive. "
+        "Change of the Cobb angle (tilt form, by endplates) against force, bars: 95 %. Left-convex counts as positive. "
         "Frames that the estimate did not use test it."
     )
     return "force-and-curve", draw_curve_changes(changes), alt, caption
 
 
-def _sorted_points(groups: Mapping[str, list[tuple[float, float]]]) -> dict[str, Floats]:
+def _sorted_points(groups: Mapping[str, list[tuple[float, ...]]]) -> dict[str, Floats]:
     return {name: np.array(sorted(points)) for name, points in groups.items() if points}
 
 

@@ -118,7 +118,7 @@ def _push_words(push: PushScene) -> str:
 
 
 def _rows(push: PushScene) -> list[tuple[str, ...]]:
-    """Push, frame, force, use, RMSE of each model, and the reactions of the first one at shoulder and pelvis."""
+    """Push, frame, force, use, RMSE of each model, reactions of the first one at shoulder and pelvis, Cobb angle."""
     best = next(name for name in MODELS if name in push.models)
     steps = {step.frame: step for step in push.models[best] if step.frame is not None}
     rows = []
@@ -138,6 +138,7 @@ def _rows(push: PushScene) -> list[tuple[str, ...]]:
                 *errors,
                 held.get(SupportKind.SHOULDER, "–"),
                 held.get(SupportKind.HELD, "–"),
+                frame.cobb or "–",
             )
         )
     return rows

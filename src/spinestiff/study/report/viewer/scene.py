@@ -18,6 +18,7 @@ from spinestiff.anatomy.names import RIBS, VERTEBRAE
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
+from spinestiff.curves.pushes import reading_of
 from spinestiff.estimation.objective import make_target
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.loads import LoadCase
@@ -39,6 +40,7 @@ class Frame:
     frame, force_n, role : as in ``subject.json``.
     vertebrae : (Nv,) names. measured : (Nv, 4, 2) mm at the patient plane.
     rmse_mm : by model, where it found an equilibrium.
+    cobb : the Cobb angle measured in it, in words.
     """
 
     frame: int
@@ -47,6 +49,7 @@ class Frame:
     vertebrae: tuple[str, ...]
     measured: Floats
     rmse_mm: Mapping[str, float]
+    cobb: str = ""
 
 
 @dataclass(frozen=True)
@@ -201,7 +204,13 @@ def _frame(torso: TorsoModel, prediction: Prediction, states: Mapping[str, str])
     item = prediction.item
     errors = {name: prediction.rmse(torso, state) for name, state in states.items()}
     return Frame(
-        item.frame, item.force_n, item.role, item.trial.corners.vertebrae, np.asarray(prediction.target.z), errors
+        item.frame,
+        item.force_n,
+        item.role,
+        item.trial.corners.vertebrae,
+        np.asarray(prediction.target.z),
+        errors,
+        reading_of(item.trial.label, item.trial.corners, item.trial.view).words(),
     )
 
 
