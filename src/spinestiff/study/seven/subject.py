@@ -11,7 +11,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-from pydantic import ValidationError
 
 from spinestiff import __version__
 from spinestiff.anatomy.names import VERTEBRAE
@@ -34,7 +33,6 @@ from spinestiff.study.refits import basis_of
 from spinestiff.study.runner import run_steps
 from spinestiff.study.sensitivity import FORCE, SIGNS, with_force
 from spinestiff.study.seven.geometry_error import GeometryError, steps_with
-from spinestiff.study.seven.outcome import FrameOutcome, SubjectOutcome
 from spinestiff.study.seven.participants import HELD_OUT, MAIN, Participant
 from spinestiff.study.spines import curved_spine
 from spinestiff.study.steps import stored_predictions
@@ -42,7 +40,9 @@ from spinestiff.study.synthetic import Recipe, made_by, synthesise, truth_path
 from spinestiff.study.visit import Settings, Visit, open_visit, pushes_on
 from spinestiff.subject.folder import image_corners, read_rest
 from spinestiff.subject.outcomes import Assessment, Comparison, Estimate, HeldOutFrame
+from spinestiff.subject.records import SUBJECT_FILE
 from spinestiff.subject.run_record import read_outcome, recorded_steps
+from spinestiff.subject.study_outcome import FrameOutcome, SubjectOutcome
 
 STEPS = ("track", "personalise", "estimate", "assess")
 MOST_TILT_DEG, LEAST_FORCE_N = 45.0, 15.0
@@ -54,6 +54,14 @@ def result_file(folder: Path, participant: Participant) -> Path:
     return folder / f"{participant.name}.json"
 
 
+def usable_folder(folder: Path) -> None:
+    """Raise SubjectError for the folder of a study that is a file, or a subject folder."""
+    if folder.exists() and not folder.is_dir():
+        raise SubjectError(f"{folder}: is there already and no folder; choose another one, nothing was written")
+    if (folder / SUBJECT_FILE).exists():
+        raise SubjectError(f"{folder}: is a subject folder; a study has subject folders inside, choose another one")
+
+
 def known_outcome(folder: Path, participant: Participant, settings: Settings) -> SubjectOutcome | None:
     """What an earlier run found of this subject with these settings and this version; None: nothing, or not that."""
     path = result_file(folder, participant)
@@ -61,7 +69,7 @@ def known_outcome(folder: Path, participant: Participant, settings: Settings) ->
         return None
     try:
         found = SubjectOutcome.model_validate_json(read_text(path), strict=True)
-    except (SpinestiffError, ValidationError):
+    except (SpinestiffError, ValueError):
         return None
     return found if (found.version, found.settings) == (__version__, settings_digest(participant, settings)) else None
 
