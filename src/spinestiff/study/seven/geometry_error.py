@@ -20,7 +20,7 @@ from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
-from spinestiff.files import read_text
+from spinestiff.files import json_text, read_text
 from spinestiff.observer import Observer
 from spinestiff.personalise.pose import align_view
 from spinestiff.personalise.shape import place_vertebrae
@@ -124,13 +124,14 @@ def off_step(error: GeometryError, visit: Visit, say: Observer) -> None:
     say(f"geometry error of {size:.2f} mm: RMSE {views['frontal']:.2f} mm in the frontal radiograph")
     for name in outputs_of_shape(visit):
         if name in ("torso.npz", START):
-            found = read_torso(visit.file(name))
-            write_torso(visit.file(name), place_vertebrae(found, *moved_spine(found, size * unit), observer=say))
+            shaped = read_torso(visit.file(name))
+            write_torso(visit.file(name), place_vertebrae(shaped, *moved_spine(shaped, size * unit), observer=say))
     count = len(spine)
     told = np.array(record.covariance).reshape(6 * count, -1)
     rows = size * basis.reshape(6 * count, -1)
     covariance = nested((told + rows @ rows.T).reshape(count, 6, -1))
-    write_outcome(visit.subject, record.model_copy(update={"rmse_mm": views, "covariance": covariance}))
+    found = {**record.model_dump(mode="json"), "rmse_mm": views, "covariance": covariance}
+    write_outcome(visit.subject, GeometryRecord.model_validate_json(json_text(found), strict=True))
 
 
 def steps_with(error: GeometryError) -> dict[str, Step]:
