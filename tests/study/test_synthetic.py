@@ -24,6 +24,7 @@ from spinestiff.personalise.pose import align_view
 from spinestiff.study import synthetic
 from spinestiff.study.elastic_supports import SyntheticSupports
 from spinestiff.study.steps import followed_view, marked_pedicles, side_views
+from spinestiff.study.stiffening import Stiffening
 from spinestiff.study.synthetic import (
     BENDING_RANGE,
     TISSUE_RANGE,
@@ -135,6 +136,59 @@ def test_given_supports_change_the_pushes_and_nothing_else(twins, tiny, tmp_path
     assert last["obliquity_deg"] == pytest.approx(0.0, abs=1e-4)
     assert abs(last["shoulder_mm"]) < 0.02
     before, after = digests(twins[0]), digests(tmp_path / "level")
+    changed = {name for name in before if before[name] != after[name]}
+    assert changed == {"pushes/main.dcm", "pushes/second.dcm"}
+
+
+def test_a_push_from_the_other_side_is_told_and_done_from_there(tmp_path, tiny):
+    pushes = (PUSH, replace(PUSH, id="against", other_side=True))
+    recipe = replace(tiny, pushes=pushes, side="left", age=11.0, sex="male")
+    truth = json.loads(synthesise(tmp_path / "a", recipe).read_text())
+    subject = read_subject(tmp_path / "a")
+    assert (subject.record.age, subject.record.sex) == (11.0, "male")
+    assert [push.side for push in subject.pushes] == ["left", "right"]
+    ways = []
+    for push in pushes:
+        first, last = (np.array(frame["corners_px"]) for frame in truth["pushes"][push.id])
+        ways.append(float(np.mean(last - first, axis=(0, 1))[0]))
+    assert ways[0] * ways[1] < 0.0 and min(map(abs, ways)) > 0.2
+    # The shoulder that holds against a push is marked in its picture: the other one each.
+    marked = [image_supports(subject, push.image)["shoulder"][0, 0] for push in subject.pushes]
+    assert abs(marked[0] - marked[1]) > 40.0
+    with pytest.raises(SubjectError, match="all pushes are from the other side"):
+        replace(tiny, pushes=pushes[1:])
+
+
+def test_a_gauge_misreads_what_is_told_and_nothing_else(tmp_path, tiny):
+    recipe = replace(tiny, pushes=(PUSH,), force_n=40.0)
+    for name, misread in (("right", False), ("wrong", True)):
+        synthesise(tmp_path / name, replace(recipe, misread=misread))
+    right, wrong = (digests(tmp_path / name) for name in ("right", "wrong"))
+    assert {name for name in right if right[name] != wrong[name]} == {"subject.json"}
+    told = read_subject(tmp_path / "wrong").push("main")
+    assert told.forces_n[0] == 0.0
+    assert told.forces_n[1] != 40.0 and abs(told.forces_n[1] - 40.0) < 12.0
+
+
+def test_misread_forces_have_the_errors_of_the_priors():
+    random = np.random.default_rng(0)
+    told = [synthetic.misread((0.0, 100.0, 20.0), 6.0, random) for _ in range(2000)]
+    forces, levels = np.array([one[0] for one in told]), np.array([one[1] for one in told])
+    assert (forces[:, 0] == 0.0).all()
+    assert forces[:, 1].std() == pytest.approx(np.hypot(2.0, 1.5), rel=0.1)
+    assert forces[:, 2].std() == pytest.approx(np.hypot(0.4, 1.5), rel=0.1)
+    assert levels.std() == pytest.approx(0.2, rel=0.1)
+    assert synthetic.misread((0.1,), 1.0, random)[0][0] > 0.0
+
+
+def test_stiffening_discs_move_otherwise_and_are_in_the_truth(twins, tiny, tmp_path):
+    law = Stiffening(0.3, 2.0)
+    synthesise(tmp_path / "stiffening", replace(tiny, seed=5, stiffening=law))
+    truth = json.loads(truth_path(tmp_path / "stiffening").read_text())
+    plain = json.loads(truth_path(twins[0]).read_text())
+    assert truth["recipe"]["stiffening"] == {"low": 0.3, "theta_deg": 2.0}
+    assert truth["ratios"] == plain["ratios"]
+    before, after = digests(twins[0]), digests(tmp_path / "stiffening")
     changed = {name for name in before if before[name] != after[name]}
     assert changed == {"pushes/main.dcm", "pushes/second.dcm"}
 

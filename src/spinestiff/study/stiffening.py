@@ -53,7 +53,12 @@ class Stiffening:
 
 
 def solved_with(
-    problem: EquilibriumProblem, law: NeutralZone, linear: TorsoModel, load: LoadCase, wanted: StiffnessRatios
+    problem: EquilibriumProblem,
+    law: NeutralZone,
+    linear: TorsoModel,
+    load: LoadCase,
+    wanted: StiffnessRatios,
+    rounds: int = ROUNDS,
 ) -> StiffnessRatios:
     """The ratios at which a subject with stiffening joints is solved, so that its true ratios are ``wanted``.
 
@@ -63,13 +68,14 @@ def solved_with(
     Parameters
     ----------
     problem : of the torso with ``law``. linear : the same with linear joints of default stiffness.
+    rounds : solves at most.
 
     Raises
     ------
     EquilibriumError : no equilibrium, or no such ratios.
     """
     tried, state = wanted, linear.rest_pose
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         state = problem.solve(load, tried, state).require().state
         found = _stored(problem.torso, law, linear, state, tried)
         left = np.array(

@@ -35,6 +35,10 @@ _GRADIENT = (
     "subjects moved; what a table of gradients tells is the order of the parameters, which is read below"
 )
 REASONS: Mapping[tuple[int, str], str] = {
+    **{
+        (2, label): "Subjects are made with the paper's values; those that are there are not all of them"
+        for label in ("Age", "Height (cm)", "Max force (N)")
+    },
     (
         2,
         "Init Cobb (deg)",
