@@ -17,9 +17,10 @@ from spinestiff.study.report.figures import FIT, MEASURED, PERCENTILES, STYLE
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-ROW_HEIGHT = 3.4  # inches
+PANEL_HEIGHT = 4.4  # inches
+MARGIN_MM, NARROWEST_MM = 18.0, 170.0  # of what is shown around the corners
 TRACKED = "#FF3B30"
-BONE_ALPHA = 0.55
+BONE, BONE_ALPHA = (1.0, 0.78, 0.35), 0.55
 
 
 @dataclass(frozen=True)
@@ -46,12 +47,14 @@ class Shot:
 
 def draw_sequence(shots: Sequence[Shot]) -> Figure:
     """Radiographs of a push with their tracked corners, from left to right (the paper's Fig. 2)."""
+    window = _window(shots)
+    wide = PANEL_HEIGHT * _aspect(window)
     with rc_context(STYLE):
-        figure = Figure(figsize=(3.1 * len(shots), 5.2), layout="constrained")
+        figure = Figure(figsize=(wide * len(shots) + 0.2, PANEL_HEIGHT + 0.4), layout="constrained")
         axes = figure.subplots(1, len(shots), squeeze=False)[0]
         for axis, shot in zip(axes, shots):
-            _picture(axis, shot)
-            axis.plot(*shot.measured.reshape(-1, 2).T, ".", color=TRACKED, markersize=3.5)
+            _picture(axis, shot, window)
+            axis.plot(*_mm(shot, shot.measured), ".", color=TRACKED, markersize=4.0)
             axis.set_title(shot.title, fontsize=10)
     return figure
 
@@ -59,15 +62,18 @@ def draw_sequence(shots: Sequence[Shot]) -> Figure:
 def draw_models(rows: Sequence[tuple[str, Sequence[Shot]]]) -> Figure:
     """A row a subject: its model over the radiographs, each with a plot of the corners beside it (Figs. 4 and 5)."""
     columns = max(len(shots) for _, shots in rows)
+    windows = [_window(shots) for _, shots in rows]
+    wide = PANEL_HEIGHT * max(_aspect(window) for window in windows)
     with rc_context(STYLE):
-        figure = Figure(figsize=(3.9 * columns + 0.4, ROW_HEIGHT * len(rows) + 0.5), layout="constrained")
-        grid = figure.subplots(len(rows), 2 * columns, squeeze=False, width_ratios=[1.25, 1.0] * columns)
-        for axes, (name, shots) in zip(grid, rows):
+        size = (columns * (1.85 * wide + 0.5) + 0.4, (PANEL_HEIGHT + 0.35) * len(rows) + 0.5)
+        figure = Figure(figsize=size, layout="constrained")
+        grid = figure.subplots(len(rows), 2 * columns, squeeze=False, width_ratios=[1.0, 0.85] * columns)
+        for axes, (name, shots), window in zip(grid, rows, windows):
             for number, shot in enumerate(shots):
                 over, beside = axes[2 * number], axes[2 * number + 1]
-                _picture(over, shot)
-                _plot(beside, shot, over)
-                over.set_title(shot.title, fontsize=8.5)
+                _picture(over, shot, window)
+                _corners(beside, shot, window)
+                over.set_title(shot.title, fontsize=9, loc="left")
             for spare in axes[2 * len(shots) :]:
                 spare.set_axis_off()
             axes[0].text(-0.04, 0.5, name, transform=axes[0].transAxes, rotation=90, ha="right", va="center")
@@ -79,33 +85,53 @@ def draw_models(rows: Sequence[tuple[str, Sequence[Shot]]]) -> Figure:
     return figure
 
 
-def _picture(axis: Axes, shot: Shot) -> None:
+def _mm(shot: Shot, corners: Floats) -> Floats:
+    """(2, 4 n) mm from the picture's first pixel."""
+    return np.asarray(corners.reshape(-1, 2) * shot.mm_per_pixel).T
+
+
+def _window(shots: Sequence[Shot]) -> tuple[float, float, float, float]:
+    """Left, right, top and bottom of what is shown of all of them, mm."""
+    corners = [_mm(shot, found) for shot in shots for found in (shot.measured, shot.simulated) if found is not None]
+    low, high = np.hstack(corners).min(axis=1) - MARGIN_MM, np.hstack(corners).max(axis=1) + MARGIN_MM
+    lacking = max(0.0, 0.5 * (NARROWEST_MM - (high[0] - low[0])))
+    return float(low[0] - lacking), float(high[0] + lacking), float(low[1]), float(high[1])
+
+
+def _aspect(window: tuple[float, float, float, float]) -> float:
+    left, right, top, bottom = window
+    return (right - left) / (bottom - top)
+
+
+def _picture(axis: Axes, shot: Shot, window: tuple[float, float, float, float]) -> None:
     black, white = np.percentile(shot.pixels, PERCENTILES)
     rows, columns = shot.pixels.shape
+    across, down = shot.mm_per_pixel
     place: dict[str, Any] = {
-        "extent": (-0.5, columns - 0.5, rows - 0.5, -0.5),
-        "aspect": shot.mm_per_pixel[1] / shot.mm_per_pixel[0],
+        "extent": (-0.5 * across, (columns - 0.5) * across, (rows - 0.5) * down, -0.5 * down),
+        "interpolation": "bilinear",
     }
-    axis.imshow(shot.pixels, cmap="gray", vmin=black, vmax=max(white, black + 1e-6), interpolation="bilinear", **place)
+    axis.imshow(shot.pixels, cmap="gray", vmin=black, vmax=max(white, black + 1e-6), **place)
     if shot.bones is not None:
         colour = np.zeros((*shot.bones.shape, 4))
-        colour[..., :3] = (1.0, 0.78, 0.35)
+        colour[..., :3] = BONE
         colour[..., 3] = BONE_ALPHA * np.clip(shot.bones, 0.0, 1.0)
-        axis.imshow(colour, interpolation="bilinear", **place)
+        axis.imshow(colour, **place)
     axis.set_axis_off()
+    _limited(axis, window)
 
 
-def _plot(axis: Axes, shot: Shot, over: Axes) -> None:
-    scale = np.array(shot.mm_per_pixel)
-    measured = shot.measured.reshape(-1, 2) * scale
-    axis.plot(*measured.T, "o", color=MEASURED, markersize=2.0)
-    everything = measured
+def _corners(axis: Axes, shot: Shot, window: tuple[float, float, float, float]) -> None:
+    axis.plot(*_mm(shot, shot.measured), "o", color=MEASURED, markersize=2.4)
     if shot.simulated is not None:
-        simulated = shot.simulated.reshape(-1, 2) * scale
-        axis.plot(*simulated.T, "x", color=FIT, markersize=2.8, markeredgewidth=0.8)
-        everything = np.concatenate([measured, simulated])
-    low, high = everything.min(0) - 10.0, everything.max(0) + 10.0
-    axis.set_xlim(low[0], high[0])
-    axis.set_ylim(high[1], low[1])
+        axis.plot(*_mm(shot, shot.simulated), "x", color=FIT, markersize=3.2, markeredgewidth=0.9)
+    _limited(axis, window)
+    axis.set_yticklabels([])
+    axis.set_xticklabels([])
+
+
+def _limited(axis: Axes, window: tuple[float, float, float, float]) -> None:
+    left, right, top, bottom = window
+    axis.set_xlim(left, right)
+    axis.set_ylim(bottom, top)
     axis.set_aspect("equal")
-    axis.tick_params(labelsize=6)

@@ -21,7 +21,7 @@ _MOTION = (
     "is held. "
     "The calibration meets the median force per degree of seven bodies, not that of each, and the paper does not "
     "say at "
-    "which rib it pushed (docs/validation.md, forward tests)"
+    "which rib it pushed ([forward tests](validation.md#forward-tests-that-nothing-was-fitted-to))"
 )
 _DEFAULT = (
     "The default model hardly moves here, so that its error is about the size of the subject's motion. " + _MOTION
@@ -33,6 +33,12 @@ _FLOOR = (
 _GRADIENT = (
     "A gradient's size goes with the distance between the default's picture and the measured one, so with how far the "
     "subjects moved; what a table of gradients tells is the order of the parameters, which is read below"
+)
+_FORCE = (
+    "Where a body is linear, a force that is 10 % larger makes every stiffness 10 % larger. More for one ratio and "
+    "less for the other is a slide along the valley in which the two trade; the weighed estimator's prior on "
+    "the force "
+    "(2 %) does not take part in it, since all frames are scaled alike"
 )
 REASONS: Mapping[tuple[int, str], str] = {
     **{
@@ -80,17 +86,12 @@ REASONS: Mapping[tuple[int, str], str] = {
     (6, "Diff in validation pose (measured)"): _MOTION,
     (6, "Diff in validation pose (default params)"): (
         "The paper's default row has changes of up to 16° beside an RMSE that is about the whole motion; a signed "
-        "angle "
-        "whose curve changes sides explains that (docs/errata.md). Here the default changes little in any form"
+        "angle whose curve changes sides explains that ([decided](errata.md#not-stated-and-decided-here)). Here the "
+        "default changes little in any form"
     ),
     (6, "Diff in validation pose (optimized params)"): "It follows the measured change above it",
-    (7, "Intervertebral lateral bending"): (
-        "Where a body is linear, a force that is 10 % larger makes every stiffness 10 % larger. More for one ratio and "
-        "less for the other is a slide along the valley in which the two trade; the weighed estimator's prior on "
-        "the force "
-        "(2 %) does not take part in it, since all frames are scaled alike"
-    ),
-    (7, "Lamé parameter μ"): "The same",
+    (7, "Intervertebral lateral bending"): _FORCE,
+    (7, "Lamé parameter μ"): _FORCE,
 }
 
 
@@ -102,7 +103,7 @@ def differing(table: PaperTable, there: Sequence[bool]) -> list[str]:
             numbers = [_number(cell) for cell, is_there in zip(line.cells, there) if is_there]
             if all(value is not None for value in numbers) and numbers:
                 rows.setdefault(line.label, {})[line.whose] = [value for value in numbers if value is not None]
-    found = []
+    found, said = list[str](), set[str]()
     for label, values in rows.items():
         if set(values) != {PAPER, OURS}:
             continue
@@ -110,7 +111,9 @@ def differing(table: PaperTable, there: Sequence[bool]) -> list[str]:
         paper, ours = (float(np.mean(np.abs(values[w]) if sizes else values[w])) for w in (PAPER, OURS))
         if abs(ours - paper) > DIFFERS * abs(paper):
             reason = REASONS[table.number, label]
-            found.append(f"**{label}**: {fixed(ours, 2)} against the paper's {fixed(paper, 2)}. {reason}.")
+            words = "For the same reason" if reason in said else reason
+            said.add(reason)
+            found.append(f"**{label}**: {fixed(ours, 2)} against the paper's {fixed(paper, 2)}. {words}.")
     return found
 
 
