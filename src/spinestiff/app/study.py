@@ -42,7 +42,7 @@ def seven(
     from spinestiff.app import tables
     from spinestiff.errors import FitError
     from spinestiff.parallel import threads
-    from spinestiff.study.report.seven_page import write_page
+    from spinestiff.study.report.seven_page import check_page, write_page
     from spinestiff.study.seven.campaign import run_study
     from spinestiff.study.seven.goals import errors_of, goals
     from spinestiff.study.seven.participants import others as thirty
@@ -52,7 +52,9 @@ def seven(
     from spinestiff.study.visit import Settings
 
     settings = Settings(mesh=mesh)
+    place = page or folder / "study.md"
     usable_folder(folder)
+    check_page(place)
     wanted = thirty() if others else those_seven()
     failures: dict[str, str] = {}
     if not page_only:
@@ -61,7 +63,7 @@ def seven(
     first = [known_outcome(folder, one, settings) for one in those_seven()]
     further = [found for one in thirty() if (found := known_outcome(folder, one, settings)) is not None]
     there = further if others else [found for found in first if found is not None]
-    written = write_page(folder, page or folder / "study.md", first, further, settings)
+    written = write_page(folder, place, first, further, settings)
     if json:
         tables.show_json([errors_of(found) for found in there])
     else:

@@ -37,6 +37,12 @@ LEFT_OUT = ("humerus", "clavicle", "scapula", "sternum")
 SEQUENCE = (0.0, 0.5, 1.0)  # shares of a push in Fig. 2
 
 
+def check_page(page: Path) -> None:
+    """Raise SubjectError for a page that is no Markdown file."""
+    if page.suffix != ".md" or page.is_dir():
+        raise SubjectError(f"--page {page}: wanted the name of a file that ends in .md")
+
+
 def write_page(
     folder: Path, page: Path, first: Sequence[SubjectOutcome | None], further: Sequence[SubjectOutcome], asked: Settings
 ) -> Path:
@@ -50,8 +56,6 @@ def write_page(
     ------
     SubjectError : a subject's folder is not as its outcome has it, or something can't be written.
     """
-    if page.suffix != ".md":
-        raise SubjectError(f"--page {page}: wanted a name that ends in .md")
     pictures, images = list[Picture](), page.parent / "images"
     there = [one for one in first if one is not None]
     if there:
