@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -47,7 +48,7 @@ def seven(
     from spinestiff.study.seven.goals import errors_of, goals
     from spinestiff.study.seven.participants import others as thirty
     from spinestiff.study.seven.participants import seven as those_seven
-    from spinestiff.study.seven.subject import known_outcome, usable_folder
+    from spinestiff.study.seven.subject import known_outcome, study_subject, usable_folder
     from spinestiff.study.seven.tables import paper_tables
     from spinestiff.study.visit import Settings
 
@@ -56,10 +57,12 @@ def seven(
     usable_folder(folder)
     check_page(place)
     wanted = thirty() if others else those_seven()
-    failures: dict[str, str] = {}
+    failures: Mapping[str, str] = {}
     if not page_only:
+        # The seven bear the paper's forces; others are pushed only as far as they bend.
+        way = partial(study_subject, limited=others)
         with live([one.name for one in wanted], quiet=json) as on_line:
-            failures = run_study(folder, wanted, settings, on_line, workers or threads()).failures
+            failures = run_study(folder, wanted, settings, on_line, workers or threads(), way).failures
     first = [known_outcome(folder, one, settings) for one in those_seven()]
     further = [found for one in thirty() if (found := known_outcome(folder, one, settings)) is not None]
     there = further if others else [found for found in first if found is not None]

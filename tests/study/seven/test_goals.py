@@ -7,7 +7,7 @@ import pytest
 from spinestiff.study.seven.goals import cobb_errors, coverage, errors_of, frames_of, goals, motions, places
 from study_outcomes import frame, outcome
 
-SEVEN = [outcome(number, size=8.0 + number) for number in range(1, 8)]
+SEVEN = [outcome(number, size=8.0 + number + 5.0 * (number == 7)) for number in range(1, 8)]
 
 
 def met(outcomes):
@@ -22,7 +22,7 @@ def test_all_are_met_by_errors_below_them():
 
 def test_numbers_are_means_and_medians_of_the_right_frames():
     found = {goal.name: goal.found for goal in goals(SEVEN)}
-    assert found["RMSE of the validation frame, mean"] == "2.40 mm"
+    assert found["RMSE of the validation frame, mean"] == "2.54 mm"
     assert found["the same over the default's"] == "0.20"
     wanted = {goal.name: goal.wanted for goal in goals(SEVEN)}
     rib = "median RMSE at another rib, forecast against tracking extrapolated by force"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from multiprocessing.queues import Queue
 from pathlib import Path
@@ -28,12 +28,12 @@ DONE, FAILED = "done", "failed: "
 ENDED = "its process ended before it was done (memory, or from outside); run the command again"
 
 
-@dataclass
+@dataclass(frozen=True)
 class Found:
     """What is known of the subjects that were asked for: outcomes by name, and why others have none."""
 
-    outcomes: dict[str, SubjectOutcome] = field(default_factory=dict)
-    failures: dict[str, str] = field(default_factory=dict)
+    outcomes: Mapping[str, SubjectOutcome]
+    failures: Mapping[str, str]
 
 
 def run_study(
@@ -52,18 +52,28 @@ def run_study(
     workers : processes at a time, each on one thread; 1: in this process, on all threads.
     study : makes an outcome.
     """
-    found, todo = Found(), list[Participant]()
+    outcomes, failures, todo = dict[str, SubjectOutcome](), dict[str, str](), list[Participant]()
+
+    def ended(name: str, result: Callable[[], SubjectOutcome]) -> None:
+        try:
+            outcomes[name] = result()
+        except SpinestiffError as error:
+            failures[name] = str(error)
+        except BrokenProcessPool:
+            failures[name] = ENDED
+        on_line(name, f"{FAILED}{failures[name]}" if name in failures else DONE)
+
     for one in participants:
         known = known_outcome(folder, one, settings)
         if known is None:
             todo.append(one)
         else:
-            found.outcomes[one.name] = known
+            outcomes[one.name] = known
             on_line(one.name, DONE)
     if workers <= 1 or len(todo) <= 1:
         for one in todo:
-            _ended(found, one.name, partial(study, folder, one, settings, partial(on_line, one.name)), on_line)
-        return found
+            ended(one.name, partial(study, folder, one, settings, partial(on_line, one.name)))
+        return Found(outcomes, failures)
     context = multiprocessing.get_context("spawn")
     lines: Queue[tuple[str, str] | None] = context.Queue()
     telling = Thread(target=_tell, args=(lines, on_line), daemon=True)
@@ -74,23 +84,13 @@ def run_study(
         }
         try:
             for name, future in waiting.items():
-                _ended(found, name, future.result, on_line)
+                ended(name, future.result)
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     lines.put(None)
     telling.join()
-    return found
-
-
-def _ended(found: Found, name: str, result: Callable[[], SubjectOutcome], on_line: OnLine) -> None:
-    try:
-        found.outcomes[name] = result()
-    except SpinestiffError as error:
-        found.failures[name] = str(error)
-    except BrokenProcessPool:
-        found.failures[name] = ENDED
-    on_line(name, f"{FAILED}{found.failures[name]}" if name in found.failures else DONE)
+    return Found(outcomes, failures)
 
 
 _LINES: list[Any] = []

@@ -21,6 +21,8 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
 from spinestiff.files import json_text, read_text
+from spinestiff.imaging.features import VertebraCorners
+from spinestiff.imaging.projection import XRayView
 from spinestiff.observer import Observer
 from spinestiff.personalise.pose import align_view
 from spinestiff.personalise.shape import place_vertebrae
@@ -84,14 +86,12 @@ def moved_spine(torso: TorsoModel, motion: Floats) -> tuple[Floats, Floats]:
     return rest.bone_positions[bones] + motion[:, :3], exp_so3(motion[:, 3:]) @ rest.bone_rotations[bones]
 
 
-def rest_rmse(visit: Visit, torso: TorsoModel, name: str, motion: Floats) -> float:
+def rest_rmse(torso: TorsoModel, view: XRayView, corners: VertebraCorners, motion: Floats) -> float:
     """Corner RMSE of a moved spine in a rest radiograph where the patient is where that fits best, mm."""
     positions, rotations = (np.array(part) for part in (torso.rest_pose.bone_positions, torso.rest_pose.bone_rotations))
     positions[torso.vertebra_bones], rotations[torso.vertebra_bones] = moved_spine(torso, motion)
     state = replace(torso.rest_pose, bone_positions=positions, bone_rotations=rotations)
-    picture = read_rest(visit.subject, name)  # type: ignore[arg-type]
-    corners = image_corners(visit.subject, f"rest/{name}", picture.view)
-    return align_view(torso, state, picture.view, corners)[1].rms_mm
+    return align_view(torso, state, view, corners)[1].rms_mm
 
 
 def size_of_error(rmse_of: Callable[[float], float], wanted: float) -> float:
@@ -119,8 +119,12 @@ def off_step(error: GeometryError, visit: Visit, say: Observer) -> None:
     spine = torso.rest_pose.bone_positions[torso.vertebra_bones]
     basis = smooth_errors(spine)
     unit = basis @ np.random.default_rng(error.seed).normal(size=basis.shape[-1])
-    size = size_of_error(lambda found: rest_rmse(visit, torso, "frontal", found * unit), error.rmse_mm)
-    views = {name: rest_rmse(visit, torso, name, size * unit) for name in record.rmse_mm}
+    pictures = {}
+    for which in visit.subject.rest_views:
+        view = read_rest(visit.subject, which).view
+        pictures[str(which)] = (view, image_corners(visit.subject, f"rest/{which}", view))
+    size = size_of_error(lambda found: rest_rmse(torso, *pictures["frontal"], found * unit), error.rmse_mm)
+    views = {name: rest_rmse(torso, *picture, size * unit) for name, picture in pictures.items()}
     say(f"geometry error of {size:.2f} mm: RMSE {views['frontal']:.2f} mm in the frontal radiograph")
     for name in outputs_of_shape(visit):
         if name in ("torso.npz", START):
