@@ -74,3 +74,12 @@ def test_intervals_count_the_truths_that_they_hold():
     text = page([off.model_copy(update={"ratios": {**off.ratios, "tissue": ratio}}), *[None] * 6])
     assert "- Tissue: the truth lies in 0 of 1 95 % intervals; the estimate is off by a factor of 1.11" in text
     assert "- Bending: the truth lies in 1 of 1" in text
+
+
+def test_the_forward_test_is_that_of_the_papers_changes():
+    text = page([outcome(1, change_deg=-20.0), outcome(2, change_deg=-7.0), *[None] * 5])
+    # The paper's: -19 and +13 degrees.
+    assert (
+        "off by 14.2° (root mean square over 2; no change at all would be by 16.3°), with the paper's sign in 1."
+        in text
+    )
