@@ -65,6 +65,7 @@ HOMES: dict[str, tuple[str, ...]] = {
         "study/report/tornado_picture.py",
         "study/report/torso_picture.py",
         "study/report/page.py",
+        "study/report/seven_pictures.py",
     ),
     "jinja2": ("study/report/viewer/page.py",),
     "pydantic": ("subject/*", "curves/corner_files.py", "annotate/*"),

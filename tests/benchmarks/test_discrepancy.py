@@ -10,15 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.template import template_torso
 from spinestiff.estimation.discrepancy import MIRROR
-from spinestiff.mechanics.assembly import Place
 from spinestiff.mechanics.contact import solve_with_contact
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.mechanics.potential import Potential
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.verification.models import toy_torso
 
 FOLDER = Path(__file__).parents[2] / "benchmarks"
 
@@ -37,33 +33,6 @@ discrepancy = _load("discrepancy")
 @pytest.fixture(scope="module")
 def bench():
     return pairs.Bench(template_torso(157.0))
-
-
-def test_the_neutral_zones_derivatives_are_those_of_its_energy() -> None:
-    torso, random = toy_torso(), np.random.default_rng(2)
-    columns = np.ones((len(torso.joints), 6), dtype=bool)
-    law = pairs.NeutralZone(torso.joints, columns, 0.05, 1.5)
-    potential = Potential(torso, [law])
-    stiffness, unknowns = potential.stiffness(None), potential.unknowns
-    state = retract(torso.rest_pose, random.normal(0.0, 0.05, potential.dofs))
-    step, h = random.normal(0.0, 1.0, potential.dofs), 1e-5
-
-    def gradient(at):
-        found = np.zeros(potential.dofs)
-        law.add_gradient(Place(unknowns, at), stiffness, found)
-        return found
-
-    def energy(t):
-        return law.energy(Place(unknowns, retract(state, t * step)), stiffness)[0]
-
-    np.testing.assert_allclose((energy(h) - energy(-h)) / (2 * h), gradient(state) @ step, rtol=1e-6)
-    # The same potential with and without the law; second derivative along the step.
-    bare = Potential(torso).hessian(state, stiffness, ())
-    matrix = potential.hessian(state, stiffness, ()) - bare
-    rows, columns_ = potential.pattern.indices, np.repeat(np.arange(potential.dofs), np.diff(potential.pattern.indptr))
-    products = matrix * step[rows] * step[columns_] * np.where(rows == columns_, 1.0, 2.0)
-    second = (energy(h) - 2.0 * energy(0.0) + energy(-h)) / h**2
-    np.testing.assert_allclose(products.sum(), second, rtol=1e-3)
 
 
 def test_the_wall_that_only_pushes_has_the_equilibria_of_contact(bench) -> None:

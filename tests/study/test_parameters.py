@@ -17,6 +17,7 @@ from spinestiff.study.parameters import (
     SIX,
     TABLE_3,
     cross_folds,
+    default_gradients,
     extreme,
     model_score,
     objective_gradients,
@@ -97,6 +98,7 @@ def test_gradients_are_the_objectives_slope_at_the_default_and_none_where_it_is_
                 total += 0.5 * float(np.sum(target.weights[:, None, None] * error**2))
             losses.append(total)
         assert of[name].default == pytest.approx((losses[0] - losses[1]) / 0.04, rel=0.01)
+    assert default_gradients(pushes) == pytest.approx({name: of[name].default for name in SIX}, rel=1e-3)
     scale = abs(of["intervertebral_bending"].default)
     assert abs(of["intervertebral_bending"].optimum) < 1e-3 * scale
     # Lambda is tied: what mu alone would gain, lambda alone would lose.

@@ -16,7 +16,7 @@ from spinestiff.errors import SubjectError
 from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.personalise.shape import place_vertebrae
-from spinestiff.study.spines import CURVES, curved_spine, real_spine, rest_vertebrae, torso_from_lps
+from spinestiff.study.spines import CURVES, SECONDARY, curved_spine, real_spine, rest_vertebrae, torso_from_lps
 
 COLUMNS = ("id", "level", "keypoint", "x_mm", "y_mm", "z_mm")
 MEASURED = Path(__file__).parents[3] / "shared" / "data" / "ct_spines" / "spines.csv"
@@ -262,3 +262,19 @@ def test_measured_spines_become_plausible_rest_shapes(torso):
         assert abs(cobb(torso, poses).degrees) < 45.0
         assert (np.diff(poses[0][:, 1]) < 0.0).all()
     assert usable > 5
+
+
+@pytest.mark.parametrize("name", SECONDARY)
+def test_a_secondary_curve_is_smaller_and_to_the_other_side(torso, name):
+    one, two = (curved_spine(torso, 20.0, name, share) for share in (0.0, 0.4))
+    lean = [np.degrees(np.arctan2(-rotations[:, 0, 1], rotations[:, 1, 1])) for _, rotations in (one, two)]
+    for found in lean:
+        assert np.ptp(found) == pytest.approx(20.0, abs=1.0)
+    aside = two[0][:, 0] - np.linspace(two[0][0, 0], two[0][-1, 0], 17)
+    assert aside.max() > 1.5 * -aside.min() > 1.5
+    assert (one[0][:, 0] - one[0][-1, 0]).min() > -1.0
+
+
+def test_a_secondary_curve_goes_with_a_single_one(torso):
+    with pytest.raises(SubjectError, match="curve 'double' with a secondary one"):
+        curved_spine(torso, 20.0, "double", 0.3)

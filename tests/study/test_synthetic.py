@@ -24,6 +24,7 @@ from spinestiff.personalise.pose import align_view
 from spinestiff.study import synthetic
 from spinestiff.study.elastic_supports import SyntheticSupports
 from spinestiff.study.steps import followed_view, marked_pedicles, side_views
+from spinestiff.study.stiffening import Stiffening
 from spinestiff.study.synthetic import (
     BENDING_RANGE,
     TISSUE_RANGE,
@@ -137,6 +138,62 @@ def test_given_supports_change_the_pushes_and_nothing_else(twins, tiny, tmp_path
     before, after = digests(twins[0]), digests(tmp_path / "level")
     changed = {name for name in before if before[name] != after[name]}
     assert changed == {"pushes/main.dcm", "pushes/second.dcm"}
+
+
+def test_a_push_from_the_other_side_is_told_and_done_from_there(tmp_path, tiny):
+    pushes = (PUSH, replace(PUSH, id="against", other_side=True))
+    recipe = replace(tiny, pushes=pushes, side="left", age=11.0, sex="male")
+    truth = json.loads(synthesise(tmp_path / "a", recipe).read_text())
+    subject = read_subject(tmp_path / "a")
+    assert (subject.record.age, subject.record.sex) == (11.0, "male")
+    assert [push.side for push in subject.pushes] == ["left", "right"]
+    ways = []
+    for push in pushes:
+        first, last = (np.array(frame["corners_px"]) for frame in truth["pushes"][push.id])
+        ways.append(float(np.mean(last - first, axis=(0, 1))[0]))
+    assert ways[0] * ways[1] < 0.0 and min(map(abs, ways)) > 0.2
+    # The shoulder that holds against a push is marked in its picture: the other one each.
+    marked = [image_supports(subject, push.image)["shoulder"][0, 0] for push in subject.pushes]
+    assert abs(marked[0] - marked[1]) > 40.0
+    with pytest.raises(SubjectError, match="all pushes are from the other side"):
+        replace(tiny, pushes=pushes[1:])
+
+
+def test_a_gauge_misreads_what_is_told_and_nothing_else(tmp_path, tiny):
+    recipe = replace(tiny, pushes=(PUSH,), force_n=40.0)
+    for name, misread in (("right", False), ("wrong", True)):
+        synthesise(tmp_path / name, replace(recipe, misread=misread))
+    right, wrong = (digests(tmp_path / name) for name in ("right", "wrong"))
+    assert {name for name in right if right[name] != wrong[name]} == {"subject.json"}
+    told = read_subject(tmp_path / "wrong").push("main")
+    assert told.forces_n[0] == 0.0
+    assert told.forces_n[1] != 40.0 and abs(told.forces_n[1] - 40.0) < 12.0
+
+
+def test_misread_forces_have_the_errors_of_the_priors():
+    random = np.random.default_rng(0)
+    told = [synthetic.misread((0.0, 100.0, 20.0), 6.0, random) for _ in range(2000)]
+    forces, levels = np.array([one[0] for one in told]), np.array([one[1] for one in told])
+    assert (forces[:, 0] == 0.0).all()
+    assert forces[:, 1].std() == pytest.approx(np.hypot(2.0, 1.5), rel=0.1)
+    assert forces[:, 2].std() == pytest.approx(np.hypot(0.4, 1.5), rel=0.1)
+    assert levels.std() == pytest.approx(0.2, rel=0.1)
+    assert synthetic.misread((0.1,), 1.0, random)[0][0] > 0.0
+
+
+def test_stiffening_discs_turn_less_and_less_with_force_and_are_in_the_truth(tiny, tmp_path):
+    push = replace(PUSH, shares=(0.0, 0.4, 1.0), roles=("unused", "training", "training"))
+    plain = replace(tiny, pushes=(push,), force_n=40.0, ratios=(0.3, 0.02))
+    law, bent, truths = Stiffening(0.2, 0.5), {}, {}
+    for name, recipe in (("linear", plain), ("stiffening", replace(plain, stiffening=law))):
+        truths[name] = json.loads(synthesise(tmp_path / name, recipe).read_text())
+        bent[name] = [abs(frame["cobb_change_deg"]["tilt"]) for frame in truths[name]["pushes"]["main"]]
+    assert truths["stiffening"]["recipe"]["stiffening"] == {"low": 0.2, "theta_deg": 0.5}
+    assert truths["stiffening"]["ratios"] == truths["linear"]["ratios"]
+    # The tissue, which stays as it is, hides a part of it.
+    later, sooner = bent["stiffening"][2] / bent["stiffening"][1], bent["linear"][2] / bent["linear"][1]
+    assert later < 0.8 * sooner
+    assert later > 1.2
 
 
 def test_the_annotation_is_the_truth_with_a_persons_error(finished):

@@ -34,6 +34,7 @@ from spinestiff.app.options import (
     stature_limits,
     within,
 )
+from spinestiff.app.study import study
 from spinestiff.app.torso import torso
 from spinestiff.errors import SpinestiffError, SubjectError, SubjectGaps
 
@@ -107,6 +108,7 @@ Acquisition = Annotated[
 
 
 app.add_typer(torso, name="torso")
+app.add_typer(study, name="study")
 
 
 def main() -> None:

@@ -17,6 +17,8 @@ from spinestiff.study.wording import NO_INTERVALS, PLAIN, badge, estimated, has_
 
 if TYPE_CHECKING:
     from spinestiff.study.repeatability import Repeatability
+    from spinestiff.study.seven.goals import Goal
+    from spinestiff.study.seven.tables import PaperTable
     from spinestiff.subject.outcomes import Estimate, FrameProposal, HeldOutFrame
     from spinestiff.verification.outcome import Check
 
@@ -152,6 +154,24 @@ def cobb_table(rows: Sequence[tuple[str, str, str, str, str]]) -> Table:
     )  # fmt: skip
     for row in rows:
         table.add_row(*[escape(cell) for cell in row])
+    return table
+
+
+def paper_table(found: PaperTable) -> Table:
+    """A table of the paper, ours beside the paper's lines."""
+    table = _table(f"Table {found.number}: {found.title}", "", "", *found.columns, "average")
+    last = ""
+    for line in found.lines:
+        table.add_row("" if line.label == last else line.label, line.whose, *line.cells, line.average)
+        last = line.label
+    return table
+
+
+def goals_table(found: Sequence[Goal], title: str) -> Table:
+    """What a study is judged by."""
+    table = _table(title, "goal", "wanted", "found", "")
+    for goal in found:
+        table.add_row(goal.name, goal.wanted, goal.found, "" if goal.met is None else "met" if goal.met else "NOT MET")
     return table
 
 

@@ -157,6 +157,29 @@ def objective_gradients(pushes: PushSet) -> tuple[tuple[GradientRow, ...], dict[
     return tuple(rows), fit.ratios.as_dict()
 
 
+def default_gradients(pushes: PushSet) -> dict[str, float]:
+    """Gradient of the paper's objective (Eq. 10) in the six ratios where all are 1, mm^2, in Table 3's order.
+
+    Parameters
+    ----------
+    pushes : trials as the paper's method has them, the pelvis level.
+
+    Raises
+    ------
+    EquilibriumError : no equilibrium there.
+    """
+    loaded = pushes.training
+    trials = TrialSet(
+        [pushes.problems[t.push] for t in loaded],
+        [t.trial for t in loaded],
+        parameter_groups(pushes.torso, SIX),
+        pushes.orientation,
+        None,
+    )
+    found = trials.gradient(trials.solve(np.zeros(len(SIX))))
+    return {name: float(value) for name, value in zip(SIX, found)}
+
+
 def cross_folds(pushes: PushSet) -> tuple[str, list[list[PushTrial]]]:
     """What is left out at a time: training pushes where there are several, else training frames."""
     training = pushes.training

@@ -23,6 +23,8 @@ CURVES = {
     "lumbar": ((0.24, 0.20, 1.0),),
     "double": ((0.68, 0.17, 1.0), (0.26, 0.17, -0.8)),
 }
+# Of a curve that compensates the first one, which it has beside it on the other side: apex and width.
+SECONDARY = {"thoracic": (0.26, 0.17), "thoracolumbar": (0.76, 0.17), "lumbar": (0.64, 0.20)}
 LARGEST_COBB_DEG = 80.0
 # Vertebrae turn towards the convexity, about a third of the coronal tilt's size at the apex (Easwar et al. 2011 report
 # the coupling, its size varies).
@@ -42,24 +44,31 @@ def rest_vertebrae(torso: TorsoModel) -> VertebraPoses:
     return torso.rest_pose.bone_positions[bones], torso.rest_pose.bone_rotations[bones]
 
 
-def curved_spine(torso: TorsoModel, cobb_deg: float, curve: str) -> VertebraPoses:
+def curved_spine(torso: TorsoModel, cobb_deg: float, curve: str, secondary: float = 0.0) -> VertebraPoses:
     """The torso's spine bent sideways until its largest coronal angle is ``cobb_deg`` (above 0: left-convex).
 
     Neighbouring vertebrae stay as far apart as they are in the torso, so that the spine's length stays and T1 comes
     down; it stays over L5.
 
+    Parameters
+    ----------
+    secondary : deflection of a second curve to the other side over the first one's (``SECONDARY``).
+
     Raises
     ------
-    SubjectError : unknown curve name or an angle outside +-80 degrees.
+    SubjectError : unknown curve name, an angle outside +-80 degrees, or a secondary curve beside a double one.
     """
     if curve not in CURVES:
         raise SubjectError(f"unknown curve '{curve}'; wanted one of {', '.join(CURVES)}")
+    if secondary and curve not in SECONDARY:
+        raise SubjectError(f"curve '{curve}' with a secondary one; wanted one of {', '.join(SECONDARY)}")
     if not abs(cobb_deg) <= LARGEST_COBB_DEG:
         raise SubjectError(f"Cobb angle {cobb_deg} degrees; wanted at most {LARGEST_COBB_DEG:g} to either side")
     positions, rotations = rest_vertebrae(torso)
     height = positions[:, 1] - positions[-1, 1]
     share = height / height[0]
-    bump = sum(side * np.exp(-(((share - apex) / width) ** 2)) for apex, width, side in CURVES[curve])
+    bumps = (*CURVES[curve], *(((*SECONDARY[curve], -secondary),) if secondary else ()))
+    bump = sum(side * np.exp(-(((share - apex) / width) ** 2)) for apex, width, side in bumps)
     # Ends stay over each other: what is left of the bump there is taken out along the spine.
     bump = bump - (bump[-1] + (bump[0] - bump[-1]) * share)
     slope = np.gradient(bump, height)

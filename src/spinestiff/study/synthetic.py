@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -36,6 +36,7 @@ from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.imaging.synthetic.acquisition import LATERAL, Acquisition, Gauge, acquire
 from spinestiff.imaging.synthetic.detector import Exposure
+from spinestiff.mechanics.assembly import Law
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.places import place_of_pelvis
@@ -56,6 +57,7 @@ from spinestiff.study.elastic_supports import (
     support_stiffness,
 )
 from spinestiff.study.spines import VertebraPoses, curved_spine, real_spine
+from spinestiff.study.stiffening import Stiffening, solved_with
 from spinestiff.subject.folder import write_annotation, write_subject
 from spinestiff.subject.marker_table import FEWEST, MOST, write_markers
 from spinestiff.subject.records import Annotation, ImageAnnotation, PushRecord, Role, SubjectRecord, parse_record
@@ -71,7 +73,10 @@ BEAD_SD_MM = 0.5  # of a marker's picture in a radiograph, the same
 MARKED_BETWEEN, BACKMOST, PAD_MM = ("T3", "L4"), -0.3, 60.0
 CAMERAS_SD_MM = 400.0  # of the cameras' origin
 CAMERA_AXES: dict[str, Axis] = {"left": "+x", "up": "+z", "front": "-y"}
-MARKER_STREAM = 29
+MARKER_STREAM, GAUGE_STREAM = 29, 31
+LEVEL_MM = 25.0  # from rib to rib along the spine
+Side = Literal["left", "right"]
+OPPOSITE: Mapping[Side, Side] = {"left": "right", "right": "left"}
 STANDING_SD_MM, STANDING_SD_RAD = 4.0, 0.012  # how differently a patient stands from one exposure to the next
 DETECTOR_WIDTH_MM = 427.0
 LARGEST_FORCE_N = 500.0  # that the gauge shows
@@ -89,6 +94,7 @@ class SyntheticPush:
     level : rib level of the push point, 1 to 12.
     shares : force of each frame over the recipe's largest. The first is 0: corners are marked in an unloaded frame.
     roles : of each frame.
+    other_side : from the side opposite the recipe's other pushes.
 
     Raises
     ------
@@ -99,6 +105,7 @@ class SyntheticPush:
     level: float
     shares: tuple[float, ...]
     roles: tuple[Role, ...]
+    other_side: bool = False
 
     def __post_init__(self) -> None:
         if not self.shares or self.shares[0] != 0.0 or not all(0.0 <= share <= 1.0 for share in self.shares):
@@ -153,6 +160,12 @@ class Recipe:
     supports : how much belt and shoulder's pad give under ``force_n``; drawn from 0 to 4 degrees and 0 to 4 mm if None.
     biplanar : each frame of a push has a lateral radiograph, too, and pedicles are marked in all frontal ones.
     markers : on the skin of front and flanks, seen by cameras in each frame of a push; 0 = none.
+    age, sex : as told; the body is the template's of its height.
+    side : that is pushed; None: the convex one, which straightens the curve.
+    secondary : deflection of a second curve to the other side, over the first one's (``spines.curved_spine``).
+    stiffening : of the discs; None: linear, as the estimator's.
+    misread : forces are told as a gauge with the errors of ``estimation.priors.Priors`` reads them, and rib levels as
+        somebody feels them, instead of as they are.
     """
 
     seed: int = 0
@@ -171,6 +184,12 @@ class Recipe:
     supports: SyntheticSupports | None = None
     biplanar: bool = False
     markers: int = 0
+    age: float = 13.0
+    sex: Literal["female", "male"] = "female"
+    side: Literal["left", "right"] | None = None
+    secondary: float = 0.0
+    stiffening: Stiffening | None = None
+    misread: bool = False
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -187,6 +206,8 @@ class Recipe:
         for value in self.ratios or ():
             if not low <= value <= high:
                 raise SubjectError(f"stiffness ratio {value}; wanted {low} to {high}")
+        if self.pushes and all(push.other_side for push in self.pushes):
+            raise SubjectError("all pushes are from the other side; wanted at least one that isn't")
         ids = [push.id for push in self.pushes]
         if not ids or len(set(ids)) < len(ids):
             raise SubjectError(f"pushes {', '.join(ids) or 'none'}; wanted at least one, each with an id of its own")
@@ -201,12 +222,19 @@ class Recipe:
             "shape": list(self.shape),
             "spine": spine,
             "pushes": [
-                {"id": push.id, "level": push.level, "shares": list(push.shares), "roles": list(push.roles)}
+                {
+                    "id": push.id,
+                    "level": push.level,
+                    "shares": list(push.shares),
+                    "roles": list(push.roles),
+                    "other_side": push.other_side,
+                }
                 for push in self.pushes
             ],
             "acquisition": asdict(self.acquisition, dict_factory=_plain),
             "lateral_exposure": asdict(self.lateral_exposure, dict_factory=_plain),
             "supports": None if self.supports is None else asdict(self.supports),
+            "stiffening": None if self.stiffening is None else asdict(self.stiffening),
         }
 
 
@@ -245,13 +273,22 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     )
     ratios = stiffness_ratios({"lateral_bending": bending, "tissue": tissue})
     maker = _Acquisition(folder, torso, recipe, random)
-    side = maker.pushed_side
+    side = maker.main_side
     # A stream of its own: what else is random is the same whether supports are drawn or given.
     give = recipe.supports or drawn_supports(random.spawn(1)[0])
     say(f"fitting supports that give {give.obliquity_deg:.1f} degrees and {give.shoulder_mm:.1f} mm")
-    largest = [rib_push(torso, side, push.level, recipe.force_n) for push in recipe.pushes]
+    largest = [rib_push(torso, side, push.level, recipe.force_n) for push in recipe.pushes if not push.other_side]
     stiffness = support_stiffness(torso, side, largest, ratios, give)
-    problem = EquilibriumProblem(torso, elastic_supports(torso, side, stiffness))
+    body, laws = torso, tuple[Law, ...]()
+    if recipe.stiffening is not None:
+        body, law = recipe.stiffening.applied(torso)
+        laws = (law,)
+    sides = dict.fromkeys(maker.side_of(push) for push in recipe.pushes)
+    problems = {at: EquilibriumProblem(body, elastic_supports(torso, at, stiffness), laws=laws) for at in sides}
+    solved = ratios
+    if recipe.stiffening is not None:
+        say("fitting the ratios of stiffening joints")
+        solved = solved_with(problems[side], law, torso, largest[0], ratios)
 
     # All equilibria before the first file: a push that the torso can't carry leaves nothing behind.
     def pushed(push: SyntheticPush) -> list[TorsoState]:
@@ -259,7 +296,8 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
         for share in push.shares:
             force = share * recipe.force_n
             say(f"push '{push.id}': equilibrium at {force:.0f} N")
-            found = problem.solve(rib_push(torso, side, push.level, force), ratios, states[-1])
+            at = maker.side_of(push)
+            found = problems[at].solve(rib_push(torso, at, push.level, force), solved, states[-1])
             states.append(found.require().state)
         return states[1:]
 
@@ -268,7 +306,7 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
     maker.rest_images()
     for push, own in zip(recipe.pushes, states):
         say(f"push '{push.id}': rendering {len(push.shares)} radiographs")
-        maker.push(push, own, problem.supports)
+        maker.push(push, own, problems[maker.side_of(push)].supports)
     return maker.finish({"lateral_bending": bending, "tissue": tissue}, give, stiffness)
 
 
@@ -310,7 +348,7 @@ def subject_torso(recipe: Recipe, observer: Observer | None = None) -> TorsoMode
     if recipe.spine:
         poses = real_spine(template, *recipe.spine)
     else:
-        poses = curved_spine(template, recipe.cobb_deg, recipe.curve)
+        poses = curved_spine(template, recipe.cobb_deg, recipe.curve, recipe.secondary)
     return place_vertebrae(template, *poses, nodes=recipe.nodes, seed=recipe.seed, observer=observer)
 
 
@@ -325,11 +363,16 @@ class _Acquisition:
         self.centre = np.array([0.0, 0.5 * (spine[0, 1] + spine[-1, 1]), 0.0])
         self._rest_tilts = self._tilts(torso.rest_pose)
         self.rest_cobb = cobb_angle(self._rest_tilts)
-        # A push on the convex side straightens the curve.
-        self.pushed_side: Literal["left", "right"] = "left" if self.rest_cobb.degrees > 0.0 else "right"
-        self.pushes = tuple(self._push_record(push) for push in recipe.pushes)
-        # A stream of its own: what else is random is the same with and without markers.
+        convex: Side = "left" if self.rest_cobb.degrees > 0.0 else "right"
+        self.main_side: Side = recipe.side or convex
+        # Streams of their own: what else is random is the same with and without markers, and errors of the gauge.
         self._marker_random = np.random.default_rng([recipe.seed, MARKER_STREAM])
+        self._gauge_random = np.random.default_rng([recipe.seed, GAUGE_STREAM])
+        self.pushes = tuple(self._push_record(push) for push in recipe.pushes)
+
+    def side_of(self, push: SyntheticPush) -> Side:
+        """The side of a push."""
+        return OPPOSITE[self.main_side] if push.other_side else self.main_side
 
     def rest_images(self) -> None:
         lateral = replace(self.recipe.acquisition, exposure=self.recipe.lateral_exposure)
@@ -341,15 +384,15 @@ class _Acquisition:
             pixels = self._radiographs([self.torso.rest_pose], view, how)
             path = self.folder / "rest" / f"{name}.dcm"
             self._write(path, pixels, view, orientation, f"rest {name}")
-            self.images[f"rest/{name}"] = self._annotation(view, supports=False)
+            self.images[f"rest/{name}"] = self._annotation(view)
 
     def push(self, push: SyntheticPush, states: list[TorsoState], supports: Supports) -> None:
         view = self._standing(self._nominal(frontal_view))
-        load = rib_push(self.torso, self.pushed_side, push.level, 1.0)
+        load = rib_push(self.torso, self.side_of(push), push.level, 1.0)
         pixels = self._radiographs(states, view, self.recipe.acquisition, Gauge(load.points, load.forces.sum(axis=0)))
         path = self.folder / "pushes" / f"{push.id}.dcm"
         self._write(path, pixels, view, ("L", "F"), f"push {push.id}")
-        self.images[f"push/{push.id}"] = self._annotation(view, supports=True)
+        self.images[f"push/{push.id}"] = self._annotation(view, held_against=self.side_of(push))
         if self.recipe.biplanar:
             self._seen_aside(push, states, view)
         if self.recipe.markers:
@@ -373,7 +416,7 @@ class _Acquisition:
         self._write(path, self._radiographs(states, side, how), side, ("A", "F"), f"push {push.id} lateral")
         record = next(record for record in self.pushes if record.id == push.id)
         for number, state in enumerate(states):
-            self.images[record.view_image(number, SIDE)] = self._annotation(side, supports=False, state=state)
+            self.images[record.view_image(number, SIDE)] = self._annotation(side, state=state)
             name = record.frame_image(number)
             there = self.images[name].model_dump() if name in self.images else {"vertebrae": {}}
             marked = {**there, "pedicles": self._marked_pedicles(frontal, state)}
@@ -382,7 +425,7 @@ class _Acquisition:
     def _seen_by_cameras(self, push: SyntheticPush, states: list[TorsoState], frontal: XRayView) -> None:
         """The table of a push's skin markers, and where its first radiograph shows those that lie in the picture."""
         random, priors = self._marker_random, Priors()
-        load = rib_push(self.torso, self.pushed_side, push.level, 1.0)
+        load = rib_push(self.torso, self.side_of(push), push.level, 1.0)
         spots = load.points.positions(self.torso.rest_pose)
         points, outward = spread_markers(self.torso, self.recipe.markers, spots)
         there = np.array([points.positions(self.torso, state) for state in states])
@@ -425,8 +468,8 @@ class _Acquisition:
         record = SubjectRecord(
             schema_version=1,
             id=f"synthetic-{recipe.seed}",
-            age=13.0,
-            sex="female",
+            age=recipe.age,
+            sex=recipe.sex,
             height_cm=recipe.height_cm,
             pushes=self.pushes,
         )
@@ -479,9 +522,11 @@ class _Acquisition:
             description=description,
         )
 
-    def _annotation(self, view: XRayView, supports: bool, state: TorsoState | None = None) -> ImageAnnotation:
+    def _annotation(
+        self, view: XRayView, held_against: Side | None = None, state: TorsoState | None = None
+    ) -> ImageAnnotation:
         """What a person would click in a state's image, by default the unloaded torso's: the visible vertebrae, a
-        little off."""
+        little off, and with a pushed side pelvis and held shoulder."""
         rest = self.torso.rest_pose
         shares = silhouette_shares(self.torso, view, rest)
         corners = state_features(self.torso, view, rest if state is None else state, shares).corners
@@ -490,11 +535,11 @@ class _Acquisition:
         inside = self._shown(pixels, view).all(1)
         vertebrae = {VERTEBRAE[i]: pixels[i].tolist() for i in np.flatnonzero(inside)}
         points: dict[str, list[list[float]]] = {}
-        if supports:
+        if held_against is not None:
             for name, landmark in (("pelvis", "pelvis_belt"), ("shoulder", "humerus_head")):
                 seen = view.pixels(view.project(self.torso.landmarks[landmark].positions(rest))).round(2)
                 if name == "shoulder":
-                    seen = seen[[1 if self.pushed_side == "left" else 0]]
+                    seen = seen[[1 if held_against == "left" else 0]]
                 if self._shown(seen, view).all():
                     points[name] = seen.tolist()
         return ImageAnnotation.model_validate({"vertebrae": vertebrae, "supports": points})
@@ -505,15 +550,18 @@ class _Acquisition:
         return np.asarray(((pixels > first + 4.5) & (pixels < last - 4.5)).all(-1))
 
     def _push_record(self, push: SyntheticPush) -> PushRecord:
-        shoulder, pelvis, rib = push_heights(self.torso, self.pushed_side, push.level)
+        side, forces, level = self.side_of(push), [share * self.recipe.force_n for share in push.shares], push.level
+        shoulder, pelvis, rib = push_heights(self.torso, side, level)
+        if self.recipe.misread:
+            forces, level = misread(forces, level, self._gauge_random)
         record = {
             "id": push.id,
-            "side": self.pushed_side,
-            "level": push.level,
+            "side": side,
+            "level": level,
             "d21_mm": round(shoulder - pelvis, 1),
             "d31_mm": round(shoulder - rib, 1),
             "frames": f"pushes/{push.id}.dcm",
-            "forces_n": [round(share * self.recipe.force_n, 3) for share in push.shares],
+            "forces_n": [round(force, 3) for force in forces],
             "roles": push.roles,
         }
         if self.recipe.biplanar:
@@ -528,7 +576,17 @@ class _Acquisition:
         return tilts(VERTEBRAE, state_features(self.torso, view, state, shares).corners, view)
 
 
-def push_heights(torso: TorsoModel, side: Literal["left", "right"], level: float) -> tuple[float, float, float]:
+def misread(forces: Sequence[float], level: float, random: np.random.Generator) -> tuple[list[float], float]:
+    """Forces of a push, N, as a gauge with the errors of ``estimation.priors.Priors`` tells them, and its rib level as
+    somebody feels it; no force is told as none."""
+    p = Priors()
+    scale, offset = p.force_scale * random.normal(), p.force_offset_n * random.normal()
+    felt = level + p.push_height_mm / LEVEL_MM * random.normal()
+    told = [max(round((force - offset) * float(np.exp(-scale)), 1), 0.1) if force > 0.0 else 0.0 for force in forces]
+    return told, round(float(np.clip(felt, 1.0, 12.0)), 1)
+
+
+def push_heights(torso: TorsoModel, side: Side, level: float) -> tuple[float, float, float]:
     """Heights of the held shoulder, the pelvis and the point of a push at rest, mm."""
     rest, marks = torso.rest_pose, torso.landmarks
     load = rib_push(torso, side, level, 1.0)

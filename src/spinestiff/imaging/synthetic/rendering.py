@@ -77,7 +77,7 @@ def _add_absorber(out: Floats, absorber: Absorber, view: XRayView, samples: int)
     step = int(absorber.smoothing / float(view.pixel_spacing.max()) / _COARSE)
     if step > 1:
         # What is smoothed afterwards needs no fine detector.
-        coarse = _coarser(view, step)
+        coarse = coarser(view, step)
         smooth = np.zeros(coarse.shape)
         _add_sharp(smooth, absorber, surface, coarse, 1)
         smooth = wide_blur(smooth, absorber.smoothing, coarse)
@@ -123,7 +123,7 @@ def _finer(view: XRayView, samples: int) -> XRayView:
     return replace(view, detector_origin=first, pixel_spacing=spacing, shape=(rows * samples, columns * samples))
 
 
-def _coarser(view: XRayView, step: int) -> XRayView:
+def coarser(view: XRayView, step: int) -> XRayView:
     """A detector of pixels ``step`` times as large that starts at the same edges and covers no less."""
     first = view.detector_origin + 0.5 * (step - 1) * view.pixel_spacing @ view.detector_axes
     rows, columns = (-(-n // step) for n in view.shape)

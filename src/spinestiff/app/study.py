@@ -1,0 +1,114 @@
+"""``spinestiff study``: a whole study, from making its subjects to the page about it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+study = typer.Typer(
+    name="study", help="Whole studies of synthetic subjects.", no_args_is_help=True, rich_markup_mode=None
+)
+
+
+@study.callback()
+def _group() -> None:
+    pass
+
+
+@study.command()
+def seven(
+    folder: Annotated[Path, typer.Argument(help="Folder of the study; what is there already is not made again.")],
+    others: Annotated[
+        bool, typer.Option("--others", help="Thirty others, drawn from the ranges of the seven, in place of the seven.")
+    ] = False,
+    mesh: Annotated[str, typer.Option(help="Mesh of the estimates: fine, or coarse, a quick look.")] = "fine",
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=256, help="Subjects at a time; default a processor each.")
+    ] = None,
+    page: Annotated[
+        Path | None, typer.Option(help="Where the page goes, pictures beside it in images/; default DIR/study.md.")
+    ] = None,
+    page_only: Annotated[
+        bool, typer.Option("--page-only", help="Write the page from what is there, run nothing.")
+    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print errors by subject as a JSON list.")] = False,
+) -> None:
+    """Seven subjects after the paper's, from radiographs to its Tables 2-7 and Figures 2, 4 and 5."""
+    from spinestiff.app import tables
+    from spinestiff.errors import FitError
+    from spinestiff.parallel import threads
+    from spinestiff.study.report.seven_page import check_page, write_page
+    from spinestiff.study.seven.campaign import run_study
+    from spinestiff.study.seven.goals import errors_of, goals
+    from spinestiff.study.seven.participants import others as thirty
+    from spinestiff.study.seven.participants import seven as those_seven
+    from spinestiff.study.seven.subject import known_outcome, study_subject, usable_folder
+    from spinestiff.study.seven.tables import paper_tables
+    from spinestiff.study.visit import Settings
+
+    settings = Settings(mesh=mesh)
+    place = page or folder / "study.md"
+    usable_folder(folder)
+    check_page(place)
+    wanted = thirty() if others else those_seven()
+    failures: Mapping[str, str] = {}
+    if not page_only:
+        # The seven bear the paper's forces; others are pushed only as far as they bend.
+        way = partial(study_subject, limited=others)
+        with live([one.name for one in wanted], quiet=json) as on_line:
+            failures = run_study(folder, wanted, settings, on_line, workers or threads(), way).failures
+    first = [known_outcome(folder, one, settings) for one in those_seven()]
+    further = [found for one in thirty() if (found := known_outcome(folder, one, settings)) is not None]
+    there = further if others else [found for found in first if found is not None]
+    written = write_page(folder, place, first, further, settings)
+    if json:
+        tables.show_json([errors_of(found) for found in there])
+    else:
+        if not others:
+            for table in paper_tables(first):
+                tables.show(tables.paper_table(table))
+        tables.show(tables.goals_table(goals(there), f"Goals, {len(there)} of {len(wanted)} subjects"))
+        typer.echo(f"page: {written}")
+    if failures:
+        name, cause = next(iter(failures.items()))
+        raise FitError(f"{len(failures)} of {len(wanted)} subjects have no result; {name}: {cause}")
+
+
+@contextmanager
+def live(names: Sequence[str], quiet: bool = False) -> Iterator[Callable[[str, str], None]]:
+    """A table with a row a subject and what it is at, on a terminal; in a log a line each."""
+    from rich.console import Console
+    from rich.live import Live
+    from rich.markup import escape
+    from rich.table import Table
+
+    console, began = Console(stderr=True, quiet=quiet, highlight=False), time.perf_counter()
+    if not console.is_terminal:
+        yield lambda name, line: console.print(
+            f"{time.perf_counter() - began:7.1f} s  {escape(name)}: {escape(line)}", soft_wrap=True
+        )
+        return
+    at: dict[str, tuple[str, float, float]] = dict.fromkeys(names, ("waiting", 0.0, 0.0))
+
+    def shown() -> Table:
+        table = Table(box=None, pad_edge=False)
+        for column in ("subject", "seconds", "at"):
+            table.add_column(column, justify="right" if column == "seconds" else "left", no_wrap=True)
+        for name, (line, first, last) in at.items():
+            table.add_row(escape(name), f"{last - first:.0f}" if first else "", escape(line))
+        return table
+
+    with Live(shown(), console=console, refresh_per_second=4) as screen:
+
+        def on_line(name: str, line: str) -> None:
+            now = time.perf_counter()
+            at[name] = (line, at[name][1] or now, now)
+            screen.update(shown())
+
+        yield on_line

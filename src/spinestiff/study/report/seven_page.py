@@ -1,0 +1,151 @@
+"""The study's page with its pictures, from the outcomes and the subjects' folders."""
+
+from __future__ import annotations
+
+import datetime
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from spinestiff import __version__
+from spinestiff.anatomy.state import TorsoState
+from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.arrays import Floats
+from spinestiff.errors import SubjectError
+from spinestiff.files import write_bytes, write_text
+from spinestiff.imaging.features import silhouette_shares, state_features, target_features, vertebra_rows
+from spinestiff.imaging.projection import XRayView
+from spinestiff.imaging.radiograph import Radiograph
+from spinestiff.imaging.synthetic.path_length import path_length
+from spinestiff.imaging.synthetic.rendering import coarser
+from spinestiff.personalise.pose import align_view
+from spinestiff.study.predictions import Predictions
+from spinestiff.study.report.figures import as_png
+from spinestiff.study.report.seven_pictures import Shot, draw_models, draw_sequence
+from spinestiff.study.seven.page import Picture, page_text
+from spinestiff.study.seven.participants import MAIN, STEPS
+from spinestiff.study.steps import stored_predictions
+from spinestiff.study.visit import Settings, Visit, open_visit
+from spinestiff.subject.folder import image_corners, read_push, read_rest
+from spinestiff.subject.study_outcome import SubjectOutcome
+
+FIRST_FIGURE = 4  # subjects in Fig. 4; the others are in Fig. 5
+SHADOW_STEP, BONE_MM = 4, 25.0  # pixels of a shadow's pixel; path length that is drawn as solid
+LEFT_OUT = ("humerus", "clavicle", "scapula", "sternum")
+SEQUENCE = (0.0, 0.5, 1.0)  # shares of a push in Fig. 2
+
+
+def check_page(page: Path) -> None:
+    """Raise SubjectError for a page that is no Markdown file."""
+    if page.suffix != ".md" or page.is_dir():
+        raise SubjectError(f"--page {page}: wanted the name of a file that ends in .md")
+
+
+def write_page(
+    folder: Path, page: Path, first: Sequence[SubjectOutcome | None], further: Sequence[SubjectOutcome], asked: Settings
+) -> Path:
+    """Write the page, and its pictures into ``images`` beside it; pictures of the subjects that there are.
+
+    Parameters
+    ----------
+    folder : of the study. first : the seven, None where there is no outcome. further : the others that there are.
+
+    Raises
+    ------
+    SubjectError : a subject's folder is not as its outcome has it, or something can't be written.
+    """
+    pictures, images = list[Picture](), page.parent / "images"
+    there = [one for one in first if one is not None]
+    if there:
+        visits = [open_visit(folder / one.name, asked) for one in there]
+        found = [_shots(visit) for visit in visits]
+        figures = [
+            ("study-figure-2", draw_sequence(found[0][0]), f"Tracked corners of {there[0].name} under rising force")
+        ]
+        numbered = [
+            (number, shots)
+            for number, one in enumerate(first)
+            if one is not None
+            for shots in [found[there.index(one)][1]]
+        ]
+        for name, rows in (
+            ("study-figure-4", [row for row in numbered if row[0] < FIRST_FIGURE]),
+            ("study-figure-5", [row for row in numbered if row[0] >= FIRST_FIGURE]),
+        ):
+            if rows:
+                drawn = draw_models([(f"# {number + 1}", shots) for number, shots in rows])
+                figures.append((name, drawn, "Models over radiographs and corners: at rest, default, estimate"))
+        for name, figure, words in figures:
+            write_bytes(images / f"{name}.png", as_png(figure))
+            number = name.rpartition("-")[2]
+            pictures.append(Picture(number, os.path.relpath(images / f"{name}.png", page.parent), words))
+    today = datetime.datetime.now(datetime.UTC).date().isoformat()
+    write_text(page, page_text(first, further, pictures, today, __version__, asked.mesh))
+    return page
+
+
+def _shots(visit: Visit) -> tuple[list[Shot], list[Shot]]:
+    """Of Fig. 2, and of Figs. 4 and 5."""
+    predictions = stored_predictions(visit)
+    push = visit.subject.push(MAIN)
+    film = read_push(visit.subject, push)
+    tracked = [item for item in predictions.pushes.trials if item.push == MAIN]
+    sequence = []
+    for share in SEQUENCE:
+        item = next((one for one in tracked if one.frame == round(share * STEPS)), None)
+        if item is not None:
+            view = item.trial.view
+            pixels = np.asarray(view.pixels(item.trial.corners.corners))
+            title = f"{item.force_n:.0f} N"
+            sequence.append(Shot(title, film[item.frame].pixels, _scale(view), pixels))
+    return sequence, [_at_rest(visit, predictions.pushes.torso), *_held_out(predictions, film)]
+
+
+def _at_rest(visit: Visit, torso: TorsoModel) -> Shot:
+    picture = read_rest(visit.subject, "frontal")
+    corners = image_corners(visit.subject, "rest/frontal", picture.view)
+    view, pose = align_view(torso, torso.rest_pose, picture.view, corners)
+    shares = silhouette_shares(torso, view, torso.rest_pose)
+    made = state_features(torso, view, torso.rest_pose, shares).z[vertebra_rows(torso, corners)]
+    seen = target_features(torso, view, corners)
+    title = f"initial pose, RMSE {pose.rms_mm:.1f} mm"
+    return _shot(title, picture, view, seen, made, torso, torso.rest_pose)
+
+
+def _held_out(predictions: Predictions, film: Sequence[Radiograph]) -> list[Shot]:
+    torso = predictions.pushes.torso
+    frame = next((p for p in predictions.of_role("validation") if p.item.push == MAIN), None)
+    if frame is None:
+        return []
+    found = []
+    for name, words in (("default", "default"), ("fit", "optimized")):
+        if name in frame.solved:
+            title = f"validation, {words}, RMSE {frame.rmse(torso, name):.1f} mm"
+            view, state = frame.item.trial.view, frame.solved[name].state
+            picture = film[frame.item.frame]
+            found.append(_shot(title, picture, view, frame.target.z, frame.boxes(torso, name), torso, state))
+    return found
+
+
+def _shot(
+    title: str, picture: Radiograph, view: XRayView, seen: Floats, made: Floats, torso: TorsoModel, state: TorsoState
+) -> Shot:
+    measured, simulated = (np.asarray(view.pixels(view.from_patient_plane(z))) for z in (seen, made))
+    return Shot(title, picture.pixels, _scale(view), measured, simulated, bone_shadow(torso, state, view))
+
+
+def _scale(view: XRayView) -> tuple[float, float]:
+    column, row = (float(v) for v in view.pixel_spacing / view.magnification)
+    return column, row
+
+
+def bone_shadow(torso: TorsoModel, state: TorsoState, view: XRayView) -> Floats:
+    """(h, w) from 0 to 1: how much of spine, ribs and pelvis lies along the ray of each pixel of a coarser picture."""
+    small = coarser(view, SHADOW_STEP)
+    lengths = np.zeros(small.shape)
+    for bone, name in enumerate(torso.bone_names):
+        if not name.startswith(LEFT_OUT):
+            path_length(torso.surface_positions(state, bone), torso.bone_surfaces[bone].faces, small, lengths)
+    return np.clip(lengths / BONE_MM, 0.0, 1.0)

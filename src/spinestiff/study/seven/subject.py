@@ -1,0 +1,279 @@
+"""One subject of the study: made, taken through the whole chain from its radiographs, and what was found of it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from spinestiff import __version__
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.stiffness import DEFAULT_YOUNG_MPA, stiffness_ratios
+from spinestiff.anatomy.template import template_torso
+from spinestiff.curves.tilts import cobb_angle, tilts
+from spinestiff.errors import EquilibriumError, SpinestiffError, SubjectError
+from spinestiff.files import json_text, read_json, read_text, whole_folder, write_json
+from spinestiff.imaging.features import rmse, silhouette_shares, state_features, target_features
+from spinestiff.imaging.projection import frontal_view
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.loads import rib_push
+from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.observer import Observer
+from spinestiff.personalise.shape import place_vertebrae
+from spinestiff.study.assessment import extrapolated
+from spinestiff.study.parameters import default_gradients
+from spinestiff.study.predictions import REST, Prediction, Predictions
+from spinestiff.study.refits import basis_of
+from spinestiff.study.runner import run_steps
+from spinestiff.study.sensitivity import FORCE, SIGNS, with_force
+from spinestiff.study.seven.geometry_error import GeometryError, steps_with
+from spinestiff.study.seven.participants import HELD_OUT, MAIN, Participant
+from spinestiff.study.spines import curved_spine
+from spinestiff.study.steps import stored_predictions
+from spinestiff.study.synthetic import Recipe, made_by, synthesise, truth_path
+from spinestiff.study.visit import Settings, Visit, open_visit, pushes_on
+from spinestiff.subject.folder import image_corners, read_rest
+from spinestiff.subject.outcomes import Assessment, Comparison, Estimate, HeldOutFrame
+from spinestiff.subject.records import SUBJECT_FILE
+from spinestiff.subject.run_record import read_outcome, recorded_steps
+from spinestiff.subject.study_outcome import FrameOutcome, SubjectOutcome
+
+STEPS = ("track", "personalise", "estimate", "assess")
+MOST_TILT_DEG, LEAST_FORCE_N = 45.0, 15.0
+"""Change of tilt between two vertebrae at which a push of one of the others ends, and the least that is pushed."""
+
+
+def result_file(folder: Path, participant: Participant) -> Path:
+    """Where a subject's outcome lies."""
+    return folder / f"{participant.name}.json"
+
+
+def usable_folder(folder: Path) -> None:
+    """Raise SubjectError for the folder of a study that is a file, or a subject folder."""
+    if folder.exists() and not folder.is_dir():
+        raise SubjectError(f"{folder}: is there already and no folder; choose another one, nothing was written")
+    if (folder / SUBJECT_FILE).exists():
+        raise SubjectError(f"{folder}: is a subject folder; a study has subject folders inside, choose another one")
+
+
+def known_outcome(folder: Path, participant: Participant, settings: Settings) -> SubjectOutcome | None:
+    """What an earlier run found of this subject with these settings and this version; None: nothing, or not that."""
+    path = result_file(folder, participant)
+    if not path.is_file():
+        return None
+    try:
+        found = SubjectOutcome.model_validate_json(read_text(path), strict=True)
+    except (SpinestiffError, ValueError):
+        return None
+    return found if (found.version, found.settings) == (__version__, settings_digest(participant, settings)) else None
+
+
+def settings_digest(participant: Participant, settings: Settings) -> str:
+    """Of all that a subject's outcome follows from, but the program."""
+    asked = {"mesh": settings.mesh, "participant": asdict(participant), "recipe": participant.recipe().as_record()}
+    return hashlib.sha256(json_text(asked).encode()).hexdigest()
+
+
+def study_subject(
+    folder: Path, participant: Participant, settings: Settings, say: Observer, limited: bool = False
+) -> SubjectOutcome:
+    """Make the subject if it is not there, run the steps that are not up to date, and write what was found.
+
+    Parameters
+    ----------
+    folder : of the study. limited : the largest force is one that turns no two vertebrae by more than 45 degrees.
+
+    Raises
+    ------
+    SpinestiffError : it can't be made, tracked or estimated.
+    """
+    own, seconds = folder / participant.name, dict[str, float]()
+    began = time.perf_counter()
+    recipe = participant.recipe(bearable_force(participant) if limited else None)
+    _make(own, recipe, say)
+    seconds["make"] = time.perf_counter() - began
+    visit = open_visit(own, settings, truth_path(own))
+    # A later geometry has another error: the seed is the subject's, in a stream of its own.
+    error = GeometryError(participant.initial_rmse_mm, participant.seed + 10_000)
+    run_steps(visit, STEPS, say, known=steps_with(error))
+    seconds |= {name: recorded_steps(visit.subject)[name].seconds for name in STEPS}
+    began = time.perf_counter()
+    found = _outcome(visit, participant, recipe, settings, seconds, say)
+    seconds["tables"] = time.perf_counter() - began
+    found = found.model_copy(update={"seconds": {name: round(value, 1) for name, value in seconds.items()}})
+    write_json(result_file(folder, participant), found.model_dump(mode="json"))
+    return found
+
+
+def bearable_force(participant: Participant) -> float:
+    """The participant's largest force, or less where it would turn two vertebrae by more than 45 degrees, N.
+
+    Raises
+    ------
+    EquilibriumError : even a small push does.
+    """
+    recipe = participant.recipe()
+    template = template_torso(participant.height_cm, "coarse")
+    curve = curved_spine(template, participant.cobb_deg, participant.curve, participant.secondary)
+    torso = place_vertebrae(template, *curve)
+    side = recipe.side
+    assert side is not None
+    problem = EquilibriumProblem(torso, three_point_supports(torso, side, "level"))
+    ratios = stiffness_ratios({"lateral_bending": participant.bending, "tissue": participant.tissue})
+    view = frontal_view()
+    shares = silhouette_shares(torso, view, torso.rest_pose)
+    before = tilts(VERTEBRAE, state_features(torso, view, torso.rest_pose, shares).corners, view)
+    force = recipe.force_n
+    while True:
+        bent = 2.0 * MOST_TILT_DEG
+        try:
+            state = torso.rest_pose
+            for share in (0.5, 1.0):
+                load = rib_push(torso, side, recipe.pushes[0].level, share * force)
+                state = problem.solve(load, ratios, state).require().state
+            after = tilts(VERTEBRAE, state_features(torso, view, state, shares).corners, view)
+            bent = float(np.degrees(np.ptp(after.superior - before.superior)))
+        except EquilibriumError:
+            pass
+        if bent <= MOST_TILT_DEG:
+            return round(force, 1)
+        force *= float(np.clip(MOST_TILT_DEG / bent, 0.5, 0.9))
+        if force < LEAST_FORCE_N:
+            raise EquilibriumError(
+                f"{participant.name}: {LEAST_FORCE_N:g} N bend it by more than {MOST_TILT_DEG:g} degrees"
+            )
+
+
+def _make(folder: Path, recipe: Recipe, say: Observer) -> None:
+    """The subject's folder and its truth; what a run that was stopped has left is taken away."""
+    if folder.is_dir() and not truth_path(folder).exists():
+        raise SubjectError(f"{folder}: is no subject of a study; choose another folder, nothing was written")
+    if made_by(folder, recipe):
+        return
+    for left in folder.parent.glob(f".{folder.name}.*.tmp*"):
+        shutil.rmtree(left, ignore_errors=True) if left.is_dir() else left.unlink(missing_ok=True)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with whole_folder(folder, SubjectError) as draft:
+        truth = synthesise(draft, recipe, lambda line: say(f"make: {line}"))
+        # Before the folder, which is there only whole.
+        os.replace(truth, truth_path(folder))
+
+
+def _outcome(
+    visit: Visit,
+    participant: Participant,
+    recipe: Recipe,
+    settings: Settings,
+    seconds: Mapping[str, float],
+    say: Observer,
+) -> SubjectOutcome:
+    estimate, assessment = read_outcome(visit.subject, Estimate), read_outcome(visit.subject, Assessment)
+    predictions, truth = stored_predictions(visit), read_json(truth_path(visit.subject.folder))
+    pushes = predictions.pushes
+    reference = pushes.reference(MAIN).trial
+    rest = state_features(
+        pushes.torso, reference.view, pushes.torso.rest_pose,
+        silhouette_shares(pushes.torso, reference.view, pushes.torso.rest_pose),
+    ).z  # fmt: skip
+    measured = target_features(pushes.torso, reference.view, reference.corners, pushes.orientation)
+    rows = [pushes.torso.vertebrae.index(name) for name in reference.corners.vertebrae]
+    largest = int(np.argmax(recipe.pushes[0].shares))
+    say("tables: gradient of the paper's objective")
+    coarse = replace(visit, settings=replace(settings, mesh="coarse"))
+    tissue = estimate.plain["tissue_young"]
+    return SubjectOutcome(
+        version=__version__,
+        settings=settings_digest(participant, settings),
+        mesh=settings.mesh,  # type: ignore[arg-type]
+        name=participant.name,
+        age=participant.age,
+        sex=participant.sex,
+        height_cm=participant.height_cm,
+        curve=participant.curve,
+        force_n=round(recipe.force_n * (1.0 if recipe.side == "right" else -1.0), 1),
+        cobb_deg=round(truth["rest_cobb_deg"], 2),
+        change_deg=truth["pushes"][MAIN][largest]["cobb_change_deg"]["signed"],
+        truth=truth["ratios"],
+        ratios=estimate.ratios,
+        inside=read_outcome(visit.subject, Comparison).inside,
+        tissue_kpa=(1000.0 * DEFAULT_YOUNG_MPA * truth["ratios"]["tissue"], tissue.value, tissue.low, tissue.high),
+        status=estimate.status,
+        failed=tuple(check.name for check in estimate.failed),
+        initial_mm=round(rmse(rest[rows], measured), 4),
+        rest_cobb_deg=_rest_cobb(visit),
+        training_mm={"default": estimate.training_rmse_mm.default, "fit": estimate.training_rmse_mm.fit},
+        gradient=default_gradients(basis_of(coarse).pushes("paper")),
+        force_percent=force_changes(coarse, say),
+        frames=tuple(_frame(predictions, frame, recipe) for frame in assessment.frames),
+        seconds=dict(seconds),
+    )
+
+
+def _rest_cobb(visit: Visit) -> tuple[float, float]:
+    """The signed Cobb angle of the frontal rest radiograph, and that of the torso at rest in it, degrees."""
+    torso = visit.torso()
+    picture = read_rest(visit.subject, "frontal")
+    corners = image_corners(visit.subject, "rest/frontal", picture.view)
+    rows = [torso.vertebrae.index(name) for name in corners.vertebrae]
+    shares = silhouette_shares(torso, picture.view, torso.rest_pose)
+    model = state_features(torso, picture.view, torso.rest_pose, shares).corners[rows]
+    seen, made = (tilts(corners.vertebrae, found, picture.view) for found in (corners.corners, model))
+    return round(cobb_angle(seen).degrees, 2), round(cobb_angle(made).degrees, 2)
+
+
+def force_changes(visit: Visit, say: Observer) -> dict[str, float]:
+    """Ratio -> mean change, in percent, of the weighed estimate for 10 % of force (Table 7), on the visit's mesh."""
+    basis = basis_of(visit)
+    say("tables: refit with the forces as they are")
+    there = basis.refit(basis.pushes()).ratios.as_dict()
+    changes: dict[str, list[float]] = {name: [] for name in there}
+    for sign in SIGNS:
+        say(f"tables: refit with {sign * 100 * FORCE:+.0f} % of force")
+        changed = pushes_on(with_force(visit, 1.0 + sign * FORCE), basis.torso, basis.estimate.orientation, "weighed")
+        for name, value in basis.refit(changed, there).ratios.as_dict().items():
+            changes[name].append(100.0 * abs(value / there[name] - 1.0))
+    return {name: round(float(np.mean(found)), 2) for name, found in changes.items()}
+
+
+def _frame(predictions: Predictions, held_out: HeldOutFrame, recipe: Recipe) -> FrameOutcome:
+    found = next(p for p in predictions.frames if (p.item.push, p.item.frame) == (held_out.push, held_out.frame))
+    forecast = held_out.forecast
+    motions = {
+        name: motion_rmse(predictions, found, name) for name in found.solved if name not in (REST, "fitted_supports")
+    }
+    if extrapolated(predictions.pushes, found.item) is not None:
+        motions["extrapolation"] = float(held_out.rmse_mm["extrapolation"] or 0.0)
+    return FrameOutcome(
+        push=held_out.push,
+        told_n=held_out.force_n,
+        true_n=round(HELD_OUT * recipe.force_n, 3),
+        rmse_mm=held_out.rmse_mm,
+        motion_mm={name: round(value, 4) for name, value in motions.items()},
+        cobb_deg=held_out.cobb_change_deg,
+        forecast_cobb_deg=None if forecast is None else forecast.cobb_error_deg,
+        inside95=None if forecast is None else forecast.inside95,
+    )
+
+
+def motion_rmse(predictions: Predictions, found: Prediction, name: str) -> float:
+    """Corner RMSE of a model's motion since the push's least force, against what was measured, mm.
+
+    Where the torso's geometry is off, places are, too; how far everything moves shows the stiffness alone.
+    """
+    pushes, item = predictions.pushes, found.item
+    torso, reference = pushes.torso, pushes.reference(item.push).trial
+    before = target_features(torso, reference.view, reference.corners, pushes.orientation)
+    common = [v for v in item.trial.corners.vertebrae if v in reference.corners.vertebrae]
+    now = [item.trial.corners.vertebrae.index(v) for v in common]
+    then = [reference.corners.vertebrae.index(v) for v in common]
+    start = predictions.before(item, name)
+    assert start is not None
+    at_rest = state_features(torso, item.trial.view, start, found.target.shares, pushes.orientation, found.target.used)
+    model = found.boxes(torso, name) - at_rest.z[found.target.rows]
+    return rmse(model[now], found.target.z[now] - before[then])

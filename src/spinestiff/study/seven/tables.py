@@ -1,0 +1,199 @@
+"""The paper's Tables 2 to 7 in its layout: a column a subject, ours beside the paper's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from spinestiff.study.parameters import TABLE_3
+from spinestiff.study.seven.paper import SUBJECTS, TABLE_5, TABLE_6, TABLE_7
+from spinestiff.study.seven.participants import MAIN, TISSUE_SCALE
+from spinestiff.study.wording import fixed, interval
+from spinestiff.subject.outcomes import RatioEstimate
+from spinestiff.subject.study_outcome import SubjectOutcome
+
+PAPER, OURS, TRUTH = "paper", "ours", "truth"
+NOTHING = "–"
+GRADIENTS = {
+    "lateral_shear": "Lateral translation k_v,x",
+    "flexion_extension": "Flexion/extension k_v,α",
+    "axial_rotation": "Axial rotation k_v,β",
+    "intervertebral_bending": "Lateral bending k_v,γ",
+    "tissue_mu": "Lamé parameter μ",
+    "tissue_lambda": "Lamé parameter λ",
+}
+RATIOS = {"lateral_bending": "Intervertebral lateral bending k_v,γ", "tissue": "Lamé parameter μ"}
+SENSITIVITY = {"lateral_bending": "Intervertebral lateral bending", "tissue": "Lamé parameter μ"}
+Values = Sequence[float | None]
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a table: what it tells, whose it is, a text a subject, and the average's."""
+
+    label: str
+    whose: str
+    cells: tuple[str, ...]
+    average: str
+
+
+@dataclass(frozen=True)
+class PaperTable:
+    """A table with the paper's number; columns are the subjects' heads."""
+
+    number: int
+    title: str
+    columns: tuple[str, ...]
+    lines: tuple[Line, ...]
+
+
+Seven = Sequence[SubjectOutcome | None]
+"""A place for each of the paper's subjects; None where there is no outcome yet."""
+
+
+def _line(label: str, whose: str, values: Values, digits: int, absolute: bool = False, sign: bool = False) -> Line:
+    """``absolute``: the average is that of the sizes, as in Tables 2, 3 and 6; ``sign``: a + before what is above 0."""
+    cells = tuple(NOTHING if v is None else fixed(v, digits, sign) for v in values)
+    known = [abs(v) if absolute else v for v in values if v is not None]
+    return Line(label, whose, cells, fixed(float(np.mean(known)), digits) if known else NOTHING)
+
+
+def _words(label: str, whose: str, values: Sequence[str | None]) -> Line:
+    return Line(label, whose, tuple(v or NOTHING for v in values), NOTHING)
+
+
+def _of(outcomes: Seven, value: Callable[[SubjectOutcome], float | None]) -> list[float | None]:
+    return [None if one is None else value(one) for one in outcomes]
+
+
+def _columns() -> tuple[str, ...]:
+    return tuple(f"# {number}" for number in range(1, len(SUBJECTS) + 1))
+
+
+def table_2(outcomes: Seven) -> PaperTable:
+    """Who they are."""
+    lines: list[Line] = []
+    numbers: Mapping[str, tuple[str, int, bool, Callable[[SubjectOutcome], float]]] = {
+        "Age": ("age", 0, False, lambda one: one.age),
+        "Height (cm)": ("height_cm", 0, False, lambda one: one.height_cm),
+        "Init Cobb (deg)": ("cobb_deg", 0, True, lambda one: one.cobb_deg),
+        "Change Cobb (deg)": ("change_deg", 0, True, lambda one: one.change_deg),
+        "Max force (N)": ("force_n", 0, True, lambda one: one.force_n),
+    }
+    words: Mapping[str, tuple[str, Callable[[SubjectOutcome], str]]] = {
+        "Gender": ("sex", lambda one: one.sex),
+        "Scoliosis Curve": ("curve", lambda one: one.curve),
+    }
+    for label in (
+        "Age",
+        "Gender",
+        "Height (cm)",
+        "Init Cobb (deg)",
+        "Scoliosis Curve",
+        "Change Cobb (deg)",
+        "Max force (N)",
+    ):
+        if label in words:
+            name, text = words[label]
+            lines.append(_words(label, PAPER, [getattr(one, name) for one in SUBJECTS]))
+            lines.append(_words(label, OURS, [None if one is None else text(one) for one in outcomes]))
+        else:
+            name, digits, sign, value = numbers[label]
+            lines.append(_line(label, PAPER, [getattr(one, name) for one in SUBJECTS], digits, True, sign))
+            lines.append(_line(label, OURS, _of(outcomes, value), digits, True, sign))
+    return PaperTable(2, "Main characteristics of the subjects", _columns(), tuple(lines))
+
+
+def table_3(outcomes: Seven) -> PaperTable:
+    """Gradients of the paper's objective."""
+    lines = []
+    for name, label in GRADIENTS.items():
+        lines.append(_line(label, PAPER, TABLE_3[name], 1, True))
+        lines.append(_line(label, OURS, _of(outcomes, lambda one, name=name: one.gradient[name]), 1, True))  # type: ignore[misc]
+    return PaperTable(3, "Gradient of the objective in six parameters, at the default", _columns(), tuple(lines))
+
+
+def table_4(outcomes: Seven) -> PaperTable:
+    """Ratios."""
+    lines = []
+    printed = {"lateral_bending": [one.bending for one in SUBJECTS], "tissue": [one.tissue for one in SUBJECTS]}
+    for name, label in RATIOS.items():
+        scale = TISSUE_SCALE if name == "tissue" else 1.0
+        lines.append(_line(label, PAPER, printed[name], 2))
+        lines.append(_line(label, TRUTH, [scale * value for value in printed[name]], 3))
+        found: list[RatioEstimate | None] = [None if one is None else one.ratios[name] for one in outcomes]
+        ours = _line(label, OURS, [None if one is None else one.value for one in found], 3)
+        lines.append(ours)
+        spans = tuple(NOTHING if one is None else interval(one) for one in found)
+        lines.append(Line(label, "ours, 95 %", spans, NOTHING))
+    return PaperTable(4, "Parameter ratios", _columns(), tuple(lines))
+
+
+def _main(one: SubjectOutcome, predictor: str) -> float | None:
+    frame = one.frame(MAIN)
+    return None if frame is None else frame.rmse_mm.get(predictor)
+
+
+def table_5(outcomes: Seven) -> PaperTable:
+    """RMSE."""
+    ours: Mapping[str, Callable[[SubjectOutcome], float | None]] = {
+        "Initial pose": lambda one: one.initial_mm,
+        "Training poses, default params": lambda one: one.training_mm["default"],
+        "Training poses, optimized params": lambda one: one.training_mm["fit"],
+        "Validation pose, default params": lambda one: _main(one, "default"),
+        "Validation pose, optimized params": lambda one: _main(one, "fit"),
+    }
+    lines = []
+    for label, values in TABLE_5.items():
+        lines += [_line(label, PAPER, values, 2), _line(label, OURS, _of(outcomes, ours[label]), 2)]
+    beside = {
+        "forecast": "Validation pose, forecast",
+        "extrapolation": "Validation pose, tracking extrapolated by force",
+        "single_ratio": "Validation pose, a single ratio",
+        "truth": "Validation pose, true ratios",
+    }
+    for name, label in beside.items():
+        lines.append(_line(label, OURS, _of(outcomes, lambda one, name=name: _main(one, name)), 2))  # type: ignore[misc]
+    return PaperTable(5, "RMSE (mm) between measured and simulated features", _columns(), tuple(lines))
+
+
+def _cobb(one: SubjectOutcome, model: str, form: str) -> float | None:
+    frame = one.frame(MAIN)
+    change = None if frame is None else frame.cobb_deg.get(model)
+    return None if change is None else float(getattr(change, form))
+
+
+def table_6(outcomes: Seven) -> PaperTable:
+    """Cobb angles: the paper's signed largest angle, then the same between the rest picture's end vertebrae, and the
+    largest change of tilt."""
+    models = {
+        "Diff in validation pose (measured)": "measured",
+        "Diff in validation pose (default params)": "default",
+        "Diff in validation pose (optimized params)": "fit",
+    }
+    lines = []
+    for label, values in TABLE_6.items():
+        lines.append(_line(label, PAPER, values, 0, True, True))
+        if label not in models:
+            lines.append(_line(label, OURS, _of(outcomes, lambda one: one.rest_cobb_deg[0]), 1, True, True))
+            continue
+        for form, words in (("signed", OURS), ("fixed_levels", "ours, fixed levels"), ("tilt", "ours, tilt")):
+            found = _of(outcomes, lambda one, form=form, model=models[label]: _cobb(one, model, form))  # type: ignore[misc]
+            lines.append(_line(label, words, found, 1, True, True))
+    return PaperTable(6, "Cobb angle (deg)", _columns(), tuple(lines))
+
+
+def table_7(outcomes: Seven) -> PaperTable:
+    """Sensitivity to the force."""
+    lines = []
+    for name, label in SENSITIVITY.items():
+        lines.append(_line(label, PAPER, TABLE_7[label], 1))
+        lines.append(_line(label, OURS, _of(outcomes, lambda one, name=name: one.force_percent.get(name)), 1))  # type: ignore[misc]
+    return PaperTable(7, "Change of the ratios, %, for 10 % of force", _columns(), tuple(lines))
+
+
+def paper_tables(outcomes: Seven) -> tuple[PaperTable, ...]:
+    """Tables 2 to 7."""
+    return tuple(make(outcomes) for make in (table_2, table_3, table_4, table_5, table_6, table_7))

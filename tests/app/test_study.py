@@ -1,0 +1,125 @@
+"""``spinestiff study``."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from spinestiff import __version__
+from spinestiff.app.study import live
+from spinestiff.errors import SubjectError
+from spinestiff.files import read_json, write_json
+from spinestiff.study.seven.participants import seven
+from spinestiff.study.seven.subject import result_file, settings_digest
+from spinestiff.study.synthetic import truth_path
+from spinestiff.study.visit import Settings
+from study_outcomes import outcome
+
+SETTINGS = Settings(mesh="coarse")
+
+
+@pytest.fixture
+def study(tmp_path, finished):
+    """A folder with the first of the seven: a finished subject of another recipe, and what was found of it."""
+    first = seven()[0]
+    shutil.copytree(finished.folder, tmp_path / first.name)
+    shutil.copy(finished.truth, truth_path(tmp_path / first.name))
+    found = outcome(1, version=__version__, settings=settings_digest(first, SETTINGS), mesh="coarse")
+    write_json(result_file(tmp_path, first), found.model_dump(mode="json"))
+    return tmp_path
+
+
+def test_help_names_command_and_options_and_imports_nothing_heavy(spinestiff):
+    shown = spinestiff("study", "seven", "--help")
+    assert shown.status == 0
+    options = {"--others", "--mesh", "--workers", "--page", "--page-only", "--json", "--help"}
+    assert set(re.findall(r"^ +(--[a-z-]+)", shown.out, re.M)) == options
+    assert re.search(r"^ +study ", spinestiff("--help").out, re.M)
+    code = """
+import sys
+from spinestiff.app.cli import main
+sys.argv = ["spinestiff", "study", "seven", "--help"]
+try:
+    main()
+except SystemExit:
+    pass
+print([name for name in ("numba", "scipy", "matplotlib", "numpy", "pydicom") if name in sys.modules], file=sys.stderr)
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert ended.stderr.strip() == "[]"
+
+
+def test_the_page_and_tables_of_what_is_there(spinestiff, study, tmp_path):
+    page = tmp_path / "docs" / "study.md"
+    shown = spinestiff("study", "seven", study, "--mesh", "coarse", "--page-only", "--page", page)
+    assert shown.status == 0, shown.err
+    for number in range(2, 8):
+        assert f"Table {number}: " in shown.out
+    assert "Goals, 1 of 7 subjects" in shown.out and f"page: {page}" in shown.out.replace("\n", "")
+    text = page.read_text(encoding="utf-8")
+    assert "**1 of the 7 subjects**" in text and "on the coarse mesh" in text
+    for number in (2, 4):
+        assert f"(images/study-figure-{number}.png)" in text
+        assert (page.parent / "images" / f"study-figure-{number}.png").stat().st_size > 10_000
+    assert "figure-5" not in text
+
+
+def test_json_is_a_list_of_errors_by_subject(spinestiff, study):
+    shown = spinestiff("study", "seven", study, "--mesh", "coarse", "--page-only", "--json")
+    assert shown.status == 0, shown.err
+    assert json.loads(shown.out) == [
+        {
+            "subject": "subject-1",
+            "rmse_mm": {"default": 10.0, "fit": 2.0},
+            "cobb_error_deg": {"default": 16.0, "fit": 1.0},
+        }
+    ]
+    others = spinestiff("study", "seven", study, "--mesh", "coarse", "--page-only", "--others", "--json")
+    assert json.loads(others.out) == []
+
+
+def test_what_was_found_with_other_settings_does_not_count(spinestiff, study):
+    assert json.loads(spinestiff("study", "seven", study, "--page-only", "--json").out) == []
+    path = result_file(study, seven()[0])
+    write_json(path, {**read_json(path), "version": "0.0.0"})
+    assert json.loads(spinestiff("study", "seven", study, "--mesh", "coarse", "--page-only", "--json").out) == []
+
+
+def test_what_can_not_be_a_study_is_refused_at_once(spinestiff, study, tmp_path):
+    (tmp_path / "file").touch()
+    for arguments, words in (
+        ((study / "subject-1",), "is a subject folder; a study has subject folders inside"),
+        ((tmp_path / "file",), "is there already and no folder"),
+        ((tmp_path / "new", "--page", "page.html"), r"--page page\.html: wanted the name of a file that ends in \.md"),
+        ((tmp_path / "new", "--mesh", "finest"), "unknown mesh 'finest'"),
+    ):
+        shown = spinestiff("study", "seven", *arguments)
+        assert shown.status == 2 and shown.out == ""
+        assert len(shown.lines) == 1 and re.search(words, shown.lines[0]), shown.lines
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_folder_that_the_study_did_not_make_is_left_alone(tmp_path):
+    from spinestiff.study.seven.subject import study_subject
+
+    own = tmp_path / "subject-1"
+    own.mkdir()
+    (own / "notes.txt").touch()
+    with pytest.raises(SubjectError, match="is no subject of a study"):
+        study_subject(tmp_path, seven()[0], SETTINGS, lambda line: None)
+    assert [path.name for path in own.iterdir()] == ["notes.txt"]
+
+
+def test_progress_in_a_log_has_a_line_each(capsys):
+    with live(["subject-1"]) as on_line:
+        on_line("subject-1", "make: [bold]")
+    with live(["subject-1"], quiet=True) as on_line:
+        on_line("subject-1", "never seen")
+    err = capsys.readouterr().err
+    assert re.search(r"^ +\d+\.\d s  subject-1: make: \[bold\]$", err, re.M)
+    assert "never" not in err

@@ -1,0 +1,90 @@
+"""What the study is judged by."""
+
+from __future__ import annotations
+
+import pytest
+
+from spinestiff.study.seven.goals import cobb_errors, coverage, errors_of, frames_of, goals, motions, places
+from study_outcomes import frame, outcome
+
+SEVEN = [outcome(number, size=8.0 + number + 5.0 * (number == 7)) for number in range(1, 8)]
+
+
+def met(outcomes):
+    return {goal.name: goal.met for goal in goals(outcomes)}
+
+
+def test_all_are_met_by_errors_below_them():
+    found = met(SEVEN)
+    assert len(found) == 10
+    assert set(found.values()) == {True}
+
+
+def test_numbers_are_means_and_medians_of_the_right_frames():
+    found = {goal.name: goal.found for goal in goals(SEVEN)}
+    assert found["RMSE of the validation frame, mean"] == "2.54 mm"
+    assert found["the same over the default's"] == "0.20"
+    wanted = {goal.name: goal.wanted for goal in goals(SEVEN)}
+    rib = "median RMSE at another rib, forecast against tracking extrapolated by force"
+    assert (found[rib], wanted[rib]) == ("0.60 mm", "below 1.20 mm")
+
+
+@pytest.mark.parametrize(
+    ("changed", "name"),
+    [
+        ({"initial_mm": 3.0}, "geometry's RMSE at rest, mean"),
+        ({"frames": (frame("main", size=17.0),)}, "RMSE of the validation frame, mean"),
+        ({"frames": (frame("main", error=5.5),)}, "error of the Cobb angle's change, mean"),
+        (
+            {"frames": (frame("main").model_copy(update={"inside95": 0.999}),)},
+            "held-out corners inside their 95 % intervals",
+        ),
+    ],
+)
+def test_each_is_missed_by_what_exceeds_it(changed, name):
+    assert met([outcome(**changed)])[name] is False
+
+
+def test_one_subject_off_misses_the_worst_and_not_the_mean():
+    off = outcome(1, frames=(frame("main", error=6.0),))
+    found = met([*SEVEN[1:], off])
+    assert found["the same, worst"] is False
+    assert found["error of the Cobb angle's change, mean"] is True
+
+
+def test_the_forecast_has_to_be_below_at_each_place_by_itself():
+    worse = frame("other-side")
+    worse = worse.model_copy(update={"rmse_mm": {**worse.rmse_mm, "forecast": 2.0}})
+    found = met([outcome(frames=(frame("main"), frame("other-rib"), worse))])
+    assert found["median RMSE at the other side, forecast against tracking extrapolated by force"] is False
+    assert found["median RMSE at another rib, forecast against tracking extrapolated by force"] is True
+
+
+def test_nothing_is_judged_by_nothing():
+    assert set(met([]).values()) == {None}
+    lacking = frame("main").model_copy(update={"rmse_mm": {**frame("main").rmse_mm, "fit": None}})
+    assert met([outcome(frames=(lacking,))])["RMSE of the validation frame, mean"] is None
+
+
+def test_cobb_errors_are_between_the_end_vertebrae_unless_asked_otherwise():
+    main = frames_of(SEVEN, "main")
+    assert cobb_errors(main, "default") == [16.0] * 7
+    assert cobb_errors(main, "fit", "signed") == [1.0] * 7
+    assert cobb_errors([main[0].model_copy(update={"cobb_deg": {"measured": None}})], "fit") == []
+
+
+def test_places_and_motions_leave_out_what_was_not_predicted():
+    main = frames_of(SEVEN[:1], "main")
+    assert places(main, "fit") == pytest.approx([1.8])
+    assert motions(main, "fit") == pytest.approx([0.9])
+    assert motions(main, "forecast") == []
+    assert coverage([outcome(frames=())]) is None
+
+
+def test_errors_by_subject_have_the_keys_that_were_agreed():
+    assert errors_of(SEVEN[0]) == {
+        "subject": "subject-1",
+        "rmse_mm": {"default": 9.0, "fit": pytest.approx(1.8)},
+        "cobb_error_deg": {"default": 16.0, "fit": 1.0},
+    }
+    assert errors_of(outcome(frames=()))["rmse_mm"] == {"default": None, "fit": None}
