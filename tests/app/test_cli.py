@@ -87,7 +87,7 @@ COMMANDS = {
     "sensitivity": ("--mesh", "--redo", "--json"),
     "assess": ("--truth", "--redo"),
     "repeat": ("--annotators", "--out", "--json"),
-    "report": ("--truth", "--redo"),
+    "report": ("--truth", "--pdf", "--paper", "--redo"),
     "view": ("--torso", "--out", "--force", "--no-open"),
     "run": ("--mesh", "--method", "--orientation", "--parameters", "--population", "--truth", "--redo"),
     "demo": (
@@ -102,7 +102,7 @@ COMMANDS = {
         "--spine-id",
         "--acquisition",
     ),
-    "cobb": ("--definition", "--json", "--noise-px", "--patient-left", "--picture", "--force"),
+    "cobb": ("--definition", "--json", "--csv", "--noise-px", "--patient-left", "--picture", "--force"),
     "check": ("--json",),
     "phantom": ("--json",),
     "deidentify": ("--key", "--burned-in-ok"),
