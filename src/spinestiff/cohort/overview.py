@@ -1,0 +1,51 @@
+"""What all participants of a cohort say together, written: tables, statistics, a picture and one page."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from spinestiff import __version__
+from spinestiff.cohort.group import (
+    STATES,
+    common_order,
+    csv_text,
+    members_record,
+    read_members,
+    refuse_nobody,
+    strangers,
+)
+from spinestiff.cohort.lock import cohort_lock
+from spinestiff.files import write_json, write_text
+
+CSV, JSON = "cohort.csv", "cohort.json"
+
+
+def write_overview(
+    source: Path, target: Path, participants: Sequence[str], difference: float | None = None
+) -> list[str]:
+    """Write the tables of a cohort; lines that say what is in them.
+
+    Raises
+    ------
+    InUseError : a run is at work on them. SubjectError : nobody was run; a file can't be written.
+    """
+    with cohort_lock(target):
+        members = read_members(source, target, participants)
+        refuse_nobody(members, target)
+        order = common_order(members)
+        record = {
+            "schema_version": 1,
+            "version": __version__,
+            "settings": None if order is None else order.settings,
+            "participants": members_record(members),
+        }
+        write_text(target / CSV, csv_text(members))
+        write_json(target / JSON, record)
+    counts = Counter(member.state for member in members)
+    lines = ["group: " + ", ".join(f"{counts[state]} {state}" for state in reversed(STATES) if counts[state])]
+    unknown = strangers(target, participants)
+    if unknown:
+        lines.append(f"left out, since participants.tsv does not name them: {', '.join(unknown[:10])}")
+    return [*lines, f"tables: {target / CSV}, {target / JSON}"]
