@@ -1,7 +1,7 @@
 """What vouches for a participant's results: the marker, and what is found where results should be.
 
-The marker holds the hashes of all that the results were made from (inputs, settings, runner, version), and theirs. It is
-the last file that is written into them, before they are published as a whole.
+The marker holds the hashes of all that the results were made from (inputs, settings, runner, version), and their own.
+It is the last file that is written into them, before they are published as a whole.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ from spinestiff.cohort.group import (
     strangers,
 )
 from spinestiff.cohort.lock import cohort_lock
+from spinestiff.cohort.places import sweep
 from spinestiff.files import write_json, write_text
 
 CSV, JSON = "cohort.csv", "cohort.json"
@@ -32,6 +33,7 @@ def write_overview(
     InUseError : a run is at work on them. SubjectError : nobody was run; a file can't be written.
     """
     with cohort_lock(target):
+        sweep(target)
         members = read_members(source, target, participants)
         refuse_nobody(members, target)
         order = common_order(members)

@@ -95,3 +95,10 @@ def input_files(folder: Path) -> dict[str, Path]:
 def digests_of(files: dict[str, Path]) -> dict[str, str]:
     """SHA-256 of each file, by the same names. Raises SubjectError if one can't be read."""
     return {name: file_digest(path) for name, path in sorted(files.items())}
+
+
+def sweep(folder: Path) -> None:
+    """Take away what a process that was killed while it wrote a file here has left; folders in it are left alone."""
+    for litter in folder.glob(".*.tmp"):
+        if litter.is_file():
+            litter.unlink(missing_ok=True)

@@ -26,7 +26,7 @@ from typing import Any, Literal
 from spinestiff.cohort.ledger import Ledger, Try, now, open_ledger, write_last
 from spinestiff.cohort.lock import cohort_lock
 from spinestiff.cohort.marker import Order, examine
-from spinestiff.cohort.places import CACHE, place_of
+from spinestiff.cohort.places import CACHE, place_of, sweep
 from spinestiff.cohort.worker import ORPHANED, Task
 from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import trouble
@@ -160,7 +160,9 @@ def run_one(cohort: Cohort, index: int, limits: Limits | None = None, news: OnNe
 def _run(cohort: Cohort, run: str, ledger: Ledger | None, jobs: int, limits: Limits, say: OnNews) -> Summary:
     current = []
     for participant in cohort.participants:
-        found = examine(place_of(cohort.source, cohort.target, participant), cohort.order)
+        place = place_of(cohort.source, cohort.target, participant)
+        sweep(place.target)
+        found = examine(place, cohort.order)
         if found.state == "current":
             current.append(participant)
         say(News(participant, "up to date" if found.state == "current" else "waiting", found.words))
