@@ -61,7 +61,8 @@ def reduced(folder: Path, participant: str, settings: dict[str, Any], say: Any) 
     for step in ("track", "personalise", "estimate"):
         say(step)
         time.sleep(settings["seconds"] / 3.0)
-        write_json(folder / "results" / f"{step}.json", {"number": number, "draws": [draw.random() for _ in range(200)]})
+        draws = [draw.random() for _ in range(200)]
+        write_json(folder / "results" / f"{step}.json", {"number": number, "draws": draws})
     write_text(folder / "results" / "figures" / "one.svg", f"<svg>{number}</svg>\n" * 50)
     write_text(folder / "results" / "report.html", f"<p>{participant}</p>\n")
     value, sd = 0.1 * draw.lognormvariate(0.0, 0.4), draw.uniform(0.05, 0.3)
@@ -197,8 +198,8 @@ def disturb(source: Path, target: Path, log: Path, asked: argparse.Namespace) ->
         if process.returncode > 0:
             lines = error.splitlines()
             no_room = len(lines) == 1 and lines[0].startswith("stopped: ")
-            ended = "in one line: no room" if no_room else "participants failed" if process.returncode == 3 else lines[-1]
-            said[ended] += 1
+            failed = "participants failed" if process.returncode == 3 else lines[-1]
+            said["no room, in one line" if no_room else failed] += 1
         if enough:
             break
         if process.returncode == 0:

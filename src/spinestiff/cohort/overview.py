@@ -17,10 +17,11 @@ from spinestiff.cohort.group import (
     strangers,
 )
 from spinestiff.cohort.lock import cohort_lock
+from spinestiff.cohort.page import cohort_page
 from spinestiff.cohort.places import sweep
 from spinestiff.files import write_json, write_text
 
-CSV, JSON = "cohort.csv", "cohort.json"
+CSV, JSON, PAGE = "cohort.csv", "cohort.json", "cohort.html"
 
 
 def write_overview(
@@ -45,9 +46,10 @@ def write_overview(
         }
         write_text(target / CSV, csv_text(members))
         write_json(target / JSON, record)
+        write_text(target / PAGE, cohort_page(members))
     counts = Counter(member.state for member in members)
     lines = ["group: " + ", ".join(f"{counts[state]} {state}" for state in reversed(STATES) if counts[state])]
     unknown = strangers(target, participants)
     if unknown:
         lines.append(f"left out, since participants.tsv does not name them: {', '.join(unknown[:10])}")
-    return [*lines, f"tables: {target / CSV}, {target / JSON}"]
+    return [*lines, f"tables: {target / CSV}, {target / JSON}", f"page: {target / PAGE}"]

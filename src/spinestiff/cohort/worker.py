@@ -13,6 +13,7 @@ import errno
 import importlib
 import json
 import os
+import re
 import shutil
 import sys
 import threading
@@ -241,6 +242,14 @@ def ended(error: BaseException) -> tuple[End, str]:
     return "crashed", f"{type(error).__name__}: {words}"
 
 
+def as_given(words: str, place: Place) -> str:
+    """A message about an input's copy as one about the input."""
+    work = str(place.work)
+    for there in (f"{work}{os.sep}", f"{work}:"):
+        words = re.sub(rf"{re.escape(there)}(?!{RESULTS}\b)", lambda found: f"{place.source}{found[0][-1]}", words)
+    return words
+
+
 def _named(problem: OSError) -> str:
     return trouble(problem) if problem.filename is None else f"{problem.filename}: {trouble(problem)}"
 
@@ -263,6 +272,7 @@ def main() -> None:
         end, words = make_results(task, lambda line: tell(say=line)), ""
     except Exception as error:
         end, words = ended(error)
+        words = as_given(words, task.place)
         if end == "crashed":
             traceback.print_exc()
     tell(end=end, words=words, **_cost())
