@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 from spinestiff import __version__
@@ -19,9 +20,11 @@ from spinestiff.cohort.group import (
 from spinestiff.cohort.lock import cohort_lock
 from spinestiff.cohort.page import cohort_page
 from spinestiff.cohort.places import sweep
-from spinestiff.files import write_json, write_text
+from spinestiff.cohort.statistics import cohort_statistics
+from spinestiff.cohort.statistics_words import statistics_lines, statistics_sections
+from spinestiff.files import write_bytes, write_json, write_text
 
-CSV, JSON, PAGE = "cohort.csv", "cohort.json", "cohort.html"
+CSV, JSON, PAGE, PICTURE = "cohort.csv", "cohort.json", "cohort.html", "cohort.png"
 
 
 def write_overview(
@@ -38,18 +41,25 @@ def write_overview(
         members = read_members(source, target, participants)
         refuse_nobody(members, target)
         order = common_order(members)
+        found = cohort_statistics(members, difference)
+        sections = statistics_sections(found, members)
         record = {
             "schema_version": 1,
             "version": __version__,
             "settings": None if order is None else order.settings,
             "participants": members_record(members),
+            "statistics": [asdict(one) for one in found],
         }
         write_text(target / CSV, csv_text(members))
         write_json(target / JSON, record)
-        write_text(target / PAGE, cohort_page(members))
+        for section in sections:
+            if section.picture is not None:
+                write_bytes(target / PICTURE, section.picture)
+        write_text(target / PAGE, cohort_page(members, sections))
     counts = Counter(member.state for member in members)
     lines = ["group: " + ", ".join(f"{counts[state]} {state}" for state in reversed(STATES) if counts[state])]
     unknown = strangers(target, participants)
     if unknown:
         lines.append(f"left out, since participants.tsv does not name them: {', '.join(unknown[:10])}")
+    lines += statistics_lines(found)
     return [*lines, f"tables: {target / CSV}, {target / JSON}", f"page: {target / PAGE}"]
