@@ -88,3 +88,8 @@ def raise_full(folder: Path) -> None:
 
     files.os.fsync = full  # type: ignore[attr-defined]
     write_text(folder / "results" / "estimate.json", "x")
+
+
+def misnamed(folder: Path, participant: str, settings: dict, say) -> None:
+    """Leaves the row of somebody else."""
+    write_row(folder / "results" / "row.json", row("sub-009", 0))

@@ -164,7 +164,7 @@ def common_order(members: Sequence[Member]) -> Order | None:
 
 
 def _unit(unit: str) -> str:
-    return f"_{unit.replace(' ', '').replace('/', '_per_').lower()}" if unit else ""
+    return f"_{unit.replace(' ', '').replace('/', '_per_')}" if unit else ""
 
 
 def _plain_cells(member: Member) -> list[str]:

@@ -5,10 +5,10 @@ With y_i the log of person i's estimate, s_i the standard deviation of its error
     y_i = x_i' b + u_i + e_i,   u_i ~ N(0, tau^2),   e_i ~ N(0, s_i^2).
 
 tau is found by restricted maximum likelihood (Patterson and Thompson 1971), its 95 % interval from where the
-generalised Q, chi-squared with n - p degrees of freedom at the true tau, leaves 2.5 % on either side (Viechtbauer 2007).
-The coefficients' covariance is that of weighted least squares, widened by Q / (n - p) where that is above 1, with
-Student's t of n - p degrees of freedom (Knapp and Hartung 2003). A person's own mean, given all others, lies between the
-estimate and what the covariates let expect, the nearer to the latter the less the estimate tells:
+generalised Q, chi-squared with n - p degrees of freedom at the true tau, leaves 2.5 % on either side (Viechtbauer
+2007). The coefficients' covariance is that of weighted least squares, widened by Q / (n - p) where that is above 1,
+with Student's t of n - p degrees of freedom (Knapp and Hartung 2003). A person's own mean, given all others, lies
+between the estimate and what the covariates let expect, the nearer to the latter the less the estimate tells:
 
     m_i = x_i' b + w_i (y_i - x_i' b),   w_i = tau^2 / (tau^2 + s_i^2),   var = w_i s_i^2 + (1 - w_i)^2 x_i' Cov(b) x_i,
 

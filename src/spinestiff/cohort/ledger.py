@@ -89,6 +89,28 @@ def read_last(path: Path) -> LastRun | None:
         return None
 
 
+_KEEP_TRY = "INSERT OR REPLACE INTO tries VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+
+
+def _values(tried: Try) -> tuple[object, ...]:
+    return (
+        tried.run, tried.participant, tried.number, tried.started, tried.seconds, tried.cpu_seconds, tried.peak_mb,
+        tried.ended, tried.words, tried.host,
+    )  # fmt: skip
+
+
+def take_over(target: Path, tries: Iterable[Try]) -> None:
+    """Keep tries of runs that had no ledger; what is known already stays one.
+
+    Raises
+    ------
+    SubjectError : as ``open_ledger``.
+    """
+    path = target / LEDGER_FILE
+    with closing(_connected(path)) as connection, _told(path), connection:
+        connection.executemany(_KEEP_TRY, map(_values, tries))
+
+
 class Ledger:
     """The open ledger of one run."""
 
@@ -102,16 +124,7 @@ class Ledger:
 
     def end_try(self, tried: Try) -> None:
         """A try has ended."""
-        self.take_over([tried])
-
-    def take_over(self, tries: Iterable[Try]) -> None:
-        """Tries, also of runs that had no ledger; what is known already stays one."""
-        values = [
-            (one.run, one.participant, one.number, one.started, one.seconds, one.cpu_seconds, one.peak_mb, one.ended,
-             one.words, one.host)
-            for one in tries
-        ]  # fmt: skip
-        self._write("INSERT OR REPLACE INTO tries VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", values)
+        self._write(_KEEP_TRY, [_values(tried)])
 
     def usual_seconds(self) -> float | None:
         """Median wall-clock time of the tries that made results; None where there are none."""

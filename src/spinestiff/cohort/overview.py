@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -17,9 +17,10 @@ from spinestiff.cohort.group import (
     refuse_nobody,
     strangers,
 )
+from spinestiff.cohort.ledger import Try, read_last, take_over
 from spinestiff.cohort.lock import cohort_lock
 from spinestiff.cohort.page import cohort_page
-from spinestiff.cohort.places import sweep
+from spinestiff.cohort.places import place_of, sweep
 from spinestiff.cohort.statistics import cohort_statistics
 from spinestiff.cohort.statistics_words import statistics_lines, statistics_sections
 from spinestiff.files import write_bytes, write_json, write_text
@@ -50,6 +51,7 @@ def write_overview(
             "participants": members_record(members),
             "statistics": [asdict(one) for one in found],
         }
+        take_over(target, _last_tries(source, target, participants))
         write_text(target / CSV, csv_text(members))
         write_json(target / JSON, record)
         for section in sections:
@@ -63,3 +65,9 @@ def write_overview(
         lines.append(f"left out, since participants.tsv does not name them: {', '.join(unknown[:10])}")
     lines += statistics_lines(found)
     return [*lines, f"tables: {target / CSV}, {target / JSON}", f"page: {target / PAGE}"]
+
+
+def _last_tries(source: Path, target: Path, participants: Sequence[str]) -> Iterator[Try]:
+    for participant in participants:
+        last = read_last(place_of(source, target, participant).last)
+        yield from () if last is None else last.tries
