@@ -34,6 +34,7 @@ ARGUMENTS = {
     ("init",): ("new", "none"),
     ("cobb",): ("none",),
     ("plan",): ("none",),
+    ("cohort",): ("none", "new"),
     ("torso", "import"): ("none", "--out", "new"),
 }
 NUMBERS = numbers()
@@ -44,6 +45,10 @@ def test_all_commands_were_walked():
     assert {words for words, _ in NUMBERS} == {
         ("synth",), ("init",), ("demo",), ("cobb",), ("torso", "import"), ("torso", "export"), ("torso", "show"),
         ("plan",),
+    assert len(NUMBERS) == 26
+    assert {words for words, _ in NUMBERS} == {
+        ("synth",), ("demo",), ("cobb",), ("torso", "import"), ("torso", "export"), ("torso", "show"),
+        ("plan",), ("cohort",),
     }  # fmt: skip
 
 

@@ -66,7 +66,7 @@ def test_the_table_holds_numbers_as_they_are_and_no_formula():
         Member("b", "failed", "=1+2, or so"),
     ]
     first, second = list(csv.DictReader(io.StringIO(csv_text(members))))
-    assert (first["participant"], first["state"], first["tissue"], first["tissue_sd_log"]) == ("a", "done", "0.1", "0.3")
+    assert [first[name] for name in ("participant", "state", "tissue", "tissue_sd_log")] == ["a", "done", "0.1", "0.3"]
     assert first["tissue_young_kPa_open"] == "low+high"
     assert first["lateral_bending_lumbar_Nm_per_rad"] == repr(1 / 3)
     assert first["lateral_bending_lumbar_Nm_per_rad_low"] == ""

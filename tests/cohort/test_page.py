@@ -34,7 +34,8 @@ def test_what_needs_a_look_comes_first_and_links_to_its_report():
 
 
 def test_texts_are_escaped_and_sections_are_shown():
-    section = Section("People & more", ("One <b>sentence</b>.",), (("A table", ("x", "y"), (("1", "<2"),)),), b"png", "A")
+    table = ("A table", ("x", "y"), (("1", "<2"),))
+    section = Section("People & more", ("One <b>sentence</b>.",), (table,), b"png", "A")
     page = cohort_page(members(), [section])
     assert "<script>alert" not in page
     assert "&lt;script&gt;alert(1)&lt;/script&gt; &amp; more" in page
@@ -44,8 +45,10 @@ def test_texts_are_escaped_and_sections_are_shown():
     assert "default-src 'none'" in page
 
 
-SHOWN = "[...document.querySelectorAll('#table tbody tr')].filter(r => !r.hidden).map(r => r.cells[0].textContent).join()"
-SET = "(()=>{{const e=document.getElementById('{0}'); e.value='{1}'; e.dispatchEvent(new Event('input',{{bubbles:true}}))}})()"
+SHOWN = """[...document.querySelectorAll('#table tbody tr')].filter(row => !row.hidden)
+    .map(row => row.cells[0].textContent).join()"""
+SET = """(() => {{ const field = document.getElementById('{0}'); field.value = '{1}';
+    field.dispatchEvent(new Event('input', {{bubbles: true}})); }})()"""
 
 
 @pytest.mark.skipif(browser() is None, reason="no Chromium")
