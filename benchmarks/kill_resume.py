@@ -165,19 +165,23 @@ def contents(folder: Path, participants: tuple[str, ...]) -> dict[str, str]:
     }
 
 
-def disturb(source: Path, target: Path, log: Path, asked: argparse.Namespace) -> dict[str, Any]:
+def disturb(
+    source: Path, target: Path, log: Path, asked: argparse.Namespace, undisturbed: float
+) -> dict[str, Any]:
     """Run the cohort under kills and faults until all that was asked for has happened, then to its end."""
     draw = random.Random(asked.seed)
     participants = read_participants(source)
     kills, parents, starts, torn = 0, 0, 0, set()
     said: Counter[str] = Counter()
     harmed: Counter[str] = Counter()
+    unmended: set[str] = set()
     faults = f"{log}:{asked.every}"
 
     def noted() -> int:
         return len(log.read_text(encoding="ascii").splitlines()) if log.exists() else 0
 
-    pace = asked.subjects * (0.5 + asked.seconds) / asked.jobs / (asked.kills + 1)
+    # So that all of it happens while about four fifths of the participants are run for the first time.
+    pace = 0.8 * undisturbed / (asked.kills + asked.parent_kills + 1)
     while True:
         enough = kills >= asked.kills and parents >= asked.parent_kills and noted() >= asked.faults
         process = started(source, target, asked, None if enough else faults)
@@ -190,7 +194,9 @@ def disturb(source: Path, target: Path, log: Path, asked: argparse.Namespace) ->
                 process.kill()
                 parents += 1
                 process.wait()
-                torn |= set(half_written(target, participants))
+                broken = set(half_written(target, participants))
+                unmended &= broken
+                torn |= broken - unmended
             elif kills < asked.kills and (found := children(process.pid)):
                 os.kill(draw.choice(found), signal.SIGKILL)
                 kills += 1
@@ -206,6 +212,7 @@ def disturb(source: Path, target: Path, log: Path, asked: argparse.Namespace) ->
             # All done before enough has happened: some are damaged, and have to be made again.
             for name in draw.sample(participants, max(1, len(participants) // 4)):
                 harmed[name] += 1
+                unmended.add(name)
                 path = target / name / "results" / draw.choice(("estimate.json", "row.json", DONE_FILE))
                 path.write_bytes(path.read_bytes()[:-10])
     return {
@@ -223,10 +230,11 @@ def done_twice(target: Path, harmed: Counter[str]) -> int:
     return found
 
 
-def litter(target: Path) -> int:
-    """Temporary files and working folders left."""
-    names = [path for path in target.rglob("*") if path.name.endswith(".tmp")]
-    return len(names) + sum(1 for _ in target.glob("*/work*")) + sum(1 for _ in target.glob("*/results-before"))
+def litter(target: Path) -> list[str]:
+    """Temporary files and working folders left, by their names in the output."""
+    left = [path for path in target.rglob("*.tmp") if not any(part.startswith("aside-") for part in path.parts)]
+    left += [*target.glob("*/work*"), *target.glob("*/results-before")]
+    return sorted(path.relative_to(target).as_posix() for path in left)
 
 
 def main() -> None:
@@ -236,7 +244,7 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--parent-kills", type=int, default=10)
     parser.add_argument("--faults", type=int, default=200)
-    parser.add_argument("--every", type=int, default=120, help="one call of the file system in so many fails")
+    parser.add_argument("--every", type=int, default=100, help="one call of the file system in so many fails")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=0.03, help="that the reduced model sleeps")
     parser.add_argument("--seed", type=int, default=0)
@@ -258,12 +266,13 @@ def main() -> None:
         if status:
             raise SystemExit(whole.stderr.read().decode() if whole.stderr is not None else "")
         began = time.perf_counter()
-        happened = disturb(source, place / "torn", place / "faults.log", asked)
+        happened = disturb(source, place / "torn", place / "faults.log", asked, undisturbed)
         disturbed = time.perf_counter() - began
         wanted, found = contents(place / "whole", participants), contents(place / "torn", participants)
         table = (place / "torn" / "cohort.csv").read_text(encoding="utf-8").splitlines()[1:]
         rows = Counter(line.split(",")[0] for line in table)
         lost = {name.split("/")[0] for name in wanted.keys() - found.keys()}
+        torn, left = {*happened["torn"], *half_written(place / "torn", participants)}, litter(place / "torn")
         figures = {
             "date": datetime.date.today().isoformat(),
             "subjects": asked.subjects,
@@ -272,9 +281,10 @@ def main() -> None:
             "io_faults": happened["io_faults"],
             "lost": len(lost | {line.split(",")[0] for line in table if line.split(",")[1] != "done"}),
             "duplicated": sum(count > 1 for count in rows.values()) + done_twice(place / "torn", happened["harmed"]),
-            "half_written": len(set(happened["torn"]) | set(half_written(place / "torn", participants)))
-            + litter(place / "torn"),
+            "half_written": len(torn) + len(left),
             "identical": wanted == found,
+            "torn": sorted(torn),
+            "left": left,
             "damaged_on_purpose": happened["harmed"].total(),
             "starts": happened["starts"],
             "said": happened["said"],
