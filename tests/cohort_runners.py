@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from spinestiff.cohort.row import Row, Stiffness, write_row
-from spinestiff.errors import FitError
+from spinestiff.errors import FitError, SubjectError
 from spinestiff.files import write_json, write_text
 
 QUICK = "cohort_runners:quick"
@@ -50,6 +50,8 @@ def quick(folder: Path, participant: str, settings: dict, say) -> None:
             log.write(f"{participant}\n")
     if trouble == "refuse":
         raise FitError(f"{participant} can't be estimated")
+    if trouble == "wrong":
+        raise SubjectError(f"{folder / 'subject.json'}: wrong")
     if trouble == "bug":
         raise ValueError("no such thing")
     if trouble == "die":

@@ -41,16 +41,18 @@ def counted(path):
 
 
 def test_who_fails_fails_alone_and_is_named_after_one_retry(made):
-    cohort = made(6, sub_002="refuse", sub_003="die", sub_004="die once", sub_005="bug", sub_006="half")
+    trouble = {"sub_003": "die", "sub_004": "die once", "sub_005": "bug", "sub_006": "half", "sub_007": "wrong"}
+    cohort = made(7, sub_002="refuse", **trouble)
     news = []
     found = run_participants(cohort, 2, news=news.append)
     assert found.done == ("sub-001", "sub-004", "sub-006")
-    assert list(found.failed) == ["sub-002", "sub-003", "sub-005"]
+    assert list(found.failed) == ["sub-002", "sub-003", "sub-005", "sub-007"]
     assert found.failed["sub-002"] == "sub-002 can't be estimated"
     assert found.failed["sub-003"].startswith("crashed: its process ended by signal SIGKILL")
     assert found.failed["sub-005"] == "crashed: ValueError: no such thing"
+    assert found.failed["sub-007"] == f"{cohort.source}/sub-007/subject.json: wrong"
     tries = {name: len(last_of(cohort, name).tries) for name in cohort.participants}
-    assert tries == {"sub-001": 1, "sub-002": 1, "sub-003": 2, "sub-004": 2, "sub-005": 2, "sub-006": 2}
+    assert tries == {"sub-001": 1, "sub-002": 1, "sub-003": 2, "sub-004": 2, "sub-005": 2, "sub-006": 2, "sub-007": 1}
     log = place_of(cohort.source, cohort.target, "sub-005").log.read_text(encoding="utf-8")
     assert "ValueError: no such thing" in log
     assert {one.participant for one in news if one.stage == "again"} == {"sub-003", "sub-004", "sub-005", "sub-006"}
@@ -59,7 +61,19 @@ def test_who_fails_fails_alone_and_is_named_after_one_retry(made):
         assert whole_results(place_of(cohort.source, cohort.target, name)).state == "current"
     connection = sqlite3.connect(cohort.target / "ledger.sqlite")
     rows = connection.execute("SELECT participant, try, ended FROM tries ORDER BY participant, try").fetchall()
-    ended = ["done", "refused", "crashed", "crashed", "crashed", "done", "crashed", "crashed", "crashed", "done"]
+    ended = [
+        "done",
+        "refused",
+        "crashed",
+        "crashed",
+        "crashed",
+        "done",
+        "crashed",
+        "crashed",
+        "crashed",
+        "done",
+        "refused",
+    ]
     assert [one[2] for one in rows] == ended
     assert connection.execute("SELECT how FROM runs").fetchall() == [("ended",)]
     connection.close()
