@@ -54,6 +54,7 @@ def write_overview(
         take_over(target, _last_tries(source, target, participants))
         write_text(target / CSV, csv_text(members))
         write_json(target / JSON, record)
+        (target / PICTURE).unlink(missing_ok=True)
         for section in sections:
             if section.picture is not None:
                 write_bytes(target / PICTURE, section.picture)
