@@ -8,6 +8,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -122,16 +123,22 @@ def test_a_read_only_output_is_refused_in_one_line(made, tmp_path):
         run_participants(cohort, 1)
 
 
-def start_parent(cohort):
+@contextmanager
+def parent_of(cohort):
+    """A run in a process of its own, killed at the end whatever has come of it."""
     names = ",".join(cohort.participants)
     given = [str(cohort.source), str(cohort.target), cohort.order.model_dump_json(), names]
-    return subprocess.Popen([sys.executable, "-c", PARENT, *given], stdout=subprocess.PIPE, text=True)
+    with subprocess.Popen([sys.executable, "-c", PARENT, *given], stdout=subprocess.PIPE, text=True) as parent:
+        try:
+            yield parent
+        finally:
+            parent.kill()
 
 
 @pytest.mark.skipif(os.name == "nt", reason="locks and signals of Unix")
 def test_a_second_run_is_refused_and_a_dead_one_is_taken_over(made):
     cohort = made(2, sub_002="hang")
-    with start_parent(cohort) as first:
+    with parent_of(cohort) as first:
         while first.stdout.readline().strip() != "done":
             pass
         with pytest.raises(InUseError, match=rf"spinestiff cohort is at work here \(process {first.pid} on "):
@@ -151,7 +158,7 @@ def test_a_second_run_is_refused_and_a_dead_one_is_taken_over(made):
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="children are told by /proc alone")
 def test_a_run_that_is_told_to_end_ends_its_processes(made):
     cohort = made(1, sub_001="hang")
-    with start_parent(cohort) as parent:
+    with parent_of(cohort) as parent:
         while parent.stdout.readline().strip() != "running":
             pass
         time.sleep(0.2)
