@@ -65,8 +65,7 @@ def _people(axis: Axes, found: StiffnessStatistics, title: str) -> None:
     axis.axhspan(found.person_low, found.person_high, color=MEASURED, alpha=0.07, lw=0)
     axis.axhspan(found.mean_low, found.mean_high, color=MEASURED, alpha=0.18, lw=0)
     axis.axhline(found.mean, color=MEASURED, lw=1.6)
-    for place, one in zip(places, ordered):
-        _both(axis, float(place), one)
+    _both(axis, places, ordered)
     axis.set_ylabel(title)
     axis.set_xlim(-0.8, len(ordered) - 0.2)
     axis.grid(visible=False, axis="x")
@@ -77,13 +76,15 @@ def _people(axis: Axes, found: StiffnessStatistics, title: str) -> None:
         axis.set_xlabel(f"{len(ordered)} participants")
 
 
-def _both(axis: Axes, place: float, one: Shrunken) -> None:
-    """A person's estimate with its interval, and where all others draw it."""
-    reach = np.exp(HALF_WIDTH_95 * one.sd_log)
-    axis.plot([place, place], [one.value / reach, one.value * reach], color=_GREY, lw=1.0, zorder=2)
-    axis.plot([place, place], [one.value, one.given_all], color=FIT, lw=1.0, zorder=3)
-    axis.plot(place, one.value, "o", color=_GREY, ms=4.0, zorder=3)
-    axis.plot(place, one.given_all, "D", color=FIT, ms=3.6, zorder=4)
+def _both(axis: Axes, places: Sequence[float] | np.ndarray, people: Sequence[Shrunken]) -> None:
+    """Estimates with their intervals, and where all others draw them."""
+    value, given = np.array([one.value for one in people]), np.array([one.given_all for one in people])
+    reach = np.exp(HALF_WIDTH_95 * np.array([one.sd_log for one in people]))
+    size = 4.0 if len(people) <= MOST_NAMED else 2.2
+    axis.vlines(places, value / reach, value * reach, color=_GREY, lw=size / 4.0, zorder=2)
+    axis.vlines(places, value, given, color=FIT, lw=size / 4.0, zorder=3)
+    axis.plot(places, value, "o", color=_GREY, ms=size, zorder=3)
+    axis.plot(places, given, "D", color=FIT, ms=0.9 * size, zorder=4)
 
 
 def _against(axis: Axes, found: StiffnessStatistics, rows: dict[str, Row], key: str) -> None:
@@ -97,8 +98,7 @@ def _against(axis: Axes, found: StiffnessStatistics, rows: dict[str, Row], key: 
     numbers = {"age": [row.age for row in people], "height": [row.height_cm for row in people],
                "cobb": [abs(row.cobb_deg) for row in people]}  # fmt: skip
     x = np.array(numbers[key])
-    for place, one in zip(x, found.shrunken):
-        _both(axis, float(place), one)
+    _both(axis, x, found.shrunken)
     if np.ptp(x) == 0.0:
         return
     middle = x.mean()
@@ -114,9 +114,8 @@ def _by_kind(axis: Axes, people: Sequence[Shrunken], given: Sequence[str], y: np
     kinds = sorted(set(given))
     for number, kind in enumerate(kinds):
         mine = [i for i, one in enumerate(given) if one == kind]
-        spread = np.linspace(-0.3, 0.3, len(mine)) if len(mine) > 1 else [0.0]
-        for i, aside in zip(mine, spread):
-            _both(axis, number + float(aside), people[i])
+        spread = np.linspace(-0.3, 0.3, len(mine)) if len(mine) > 1 else np.zeros(1)
+        _both(axis, number + spread, [people[i] for i in mine])
         if len(mine) > 2:
             mean = hierarchy(y[mine], sds[mine])
             middle, error = mean.at([1.0])
