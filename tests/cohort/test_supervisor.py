@@ -96,6 +96,18 @@ def test_only_what_is_missing_or_changed_is_run(made, tmp_path):
     assert [before[name] == after[name] for name in cohort.participants] == [True, False, True]
 
 
+def test_what_a_run_killed_after_publishing_has_left_is_taken_away(made):
+    cohort = made(1)
+    run_participants(cohort, 1)
+    place = place_of(cohort.source, cohort.target, "sub-001")
+    before = sorted(path.name for path in place.target.iterdir())
+    place.work.mkdir()
+    place.before.mkdir()
+    place.task.write_text("{}", encoding="utf-8")
+    assert run_participants(cohort, 1).up_to_date == ("sub-001",)
+    assert sorted(path.name for path in place.target.iterdir()) == before
+
+
 def test_who_hangs_and_who_takes_all_memory_is_ended(made):
     cohort = made(2, sub_001="hang", sub_002="fill")
     found = run_participants(Cohort(cohort.source, cohort.target, ("sub-001",), cohort.order), 1, Limits(seconds=1.0))

@@ -27,7 +27,7 @@ from spinestiff.cohort.ledger import Ledger, Try, now, open_ledger, write_last
 from spinestiff.cohort.lock import cohort_lock
 from spinestiff.cohort.marker import Order, examine
 from spinestiff.cohort.places import CACHE, place_of, sweep
-from spinestiff.cohort.worker import ORPHANED, Task
+from spinestiff.cohort.worker import ORPHANED, Task, tidy
 from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import trouble
 
@@ -165,6 +165,7 @@ def _run(cohort: Cohort, run: str, ledger: Ledger | None, jobs: int, limits: Lim
         found = examine(place, cohort.order)
         if found.state == "current":
             current.append(participant)
+            tidy(place)
         say(News(participant, "up to date" if found.state == "current" else "waiting", found.words))
     there = set(current)
     at_work = _Work(cohort, run, ledger, limits, say)

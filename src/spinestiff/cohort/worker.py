@@ -76,7 +76,7 @@ def make_results(task: Task, say: Observer) -> Literal["done", "up to date"]:
         _finish_replacing(place)
         found = examine(place, task.order)
         if found.state == "current":
-            shutil.rmtree(place.work, ignore_errors=True)
+            tidy(place)
             return "up to date"
         if found.state == "damaged":
             say(f"warning: {found.words}; moved to {_move_aside(place).name}, made again")
@@ -203,8 +203,13 @@ def _publish(place: Place) -> None:
             place.before.rename(place.results)
         raise
     _settle(place.target)
-    shutil.rmtree(place.before, ignore_errors=True)
-    shutil.rmtree(place.work, ignore_errors=True)
+    tidy(place)
+
+
+def tidy(place: Place) -> None:
+    """Take away what is beside results that are whole and current: working folders, and the results before them."""
+    for folder in (place.before, place.work, place.target / "work-results"):
+        shutil.rmtree(folder, ignore_errors=True)
     place.task.unlink(missing_ok=True)
 
 
