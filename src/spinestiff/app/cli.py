@@ -19,8 +19,8 @@ from spinestiff.app import INTERRUPTED, STOPPED
 from spinestiff.app.annotate import annotate_folder, opened
 from spinestiff.app.options import (
     cobb_limits,
-    distance_limits,
     difference_limits,
+    distance_limits,
     dose_limits,
     force_limits,
     height_limits,
