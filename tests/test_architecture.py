@@ -38,6 +38,7 @@ LAYERS = {
     "study": 6,
     "verification": 7,
     "annotate": 7,
+    "cohort": 7,
     "app": 8,
 }
 # Where a third-party package may be imported; what is missing here may be imported nowhere.
@@ -66,9 +67,10 @@ HOMES: dict[str, tuple[str, ...]] = {
         "study/report/torso_picture.py",
         "study/report/page.py",
         "study/report/seven_pictures.py",
+        "cohort/picture.py",
     ),
     "jinja2": ("study/report/viewer/page.py",),
-    "pydantic": ("subject/*", "curves/corner_files.py", "annotate/*"),
+    "pydantic": ("subject/*", "curves/corner_files.py", "annotate/*", "cohort/*"),
     "pydantic_core": ("subject/*",),
     "fastapi": ("annotate/server.py",),
     "uvicorn": ("annotate/server.py",),

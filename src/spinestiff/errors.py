@@ -34,6 +34,10 @@ class SubjectGaps(SubjectError):
         self.lines = lines
 
 
+class InUseError(SubjectError):
+    """A folder that another run holds; it can be used once that has ended."""
+
+
 class RadiographError(SpinestiffError):
     """A radiograph can't be read, or lacks what a measurement in millimetres needs."""
 

@@ -34,16 +34,17 @@ ARGUMENTS = {
     ("init",): ("new", "none"),
     ("cobb",): ("none",),
     ("plan",): ("none",),
+    ("cohort",): ("none", "new"),
     ("torso", "import"): ("none", "--out", "new"),
 }
 NUMBERS = numbers()
 
 
 def test_all_commands_were_walked():
-    assert len(NUMBERS) == 31
+    assert len(NUMBERS) == 34
     assert {words for words, _ in NUMBERS} == {
         ("synth",), ("init",), ("demo",), ("cobb",), ("torso", "import"), ("torso", "export"), ("torso", "show"),
-        ("plan",),
+        ("plan",), ("cohort",),
     }  # fmt: skip
 
 

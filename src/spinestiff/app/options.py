@@ -181,3 +181,18 @@ def pixel_limits() -> tuple[float, float]:
     from spinestiff.subject.records import LARGEST_PIXEL_MM
 
     return 0.0, LARGEST_PIXEL_MM
+
+
+def minute_limits() -> tuple[float, float]:
+    """Minutes that one subject of a cohort may take, up to 30 days."""
+    return 0.0, 43200.0
+
+
+def memory_limits() -> tuple[float, float]:
+    """GB that one subject of a cohort may take."""
+    return 0.0, 10000.0
+
+
+def difference_limits() -> tuple[float, float]:
+    """A factor between two stiffnesses, the larger over the smaller."""
+    return 1.0, 100.0

@@ -10,8 +10,8 @@ from typing import NamedTuple
 from spinestiff.files import parse_csv
 
 COLUMNS = ("image", "level", "corner", "x", "y")
-# What a spreadsheet takes for the start of a formula (OWASP, "CSV Injection").
-_FORMULA = ("=", "+", "-", "@")
+FORMULA = ("=", "+", "-", "@")
+"""What a spreadsheet takes for the start of a formula (OWASP, "CSV Injection")."""
 
 
 class CsvRow(NamedTuple):
@@ -59,4 +59,4 @@ def guarded(name: str) -> str:
 
 def _is_guarded(name: str) -> bool:
     """Whether a name has an apostrophe in front that is not its own."""
-    return name.startswith("'") and name[1:].startswith((*_FORMULA, "'"))
+    return name.startswith("'") and name[1:].startswith((*FORMULA, "'"))

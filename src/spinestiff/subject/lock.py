@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from spinestiff.errors import SubjectError
+from spinestiff.errors import InUseError
 
 
 @contextmanager
@@ -18,7 +18,7 @@ def sole_run(folder: Path) -> Iterator[None]:
 
     Raises
     ------
-    SubjectError : another run holds it.
+    InUseError : another run holds it.
     """
     if os.name == "nt":
         yield
@@ -30,7 +30,7 @@ def sole_run(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise SubjectError(f"{folder}: another run of spinestiff is at work here; wait for its end") from None
+            raise InUseError(f"{folder}: another run of spinestiff is at work here; wait for its end") from None
         except OSError:
             pass
         yield

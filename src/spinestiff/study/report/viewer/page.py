@@ -77,10 +77,10 @@ def view_page(scene: Scene) -> str:
     return environment.get_template("viewer/view.html.j2").render(scene=shown, policy=policy, version=__version__)
 
 
-def page_environment() -> Environment:
-    """The templates of pages, everything escaped that is not marked as safe."""
+def page_environment(*folders: Path) -> Environment:
+    """The templates of pages, and of further folders, everything escaped that is not marked as safe."""
     return Environment(
-        loader=FileSystemLoader(Path(__file__).parent.parent),
+        loader=FileSystemLoader([Path(__file__).parent.parent, *folders]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

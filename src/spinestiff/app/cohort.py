@@ -1,0 +1,205 @@
+"""``spinestiff cohort``: all subjects of a table, each in a process of its own, and what they say together."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from spinestiff import __version__
+from spinestiff.cohort.marker import Order
+from spinestiff.cohort.participants import read_participants
+from spinestiff.cohort.supervisor import (
+    Cohort,
+    Limits,
+    News,
+    Summary,
+    processors,
+    run_one,
+    run_participants,
+    usual_memory_mb,
+)
+from spinestiff.errors import OptionError
+from spinestiff.words import counted
+
+LEVELS = ("participant", "group")
+FAILED = 1
+"""Exit status where a participant failed."""
+MOST_SHOWN = 20
+_RECENT = 12
+
+
+def order_of(settings: dict[str, Any]) -> Order:
+    """What is asked for each participant. Raises SubjectError for settings that there are not."""
+    from spinestiff.cohort.subject_run import RUNNER, settings_of
+
+    settings_of(settings)
+    return Order(runner=RUNNER, settings=settings, version=__version__)
+
+
+def run_cohort(
+    source: Path,
+    target: Path,
+    level: str | None,
+    order: Order,
+    jobs: int | None = None,
+    index: int | None = None,
+    minutes: float | None = None,
+    memory_gb: float | None = None,
+    difference: float | None = None,
+) -> int:
+    """Run the levels that are asked for and print what came out; the exit status.
+
+    Raises
+    ------
+    SpinestiffError : an option, the table of participants, another run at work, no room to write.
+    """
+    if level not in (None, *LEVELS):
+        raise OptionError(f"level '{level}': wanted {' or '.join(LEVELS)}; both are run if it is left out")
+    if index is not None and level != "participant":
+        raise OptionError(f"--index {index}: runs a single participant; add the level: participant --index {index}")
+    cohort = Cohort(source, target, read_participants(source), order)
+    status = 0
+    if level != "group":
+        count = len(cohort.participants) if index is None else 1
+        side_by_side = min(jobs or processors(), count)
+        memory = usual_memory_mb(side_by_side) if memory_gb is None else 1000.0 * memory_gb
+        limits = Limits(None if minutes is None else 60.0 * minutes, memory)
+        with live(count, side_by_side) as shown:
+            if index is None:
+                summary = run_participants(cohort, side_by_side, limits, shown.news, shown.expect)
+            else:
+                summary = run_one(cohort, index, limits, shown.news)
+        _print(summary)
+        status = FAILED if summary.failed else 0
+    if level != "participant":
+        from spinestiff.cohort.overview import write_overview
+
+        for line in write_overview(source, target, cohort.participants, difference):
+            print(line)
+    return status
+
+
+def _print(summary: Summary) -> None:
+    print(f"participants: {len(summary.done)} run, {len(summary.up_to_date)} up to date, {len(summary.failed)} failed")
+    for name, words in list(summary.failed.items())[:MOST_SHOWN]:
+        print(f"failed: {name}: {words}")
+    if len(summary.failed) > MOST_SHOWN:
+        print(f"and {len(summary.failed) - MOST_SHOWN} more; cohort.csv names all")
+
+
+class Shown:
+    """What a live table shows of a run: who is at work at what, what has ended, how long it may still take."""
+
+    def __init__(self, count: int, jobs: int, keep: Callable[[str], None]) -> None:
+        self._count, self._jobs, self._keep = count, jobs, keep
+        self._stages: dict[str, News] = {}
+        self._began: dict[str, float] = {}
+        self._recent: list[News] = []
+        self._seconds: list[float] = []
+        self._usual: float | None = None
+        self._start = time.monotonic()
+
+    def expect(self, usual: float | None) -> None:
+        """How long a participant took in earlier runs."""
+        self._usual = usual
+
+    def news(self, one: News) -> None:
+        """Take what has become of a participant."""
+        before = self._stages.get(one.participant)
+        self._stages[one.participant] = one
+        if one.stage == "running" and (before is None or before.stage != "running"):
+            self._began[one.participant] = time.monotonic()
+        if one.stage in ("done", "failed", "again"):
+            self._recent = [*self._recent[1 - _RECENT :], one]
+            self._keep(f"{one.participant}: {_words(one)}")
+        if one.stage == "done":
+            self._seconds.append(one.seconds)
+        if one.stage == "running" and one.words.startswith("warning"):
+            self._keep(f"{one.participant}: {one.words}")
+
+    def count_of(self, *stages: str) -> int:
+        """How many participants are at one of these stages."""
+        return sum(one.stage in stages for one in self._stages.values())
+
+    def seconds_left(self) -> float | None:
+        """By the mean of those done in this run, else the median of earlier ones; None while there are none."""
+        usual = sum(self._seconds) / len(self._seconds) if self._seconds else self._usual
+        if usual is None:
+            return None
+        passed = [
+            min(time.monotonic() - self._began[name], usual)
+            for name, one in self._stages.items()
+            if one.stage == "running"
+        ]
+        left = usual * (self.count_of("waiting", "running", "again")) - sum(passed)
+        return max(left, 0.0) / self._jobs
+
+    def headline(self) -> str:
+        """One line: counts and the time left."""
+        counts = [
+            (self.count_of("done"), "done"), (self.count_of("up to date"), "up to date"),
+            (self.count_of("failed"), "failed"), (self.count_of("running"), "running"),
+            (self.count_of("waiting", "again"), "waiting"),
+        ]  # fmt: skip
+        left = self.seconds_left()
+        parts = [f"{count} {word}" for count, word in counts if count]
+        passed = f"{duration(time.monotonic() - self._start)} passed"
+        return ", ".join([*parts, passed, *([] if left is None else [f"about {duration(left)} left"])])
+
+    def rows(self) -> list[tuple[str, str, str, str]]:
+        """Participant, stage, words and time: those that ended last, then those at work."""
+        ended = [(one.participant, one.stage, one.words, duration(one.seconds)) for one in self._recent]
+        running = [
+            (name, "running", one.words, duration(time.monotonic() - self._began[name]))
+            for name, one in self._stages.items()
+            if one.stage == "running"
+        ]
+        return [*ended, *running]
+
+
+def _words(one: News) -> str:
+    took = duration(one.seconds)
+    if one.stage == "done":
+        return f"done in {took}"
+    return f"{'tried again' if one.stage == 'again' else 'failed'} after {took}: {one.words}"
+
+
+def duration(seconds: float) -> str:
+    """ "45 s", "12 min", "3 h 20 min"."""
+    if seconds < 99.5:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
+
+
+@contextmanager
+def live(count: int, jobs: int) -> Iterator[Shown]:
+    """A table that follows the run on a terminal; in a log a line for each participant that ends."""
+    from rich.console import Console, Group
+    from rich.live import Live
+    from rich.markup import escape
+    from rich.progress_bar import ProgressBar
+    from rich.table import Table
+
+    console = Console(stderr=True, highlight=False)
+    if not console.is_terminal:
+        yield Shown(count, jobs, lambda line: console.print(escape(line), soft_wrap=True))
+        return
+    shown = Shown(count, jobs, lambda line: None)
+    marks = {"done": "[green]done[/green]", "failed": "[bold red]failed[/bold red]", "again": "[yellow]again[/yellow]"}
+
+    class Picture:
+        def __rich__(self) -> Group:
+            table = Table(title=f"{counted(count, 'participant')}, {jobs} at a time", title_justify="left")
+            for column in ("participant", "", "", "time"):
+                table.add_column(column, no_wrap=True, overflow="ellipsis")
+            for name, stage, words, took in shown.rows():
+                table.add_row(escape(name), marks.get(stage, stage), escape(words), took)
+            ended = shown.count_of("done", "failed", "up to date")
+            return Group(table, ProgressBar(total=count, completed=ended), escape(shown.headline()))
+
+    with Live(Picture(), console=console, refresh_per_second=2):
+        yield shown

@@ -1,0 +1,208 @@
+"""All participants of a cohort in one table, as CSV and as JSON: the same bytes from the same results."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from spinestiff.cohort.ledger import read_last
+from spinestiff.cohort.marker import Found, Order, examine_inputs
+from spinestiff.cohort.places import RESULTS, ROW_FILE, place_of
+from spinestiff.cohort.row import Row, Stiffness, read_row
+from spinestiff.curves.corner_csv import FORMULA
+from spinestiff.errors import SubjectError
+
+State = Literal["failed", "damaged", "not run", "out of date", "done"]
+STATES: tuple[State, ...] = ("failed", "damaged", "not run", "out of date", "done")
+"""Of a participant, what needs a look first."""
+PLAIN_COLUMNS = (
+    "participant", "state", "words", "id", "age", "sex", "height_cm", "mass_kg", "cobb_deg", "curve", "status",
+    "determined", "failed_checks", "largest_force_n", "training_rmse_mm", "p_value", "held_out_frames",
+    "held_out_default_mm", "held_out_fit_mm", "held_out_forecast_mm", "held_out_cobb_error_deg", "held_out_inside95",
+)  # fmt: skip
+_OF_A_STIFFNESS = ("", "_low", "_high", "_open", "_sd_log")
+
+
+@dataclass(frozen=True)
+class Member:
+    """A participant with its state.
+
+    Attributes
+    ----------
+    words : why there is no row, or why it does not count. row : of results that are whole, up to date or not.
+    order : that they were made by.
+    """
+
+    participant: str
+    state: State
+    words: str = ""
+    row: Row | None = None
+    order: Order | None = None
+
+    @property
+    def report(self) -> str | None:
+        """The participant's report relative to the cohort's output, or None."""
+        if self.row is None or self.row.report is None:
+            return None
+        return f"{self.participant}/{RESULTS}/{self.row.report}"
+
+
+def read_members(
+    source: Path, target: Path, participants: Sequence[str], news: Callable[[str], None] | None = None
+) -> tuple[Member, ...]:
+    """What has become of each participant, in their order.
+
+    Results count if they are whole, made from what the inputs are now, and by the same settings and version as most.
+
+    Raises
+    ------
+    SubjectError : a row that can't be read although its marker vouches for it.
+    """
+    found = []
+    for participant in participants:
+        if news is not None:
+            news(participant)
+        found.append(_member(source, target, participant))
+    orders = Counter(_key(member.order) for member in found if member.order is not None)
+    if len(orders) < 2:
+        return tuple(found)
+    most = orders.most_common(1)[0][0]
+    return tuple(
+        member if member.order is None or member.state != "done" or _key(member.order) == most else _unlike(member)
+        for member in found
+    )
+
+
+def _key(order: Order) -> str:
+    return json.dumps(order.model_dump(mode="json"), sort_keys=True)
+
+
+def _unlike(member: Member) -> Member:
+    words = "made with other settings or by another version than most; run spinestiff cohort again"
+    return Member(member.participant, "out of date", words, member.row, member.order)
+
+
+def _member(source: Path, target: Path, participant: str) -> Member:
+    place = place_of(source, target, participant)
+    found: Found = examine_inputs(place)
+    last = read_last(place.last)
+    failure = ""
+    if last is not None and last.tries and last.tries[-1].ended not in ("done", "up to date"):
+        failure = last.tries[-1].words
+    if found.marker is None:
+        if failure:
+            return Member(participant, "failed", failure)
+        return Member(participant, "not run" if found.state == "missing" else "damaged", found.words)
+    row = read_row(place.results / ROW_FILE)
+    if found.state == "current":
+        return Member(participant, "done", "", row, found.marker.order)
+    if failure:
+        return Member(participant, "failed", f"{failure}; earlier results are shown", row, found.marker.order)
+    return Member(participant, "out of date", found.words, row, found.marker.order)
+
+
+def strangers(target: Path, participants: Sequence[str]) -> tuple[str, ...]:
+    """Folders of results in a cohort's output that are of nobody in its table."""
+    known = set(participants)
+    try:
+        there = sorted(path.parent.name for path in target.glob(f"*/{RESULTS}") if path.is_dir())
+    except OSError:
+        return ()
+    return tuple(name for name in there if name not in known)
+
+
+def table(members: Sequence[Member]) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of ``cohort.csv``, texts as they are written."""
+    units: dict[str, str] = {}
+    for member in members:
+        if member.row is not None:
+            units |= {name: found.unit for name, found in member.row.stiffness.items()}
+    header = [
+        *PLAIN_COLUMNS,
+        *(f"{name}{_unit(units[name])}{part}" for name in sorted(units) for part in _OF_A_STIFFNESS),
+    ]
+    rows = [_plain_cells(member) for member in members]
+    for member, cells in zip(members, rows):
+        for name in sorted(units):
+            cells += _stiffness_cells(None if member.row is None else member.row.stiffness.get(name))
+    return header, rows
+
+
+def csv_text(members: Sequence[Member]) -> str:
+    """``cohort.csv``."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    header, rows = table(members)
+    writer.writerow(header)
+    writer.writerows(rows)
+    return stream.getvalue()
+
+
+def members_record(members: Sequence[Member]) -> list[dict[str, Any]]:
+    """The participants as JSON."""
+    return [
+        {
+            "participant": member.participant,
+            "state": member.state,
+            "words": member.words,
+            "report": member.report,
+            "row": None if member.row is None else member.row.model_dump(mode="json"),
+        }
+        for member in members
+    ]
+
+
+def common_order(members: Sequence[Member]) -> Order | None:
+    """The settings of the results that count; None where there are none."""
+    return next((member.order for member in members if member.state == "done"), None)
+
+
+def _unit(unit: str) -> str:
+    return f"_{unit.replace(' ', '').replace('/', '_per_')}" if unit else ""
+
+
+def _plain_cells(member: Member) -> list[str]:
+    row = member.row
+    if row is None:
+        return [member.participant, member.state, _guarded(member.words), *[""] * (len(PLAIN_COLUMNS) - 3)]
+    held = row.held_out
+    rmse = {} if held is None else held.rmse_mm
+    return [
+        member.participant, member.state, _guarded(member.words), row.id, _text(row.age), row.sex, _text(row.height_cm),
+        _text(row.mass_kg), _text(row.cobb_deg), row.curve, row.status, row.determined,
+        _guarded("; ".join(row.failed_checks)), _text(row.largest_force_n), _text(row.training_rmse_mm),
+        _text(row.p_value), "" if held is None else str(held.frames), _text(rmse.get("default")),
+        _text(rmse.get("fit")),
+        _text(rmse.get("forecast")), _text(None if held is None else held.cobb_error_deg),
+        _text(None if held is None else held.inside95),
+    ]  # fmt: skip
+
+
+def _stiffness_cells(found: Stiffness | None) -> list[str]:
+    if found is None:
+        return [""] * len(_OF_A_STIFFNESS)
+    ends = [name for name, open_ in (("low", found.open_low), ("high", found.open_high)) if open_]
+    return [_text(found.value), _text(found.low), _text(found.high), "+".join(ends), _text(found.sd_log)]
+
+
+def _text(value: float | None) -> str:
+    return "" if value is None else repr(float(value))
+
+
+def _guarded(text: str) -> str:
+    """Text that no spreadsheet takes for a formula."""
+    return f"'{text}" if text.startswith(FORMULA) else text
+
+
+def refuse_nobody(members: Sequence[Member], target: Path) -> None:
+    """Raise SubjectError where no participant was ever run."""
+    if all(member.state == "not run" for member in members):
+        raise SubjectError(
+            f"{target}: has no results of any participant; run spinestiff cohort IN OUT participant first"
+        )

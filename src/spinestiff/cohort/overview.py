@@ -1,0 +1,74 @@
+"""What all participants of a cohort say together, written: tables, statistics, a picture and one page."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from spinestiff import __version__
+from spinestiff.cohort.group import (
+    STATES,
+    common_order,
+    csv_text,
+    members_record,
+    read_members,
+    refuse_nobody,
+    strangers,
+)
+from spinestiff.cohort.ledger import Try, read_last, take_over
+from spinestiff.cohort.lock import cohort_lock
+from spinestiff.cohort.page import cohort_page
+from spinestiff.cohort.places import place_of, sweep
+from spinestiff.cohort.statistics import cohort_statistics
+from spinestiff.cohort.statistics_words import statistics_lines, statistics_sections
+from spinestiff.files import write_bytes, write_json, write_text
+
+CSV, JSON, PAGE, PICTURE = "cohort.csv", "cohort.json", "cohort.html", "cohort.png"
+
+
+def write_overview(
+    source: Path, target: Path, participants: Sequence[str], difference: float | None = None
+) -> list[str]:
+    """Write the tables of a cohort; lines that say what is in them.
+
+    Raises
+    ------
+    InUseError : a run is at work on them. SubjectError : nobody was run; a file can't be written.
+    """
+    with cohort_lock(target):
+        sweep(target)
+        members = read_members(source, target, participants)
+        refuse_nobody(members, target)
+        order = common_order(members)
+        found = cohort_statistics(members, difference)
+        sections = statistics_sections(found, members)
+        record = {
+            "schema_version": 1,
+            "version": __version__,
+            "settings": None if order is None else order.settings,
+            "participants": members_record(members),
+            "statistics": [asdict(one) for one in found],
+        }
+        take_over(target, _last_tries(source, target, participants))
+        write_text(target / CSV, csv_text(members))
+        write_json(target / JSON, record)
+        (target / PICTURE).unlink(missing_ok=True)
+        for section in sections:
+            if section.picture is not None:
+                write_bytes(target / PICTURE, section.picture)
+        write_text(target / PAGE, cohort_page(members, sections))
+    counts = Counter(member.state for member in members)
+    lines = ["group: " + ", ".join(f"{counts[state]} {state}" for state in reversed(STATES) if counts[state])]
+    unknown = strangers(target, participants)
+    if unknown:
+        lines.append(f"left out, since participants.tsv does not name them: {', '.join(unknown[:10])}")
+    lines += statistics_lines(found)
+    return [*lines, f"tables: {target / CSV}, {target / JSON}", f"page: {target / PAGE}"]
+
+
+def _last_tries(source: Path, target: Path, participants: Sequence[str]) -> Iterator[Try]:
+    for participant in participants:
+        last = read_last(place_of(source, target, participant).last)
+        yield from () if last is None else last.tries

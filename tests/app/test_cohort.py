@@ -1,0 +1,108 @@
+"""``spinestiff cohort``: what it prints, its statuses, and a real subject taken through."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from cohort_runners import QUICK, cohort_of
+from spinestiff import __version__
+from spinestiff.app.cohort import Shown, duration, order_of, run_cohort
+from spinestiff.cohort.marker import Order, examine
+from spinestiff.cohort.places import place_of
+from spinestiff.cohort.row import read_row
+from spinestiff.cohort.supervisor import News
+from spinestiff.cohort.worker import Task, make_results
+from spinestiff.errors import SubjectError
+from spinestiff.study.visit import open_visit
+from spinestiff.subject.outcomes import Estimate
+from spinestiff.subject.run_record import read_outcome
+
+
+def test_a_cohort_from_table_to_page(capfd, tmp_path, monkeypatch):
+    from pathlib import Path
+
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]), prepend=":")
+    cohort_of(tmp_path / "in", 3, sub_002="refuse")
+    order = Order(runner=QUICK, settings={}, version="1")
+    assert run_cohort(tmp_path / "in", tmp_path / "out", None, order, jobs=2) == 1
+    out, err = capfd.readouterr()
+    assert out.splitlines()[:3] == [
+        "participants: 2 run, 0 up to date, 1 failed",
+        "failed: sub-002: sub-002 can't be estimated",
+        "group: 2 done, 1 failed",
+    ]
+    assert sorted(err.splitlines())[0].startswith("sub-001: done in ")
+    assert {path.name for path in (tmp_path / "out").iterdir() if path.is_file()} == {
+        "cohort.csv", "cohort.json", "cohort.html", "cohort.lock", "ledger.sqlite",
+    }  # fmt: skip
+    assert run_cohort(tmp_path / "in", tmp_path / "out", "participant", order, index=1) == 0
+    assert capfd.readouterr().out == "participants: 0 run, 1 up to date, 0 failed\n"
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (("none", "out"), "none: no such folder; wanted one with participants.tsv"),
+        (("in", "out", "everybody"), "level 'everybody': wanted participant or group"),
+        (("in", "out", "--index", "1"), "--index 1: runs a single participant; add the level"),
+        (("in", "out", "participant", "--index", "3"), "--index 3: wanted a row of participants.tsv, 1 to 2"),
+        (("in", "in/out"), "wanted two folders apart"),
+        (("in", "out", "--mesh", "huge"), "unknown mesh 'huge'"),
+        (("in", "out", "--parameters", "all"), "all"),
+        (("in", "out", "group"), "has no results of any participant"),
+    ],
+)
+def test_what_is_asked_wrongly_ends_in_one_line(spinestiff, tmp_path, monkeypatch, given, words):
+    monkeypatch.chdir(tmp_path)
+    cohort_of(tmp_path / "in", 2)
+    ran = spinestiff("cohort", *given)
+    assert (ran.status, ran.out, len(ran.lines)) == (2, "", 1)
+    assert words in ran.err
+
+
+def test_a_real_subject_goes_through_and_its_row_says_what_its_results_say(finished, tmp_path):
+    """Taken up where a run was stopped after its last step, so that nothing is computed twice."""
+    order = order_of({"mesh": "coarse"})
+    shutil.copytree(finished.folder, tmp_path / "in" / "girl", ignore=shutil.ignore_patterns("results"))
+    place = place_of(tmp_path / "in", tmp_path / "out", "girl")
+    shutil.copytree(finished.folder / "results", place.work / "results")
+    place.task.write_text(order.model_dump_json(), encoding="utf-8")
+    task = Task(participant="girl", source=str(tmp_path / "in"), target=str(tmp_path / "out"), order=order)
+    lines = []
+    assert make_results(task, lines.append) == "done"
+    assert [line for line in lines if not line.endswith("up to date")] == []
+    assert examine(place, order).state == "current"
+    assert order.version == __version__
+    row = read_row(place.results / "row.json")
+    visit = open_visit(finished.folder)
+    estimate = read_outcome(visit.subject, Estimate)
+    assert (row.participant, row.id, row.report) == ("girl", visit.subject.record.id, "report.html")
+    assert row.stiffness["tissue"].value == estimate.ratios["tissue"].value
+    assert row.stiffness["tissue_young"].unit == "kPa"
+    assert row.stiffness["tissue"].sd_log == pytest.approx(estimate.ratios["tissue"].sd_log)
+    assert row.held_out.frames == 2
+    assert row.curve == "main thoracic" and 10.0 < abs(row.cobb_deg) < 16.0
+    assert row.largest_force_n == 30.0
+
+
+def test_settings_that_there_are_not_are_refused_before_anything_runs():
+    with pytest.raises(SubjectError, match="unknown method"):
+        order_of({"method": "best"})
+
+
+def test_the_time_left_is_that_of_who_is_left():
+    shown = Shown(4, 2, lambda line: None)
+    for number in range(4):
+        shown.news(News(f"s{number}", "waiting"))
+    assert shown.seconds_left() is None
+    shown.expect(60.0)
+    assert shown.seconds_left() == pytest.approx(120.0)
+    shown.news(News("s0", "running"))
+    shown.news(News("s0", "done", "", 10.0))
+    assert shown.seconds_left() == pytest.approx(15.0)
+    shown.news(News("s1", "failed", "no", 1.0))
+    assert shown.headline().startswith("1 done, 1 failed, 2 waiting, 0 s passed, about 10 s left")
+    assert [row[:3] for row in shown.rows()] == [("s0", "done", ""), ("s1", "failed", "no")]
+    assert [duration(one) for one in (45.2, 720.0, 12000.0)] == ["45 s", "12 min", "3 h 20 min"]

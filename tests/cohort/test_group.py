@@ -1,0 +1,119 @@
+"""Tables of all participants."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import sqlite3
+
+import pytest
+
+from cohort_runners import row
+from spinestiff.cohort.group import Member, csv_text, read_members, strangers, table
+from spinestiff.cohort.overview import write_overview
+from spinestiff.cohort.row import Stiffness
+from spinestiff.cohort.supervisor import run_one, run_participants
+from spinestiff.cohort.worker import Task, make_results
+from spinestiff.errors import InUseError, SubjectError
+from spinestiff.files import file_digest
+
+
+def made_results(cohort, *names, order=None):
+    for name in names:
+        one = Task(participant=name, source=str(cohort.source), target=str(cohort.target), order=order or cohort.order)
+        make_results(one, lambda line: None)
+
+
+def states(cohort):
+    return [member.state for member in read_members(cohort.source, cohort.target, cohort.participants)]
+
+
+def test_every_participant_has_its_state_and_the_reason(made):
+    cohort = made(6, sub_002="refuse")
+    made_results(cohort, "sub-001", "sub-003", "sub-004", "sub-006")
+    run_one(cohort, 2)
+    (cohort.source / "sub-003" / "subject.json").write_text('{"number": 9, "trouble": ""}', encoding="utf-8")
+    (cohort.target / "sub-004" / "results" / "report.html").write_text("mine", encoding="utf-8")
+    (cohort.source / "sub-006" / "subject.json").write_text('{"number": 9, "trouble": "refuse"}', encoding="utf-8")
+    run_one(cohort, 6)
+    members = read_members(cohort.source, cohort.target, cohort.participants)
+    assert [one.state for one in members] == ["done", "failed", "out of date", "damaged", "not run", "failed"]
+    assert members[1].words == "sub-002 can't be estimated"
+    assert members[2].words == "was made before its inputs changed"
+    assert members[3].words.endswith("sub-004/results/report.html is not as its run left it")
+    assert members[5].words == "sub-006 can't be estimated; earlier results are shown"
+    assert [one.row is not None for one in members] == [True, False, True, False, False, True]
+    assert members[0].report == "sub-001/results/report.html"
+
+
+def test_results_by_other_settings_than_most_do_not_count(made):
+    cohort = made(4)
+    other = cohort.order.model_copy(update={"version": "0"})
+    made_results(cohort, "sub-001", order=other)
+    made_results(cohort, "sub-002", "sub-003", "sub-004")
+    assert states(cohort) == ["out of date", "done", "done", "done"]
+
+
+def test_the_table_holds_numbers_as_they_are_and_no_formula():
+    stiffness = {
+        "tissue": Stiffness(value=0.1, unit="", low=0.05, high=0.2, sd_log=0.3),
+        "tissue_young": Stiffness(value=3.0, unit="kPa", low=1.0, high=9.0, open_low=True, open_high=True),
+        "lateral_bending_lumbar": Stiffness(value=1 / 3, unit="N m/rad"),
+    }
+    members = [
+        Member("a", "done", "", row("a", 1).model_copy(update={"stiffness": stiffness})),
+        Member("b", "failed", "=1+2, or so"),
+    ]
+    first, second = list(csv.DictReader(io.StringIO(csv_text(members))))
+    assert [first[name] for name in ("participant", "state", "tissue", "tissue_sd_log")] == ["a", "done", "0.1", "0.3"]
+    assert first["tissue_young_kPa_open"] == "low+high"
+    assert first["lateral_bending_lumbar_Nm_per_rad"] == repr(1 / 3)
+    assert first["lateral_bending_lumbar_Nm_per_rad_low"] == ""
+    assert (second["words"], second["age"], second["tissue"]) == ("'=1+2, or so", "", "")
+    header, rows = table(members)
+    assert len(set(header)) == len(header)
+    assert {len(cells) for cells in rows} == {len(header)}
+
+
+def test_the_same_results_give_the_same_bytes(made):
+    cohort = made(7, sub_007="refuse")
+    run_participants(cohort, 2)
+    names = ("cohort.csv", "cohort.json", "cohort.html", "cohort.png")
+    found = []
+    for _ in range(2):
+        lines = write_overview(cohort.source, cohort.target, cohort.participants)
+        found.append([file_digest(cohort.target / name) for name in names])
+    assert found[0] == found[1]
+    assert lines[0] == "group: 6 done, 1 failed"
+    content = json.loads((cohort.target / "cohort.json").read_text(encoding="utf-8"))
+    assert [one["state"] for one in content["participants"]] == ["done"] * 6 + ["failed"]
+    assert content["statistics"][0]["people"] == 6
+
+
+def test_tries_of_single_rows_reach_the_ledger(made):
+    cohort = made(1)
+    run_one(cohort, 1)
+    for _ in range(2):
+        write_overview(cohort.source, cohort.target, cohort.participants)
+    connection = sqlite3.connect(cohort.target / "ledger.sqlite")
+    assert connection.execute("SELECT participant, ended FROM tries").fetchall() == [("sub-001", "done")]
+    connection.close()
+
+
+def test_nobody_is_no_group_and_strangers_are_named(made):
+    cohort = made(2)
+    with pytest.raises(SubjectError, match="has no results of any participant"):
+        write_overview(cohort.source, cohort.target, cohort.participants)
+    made_results(cohort, "sub-001", "sub-002")
+    assert strangers(cohort.target, ["sub-002"]) == ("sub-001",)
+    lines = write_overview(cohort.source, cohort.target, ("sub-002",))
+    assert "left out, since participants.tsv does not name them: sub-001" in lines
+    with pytest.raises(InUseError), _held(cohort):
+        write_overview(cohort.source, cohort.target, cohort.participants)
+
+
+def _held(cohort):
+    from spinestiff.cohort.lock import cohort_lock
+
+    return cohort_lock(cohort.target)

@@ -1,0 +1,110 @@
+"""What a cohort says of people, from made-up rows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cohort_runners import row
+from spinestiff.cohort.group import Member
+from spinestiff.cohort.row import Stiffness
+from spinestiff.cohort.statistics import Effect, _holm, cohort_statistics, covariates
+
+
+def people(count, effect=0.0, seed=0, **changes):
+    """Participants whose stiffness grows by ``effect`` (log) a year."""
+    random = np.random.default_rng(seed)
+    members = []
+    for number in range(count):
+        name = f"sub-{number:03d}"
+        age, sd = float(random.uniform(10.0, 16.0)), float(random.uniform(0.05, 0.3))
+        log = effect * (age - 13.0) + random.normal(0.0, 0.2) + random.normal(0.0, sd)
+        value = 0.1 * float(np.exp(log))
+        stiffness = Stiffness(value=value, unit="", low=value / 2, high=value * 2, sd_log=sd, visit_sd_log=0.1)
+        fields = {"age": age, "height_cm": float(random.uniform(140.0, 180.0)), "stiffness": {"tissue": stiffness}}
+        fields["sex"] = "male" if number % 3 == 0 else "female"
+        members.append(Member(name, "done", "", row(name, number).model_copy(update={**fields, **changes})))
+    return members
+
+
+def test_an_effect_is_found_as_a_factor_and_nothing_else_is():
+    (found,) = cohort_statistics(people(60, effect=0.15, seed=1))
+    assert found.people == 60
+    effects = {one.name: one for one in found.together}
+    assert set(effects) == {
+        "age, a year more", "height, 10 cm more", "Cobb angle, 10 degrees more", "sex: male against female",
+    }  # fmt: skip
+    age = effects.pop("age, a year more")
+    assert age.low < np.exp(0.15) < age.high
+    assert age.p_adjusted < 0.001
+    assert all(one.p_adjusted > 0.05 for one in effects.values())
+    assert found.between_low < np.hypot(0.2, 0.15 * 6 / np.sqrt(12)) < found.between_high
+    assert found.person_low < found.mean_low < found.mean < found.mean_high < found.person_high
+
+
+def test_shrunken_values_lie_between_the_estimate_and_the_others():
+    (found,) = cohort_statistics(people(12, age=13.0, height_cm=160.0, sex="female", cobb_deg=20.0))
+    assert (found.alone, found.together) == ((), ())
+    for one in found.shrunken:
+        low, high = sorted((one.value, found.mean))
+        assert low * 0.98 <= one.given_all <= high * 1.02
+        assert one.low < one.given_all < one.high
+    weights = [one.weight for one in sorted(found.shrunken, key=lambda one: one.sd_log)]
+    assert weights == sorted(weights, reverse=True)
+
+
+def test_who_does_not_count_is_left_out_with_the_reason():
+    members = people(10)
+    reasons = {}
+    open_end = members[0].row.stiffness["tissue"].model_copy(update={"sd_log": None})
+    changes = [
+        (Member("sub-000", "done", "", members[0].row.model_copy(update={"stiffness": {"tissue": open_end}})),
+         "interval with an open end"),
+        (Member("sub-001", "done", "", members[1].row.model_copy(update={"status": "DOUBTFUL"})), "doubtful"),
+        (Member("sub-002", "out of date", "", members[2].row), "out of date"),
+        (Member("sub-003", "failed", "no"), "failed"),
+        (Member("sub-004", "done", "", members[4].row.model_copy(update={"stiffness": {}})), "not estimated"),
+    ]  # fmt: skip
+    for number, (member, why) in enumerate(changes):
+        members[number] = member
+        reasons[member.participant] = why
+    (found,) = cohort_statistics(members)
+    assert (found.people, found.left_out) == (5, reasons)
+    assert cohort_statistics(members[:9]) == ()
+
+
+def test_all_covariates_together_take_people_enough():
+    assert cohort_statistics(people(24))[0].together == ()
+    assert len(cohort_statistics(people(25))[0].together) == 4
+
+
+def test_a_kind_of_one_person_and_what_all_have_alike_are_no_covariates():
+    rows = [member.row for member in people(6, age=12.0)]
+    rows[0] = rows[0].model_copy(update={"curve": "thoracolumbar/lumbar"})
+    assert {one.key for one in covariates(rows)} == {"height", "cobb", "sex"}
+    rows[1] = rows[1].model_copy(update={"curve": "thoracolumbar/lumbar"})
+    names = [one.name for one in covariates(rows)]
+    assert "curve: thoracolumbar/lumbar against main thoracic" in names
+
+
+def test_patients_needed_fall_with_the_difference_and_rise_with_the_spread():
+    (found,) = cohort_statistics(people(30))
+    assert [one.factor for one in found.needed] == [1.25, 1.5, 2.0]
+    assert found.needed[0].a_group > found.needed[1].a_group > found.needed[2].a_group > 2
+    one = found.needed[0]
+    assert one.a_group_low <= one.a_group <= one.a_group_high
+    # 0.1 from visit to visit: 0.141 of a difference of two, log 1.25 is 1.58 of those.
+    assert one.visited_twice == 6
+    assert [one.factor for one in cohort_statistics(people(30), 1.1)[0].needed] == [1.1]
+    unknown = people(30)
+    stiffness = [member.row.stiffness["tissue"].model_copy(update={"visit_sd_log": None}) for member in unknown]
+    unknown = [
+        Member(member.participant, "done", "", member.row.model_copy(update={"stiffness": {"tissue": one}}))
+        for member, one in zip(unknown, stiffness)
+    ]
+    assert cohort_statistics(unknown)[0].needed[0].visited_twice is None
+
+
+def test_holm_by_hand():
+    effects = [Effect(name, 1.0, 0.5, 2.0, p, 1.0) for name, p in (("a", 0.03), ("b", 0.01), ("c", 0.02), ("d", 0.9))]
+    assert [one.p_adjusted for one in _holm(effects)] == pytest.approx([0.06, 0.04, 0.06, 0.9])

@@ -1,0 +1,225 @@
+"""One participant: its results are whole or not there, however a run ends."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+
+import pytest
+
+from spinestiff.cohort.marker import examine, whole_results
+from spinestiff.cohort.places import input_files
+from spinestiff.cohort.row import read_row
+from spinestiff.cohort.worker import as_given, ended, make_results, runner_of
+from spinestiff.errors import FitError, InUseError, SubjectError
+from spinestiff.files import file_digest, write_text
+from spinestiff.subject.lock import sole_run
+
+
+def silent(_):
+    pass
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_results_are_published_with_their_marker_and_inputs_are_only_read(task):
+    one, place = task
+    before = file_digest(place.source)
+    assert examine(place, one.order).state == "missing"
+    assert make_results(one, silent) == "done"
+    assert names(place.target) == ["results"]
+    assert names(place.results) == ["done.json", "estimate.json", "figures", "report.html", "row.json"]
+    found = examine(place, one.order)
+    assert found.state == "current"
+    assert set(found.marker.inputs) == {"subject.json", "rest/frontal.dcm"}
+    assert set(found.marker.outputs) == {"estimate.json", "figures/one.svg", "report.html", "row.json"}
+    assert file_digest(place.source) == before
+    assert make_results(one, silent) == "up to date"
+
+
+def test_results_and_hidden_files_of_a_given_folder_are_no_inputs(task):
+    one, place = task
+    make_results(one, silent)
+    (place.source / "results").mkdir()
+    (place.source / "results" / "estimate.json").write_text("old", encoding="utf-8")
+    (place.source / ".draft").write_text("x", encoding="utf-8")
+    assert set(input_files(place.source)) == {"subject.json", "rest/frontal.dcm"}
+    assert examine(place, one.order).state == "current"
+
+
+def edit(place):
+    (place.results / "report.html").write_text("mine", encoding="utf-8")
+
+
+def take_away(place):
+    (place.results / "figures" / "one.svg").unlink()
+
+
+def add(place):
+    (place.results / "new.txt").touch()
+
+
+def cut_marker(place):
+    place.marker.write_bytes(place.marker.read_bytes()[:-20])
+
+
+def another(place):
+    content = json.loads(place.marker.read_text(encoding="utf-8"))
+    place.marker.write_text(json.dumps({**content, "participant": "sub-009"}), encoding="utf-8")
+
+
+def no_marker(place):
+    place.marker.unlink()
+
+
+def no_folder(place):
+    shutil.rmtree(place.results)
+    place.results.write_text("a file", encoding="utf-8")
+
+
+@pytest.mark.parametrize("harm", [edit, take_away, add, cut_marker, another, no_marker, no_folder])
+def test_damaged_and_foreign_results_are_moved_aside_and_made_again(task, harm):
+    one, place = task
+    make_results(one, silent)
+    sound = file_digest(place.results)
+    harm(place)
+    found = file_digest(place.results)
+    assert examine(place, one.order).state == "damaged"
+    said = []
+    assert make_results(one, said.append) == "done"
+    assert any("moved to aside-1, made again" in line for line in said)
+    assert file_digest(place.target / "aside-1") == found
+    assert file_digest(place.results) == sound
+
+
+def test_changed_inputs_and_settings_are_run_again(task):
+    one, place = task
+    make_results(one, silent)
+    other = one.order.model_copy(update={"settings": {**one.order.settings, "say": {"more": 1}}})
+    assert examine(place, other).state == "out of date"
+    (place.source / "subject.json").write_text('{"number": 5, "trouble": ""}', encoding="utf-8")
+    assert examine(place, one.order).state == "out of date"
+    assert make_results(one, silent) == "done"
+    assert read_row(place.results / "row.json").age == 15.0
+    make_results(one.model_copy(update={"order": other}), silent)
+    assert json.loads((place.results / "estimate.json").read_text(encoding="utf-8"))["more"] == 1
+
+
+def test_a_run_that_fails_leaves_earlier_results_whole(task):
+    one, place = task
+    make_results(one, silent)
+    before = file_digest(place.results)
+    (place.source / "subject.json").write_text('{"number": 5, "trouble": "refuse"}', encoding="utf-8")
+    with pytest.raises(FitError):
+        make_results(one, silent)
+    assert file_digest(place.results) == before
+    assert whole_results(place).state == "current"
+
+
+def test_results_being_replaced_when_a_run_ended_stand_again(task):
+    one, place = task
+    make_results(one, silent)
+    before = file_digest(place.results)
+    place.results.rename(place.before)
+    assert make_results(one, silent) == "up to date"
+    assert file_digest(place.results) == before
+    # Ended later: the new ones have their name already.
+    shutil.copytree(place.results, place.before)
+    assert make_results(one, silent) == "up to date"
+    assert names(place.target) == ["results"]
+
+
+def test_a_renaming_that_fails_puts_earlier_results_back(task, monkeypatch):
+    one, place = task
+    make_results(one, silent)
+    before = file_digest(place.results)
+    (place.source / "subject.json").write_text('{"number": 5, "trouble": ""}', encoding="utf-8")
+    rename = os.rename
+
+    def failing(source, target, **named):
+        if str(source).endswith("work/results"):
+            raise OSError(errno.EIO, "broken", str(source))
+        rename(source, target, **named)
+
+    monkeypatch.setattr(os, "rename", failing)
+    with pytest.raises(OSError, match="broken"):
+        make_results(one, silent)
+    assert file_digest(place.results) == before
+
+
+def test_half_a_file_of_a_run_that_was_killed_is_not_published(task):
+    one, place = task
+    (place.work / "results").mkdir(parents=True)
+    litter = place.work / "results" / ".estimate.json.12ab.tmp"
+    litter.write_text("half", encoding="utf-8")
+    place.task.write_text(one.order.model_dump_json(), encoding="utf-8")
+    make_results(one, silent)
+    assert not (place.results / litter.name).exists()
+
+
+def test_what_another_order_left_in_work_is_not_taken_along(task):
+    one, place = task
+    for order, kept in ((one.order, True), (one.order.model_copy(update={"version": "0"}), False)):
+        shutil.rmtree(place.target, ignore_errors=True)
+        (place.work / "results").mkdir(parents=True)
+        (place.work / "results" / "posterior.csv").write_text("of a step", encoding="utf-8")
+        place.task.write_text(order.model_dump_json(), encoding="utf-8")
+        make_results(one, silent)
+        assert (place.results / "posterior.csv").exists() == kept
+
+
+def test_a_row_of_somebody_else_is_refused(task, monkeypatch):
+    one, place = task
+    renamed = one.model_copy(update={"order": one.order.model_copy(update={"runner": "cohort_runners:misnamed"})})
+    with pytest.raises(SubjectError, match="is the row of 'sub-009', wanted that of 'sub-001'"):
+        make_results(renamed, silent)
+    assert not place.results.exists()
+
+
+def test_a_participant_in_use_is_waited_for_and_then_named(task, monkeypatch):
+    one, place = task
+    monkeypatch.setattr("spinestiff.cohort.worker.LONGEST_WAIT_S", 0.3)
+    place.target.mkdir(parents=True)
+    with sole_run(place.target), pytest.raises(InUseError, match="another run of spinestiff is at work here"):
+        make_results(one, silent)
+    assert make_results(one, silent) == "done"
+
+
+def test_how_an_exception_ends_a_run(tmp_path):
+    assert ended(FitError("no  estimate\n")) == ("refused", "no estimate")
+    assert ended(InUseError("held")) == ("in use", "held")
+    assert ended(MemoryError()) == ("out of memory", "memory ran out")
+    assert ended(ValueError("wrong")) == ("crashed", "ValueError: wrong")
+    assert ended(OSError(errno.EROFS, "x", "a/b")) == ("no room", "a/b: the file system is read-only")
+    assert ended(OSError(errno.EIO, "Input/output error", "a/b"))[0] == "crashed"
+
+
+@pytest.mark.parametrize(
+    ("number", "end"), [(errno.ENOSPC, "no room"), (errno.EIO, "crashed"), (errno.EACCES, "refused")]
+)
+def test_trouble_of_the_file_system_is_told_from_a_refusal(tmp_path, monkeypatch, number, end):
+    def fail(_):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(SubjectError) as caught:
+        write_text(tmp_path / "a.txt", "x")
+    assert ended(caught.value)[0] == end
+
+
+def test_messages_name_the_input_and_not_its_copy(task):
+    _, place = task
+    assert as_given(f"{place.work}/subject.json: wrong", place) == f"{place.source}/subject.json: wrong"
+    assert as_given(f"{place.work}: wrong", place) == f"{place.source}: wrong"
+    kept = f"{place.work}/results/estimate.json: can't be written"
+    assert as_given(kept, place) == kept
+
+
+def test_a_runner_that_is_none_is_refused():
+    for name in ("cohort_runners:none", "nowhere:quick", "cohort_runners"):
+        with pytest.raises(SubjectError, match="wanted module:function"):
+            runner_of(name)
