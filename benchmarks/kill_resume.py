@@ -165,9 +165,7 @@ def contents(folder: Path, participants: tuple[str, ...]) -> dict[str, str]:
     }
 
 
-def disturb(
-    source: Path, target: Path, log: Path, asked: argparse.Namespace, undisturbed: float
-) -> dict[str, Any]:
+def disturb(source: Path, target: Path, log: Path, asked: argparse.Namespace, undisturbed: float) -> dict[str, Any]:
     """Run the cohort under kills and faults until all that was asked for has happened, then to its end."""
     draw = random.Random(asked.seed)
     participants = read_participants(source)
