@@ -163,6 +163,22 @@ def test_two_patients_are_refused_and_one_can_be_chosen(spinestiff, tmp_path, so
     assert "another study than asked for" in done.out
 
 
+def test_no_radiograph_of_two_discs_with_the_same_names_is_lost(spinestiff, tmp_path):
+    discs = [tmp_path / number / "DICOM" for number in ("cd1", "cd2")]
+    export(discs[0] / "IM1", time="101500")
+    export(discs[1] / "IM1", frames=3, time="102200")
+    path = tmp_path / "pushes.csv"
+    path.write_text(TABLE.replace("SE000007/IM000001", "cd2/DICOM/IM1").partition("SE000008")[0], encoding="utf-8")
+    for number, options in enumerate([(), ("--pushes", path)]):
+        out = tmp_path / f"girl{number}"
+        done = spinestiff("init", out, *discs, *options, *PERSON)
+        assert done.status == 0, done.err
+        (push,) = sorted((out / "pushes").iterdir())
+        assert push.read_bytes() == (discs[1] / "IM1").read_bytes()
+        assert (out / "rest/frontal.dcm").read_bytes() == (discs[0] / "IM1").read_bytes()
+        assert "cd1/DICOM/IM1" in done.out and "cd2/DICOM/IM1" in done.out
+
+
 def test_nothing_is_overwritten_and_nothing_is_left_behind(spinestiff, tmp_path, source, table):
     out = tmp_path / "girl"
     assert spinestiff("init", out, source, "--pushes", table).status == 0
