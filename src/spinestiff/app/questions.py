@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -107,7 +108,9 @@ def number(text: str, low: float, high: float, above: bool = False) -> float:
     try:
         value = float(text.replace(",", "."))
     except ValueError:
-        raise ValueError(f"found {text[:40]!r}, wanted a number") from None
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"found {text[:40]!r}, wanted a number")
     if not low <= value <= high or (above and value == low):
         raise ValueError(f"found {value:g}, wanted {'above ' if above else ''}{low:g} to {high:g}")
     return value

@@ -75,7 +75,7 @@ def test_lines_above_the_header_that_look_like_one_are_passed_by(log):
     for units_row in ("", "s,N\n"):
         found = read(log(above + "Time,Force\n" + units_row + "\n0,0\n1,2\n"), units=("s", "N"))
         np.testing.assert_allclose(found.forces_n, [0.0, 2.0])
-    with pytest.raises(SubjectError, match=r"line 1: found the header 'Test time,12:00,Force gauge,FG-500', wanted num"):
+    with pytest.raises(SubjectError, match=r"line 1: found the header 'Test time,12:00,Force gauge,FG-500', wanted"):
         read(log(above))
 
 

@@ -52,7 +52,8 @@ def collect(
     """The radiographs in files and nested folders, in the order of their names, and what else is there.
 
     Below one folder names are told without it; of several sources each name begins with enough of its source's path to
-    tell them apart, or with the source's number where none does. A source that is named twice is read once. Links to folders are not followed, nor links that lead out of the folder; hidden files are passed by.
+    tell them apart, or with the source's number where none does. A source that is named twice is read once. Links to
+    folders are not followed, nor links that lead out of the folder; hidden files are passed by.
 
     Raises
     ------
