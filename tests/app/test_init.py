@@ -485,6 +485,15 @@ def test_values_that_contradict_each_other_are_refused_before_any_question(tmp_p
     assert said == []
 
 
+def test_forces_with_which_there_is_no_estimate_are_asked_for_again(tmp_path, source, table, monkeypatch, capsys):
+    one = TABLE.partition("SE000008")[0]
+    table.write_text(one.replace(",1,30,", ",1,,").replace(",60.5,", ",,"))
+    answering(monkeypatch, **{"force of each": ["0 0 0", "0 30 60"]})
+    make_subject(tmp_path / "girl", [source], Asked(Given(), table=table, may_ask=True))
+    assert read_unannotated(tmp_path / "girl").pushes[0].forces_n == (0.0, 30.0, 60.0)
+    assert "all forces are zero, so there is nothing to identify" in capsys.readouterr().err
+
+
 def test_a_name_of_several_pushes_is_not_told_as_missing(spinestiff, tmp_path, source):
     done = spinestiff("init", tmp_path / "girl", source, "--log", "IM000001=gauge.csv")
     assert done.status == 2 and "'IM000001' names 2 pushes; write more of the file's path" in done.err

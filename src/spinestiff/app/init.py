@@ -154,7 +154,7 @@ def _ask_and_log(work: _Work, asked: Asked, notes: list[str], named: Callable[[]
     notes += [f"log of push {data['pushes'][number]['id']}: {line}" for number, lines in said.items() for line in lines]
     if asked.may_ask:
         for push in data["pushes"]:
-            questions.ask_forces(push)
+            questions.ask_forces(push, lambda: check_open_record(data))
 
 
 def _by_push(texts: Sequence[str], work: _Work, option: str) -> dict[int, str]:
