@@ -16,7 +16,7 @@ import pytest
 from hospital import CANARY, disc, export, shifted, texture
 from spinestiff.app import questions
 from spinestiff.app.init import Asked, make_subject
-from spinestiff.errors import OptionError
+from spinestiff.errors import OptionError, SpinestiffError
 from spinestiff.subject.folder import read_unannotated
 from spinestiff.subject.inspection import inspect
 from spinestiff.subject.intake.making import Given
@@ -161,6 +161,22 @@ def test_two_patients_are_refused_and_one_can_be_chosen(spinestiff, tmp_path, so
     done = spinestiff("init", out, source, "--study", "B1")
     assert done.status == 0 and len(files_of(out)) == 5
     assert "another study than asked for" in done.out
+
+
+def test_no_radiograph_of_two_discs_with_the_same_names_is_lost(spinestiff, tmp_path):
+    discs = [tmp_path / number / "DICOM" for number in ("cd1", "cd2")]
+    export(discs[0] / "IM1", time="101500")
+    export(discs[1] / "IM1", frames=3, time="102200")
+    path = tmp_path / "pushes.csv"
+    path.write_text(TABLE.replace("SE000007/IM000001", "cd2/DICOM/IM1").partition("SE000008")[0], encoding="utf-8")
+    for number, options in enumerate([(), ("--pushes", path)]):
+        out = tmp_path / f"girl{number}"
+        done = spinestiff("init", out, *discs, *options, *PERSON)
+        assert done.status == 0, done.err
+        (push,) = sorted((out / "pushes").iterdir())
+        assert push.read_bytes() == (discs[1] / "IM1").read_bytes()
+        assert (out / "rest/frontal.dcm").read_bytes() == (discs[0] / "IM1").read_bytes()
+        assert "cd1/DICOM/IM1" in done.out and "cd2/DICOM/IM1" in done.out
 
 
 def test_nothing_is_overwritten_and_nothing_is_left_behind(spinestiff, tmp_path, source, table):
@@ -393,16 +409,91 @@ def test_without_a_terminal_or_with_no_questions_nobody_is_asked(monkeypatch):
     assert questions.on_terminal()
 
 
-def test_columns_and_units_of_a_log_are_confirmed_on_a_terminal(logged, monkeypatch):
-    folder, _ = logged
+CONFIRM = "gauge.csv: time in column 'Time (ms)' (ms), force in column 'Load (kgf)' (kgf); is that right; yes or no"
+ANSWERS = {"age": "13", "sex": "f", "height_cm": "157", "side": "left", "level": "5", "d21_mm": "400", "d31_mm": "66"}
+
+
+def answering(monkeypatch, **others):
+    """Answer questions by what is in them, in turn where there are several; the questions are in the list returned."""
     said = []
-    monkeypatch.setattr(questions, "_terminal", lambda question: said.append(question) or "no")
-    given = Given(
-        {"age": 13.0, "sex": "female", "height_cm": 157.0},
-        {"side": "left", "level": 5.0, "d21_mm": 400.0, "d31_mm": 66.0},
-    )
-    with pytest.raises(OptionError, match="columns or units are others; give --log-columns and --log-units"):
-        make_subject(folder / "a", [folder / "in"], Asked(given, logs=(str(folder / "gauge.csv"),), may_ask=True))
-    assert said == [
-        "gauge.csv: time in column 'Time (ms)' (ms), force in column 'Load (kgf)' (kgf); is that right; yes or no"
-    ]
+    answers = {**{f"{key},": [answer] for key, answer in ANSWERS.items()}, "is that right": ["yes"], **others}
+
+    def answer(question):
+        said.append(question)
+        return next(several for key, several in answers.items() if key in question).pop(0)
+
+    monkeypatch.setattr(questions, "_terminal", answer)
+    return said
+
+
+def test_columns_and_units_of_a_log_are_confirmed_before_any_other_question(logged, monkeypatch):
+    folder, _ = logged
+    said = answering(monkeypatch, **{"is that right": ["no"]})
+    with pytest.raises(OptionError, match="columns and units were not confirmed; say them with --log-columns and --lo"):
+        make_subject(folder / "a", [folder / "in"], Asked(Given(), logs=(str(folder / "gauge.csv"),), may_ask=True))
+    assert said == [CONFIRM]
+
+
+@pytest.mark.parametrize(
+    ("log", "options", "words"),
+    [
+        ("gauge.csv", {"offsets": ("300",)}, "push push-1: with the first frame at 300 s"),
+        ("gauge.csv", {"offsets": ("inf",)}, "--log-offset: found 'inf', wanted a number"),
+        ("none.csv", {}, "none.csv"),
+        ("back.csv", {}, "line 3: the time does not grow"),
+        ("push-2=gauge.csv", {}, "no push 'push-2'; wanted one of push-1, or the name of its file"),
+    ],
+)
+def test_a_log_that_is_refused_loses_no_answers(logged, monkeypatch, log, options, words):
+    folder, _ = logged
+    (folder / "back.csv").write_text("time_s,force_n\n1,1\n0,2\n")
+    monkeypatch.chdir(folder)
+    said = answering(monkeypatch)
+    with pytest.raises(SpinestiffError, match=re.escape(words)):
+        make_subject(folder / "a", [folder / "in"], Asked(Given(), logs=(log,), may_ask=True, **options))
+    assert [question for question in said if "is that right" not in question] == []
+
+
+def test_a_push_of_a_log_is_named_as_the_table_shows_it(logged, monkeypatch, capsys):
+    folder, true = logged
+    answering(monkeypatch)
+    log = f"push-1={folder / 'gauge.csv'}"
+    make_subject(folder / "a", [folder / "in"], Asked(Given(), logs=(log,), offsets=("push-1=3.1",), may_ask=True))
+    subject = read_unannotated(folder / "a")
+    assert subject.gaps == () and [push.id for push in subject.pushes] == ["left-5"]
+    np.testing.assert_allclose(subject.pushes[0].forces_n, true, atol=0.6)
+    told = capsys.readouterr().out
+    assert "log of push left-5: time in column" in told and "log of push push-1" not in told
+
+
+def test_an_offset_that_can_not_be_is_asked_for_again(logged, monkeypatch, capsys):
+    folder, _ = logged
+    (folder / "flat.csv").write_text("time_s,force_n\n" + "\n".join(f"{i / 10},1.5" for i in range(200)))
+    answering(monkeypatch, **{"time of the log": ["inf", "nan", "300", "2"]})
+    make_subject(folder / "a", [folder / "in"], Asked(Given(), logs=(str(folder / "flat.csv"),), may_ask=True))
+    assert read_unannotated(folder / "a").pushes[0].forces_n == (1.5,) * 30
+    complaints = capsys.readouterr().err
+    for words in ("found 'inf', wanted a number", "found 'nan', wanted a number", "frames lie 287.4 s beyond its ends"):
+        assert words in complaints
+
+
+def test_values_that_contradict_each_other_are_refused_before_any_question(tmp_path, source, table, monkeypatch):
+    table.write_text(TABLE.replace(",65.6", ",500"))
+    said = answering(monkeypatch)
+    with pytest.raises(SpinestiffError, match="d31_mm 500 is not below d21_mm"):
+        make_subject(tmp_path / "girl", [source], Asked(Given(), table=table, may_ask=True))
+    assert said == []
+
+
+def test_forces_with_which_there_is_no_estimate_are_asked_for_again(tmp_path, source, table, monkeypatch, capsys):
+    one = TABLE.partition("SE000008")[0]
+    table.write_text(one.replace(",1,30,", ",1,,").replace(",60.5,", ",,"))
+    answering(monkeypatch, **{"force of each": ["0 0 0", "0 30 60"]})
+    make_subject(tmp_path / "girl", [source], Asked(Given(), table=table, may_ask=True))
+    assert read_unannotated(tmp_path / "girl").pushes[0].forces_n == (0.0, 30.0, 60.0)
+    assert "all forces are zero, so there is nothing to identify" in capsys.readouterr().err
+
+
+def test_a_name_of_several_pushes_is_not_told_as_missing(spinestiff, tmp_path, source):
+    done = spinestiff("init", tmp_path / "girl", source, "--log", "IM000001=gauge.csv")
+    assert done.status == 2 and "'IM000001' names 2 pushes; write more of the file's path" in done.err

@@ -18,7 +18,7 @@ from spinestiff.app.progress import progress
 from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import write_bytes, write_text
 from spinestiff.imaging.dicom.export import Exported
-from spinestiff.subject.gaps import PERSON, PUSH, gaps_of
+from spinestiff.subject.gaps import PERSON, PUSH, check_open_record, gaps_of
 from spinestiff.subject.inspection import inspect
 from spinestiff.subject.intake import making
 from spinestiff.subject.intake.collecting import Refused, Study, by_name, chosen_studies, collect
@@ -30,7 +30,7 @@ from spinestiff.subject.intake.force_log import (
     read_force_log,
     with_units,
 )
-from spinestiff.subject.intake.logged import Logged, put_beside
+from spinestiff.subject.intake.logged import Logged, at_offset, put_beside
 from spinestiff.subject.intake.making import Given
 from spinestiff.subject.intake.push_table import pushes_of, read_push_table
 from spinestiff.subject.intake.sorting import Sorting, sort_files
@@ -137,7 +137,13 @@ def _fill(folder: Path, asked: Asked) -> None:
 
 
 def _ask_and_log(work: _Work, asked: Asked, notes: list[str], named: Callable[[], None]) -> None:
+    """Read the logs and ask for what is open, in this order: no answer is lost where a log is refused."""
     data = work.data
+    logs, offsets = _by_push(asked.logs, work, "--log"), _by_push(asked.offsets, work, "--log-offset")
+    if set(offsets) - set(logs):
+        raise OptionError("--log-offset: belongs to a --log of the same push; give both")
+    said = {number: _read_log(work, number, Path(text), offsets.get(number), asked) for number, text in logs.items()}
+    check_open_record(data)
     if asked.may_ask:
         typer.echo("An empty answer leaves a question open.", err=True)
         questions.ask_open(data, PERSON, "")
@@ -145,14 +151,10 @@ def _ask_and_log(work: _Work, asked: Asked, notes: list[str], named: Callable[[]
             frames = counted(len(push["forces_n"]), "frame")
             questions.ask_open(push, PUSH, f"push {push['id']} ({frames}), ")
     named()
-    logs, offsets = _by_push(asked.logs, work, "--log"), _by_push(asked.offsets, work, "--log-offset")
-    if set(offsets) - set(logs):
-        raise OptionError("--log-offset: belongs to a --log of the same push; give both")
-    for number, text in logs.items():
-        _read_log(work, number, Path(text), offsets.get(number), asked, notes)
+    notes += [f"log of push {data['pushes'][number]['id']}: {line}" for number, lines in said.items() for line in lines]
     if asked.may_ask:
         for push in data["pushes"]:
-            questions.ask_forces(push)
+            questions.ask_forces(push, lambda: check_open_record(data))
 
 
 def _by_push(texts: Sequence[str], work: _Work, option: str) -> dict[int, str]:
@@ -166,7 +168,9 @@ def _by_push(texts: Sequence[str], work: _Work, option: str) -> dict[int, str]:
             known = ", ".join(push["id"] for push in work.data["pushes"])
             many = counted(count, "push", "pushes")
             raise OptionError(f"{option} {text}: found {many} ({known}), wanted one; say which: {option} PUSH={text}")
-        if len(numbers) != 1:
+        if len(numbers) > 1:
+            raise OptionError(f"{option} {text}: '{name}' names {len(numbers)} pushes; write more of the file's path")
+        if not numbers:
             known = ", ".join(push["id"] for push in work.data["pushes"])
             raise OptionError(f"{option} {text}: no push '{name}'; wanted one of {known}, or the name of its file")
         if numbers[0] in found:
@@ -183,26 +187,33 @@ def _is_push(name: str, number: int, work: _Work) -> bool:
     )
 
 
-def _read_log(work: _Work, number: int, path: Path, offset: str | None, asked: Asked, notes: list[str]) -> None:
+def _read_log(work: _Work, number: int, path: Path, offset: str | None, asked: Asked) -> list[str]:
+    """Put a log beside a push and say what was made of the log."""
     push = work.data["pushes"][number]
     if any(force is not None for force in push["forces_n"]):
         raise SubjectError(f"--log {path}: the forces of push {push['id']} are known already; leave out either")
-    log, words = _log(path, asked)
-    notes.append(f"log of push {push['id']}: {words}")
-    notes += [f"log of push {push['id']}: {note}" for note in log.notes]
     seconds = None if offset is None else _seconds(offset)
+    log, words = _log(path, asked)
     logged = put_beside(log, work.files[number], push["id"], seconds)
     if not logged.placed and asked.may_ask:
-        typer.echo(f"push {push['id']}: where the log begins is not determined: {logged.match.why}", err=True)
-        seconds = questions.asked(
-            f"push {push['id']}, time of the log at its first frame in s ({log.times_s[0]:g} to {log.times_s[-1]:g})",
-            lambda text: questions.number(text, -math.inf, math.inf),
-        )
-        if seconds is not None:
-            logged = put_beside(log, work.files[number], push["id"], seconds)
+        logged = _ask_offset(logged, push["id"])
     work.logged[number] = logged
     if logged.placed:
         push["forces_n"] = logged.forces_n
+    return [words, *log.notes]
+
+
+def _ask_offset(logged: Logged, name: str) -> Logged:
+    def read(text: str) -> Logged:
+        try:
+            return at_offset(logged, name, questions.number(text, -math.inf, math.inf))
+        except SubjectError as problem:
+            raise ValueError(str(problem)) from None
+
+    times = logged.log.times_s
+    typer.echo(f"push {name}: where the log begins is not determined: {logged.match.why}", err=True)
+    question = f"push {name}, time of the log at its first frame in s ({times[0]:g} to {times[-1]:g})"
+    return questions.asked(question, read) or logged
 
 
 def _log(path: Path, asked: Asked) -> tuple[ForceLog, str]:
@@ -222,7 +233,9 @@ def _log(path: Path, asked: Asked) -> tuple[ForceLog, str]:
             force_unit = _ask_unit(path, columns.force, FORCE_UNITS)
         columns = with_units(columns, path, time_unit, force_unit)
         if not questions.confirmed(f"{path.name}: {columns.words}; is that right"):
-            raise OptionError(f"--log {path}: columns or units are others; give --log-columns and --log-units")
+            raise OptionError(
+                f"--log {path}: columns and units were not confirmed; say them with --log-columns and --log-units"
+            )
     return read_force_log(path, columns), columns.words
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, TypeVar
 
+from spinestiff.errors import SubjectError
 from spinestiff.subject.records import DISTANCES_MM, GAUGE_LIMIT_N, HEIGHTS_CM, LEVELS, OLDEST
 
 T = TypeVar("T")
@@ -36,18 +38,33 @@ def ask_open(
             data[key] = asked(f"{where}{key}, {keys[key]}", partial(_value, key, data), ask)
 
 
-def ask_forces(push: dict[str, Any], ask: Callable[[str], str] | None = None) -> None:
-    """Ask for all forces of a push, where one is not known."""
-    count = len(push["forces_n"])
+def ask_forces(
+    push: dict[str, Any], check: Callable[[], None] = lambda: None, ask: Callable[[str], str] | None = None
+) -> None:
+    """Ask for all forces of a push, where one is not known.
+
+    Parameters
+    ----------
+    check : judges the subject with the answer in it; raises SubjectError where it can't be so.
+    ask : gives the answer to a question; None: the terminal.
+    """
+    before, count = push["forces_n"], len(push["forces_n"])
+
+    def read(text: str) -> None:
+        push["forces_n"] = _forces(text, count)
+        try:
+            check()
+        except SubjectError as problem:
+            push["forces_n"] = before
+            raise ValueError(str(problem)) from None
+
     if None not in push["forces_n"]:
         return
-    found = asked(
+    asked(
         f"push {push['id']}, force of each of its {count} frames in N (0 to {GAUGE_LIMIT_N:g}), separated by blanks",
-        lambda text: _forces(text, count),
+        read,
         ask,
     )
-    if found is not None:
-        push["forces_n"] = found
 
 
 def asked(question: str, read: Callable[[str], T], ask: Callable[[str], str] | None = None) -> T | None:
@@ -107,7 +124,9 @@ def number(text: str, low: float, high: float, above: bool = False) -> float:
     try:
         value = float(text.replace(",", "."))
     except ValueError:
-        raise ValueError(f"found {text[:40]!r}, wanted a number") from None
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"found {text[:40]!r}, wanted a number")
     if not low <= value <= high or (above and value == low):
         raise ValueError(f"found {value:g}, wanted {'above ' if above else ''}{low:g} to {high:g}")
     return value

@@ -32,6 +32,34 @@ def test_names_of_several_sources_begin_with_theirs(tmp_path):
     assert [one.name for one in found] == ["one/a", "two/a", "x.dcm"]
 
 
+def test_sources_of_one_name_are_told_apart_by_their_folders(tmp_path):
+    for number, frames in (("cd1", 1), ("cd2", 20)):
+        export(tmp_path / number / "DICOM" / "IM1", frames=frames)
+    folders = [tmp_path / number / "DICOM" for number in ("cd1", "cd2")]
+    for sources in (folders, [folder / "IM1" for folder in folders]):
+        found, _ = collect(sources)
+        assert [(one.name, one.frames) for one in found] == [("cd1/DICOM/IM1", 1), ("cd2/DICOM/IM1", 20)]
+        assert by_name("cd2/DICOM/IM1", found, "row 2") == found[1:]
+        with pytest.raises(SubjectError, match=r"'IM1' is the name of 2 radiographs \(cd1/DICOM/IM1, cd2/DICOM/IM1\)"):
+            by_name("IM1", found, "row 2")
+
+
+def test_a_source_named_twice_is_read_once(tmp_path):
+    export(tmp_path / "cd" / "IM1")
+    found, refused = collect([tmp_path / "cd", tmp_path / "cd"])
+    assert ([one.name for one in found], refused) == (["IM1"], ())
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no links")
+def test_sources_that_no_path_tells_apart_are_numbered(tmp_path):
+    for folder in ("one", "two"):
+        export(tmp_path / folder / "IM1")
+    (tmp_path / "two" / "inner").mkdir()
+    (tmp_path / "one" / "link").symlink_to(tmp_path / "two" / "inner")
+    found, _ = collect([tmp_path / "one", tmp_path / "one" / "link" / ".."])
+    assert [one.name for one in found] == ["1/one/IM1", "2/one/IM1"]
+
+
 def test_the_same_image_counts_once(tmp_path):
     first = export(tmp_path / "in" / "a")
     (tmp_path / "in" / "b").write_bytes(first.read_bytes())

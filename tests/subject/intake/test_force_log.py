@@ -43,12 +43,40 @@ def test_columns_and_units_are_found(log, text, times, forces):
     assert found.notes == ()
 
 
-@pytest.mark.parametrize("force", ["Load", "Force (kg)", "Force lb", "Force (kN)", "Kraft [mV]"])
+@pytest.mark.parametrize("force", ["Load", "Kraft [mV]"])
 def test_a_unit_that_is_not_told_is_asked_for(log, force):
     path = log(f"time_s,{force}\n0,0\n1,2\n")
     with pytest.raises(SubjectError, match=re.escape(f"column '{force}' tells no unit; give --log-units s,N")):
         read(path)
     np.testing.assert_allclose(read(path, units=("s", "kgf")).forces_n, [0.0, 19.6133])
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ("time_s,Force [kg]", "line 2: column 'Force [kg]' is in kg; convert it to N, kgf or lbf, and write that in"),
+        ("time_s,Kraft [daN]", "column 'Kraft [daN]' is in daN; convert it to N, kgf or lbf"),
+        ("time_s,Force lbs", "column 'Force lbs' is in lb; convert it"),
+        ("time_s,Load (kN)", "column 'Load (kN)' is in kN; convert it"),
+        ("Time (min),Load (N)", "column 'Time (min)' is in min; convert it to s or ms"),
+        ("Time [µs],Load", "column 'Time [µs]' is in μs; convert it"),
+        ("Time,Load\ns,oz", "column 'Load' is in oz; convert it"),
+        ("Time,Load kg N", "column 'Load kg N' names several units; rename it"),
+    ],
+)
+def test_another_unit_in_the_header_is_refused_by_name_whatever_is_given(log, header, words):
+    path = log(f"Gauge M5\n{header}\n0,0\n1,2\n")
+    with pytest.raises(SubjectError, match=re.escape(words)):
+        read(path, units=("s", "N"))
+
+
+def test_lines_above_the_header_that_look_like_one_are_passed_by(log):
+    above = "Test time,12:00,Force gauge,FG-500\nStart time,Stop time,Force\n12:00,12:01,none\n"
+    for units_row in ("", "s,N\n"):
+        found = read(log(above + "Time,Force\n" + units_row + "\n0,0\n1,2\n"), units=("s", "N"))
+        np.testing.assert_allclose(found.forces_n, [0.0, 2.0])
+    with pytest.raises(SubjectError, match=r"line 1: found the header 'Test time,12:00,Force gauge,FG-500', wanted"):
+        read(log(above))
 
 
 def test_a_unit_that_the_header_contradicts_is_refused(log):

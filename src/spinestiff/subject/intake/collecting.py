@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -50,7 +51,9 @@ def collect(
 ) -> tuple[tuple[Exported, ...], tuple[Refused, ...]]:
     """The radiographs in files and nested folders, in the order of their names, and what else is there.
 
-    Links to folders are not followed, nor links that lead out of the folder; hidden files are passed by.
+    Below one folder names are told without it; of several sources each name begins with enough of its source's path to
+    tell them apart, or with the source's number where none does. A source that is named twice is read once. Links to
+    folders are not followed, nor links that lead out of the folder; hidden files are passed by.
 
     Raises
     ------
@@ -59,8 +62,9 @@ def collect(
     found: list[Exported] = []
     refused: list[Refused] = []
     seen: dict[str, str] = {}
-    for source in sources:
-        files = _files(source, sources)
+    apart = list({source.resolve(): source for source in sources}.values())
+    for source, top in zip(apart, _tops(apart)):
+        files = _files(source, top)
         for number, (path, name) in enumerate(files):
             if number % SAID_EVERY == 0:
                 say(f"init: reading file {number + 1} of {len(files)}")
@@ -86,13 +90,23 @@ def collect(
     return tuple(found), tuple(refused)
 
 
-def _files(source: Path, sources: Sequence[Path]) -> list[tuple[Path, str]]:
+def _tops(sources: Sequence[Path]) -> list[PurePosixPath]:
+    """What the names of each source's files begin with; none of them is the beginning of another."""
+    if len(sources) == 1:
+        return [PurePosixPath("" if sources[0].is_dir() else sources[0].name)]
+    paths = [Path(os.path.abspath(source)).parts[1:] for source in sources]
+    for depth in range(1, min(map(len, paths)) + 1):
+        tops = [path[-depth:] for path in paths]
+        if len(set(tops)) == len(tops):
+            return [PurePosixPath(*top) for top in tops]
+    return [PurePosixPath(str(number), *path[-1:]) for number, path in enumerate(paths, 1)]
+
+
+def _files(source: Path, top: PurePosixPath) -> list[tuple[Path, str]]:
     """Files of a source and their names, in the order of names; links to folders are among them."""
     if not source.is_dir():
         regular_file(source, RadiographError)
-        return [(source, source.name)]
-    # Below one folder names are told without it; of several folders each name begins with its own.
-    top = "" if len(sources) == 1 else f"{source.resolve().name}/"
+        return [(source, top.as_posix())]
     found, todo = [], [(source, 0)]
     while todo:
         folder, depth = todo.pop()
@@ -104,7 +118,7 @@ def _files(source: Path, sources: Sequence[Path]) -> list[tuple[Path, str]]:
                     raise RadiographError(f"{source}: folders more than {MOST_DEPTH} deep; name one of those inside")
                 todo.append((path, depth + 1))
             else:
-                found.append((path, top + path.relative_to(source).as_posix()))
+                found.append((path, (top / path.relative_to(source).as_posix()).as_posix()))
         if len(found) > MOST_FILES:
             raise RadiographError(f"{source}: more than {MOST_FILES} files; name the folder of the study")
     return sorted(found, key=lambda one: one[1])

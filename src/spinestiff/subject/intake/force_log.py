@@ -7,6 +7,7 @@ import io
 import math
 import re
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,17 @@ _FORCE_WORDS = {"force", "f", "load", "kraft", "last", "fuerza"}
 _TIME_NAMES = {**dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
                **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), "ms")}  # fmt: skip
 _FORCE_NAMES = {**dict.fromkeys(("n", "newton", "newtons"), "N"), **dict.fromkeys(("kgf", "kp"), "kgf"), "lbf": "lbf"}
+_OTHER_TIMES = {**dict.fromkeys(("min", "mins", "minute", "minutes"), "min"),
+                **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), "h"),
+                **dict.fromkeys(("us", "μs", "usec", "microsecond", "microseconds"), "μs"),
+                **dict.fromkeys(("ns", "nanosecond", "nanoseconds"), "ns")}  # fmt: skip
+_OTHER_FORCES = {"kn": "kN", "dan": "daN", "mn": "mN", "cn": "cN", "gf": "gf", "ozf": "ozf", "dyn": "dyn",
+                 **dict.fromkeys(("kg", "kgs", "kilogram", "kilograms"), "kg"),
+                 **dict.fromkeys(("g", "gram", "grams"), "g"), **dict.fromkeys(("oz", "ounce", "ounces"), "oz"),
+                 **dict.fromkeys(("lb", "lbs", "pound", "pounds"), "lb")}  # fmt: skip
+"""Units that are known in order to refuse a log in them by name. Of a gauge that weighs, kg and lb
+may be kgf and lbf; that is for the user to say.
+"""
 LAST_HEADER = 60
 """Lines within which the header has to be: gauges write some of their own above it."""
 MOST_ROWS = 1_000_000
@@ -90,9 +102,10 @@ def find_columns(path: Path, names: tuple[str, str] | None = None) -> LogColumns
 
     Raises
     ------
-    SubjectError : no header with a column of time and one of force, or several.
+    SubjectError : no header with a column of time and one of force, or several; a unit that is not read.
     """
     lines = read_text(path).splitlines()
+    no_numbers: tuple[int, str] | None = None
     best: tuple[str, str] | None = None
     for number, line in enumerate(lines[:LAST_HEADER]):
         for separator in (";", "\t", ","):
@@ -103,6 +116,9 @@ def find_columns(path: Path, names: tuple[str, str] | None = None) -> LogColumns
             times, forces = _matching(cells, names)
             if not times or not forces:
                 continue
+            if not _numbers_follow(lines[number + 1 :], times, forces, separator):
+                no_numbers = no_numbers or (number + 1, line)
+                continue
             if len(times) > 1 or len(forces) > 1:
                 raise SubjectError(
                     f"{path}: line {number + 1}: several columns of {'time' if len(times) > 1 else 'force'}: "
@@ -110,9 +126,24 @@ def find_columns(path: Path, names: tuple[str, str] | None = None) -> LogColumns
                     "TIME,FORCE"
                 )
             return _with_units(path, lines, number, cells, (times[0], forces[0]), separator)
+    if no_numbers is not None:
+        raise SubjectError(
+            f"{path}: line {no_numbers[0]}: found the header {_shown(no_numbers[1])}, wanted numbers of time and force "
+            "in one of the two lines below it"
+        )
     wanted = "columns of time and force" if names is None else f"columns '{names[0]}' and '{names[1]}'"
     found = "no header" if best is None else f"the header {_shown(best[1])}"
     raise SubjectError(f"{path}: found {found}, wanted {wanted}; name them as it does with --log-columns TIME,FORCE")
+
+
+def _numbers_follow(below: list[str], times: list[int], forces: list[int], separator: str) -> bool:
+    """Whether one of the next two lines has numbers of time and force; one may hold the units."""
+    full = (line for line in below if line.strip(separator + " \t"))
+    for line in islice(full, 2):
+        told = {i for i, cell in enumerate(_cells(line, separator)) if _number(cell, separator) is not None}
+        if told.intersection(times) and told.intersection(forces):
+            return True
+    return False
 
 
 def _with_units(
@@ -123,12 +154,20 @@ def _with_units(
     below = _cells(lines[first], separator) if first < len(lines) else []
     # Some gauges write the units in a line of their own.
     has_row = len(below) > max(at) and all(_number(below[i], separator) is None for i in at)
-    for i, known in zip(at, (_TIME_NAMES, _FORCE_NAMES)):
+    for i, known, others in zip(at, (_TIME_NAMES, _FORCE_NAMES), (_OTHER_TIMES, _OTHER_FORCES)):
         words = _tokens(cells[i]) + (_tokens(below[i]) if has_row else [])
-        told = {known[word] for word in words[1 if len(words) > 1 and words[0] in ("t", "f") else 0 :] if word in known}
+        names = {**known, **others}
+        told = {names[word] for word in words[1 if len(words) > 1 and words[0] in ("t", "f") else 0 :] if word in names}
         if len(told) > 1:
             raise SubjectError(f"{path}: line {number + 1}: column {_shown(cells[i])} names several units; rename it")
-        units.append(told.pop() if told else None)
+        unit = told.pop() if told else None
+        if unit in others.values():
+            wanted = "s or ms" if known is _TIME_NAMES else "N, kgf or lbf"
+            raise SubjectError(
+                f"{path}: line {number + 1}: column {_shown(cells[i])} is in {unit}; convert it to {wanted}, and write "
+                "that in the header"
+            )
+        units.append(unit)
     first += 1 + has_row
     return LogColumns(cells[at[0]], cells[at[1]], units[0], units[1], number + 1, at, separator, first)
 

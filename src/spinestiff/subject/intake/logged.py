@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -75,12 +75,22 @@ def put_beside(log: ForceLog, files: Sequence[Path], name: str, offset_s: float 
     if (np.diff(times) <= 0.0).any():
         raise SubjectError(f"push {name}: times of its frames do not grow, so a force log can't be put beside them")
     motion = motion_course(frames)
-    if offset_s is None:
-        return Logged(log, times, motion, match_log(log, times, motion))
+    logged = Logged(log, times, motion, match_log(log, times, motion))
+    return logged if offset_s is None else at_offset(logged, name, offset_s)
+
+
+def at_offset(logged: Logged, name: str, offset_s: float) -> Logged:
+    """A log of which the user gives the offset.
+
+    Raises
+    ------
+    SubjectError : frames beyond the log.
+    """
+    log, times = logged.log, logged.times_s
     beyond = outside(log, times, offset_s)
     if beyond > MOST_OUTSIDE_S:
         raise SubjectError(
             f"push {name}: with the first frame at {offset_s:g} s of the log frames lie {beyond:.1f} s beyond its ends "
             f"({log.times_s[0]:g} and {log.times_s[-1]:g} s); wanted a log around them"
         )
-    return Logged(log, times, motion, given_offset(log, times, offset_s, motion))
+    return replace(logged, match=given_offset(log, times, offset_s, logged.motion))
