@@ -60,6 +60,7 @@ def test_what_is_asked_wrongly_ends_in_one_line(spinestiff, tmp_path, monkeypatc
     ran = spinestiff("cohort", *given)
     assert (ran.status, ran.out, len(ran.lines)) == (2, "", 1)
     assert words in ran.err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_real_subject_goes_through_and_its_row_says_what_its_results_say(finished, tmp_path):

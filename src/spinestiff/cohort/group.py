@@ -26,6 +26,7 @@ PLAIN_COLUMNS = (
     "determined", "failed_checks", "largest_force_n", "training_rmse_mm", "p_value", "held_out_frames",
     "held_out_default_mm", "held_out_fit_mm", "held_out_forecast_mm", "held_out_cobb_error_deg", "held_out_inside95",
 )  # fmt: skip
+_NOBODY = "has no results of any participant; run spinestiff cohort IN OUT participant first"
 _OF_A_STIFFNESS = ("", "_low", "_high", "_open", "_sd_log")
 
 
@@ -200,9 +201,13 @@ def _guarded(text: str) -> str:
     return f"'{text}" if text.startswith(FORMULA) else text
 
 
+def refuse_nowhere(target: Path) -> None:
+    """Raise SubjectError where a cohort's output is not there, as after a typing error."""
+    if not target.is_dir():
+        raise SubjectError(f"{target}: no such folder, so it {_NOBODY}")
+
+
 def refuse_nobody(members: Sequence[Member], target: Path) -> None:
     """Raise SubjectError where no participant was ever run."""
     if all(member.state == "not run" for member in members):
-        raise SubjectError(
-            f"{target}: has no results of any participant; run spinestiff cohort IN OUT participant first"
-        )
+        raise SubjectError(f"{target}: {_NOBODY}")

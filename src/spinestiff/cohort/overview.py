@@ -15,6 +15,7 @@ from spinestiff.cohort.group import (
     members_record,
     read_members,
     refuse_nobody,
+    refuse_nowhere,
     strangers,
 )
 from spinestiff.cohort.ledger import Try, read_last, take_over
@@ -37,6 +38,7 @@ def write_overview(
     ------
     InUseError : a run is at work on them. SubjectError : nobody was run; a file can't be written.
     """
+    refuse_nowhere(target)
     with cohort_lock(target):
         sweep(target)
         members = read_members(source, target, participants)
