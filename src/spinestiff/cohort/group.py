@@ -6,14 +6,14 @@ import csv
 import io
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from spinestiff.cohort.ledger import read_last
 from spinestiff.cohort.marker import Found, Order, examine_inputs
-from spinestiff.cohort.places import RESULTS, ROW_FILE, place_of
+from spinestiff.cohort.places import RESULTS, ROW_FILE, Place, place_of
 from spinestiff.cohort.row import Row, Stiffness, read_row
 from spinestiff.curves.corner_csv import FORMULA
 from spinestiff.errors import SubjectError
@@ -55,57 +55,61 @@ class Member:
 
 
 def read_members(
-    source: Path, target: Path, participants: Sequence[str], news: Callable[[str], None] | None = None
+    source: Path, target: Path, participants: Sequence[str], order: Order | None = None
 ) -> tuple[Member, ...]:
     """What has become of each participant, in their order.
 
-    Results count if they are whole, made from what the inputs are now, and by the same settings and version as most.
+    Results count if they are whole, made from what the inputs are now, and by the settings and version of ``order``.
+
+    Parameters
+    ----------
+    order : None: that of most whole results; those after which a run failed are only asked where there are no others.
 
     Raises
     ------
     SubjectError : a row that can't be read although its marker vouches for it.
     """
-    found = []
-    for participant in participants:
-        if news is not None:
-            news(participant)
-        found.append(_member(source, target, participant))
-    orders = Counter(_key(member.order) for member in found if member.order is not None)
-    if len(orders) < 2:
-        return tuple(found)
-    most = orders.most_common(1)[0][0]
-    return tuple(
-        member if member.order is None or member.state != "done" or _key(member.order) == most else _unlike(member)
-        for member in found
-    )
+    places = [place_of(source, target, participant) for participant in participants]
+    found = [examine_inputs(place) for place in places]
+    failures = [_failure(place) for place in places]
+    wanted = _usual_order(found, failures) if order is None else order
+    than = "most" if order is None else "those asked for"
+    return tuple(_member(*one, wanted, than) for one in zip(places, found, failures))
+
+
+def _usual_order(found: Sequence[Found], failures: Sequence[str]) -> Order | None:
+    whole = [(one.marker.order, failure) for one, failure in zip(found, failures) if one.marker is not None]
+    asked = [order for order, failure in whole if not failure] or [order for order, _ in whole]
+    counts = Counter(map(_key, asked))
+    return max(asked, key=lambda order: counts[_key(order)], default=None)
 
 
 def _key(order: Order) -> str:
     return json.dumps(order.model_dump(mode="json"), sort_keys=True)
 
 
-def _unlike(member: Member) -> Member:
-    words = "made with other settings or by another version than most; run spinestiff cohort again"
-    return Member(member.participant, "out of date", words, member.row, member.order)
-
-
-def _member(source: Path, target: Path, participant: str) -> Member:
-    place = place_of(source, target, participant)
-    found: Found = examine_inputs(place)
+def _failure(place: Place) -> str:
+    """Why the last run of a participant failed; "" where it did not, or is not known."""
     last = read_last(place.last)
-    failure = ""
-    if last is not None and last.tries and last.tries[-1].ended not in ("done", "up to date"):
-        failure = last.tries[-1].words
+    if last is None or not last.tries or last.tries[-1].ended in ("done", "up to date"):
+        return ""
+    return last.tries[-1].words
+
+
+def _member(place: Place, found: Found, failure: str, wanted: Order | None, than: str) -> Member:
+    """``wanted`` : by which results count, None where nobody has any. ``than`` : whose it is."""
+    participant = place.participant
     if found.marker is None:
         if failure:
             return Member(participant, "failed", failure)
         return Member(participant, "not run" if found.state == "missing" else "damaged", found.words)
     row = read_row(place.results / ROW_FILE)
-    if found.state == "current":
+    if found.state == "current" and found.marker.order == wanted:
         return Member(participant, "done", "", row, found.marker.order)
     if failure:
         return Member(participant, "failed", f"{failure}; earlier results are shown", row, found.marker.order)
-    return Member(participant, "out of date", found.words, row, found.marker.order)
+    words = f"made with other settings or by another version than {than}; run spinestiff cohort again"
+    return Member(participant, "out of date", found.words or words, row, found.marker.order)
 
 
 def strangers(target: Path, participants: Sequence[str]) -> tuple[str, ...]:
