@@ -77,13 +77,15 @@ def _short(one: StiffnessStatistics) -> str:
 
 
 def _typical(one: StiffnessStatistics) -> str:
+    mean = (
+        f"{counted(one.people, 'person', 'people')}, typically {number(one.mean)} ({number(one.mean_low)} to "
+        f"{number(one.mean_high)})"
+    )
+    if one.between_high is None or one.person_low is None or one.person_high is None:
+        return f"{mean}; intervals are wider than the scatter; the spread between people can't be told"
     between = f"{number(one.between_sd_log, 2)} ({number(one.between_low, 2)} to {number(one.between_high, 2)})"
     span = f"95 % of people between {number(one.person_low, 2)} and {number(one.person_high, 2)}"
-    return (
-        f"{counted(one.people, 'person', 'people')}, typically {number(one.mean)} ({number(one.mean_low)} to "
-        f"{number(one.mean_high)}), {span}; "
-        f"spread between people, sd of the log, {between}"
-    )
+    return f"{mean}, {span}; spread between people, sd of the log, {between}"
 
 
 def _left_out(one: StiffnessStatistics) -> str:
@@ -119,11 +121,13 @@ def _effect_rows(one: StiffnessStatistics) -> tuple[tuple[str, ...], ...]:
 
 def _power_table(one: StiffnessStatistics) -> tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]]:
     header = ("difference", "patients in each of two groups", "patients visited twice")
-    return title_of(one), header, tuple(_needed_row(found) for found in one.needed)
+    return title_of(one), header, tuple(_needed_row(found, one.between_high is not None) for found in one.needed)
 
 
-def _needed_row(found: Needed) -> tuple[str, ...]:
+def _needed_row(found: Needed, spread_told: bool) -> tuple[str, ...]:
     twice = "not known" if found.visited_twice is None else str(found.visited_twice)
+    if not spread_told:
+        return f"× {number(found.factor)}", f"{_count(found.a_group)}, by intervals alone", twice
     span = f"{_count(found.a_group_low)} to {_count(found.a_group_high)}"
     return f"× {number(found.factor)}", f"{_count(found.a_group)} ({span})", twice
 
