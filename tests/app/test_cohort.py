@@ -9,6 +9,7 @@ import pytest
 from cohort_runners import QUICK, cohort_of
 from spinestiff import __version__
 from spinestiff.app.cohort import Shown, _print, duration, order_of, run_cohort
+from spinestiff.cohort import subject_run
 from spinestiff.cohort.marker import Order, examine
 from spinestiff.cohort.places import place_of
 from spinestiff.cohort.row import read_row
@@ -81,7 +82,7 @@ def test_what_is_asked_wrongly_ends_in_one_line(spinestiff, tmp_path, monkeypatc
     assert not (tmp_path / "out").exists()
 
 
-def test_a_real_subject_goes_through_and_its_row_says_what_its_results_say(finished, tmp_path):
+def test_a_real_subject_goes_through_and_its_row_says_what_its_results_say(finished, tmp_path, monkeypatch):
     """Taken up where a run was stopped after its last step, so that nothing is computed twice."""
     order = order_of({"mesh": "coarse"})
     shutil.copytree(finished.folder, tmp_path / "in" / "girl", ignore=shutil.ignore_patterns("results"))
@@ -104,6 +105,10 @@ def test_a_real_subject_goes_through_and_its_row_says_what_its_results_say(finis
     assert row.held_out.frames == 2
     assert row.curve == "main thoracic" and 10.0 < abs(row.cobb_deg) < 16.0
     assert row.largest_force_n == 30.0
+    assert row.population is None
+    held = {Estimate: estimate.model_copy(update={"population": "koutras2025"})}
+    monkeypatch.setattr(subject_run, "read_outcome", lambda *of: held.get(of[1]) or read_outcome(*of))
+    assert subject_run.row_of(visit, "girl").population == "koutras2025"
 
 
 def test_settings_that_there_are_not_are_refused_before_anything_runs():

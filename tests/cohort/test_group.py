@@ -13,7 +13,7 @@ from cohort_runners import row
 from spinestiff.cohort.group import Member, csv_text, read_members, strangers, table
 from spinestiff.cohort.ledger import Try, write_last
 from spinestiff.cohort.overview import write_overview
-from spinestiff.cohort.places import place_of
+from spinestiff.cohort.places import digests_of, place_of
 from spinestiff.cohort.row import Stiffness
 from spinestiff.cohort.supervisor import run_one, run_participants
 from spinestiff.cohort.worker import Task, make_results
@@ -74,6 +74,21 @@ def test_who_fails_with_new_settings_is_failed_and_only_the_new_ones_count(made)
     write_overview(cohort.source, cohort.target, cohort.participants, order=cohort.order)
     content = json.loads((cohort.target / "cohort.json").read_text(encoding="utf-8"))
     assert content["settings"] == cohort.order.settings
+
+
+def test_a_row_that_cannot_be_read_is_out_of_date_and_stops_nobody(made):
+    cohort = made(2)
+    made_results(cohort, *cohort.participants)
+    results = cohort.target / "sub-001" / "results"
+    content = json.loads((results / "row.json").read_text(encoding="utf-8"))
+    (results / "row.json").write_text(json.dumps({**content, "age": "ten"}), encoding="utf-8")
+    marker = json.loads((results / "done.json").read_text(encoding="utf-8"))
+    marker["outputs"]["row.json"] = digests_of({"row.json": results / "row.json"})["row.json"]
+    (results / "done.json").write_text(json.dumps(marker), encoding="utf-8")
+    first, second = read_members(cohort.source, cohort.target, cohort.participants)
+    assert (first.state, first.row, second.state) == ("out of date", None, "done")
+    assert first.words.startswith(f"{results / 'row.json'}: age: ")
+    assert first.words.endswith(f"; take {results} away and run spinestiff cohort again")
 
 
 def test_the_table_holds_numbers_as_they_are_and_no_formula():

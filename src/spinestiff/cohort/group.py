@@ -59,15 +59,12 @@ def read_members(
 ) -> tuple[Member, ...]:
     """What has become of each participant, in their order.
 
-    Results count if they are whole, made from what the inputs are now, and by the settings and version of ``order``.
+    Results count if they are whole with a row that can be read, made from what the inputs are now,
+    and by the settings and version of ``order``.
 
     Parameters
     ----------
     order : None: that of most whole results; those after which a run failed are only asked where there are no others.
-
-    Raises
-    ------
-    SubjectError : a row that can't be read although its marker vouches for it.
     """
     places = [place_of(source, target, participant) for participant in participants]
     found = [examine_inputs(place) for place in places]
@@ -103,7 +100,12 @@ def _member(place: Place, found: Found, failure: str, wanted: Order | None, than
         if failure:
             return Member(participant, "failed", failure)
         return Member(participant, "not run" if found.state == "missing" else "damaged", found.words)
-    row = read_row(place.results / ROW_FILE)
+    try:
+        row = read_row(place.results / ROW_FILE)
+    except SubjectError as error:
+        # Its marker vouches for it: a further run would find it up to date.
+        words = f"{error}; take {place.results} away and run spinestiff cohort again"
+        return Member(participant, "out of date", words, None, found.marker.order)
     if found.state == "current" and found.marker.order == wanted:
         return Member(participant, "done", "", row, found.marker.order)
     if failure:

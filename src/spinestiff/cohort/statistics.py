@@ -1,8 +1,8 @@
 """What a cohort says of people: stiffness against age, height, sex, Cobb angle and kind of curve (``hierarchy``).
 
-Everything is computed in logs, so that effects are factors. A participant counts whose results are up to date and not
-doubtful, and whose interval of that stiffness has two closed ends. What all estimates are wrong by in the same way, as
-a default of the model may be, shifts all of them: no number here tells it.
+Everything is computed in logs, so that effects are factors. A participant counts whose results are up to date, not
+doubtful and without a population as a prior, and whose interval of that stiffness has two closed ends. What all
+estimates are wrong by in the same way, as a default of the model may be, shifts all of them: no number here tells it.
 """
 
 from __future__ import annotations
@@ -157,6 +157,9 @@ def counted_rows(name: str, members: Sequence[Member]) -> tuple[list[tuple[Row, 
             left_out[member.participant] = member.state
         elif row.status == "DOUBTFUL":
             left_out[member.participant] = "doubtful"
+        elif row.population is not None:
+            # The hierarchy draws estimates towards others: a prior would do so twice.
+            left_out[member.participant] = f"with {row.population} as a prior"
         elif found is None:
             left_out[member.participant] = "not estimated"
         elif found.sd_log is None:

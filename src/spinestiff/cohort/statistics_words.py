@@ -25,7 +25,8 @@ def title_of(found: StiffnessStatistics) -> str:
 def statistics_lines(found: Sequence[StiffnessStatistics]) -> list[str]:
     """What there is to say, a line a stiffness and a line for each effect that shows."""
     if not found:
-        return [f"no statistics: they take {FEWEST} participants or more whose stiffness has a closed interval"]
+        wanted = "whose stiffness has a closed interval and no population as a prior"
+        return [f"no statistics: they take {FEWEST} participants or more {wanted}"]
     lines = []
     for one in found:
         lines.append(f"{title_of(one)}: {_typical(one)}")
@@ -46,7 +47,7 @@ def statistics_sections(found: Sequence[StiffnessStatistics], members: Sequence[
         "(light) are expected. Right: the same people over what they differ in, with the regression on that alone."
     )
     sentences = [f"{title_of(one)}: {_typical(one)}." for one in found]
-    sentences += [_left_out(one) for one in found[:1] if one.left_out]
+    sentences += [_left_out(one) for one in found if one.left_out]
     header = ("", "factor", "95 %", "p", "p, adjusted", "together with all others")
     tables = [(f"Effects on {title_of(one)}", header, _effect_rows(one)) for one in shown if one.alone]
     return [
@@ -90,7 +91,8 @@ def _typical(one: StiffnessStatistics) -> str:
 
 def _left_out(one: StiffnessStatistics) -> str:
     reasons = Counter(one.left_out.values())
-    return "Left out: " + ", ".join(f"{count} {why}" for why, count in sorted(reasons.items())) + "."
+    told = ", ".join(f"{count} {why}" for why, count in sorted(reasons.items()))
+    return f"Left out of {title_of(one)}: {told}."
 
 
 def _told(one: StiffnessStatistics) -> Sequence[Effect]:
@@ -105,7 +107,8 @@ def _effect_words(effect: Effect) -> str:
 
 def _effect_rows(one: StiffnessStatistics) -> tuple[tuple[str, ...], ...]:
     together = {effect.name: effect for effect in one.together}
-    missing = f"takes {PEOPLE_A_COVARIATE * (1 + len(one.alone))} people"
+    wanted = PEOPLE_A_COVARIATE * (1 + len(one.alone))
+    missing = f"takes {wanted} people" if one.people < wanted else "covariates say the same of these people"
     return tuple(
         (
             effect.name,
