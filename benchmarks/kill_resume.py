@@ -123,7 +123,7 @@ def as_parent(source: Path, target: Path, jobs: int, seconds: float) -> None:
     try:
         participants = read_participants(source)
         summary = run_participants(Cohort(source, target, participants, order_of(seconds)), jobs)
-        write_overview(source, target, participants)
+        write_overview(source, target, participants, order=order_of(seconds))
     except SpinestiffError as error:
         sys.exit(f"stopped: {error}")
     sys.exit(3 if summary.failed else 0)

@@ -8,11 +8,12 @@ import pytest
 
 from cohort_runners import QUICK, cohort_of
 from spinestiff import __version__
-from spinestiff.app.cohort import Shown, duration, order_of, run_cohort
+from spinestiff.app.cohort import Shown, _print, duration, order_of, run_cohort
+from spinestiff.cohort import subject_run
 from spinestiff.cohort.marker import Order, examine
 from spinestiff.cohort.places import place_of
 from spinestiff.cohort.row import read_row
-from spinestiff.cohort.supervisor import News
+from spinestiff.cohort.supervisor import News, Summary
 from spinestiff.cohort.worker import Task, make_results
 from spinestiff.errors import SubjectError
 from spinestiff.study.visit import open_visit
@@ -41,6 +42,24 @@ def test_a_cohort_from_table_to_page(capfd, tmp_path, monkeypatch):
     assert capfd.readouterr().out == "participants: 0 run, 1 up to date, 0 failed\n"
 
 
+def test_settings_count_at_the_group_level_if_they_are_asked_for(spinestiff, capfd, tmp_path):
+    source, target = tmp_path / "in", tmp_path / "out"
+    cohort_of(source, 1)
+    order = Order(runner=QUICK, settings={}, version="1")
+    make_results(Task(participant="sub-001", source=str(source), target=str(target), order=order), lambda line: None)
+    for given, words in (((), "group: 1 done"), (("--mesh", "fine"), "group: 1 out of date")):
+        ran = spinestiff("cohort", str(source), str(target), "group", *given)
+        assert (ran.status, ran.out.splitlines()[0]) == (0, words)
+    assert run_cohort(source, target, "group", order.model_copy(update={"version": "2"})) == 0
+    assert capfd.readouterr().out.splitlines()[0] == "group: 1 out of date"
+
+
+def test_where_the_reasons_of_many_failures_are_is_told(capfd, tmp_path):
+    _print(Summary((), (), {f"sub-{number:03d}": "no" for number in range(25)}), tmp_path)
+    last = capfd.readouterr().out.splitlines()[-1]
+    assert last == f"and 5 more; last.json in each one's folder in {tmp_path} says why"
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [
@@ -60,9 +79,10 @@ def test_what_is_asked_wrongly_ends_in_one_line(spinestiff, tmp_path, monkeypatc
     ran = spinestiff("cohort", *given)
     assert (ran.status, ran.out, len(ran.lines)) == (2, "", 1)
     assert words in ran.err
+    assert not (tmp_path / "out").exists()
 
 
-def test_a_real_subject_goes_through_and_its_row_says_what_its_results_say(finished, tmp_path):
+def test_a_real_subject_goes_through_and_its_row_says_what_its_results_say(finished, tmp_path, monkeypatch):
     """Taken up where a run was stopped after its last step, so that nothing is computed twice."""
     order = order_of({"mesh": "coarse"})
     shutil.copytree(finished.folder, tmp_path / "in" / "girl", ignore=shutil.ignore_patterns("results"))
@@ -85,6 +105,10 @@ def test_a_real_subject_goes_through_and_its_row_says_what_its_results_say(finis
     assert row.held_out.frames == 2
     assert row.curve == "main thoracic" and 10.0 < abs(row.cobb_deg) < 16.0
     assert row.largest_force_n == 30.0
+    assert row.population is None
+    held = {Estimate: estimate.model_copy(update={"population": "koutras2025"})}
+    monkeypatch.setattr(subject_run, "read_outcome", lambda *of: held.get(of[1]) or read_outcome(*of))
+    assert subject_run.row_of(visit, "girl").population == "koutras2025"
 
 
 def test_settings_that_there_are_not_are_refused_before_anything_runs():

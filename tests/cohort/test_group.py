@@ -11,7 +11,9 @@ import pytest
 
 from cohort_runners import row
 from spinestiff.cohort.group import Member, csv_text, read_members, strangers, table
+from spinestiff.cohort.ledger import Try, write_last
 from spinestiff.cohort.overview import write_overview
+from spinestiff.cohort.places import digests_of, place_of
 from spinestiff.cohort.row import Stiffness
 from spinestiff.cohort.supervisor import run_one, run_participants
 from spinestiff.cohort.worker import Task, make_results
@@ -25,8 +27,8 @@ def made_results(cohort, *names, order=None):
         make_results(one, lambda line: None)
 
 
-def states(cohort):
-    return [member.state for member in read_members(cohort.source, cohort.target, cohort.participants)]
+def states(cohort, order=None):
+    return [member.state for member in read_members(cohort.source, cohort.target, cohort.participants, order)]
 
 
 def test_every_participant_has_its_state_and_the_reason(made):
@@ -53,6 +55,40 @@ def test_results_by_other_settings_than_most_do_not_count(made):
     made_results(cohort, "sub-001", order=other)
     made_results(cohort, "sub-002", "sub-003", "sub-004")
     assert states(cohort) == ["out of date", "done", "done", "done"]
+
+
+def test_who_fails_with_new_settings_is_failed_and_only_the_new_ones_count(made):
+    cohort = made(3)
+    old = cohort.order.model_copy(update={"settings": {**cohort.order.settings, "say": {"mesh": "coarse"}}})
+    made_results(cohort, *cohort.participants, order=old)
+    for name in ("sub-001", "sub-002"):
+        failed = Try(run="1", participant=name, number=1, started="", seconds=1.0, ended="crashed", words="no", host="")
+        write_last(place_of(cohort.source, cohort.target, name).last, [failed])
+    made_results(cohort, "sub-003")
+    assert states(cohort, cohort.order) == ["failed", "failed", "done"]
+    assert states(cohort) == ["failed", "failed", "done"]
+    assert states(cohort, old) == ["done", "done", "out of date"]
+    assert read_members(cohort.source, cohort.target, ("sub-001",))[0].state == "done"
+    members = read_members(cohort.source, cohort.target, cohort.participants, cohort.order)
+    assert members[0].words == "no; earlier results are shown"
+    write_overview(cohort.source, cohort.target, cohort.participants, order=cohort.order)
+    content = json.loads((cohort.target / "cohort.json").read_text(encoding="utf-8"))
+    assert content["settings"] == cohort.order.settings
+
+
+def test_a_row_that_cannot_be_read_is_out_of_date_and_stops_nobody(made):
+    cohort = made(2)
+    made_results(cohort, *cohort.participants)
+    results = cohort.target / "sub-001" / "results"
+    content = json.loads((results / "row.json").read_text(encoding="utf-8"))
+    (results / "row.json").write_text(json.dumps({**content, "age": "ten"}), encoding="utf-8")
+    marker = json.loads((results / "done.json").read_text(encoding="utf-8"))
+    marker["outputs"]["row.json"] = digests_of({"row.json": results / "row.json"})["row.json"]
+    (results / "done.json").write_text(json.dumps(marker), encoding="utf-8")
+    first, second = read_members(cohort.source, cohort.target, cohort.participants)
+    assert (first.state, first.row, second.state) == ("out of date", None, "done")
+    assert first.words.startswith(f"{results / 'row.json'}: age: ")
+    assert first.words.endswith(f"; take {results} away and run spinestiff cohort again")
 
 
 def test_the_table_holds_numbers_as_they_are_and_no_formula():

@@ -54,7 +54,7 @@ def test_shrunken_values_lie_between_the_estimate_and_the_others():
 
 
 def test_who_does_not_count_is_left_out_with_the_reason():
-    members = people(10)
+    members = people(11)
     reasons = {}
     open_end = members[0].row.stiffness["tissue"].model_copy(update={"sd_log": None})
     changes = [
@@ -64,13 +64,15 @@ def test_who_does_not_count_is_left_out_with_the_reason():
         (Member("sub-002", "out of date", "", members[2].row), "out of date"),
         (Member("sub-003", "failed", "no"), "failed"),
         (Member("sub-004", "done", "", members[4].row.model_copy(update={"stiffness": {}})), "not estimated"),
+        (Member("sub-005", "done", "", members[5].row.model_copy(update={"population": "koutras2025"})),
+         "with koutras2025 as a prior"),
     ]  # fmt: skip
     for number, (member, why) in enumerate(changes):
         members[number] = member
         reasons[member.participant] = why
     (found,) = cohort_statistics(members)
     assert (found.people, found.left_out) == (5, reasons)
-    assert cohort_statistics(members[:9]) == ()
+    assert cohort_statistics(members[:10]) == ()
 
 
 def test_all_covariates_together_take_people_enough():

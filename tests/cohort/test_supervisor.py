@@ -118,6 +118,22 @@ def test_who_hangs_and_who_takes_all_memory_is_ended(made):
     assert len(last_of(cohort, "sub-002").tries) == 2
 
 
+def test_why_the_first_try_failed_is_written_before_the_second(made):
+    cohort = made(1, sub_001="hang")
+    told = []
+
+    def stop(one):
+        if one.stage == "running" and told:
+            raise KeyboardInterrupt
+        if one.stage == "again":
+            told.append(one.words)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_one(cohort, 1, Limits(seconds=1.0), stop)
+    assert [one.words for one in last_of(cohort, "sub-001").tries] == told
+    assert told == ["timed out: was not done after 1 s (--minutes)"]
+
+
 def test_a_full_disk_stops_the_run_and_keeps_what_was_finished(made):
     cohort = made(3, sub_002="full")
     words = r"work/results/estimate\.json: can't be written \(the disk is full\); results that were finished are kept$"

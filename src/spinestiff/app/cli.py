@@ -551,6 +551,7 @@ def demo(
 
 @app.command()
 def cohort(
+    context: typer.Context,
     source: Annotated[Path, typer.Argument(metavar="IN", help="Folder with participants.tsv and a folder a subject.")],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="Folder for all results; IN is only read.")],
     level: Annotated[
@@ -594,7 +595,9 @@ def cohort(
 
     asked: dict[str, Any] = {"mesh": mesh, "method": method, "orientation": orientation, "population": population}
     asked["parameters"] = None if parameters is None else list(_names(parameters) or ())
-    status = run_cohort(source, target, level, order_of(asked), jobs, index, minutes, memory, difference)
+    sources = (context.get_parameter_source(name) for name in asked)
+    usual = all(one is None or one.name == "DEFAULT" for one in sources)
+    status = run_cohort(source, target, level, order_of(asked), jobs, index, minutes, memory, difference, usual)
     if status:
         raise typer.Exit(status)
 

@@ -49,8 +49,13 @@ def run_cohort(
     minutes: float | None = None,
     memory_gb: float | None = None,
     difference: float | None = None,
+    usual: bool = False,
 ) -> int:
     """Run the levels that are asked for and print what came out; the exit status.
+
+    Parameters
+    ----------
+    usual : ``order`` holds no setting that was asked for: the group level alone takes the results as most were made.
 
     Raises
     ------
@@ -72,22 +77,22 @@ def run_cohort(
                 summary = run_participants(cohort, side_by_side, limits, shown.news, shown.expect)
             else:
                 summary = run_one(cohort, index, limits, shown.news)
-        _print(summary)
+        _print(summary, target)
         status = FAILED if summary.failed else 0
     if level != "participant":
         from spinestiff.cohort.overview import write_overview
 
-        for line in write_overview(source, target, cohort.participants, difference):
+        for line in write_overview(source, target, cohort.participants, difference, None if level and usual else order):
             print(line)
     return status
 
 
-def _print(summary: Summary) -> None:
+def _print(summary: Summary, target: Path) -> None:
     print(f"participants: {len(summary.done)} run, {len(summary.up_to_date)} up to date, {len(summary.failed)} failed")
     for name, words in list(summary.failed.items())[:MOST_SHOWN]:
         print(f"failed: {name}: {words}")
     if len(summary.failed) > MOST_SHOWN:
-        print(f"and {len(summary.failed) - MOST_SHOWN} more; cohort.csv names all")
+        print(f"and {len(summary.failed) - MOST_SHOWN} more; last.json in each one's folder in {target} says why")
 
 
 class Shown:

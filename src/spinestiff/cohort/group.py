@@ -6,14 +6,14 @@ import csv
 import io
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from spinestiff.cohort.ledger import read_last
 from spinestiff.cohort.marker import Found, Order, examine_inputs
-from spinestiff.cohort.places import RESULTS, ROW_FILE, place_of
+from spinestiff.cohort.places import RESULTS, ROW_FILE, Place, place_of
 from spinestiff.cohort.row import Row, Stiffness, read_row
 from spinestiff.curves.corner_csv import FORMULA
 from spinestiff.errors import SubjectError
@@ -26,6 +26,7 @@ PLAIN_COLUMNS = (
     "determined", "failed_checks", "largest_force_n", "training_rmse_mm", "p_value", "held_out_frames",
     "held_out_default_mm", "held_out_fit_mm", "held_out_forecast_mm", "held_out_cobb_error_deg", "held_out_inside95",
 )  # fmt: skip
+_NOBODY = "has no results of any participant; run spinestiff cohort IN OUT participant first"
 _OF_A_STIFFNESS = ("", "_low", "_high", "_open", "_sd_log")
 
 
@@ -54,57 +55,63 @@ class Member:
 
 
 def read_members(
-    source: Path, target: Path, participants: Sequence[str], news: Callable[[str], None] | None = None
+    source: Path, target: Path, participants: Sequence[str], order: Order | None = None
 ) -> tuple[Member, ...]:
     """What has become of each participant, in their order.
 
-    Results count if they are whole, made from what the inputs are now, and by the same settings and version as most.
+    Results count if they are whole with a row that can be read, made from what the inputs are now,
+    and by the settings and version of ``order``.
 
-    Raises
-    ------
-    SubjectError : a row that can't be read although its marker vouches for it.
+    Parameters
+    ----------
+    order : None: that of most whole results; those after which a run failed are only asked where there are no others.
     """
-    found = []
-    for participant in participants:
-        if news is not None:
-            news(participant)
-        found.append(_member(source, target, participant))
-    orders = Counter(_key(member.order) for member in found if member.order is not None)
-    if len(orders) < 2:
-        return tuple(found)
-    most = orders.most_common(1)[0][0]
-    return tuple(
-        member if member.order is None or member.state != "done" or _key(member.order) == most else _unlike(member)
-        for member in found
-    )
+    places = [place_of(source, target, participant) for participant in participants]
+    found = [examine_inputs(place) for place in places]
+    failures = [_failure(place) for place in places]
+    wanted = _usual_order(found, failures) if order is None else order
+    than = "most" if order is None else "those asked for"
+    return tuple(_member(*one, wanted, than) for one in zip(places, found, failures))
+
+
+def _usual_order(found: Sequence[Found], failures: Sequence[str]) -> Order | None:
+    whole = [(one.marker.order, failure) for one, failure in zip(found, failures) if one.marker is not None]
+    asked = [order for order, failure in whole if not failure] or [order for order, _ in whole]
+    counts = Counter(map(_key, asked))
+    return max(asked, key=lambda order: counts[_key(order)], default=None)
 
 
 def _key(order: Order) -> str:
     return json.dumps(order.model_dump(mode="json"), sort_keys=True)
 
 
-def _unlike(member: Member) -> Member:
-    words = "made with other settings or by another version than most; run spinestiff cohort again"
-    return Member(member.participant, "out of date", words, member.row, member.order)
-
-
-def _member(source: Path, target: Path, participant: str) -> Member:
-    place = place_of(source, target, participant)
-    found: Found = examine_inputs(place)
+def _failure(place: Place) -> str:
+    """Why the last run of a participant failed; "" where it did not, or is not known."""
     last = read_last(place.last)
-    failure = ""
-    if last is not None and last.tries and last.tries[-1].ended not in ("done", "up to date"):
-        failure = last.tries[-1].words
+    if last is None or not last.tries or last.tries[-1].ended in ("done", "up to date"):
+        return ""
+    return last.tries[-1].words
+
+
+def _member(place: Place, found: Found, failure: str, wanted: Order | None, than: str) -> Member:
+    """``wanted`` : by which results count, None where nobody has any. ``than`` : whose it is."""
+    participant = place.participant
     if found.marker is None:
         if failure:
             return Member(participant, "failed", failure)
         return Member(participant, "not run" if found.state == "missing" else "damaged", found.words)
-    row = read_row(place.results / ROW_FILE)
-    if found.state == "current":
+    try:
+        row = read_row(place.results / ROW_FILE)
+    except SubjectError as error:
+        # Its marker vouches for it: a further run would find it up to date.
+        words = f"{error}; take {place.results} away and run spinestiff cohort again"
+        return Member(participant, "out of date", words, None, found.marker.order)
+    if found.state == "current" and found.marker.order == wanted:
         return Member(participant, "done", "", row, found.marker.order)
     if failure:
         return Member(participant, "failed", f"{failure}; earlier results are shown", row, found.marker.order)
-    return Member(participant, "out of date", found.words, row, found.marker.order)
+    words = f"made with other settings or by another version than {than}; run spinestiff cohort again"
+    return Member(participant, "out of date", found.words or words, row, found.marker.order)
 
 
 def strangers(target: Path, participants: Sequence[str]) -> tuple[str, ...]:
@@ -200,9 +207,13 @@ def _guarded(text: str) -> str:
     return f"'{text}" if text.startswith(FORMULA) else text
 
 
+def refuse_nowhere(target: Path) -> None:
+    """Raise SubjectError where a cohort's output is not there, as after a typing error."""
+    if not target.is_dir():
+        raise SubjectError(f"{target}: no such folder, so it {_NOBODY}")
+
+
 def refuse_nobody(members: Sequence[Member], target: Path) -> None:
     """Raise SubjectError where no participant was ever run."""
     if all(member.state == "not run" for member in members):
-        raise SubjectError(
-            f"{target}: has no results of any participant; run spinestiff cohort IN OUT participant first"
-        )
+        raise SubjectError(f"{target}: {_NOBODY}")

@@ -6,9 +6,11 @@ With y_i the log of person i's estimate, s_i the standard deviation of its error
 
 tau is found by restricted maximum likelihood (Patterson and Thompson 1971), its 95 % interval from where the
 generalised Q, chi-squared with n - p degrees of freedom at the true tau, leaves 2.5 % on either side (Viechtbauer
-2007). The coefficients' covariance is that of weighted least squares, widened by Q / (n - p) where that is above 1,
-with Student's t of n - p degrees of freedom (Knapp and Hartung 2003). A person's own mean, given all others, lies
-between the estimate and what the covariates let expect, the nearer to the latter the less the estimate tells:
+2007). Where Q is below the lower of these values even at tau = 0, estimates scatter less than their errors let expect:
+tau can't be told then, and its upper end is not known. The coefficients' covariance is that of weighted least squares,
+widened by Q / (n - p) where that is above 1, with Student's t of n - p degrees of freedom (Knapp and Hartung 2003). A
+person's own mean, given all others, lies between the estimate and what the covariates let expect, the nearer to the
+latter the less the estimate tells:
 
     m_i = x_i' b + w_i (y_i - x_i' b),   w_i = tau^2 / (tau^2 + s_i^2),   var = w_i s_i^2 + (1 - w_i)^2 x_i' Cov(b) x_i,
 
@@ -43,7 +45,8 @@ class Hierarchy:
     Attributes
     ----------
     coefficients : (p,) b. covariance : (p, p), with Knapp and Hartung's factor.
-    tau : standard deviation between people of the same covariates. tau_low, tau_high : its 95 % interval.
+    tau : standard deviation between people of the same covariates. tau_low, tau_high : its 95 % interval; tau_high
+        None where estimates scatter less than their errors let expect, so that tau can't be told.
     degrees : n - p.
     means : (n,) m_i. sds : (n,) of m_i about person i's own. weights : (n,) w_i; these three averaged over tau.
     """
@@ -52,7 +55,7 @@ class Hierarchy:
     covariance: Floats
     tau: float
     tau_low: float
-    tau_high: float
+    tau_high: float | None
     degrees: int
     means: Floats
     sds: Floats
@@ -116,10 +119,10 @@ def hierarchy(y: ArrayLike, sds: ArrayLike, design: ArrayLike | None = None) -> 
     residuals = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
     scale = float(np.sqrt(residuals @ residuals / (n - p)) + sds.min())
     tau = _least(misfit, scale)
-    ends = [_where(lambda one: solved(one)[3], float(chi2.ppf(level, n - p)), scale) for level in (0.975, 0.025)]
+    low, high = (_where(lambda one: solved(one)[3], float(chi2.ppf(level, n - p)), scale) for level in (0.975, 0.025))
     b, inverse, _, q = solved(tau)
     covariance = inverse * max(1.0, q / (n - p))
-    taus = np.linspace(0.0, max(2.0 * ends[1], scale), _AVERAGED)
+    taus = np.linspace(0.0, max(2.0 * (high or 0.0), scale), _AVERAGED)
     halves = np.array([0.5 * misfit(float(one)) for one in taus])
     likely = np.exp(halves.min() - halves)
     likely /= likely.sum()
@@ -130,7 +133,7 @@ def hierarchy(y: ArrayLike, sds: ArrayLike, design: ArrayLike | None = None) -> 
         mean = x @ at + weight * (y - x @ at)
         variance = weight * sds**2 + (1.0 - weight) ** 2 * np.einsum("ij,jk,ik->i", x, inverse, x)
         means, squares, own = means + share * mean, squares + share * (variance + mean**2), own + share * weight
-    return Hierarchy(b, covariance, tau, ends[0], ends[1], n - p, means, np.sqrt(squares - means**2), own)
+    return Hierarchy(b, covariance, tau, low or 0.0, high, n - p, means, np.sqrt(squares - means**2), own)
 
 
 def _least(function: Callable[[float], float], scale: float) -> float:
@@ -142,10 +145,10 @@ def _least(function: Callable[[float], float], scale: float) -> float:
     return 0.0 if function(0.0) <= found.fun else float(found.x)
 
 
-def _where(falling: Callable[[float], float], wanted: float, scale: float) -> float:
-    """Where a function that falls with tau has a value; 0 where it is lower from the start."""
-    if falling(0.0) <= wanted:
-        return 0.0
+def _where(falling: Callable[[float], float], wanted: float, scale: float) -> float | None:
+    """Where a function that falls with tau has a value; None where it is lower from the start."""
+    if falling(0.0) < wanted:
+        return None
     high = scale
     while falling(high) > wanted:
         high *= 2.0

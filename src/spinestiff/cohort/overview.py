@@ -15,10 +15,12 @@ from spinestiff.cohort.group import (
     members_record,
     read_members,
     refuse_nobody,
+    refuse_nowhere,
     strangers,
 )
 from spinestiff.cohort.ledger import Try, read_last, take_over
 from spinestiff.cohort.lock import cohort_lock
+from spinestiff.cohort.marker import Order
 from spinestiff.cohort.page import cohort_page
 from spinestiff.cohort.places import place_of, sweep
 from spinestiff.cohort.statistics import cohort_statistics
@@ -29,25 +31,34 @@ CSV, JSON, PAGE, PICTURE = "cohort.csv", "cohort.json", "cohort.html", "cohort.p
 
 
 def write_overview(
-    source: Path, target: Path, participants: Sequence[str], difference: float | None = None
+    source: Path,
+    target: Path,
+    participants: Sequence[str],
+    difference: float | None = None,
+    order: Order | None = None,
 ) -> list[str]:
     """Write the tables of a cohort; lines that say what is in them.
+
+    Parameters
+    ----------
+    difference : as ``cohort_statistics`` has it. order : by which results count, as ``read_members`` has it.
 
     Raises
     ------
     InUseError : a run is at work on them. SubjectError : nobody was run; a file can't be written.
     """
+    refuse_nowhere(target)
     with cohort_lock(target):
         sweep(target)
-        members = read_members(source, target, participants)
+        members = read_members(source, target, participants, order)
         refuse_nobody(members, target)
-        order = common_order(members)
+        common = common_order(members)
         found = cohort_statistics(members, difference)
         sections = statistics_sections(found, members)
         record = {
             "schema_version": 1,
             "version": __version__,
-            "settings": None if order is None else order.settings,
+            "settings": None if common is None else common.settings,
             "participants": members_record(members),
             "statistics": [asdict(one) for one in found],
         }

@@ -62,7 +62,8 @@ def _people(axis: Axes, found: StiffnessStatistics, title: str) -> None:
     """Everybody in the order of what is known of them given all others."""
     ordered = sorted(found.shrunken, key=lambda one: one.given_all)
     places = np.arange(len(ordered))
-    axis.axhspan(found.person_low, found.person_high, color=MEASURED, alpha=0.07, lw=0)
+    if found.person_low is not None and found.person_high is not None:
+        axis.axhspan(found.person_low, found.person_high, color=MEASURED, alpha=0.07, lw=0)
     axis.axhspan(found.mean_low, found.mean_high, color=MEASURED, alpha=0.18, lw=0)
     axis.axhline(found.mean, color=MEASURED, lw=1.6)
     _both(axis, places, ordered)

@@ -60,6 +60,7 @@ class Row(CohortRecord):
     ----------
     id : as ``subject.json`` has it. age : years.
     cobb_deg : largest angle at rest, above 0 convex to the left. curve : region of its apex; "none" below 10 degrees.
+    population : whose ratios the estimate holds as a prior; None: nobody's.
     status : of the estimate. determined : how far the radiographs determine it. failed_checks : by name.
     stiffness : ratios by name and, in plain units, by the names of ``study.wording.PLAIN``.
     training_rmse_mm : corner RMSE over the training frames. p_value : of residuals as large.
@@ -75,6 +76,7 @@ class Row(CohortRecord):
     mass_kg: Positive | None = None
     cobb_deg: float
     curve: CurveKind
+    population: str | None = None
     status: str
     determined: str
     failed_checks: tuple[str, ...] = ()
@@ -100,4 +102,4 @@ def read_row(path: Path) -> Row:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
-        raise SubjectError(f"{path}: {where}: {first['msg']}; run the participant again") from None
+        raise SubjectError(f"{path}: {where}: {first['msg']}") from None

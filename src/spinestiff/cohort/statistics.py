@@ -1,8 +1,8 @@
 """What a cohort says of people: stiffness against age, height, sex, Cobb angle and kind of curve (``hierarchy``).
 
-Everything is computed in logs, so that effects are factors. A participant counts whose results are up to date and not
-doubtful, and whose interval of that stiffness has two closed ends. What all estimates are wrong by in the same way, as
-a default of the model may be, shifts all of them: no number here tells it.
+Everything is computed in logs, so that effects are factors. A participant counts whose results are up to date, not
+doubtful and without a population as a prior, and whose interval of that stiffness has two closed ends. What all
+estimates are wrong by in the same way, as a default of the model may be, shifts all of them: no number here tells it.
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ class Needed:
     Attributes
     ----------
     a_group : in each of two groups of different people. a_group_low, a_group_high : by the interval of the standard
-        deviation between people. visited_twice : of one group before and after; None, too, where it is not known how
-        estimates scatter from visit to visit.
+        deviation between people; None, too, where that can't be told. visited_twice : of one group before and after;
+        None, too, where it is not known how estimates scatter from visit to visit.
     """
 
     factor: float
@@ -108,8 +108,9 @@ class StiffnessStatistics:
     ----------
     people : that count. left_out : participants that do not, with the reason.
     mean, mean_low, mean_high : typical (geometric mean), with the 95 % interval.
-    between_sd_log, between_low, between_high : standard deviation of people's logs about it, without estimation errors.
-    person_low, person_high : where 95 % of people are expected.
+    between_sd_log, between_low, between_high : standard deviation of people's logs about it, without estimation errors;
+        between_high None where the estimates scatter less than their intervals say, so that it can't be told.
+    person_low, person_high : where 95 % of people are expected; None likewise.
     alone : of each covariate in a model of its own. together : in one model; empty with fewer people than that takes.
     shrunken : by participant, by the model of ``together`` or, where there is none, of the mean alone.
     """
@@ -123,9 +124,9 @@ class StiffnessStatistics:
     mean_high: float
     between_sd_log: float
     between_low: float
-    between_high: float
-    person_low: float
-    person_high: float
+    between_high: float | None
+    person_low: float | None
+    person_high: float | None
     alone: tuple[Effect, ...]
     together: tuple[Effect, ...]
     shrunken: tuple[Shrunken, ...]
@@ -156,6 +157,9 @@ def counted_rows(name: str, members: Sequence[Member]) -> tuple[list[tuple[Row, 
             left_out[member.participant] = member.state
         elif row.status == "DOUBTFUL":
             left_out[member.participant] = "doubtful"
+        elif row.population is not None:
+            # The hierarchy draws estimates towards others: a prior would do so twice.
+            left_out[member.participant] = f"with {row.population} as a prior"
         elif found is None:
             left_out[member.participant] = "not estimated"
         elif found.sd_log is None:
@@ -225,8 +229,8 @@ def _of_stiffness(name: str, members: Sequence[Member], factors: Sequence[float]
         between_sd_log=people.tau,
         between_low=people.tau_low,
         between_high=people.tau_high,
-        person_low=float(np.exp(mean - reach)),
-        person_high=float(np.exp(mean + reach)),
+        person_low=None if people.tau_high is None else float(np.exp(mean - reach)),
+        person_high=None if people.tau_high is None else float(np.exp(mean + reach)),
         alone=_holm(alone),
         together=_holm(together),
         shrunken=_shrunken(rows, y, sds, people if whole is None else whole),
@@ -281,4 +285,6 @@ def _needed(factor: float, people: Hierarchy, sds: Floats, found: Sequence[Stiff
     if visits:
         scatter = float(np.sqrt(2.0 * np.mean(np.square(visits))))
         twice = group_size(difference, scatter, paired=True, power=POWER, level=LEVEL)
+    if people.tau_high is None:
+        return Needed(factor, a_group(people.tau), None, None, twice)
     return Needed(factor, a_group(people.tau), a_group(people.tau_low), a_group(people.tau_high), twice)

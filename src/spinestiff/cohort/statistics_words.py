@@ -25,7 +25,8 @@ def title_of(found: StiffnessStatistics) -> str:
 def statistics_lines(found: Sequence[StiffnessStatistics]) -> list[str]:
     """What there is to say, a line a stiffness and a line for each effect that shows."""
     if not found:
-        return [f"no statistics: they take {FEWEST} participants or more whose stiffness has a closed interval"]
+        wanted = "whose stiffness has a closed interval and no population as a prior"
+        return [f"no statistics: they take {FEWEST} participants or more {wanted}"]
     lines = []
     for one in found:
         lines.append(f"{title_of(one)}: {_typical(one)}")
@@ -46,7 +47,7 @@ def statistics_sections(found: Sequence[StiffnessStatistics], members: Sequence[
         "(light) are expected. Right: the same people over what they differ in, with the regression on that alone."
     )
     sentences = [f"{title_of(one)}: {_typical(one)}." for one in found]
-    sentences += [_left_out(one) for one in found[:1] if one.left_out]
+    sentences += [_left_out(one) for one in found if one.left_out]
     header = ("", "factor", "95 %", "p", "p, adjusted", "together with all others")
     tables = [(f"Effects on {title_of(one)}", header, _effect_rows(one)) for one in shown if one.alone]
     return [
@@ -77,18 +78,21 @@ def _short(one: StiffnessStatistics) -> str:
 
 
 def _typical(one: StiffnessStatistics) -> str:
+    mean = (
+        f"{counted(one.people, 'person', 'people')}, typically {number(one.mean)} ({number(one.mean_low)} to "
+        f"{number(one.mean_high)})"
+    )
+    if one.between_high is None or one.person_low is None or one.person_high is None:
+        return f"{mean}; intervals are wider than the scatter; the spread between people can't be told"
     between = f"{number(one.between_sd_log, 2)} ({number(one.between_low, 2)} to {number(one.between_high, 2)})"
     span = f"95 % of people between {number(one.person_low, 2)} and {number(one.person_high, 2)}"
-    return (
-        f"{counted(one.people, 'person', 'people')}, typically {number(one.mean)} ({number(one.mean_low)} to "
-        f"{number(one.mean_high)}), {span}; "
-        f"spread between people, sd of the log, {between}"
-    )
+    return f"{mean}, {span}; spread between people, sd of the log, {between}"
 
 
 def _left_out(one: StiffnessStatistics) -> str:
     reasons = Counter(one.left_out.values())
-    return "Left out: " + ", ".join(f"{count} {why}" for why, count in sorted(reasons.items())) + "."
+    told = ", ".join(f"{count} {why}" for why, count in sorted(reasons.items()))
+    return f"Left out of {title_of(one)}: {told}."
 
 
 def _told(one: StiffnessStatistics) -> Sequence[Effect]:
@@ -103,7 +107,8 @@ def _effect_words(effect: Effect) -> str:
 
 def _effect_rows(one: StiffnessStatistics) -> tuple[tuple[str, ...], ...]:
     together = {effect.name: effect for effect in one.together}
-    missing = f"takes {PEOPLE_A_COVARIATE * (1 + len(one.alone))} people"
+    wanted = PEOPLE_A_COVARIATE * (1 + len(one.alone))
+    missing = f"takes {wanted} people" if one.people < wanted else "covariates say the same of these people"
     return tuple(
         (
             effect.name,
@@ -119,11 +124,13 @@ def _effect_rows(one: StiffnessStatistics) -> tuple[tuple[str, ...], ...]:
 
 def _power_table(one: StiffnessStatistics) -> tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...]]:
     header = ("difference", "patients in each of two groups", "patients visited twice")
-    return title_of(one), header, tuple(_needed_row(found) for found in one.needed)
+    return title_of(one), header, tuple(_needed_row(found, one.between_high is not None) for found in one.needed)
 
 
-def _needed_row(found: Needed) -> tuple[str, ...]:
+def _needed_row(found: Needed, spread_told: bool) -> tuple[str, ...]:
     twice = "not known" if found.visited_twice is None else str(found.visited_twice)
+    if not spread_told:
+        return f"× {number(found.factor)}", f"{_count(found.a_group)}, by intervals alone", twice
     span = f"{_count(found.a_group_low)} to {_count(found.a_group_high)}"
     return f"× {number(found.factor)}", f"{_count(found.a_group)} ({span})", twice
 

@@ -80,6 +80,7 @@ def row_of(visit: Visit, participant: str) -> Row:
         mass_kg=record.mass_kg,
         cobb_deg=round(cobb, 3) + 0.0,
         curve=curve,
+        population=estimate.population,
         status=estimate.status,
         determined=estimate.determined,
         failed_checks=tuple(dict.fromkeys(check.name for check in estimate.failed)),

@@ -246,21 +246,22 @@ class _Work:
             tried = self._judged(one, status)
             if self.ledger is not None:
                 self.ledger.end_try(tried)
-            self._tries.setdefault(one.participant, []).append(tried)
+            tries = self._tries.setdefault(one.participant, [])
+            tries.append(tried)
+            if tried.ended != "no room":
+                # Before a further try: whatever ends this run from outside leaves why the first one failed.
+                write_last(place_of(self.cohort.source, self.cohort.target, one.participant).last, tries)
             if tried.ended in ("done", "up to date"):
                 self.done.append(one.participant)
                 self.say(News(one.participant, "done", tried.words, tried.seconds))
             elif tried.ended not in FINAL and one.number < MOST_TRIES:
                 self.say(News(one.participant, "again", tried.words, tried.seconds))
                 again.append(one.participant)
-                continue
             elif tried.ended == "no room":
                 raise SubjectError(f"{tried.words}{KEPT}")
             else:
                 self.failed[one.participant] = tried.words
                 self.say(News(one.participant, "failed", tried.words, tried.seconds))
-            place = place_of(self.cohort.source, self.cohort.target, one.participant)
-            write_last(place.last, self._tries[one.participant])
         return again
 
     def _heard(self) -> list[_Running]:
