@@ -18,6 +18,7 @@ from spinestiff.study.seven.participants import seven
 from spinestiff.study.seven.subject import result_file, settings_digest
 from spinestiff.study.synthetic import truth_path
 from spinestiff.study.visit import Settings
+from spinestiff.subject.lock import sole_run
 from study_outcomes import outcome
 
 SETTINGS = Settings(mesh="coarse")
@@ -84,10 +85,31 @@ def test_json_is_a_list_of_errors_by_subject(spinestiff, study):
 
 
 def test_what_was_found_with_other_settings_does_not_count(spinestiff, study):
-    assert json.loads(spinestiff("study", "seven", study, "--page-only", "--json").out) == []
+    page = study / "page.md"
+    page.write_text("of an earlier run")
+
+    def refused(folder, mesh):
+        shown = spinestiff("study", "seven", folder, "--mesh", mesh, "--page-only", "--page", page)
+        assert shown.status == 2 and shown.out == ""
+        assert len(shown.lines) == 1 and f"has no outcome of a study with --mesh {mesh}" in shown.lines[0]
+        assert page.read_text() == "of an earlier run"
+
+    refused(study, "fine")
+    refused(study / "mistyped", "coarse")
+    assert not (study / "mistyped").exists()
     path = result_file(study, seven()[0])
     write_json(path, {**read_json(path), "version": "0.0.0"})
-    assert json.loads(spinestiff("study", "seven", study, "--mesh", "coarse", "--page-only", "--json").out) == []
+    refused(study, "coarse")
+
+
+def test_a_study_at_work_is_left_alone(spinestiff, study):
+    left = study / ".subject-1.0.tmp"
+    left.mkdir()
+    with sole_run(study):
+        shown = spinestiff("study", "seven", study, "--mesh", "coarse")
+    assert shown.status == 2 and len(shown.lines) == 1
+    assert "another run of spinestiff is at work here" in shown.lines[0]
+    assert left.is_dir()
 
 
 def test_what_can_not_be_a_study_is_refused_at_once(spinestiff, study, tmp_path):
