@@ -11,34 +11,45 @@ from spinestiff.study.seven.discussion import (
     points_of_conclusions,
     points_of_results,
 )
-from spinestiff.study.seven.tables import OURS, PAPER, Line, PaperTable, paper_tables
+from spinestiff.study.seven.tables import OURS, PAPER, paper_tables
 from study_outcomes import frame, outcome
 
 SEVEN = [outcome(number, size=20.0 - 2 * number) for number in range(1, 8)]
 
 
-def table(paper, ours, label="Initial pose", number=5):
-    columns = tuple(f"# {i}" for i in range(len(paper)))
-    lines = (Line(label, PAPER, tuple(paper), ""), Line(label, OURS, tuple(ours), ""))
-    return PaperTable(number, "", columns, lines)
+def rows(first):
+    """Of all tables, by label."""
+    known = [one is not None for one in first]
+    found = [line for table in paper_tables(first) for line in differing(table, known)]
+    return {line[2:].partition("**")[0]: line.partition("**: ")[2] for line in found}
 
 
 def test_a_row_is_discussed_where_it_differs_by_a_tenth():
-    assert differing(table(("2.0", "2.0"), ("2.1", "2.2")), (True, True)) == []
-    (found,) = differing(table(("2.0", "2.0"), ("2.4", "2.2")), (True, True))
-    assert found.startswith("**Initial pose**: 2.30 against the paper's 2.00. ")
+    near = [outcome(number, initial_mm=2.39 * 1.09) for number in range(1, 8)]
+    assert "Initial pose" not in rows(near)
+    far = [outcome(number, initial_mm=2.39 * 1.12) for number in range(1, 8)]
+    assert rows(far)["Initial pose"].startswith("2.68 against the paper's 2.39. ")
 
 
-def test_only_subjects_that_are_there_count():
-    both = table(("2.0", "9.0"), ("2.0", "2.0"))
-    assert differing(both, (True, False)) == []
-    assert len(differing(both, (True, True))) == 1
-    assert differing(table(("2.0", "9.0"), ("2.0", "–")), (True, False)) == []
+def test_the_average_discussed_is_that_of_the_table_above_it():
+    # The paper's Cobb changes of these two are -46 and -20 degrees; cells are rounded to whole degrees.
+    first = [None, None, outcome(3, change_deg=-20.49), None, None, None, outcome(7, change_deg=-12.49)]
+    assert rows(first)["Change Cobb (deg)"].startswith("16 against the paper's 33. ")
+    (ours,) = [line for line in paper_tables(first)[0].lines if (line.label, line.whose) == ("Change Cobb (deg)", OURS)]
+    assert ours.average == "16"
+
+
+def test_only_subjects_that_are_there_count_and_rows_that_lack_one_do_not():
+    first = [outcome(1, initial_mm=1.6), *[None] * 6]
+    assert "Initial pose" not in rows(first)
+    label = "Validation pose, optimized params"
+    assert label in rows(first)
+    assert label not in rows([first[0], outcome(2, frames=()), *[None] * 5])
 
 
 def test_signed_rows_are_compared_by_size():
-    label = "Diff in validation pose (measured)"
-    assert differing(table(("−16", "−16"), ("+16", "−16"), label, 6), (True, True)) == []
+    left = [outcome(number, change_deg=(-1.0) ** number * 22.0) for number in range(1, 8)]
+    assert "Change Cobb (deg)" not in rows(left)
 
 
 def test_every_row_that_can_differ_has_a_reason():

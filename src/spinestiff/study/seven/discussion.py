@@ -96,32 +96,24 @@ REASONS: Mapping[tuple[int, str], str] = {
 
 
 def differing(table: PaperTable, there: Sequence[bool]) -> list[str]:
-    """A line for each row whose average over the subjects that are there differs from the paper's by over a tenth."""
-    rows: dict[str, dict[str, list[float]]] = {}
-    for line in table.lines:
-        if line.whose in (PAPER, OURS):
-            numbers = [_number(cell) for cell, is_there in zip(line.cells, there) if is_there]
-            if all(value is not None for value in numbers) and numbers:
-                rows.setdefault(line.label, {})[line.whose] = [value for value in numbers if value is not None]
+    """A line for each row whose average over the subjects that are there differs from the paper's by over a tenth.
+
+    A row that lacks a number of a subject that is there is left out.
+    """
+    printed = {line.label: line for line in table.lines if line.whose == PAPER}
     found, said = list[str](), set[str]()
-    for label, values in rows.items():
-        if set(values) != {PAPER, OURS}:
+    for line in table.lines:
+        paper = printed.get(line.label)
+        if line.whose != OURS or line.mean is None or paper is None or paper.mean is None:
             continue
-        sizes = table.number in (2, 3, 6)
-        paper, ours = (float(np.mean(np.abs(values[w]) if sizes else values[w])) for w in (PAPER, OURS))
-        if abs(ours - paper) > DIFFERS * abs(paper):
-            reason = REASONS[table.number, label]
+        if any(is_there and value is None for value, is_there in zip(line.values, there)):
+            continue
+        if abs(line.mean - paper.mean) > DIFFERS * abs(paper.mean):
+            reason = REASONS[table.number, line.label]
             words = "For the same reason" if reason in said else reason
             said.add(reason)
-            found.append(f"**{label}**: {fixed(ours, 2)} against the paper's {fixed(paper, 2)}. {words}.")
+            found.append(f"**{line.label}**: {line.average} against the paper's {paper.average}. {words}.")
     return found
-
-
-def _number(cell: str) -> float | None:
-    try:
-        return float(cell.replace("−", "-"))
-    except ValueError:
-        return None
 
 
 def correlation(one: Sequence[float], other: Sequence[float]) -> float | None:
