@@ -63,7 +63,10 @@ def test_points_are_judged_by_what_was_found():
     good = points_of_results(SEVEN)
     assert len(good) == 9
     assert "Holds." in good[1] and "From 12.0 to 2.40 mm, 0.20 of it." in good[1]
-    assert "Rank correlation of the default's RMSE with the estimated tissue ratio: −1.00. Holds." in good[4]
+    assert (
+        "Rank correlation of the default's RMSE with the estimated tissue ratio: −1.00. Criterion: below 0. Holds."
+        in good[4]
+    )
     bad = points_of_results([one.model_copy(update={"training_mm": {"default": 3.0, "fit": 2.0}}) for one in SEVEN])
     assert bad[1].endswith("**Does not hold here.**")
 
@@ -73,8 +76,9 @@ def test_conclusions_are_judged_by_what_was_found():
     assert len(good) == 8
     assert good[-1].endswith("Holds.") and "7 of 7 truths lie in the joint 95 % region" in good[-1]
     worse = frame("main", size=30.0)
-    bad = points_of_conclusions([outcome(1, frames=(worse,))])
-    assert "6.00 mm. **Does not hold here.**" in bad[4]
+    bad = points_of_conclusions([outcome(number, frames=(worse,)) for number in range(1, 8)])
+    assert "6.00 mm. Criterion: at most 3.3 mm in the mean. **Does not hold here.**" in bad[4]
+    assert "7 of 21 held-out frames could be used" in bad[6]
     assert "Not to be judged yet." in bad[5]
 
 
@@ -87,3 +91,23 @@ def test_correlation_is_of_ranks():
     assert correlation([1.0, 2.0, 30.0], [1.0, 4.0, 5.0]) == pytest.approx(1.0)
     assert correlation([1.0, 2.0], [1.0, 2.0]) is None
     assert correlation([1.0, 1.0, 1.0], [1.0, 2.0, 3.0]) is None
+
+
+def test_every_verdict_has_its_criterion_and_waits_for_all_seven():
+    points = [*points_of_results(SEVEN), *points_of_conclusions(SEVEN)]
+    judged = [one for one in points if one.endswith(("Holds.", "hold here.**"))]
+    assert sum("Criterion: " in one for one in points) == len(points) - 2
+    # The default's errors of the Cobb angle are all the same here, so that they have no ranks.
+    assert len(judged) == len(points) - 3 and all("Criterion: " in one for one in judged)
+    for one in (*points_of_results(SEVEN[:6]), *points_of_conclusions(SEVEN[:6])):
+        assert not one.endswith(("Holds.", "hold here.**"))
+        assert one.endswith("Not to be judged yet.") == ("Criterion: " in one)
+
+
+def test_tissue_is_judged_by_the_motions_that_a_single_ratio_misses():
+    assert points_of_conclusions(SEVEN)[3].endswith("less than one (medians). Holds.")
+    other = frame("other-side")
+    other = other.model_copy(update={"motion_mm": {**other.motion_mm, "single_ratio": 0.5}})
+    frames = (frame("main"), frame("other-rib"), other)
+    worse = points_of_conclusions([outcome(number, frames=frames) for number in range(1, 8)])
+    assert worse[3].endswith("less than one (medians). **Does not hold here.**")
