@@ -18,20 +18,28 @@ from spinestiff.study.seven.participants import seven
 from spinestiff.study.seven.subject import result_file, settings_digest
 from spinestiff.study.synthetic import truth_path
 from spinestiff.study.visit import Settings
+from spinestiff.subject.lock import sole_run
 from study_outcomes import outcome
 
 SETTINGS = Settings(mesh="coarse")
 
 
 @pytest.fixture
-def study(tmp_path, finished):
-    """A folder with the first of the seven: a finished subject of another recipe, and what was found of it."""
+def told(tmp_path):
+    """A folder with what was found of the first of the seven, without the subject."""
     first = seven()[0]
-    shutil.copytree(finished.folder, tmp_path / first.name)
-    shutil.copy(finished.truth, truth_path(tmp_path / first.name))
     found = outcome(1, version=__version__, settings=settings_digest(first, SETTINGS), mesh="coarse")
     write_json(result_file(tmp_path, first), found.model_dump(mode="json"))
     return tmp_path
+
+
+@pytest.fixture
+def study(told, finished):
+    """The same with the subject: a finished one of another recipe."""
+    first = seven()[0]
+    shutil.copytree(finished.folder, told / first.name)
+    shutil.copy(finished.truth, truth_path(told / first.name))
+    return told
 
 
 def test_help_names_command_and_options_and_imports_nothing_heavy(spinestiff):
@@ -83,11 +91,32 @@ def test_json_is_a_list_of_errors_by_subject(spinestiff, study):
     assert json.loads(others.out) == []
 
 
-def test_what_was_found_with_other_settings_does_not_count(spinestiff, study):
-    assert json.loads(spinestiff("study", "seven", study, "--page-only", "--json").out) == []
-    path = result_file(study, seven()[0])
+def test_what_was_found_with_other_settings_does_not_count(spinestiff, told):
+    page = told / "page.md"
+    page.write_text("of an earlier run")
+
+    def refused(folder, mesh):
+        shown = spinestiff("study", "seven", folder, "--mesh", mesh, "--page-only", "--page", page)
+        assert shown.status == 2 and shown.out == ""
+        assert len(shown.lines) == 1 and f"has no outcome of a study with --mesh {mesh}" in shown.lines[0]
+        assert page.read_text() == "of an earlier run"
+
+    refused(told, "fine")
+    refused(told / "mistyped", "coarse")
+    assert not (told / "mistyped").exists()
+    path = result_file(told, seven()[0])
     write_json(path, {**read_json(path), "version": "0.0.0"})
-    assert json.loads(spinestiff("study", "seven", study, "--mesh", "coarse", "--page-only", "--json").out) == []
+    refused(told, "coarse")
+
+
+def test_a_study_at_work_is_left_alone(spinestiff, told):
+    left = told / ".subject-1.0.tmp"
+    left.mkdir()
+    with sole_run(told):
+        shown = spinestiff("study", "seven", told, "--mesh", "coarse")
+    assert shown.status == 2 and len(shown.lines) == 1
+    assert "another run of spinestiff is at work here" in shown.lines[0]
+    assert left.is_dir()
 
 
 def test_what_can_not_be_a_study_is_refused_at_once(spinestiff, study, tmp_path):

@@ -41,7 +41,8 @@ def seven(
 ) -> None:
     """Seven subjects after the paper's, from radiographs to its Tables 2-7 and Figures 2, 4 and 5."""
     from spinestiff.app import tables
-    from spinestiff.errors import FitError
+    from spinestiff.errors import FitError, SubjectError
+    from spinestiff.files import trouble
     from spinestiff.parallel import threads
     from spinestiff.study.report.seven_page import check_page, write_page
     from spinestiff.study.seven.campaign import run_study
@@ -51,6 +52,7 @@ def seven(
     from spinestiff.study.seven.subject import known_outcome, study_subject, usable_folder
     from spinestiff.study.seven.tables import paper_tables
     from spinestiff.study.visit import Settings
+    from spinestiff.subject.lock import sole_run
 
     settings = Settings(mesh=mesh)
     place = page or folder / "study.md"
@@ -61,11 +63,20 @@ def seven(
     if not page_only:
         # The seven bear the paper's forces; others are pushed only as far as they bend.
         way = partial(study_subject, limited=others)
-        with live([one.name for one in wanted], quiet=json) as on_line:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as problem:
+            raise SubjectError(f"{folder}: can't be written ({trouble(problem)})") from None
+        with sole_run(folder), live([one.name for one in wanted], quiet=json) as on_line:
             failures = run_study(folder, wanted, settings, on_line, workers or threads(), way).failures
     first = [known_outcome(folder, one, settings) for one in those_seven()]
     further = [found for one in thirty() if (found := known_outcome(folder, one, settings)) is not None]
     there = further if others else [found for found in first if found is not None]
+    if page_only and not further and not any(first):
+        raise SubjectError(
+            f"{folder}: has no outcome of a study with --mesh {mesh} by this version; wanted the folder of a run of "
+            "spinestiff study seven, nothing was written"
+        )
     written = write_page(folder, place, first, further, settings)
     if json:
         tables.show_json([errors_of(found) for found in there])

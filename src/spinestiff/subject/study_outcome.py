@@ -49,7 +49,7 @@ class SubjectOutcome(Outcome):
     gradient : Table 3's, by parameter, at the default.
     force_percent : Table 7's, by ratio.
     frames : held out.
-    seconds : by step.
+    seconds : by step; without "make" where an earlier run had made the subject.
     """
 
     version: str

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
+import time
 
 import pytest
 
@@ -10,7 +14,7 @@ from spinestiff import __version__
 from spinestiff.errors import EquilibriumError
 from spinestiff.files import write_json
 from spinestiff.parallel import threads
-from spinestiff.study.seven.campaign import ENDED, run_study
+from spinestiff.study.seven.campaign import AGAIN, ENDED, run_study
 from spinestiff.study.seven.participants import seven
 from spinestiff.study.seven.subject import result_file, settings_digest
 from spinestiff.study.visit import Settings
@@ -31,8 +35,21 @@ def made(folder, participant, settings, say):
     return found
 
 
-def killed(folder, participant, settings, say):
-    os._exit(9)
+def one_killed(folder, participant, settings, say):
+    """The first subject's process ends each time, the second's only the first time."""
+    before = folder / f"{participant.name}.before"
+    if participant.name == "subject-1" or (participant.name == "subject-2" and not before.exists()):
+        before.touch()
+        os._exit(9)
+    return outcome(int(participant.name[-1]))
+
+
+def unforeseen(folder, participant, settings, say):
+    if participant.name == "subject-1":
+        raise MemoryError("no room\nfor an array")
+    if participant.name == "subject-2":
+        raise OSError(28, "No space left on device")
+    return made(folder, participant, settings, say)
 
 
 def run(folder, workers, study=made):
@@ -61,7 +78,7 @@ def test_processes_have_one_thread_each_and_leave_the_environment_as_it_was(tmp_
 
 def test_what_is_there_is_not_made_again(tmp_path):
     run(tmp_path, 1)
-    found, lines = run(tmp_path, 1, killed if False else made)
+    found, lines = run(tmp_path, 1)
     assert ("subject-1", "making") not in lines
     assert ("subject-2", "making") in lines
     assert found.outcomes["subject-1"].name == "subject-1"
@@ -80,7 +97,53 @@ def test_what_was_made_otherwise_is_made_again(tmp_path):
     assert ("subject-1", "making") in lines
 
 
-def test_a_process_that_ends_by_itself_is_told(tmp_path):
-    found, _ = run(tmp_path, 2, killed)
-    assert found.outcomes == {}
-    assert set(found.failures.values()) == {ENDED}
+def test_a_process_that_ends_by_itself_is_tried_once_more_and_takes_no_other_with_it(tmp_path):
+    found, lines = run(tmp_path, 3, one_killed)
+    assert set(found.outcomes) == {"subject-2", "subject-3"}
+    assert found.failures == {"subject-1": ENDED}
+    assert [line for line in lines if line[1] == AGAIN].count(("subject-1", AGAIN)) == 1
+    assert ("subject-2", AGAIN) in lines and ("subject-3", AGAIN) not in lines
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_error_that_was_not_foreseen_is_a_failure_of_its_subject_alone(tmp_path, workers):
+    found, _ = run(tmp_path, workers, unforeseen)
+    assert set(found.outcomes) == {"subject-3"}
+    assert found.failures == {
+        "subject-1": "MemoryError: no room for an array",
+        "subject-2": "OSError: [Errno 28] No space left on device",
+    }
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_processes_end_with_the_one_that_started_them(tmp_path, number):
+    script = tmp_path / "script.py"
+    script.write_text(
+        """
+import sys, time
+from pathlib import Path
+from spinestiff.study.seven.campaign import run_study
+from spinestiff.study.seven.participants import seven
+from spinestiff.study.visit import Settings
+
+def asleep(folder, one, settings, say):
+    (folder / one.name).touch()
+    time.sleep(100)
+
+if __name__ == "__main__":
+    run_study(Path(sys.argv[1]), seven()[:2], Settings(), print, 2, asleep)
+"""
+    )
+    # Whoever holds its output open is still there.
+    parent = subprocess.Popen(
+        [sys.executable, str(script), str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    try:
+        latest = time.monotonic() + 60
+        while not all((tmp_path / one.name).exists() for one in FIRST[:2]) and time.monotonic() < latest:
+            time.sleep(0.05)
+        parent.send_signal(number)
+        parent.communicate(timeout=20)
+    finally:
+        parent.kill()

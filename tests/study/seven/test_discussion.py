@@ -11,34 +11,45 @@ from spinestiff.study.seven.discussion import (
     points_of_conclusions,
     points_of_results,
 )
-from spinestiff.study.seven.tables import OURS, PAPER, Line, PaperTable, paper_tables
+from spinestiff.study.seven.tables import OURS, PAPER, paper_tables
 from study_outcomes import frame, outcome
 
 SEVEN = [outcome(number, size=20.0 - 2 * number) for number in range(1, 8)]
 
 
-def table(paper, ours, label="Initial pose", number=5):
-    columns = tuple(f"# {i}" for i in range(len(paper)))
-    lines = (Line(label, PAPER, tuple(paper), ""), Line(label, OURS, tuple(ours), ""))
-    return PaperTable(number, "", columns, lines)
+def rows(first):
+    """Of all tables, by label."""
+    known = [one is not None for one in first]
+    found = [line for table in paper_tables(first) for line in differing(table, known)]
+    return {line[2:].partition("**")[0]: line.partition("**: ")[2] for line in found}
 
 
 def test_a_row_is_discussed_where_it_differs_by_a_tenth():
-    assert differing(table(("2.0", "2.0"), ("2.1", "2.2")), (True, True)) == []
-    (found,) = differing(table(("2.0", "2.0"), ("2.4", "2.2")), (True, True))
-    assert found.startswith("**Initial pose**: 2.30 against the paper's 2.00. ")
+    near = [outcome(number, initial_mm=2.39 * 1.09) for number in range(1, 8)]
+    assert "Initial pose" not in rows(near)
+    far = [outcome(number, initial_mm=2.39 * 1.12) for number in range(1, 8)]
+    assert rows(far)["Initial pose"].startswith("2.68 against the paper's 2.39. ")
 
 
-def test_only_subjects_that_are_there_count():
-    both = table(("2.0", "9.0"), ("2.0", "2.0"))
-    assert differing(both, (True, False)) == []
-    assert len(differing(both, (True, True))) == 1
-    assert differing(table(("2.0", "9.0"), ("2.0", "–")), (True, False)) == []
+def test_the_average_discussed_is_that_of_the_table_above_it():
+    # The paper's Cobb changes of these two are -46 and -20 degrees; cells are rounded to whole degrees.
+    first = [None, None, outcome(3, change_deg=-20.49), None, None, None, outcome(7, change_deg=-12.49)]
+    assert rows(first)["Change Cobb (deg)"].startswith("16 against the paper's 33. ")
+    (ours,) = [line for line in paper_tables(first)[0].lines if (line.label, line.whose) == ("Change Cobb (deg)", OURS)]
+    assert ours.average == "16"
+
+
+def test_only_subjects_that_are_there_count_and_rows_that_lack_one_do_not():
+    first = [outcome(1, initial_mm=1.6), *[None] * 6]
+    assert "Initial pose" not in rows(first)
+    label = "Validation pose, optimized params"
+    assert label in rows(first)
+    assert label not in rows([first[0], outcome(2, frames=()), *[None] * 5])
 
 
 def test_signed_rows_are_compared_by_size():
-    label = "Diff in validation pose (measured)"
-    assert differing(table(("−16", "−16"), ("+16", "−16"), label, 6), (True, True)) == []
+    left = [outcome(number, change_deg=(-1.0) ** number * 22.0) for number in range(1, 8)]
+    assert "Change Cobb (deg)" not in rows(left)
 
 
 def test_every_row_that_can_differ_has_a_reason():
@@ -52,7 +63,10 @@ def test_points_are_judged_by_what_was_found():
     good = points_of_results(SEVEN)
     assert len(good) == 9
     assert "Holds." in good[1] and "From 12.0 to 2.40 mm, 0.20 of it." in good[1]
-    assert "Rank correlation of the default's RMSE with the estimated tissue ratio: −1.00. Holds." in good[4]
+    assert (
+        "Rank correlation of the default's RMSE with the estimated tissue ratio: −1.00. Criterion: below 0. Holds."
+        in good[4]
+    )
     bad = points_of_results([one.model_copy(update={"training_mm": {"default": 3.0, "fit": 2.0}}) for one in SEVEN])
     assert bad[1].endswith("**Does not hold here.**")
 
@@ -62,8 +76,9 @@ def test_conclusions_are_judged_by_what_was_found():
     assert len(good) == 8
     assert good[-1].endswith("Holds.") and "7 of 7 truths lie in the joint 95 % region" in good[-1]
     worse = frame("main", size=30.0)
-    bad = points_of_conclusions([outcome(1, frames=(worse,))])
-    assert "6.00 mm. **Does not hold here.**" in bad[4]
+    bad = points_of_conclusions([outcome(number, frames=(worse,)) for number in range(1, 8)])
+    assert "6.00 mm. Criterion: at most 3.3 mm in the mean. **Does not hold here.**" in bad[4]
+    assert "7 of 21 held-out frames could be used" in bad[6]
     assert "Not to be judged yet." in bad[5]
 
 
@@ -76,3 +91,23 @@ def test_correlation_is_of_ranks():
     assert correlation([1.0, 2.0, 30.0], [1.0, 4.0, 5.0]) == pytest.approx(1.0)
     assert correlation([1.0, 2.0], [1.0, 2.0]) is None
     assert correlation([1.0, 1.0, 1.0], [1.0, 2.0, 3.0]) is None
+
+
+def test_every_verdict_has_its_criterion_and_waits_for_all_seven():
+    points = [*points_of_results(SEVEN), *points_of_conclusions(SEVEN)]
+    judged = [one for one in points if one.endswith(("Holds.", "hold here.**"))]
+    assert sum("Criterion: " in one for one in points) == len(points) - 2
+    # The default's errors of the Cobb angle are all the same here, so that they have no ranks.
+    assert len(judged) == len(points) - 3 and all("Criterion: " in one for one in judged)
+    for one in (*points_of_results(SEVEN[:6]), *points_of_conclusions(SEVEN[:6])):
+        assert not one.endswith(("Holds.", "hold here.**"))
+        assert one.endswith("Not to be judged yet.") == ("Criterion: " in one)
+
+
+def test_tissue_is_judged_by_the_motions_that_a_single_ratio_misses():
+    assert points_of_conclusions(SEVEN)[3].endswith("less than one (medians). Holds.")
+    other = frame("other-side")
+    other = other.model_copy(update={"motion_mm": {**other.motion_mm, "single_ratio": 0.5}})
+    frames = (frame("main"), frame("other-rib"), other)
+    worse = points_of_conclusions([outcome(number, frames=frames) for number in range(1, 8)])
+    assert worse[3].endswith("less than one (medians). **Does not hold here.**")

@@ -37,7 +37,7 @@ def test_a_whole_study_has_everything_in_order():
     ]
     assert "2026-01-02, version 9.9, estimates on the fine mesh" in text
     assert "**7 of the 7 subjects** and **1 of the 30 others**" in text
-    assert "not finished" not in text
+    assert "not finished" not in text and "`spinestiff study seven DIR --mesh fine`" in text
     assert "![Tracked corners](images/study-figure-2.png)" in text
     assert "| other-01: thoracic, +11°, −59 N | 0.1: 0.11 |" in text
 
@@ -53,7 +53,9 @@ def test_an_unfinished_study_says_so_and_holds_what_is_there():
 def test_goals_stand_beside_each_other_with_their_verdicts():
     text = page([outcome(1, initial_mm=3.0)], [outcome(2)])
     row = next(line for line in text.splitlines() if line.startswith("| geometry's RMSE"))
-    assert "3.00 mm, **not met**" in row and "2.30 mm, met" in row
+    assert "3.00 mm, **not met** so far |" in row and "2.30 mm, met so far |" in row
+    whole = page([outcome(number) for number in range(1, 8)])
+    assert "2.30 mm, met |" in whole and "so far" not in whole
 
 
 def test_tables_are_rectangular():
@@ -83,3 +85,12 @@ def test_the_forward_test_is_that_of_the_papers_changes():
         "off by 14.2° (root mean square over 2; no change at all would be by 16.3°), with the paper's sign in 1."
         in text
     )
+
+
+def test_a_subject_that_an_earlier_run_made_does_not_count_in_the_cost_of_making():
+    quick = outcome(2, seconds={"estimate": 70.0})
+    text = page([outcome(1), quick, *[None] * 5])
+    assert "median: make 50, estimate 80; together 140 (largest 140)." in text
+    assert "1 of 2 were made by an earlier run" in text
+    assert "earlier run" not in page([outcome(1), *[None] * 6])
+    assert "median: estimate 70; together – (largest –)." in page([None, quick, *[None] * 5])

@@ -44,7 +44,18 @@ def test_the_six_tables_have_a_column_a_subject():
 )
 def test_the_papers_lines_have_the_averages_that_it_prints(number, label, average):
     # Two are printed rounded otherwise: 12.4 years and 3.30 mm, whose columns give 3.31.
-    assert line(number, label, "paper").average == average
+    whole = {table.number: table for table in paper_tables([outcome(number) for number in range(1, 8)])}
+    paper = next(one for one in whole[number].lines if (one.label, one.whose) == (label, "paper"))
+    assert paper.average == average
+
+
+def test_lines_that_have_every_subject_are_averaged_over_those_that_are_there():
+    # Subjects 1 and 3.
+    assert line(2, "Change Cobb (deg)", "paper").average == "32"
+    assert line(5, "Initial pose", "paper").average == "1.82"
+    assert line(4, "Intervertebral lateral bending k_v,γ", "truth").average == "0.060"
+    assert line(7, "Lamé parameter μ", "paper").average == "19.9"
+    assert paper_tables([None] * 7)[0].lines[0].average == "–"
 
 
 def test_ours_stand_where_there_is_a_subject():

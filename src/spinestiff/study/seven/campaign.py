@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
-from multiprocessing.queues import Queue
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -24,8 +24,10 @@ from spinestiff.subject.study_outcome import SubjectOutcome
 
 Study = Callable[[Path, Participant, Settings, Callable[[str], None]], SubjectOutcome]
 OnLine = Callable[[str, str], None]
-DONE, FAILED = "done", "failed: "
-ENDED = "its process ended before it was done (memory, or from outside); run the command again"
+DONE, FAILED, AGAIN = "done", "failed: ", "its process ended before it was done; once more"
+MOST_TRIES = 2
+"""Of a subject whose process ends by itself in one run; an error that it tells is not tried again."""
+ENDED = f"its process ended before it was done, {MOST_TRIES} times (memory, or from outside); run the command again"
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ def run_study(
     workers: int,
     study: Study = study_subject,
 ) -> Found:
-    """Every subject's outcome; a subject that fails leaves the others alone.
+    """Every subject's outcome; a subject that fails, whatever the error, leaves the others alone.
 
     Parameters
     ----------
@@ -54,13 +56,11 @@ def run_study(
     """
     outcomes, failures, todo = dict[str, SubjectOutcome](), dict[str, str](), list[Participant]()
 
-    def ended(name: str, result: Callable[[], SubjectOutcome]) -> None:
-        try:
-            outcomes[name] = result()
-        except SpinestiffError as error:
-            failures[name] = str(error)
-        except BrokenProcessPool:
-            failures[name] = ENDED
+    def ended(name: str, result: SubjectOutcome | str) -> None:
+        if isinstance(result, str):
+            failures[name] = result
+        else:
+            outcomes[name] = result
         on_line(name, f"{FAILED}{failures[name]}" if name in failures else DONE)
 
     for one in participants:
@@ -68,45 +68,95 @@ def run_study(
         if known is None:
             todo.append(one)
         else:
-            outcomes[one.name] = known
-            on_line(one.name, DONE)
+            ended(one.name, known)
     if workers <= 1 or len(todo) <= 1:
         for one in todo:
-            ended(one.name, partial(study, folder, one, settings, partial(on_line, one.name)))
-        return Found(outcomes, failures)
-    context = multiprocessing.get_context("spawn")
-    lines: Queue[tuple[str, str] | None] = context.Queue()
-    telling = Thread(target=_tell, args=(lines, on_line), daemon=True)
-    telling.start()
-    with _one_thread_each(), ProcessPoolExecutor(workers, context, _begin, (lines,)) as pool:
-        waiting: Mapping[str, Future[SubjectOutcome]] = {
-            one.name: pool.submit(_in_process, study, folder, one, settings) for one in todo
-        }
-        try:
-            for name, future in waiting.items():
-                ended(name, future.result)
-        except KeyboardInterrupt:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    lines.put(None)
-    telling.join()
+            ended(one.name, _result(study, folder, one, settings, lambda line, name=one.name: on_line(name, line)))  # type: ignore[misc]
+    else:
+        _in_processes(todo, workers, (study, folder, settings), on_line, ended)
     return Found(outcomes, failures)
 
 
-_LINES: list[Any] = []
+def _result(
+    study: Study, folder: Path, one: Participant, settings: Settings, say: Callable[[str], None]
+) -> SubjectOutcome | str:
+    """The outcome, or why there is none."""
+    try:
+        return study(folder, one, settings, say)
+    except SpinestiffError as error:
+        return str(error)
+    except Exception as error:  # a full disk, no memory, no convergence: the other subjects may still end well
+        return " ".join(f"{type(error).__name__}: {error}".split())
 
 
-def _begin(lines: Any) -> None:
-    _LINES[:] = [lines]
+@dataclass(frozen=True)
+class _Running:
+    """A process at work on a subject; what it tells comes out of ``told``."""
+
+    one: Participant
+    tries: int
+    process: BaseProcess
+    told: Connection
 
 
-def _in_process(study: Study, folder: Path, one: Participant, settings: Settings) -> SubjectOutcome:
-    return study(folder, one, settings, lambda line: _LINES[0].put((one.name, line)))
+def _in_processes(
+    todo: Sequence[Participant],
+    workers: int,
+    asked: tuple[Study, Path, Settings],
+    on_line: OnLine,
+    ended: Callable[[str, SubjectOutcome | str], None],
+) -> None:
+    """A process of its own for each subject, so that one that dies takes no other with it."""
+    context = multiprocessing.get_context("spawn")
+    waiting, running = deque((one, 1) for one in todo), dict[Connection, _Running]()
+    try:
+        while waiting or running:
+            while waiting and len(running) < workers:
+                one, tries = waiting.popleft()
+                told, tell = context.Pipe(duplex=False)
+                process = context.Process(target=_work, args=(tell, one, *asked))
+                with _one_thread_each():
+                    process.start()
+                # The end of the pipe is seen only when no other process holds it open.
+                tell.close()
+                running[told] = _Running(one, tries, process, told)
+            for ready in wait(list(running)):
+                at = running[ready]  # type: ignore[index]
+                try:
+                    final, what = at.told.recv()
+                except (EOFError, OSError):
+                    final, what = True, None
+                if not final:
+                    on_line(at.one.name, what)
+                    continue
+                del running[at.told]
+                at.process.join()
+                at.told.close()
+                if what is None and at.tries < MOST_TRIES:
+                    on_line(at.one.name, AGAIN)
+                    waiting.append((at.one, at.tries + 1))
+                else:
+                    ended(at.one.name, ENDED if what is None else what)
+    finally:
+        for at in running.values():
+            at.process.kill()
+            at.process.join()
 
 
-def _tell(lines: Any, on_line: OnLine) -> None:
-    while (line := lines.get()) is not None:
-        on_line(*line)
+def _work(tell: Any, one: Participant, study: Study, folder: Path, settings: Settings) -> None:
+    """What a process does: tell (False, line) as it goes and (True, outcome or why there is none) at its end."""
+    # Ctrl-C is for the process that started this one, which ends it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_parent, daemon=True).start()
+    tell.send((True, _result(study, folder, one, settings, lambda line: tell.send((False, line)))))
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that started it has, by a signal, too."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 @contextmanager

@@ -58,7 +58,7 @@ def page_text(
     parts = [
         "# The study: the paper's seven",
         "<!-- written by spinestiff study seven; not by hand -->",
-        f"`spinestiff study seven DIR --page docs/study.md`, {date}, version {version}, estimates on the {mesh} "
+        f"`spinestiff study seven DIR --mesh {mesh}`, {date}, version {version}, estimates on the {mesh} "
         "mesh. It holds "
         f"**{len(there)} of the {len(SUBJECTS)} subjects** and **{len(further)} of the {COUNT_OTHERS} others** "
         "(`--others`)."
@@ -69,7 +69,7 @@ def page_text(
         ),
         ABOUT,
         "## Goals",
-        "Set before the study. Settings were not changed for these subjects.",
+        "The limits are fixed in the program, whatever is found.",
         _goals(there, further),
     ]
     if there:
@@ -139,6 +139,7 @@ compared with it. "A single ratio" scales all stiffnesses alike, fitted in the s
 from the other side is a hard rival here: a synthetic body's halves mirror each other, and where the curve is mild
 and the answer in proportion to the force, it moves to the other side just as far. People's halves do not."""
 
+MAKE = "make"
 FORWARD = """The change of the Cobb angle in Table 2 is a forward test of the paper's numbers: Table 4's ratios under
 Table 2's forces, with nothing fitted but the median force per degree. What moves it (supports, wall, the tissue's
 law, element) is measured row by row in [forward tests](validation.md#forward-tests-that-nothing-was-fitted-to): the
@@ -162,13 +163,15 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def _goals(first: Sequence[SubjectOutcome], further: Sequence[SubjectOutcome]) -> str:
     groups = [("the seven", goals(first)), ("the others", goals(further))]
     groups = [group for group, outcomes in zip(groups, (first, further)) if outcomes]
+    whole = {"the seven": len(first) == len(SUBJECTS), "the others": len(further) == COUNT_OTHERS}
     if not groups:
         return "Nothing was found yet."
     rows = []
     for row in zip(*(found for _, found in groups)):
         cells = [row[0].name]
-        for goal in row:
+        for goal, (group, _) in zip(row, groups):
             verdict = {None: "", True: ", met", False: ", **not met**"}[goal.met]
+            verdict += " so far" if verdict and not whole[group] else ""
             cells.append(f"{goal.wanted}: {goal.found}{verdict}")
         rows.append(cells)
     return _table(["goal", *(name for name, _ in groups)], rows)
@@ -271,13 +274,27 @@ def _forward(first: Sequence[SubjectOutcome | None]) -> str:
 
 def _cost(outcomes: Sequence[SubjectOutcome]) -> str:
     steps = list(dict.fromkeys(step for one in outcomes for step in one.seconds))
-    totals = [sum(one.seconds.values()) for one in outcomes]
-    cells = [f"{step} {fixed(median([one.seconds.get(step, 0.0) for one in outcomes]), 0)}" for step in steps]
-    return (
-        f"Seconds a subject on the machine of this run, other work on it included, median: {', '.join(cells)}; "
-        "together "
-        f"{fixed(median(totals), 0)} (largest {fixed(max(totals), 0)}). A subject is one process on one thread."
+    whole = [one for one in outcomes if MAKE in one.seconds]
+    totals = [sum(one.seconds.values()) for one in whole]
+    cells = [
+        f"{step} {_amount(median([s for one in outcomes if (s := one.seconds.get(step)) is not None]))}"
+        for step in steps
+    ]
+    words = (
+        f"Seconds a subject on the machine of its run, other work on it included, median: {', '.join(cells)}; "
+        f"together {_amount(median(totals))} (largest {_amount(max(totals, default=None))})."
     )
+    if len(whole) < len(outcomes):
+        words += (
+            f" {len(outcomes) - len(whole)} of {len(outcomes)} were made by an earlier run than the one that ended "
+            "them: how long that took is not known, and they do not count in what is told of making and of all "
+            "together."
+        )
+    return words
+
+
+def _amount(value: float | None) -> str:
+    return NOTHING if value is None else fixed(value, 0)
 
 
 def _listed(points: Sequence[str]) -> str:

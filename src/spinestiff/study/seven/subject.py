@@ -96,8 +96,8 @@ def study_subject(
     own, seconds = folder / participant.name, dict[str, float]()
     began = time.perf_counter()
     recipe = participant.recipe(bearable_force(participant) if limited else None)
-    _make(own, recipe, say)
-    seconds["make"] = time.perf_counter() - began
+    if _make(own, recipe, say):
+        seconds["make"] = time.perf_counter() - began
     visit = open_visit(own, settings, truth_path(own))
     # A later geometry has another error: the seed is the subject's, in a stream of its own.
     error = GeometryError(participant.initial_rmse_mm, participant.seed + 10_000)
@@ -150,12 +150,12 @@ def bearable_force(participant: Participant) -> float:
             )
 
 
-def _make(folder: Path, recipe: Recipe, say: Observer) -> None:
-    """The subject's folder and its truth; what a run that was stopped has left is taken away."""
+def _make(folder: Path, recipe: Recipe, say: Observer) -> bool:
+    """The subject's folder and its truth, False where they are there; what a stopped run has left is taken away."""
     if folder.is_dir() and not truth_path(folder).exists():
         raise SubjectError(f"{folder}: is no subject of a study; choose another folder, nothing was written")
     if made_by(folder, recipe):
-        return
+        return False
     for left in folder.parent.glob(f".{folder.name}.*.tmp*"):
         shutil.rmtree(left, ignore_errors=True) if left.is_dir() else left.unlink(missing_ok=True)
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -163,6 +163,7 @@ def _make(folder: Path, recipe: Recipe, say: Observer) -> None:
         truth = synthesise(draft, recipe, lambda line: say(f"make: {line}"))
         # Before the folder, which is there only whole.
         os.replace(truth, truth_path(folder))
+    return True
 
 
 def _outcome(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,12 +31,20 @@ Values = Sequence[float | None]
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a table: what it tells, whose it is, a text a subject, and the average's."""
+    """A line of a table: what it tells, whose it is, a text a subject, and the average's.
+
+    Attributes
+    ----------
+    values : the numbers behind the cells, None where there is none; empty for a line of words.
+    mean : of those that count, and for some tables of their sizes; None: of nothing.
+    """
 
     label: str
     whose: str
     cells: tuple[str, ...]
     average: str
+    values: tuple[float | None, ...] = ()
+    mean: float | None = None
 
 
 @dataclass(frozen=True)
@@ -56,8 +64,23 @@ Seven = Sequence[SubjectOutcome | None]
 def _line(label: str, whose: str, values: Values, digits: int, absolute: bool = False, sign: bool = False) -> Line:
     """``absolute``: the average is that of the sizes, as in Tables 2, 3 and 6; ``sign``: a + before what is above 0."""
     cells = tuple(NOTHING if v is None else fixed(v, digits, sign) for v in values)
+    average = _mean(values, absolute)
+    shown = NOTHING if average is None else fixed(average, digits)
+    return Line(label, whose, cells, shown, tuple(values), average)
+
+
+def _mean(values: Values, absolute: bool) -> float | None:
     known = [abs(v) if absolute else v for v in values if v is not None]
-    return Line(label, whose, cells, fixed(float(np.mean(known)), digits) if known else NOTHING)
+    return float(np.mean(known)) if known else None
+
+
+def _printed(
+    outcomes: Seven, label: str, whose: str, values: Values, digits: int, absolute: bool = False, sign: bool = False
+) -> Line:
+    """A line that has a number for every subject, averaged over those whose outcome is there, like ours beside it."""
+    line = _line(label, whose, values, digits, absolute, sign)
+    average = _mean([v for v, one in zip(values, outcomes) if one is not None], absolute)
+    return replace(line, average=NOTHING if average is None else fixed(average, digits), mean=average)
 
 
 def _words(label: str, whose: str, values: Sequence[str | None]) -> Line:
@@ -101,7 +124,7 @@ def table_2(outcomes: Seven) -> PaperTable:
             lines.append(_words(label, OURS, [None if one is None else text(one) for one in outcomes]))
         else:
             name, digits, sign, value = numbers[label]
-            lines.append(_line(label, PAPER, [getattr(one, name) for one in SUBJECTS], digits, True, sign))
+            lines.append(_printed(outcomes, label, PAPER, [getattr(one, name) for one in SUBJECTS], digits, True, sign))
             lines.append(_line(label, OURS, _of(outcomes, value), digits, True, sign))
     return PaperTable(2, "Main characteristics of the subjects", _columns(), tuple(lines))
 
@@ -110,7 +133,7 @@ def table_3(outcomes: Seven) -> PaperTable:
     """Gradients of the paper's objective."""
     lines = []
     for name, label in GRADIENTS.items():
-        lines.append(_line(label, PAPER, TABLE_3[name], 1, True))
+        lines.append(_printed(outcomes, label, PAPER, TABLE_3[name], 1, True))
         lines.append(_line(label, OURS, _of(outcomes, lambda one, name=name: one.gradient[name]), 1, True))  # type: ignore[misc]
     return PaperTable(3, "Gradient of the objective in six parameters, at the default", _columns(), tuple(lines))
 
@@ -121,8 +144,8 @@ def table_4(outcomes: Seven) -> PaperTable:
     printed = {"lateral_bending": [one.bending for one in SUBJECTS], "tissue": [one.tissue for one in SUBJECTS]}
     for name, label in RATIOS.items():
         scale = TISSUE_SCALE if name == "tissue" else 1.0
-        lines.append(_line(label, PAPER, printed[name], 2))
-        lines.append(_line(label, TRUTH, [scale * value for value in printed[name]], 3))
+        lines.append(_printed(outcomes, label, PAPER, printed[name], 2))
+        lines.append(_printed(outcomes, label, TRUTH, [scale * value for value in printed[name]], 3))
         found: list[RatioEstimate | None] = [None if one is None else one.ratios[name] for one in outcomes]
         ours = _line(label, OURS, [None if one is None else one.value for one in found], 3)
         lines.append(ours)
@@ -147,7 +170,7 @@ def table_5(outcomes: Seven) -> PaperTable:
     }
     lines = []
     for label, values in TABLE_5.items():
-        lines += [_line(label, PAPER, values, 2), _line(label, OURS, _of(outcomes, ours[label]), 2)]
+        lines += [_printed(outcomes, label, PAPER, values, 2), _line(label, OURS, _of(outcomes, ours[label]), 2)]
     beside = {
         "forecast": "Validation pose, forecast",
         "extrapolation": "Validation pose, tracking extrapolated by force",
@@ -175,7 +198,7 @@ def table_6(outcomes: Seven) -> PaperTable:
     }
     lines = []
     for label, values in TABLE_6.items():
-        lines.append(_line(label, PAPER, values, 0, True, True))
+        lines.append(_printed(outcomes, label, PAPER, values, 0, True, True))
         if label not in models:
             lines.append(_line(label, OURS, _of(outcomes, lambda one: one.rest_cobb_deg[0]), 1, True, True))
             continue
@@ -189,7 +212,7 @@ def table_7(outcomes: Seven) -> PaperTable:
     """Sensitivity to the force."""
     lines = []
     for name, label in SENSITIVITY.items():
-        lines.append(_line(label, PAPER, TABLE_7[label], 1))
+        lines.append(_printed(outcomes, label, PAPER, TABLE_7[label], 1))
         lines.append(_line(label, OURS, _of(outcomes, lambda one, name=name: one.force_percent.get(name)), 1))  # type: ignore[misc]
     return PaperTable(7, "Change of the ratios, %, for 10 % of force", _columns(), tuple(lines))
 
