@@ -138,13 +138,13 @@ def test_a_cobb_change_is_one_wherever_it_is_shown(spinestiff, finished):
         assert tuple(of_cobb["levels"]) == written.levels
         assert tuple(of_cobb["tilt_levels"]) == written.tilt_levels
         rows = {row["title"]: row["cells"] for row in shown["rows"]}
-        assert rows["Measured"] == [
-            f"{fixed(of_cobb['signed'], 1, True)}°",
-            f"{fixed(of_cobb['fixed_levels'], 1, True)}° ({'–'.join(of_cobb['levels'])})",
-            f"{fixed(of_cobb['tilt'], 1, True)}° ({'–'.join(of_cobb['tilt_levels'])})",
-        ]
+        forms = ("signed", "fixed_levels", "tilt")
+        shown_as = [f"{fixed(of_cobb[form], 1, True)}° ± {1.96 * of_cobb['sds'][form]:.1f}°" for form in forms]
+        ends = [written.signed_levels, "–".join(of_cobb["levels"]), "–".join(of_cobb["tilt_levels"])]
+        assert rows["Measured"] == [f"{one} ({levels})" for one, levels in zip(shown_as, ends, strict=True)]
         points = drawn[frame.push]
-        (force, tilt) = points.measured["validation"][-1]
+        (force, tilt, half_width) = points.measured["validation"][-1]
+        assert half_width == pytest.approx(1.96 * of_cobb["sds"]["tilt"], rel=1e-4)
         assert (force, tilt) == (frame.force_n, pytest.approx(of_cobb["tilt"], abs=1e-9))
         for model in ("default", "fit"):
             simulated = points.simulated[model]
