@@ -27,10 +27,10 @@ from spinestiff.estimation.weighed import (
 
 # The search ends once an undamped step promises less than this decrease of phi (a step of a thousandth of an sd).
 SMALLEST_DECREASE = 5e-7
-# Steps that promise less than this are mixed with so many before them, to no more than so many times their own length.
-MIXED, REMEMBERED, LONGEST = 1.0, 4, 5.0
-# Where so many steps in a row promise less than ``NEARLY`` (a twentieth of an sd), equilibria that jump by more than
-# that are as near as the search can come.
+# Of steps that promise less than this, as much is left as the one before says that they swing, at most so much. Where
+# so many steps in a row promise less than ``NEARLY`` (a twentieth of an sd), equilibria that jump by more than that are
+# as near as the search can come.
+SWINGING, MOST_LEFT = 1.0, 0.6
 NEARLY, ENOUGH = 1e-3, 4
 # One step changes a ratio by at most these factors: beyond, the linear model says nothing.
 LARGEST_SOFTENING, LARGEST_STIFFENING = 8.0, 8.0
@@ -58,7 +58,7 @@ def search(
     point, slope, weights = start, problem.slope(start), None
     visited: list[Place] = []
     evaluations, near = 1, 0
-    wishes: list[tuple[Floats, Floats]] = []
+    last: Floats | None = None
     while True:
         weights = problem.weights(point, slope, weights)
         step, nuisances, predicted = gauss_newton_step(point, slope, weights, limits)
@@ -67,11 +67,10 @@ def search(
             return WeighedFit(point, slope, weights, FitStatus.CONVERGED, _pairs(visited))
         before, refused, share, guiding = phi(point, weights), list[Place](), 1.0, True
         moved: WeighedPoint | None = None
-        if predicted < MIXED:
-            where = np.concatenate([point.log_ratios, point.nuisances])
-            wishes = [*wishes[-REMEMBERED:], (where, np.concatenate([log_step(step), nuisances - point.nuisances]))]
-            mixed = mixed_step(wishes, slope, weights)
-            step, nuisances = compliance_step(mixed[: len(step)]), point.nuisances + mixed[len(step) :]
+        wished = np.concatenate([step, nuisances - point.nuisances])
+        if last is not None and predicted < SWINGING:
+            share = _relaxed(wished, last, slope, weights)
+        last = wished
         while moved is None and share >= SHORTEST_STEP:
             if evaluations >= max_evaluations:
                 return WeighedFit(point, slope, weights, FitStatus.ITERATION_LIMIT, _pairs(visited))
@@ -110,34 +109,15 @@ def search(
         point, slope = moved, problem.slope(moved)
 
 
-def mixed_step(wishes: list[tuple[Floats, Floats]], slope: WeighedSlope, weights: Weights) -> Floats:
-    """The step of a fixed-point iteration that its last places and the steps wished for there lead to.
-
-    Where wishes are linear in the place, one more of them than the place has directions ends the iteration (Anderson
-    1965; Walker and Ni 2011).
-
-    Parameters
-    ----------
-    wishes : places (P + M,), log ratios and nuisances, and steps (P + M,) wished for there, the latest last.
-
-    Returns
-    -------
-    (P + M,), at most ``LONGEST`` times as long as the latest wish in the metric of the linear model.
-    """
-    places, steps = (np.array(one) for one in zip(*wishes))
-    if len(wishes) == 1:
-        return steps[-1]
-    ratios = weights.whiten(slope.ratios)
+def _relaxed(wished: Floats, before: Floats, slope: WeighedSlope, weights: Weights) -> float:
+    """The share to take of a step of a fixed-point iteration, (P + M,), after the one ``before`` was wished for."""
+    ratios, change = weights.whiten(slope.ratios), wished - before
     p = ratios.shape[1]
-    changes, moves = np.diff(steps, axis=0).T, np.diff(places, axis=0).T
 
-    def sized(columns: Floats) -> Floats:
-        return np.vstack([ratios @ columns[:p], columns[p:]])
+    def product(a: Floats, b: Floats) -> float:
+        return float((ratios @ a[:p]) @ (ratios @ b[:p]) + a[p:] @ b[p:])
 
-    share = np.linalg.lstsq(sized(changes), sized(steps[-1][:, None]), rcond=1e-3)[0][:, 0]
-    mixed = steps[-1] - (moves + changes) @ share
-    own, length = (float(np.linalg.norm(sized(one[:, None]))) for one in (steps[-1], mixed))
-    return np.asarray(mixed * min(1.0, LONGEST * own / max(length, 1e-300)))
+    return 1.0 - float(np.clip(product(wished, change) / max(product(change, change), 1e-300), 0.0, MOST_LEFT))
 
 
 def _pairs(places: list[Place]) -> tuple[tuple[WeighedPoint, WeighedSlope], ...]:
