@@ -13,6 +13,7 @@ from spinestiff.estimation.emulator import FARTHEST_NUISANCES, Place
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import (
     Profile,
+    _solve_ends,
     likely_ratios,
     profile_kind,
     region_rise,
@@ -91,10 +92,20 @@ def test_nuisances_that_swing_are_brought_to_rest() -> None:
     assert height == pytest.approx(0.5 * float(model.values @ model.values))
 
 
-def test_no_place_is_solved_twice(asked, found, likely, places) -> None:
-    at = np.array([place.point.log_ratios for place in places])
-    apart = np.abs(at[:, None] - at[None]).max(axis=2) + np.eye(len(at))
-    assert apart[len(found.visited) + 1 :].min() > 1e-3
+def test_no_place_is_solved_twice() -> None:
+    """An end at a place that was solved and that the emulator had no use for."""
+    bent = Bent()
+    start, there = bent.solve(np.zeros(1), np.ones(1)), bent.solve(np.array([0.3]), np.ones(1))
+    fit = WeighedFit(start, bent.slope(start), Weights(np.eye(1), 1.0, np.ones(1)), FitStatus.CONVERGED, ())
+    places = [Place(point, bent.slope(point)) for point in (start, there)]
+    emulator = SimpleNamespace(
+        log_ratios=np.zeros((1, 1)), nuisances=lambda where: (np.ones(1), np.eye(1)), phi=lambda where: np.zeros(1)
+    )
+    before = len(bent.solved)
+    _solve_ends(bent, fit, emulator, places, [np.array([0.3])], np.eye(1))
+    assert len(bent.solved) == before
+    _solve_ends(bent, fit, emulator, places, [np.array([0.4])], np.eye(1))
+    assert len(bent.solved) > before
 
 
 def test_ends_lie_about_two_standard_deviations_apart(found, likely) -> None:
