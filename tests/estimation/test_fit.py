@@ -206,6 +206,16 @@ def test_history_observer_and_losses(column, noisy) -> None:
     assert paper.loss_history[-1] == pytest.approx(0.5 * sum(np.sum(r.values**2) for r in paper.residuals))
 
 
+def test_a_search_ends_as_near_as_asked(column, noisy, whole) -> None:
+    near = fit_stiffness(column.problem, noisy, bounds=BOUNDS, extent="estimate", close_sd=0.3)
+    assert near.status is FitStatus.CONVERGED
+    searched = sum(step.accepted for step in whole.history)
+    assert len(near.history) < searched
+    sds = np.sqrt(np.diag(whole.covariance))
+    away = np.abs(np.log(near.ratios.values) - np.log(whole.ratios.values)) / sds
+    assert 1e-4 < away.max() < 0.6
+
+
 def test_a_push_from_the_wrong_side_is_warned_of(column, clean, whole) -> None:
     swapped = [clean[0], *(replace(trial, load=trial.load.scaled(-1.0)) for trial in clean[1:])]
     fit = fit_stiffness(column.problem, swapped, bounds=BOUNDS, extent="estimate", max_iterations=20)

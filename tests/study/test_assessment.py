@@ -218,11 +218,12 @@ def test_a_failed_baseline_fit_makes_no_prediction(pushes, finished, monkeypatch
     )
     assert single_ratio(pushes) is None
     asked = []
-    monkeypatch.setattr(assessment, "fit_from_coarse", lambda *args, **kwargs: asked.append(args) or finished.fit)
+    monkeypatch.setattr(assessment, "fit_from_coarse", lambda *args, **kwargs: asked.append((*args, kwargs)) or finished.fit)
     assert single_ratio(pushes) == Model.of(finished.fit)
     single_ratio(pushes, 0.1, pushes, "paper")
     wanted = ((None, 1.0, "weighed"), (pushes, 0.1, "paper"))
-    assert asked == [(coarse, pushes, ("everything",), {"everything": start}, how) for coarse, start, how in wanted]
+    rest = {"extent": "estimate", "close_sd": assessment.SINGLE_SD}
+    assert asked == [(c, pushes, ("everything",), {"everything": start}, how, rest) for c, start, how in wanted]
 
 
 def test_what_is_written_of_a_whole_subject(finished):

@@ -23,7 +23,7 @@ from spinestiff.estimation.evaluation import Evaluation, OnFitStep, TrialSet
 from spinestiff.estimation.fitted import METHODS, Method, NuisanceEstimate, StiffnessFit, Weighed
 from spinestiff.estimation.forecast import Forecast, forecast
 from spinestiff.estimation.linear import MOST_PROFILED, best_known, linear_ratios
-from spinestiff.estimation.mode import search
+from spinestiff.estimation.mode import CLOSE_SD, search
 from spinestiff.estimation.objective import Trial, residuals, undetermined_vertebrae
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import Likely, likely_ratios, rise_at
@@ -60,6 +60,7 @@ def fit_stiffness(
     start_nuisances: Mapping[str, float] | None = None,
     population: str | None = None,
     rough: StiffnessFit | None = None,
+    close_sd: float = CLOSE_SD,
 ) -> StiffnessFit:
     """Stiffness ratios whose equilibria show what the radiographs show (Eq. 8).
 
@@ -85,6 +86,7 @@ def fit_stiffness(
     population : whose ratios are held as a prior (``ratio_priors.POPULATIONS``), by the weighed method only; None: the
         ratios are flat in log, up to the smoothness of neighbouring levels'.
     rough : a fit of the same trials and ratios on a coarser mesh, with intervals: where its likelihood has which shape.
+    close_sd : the weighed search ends once a step is shorter than so many standard deviations.
 
     Raises
     ------
@@ -109,7 +111,7 @@ def fit_stiffness(
     covariance = np.full((len(names),) * 2, np.nan)
     if method == "weighed":
         nuisances = np.array([(start_nuisances or {}).get(name, 0.0) for name in asked.unknowns.names])
-        found = _searched(asked, first, nuisances, default, limits, max_iterations)
+        found = _searched(asked, first, nuisances, default, limits, max_iterations, close_sd)
         point, status = found.point.evaluation, found.status
         covariance = _covariance(found)
         weighed = _told(asked, found, limits, extent, _rough_places(asked, rough))
@@ -243,13 +245,14 @@ def _searched(
     default: Evaluation | None,
     limits: tuple[float, float],
     max_iterations: int,
+    close_sd: float,
 ) -> WeighedFit:
     try:
         start = asked.solve(first, nuisances, None if default is None else asked.at(default))
     except EquilibriumError as error:
         raise FitError(f"no equilibrium at the start of the fit, {error}") from None
     asked.trial_set.note(first, float("nan"), start.evaluation, True)
-    return search(asked, start, limits, max_iterations)
+    return search(asked, start, limits, max_iterations, close_sd)
 
 
 def _precision(found: WeighedFit) -> Floats:

@@ -25,8 +25,8 @@ from spinestiff.estimation.weighed import (
     reduced,
 )
 
-# The search ends once an undamped step promises less than this decrease of phi (a step of a thousandth of an sd).
-SMALLEST_DECREASE = 5e-7
+# The search ends once an undamped step is shorter than so many standard deviations.
+CLOSE_SD = 1e-3
 # Of steps that promise less than this, as much is left as the one before says that they swing, at most so much. Where
 # so many steps in a row promise less than ``NEARLY`` (a twentieth of an sd), equilibria that jump by more than that are
 # as near as the search can come.
@@ -46,7 +46,11 @@ SHORT = 1e-4
 
 
 def search(
-    problem: WeighedProblem, start: WeighedPoint, limits: tuple[float, float], max_evaluations: int
+    problem: WeighedProblem,
+    start: WeighedPoint,
+    limits: tuple[float, float],
+    max_evaluations: int,
+    close_sd: float = CLOSE_SD,
 ) -> WeighedFit:
     """The most probable ratios and nuisances, from ``start``.
 
@@ -54,6 +58,7 @@ def search(
     ----------
     limits : of the log ratios.
     max_evaluations : equilibria of all trials, the start's among them.
+    close_sd : the length of an undamped step, in standard deviations, below which the search ends.
     """
     point, slope, weights = start, problem.slope(start), None
     visited: list[Place] = []
@@ -63,7 +68,7 @@ def search(
         weights = problem.weights(point, slope, weights)
         step, nuisances, predicted = gauss_newton_step(point, slope, weights, limits)
         near = near + 1 if predicted < NEARLY else 0
-        if predicted < SMALLEST_DECREASE or near > ENOUGH:
+        if predicted < 0.5 * close_sd**2 or near > ENOUGH:
             return WeighedFit(point, slope, weights, FitStatus.CONVERGED, _pairs(visited))
         before, refused, share, guiding = phi(point, weights), list[Place](), 1.0, True
         moved: WeighedPoint | None = None

@@ -14,6 +14,7 @@ from spinestiff.errors import FitError, SubjectError, TrackingError
 from spinestiff.estimation.evaluation import OnFitStep
 from spinestiff.estimation.fit import Extent, fit_stiffness, likelihood_rise
 from spinestiff.estimation.fitted import Method, StiffnessFit
+from spinestiff.estimation.mode import CLOSE_SD
 from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Picture, SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import check_population
@@ -333,6 +334,7 @@ def fit_from_coarse(
     say: Observer = lambda line: None,
     extent: Extent = "everything",
     population: str | None = None,
+    close_sd: float = CLOSE_SD,
 ) -> StiffnessFit:
     """The fit of the training frames, begun where the same trials on a coarse torso end; see ``fit_pushes``."""
     known: Mapping[str, float] = {}
@@ -341,13 +343,13 @@ def fit_from_coarse(
         say("on the coarse mesh first")
         shape: Extent = "estimate" if extent == "estimate" else "intervals"
         try:
-            rough = fit_pushes(coarse, names, start, method, observer, shape, population=population)
+            rough = fit_pushes(coarse, names, start, method, observer, shape, population=population, close_sd=close_sd)
         except FitError:
             say("no fit on the coarse mesh")
         else:
             start, known = rough.ratios.as_dict(), rough.standard_nuisances
         say("on the fine mesh")
-    return fit_pushes(pushes, names, start, method, observer, extent, known, population, rough)
+    return fit_pushes(pushes, names, start, method, observer, extent, known, population, rough, close_sd)
 
 
 def rise_of(
@@ -382,6 +384,7 @@ def fit_pushes(
     start_nuisances: Mapping[str, float] | None = None,
     population: str | None = None,
     rough: StiffnessFit | None = None,
+    close_sd: float = CLOSE_SD,
 ) -> StiffnessFit:
     """The fit of the training frames; arguments and errors are those of ``estimation.fit.fit_stiffness``."""
     return fit_stiffness(
@@ -399,4 +402,5 @@ def fit_pushes(
         start_nuisances=start_nuisances,
         population=population,
         rough=rough,
+        close_sd=close_sd,
     )
