@@ -1,15 +1,17 @@
 """Do the intervals hold? Subjects of known stiffness, made and estimated by corners alone (``coverage_subjects.py``).
 
-    python benchmarks/coverage.py --scenario NAME --log FILE [--first SEED] [--count N]
+    python benchmarks/coverage.py --scenario NAME [--log FILE] [--first SEED] [--count N]
     python benchmarks/coverage.py --summary FILE...
-    python benchmarks/coverage.py --store NAME FILE...
+    python benchmarks/coverage.py --store [NAME FILE...]
     python benchmarks/coverage.py --json | --rerun FOLDER
 
 The first makes and estimates a scenario's subjects and writes a line each as it goes; a log that exists is gone on
-with, and a second process with other seeds and another log halves the time. ``--summary`` prints how often the truth
-lies inside, by ratio and jointly, for closed and for open intervals and by tercile of the true ratio, with the standard
-errors of so many subjects; ``--store`` keeps the figures in benchmarks/results/coverage.json, ``--json`` prints that
-file, and ``--rerun`` repeats all its scenarios. All of it is synthetic.
+with, and a second process with other seeds and another log halves the time. Logs are kept in
+benchmarks/results/coverage, where the next machine goes on with them. ``--summary`` prints how often the truth lies
+inside, by ratio and jointly, for closed and for open intervals and by tercile of the true ratio, with the standard
+errors of so many subjects; ``--store`` keeps the figures (of the kept logs, or a scenario's of others) in
+benchmarks/results/coverage.json, ``--json`` prints that file, and ``--rerun`` repeats all its scenarios. All of it is
+synthetic. Needs the extra ``[mesh]``: every truth has a tissue mesh of its own.
 
 Settings were looked at on the scenarios of seeds below 1000 ("settings"); the others are run once and reported.
 """
@@ -27,6 +29,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +58,8 @@ from spinestiff.study.predictions import Model, predict
 from spinestiff.study.trials import Known, PushSet, fit_from_coarse, push_set, rise_of
 
 RESULTS = Path(__file__).parent / "results" / "coverage.json"
+LOGS = RESULTS.with_suffix("")
+DIGITS = 5  # of a log's numbers
 ROOT = Path(__file__).parent.parent
 NAMES = ("lateral_bending", "tissue")
 START = {"lateral_bending": 0.07, "tissue": 0.04}
@@ -222,6 +227,7 @@ def summarised(scenario: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     entry: dict[str, Any] = {
         "scenario": scenario,
         "subjects": len(found),
+        "seeds": [len(rows), SCENARIOS[scenario].count if scenario in SCENARIOS else len(rows)],
         "not_made": len(rows) - len(made),
         "without_estimate": len(made) - len(found),
         "coverage95": {},
@@ -309,6 +315,7 @@ def show(entry: dict[str, Any]) -> None:
         table.add_row("both", words, str(entry["subjects"]), *shares, "", "", "")
     console.print(table)
     console.print(
+        f"{entry['seeds'][0]} of {entry['seeds'][1]} seeds; "
         f"{entry['not_made']} not made, {entry['without_estimate']} without an estimate, {entry['outside_999']} "
         f"outside their 99.9 % region, {entry['flagged']} flagged (p < {FLAGGED:g})"
     )
@@ -335,8 +342,22 @@ def campaign(scenario: Scenario, first: int, count: int, log: Path) -> None:
             continue
         row = run_one(seed, scenario)
         with log.open("a") as stream:
-            stream.write(json.dumps(row) + "\n")
+            stream.write(json.dumps(rounded(row)) + "\n")
         print(seed, row.get("not made") or row.get("failed") or row.get("z"), row.get("cpu_s"), flush=True)
+
+
+def rounded(value: Any) -> Any:
+    """A row, or a part of it, with as many digits as a log keeps."""
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}")
+    if isinstance(value, Mapping):
+        return {key: rounded(part) for key, part in value.items()}
+    return [rounded(part) for part in value] if isinstance(value, list | tuple) else value
+
+
+def log_of(name: str) -> Path:
+    """Where a scenario's rows are kept."""
+    return LOGS / f"{name.replace(' ', '_').replace(',', '').replace(chr(39), '')}.jsonl"
 
 
 def stored() -> list[dict[str, Any]]:
@@ -360,10 +381,12 @@ def main() -> None:
     parser.add_argument("--count", type=int, help="seeds, those of the scenario if left out")
     parser.add_argument("--log", type=Path)
     parser.add_argument("--summary", type=Path, nargs="+", metavar="FILE")
-    parser.add_argument("--store", nargs="+", metavar=("SCENARIO", "FILE"))
+    parser.add_argument("--store", nargs="*", metavar=("SCENARIO", "FILE"))
     parser.add_argument("--json", action="store_true", help="print what is stored")
     parser.add_argument("--rerun", type=Path, metavar="FOLDER", help="repeat all that is stored, logs in a folder")
     asked = parser.parse_args()
+    if (asked.scenario or asked.rerun) and find_spec("mmgpy") is None:
+        parser.error('the truths\' meshes need pip install -e ".[mesh]"')
     if asked.json:
         print(json.dumps(stored(), indent=1))
     elif asked.summary:
@@ -373,19 +396,25 @@ def main() -> None:
         if name not in SCENARIOS or not paths:
             parser.error(f"--store wants one of {', '.join(SCENARIOS)}, and logs")
         store(summarised(name, read_logs([Path(path) for path in paths])))
+    elif asked.store is not None:
+        for name in SCENARIOS:
+            if log_of(name).is_file():
+                store(summarised(name, read_logs([log_of(name)])))
+                show(summarised(name, read_logs([log_of(name)])))
     elif asked.rerun:
         asked.rerun.mkdir(parents=True, exist_ok=True)
         for entry in stored():
             name = entry["scenario"]
-            log, scenario = asked.rerun / f"{name.replace(' ', '_')}.jsonl", SCENARIOS[name]
+            log, scenario = asked.rerun / log_of(name).name, SCENARIOS[name]
             campaign(scenario, scenario.first, scenario.count, log)
             show(summarised(name, read_logs([log])))
-    elif asked.scenario and asked.log:
+    elif asked.scenario:
         scenario = SCENARIOS[asked.scenario]
         first = scenario.first if asked.first is None else asked.first
-        campaign(scenario, first, asked.count or scenario.count, asked.log)
+        LOGS.mkdir(exist_ok=True)
+        campaign(scenario, first, asked.count or scenario.count, asked.log or log_of(asked.scenario))
     else:
-        parser.error("wanted --scenario with --log FILE, --summary, --store, --json or --rerun")
+        parser.error("wanted --scenario, --summary, --store, --json or --rerun")
 
 
 if __name__ == "__main__":
