@@ -218,7 +218,8 @@ def test_a_failed_baseline_fit_makes_no_prediction(pushes, finished, monkeypatch
     )
     assert single_ratio(pushes) is None
     asked = []
-    monkeypatch.setattr(assessment, "fit_from_coarse", lambda *args, **kwargs: asked.append((*args, kwargs)) or finished.fit)
+    fit = lambda *args, **kwargs: asked.append((*args, kwargs)) or finished.fit  # noqa: E731
+    monkeypatch.setattr(assessment, "fit_from_coarse", fit)
     assert single_ratio(pushes) == Model.of(finished.fit)
     single_ratio(pushes, 0.1, pushes, "paper")
     wanted = ((None, 1.0, "weighed"), (pushes, 0.1, "paper"))

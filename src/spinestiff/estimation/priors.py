@@ -38,7 +38,8 @@ class Priors:
         shows them.
     trunk : of the trunk's breadth and of its depth, relative, without a tape (6 %; children of one age and height).
     trunk_taped : the same where ``subject.json`` has the trunk's size.
-    trunk_power : of tissue's resistance in (breadth, depth).
+    trunk_power : of tissue's resistance in (breadth, depth): 0.9 and 0.6 where the skin alone moves, a third more where
+        ribs do, too, as in a body of another mass (``benchmarks/trunk_size.py``).
     rib_joints : of the log of the stiffness with which ribs turn on their vertebrae, over Table 1's: bench values are
         an eleventh of it (J Biomech 2024 163:111923).
     tissue_volume : of the log of the tissue's lambda at a given mu: Poisson's ratio of 0.3 or 0.49 for 0.45 is a factor
@@ -95,7 +96,7 @@ class Priors:
     stance_scale: float = 0.02
     trunk: float = 0.06
     trunk_taped: float = 0.01
-    trunk_power: tuple[float, float] = (2.0, 1.0)
+    trunk_power: tuple[float, float] = (1.2, 0.8)
     rib_joints: float = 1.5
     tissue_volume: float = 1.0
     source_distance: float = 0.01
