@@ -83,10 +83,10 @@ class Scenario:
 
 
 SCENARIOS = {
-    "coarse pair, three pushes": Scenario("three pushes", 3000, "coarse", 1000, 460),
-    "coarse pair, the paper's acquisition": Scenario("paper", 3000, "coarse", 2000, 460),
-    "default chain, three pushes": Scenario("three pushes", 15000, "fine", 4000, 140),
-    "rendered, three pushes": Scenario("three pushes", 15000, "fine", 6000, 45, rendered=True),
+    "coarse pair, three pushes": Scenario("three pushes", 3000, "coarse", 10000, 460),
+    "coarse pair, the paper's acquisition": Scenario("paper", 3000, "coarse", 20000, 460),
+    "default chain, three pushes": Scenario("three pushes", 15000, "fine", 40000, 140),
+    "rendered, three pushes": Scenario("three pushes", 15000, "fine", 60000, 45, rendered=True),
     "settings, three pushes": Scenario("three pushes", 3000, "coarse", 0, 230),
     "settings, the paper's acquisition": Scenario("paper", 3000, "coarse", 500, 230),
 }
