@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 from pathlib import Path
 
@@ -9,13 +10,32 @@ import pytest
 
 from spinestiff.estimation.fitted import StiffnessFit
 
-EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
+ROOT = Path(__file__).parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
 def run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
     monkeypatch.chdir(folder)
     (path,) = [path for path in EXAMPLES if path.name == name]
     return runpy.run_path(str(path), run_name="__main__")
+
+
+def assert_as_documented(name: str, printed: str) -> None:
+    """docs/examples.md shows this output: the same words, and numbers within a tenth or 0.02."""
+    page = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
+    (shown,) = re.findall(rf"examples/{name}\n[^`]*```\n.*?^```text\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    words, numbers = ([of(text) for text in (shown, printed)] for of in (words_of, numbers_of))
+    assert words[0] == words[1], f"docs/examples.md shows another output of {name}"
+    assert numbers[0] == pytest.approx(numbers[1], rel=0.1, abs=0.02)
+
+
+def words_of(text: str) -> list[str]:
+    return NUMBER.sub("#", text).split()
+
+
+def numbers_of(text: str) -> list[float]:
+    return [float(number) for number in NUMBER.findall(text)]
 
 
 def test_every_example_has_a_test() -> None:
@@ -33,7 +53,9 @@ def test_push_a_torso(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
     change = result["tilt_change_deg"]
     assert isinstance(change, float)
     assert change > 1.0  # a push from the right makes the spine convex to the left
-    assert f"{change:.1f}" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert f"{change:.1f}" in printed
+    assert_as_documented("01_push_a_torso.py", printed)
 
 
 def test_recover_ratios(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -49,6 +71,7 @@ def test_recover_ratios(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
         # Noise-free and on the same mesh: nothing but the stopping rule of the fit is in between.
         assert found[name] == pytest.approx(value, rel=1e-4)
         assert name in printed
+    assert_as_documented("02_recover_ratios.py", printed)
 
 
 def test_your_own_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -61,4 +84,6 @@ def test_your_own_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     for name, value in truth.items():
         assert found[name] == pytest.approx(value, rel=1e-4)
     assert (tmp_path / "your_own_model.png").stat().st_size > 10_000
-    assert "lower joint: true ratio 2, found 2.0000" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "lower joint: true ratio 2, found 2.0000" in printed
+    assert_as_documented("03_your_own_model.py", printed)
