@@ -1,11 +1,13 @@
 """Vertebra boxes proposed from a few points clicked along a spine (paper 2.2 starts from boxes placed by hand).
 
-1. A smooth curve through the points, and a picture straightened along it: one row for each step along the spine.
-2. Levels by the published heights of bodies and discs behind anatomy's template, between the first point (in the first
-   named vertebra) and the last point (in the last named one). The person's size follows from the points alone.
+1. A smooth curve through the points, and a picture straightened along it: one row for each step along the spine. In
+   between the points the spine's middle follows both side walls.
+2. Levels by the template's bodies and discs as the view shows them (``expected_spine``), between the first point (in
+   the first named vertebra) and the last point (in the last named one). The size of the person follows from these.
 3. Endplates where the straightened picture turns from disc to bone and back, and how they are tilted: the best sequence
    of all endplates together (dynamic programming) under what anatomy expects of heights, discs and tilts.
-4. Side walls where bone ends to the left and right of each vertebra, again all together.
+4. Side walls where bone ends to the left and right of each vertebra and endplates with it, again all together.
+5. Once more from 3 on, along the middle that the walls tell.
 
 What it can't see (arms, heart, gas, low contrast) it leaves where anatomy expects it; somebody has to look at it all.
 """
@@ -13,31 +15,27 @@ What it can't see (arms, heart, gas, low contrast) it leaves where anatomy expec
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from spinestiff.anatomy.names import VERTEBRAE
-from spinestiff.anatomy.template.sizes import VERTEBRA_SIZES
-from spinestiff.anatomy.template.vertebrae import build_spine, vertebra_boxes
 from spinestiff.arrays import Floats
 from spinestiff.errors import TrackingError
-from spinestiff.imaging.features import picture_axes, view_kind
-from spinestiff.imaging.projection import XRayView
+from spinestiff.imaging.expected_spine import ExpectedSpine
+from spinestiff.imaging.features import picture_axes
 from spinestiff.imaging.radiograph import Radiograph
-from spinestiff.imaging.silhouette import halves, rim_share
 from spinestiff.imaging.straightening import STEP, SpineCurve, Strip
 
 FEWEST_POINTS = 3
 # Points nearer than this, pixels, are one.
 NEAREST = 2.0
 # All lengths below are mm of the template's spine: the person's size has been taken out by then.
-# How far the middle of the spine may lie beside the curve, as standard deviation at a click and midway between two, and
-# how much that changes from row to row. Rows beside each other show the same: so many mm count as one look.
-ASIDE, CLICK_SD, BETWEEN_SD, ASIDE_DRIFT, REACHED = 8.0, 1.8, 3.5, 0.35, 8.0
-# The person's width over the template's, as tried there.
-SIZES = (0.85, 0.92, 1.0, 1.08, 1.16)
+# The spine's middle: how far it is looked for; its standard deviation beside the curve at a click, midway between two,
+# and from row to row. Rows beside each other show the same: so many mm count as one look, of that weight.
+ASIDE, CLICK_SD, BETWEEN_SD, ASIDE_DRIFT = 8.0, 1.4, 3.5, 0.35
+ONE_LOOK, MIDDLE = 8.0, 0.4
+# The person's width over the template's, as tried there; and how far inside the corners a body ends on average.
+SIZES, WAIST = (0.85, 0.92, 1.0, 1.08, 1.16), 1.2
 # Endplates: reach and step of places (mm) and tilts (rad) that are tried, roughly, then finely.
 PLACES = ((13.0, 0.5), (1.5, 0.25))
 TILTS = ((np.radians(24.0), np.radians(3.0)), (np.radians(3.0), np.radians(1.0)))
@@ -50,18 +48,19 @@ TILT_SD, WEDGE_SD = np.radians(9.0), np.radians((6.0, 6.0))
 EDGE, WALL = 1.2, 1.0
 EDGE_UNIT = 0.1
 INNER = 0.42
+# So far outside its corners an endplate's edge lies, mm.
+RISE = 0.5
 # Corners that somebody put right lie at most this far beside the edge that they mean.
 HABIT_REACH = 3.0
-# Side walls: reach; standard deviations of their middle beside the curve, of their distance, and of the change from
-# one endplate to the next, over a body and over a disc.
-WALL_REACH, WALL_SD, WIDTH_SD, WALL_DRIFT = 5.0, 1.5, 1.5, (0.8, 0.6)
-# Where a picture changes from bone to what lies beside it: so far inside the line between two corners, near the corners
-# and midway, mm, on the "first" side and the other; and so far above or below an endplate's corners.
-DEPTHS = {"frontal": ((0.4, 1.4), (0.4, 1.4)), "lateral": ((0.7, 1.5), (1.8, 2.9))}
-RISE = 0.5
-# What of an endplate's edge ends so far inside its corner, mm; the weight of a mm of it; what counts as an edge.
-END_INSIDE, EXTENT, LEAST_RISE = 1.6, 1.0, 0.1
-MIDDLE = 0.4
+# Side walls: reach and step; standard deviations of their middle beside the curve, of their distance, and of the change
+# from one endplate to the next, over a body and over a disc.
+WALL_REACH, WALL_STEP, WALL_SD, WIDTH_SD, WALL_DRIFT = 5.0, 0.25, 1.5, 1.5, (1.2, 0.9)
+# An endplate's edge ends so far inside its corner, mm; the weight of a mm of it; what counts as an edge.
+END_INSIDE, EXTENT, LEAST_RISE = 1.2, 2.0, 0.1
+# How far a person's width over the template's is believed to grow or shrink along the spine as the walls say.
+TREND = 0.7
+# The picture is straightened along the clicks' curve, then along the middle, then along what the walls tell of it.
+ROUNDS = 2
 
 
 def propose_boxes(
@@ -87,23 +86,25 @@ def propose_boxes(
     """
     first, up = picture_axes(radiograph.view)
     clicks = _checked(radiograph, points, up)
-    expected = _Expected.of(vertebrae, radiograph.view, 0.5 * (clicks[0] + clicks[-1]))
+    expected = ExpectedSpine.of(vertebrae, radiograph.view, 0.5 * (clicks[0] + clicks[-1]))
     curve = SpineCurve.through(clicks, first)
     scale = curve.length / expected.length
     strip = Strip.along(radiograph.pixels, curve, scale, expected.length)
-    at = curve.coordinates(clicks)[:, 0] / scale
-    aside = _middle(strip, expected, at)
-    curve = curve.beside(strip.rows * scale, aside * scale)
-    scale = curve.length / expected.length
-    strip = Strip.along(radiograph.pixels, curve, scale, expected.length)
-    given = {
-        list(vertebrae).index(name): curve.coordinates(np.asarray(quad, dtype=float)) / scale
-        for name, quad in (kept or {}).items()
-        if name in vertebrae
-    }
-    held = {i: quad for i, quad in given.items() if _guides(quad)}
-    places, tilts = _endplates(strip, expected, held)
-    walls, size = _walls(strip, expected, places, tilts, held, 1.0)
+    rows, aside = strip.rows, _middle(strip, expected, curve.coordinates(clicks)[:, 0] / scale)
+    for _ in range(ROUNDS):
+        curve = curve.beside(rows * scale, aside * scale)
+        scale = curve.length / expected.length
+        strip = Strip.along(radiograph.pixels, curve, scale, expected.length)
+        given = {
+            list(vertebrae).index(name): curve.coordinates(np.asarray(quad, dtype=float)) / scale
+            for name, quad in (kept or {}).items()
+            if name in vertebrae
+        }
+        held = {i: quad for i, quad in given.items() if _guides(quad)}
+        places, tilts = _endplates(strip, expected, held)
+        walls = _walls(strip, expected, places, tilts, held)
+        # What the walls tell of the middle, for the next round.
+        rows, aside = places, gaussian_filter1d(walls.mean(axis=1), 1.0)
     if held:
         ends, sides = _habit(strip, expected, places, tilts, walls, held)
         free = np.array([k // 2 not in held for k in range(len(places))])
@@ -118,66 +119,7 @@ def propose_boxes(
     return boxes
 
 
-@dataclass(frozen=True)
-class _Expected:
-    """What anatomy expects of n vertebrae, in mm of the template along the spine, 0 = middle of the first.
-
-    Attributes
-    ----------
-    places : (2n,) of the endplates, upper and lower of each vertebra in turn.
-    halves : (2n,) half the endplates' width, as seen in the view.
-    """
-
-    places: Floats
-    tilts: Floats
-    halves: Floats
-    depths: tuple[tuple[float, float], tuple[float, float]]
-
-    @property
-    def length(self) -> float:
-        """From the middle of the first to the middle of the last."""
-        return float(0.5 * (self.places[-2:].sum() - self.places[:2].sum()))
-
-    @staticmethod
-    def of(vertebrae: Sequence[str], view: XRayView, middle: Floats) -> _Expected:
-        """The template's spine as it is seen in ``view`` about a pixel (2,): outlines of bodies that kyphosis and lordosis
-        tilt in the beam are taller than the bodies, and discs less."""
-        rows = [VERTEBRAE.index(name) for name in vertebrae if name in VERTEBRAE]
-        if len(rows) != len(vertebrae) or len(rows) < 2 or (np.diff(rows) != 1).any():
-            raise TrackingError(f"can't propose {', '.join(vertebrae) or 'nothing'}; wanted two or more neighbours")
-        kind = view_kind(view)
-        corners = _template_outline(view, kind, rows, middle)
-        first, up = picture_axes(view)
-        # Beyond its ends a curve needs three points to be one.
-        ends = corners.mean(axis=1)
-        line = ends if len(ends) > 2 else np.stack([ends[0], ends.mean(axis=0), ends[1]])
-        curve = SpineCurve.through(line, first)
-        scale = float(np.mean(view.magnification / view.pixel_spacing))
-        seen = curve.coordinates(corners.reshape(-1, 2)).reshape(corners.shape) / scale
-        upper, lower = seen[:, 0] - seen[:, 1], seen[:, 3] - seen[:, 2]
-        plates = np.stack([seen[:, :2].mean(axis=1), seen[:, 2:].mean(axis=1)], axis=1).reshape(-1, 2)
-        slope = np.stack([upper[:, 0] / upper[:, 1], lower[:, 0] / lower[:, 1]], axis=1).ravel()
-        halves = 0.5 * VERTEBRA_SIZES[rows][:, [0, 2] if kind == "frontal" else [1, 3]].ravel()
-        return _Expected(plates[:, 0] - slope * plates[:, 1], np.arctan(slope), halves, DEPTHS[kind])
-
-
-def _template_outline(view: XRayView, kind: str, rows: Sequence[int], middle: Floats) -> Floats:
-    """(n, 4, 2) pixels of the template's vertebrae in the order of ``VertebraCorners``, the spine's middle at a pixel."""
-    spine = build_spine()
-    centres, turns = spine.centres[rows], spine.rotations[rows]
-    plane = view.to_patient_plane(view.from_pixels(middle))
-    place = view.source + view.source_to_patient * view.normal + plane @ view.detector_axes
-    centres = centres + place - 0.5 * (centres[0] + centres[-1])
-    box = vertebra_boxes()[rows].reshape(-1, 2, 2, 2, 3)
-    pairs = (box.swapaxes(2, 3) if kind == "lateral" else box)[:, [0, 0, 1, 1], [0, 1, 1, 0]]
-    rim, half = halves(pairs)
-    beam = np.einsum("vji,vj->vi", turns, centres - view.source)
-    share = rim_share(rim, half, rim + beam[:, None], 2 if kind == "frontal" else 0)
-    world = centres[:, None] + np.einsum("vij,vcj->vci", turns, rim + share[..., None] * half)
-    return view.pixels(view.project(world))
-
-
-def _middle(strip: Strip, expected: _Expected, clicks: Floats) -> Floats:
+def _middle(strip: Strip, expected: ExpectedSpine, clicks: Floats) -> Floats:
     """(R,) mm by which the spine's middle lies beside the curve: where both side walls fit best, row after row.
 
     ``clicks`` are their places along the curve, mm. There the curve is right but for the hand that clicked; it may be
@@ -185,7 +127,7 @@ def _middle(strip: Strip, expected: _Expected, clicks: Floats) -> Floats:
     """
     inside = (strip.rows > expected.places[0]) & (strip.rows < expected.places[-1])
     rows = strip.rows[inside]
-    halves = np.interp(rows, expected.places, expected.halves) - 1.2
+    halves = np.interp(rows, expected.places, expected.halves) - WAIST
     shifts = np.arange(-ASIDE, ASIDE + 0.5 * STEP, STEP)
     after = np.clip(np.searchsorted(clicks, rows), 1, len(clicks) - 1)
     share = np.clip((rows - clicks[after - 1]) / (clicks[after] - clicks[after - 1]), 0.0, 1.0)
@@ -197,7 +139,7 @@ def _middle(strip: Strip, expected: _Expected, clicks: Floats) -> Floats:
         edge = np.zeros((len(rows), len(shifts)))
         for side in (1, -1):
             edge -= side * strip.sampled(strip.aside, rows[:, None], shifts[None] + side * size * halves[:, None])
-        cost = list(STEP / REACHED * (prior - MIDDLE * gaussian_filter1d(edge, 3.0 / STEP, axis=0) / EDGE_UNIT))
+        cost = list(STEP / ONE_LOOK * (prior - MIDDLE * gaussian_filter1d(edge, 3.0 / STEP, axis=0) / EDGE_UNIT))
         way = _cheapest(cost, [drift] * (len(cost) - 1))
         ways.append((sum(c[i] for c, i in zip(cost, way)), way))
     way = min(ways, key=lambda found: found[0])[1]
@@ -212,7 +154,7 @@ def _guides(quad: Floats) -> bool:
     return across and bool(quad[:2, 0].mean() < quad[2:, 0].mean())
 
 
-def _endplates(strip: Strip, expected: _Expected, held: Mapping[int, Floats]) -> tuple[Floats, Floats]:
+def _endplates(strip: Strip, expected: ExpectedSpine, held: Mapping[int, Floats]) -> tuple[Floats, Floats]:
     """Place (2n,) mm and tilt (2n,) rad of every endplate: the cheapest sequence of all."""
     places, tilts = expected.places.copy(), expected.tilts.copy()
     for i, quad in held.items():
@@ -238,7 +180,7 @@ def _endplates(strip: Strip, expected: _Expected, held: Mapping[int, Floats]) ->
     return places, tilts
 
 
-def _endplate_cost(strip: Strip, expected: _Expected, k: int, s: Floats, a: Floats, target: float) -> Floats:
+def _endplate_cost(strip: Strip, expected: ExpectedSpine, k: int, s: Floats, a: Floats, target: float) -> Floats:
     """(places, tilts) cost of an endplate: little where grey rises into the bone all along its line."""
     half = INNER * 2.0 * expected.halves[k]
     across = np.linspace(-half, half, 25)
@@ -251,13 +193,17 @@ def _endplate_cost(strip: Strip, expected: _Expected, k: int, s: Floats, a: Floa
     return np.asarray(prior - EDGE * rise / EDGE_UNIT)
 
 
-def _sequence(expected: _Expected, unary: list[Floats], s: list[Floats], a: list[Floats]) -> tuple[Floats, Floats]:
+def _sequence(expected: ExpectedSpine, unary: list[Floats], s: list[Floats], a: list[Floats]) -> tuple[Floats, Floats]:
     """The cheapest (2n,) places and tilts. Steps cost by place and by tilt separately, so each is minimised in turn."""
     total, back = unary[0], []
     for k in range(1, len(unary)):
         gap = expected.places[k] - expected.places[k - 1]
         sd = BODY_SD * gap if k % 2 else DISC_SD * gap + 0.4
-        by_tilt = 0.5 * ((a[k][:, None] - a[k - 1][None] - expected.tilts[k] + expected.tilts[k - 1]) / WEDGE_SD[(k + 1) % 2]) ** 2
+        by_tilt = (
+            0.5
+            * ((a[k][:, None] - a[k - 1][None] - expected.tilts[k] + expected.tilts[k - 1]) / WEDGE_SD[(k + 1) % 2])
+            ** 2
+        )
         turned = total[:, None, :] + by_tilt[None]  # (previous place, tilt, previous tilt)
         from_tilt = turned.argmin(axis=2)
         best = np.take_along_axis(turned, from_tilt[..., None], axis=2)[..., 0]
@@ -279,12 +225,13 @@ def _sequence(expected: _Expected, unary: list[Floats], s: list[Floats], a: list
     )
 
 
-def _walls(
-    strip: Strip, expected: _Expected, places: Floats, tilts: Floats, held: Mapping[int, Floats], size: float
-) -> tuple[Floats, float]:
-    """(2n, 2) mm beside the curve where the endplates end, "first" side and other side, and the person's width over
-    the template's; both walls are looked for together, because their distance is known better than their place."""
-    reach = np.arange(-WALL_REACH, WALL_REACH + 0.1, 0.25)
+def _walls(strip: Strip, expected: ExpectedSpine, places: Floats, tilts: Floats, held: Mapping[int, Floats]) -> Floats:
+    """(2n, 2) mm beside the curve where the endplates end, "first" side and other side.
+
+    Both walls are looked for together, because their distance is known better than their place.
+    """
+    size = np.ones(len(places))
+    reach = np.arange(-WALL_REACH, WALL_REACH + 0.5 * WALL_STEP, WALL_STEP)
     for _ in range(2):
         halves = expected.halves * size
         costs, tried = [], []
@@ -301,9 +248,17 @@ def _walls(
             prior = 0.5 * (wider / WIDTH_SD) ** 2 + 0.5 * (aside / WALL_SD) ** 2
             costs.append(first[:, None] + other[None] + prior)
         found = _pairs(costs, tried) + halves[:, None] * [1.0, -1.0]
-        # The person's own width, over the template's, is one number; with it the walls are looked for again.
-        size = float(np.median((found[:, 0] - found[:, 1]) / (2.0 * expected.halves)))
-    return found, size
+        # The person's width over the template's changes little along the spine; with it walls are looked for again.
+        size = _along_a_line((found[:, 0] - found[:, 1]) / (2.0 * expected.halves))
+    return found
+
+
+def _along_a_line(values: Floats) -> Floats:
+    """(n,) the line through values (n,) whose slope is the median of all slopes, and half of them above it."""
+    at = np.arange(len(values)) - 0.5 * (len(values) - 1)
+    i, j = np.triu_indices(len(values), max(1, len(values) // 3))
+    slope = TREND * float(np.median((values[j] - values[i]) / (at[j] - at[i])))
+    return np.asarray(slope * at + np.median(values - slope * at))
 
 
 def _pairs(costs: list[Floats], tried: list[list[Floats]]) -> Floats:
@@ -329,7 +284,7 @@ def _pairs(costs: list[Floats], tried: list[list[Floats]]) -> Floats:
 
 
 def _habit(
-    strip: Strip, expected: _Expected, places: Floats, tilts: Floats, walls: Floats, held: Mapping[int, Floats]
+    strip: Strip, expected: ExpectedSpine, places: Floats, tilts: Floats, walls: Floats, held: Mapping[int, Floats]
 ) -> tuple[Floats, Floats]:
     """How far beside the edges of the picture somebody sets corners: (2,) mm above and below, (2,) mm on either side.
 
@@ -349,7 +304,9 @@ def _habit(
     return trust * np.median(ends, axis=1), trust * np.median(sides, axis=1)
 
 
-def _wall_cost(strip: Strip, expected: _Expected, places: Floats, tilts: Floats, k: int, here: Floats, side: float) -> Floats:
+def _wall_cost(
+    strip: Strip, expected: ExpectedSpine, places: Floats, tilts: Floats, k: int, here: Floats, side: float
+) -> Floats:
     """Cost of the end of an endplate: little where grey falls to the outside all along the body's nearer half."""
     other = k + 1 if k % 2 == 0 else k - 1
     share = np.linspace(0.05, 0.5, 10)
@@ -358,20 +315,22 @@ def _wall_cost(strip: Strip, expected: _Expected, places: Floats, tilts: Floats,
     inward = expected.depths[0 if side > 0.0 else 1]
     edge = here[:, None] - side * (inward[0] + (inward[1] - inward[0]) * 4.0 * share * (1.0 - share))
     fall = -side * strip.sampled(strip.aside, along + edge * slope, edge)
-    return np.asarray(-WALL * fall.mean(axis=1) / EDGE_UNIT) + _extent_cost(strip, expected, places, tilts, k, here, side)
+    return np.asarray(-WALL * fall.mean(axis=1) / EDGE_UNIT) + _extent_cost(
+        strip, expected, places, tilts, k, here, side
+    )
 
 
 def _extent_cost(
-    strip: Strip, expected: _Expected, places: Floats, tilts: Floats, k: int, here: Floats, side: float
+    strip: Strip, expected: ExpectedSpine, places: Floats, tilts: Floats, k: int, here: Floats, side: float
 ) -> Floats:
     """Cost of the end of an endplate: little where all that shows an endplate's edge is on it and no more."""
     half = expected.halves[k]
-    aside = np.arange(0.0, half + WALL_REACH + 4.0, 0.25)
+    aside = np.arange(0.0, half + WALL_REACH + 4.0, WALL_STEP)
     up = 1.0 if k % 2 == 0 else -1.0
     along = places[k] + side * aside * np.tan(tilts[k]) - up * np.array([0.0, 0.5, 1.0])[:, None]
     rise = up * strip.sampled(strip.down, along, np.broadcast_to(side * aside, along.shape)).mean(axis=0)
     usual = max(float(rise[aside < 0.7 * half].mean()), LEAST_RISE)
-    shown = np.cumsum(np.clip(rise / usual, -0.5, 1.5) - 0.5) * 0.25
+    shown = np.cumsum(np.clip(rise / usual, -0.5, 1.5) - 0.5) * WALL_STEP
     return np.asarray(-EXTENT * min(usual / LEAST_RISE / 2.0, 1.0) * np.interp(side * here - END_INSIDE, aside, shown))
 
 
