@@ -6,7 +6,7 @@ import hashlib
 import os
 import re
 from collections import OrderedDict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import RLock
@@ -29,8 +29,8 @@ from spinestiff.subject.folder import (
     check_image_name,
     check_radiograph_path,
     image_corners,
+    open_push,
     read_annotation,
-    read_push,
     read_rest,
     read_unannotated,
     read_view,
@@ -102,7 +102,7 @@ class AnnotationSession:
             raise SubjectError(f"{folder}: no radiograph to annotate; wanted {', '.join(REST_IMAGES.values())}")
         self.lock = RLock()
         self.revision = 0
-        self._frames: OrderedDict[str, tuple[Radiograph, ...]] = OrderedDict()
+        self._frames: OrderedDict[str, Sequence[Radiograph]] = OrderedDict()
         self._views: dict[str, XRayView] = {}
         self._drafted: dict[str, DraftImage] = {}
         self.reload()
@@ -165,8 +165,10 @@ class AnnotationSession:
             self.revision += 1
             return self.revision
 
-    def frames(self, name: str) -> tuple[Radiograph, ...]:
+    def frames(self, name: str) -> Sequence[Radiograph]:
         """The radiographs of an image by its name in the annotation; of a push all, whichever frame is named.
+
+        Those of a large file are read one by one, when they are asked for.
 
         Raises
         ------
@@ -234,14 +236,14 @@ class AnnotationSession:
     def _with(self, images: dict[str, ImageAnnotation]) -> Subject:
         return replace(self.subject, annotation=Annotation(schema_version=SCHEMA_VERSION, images=images))
 
-    def _read(self, name: str) -> tuple[Radiograph, ...]:
+    def _read(self, name: str) -> Sequence[Radiograph]:
         if name in REST_IMAGES:
             return (read_rest(self.subject, "lateral" if name == LATERAL else "frontal"),)
         if re.fullmatch(FURTHER_VIEW, name):
             frame, view = self.subject.view(name)
             push = self.subject.push(name.split("/")[1])
             return (read_view(self.subject, push, view)[view.frames.index(frame)],)
-        return read_push(self.subject, self.subject.push(name.removeprefix("push/")))
+        return open_push(self.subject, self.subject.push(name.removeprefix("push/")))
 
     def _complete(self, name: str, marks: DraftImage) -> ImageAnnotation | None:
         try:

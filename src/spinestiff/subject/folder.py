@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -254,7 +254,21 @@ def read_push(subject: Subject, push: PushRecord) -> tuple[Radiograph, ...]:
     SubjectError : the number of frames is not that of the forces.
     RadiographError : see ``read_radiographs``.
     """
-    frames = _read_images(subject, push.image, "frontal")
+    frames = tuple(_read_images(subject, push.image, "frontal"))
+    check_frames(subject, push, len(frames))
+    return frames
+
+
+def open_push(subject: Subject, push: PushRecord) -> Sequence[Radiograph]:
+    """Like ``read_push``, but of a large uncompressed file each frame is read when it is asked for.
+
+    Raises
+    ------
+    SubjectError, RadiographError : as ``read_push``; of single frames when they are read.
+    """
+    from spinestiff.imaging.radiograph import open_radiographs
+
+    frames = _read_images(subject, push.image, "frontal", open_radiographs)
     check_frames(subject, push, len(frames))
     return frames
 
@@ -267,7 +281,7 @@ def read_view(subject: Subject, push: PushRecord, view: FurtherViewRecord) -> tu
     SubjectError : another number of radiographs, or they are of another kind.
     RadiographError : see ``read_radiographs``.
     """
-    frames = _read_images(subject, push.view_image(view.frames[0], view.id), view.kind)
+    frames = tuple(_read_images(subject, push.view_image(view.frames[0], view.id), view.kind))
     if len(frames) != len(view.frames):
         raise SubjectError(
             f"{subject.folder / SUBJECT_FILE}: view '{view.id}' of push '{push.id}' names "
@@ -389,7 +403,12 @@ def _annotated(subject: Subject, image: str) -> tuple[str, ImageAnnotation]:
     return where, subject.annotation.images[image]
 
 
-def _read_images(subject: Subject, image: str, which: Literal["frontal", "lateral"]) -> tuple[Radiograph, ...]:
+def _read_images(
+    subject: Subject,
+    image: str,
+    which: Literal["frontal", "lateral"],
+    reader: Callable[..., Sequence[Radiograph]] | None = None,
+) -> Sequence[Radiograph]:
     from spinestiff.imaging.radiograph import read_radiographs
     from spinestiff.subject.geometry import image_geometry
 
@@ -398,10 +417,10 @@ def _read_images(subject: Subject, image: str, which: Literal["frontal", "latera
         geometry = image_geometry(subject.record, subject.annotation, image, which)
     except SubjectError as problem:
         raise SubjectError(f"{subject.folder / SUBJECT_FILE}: {problem}") from None
-    frames = read_radiographs(path, geometry=geometry, within=subject.folder)
-    for frame in frames:
-        if view_kind(frame.view) != which:
-            raise SubjectError(f"{path}: a {view_kind(frame.view)} radiograph, wanted a {which} one")
+    frames = (reader or read_radiographs)(path, geometry=geometry, within=subject.folder)
+    # Files of a folder have one orientation, or they would not be a sequence.
+    if (found := view_kind(frames[0].view)) != which:
+        raise SubjectError(f"{path}: a {found} radiograph, wanted a {which} one")
     return frames
 
 

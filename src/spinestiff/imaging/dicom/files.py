@@ -26,6 +26,9 @@ MOST_HEADER_BYTES = 2**20
 _DEFLATED = "1.2.840.10008.1.2.1.99"
 _DIRECTORY = "1.2.840.10008.1.3.10"
 _MODALITY = 0x00080060
+_PIXELS = 0x7FE00010
+_PIXELS_LITTLE_ENDIAN = b"\xe0\x7f\x10\x00"
+_IMPLICIT = "1.2.840.10008.1.2"
 
 
 @contextlib.contextmanager
@@ -110,6 +113,35 @@ def read_dataset(path: Path) -> tuple[Dataset, str]:
         raise RadiographError("found a DICOMDIR, wanted a radiograph; name the radiograph's own file")
     with named("the file's elements"):
         return (_inflated(header, content) if syntax == _DEFLATED else dcmread(BytesIO(content))), sha256
+
+
+def read_header(path: Path) -> tuple[Dataset, int, int]:
+    """A regular, uncompressed file without reading its pixels.
+
+    Returns
+    -------
+    The dataset, in which an empty element stands for the pixels; the byte at which they begin; how many there are said
+    to be. 0 and 0 where that is not told.
+
+    Raises
+    ------
+    RadiographError : damaged, or a header longer than any.
+    """
+    from pydicom.dataelem import DataElement
+    from pydicom.filereader import read_partial
+
+    with path.open("rb") as file, named("the file's elements"):
+        dataset = read_partial(file, stop_when=lambda tag, vr, length: tag >= _PIXELS)
+        at = file.tell()
+        if at > MOST_HEADER_BYTES:
+            raise RadiographError(f"found a header of {at / 2**20:.0f} MB, wanted a radiograph; export it again")
+        head = file.read(12)
+    implicit = str(dataset.file_meta.get("TransferSyntaxUID")) == _IMPLICIT
+    told = head[4:8] if implicit else head[8:12]
+    if head[:4] != _PIXELS_LITTLE_ENDIAN or len(told) < 4:
+        return dataset, 0, 0
+    dataset.add(DataElement(_PIXELS, "OW", b""))
+    return dataset, at + (8 if implicit else 12), int.from_bytes(told, "little")
 
 
 def declared_modality(path: Path) -> str:

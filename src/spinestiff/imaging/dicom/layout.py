@@ -14,6 +14,8 @@ MOST_PIXELS_A_SIDE = 8192
 MOST_FRAMES = 128
 
 NATIVE = ("1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.2", "1.2.840.10008.1.2.1.99")
+LITTLE_ENDIAN = NATIVE[:2]
+"""Uncompressed and not deflated, in the order of bytes that machines have."""
 RLE = "1.2.840.10008.1.2.5"
 JPEG_BASELINE = "1.2.840.10008.1.2.4.50"
 JPEG_EXTENDED = "1.2.840.10008.1.2.4.51"
@@ -52,8 +54,8 @@ def check_modality(modality: str) -> None:
         )
 
 
-def checked_layout(tags: Tags) -> Layout:
-    """The layout that a file declares.
+def checked_layout(tags: Tags, most_bytes: int = MOST_BYTES) -> Layout:
+    """The layout that a file declares; of pixels in ``most_bytes`` at most.
 
     Raises
     ------
@@ -88,10 +90,10 @@ def checked_layout(tags: Tags) -> Layout:
             f"HighBit: found {tags.high_bit}, wanted {layout.stored - 1} as BitsStored says; export it again"
         )
     count = layout.frames * layout.frame_bytes
-    if count > MOST_BYTES:
+    if count > most_bytes:
         raise RadiographError(
             f"NumberOfFrames, Rows, Columns: found {size}, {count / 2**20:.0f} MB, wanted at most "
-            f"{MOST_BYTES // 2**20} MB; crop it"
+            f"{most_bytes // 2**20} MB; crop it"
         )
     return layout
 
