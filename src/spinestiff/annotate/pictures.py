@@ -51,7 +51,7 @@ def picture(radiograph: Radiograph, most: int = MOST_SIDE, part: str = "") -> tu
     share = most / max(shown.shape)
     if share < 1.0:
         size = (max(1, round(shown.shape[1] * share)), max(1, round(shown.shape[0] * share)))
-        shown = cv2.resize(shown, size, interpolation=cv2.INTER_AREA)
+        shown = np.asarray(cv2.resize(shown, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
     grey = np.rint((shown - low) * np.float32(GREY_LEVELS / max(high - low, 1e-9))).astype("<u2")
     first, up = picture_axes(radiograph.view)
     step = max(1, max(grey.shape) // 512)
