@@ -27,12 +27,14 @@ def frame_of(session: AnnotationSession, image: str, frame: int) -> Radiograph:
     return frames[frame]
 
 
-def picture(radiograph: Radiograph, most: int = MOST_SIDE, part: str = "") -> tuple[bytes, dict[str, Any]]:
+def picture(
+    radiograph: Radiograph, wide: int = MOST_SIDE, tall: int = MOST_SIDE, part: str = ""
+) -> tuple[bytes, dict[str, Any]]:
     """Grey values of a frame, little endian, row by row, and what the page needs to know of them and of the view.
 
     Parameters
     ----------
-    most : pixels that the longer side is sent with at most; where there are more, means of them are sent.
+    wide, tall : the most columns and rows that are sent; where there are more, means of them are.
     part : "left,top,right,bottom", whole pixels, the last two not in it; "": the whole frame.
 
     Raises
@@ -42,13 +44,13 @@ def picture(radiograph: Radiograph, most: int = MOST_SIDE, part: str = "") -> tu
     import cv2
 
     pixels = radiograph.pixels
-    if not LEAST_SIDE <= most <= MOST_SIDE:
-        raise SubjectError(f"a picture of {most} pixels; wanted {LEAST_SIDE} to {MOST_SIDE}")
+    if not (LEAST_SIDE <= wide <= MOST_SIDE and LEAST_SIDE <= tall <= MOST_SIDE):
+        raise SubjectError(f"a picture of {wide} x {tall} pixels; wanted {LEAST_SIDE} to {MOST_SIDE}")
     left, top, right, bottom = _box(part, pixels.shape)
     # Of the whole frame: parts of it are shown beside each other.
     low, high = float(pixels.min()), float(pixels.max())
     shown = pixels[top:bottom, left:right]
-    share = most / max(shown.shape)
+    share = min(wide / shown.shape[1], tall / shown.shape[0])
     if share < 1.0:
         size = (max(1, round(shown.shape[1] * share)), max(1, round(shown.shape[0] * share)))
         shown = np.asarray(cv2.resize(shown, size, interpolation=cv2.INTER_AREA), dtype=np.float32)

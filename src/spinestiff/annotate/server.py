@@ -59,8 +59,10 @@ def application(session: AnnotationSession) -> FastAPI:
         return session_record(session)
 
     @app.get("/api/radiograph")
-    def radiograph(image: str, frame: int = 0, most: int = MOST_SIDE, part: str = "") -> Response:
-        content, about = picture(frame_of(session, image, frame), most, part)
+    def radiograph(
+        image: str, frame: int = 0, wide: int = MOST_SIDE, tall: int = MOST_SIDE, part: str = ""
+    ) -> Response:
+        content, about = picture(frame_of(session, image, frame), wide, tall, part)
         return Response(content, media_type="application/octet-stream", headers={"x-radiograph": json.dumps(about)})
 
     @app.put("/api/annotation")

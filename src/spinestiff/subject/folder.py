@@ -19,7 +19,7 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError, SubjectGaps
 from spinestiff.files import check_output, regular_file, regular_files, write_json
-from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_HEADER_BYTES
+from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_HEADER_BYTES, MOST_MAPPED_BYTES
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.subject.gaps import Gap, read_open_record
 from spinestiff.subject.records import (
@@ -196,12 +196,14 @@ def read_unannotated(folder: str | Path) -> Subject:
     return Subject(folder, record, bare, _unusual(record), gaps)
 
 
-def check_radiograph_path(subject: Subject, image: str) -> None:
+def check_radiograph_path(subject: Subject, image: str, one_by_one: bool = False) -> None:
     """Raise SubjectError unless the radiograph of an image is there: files inside the subject folder, none too large.
 
-    A file is told from a pipe, a device and a link that leads elsewhere; it is not opened.
+    A file is told from a pipe, a device and a link that leads elsewhere; it is not opened. ``one_by_one``: it may be as
+    large as a file of which single frames are read (``open_push``).
     """
-    _check_input(subject, subject.image_path(image), f"the radiograph of {image}")
+    most = MOST_MAPPED_BYTES + MOST_HEADER_BYTES if one_by_one else MOST_INPUT_BYTES
+    _check_input(subject, subject.image_path(image), f"the radiograph of {image}", most)
 
 
 def write_subject(folder: str | Path, record: SubjectRecord) -> None:
@@ -478,7 +480,7 @@ def check_output_beside(folder: Path, path: Path, option: str, *, force: bool) -
     check_output(path, option, inputs=inputs, closed=folder, but=results, force=force)
 
 
-def _check_input(subject: Subject, path: Path, what: str) -> None:
+def _check_input(subject: Subject, path: Path, what: str, most: int = MOST_INPUT_BYTES) -> None:
     """Raise SubjectError unless a file, or each file of a folder, may be read and no step writes there."""
     folder, results = subject.folder, subject.results
     if not os.path.lexists(path):
@@ -488,7 +490,7 @@ def _check_input(subject: Subject, path: Path, what: str) -> None:
         if not files:
             raise SubjectError(f"{path}: found an empty folder, wanted {what}")
     else:
-        regular_file(path, SubjectError, within=folder, cap_bytes=MOST_INPUT_BYTES)
+        regular_file(path, SubjectError, within=folder, cap_bytes=most)
     if path.resolve().is_relative_to(results.resolve()) or results.resolve().is_relative_to(path.resolve()):
         raise SubjectError(f"{path}: lies where results are written ({results}); move it elsewhere in the folder")
 

@@ -59,8 +59,8 @@ export const importFile = (name: string, text: string, image: string): Promise<{
   send("POST", "/api/import", { name, text, image });
 export const exportFile = async (form: string): Promise<Blob> => (await ask("GET", `/api/export?${query({ form })}`)).blob();
 
-export async function radiograph(image: string, frame: number, most: number, part?: readonly number[]): Promise<Grey> {
-  const answer = await ask("GET", `/api/radiograph?${query({ image, frame, most, ...(part ? { part: part.join() } : {}) })}`);
+export async function radiograph(image: string, frame: number, [wide, tall]: Point, part?: readonly number[]): Promise<Grey> {
+  const answer = await ask("GET", `/api/radiograph?${query({ image, frame, wide, tall, ...(part ? { part: part.join() } : {}) })}`);
   const about = JSON.parse(answer.headers.get("x-radiograph") ?? "{}") as Omit<Grey, "levels">;
   // Sent little endian, which is the order of every machine that runs a browser.
   return { ...about, levels: new Uint16Array(await answer.arrayBuffer()) };

@@ -10,7 +10,7 @@ import { Stage } from "./stage";
 export type Tool = "move" | "spine" | "pedicle" | Support;
 export interface Says { saved(state: string, words: string): void; problem(words: string, gone?: () => boolean): void; aloud(words: string): void; refresh(): void }
 
-const JUDGE_MS = 60, DETAIL_MS = 120, SCREEN_STEP = 256;
+const JUDGE_MS = 60, DETAIL_MS = 120, SCREEN_STEP = 64;
 
 export class App {
   readonly names: string[];
@@ -86,10 +86,11 @@ export class App {
     this.after();
   }
 
-  /** Pixels that the screen can show of a radiograph's longer side while all of it is in sight. */
-  private get screen(): number {
+  /** Columns and rows that the screen can show. */
+  private get screen(): Point {
     const { clientWidth, clientHeight } = this.stage.canvas;
-    return Math.min(4096, SCREEN_STEP * Math.ceil((Math.max(clientWidth, clientHeight) * devicePixelRatio) / SCREEN_STEP));
+    const steps = (size: number): number => Math.min(4096, SCREEN_STEP * Math.max(1, Math.ceil((size * devicePixelRatio) / SCREEN_STEP)));
+    return [steps(clientWidth), steps(clientHeight)];
   }
 
   /** Where the screen shows more than was sent, fetch that part finer, once the view rests. */
@@ -373,6 +374,7 @@ export class App {
   private async judge(): Promise<void> {
     const { marks, key } = this;
     try {
+      if (!Object.keys(this.seen.vertebrae).length) throw new Error("nothing to judge");
       const found = await api.judge(this.image.name, { ...NOTHING, vertebrae: this.seen.vertebrae });
       if (key === this.key) { this.cobb = found.cobb; this.curves = found.curves; this.judged = found.problem; }
     } catch {

@@ -1,5 +1,6 @@
 // Radiographs as they were sent, kept while there is room, and the frames beside the one in sight fetched ahead.
 import { type Grey, radiograph } from "./api";
+import type { Point } from "./marks";
 
 const MOST_BYTES = 384 * 2 ** 20, SIDE_BY_SIDE = 2;
 
@@ -9,9 +10,9 @@ export class Pictures {
   private bytes = 0;
   private round = 0;
 
-  /** A frame no finer than ``most`` pixels on its longer side. */
-  async get(image: string, frame: number, most: number): Promise<Grey> {
-    const key = `${image}\n${frame}\n${most}`, there = this.kept.get(key);
+  /** A frame of at most so many columns and rows. */
+  async get(image: string, frame: number, most: Point): Promise<Grey> {
+    const key = `${image}\n${frame}\n${most.join()}`, there = this.kept.get(key);
     if (there) {
       // The last that was used goes last.
       this.kept.delete(key);
@@ -35,7 +36,7 @@ export class Pictures {
   }
 
   /** Fetch the other frames, the nearest first, until there is no room or something else is asked for. */
-  async ahead(image: string, frame: number, count: number, most: number): Promise<void> {
+  async ahead(image: string, frame: number, count: number, most: Point): Promise<void> {
     const round = ++this.round, first = await this.get(image, frame, most);
     const room = Math.floor(MOST_BYTES / first.levels.byteLength) - 1;
     const order = [...Array(count).keys()].sort((a, b) => Math.abs(a - frame) - Math.abs(b - frame)).slice(1, room);

@@ -11,7 +11,7 @@ export interface Shown {
   marks: ImageMarks; selection: Selection | null; names: readonly string[]; cobb: Cobb | null; tracked: TrackedFrame | null;
   cursor: Point | null; show: boolean; spine: boolean; lowest: number; unseen: readonly string[];
 }
-interface Wanted { part: [number, number, number, number]; most: number }
+interface Wanted { part: [number, number, number, number]; most: Point }
 interface Patch { grey: Grey; picture: HTMLCanvasElement }
 
 export class Stage {
@@ -66,8 +66,9 @@ export class Stage {
       const [wide, high] = [part[2] - part[0], part[3] - part[1]], enough = 0.9 * Math.min(1, per);
       if (wide < 2 || high < 2 || enough <= grey.shown[0] / grey.columns) return [];
       const there = this.patches.some(({ grey: { part: p, shown } }) => p[0] <= part[0] && p[1] <= part[1] && p[2] >= part[2] && p[3] >= part[3] && shown[0] / (p[2] - p[0]) >= enough);
-      return there ? [] : [{ part, most: Math.min(8192, Math.max(16, Math.ceil(Math.max(wide, high) * Math.min(1, per)))) }];
+      return there ? [] : [{ part, most: [sent(wide, per), sent(high, per)] }];
     };
+    const sent = (size: number, per: number): number => Math.min(8192, Math.max(16, Math.ceil(size * Math.min(1, per))));
     const near = LOUPE / LOUPE_ZOOM;
     return [
       ...ask(this.toPixel([0, 0]), this.toPixel([clientWidth, clientHeight]), fine),
@@ -220,7 +221,8 @@ export class Stage {
     c.fillRect(0, 0, this.canvas.clientWidth, this.canvas.clientHeight);
     if (!this.grey) return;
     c.imageSmoothingEnabled = this.scale < 4;
-    c.imageSmoothingQuality = "high";
+    // What was sent fits the screen; only a picture that is shown smaller than that needs more than two pixels' mean.
+    c.imageSmoothingQuality = this.grey.shown[0] > 1.5 * this.grey.columns * this.scale * ratio ? "high" : "low";
     this.expose();
     this.onview();
     const shown = this.shown;

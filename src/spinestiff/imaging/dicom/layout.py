@@ -14,8 +14,6 @@ MOST_PIXELS_A_SIDE = 8192
 MOST_FRAMES = 128
 
 NATIVE = ("1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.2", "1.2.840.10008.1.2.1.99")
-LITTLE_ENDIAN = NATIVE[:2]
-"""Uncompressed and not deflated, in the order of bytes that machines have."""
 RLE = "1.2.840.10008.1.2.5"
 JPEG_BASELINE = "1.2.840.10008.1.2.4.50"
 JPEG_EXTENDED = "1.2.840.10008.1.2.4.51"

@@ -11,9 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 from spinestiff.errors import RadiographError
 from spinestiff.files import regular_file
 from spinestiff.imaging.dicom.decoding import decoded, whole_bits
-from spinestiff.imaging.dicom.files import MOST_BYTES, declared_modality, one_clear_line, read_dataset, read_header
+from spinestiff.imaging.dicom.files import (
+    MOST_BYTES,
+    MOST_MAPPED_BYTES,
+    declared_modality,
+    one_clear_line,
+    read_dataset,
+    read_header,
+)
 from spinestiff.imaging.dicom.greys import DisplayCurve, bone_bright
-from spinestiff.imaging.dicom.layout import LITTLE_ENDIAN, Layout, check_modality, check_native, checked_layout
+from spinestiff.imaging.dicom.layout import Layout, check_modality, check_native, checked_layout
 from spinestiff.imaging.dicom.millimetres import Distances, Geometry, Spacing, distances, spacing
 from spinestiff.imaging.dicom.orientation import Directions, directions
 from spinestiff.imaging.dicom.tags import MissingValue, Tags, code, coded_word, read_tags
@@ -21,8 +28,6 @@ from spinestiff.imaging.projection import XRayView, placed_view
 
 LEAST_BYTES = 16 * 1024**2
 """Smaller files are read whole: that is quick enough."""
-MOST_MAPPED_BYTES = 4 * 1024**3
-"""Of pixels in a file of which one frame at a time is read."""
 
 
 @dataclass(frozen=True)
@@ -122,11 +127,12 @@ def read_frames(path: Path, given: Geometry, within: Path | None = None) -> Fram
     if status.st_size < LEAST_BYTES:
         return None
     with one_clear_line(path.name):
-        dataset, start, length = read_header(path)
+        header = read_header(path)
+        if header is None:
+            return None
+        dataset, start, length = header
         check_modality(code(dataset, "Modality"))
         tags = read_tags(dataset)
-        if tags.syntax not in LITTLE_ENDIAN:
-            return None
         layout = checked_layout(tags, MOST_MAPPED_BYTES)
         check_native(layout, length)
         far, pitch, axes, missing = _known(tags, given)
