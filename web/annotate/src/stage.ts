@@ -5,7 +5,7 @@ import { centre, type ImageMarks, type Point, type Quad, type Selection, selecte
 // Blue, orange, yellow and white of the Okabe-Ito set; shape and width tell the same as colour does.
 const MARK = "#56b4e9", CHOSEN = "#ffb000", ANGLE = "#f0e442", TRACKED = "#ffffff", HALO = "rgba(0,0,0,.75)";
 // A finger covers more than a mouse points at. Of a small vertebra corners take less, so that its middle stays free.
-const HANDLE = 4.5, REACH = 11, FINGER = 24, OF_A_SIDE = 0.4, LOUPE = 150, LOUPE_ZOOM = 4, RING = 9, MOST_PATCHES = 4;
+const HANDLE = 4.5, REACH = 11, FINGER = 24, OF_A_SIDE = 0.4, LOUPE = 150, LOUPE_ZOOM = 4, RING = 10, MOST_PATCHES = 4;
 
 export interface Shown {
   marks: ImageMarks; selection: Selection | null; names: readonly string[]; cobb: Cobb | null; tracked: TrackedFrame | null;
