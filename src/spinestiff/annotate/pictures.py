@@ -10,7 +10,7 @@ import numpy as np
 from spinestiff.annotate.session import AnnotationSession
 from spinestiff.errors import SubjectError
 from spinestiff.imaging.features import picture_axes, view_kind
-from spinestiff.imaging.radiograph import Radiograph
+from spinestiff.imaging.radiograph import Radiograph, shrunk
 
 GREY_LEVELS = 65535
 LEAST_SIDE, MOST_SIDE = 16, 8192
@@ -41,8 +41,6 @@ def picture(
     ------
     SubjectError : a part outside the frame, a side of no sensible size.
     """
-    import cv2
-
     pixels = radiograph.pixels
     if not (LEAST_SIDE <= wide <= MOST_SIDE and LEAST_SIDE <= tall <= MOST_SIDE):
         raise SubjectError(f"a picture of {wide} x {tall} pixels; wanted {LEAST_SIDE} to {MOST_SIDE}")
@@ -50,10 +48,7 @@ def picture(
     # Of the whole frame: parts of it are shown beside each other.
     low, high = float(pixels.min()), float(pixels.max())
     shown = pixels[top:bottom, left:right]
-    share = min(wide / shown.shape[1], tall / shown.shape[0])
-    if share < 1.0:
-        size = (max(1, round(shown.shape[1] * share)), max(1, round(shown.shape[0] * share)))
-        shown = np.asarray(cv2.resize(shown, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    shown = shrunk(shown, wide, tall)
     grey = np.rint((shown - low) * np.float32(GREY_LEVELS / max(high - low, 1e-9))).astype("<u2")
     first, up = picture_axes(radiograph.view)
     step = max(1, max(grey.shape) // 512)

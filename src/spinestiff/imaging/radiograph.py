@@ -41,6 +41,7 @@ __all__ = [
     "open_radiographs",
     "read_radiographs",
     "read_scans",
+    "shrunk",
     "times_of",
     "world_from_lps",
     "write_radiographs",
@@ -167,6 +168,17 @@ class _OneByOne(Sequence[Radiograph]):
                 self._kept.popitem(last=False)
             return found
         return self._kept[index]
+
+
+def shrunk(pixels: NDArray[np.float32], wide: int, tall: int) -> NDArray[np.float32]:
+    """Pixels (H, W) as means over equal cells, ``wide`` columns and ``tall`` rows at most, in the same proportions."""
+    import cv2
+
+    share = min(wide / pixels.shape[1], tall / pixels.shape[0])
+    if share >= 1.0:
+        return pixels
+    size = (max(1, round(pixels.shape[1] * share)), max(1, round(pixels.shape[0] * share)))
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
 def times_of(scans: tuple[Scan, ...]) -> tuple[float | None, ...]:
