@@ -21,8 +21,8 @@ import csv
 import datetime
 import tempfile
 import time
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import cv2
@@ -34,7 +34,7 @@ from spinestiff.anatomy.template.sizes import VERTEBRA_SIZES
 from spinestiff.files import read_json, write_json
 from spinestiff.imaging.features import view_kind
 from spinestiff.imaging.projection import frontal_view
-from spinestiff.imaging.proposal import propose_boxes
+from spinestiff.imaging.proposal import leans_of, propose_boxes
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.study.synthetic import Recipe, SyntheticPush, synthesise
 from spinestiff.subject.folder import read_push, read_rest, read_subject
@@ -69,7 +69,10 @@ REAL_ROWS = (0, 60, 240, 300, 360)
 
 @dataclass(frozen=True)
 class Case:
-    """A radiograph, the corners (n, 4, 2) in pixels that are wanted, and mm of the person a pixel."""
+    """A radiograph, the corners (n, 4, 2) in pixels that are wanted, and mm of the person a pixel.
+
+    ``leans`` : of a lateral one, how vertebrae lean to the side, as a frontal one that was marked before tells.
+    """
 
     name: str
     kind: str
@@ -77,6 +80,11 @@ class Case:
     vertebrae: tuple[str, ...]
     corners: np.ndarray
     mm: float
+    leans: Mapping[str, float] = field(default_factory=dict)
+
+    def proposed(self, clicks: np.ndarray, kept: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
+        """Boxes as the page proposes them."""
+        return propose_boxes(self.radiograph, clicks, self.vertebrae, kept, self.leans)
 
     @property
     def group(self) -> str:
@@ -145,9 +153,9 @@ def measured(case: Case) -> tuple[dict[str, object], np.ndarray]:
     """Errors of the first proposal, also in mm one by one, and the work at each tolerance."""
     clicks = clicked(case)
     began = time.perf_counter()
-    first = propose_boxes(case.radiograph, clicks, case.vertebrae)
+    first = case.proposed(clicks)
     seconds = time.perf_counter() - began
-    others = [propose_boxes(case.radiograph, clicked(case, draw), case.vertebrae) for draw in range(1, DRAWS)]
+    others = [case.proposed(clicked(case, draw)) for draw in range(1, DRAWS)]
     away = np.linalg.norm(np.array([first, *others]) - case.corners, axis=3) * case.mm
     limits = TOLERANCES_MM[case.kind]
     row = {
@@ -181,7 +189,7 @@ def least_work(case: Case, clicks: np.ndarray, first: np.ndarray, limit: float) 
     ways = [counted(case, first, limit, proposals=1)]
     for chosen, put_right, whole, single in guides(case, first, limit):
         kept = {case.vertebrae[i]: put_right[i] for i in chosen}
-        again = counted(case, propose_boxes(case.radiograph, clicks, case.vertebrae, kept), limit, proposals=2)
+        again = counted(case, case.proposed(clicks, kept), limit, proposals=2)
         ways.append(total(limit, 2, whole + again.whole, single + again.single, len(case.vertebrae)))
     return min(ways, key=lambda work: work.seconds)
 
@@ -235,10 +243,12 @@ def synthetic_cases(folder: Path, name: str = "") -> list[Case]:
         push.image: read_push(subject, push)[0],
     }
     cases = []
+    front = subject.annotation.images["rest/frontal"].vertebrae
     for image, radiograph in pictures.items():
         marks = subject.annotation.images[image]
         mm = float((radiograph.view.pixel_spacing / radiograph.view.magnification).mean())
-        cases.append(Case(f"{name}{image}", "synthetic", radiograph, tuple(marks.vertebrae), marks.pixels(), mm))
+        leans = {} if view_kind(radiograph.view) == "frontal" else leans_of(pictures["rest/frontal"].view, front)
+        cases.append(Case(f"{name}{image}", "synthetic", radiograph, tuple(marks.vertebrae), marks.pixels(), mm, leans))
     return cases
 
 

@@ -15,7 +15,7 @@ from spinestiff.anatomy.template.sizes import VERTEBRA_SIZES
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.expected_spine import ExpectedSpine
 from spinestiff.imaging.projection import frontal_view, lateral_view
-from spinestiff.imaging.proposal import propose_boxes
+from spinestiff.imaging.proposal import leans_of, propose_boxes
 from spinestiff.imaging.radiograph import Radiograph
 
 CLICKED = ("T1", "T5", "T8", "T11", "L2", "L5")
@@ -86,6 +86,31 @@ def test_outlines_are_expected_as_kyphosis_and_lordosis_show_them():
     assert bodies[leaning] > 1.1
     assert (np.diff(expected.places) > -1.0).all()
     assert abs(expected.tilts).max() < 0.01  # from the front a spine without a curve has level endplates
+
+
+def test_from_the_side_a_vertebra_that_leans_is_expected_taller():
+    """By half its width times the lean's sine above and below, about; and its disc by as much lower."""
+    view, middle = lateral_view(shape=(640, 448), pixel=0.8), np.array([224.0, 320.0])
+    upright = ExpectedSpine.of(VERTEBRAE, view, middle)
+    leaning = ExpectedSpine.of(VERTEBRAE, view, middle, {"L1": 0.3, "L2": 0.4, "L3": 0.3, "T12": 0.0, "L4": 0.0})
+    taller = (np.diff(leaning.places) - np.diff(upright.places))[::2]
+    level = VERTEBRAE.index("L2")
+    width, _, _, _, height, _ = VERTEBRA_SIZES[level]
+    # The rim is an ellipse: it reaches out by the root of both squares, less the height that it had upright.
+    assert 0.3 * width * np.sin(0.4) < taller[level] < width * np.sin(0.4) + height * (np.cos(0.4) - 1.0) + 0.5
+    assert np.diff(leaning.places)[2 * level + 1] < np.diff(upright.places)[2 * level + 1] - 3.0
+    assert np.abs(taller[: VERTEBRAE.index("T11")]).max() < 0.3
+
+
+def test_leans_are_those_of_the_marks():
+    drawn = phantom(bend=20.0)
+    found = leans_of(radiograph(drawn).view, drawn.named())
+    across = drawn.quads[:, 0] - drawn.quads[:, 1]
+    # Rows of pixels grow downward.
+    upper = np.arctan2(-across[:, 1], across[:, 0])
+    assert list(found) == list(VERTEBRAE)
+    np.testing.assert_allclose(list(found.values()), upper, atol=np.radians(6.0))
+    assert np.ptp(upper) > 0.3
 
 
 def test_the_order_of_the_clicks_does_not_matter():

@@ -82,7 +82,8 @@ def application(session: AnnotationSession) -> FastAPI:
         shown = frame_of(session, asked.image, asked.frame)
         names = VERTEBRAE[VERTEBRAE.index(asked.upper) : VERTEBRAE.index(asked.lower) + 1]
         kept: dict[str, Floats] = {name: np.array(quad) for name, quad in asked.kept.items()}
-        boxes = propose_boxes(shown, np.array(asked.points, dtype=float).reshape(-1, 2), names, kept)
+        points = np.array(asked.points, dtype=float).reshape(-1, 2)
+        boxes = propose_boxes(shown, points, names, kept, session.leans(asked.image))
         return {"vertebrae": {name: quad.round(2).tolist() for name, quad in zip(names, boxes)}}
 
     @app.post("/api/import")

@@ -22,6 +22,7 @@ from spinestiff.errors import RadiographError, SpinestiffError, SubjectError
 from spinestiff.files import write_json
 from spinestiff.imaging.features import picture_axes, view_kind
 from spinestiff.imaging.projection import XRayView
+from spinestiff.imaging.proposal import leans_of
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.subject.folder import (
     Subject,
@@ -52,6 +53,7 @@ from spinestiff.words import counted
 
 # Images whose frames stay in memory; a push of 1024 x 1024 has a few megabytes a frame.
 KEPT = 3
+FRONTAL = "rest/frontal"
 SHOWN = 3
 """Of the values that subject.json does not know yet; ``spinestiff inspect`` lists all."""
 
@@ -191,6 +193,13 @@ class AnnotationSession:
             if image not in self._views:
                 self._views[image] = self.frames(name)[0].view
             return self._views[image]
+
+    def leans(self, name: str) -> dict[str, float]:
+        """How far vertebrae lean to the side, rad, as the frontal rest radiograph's marks tell a lateral radiograph."""
+        front = self.marks.get(FRONTAL, DraftImage()).vertebrae
+        if not front or FRONTAL not in self.images or view_kind(self.view(name)) != "lateral":
+            return {}
+        return leans_of(self.view(FRONTAL), {str(level): quad for level, quad in front.items()})
 
     def annotated(self) -> Subject:
         """The subject with what is complete of its annotation."""

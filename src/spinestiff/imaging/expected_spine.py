@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.template.sizes import VERTEBRA_SIZES
 from spinestiff.anatomy.template.vertebrae import build_spine, vertebra_boxes
 from spinestiff.arrays import Floats
@@ -48,8 +49,13 @@ class ExpectedSpine:
         return float(0.5 * (self.places[-2:].sum() - self.places[:2].sum()))
 
     @staticmethod
-    def of(vertebrae: Sequence[str], view: XRayView, middle: Floats) -> ExpectedSpine:
+    def of(
+        vertebrae: Sequence[str], view: XRayView, middle: Floats, leans: Mapping[str, float] | None = None
+    ) -> ExpectedSpine:
         """The template as it is seen in ``view`` with the middle of these vertebrae about the pixel ``middle`` (2,).
+
+        ``leans``: how far vertebrae lean to the side, rad, as a frontal radiograph tells; others lean as their
+        neighbours do, or not. From the side a vertebra that leans looks taller, and its disc lower.
 
         Raises
         ------
@@ -59,7 +65,7 @@ class ExpectedSpine:
         if len(rows) != len(vertebrae) or len(rows) < 2 or (np.diff(rows) != 1).any():
             raise TrackingError(f"can't propose {', '.join(vertebrae) or 'nothing'}; wanted two or more neighbours")
         kind = view_kind(view)
-        corners = _template_outline(view, kind, rows, middle)
+        corners = _template_outline(view, kind, rows, middle, _leans(vertebrae, leans or {}))
         middles = corners.mean(axis=1)
         # A curve needs three points.
         line = middles if len(middles) > 2 else np.stack([middles[0], middles.mean(axis=0), middles[1]])
@@ -73,10 +79,23 @@ class ExpectedSpine:
         return ExpectedSpine(plates[:, 0] - slope * plates[:, 1], np.arctan(slope), 0.5 * widths, DEPTHS[kind])
 
 
-def _template_outline(view: XRayView, kind: str, rows: Sequence[int], middle: Floats) -> Floats:
+def _leans(vertebrae: Sequence[str], known: Mapping[str, float]) -> Floats:
+    """(n,) rad; between known ones in proportion, beyond them as the last."""
+    found = [i for i, name in enumerate(vertebrae) if name in known]
+    if not found:
+        return np.zeros(len(vertebrae))
+    return np.interp(np.arange(len(vertebrae)), found, [known[vertebrae[i]] for i in found])
+
+
+def _template_outline(view: XRayView, kind: str, rows: Sequence[int], middle: Floats, leans: Floats) -> Floats:
     """(n, 4, 2) pixels of the template's vertebrae in the order of ``VertebraCorners``, their middle at a pixel."""
     spine = build_spine()
-    centres, turns = spine.centres[rows], spine.rotations[rows]
+    turns = exp_so3(np.multiply.outer(leans, [0.0, 0.0, 1.0])) @ spine.rotations[rows]
+    # Vertebrae follow each other along the spine, of which a view from the side sees less where it leans.
+    steps = np.diff(spine.centres[rows], axis=0) * np.cos(0.5 * (leans[1:] + leans[:-1]))[:, None] ** np.array(
+        [0, 1, 0]
+    )
+    centres = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
     plane = view.to_patient_plane(view.from_pixels(middle))
     place = view.source + view.source_to_patient * view.normal + plane @ view.detector_axes
     centres = centres + place - 0.5 * (centres[0] + centres[-1])

@@ -17,12 +17,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 
 from spinestiff.arrays import Floats
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.expected_spine import ExpectedSpine
 from spinestiff.imaging.features import picture_axes
+from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.straightening import STEP, SpineCurve, Strip
 
@@ -68,6 +70,7 @@ def propose_boxes(
     points: Floats,
     vertebrae: Sequence[str],
     kept: Mapping[str, Floats] | None = None,
+    leans: Mapping[str, float] | None = None,
 ) -> Floats:
     """Boxes (n, 4, 2) in pixels, in the corner order of ``VertebraCorners``, for n vertebrae head to foot.
 
@@ -79,6 +82,7 @@ def propose_boxes(
     vertebrae : names, neighbours of each other.
     kept : boxes (4, 2) that stay as they are and guide the others: where levels lie, and how far beside the picture's
         edges this person sets corners.
+    leans : of a lateral radiograph, how far vertebrae lean to the side, rad, where a frontal one was marked before.
 
     Raises
     ------
@@ -86,7 +90,7 @@ def propose_boxes(
     """
     first, up = picture_axes(radiograph.view)
     clicks = _checked(radiograph, points, up)
-    expected = ExpectedSpine.of(vertebrae, radiograph.view, 0.5 * (clicks[0] + clicks[-1]))
+    expected = ExpectedSpine.of(vertebrae, radiograph.view, 0.5 * (clicks[0] + clicks[-1]), leans)
     curve = SpineCurve.through(clicks, first)
     scale = curve.length / expected.length
     strip = Strip.along(radiograph.pixels, curve, scale, expected.length)
@@ -117,6 +121,17 @@ def propose_boxes(
         if name in vertebrae:
             boxes[list(vertebrae).index(name)] = quad
     return boxes
+
+
+def leans_of(view: XRayView, vertebrae: Mapping[str, ArrayLike]) -> dict[str, float]:
+    """How far vertebrae, marked in a frontal view by four pixels each, lean to the side, rad (``propose_boxes``)."""
+    first, up = picture_axes(view)
+    found = {}
+    for name, quad in vertebrae.items():
+        a, b, c, d = np.asarray(quad, dtype=float)
+        across = a + d - b - c
+        found[name] = float(np.arctan2(across @ up, across @ first))
+    return found
 
 
 def _middle(strip: Strip, expected: ExpectedSpine, clicks: Floats) -> Floats:
@@ -198,7 +213,8 @@ def _sequence(expected: ExpectedSpine, unary: list[Floats], s: list[Floats], a: 
     total, back = unary[0], []
     for k in range(1, len(unary)):
         gap = expected.places[k] - expected.places[k - 1]
-        sd = BODY_SD * gap if k % 2 else DISC_SD * gap + 0.4
+        # Where vertebrae lean, discs are seen as no gap at all.
+        sd = BODY_SD * gap if k % 2 else DISC_SD * max(gap, 0.0) + 0.4
         by_tilt = (
             0.5
             * ((a[k][:, None] - a[k - 1][None] - expected.tilts[k] + expected.tilts[k - 1]) / WEDGE_SD[(k + 1) % 2])
