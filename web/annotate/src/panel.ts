@@ -230,7 +230,7 @@ export class Panel {
     const source = frame === 0 ? "marked" : here ? `${here} corrected, the others tracked` : app.tracked ? "tracked" : "not tracked yet";
     const own = app.marks.vertebrae, tracked = Object.entries(app.tracked?.quality ?? {}).filter(([name]) => !(name in own));
     const doubtful = tracked.flatMap(([, quality]) => quality).filter((q) => q < app.session.lowest_quality).length;
-    put("frame-text", `${words_}: ${source}${doubtful ? `, ${doubtful} corners doubtful or lost` : ""}`);
+    put("frame-text", `Frame ${words_}: ${source}${doubtful ? `, ${doubtful} corners doubtful or lost` : ""}`);
     need<HTMLButtonElement>("frame-back").disabled = frame === 0;
     need<HTMLButtonElement>("frame-on").disabled = frame === count - 1;
     const running = state?.state === "running", bar = need<HTMLProgressElement>("track-progress");

@@ -294,7 +294,7 @@ export class Stage {
   }
 
   private handle(p: Point, chosen: boolean): void {
-    const c = this.context, [x, y] = this.toPlace(p), size = chosen ? HANDLE + 3.5 : HANDLE + 1;
+    const c = this.context, [x, y] = this.toPlace(p), size = chosen ? HANDLE + 3 : HANDLE;
     // Hollow: what it marks stays in sight.
     for (const [colour, width] of [[HALO, chosen ? 5 : 3.4], [CHOSEN, chosen ? 2.6 : 1.6]] as const) {
       c.strokeStyle = colour;
