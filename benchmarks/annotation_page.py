@@ -60,6 +60,7 @@ def main() -> None:
         "side": given.side,
         "frames": given.frames,
         "processors": os.cpu_count(),
+        "niceness": os.nice(0) if hasattr(os, "nice") else 0,
         "windows": rows,
     }
     write_json(given.out, found)
