@@ -11,6 +11,9 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.template.sizes import VERTEBRA_SIZES
 
 SCALE = 4
+# How hollow endplates and walls ("first" side, other side) are midway between two corners, mm.
+ENDPLATE = 0.6
+WALLS = {"frontal": (0.9, 0.9), "lateral": (1.5, 2.9)}
 
 
 @dataclass(frozen=True)
@@ -71,14 +74,27 @@ def phantom(
             cv2.polylines(ribs, [np.round(bow).astype(np.int32)], False, 0.22, 4, cv2.LINE_AA)
     bodies = np.zeros(shape, np.float32)
     for quad in quads:
-        shifted = np.round((quad + 0.5) * 2**SCALE - 2 ** (SCALE - 1)).astype(np.int32)
+        shifted = np.round((outline(quad, kind, mm) + 0.5) * 2**SCALE - 2 ** (SCALE - 1)).astype(np.int32)
         body, wall = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        cv2.fillConvexPoly(body, shifted, 0.35, cv2.LINE_AA, SCALE)
+        cv2.fillPoly(body, [shifted], 0.35, cv2.LINE_AA, SCALE)
         cv2.polylines(wall, [shifted], True, 0.12, 1, cv2.LINE_AA, SCALE)
         bodies += body + wall
     whole = cv2.GaussianBlur(picture + ribs + bodies, (0, 0), 0.7)
     whole += noise * cv2.GaussianBlur(rng.standard_normal(shape).astype(np.float32), (0, 0), 0.6)
     return Phantom(whole, quads)
+
+
+def outline(quad: np.ndarray, kind: str, mm: float) -> np.ndarray:
+    """(40, 2) pixels around a vertebral body whose sides are hollow between its corners (4, 2)."""
+    share = np.linspace(0.0, 1.0, 10, endpoint=False)[:, None]
+    sides = []
+    for i, depth in enumerate((ENDPLATE, WALLS[kind][1], ENDPLATE, WALLS[kind][0])):
+        start, end = quad[i], quad[(i + 1) % 4]
+        along = (end - start) / np.linalg.norm(end - start)
+        inward = np.array([along[1], -along[0]])
+        inward *= np.sign((quad.mean(axis=0) - start) @ inward)
+        sides.append(start + share * (end - start) + 4.0 * share * (1.0 - share) * depth / mm * inward)
+    return np.concatenate(sides)
 
 
 def sixteen_bit(pixels: np.ndarray) -> np.ndarray:

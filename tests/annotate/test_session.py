@@ -66,6 +66,29 @@ def test_few_vertebrae_wait_in_a_draft_and_come_back(session):
     assert AnnotationSession(session.subject.folder).marks == {"rest/frontal": eight}
 
 
+def test_a_proposal_waits_in_the_draft_until_every_vertebra_was_looked_at(session):
+    proposed = marked("rest/frontal").model_copy(update={"unseen": ("T1", "L5")})
+    session.save(draft(rest__frontal=proposed), 0)
+    assert on_disk(session) == {"subject.json", "annotation.draft.json"}
+    assert "rest/frontal: 2 of 17 vertebrae are proposed and not looked at yet" in session.missing(session.marks)
+    assert AnnotationSession(session.subject.folder).marks["rest/frontal"].unseen == ("T1", "L5")
+    # What is no longer there needs no look.
+    gone = {name: quad for name, quad in proposed.vertebrae.items() if name != "L5"}
+    seen = proposed.model_copy(update={"unseen": ("L5",), "vertebrae": gone})
+    session.save(draft(rest__frontal=seen), 1)
+    assert on_disk(session) == {"subject.json", "annotation.json"}
+    assert "unseen" not in session.annotation_path.read_text(encoding="utf-8")
+
+
+def test_a_lateral_proposal_is_told_how_vertebrae_lean(session):
+    assert session.leans("rest/lateral") == {}
+    session.save(draft(rest__frontal=marked("rest/frontal", "T5", "T6")), 0)
+    leans = session.leans("rest/lateral")
+    quads = drawn("rest/frontal").named("T5")["T5"]
+    assert set(leans) == {"T5", "T6"} and session.leans("rest/frontal") == {} == session.leans("push/a")
+    assert leans["T5"] == pytest.approx(-(quads[0][1] - quads[1][1]) / (quads[0][0] - quads[1][0]), abs=0.1)
+
+
 def test_an_image_that_is_taken_apart_moves_to_the_draft_and_the_others_stay(session):
     session.save(whole(), 0)
     images = dict(session.marks) | {"push/a": marked("push/a", "T4")}

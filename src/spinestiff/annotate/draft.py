@@ -44,12 +44,14 @@ class DraftImage(_Strict):
     vertebrae : four corners each, in the order of ``ImageAnnotation``; any number of vertebrae.
     supports, pedicles : as in ``ImageAnnotation``.
     spine : points along the spine from which boxes are proposed.
+    unseen : of the vertebrae, those that were proposed and that nobody has looked at or moved yet.
     """
 
     vertebrae: dict[VertebraName, Corners] = {}
     supports: dict[Literal["pelvis", "shoulder"], Points] = {}
     pedicles: dict[VertebraName, Centres] = {}
     spine: Points = ()
+    unseen: Annotated[tuple[VertebraName, ...], Field(strict=False)] = ()
 
     @property
     def empty(self) -> bool:
@@ -57,8 +59,15 @@ class DraftImage(_Strict):
         return not (self.vertebrae or self.supports or self.pedicles or self.spine)
 
     def whole(self) -> ImageAnnotation:
-        """The image as ``annotation.json`` takes it. Raises SubjectError, in words, where it is not complete."""
-        marks = self.model_dump(mode="json", exclude={"spine"})
+        """The image as ``annotation.json`` takes it.
+
+        Raises
+        ------
+        SubjectError : in words, where it is not complete; a proposal that nobody has looked at is none.
+        """
+        if unseen := [name for name in self.vertebrae if name in self.unseen]:
+            raise SubjectError(f"{len(unseen)} of {len(self.vertebrae)} vertebrae are proposed and not looked at yet")
+        marks = self.model_dump(mode="json", exclude={"spine", "unseen"})
         marks["supports"] = {name: points for name, points in self.supports.items() if points}
         try:
             return ImageAnnotation.model_validate(marks)

@@ -86,10 +86,8 @@ def judged_record(judged: Judged) -> dict[str, Any]:
 
 def _curve_record(reading: CobbReading, curve: Curve) -> dict[str, Any]:
     return {
-        "degrees": curve.angle.degrees,
         "upper": curve.angle.upper,
         "lower": curve.angle.lower,
-        "convexity": reading.convexity(curve),
         "region": REGIONS[curve.region][1],
-        "half_width": curve.half_width_deg,
+        "words": reading.words(curve),
     }

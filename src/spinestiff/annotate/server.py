@@ -21,13 +21,12 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.annotate.exchange import Form, exported, imported
 from spinestiff.annotate.following import Follower, following_record
 from spinestiff.annotate.guard import Guard
+from spinestiff.annotate.pictures import MOST_SIDE, frame_of, picture
 from spinestiff.annotate.requests import Import, Judge, Propose, Save, Track, judged_record, sent
 from spinestiff.annotate.session import AnnotationSession, ChangedElsewhere
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError, SubjectError
-from spinestiff.imaging.features import picture_axes, view_kind
 from spinestiff.imaging.proposal import propose_boxes
-from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY
 from spinestiff.subject.records import LATERAL, REST_IMAGES
 
@@ -37,7 +36,6 @@ PAGE = {
     "/annotate.js": ("annotate.js", "text/javascript; charset=utf-8"),
     "/annotate.css": ("annotate.css", "text/css; charset=utf-8"),
 }
-GREY_LEVELS = 65535
 
 
 async def _body(request: Request) -> bytes:
@@ -61,8 +59,11 @@ def application(session: AnnotationSession) -> FastAPI:
         return session_record(session)
 
     @app.get("/api/radiograph")
-    def radiograph(image: str, frame: int = 0) -> Response:
-        return _picture(_frame(session, image, frame))
+    def radiograph(
+        image: str, frame: int = 0, wide: int = MOST_SIDE, tall: int = MOST_SIDE, part: str = ""
+    ) -> Response:
+        content, about = picture(frame_of(session, image, frame), wide, tall, part)
+        return Response(content, media_type="application/octet-stream", headers={"x-radiograph": json.dumps(about)})
 
     @app.put("/api/annotation")
     def save(body: Body) -> dict[str, Any]:
@@ -78,10 +79,11 @@ def application(session: AnnotationSession) -> FastAPI:
     @app.post("/api/propose")
     def propose(body: Body) -> dict[str, Any]:
         asked = sent(body, Propose)
-        shown = _frame(session, asked.image, asked.frame)
+        shown = frame_of(session, asked.image, asked.frame)
         names = VERTEBRAE[VERTEBRAE.index(asked.upper) : VERTEBRAE.index(asked.lower) + 1]
         kept: dict[str, Floats] = {name: np.array(quad) for name, quad in asked.kept.items()}
-        boxes = propose_boxes(shown, np.array(asked.points, dtype=float).reshape(-1, 2), names, kept)
+        points = np.array(asked.points, dtype=float).reshape(-1, 2)
+        boxes = propose_boxes(shown, points, names, kept, session.leans(asked.image))
         return {"vertebrae": {name: quad.round(2).tolist() for name, quad in zip(names, boxes)}}
 
     @app.post("/api/import")
@@ -185,31 +187,6 @@ def _shipped(path: str) -> Callable[[], Response]:
         return Response(files("spinestiff.annotate").joinpath("page", name).read_bytes(), media_type=kind)
 
     return page
-
-
-def _frame(session: AnnotationSession, image: str, frame: int) -> Radiograph:
-    frames = session.frames(image)
-    if not 0 <= frame < len(frames):
-        raise SubjectError(f"{image} has no frame {frame}; wanted 0 to {len(frames) - 1}")
-    return frames[frame]
-
-
-def _picture(radiograph: Radiograph) -> Response:
-    """16-bit grey values, little endian, row by row; what the page needs of the view in a header."""
-    pixels = radiograph.pixels
-    low, high = float(pixels.min()), float(pixels.max())
-    grey = np.rint((pixels - low) * (GREY_LEVELS / max(high - low, 1e-9))).astype("<u2")
-    first, up = picture_axes(radiograph.view)
-    about = {
-        "rows": pixels.shape[0],
-        "columns": pixels.shape[1],
-        "window": np.percentile(grey[::4, ::4], [1.0, 99.8]).tolist(),
-        "kind": view_kind(radiograph.view),
-        "first": first.tolist(),
-        "up": up.tolist(),
-        "pixel_mm": (radiograph.view.pixel_spacing / radiograph.view.magnification).tolist(),
-    }
-    return Response(grey.tobytes(), media_type="application/octet-stream", headers={"x-radiograph": json.dumps(about)})
 
 
 def _add_answers(app: FastAPI) -> None:

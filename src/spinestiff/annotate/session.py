@@ -6,7 +6,7 @@ import hashlib
 import os
 import re
 from collections import OrderedDict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import RLock
@@ -22,6 +22,7 @@ from spinestiff.errors import RadiographError, SpinestiffError, SubjectError
 from spinestiff.files import write_json
 from spinestiff.imaging.features import picture_axes, view_kind
 from spinestiff.imaging.projection import XRayView
+from spinestiff.imaging.proposal import leans_of
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.subject.folder import (
     Subject,
@@ -29,8 +30,8 @@ from spinestiff.subject.folder import (
     check_image_name,
     check_radiograph_path,
     image_corners,
+    open_push,
     read_annotation,
-    read_push,
     read_rest,
     read_unannotated,
     read_view,
@@ -52,6 +53,7 @@ from spinestiff.words import counted
 
 # Images whose frames stay in memory; a push of 1024 x 1024 has a few megabytes a frame.
 KEPT = 3
+FRONTAL = "rest/frontal"
 SHOWN = 3
 """Of the values that subject.json does not know yet; ``spinestiff inspect`` lists all."""
 
@@ -102,7 +104,7 @@ class AnnotationSession:
             raise SubjectError(f"{folder}: no radiograph to annotate; wanted {', '.join(REST_IMAGES.values())}")
         self.lock = RLock()
         self.revision = 0
-        self._frames: OrderedDict[str, tuple[Radiograph, ...]] = OrderedDict()
+        self._frames: OrderedDict[str, Sequence[Radiograph]] = OrderedDict()
         self._views: dict[str, XRayView] = {}
         self._drafted: dict[str, DraftImage] = {}
         self.reload()
@@ -110,7 +112,7 @@ class AnnotationSession:
     def _offered(self, name: str) -> bool:
         if not os.path.lexists(self.subject.image_path(name)):
             return False
-        check_radiograph_path(self.subject, name)
+        check_radiograph_path(self.subject, name, one_by_one=name not in REST_IMAGES)
         return True
 
     @property
@@ -165,8 +167,10 @@ class AnnotationSession:
             self.revision += 1
             return self.revision
 
-    def frames(self, name: str) -> tuple[Radiograph, ...]:
+    def frames(self, name: str) -> Sequence[Radiograph]:
         """The radiographs of an image by its name in the annotation; of a push all, whichever frame is named.
+
+        Those of a large file are read one by one, when they are asked for.
 
         Raises
         ------
@@ -189,6 +193,13 @@ class AnnotationSession:
             if image not in self._views:
                 self._views[image] = self.frames(name)[0].view
             return self._views[image]
+
+    def leans(self, name: str) -> dict[str, float]:
+        """How far vertebrae lean to the side, rad, as the frontal rest radiograph's marks tell a lateral radiograph."""
+        front = self.marks.get(FRONTAL, DraftImage()).vertebrae
+        if not front or FRONTAL not in self.images or view_kind(self.view(name)) != "lateral":
+            return {}
+        return leans_of(self.view(FRONTAL), {str(level): quad for level, quad in front.items()})
 
     def annotated(self) -> Subject:
         """The subject with what is complete of its annotation."""
@@ -234,14 +245,14 @@ class AnnotationSession:
     def _with(self, images: dict[str, ImageAnnotation]) -> Subject:
         return replace(self.subject, annotation=Annotation(schema_version=SCHEMA_VERSION, images=images))
 
-    def _read(self, name: str) -> tuple[Radiograph, ...]:
+    def _read(self, name: str) -> Sequence[Radiograph]:
         if name in REST_IMAGES:
             return (read_rest(self.subject, "lateral" if name == LATERAL else "frontal"),)
         if re.fullmatch(FURTHER_VIEW, name):
             frame, view = self.subject.view(name)
             push = self.subject.push(name.split("/")[1])
             return (read_view(self.subject, push, view)[view.frames.index(frame)],)
-        return read_push(self.subject, self.subject.push(name.removeprefix("push/")))
+        return open_push(self.subject, self.subject.push(name.removeprefix("push/")))
 
     def _complete(self, name: str, marks: DraftImage) -> ImageAnnotation | None:
         try:

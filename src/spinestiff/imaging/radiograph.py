@@ -6,10 +6,12 @@ and the image's middle.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +25,7 @@ from spinestiff.imaging.dicom.layout import MODALITIES, MOST_FRAMES
 from spinestiff.imaging.dicom.millimetres import AGREEMENT, Geometry, Scale
 from spinestiff.imaging.dicom.ordering import ordered
 from spinestiff.imaging.dicom.orientation import lps_from_world, world_from_lps
-from spinestiff.imaging.dicom.reading import Scan, read_scan
+from spinestiff.imaging.dicom.reading import FrameFile, Scan, read_frames, read_scan
 from spinestiff.imaging.dicom.tags import coded_word, shown
 from spinestiff.imaging.dicom.writing import write_radiographs
 from spinestiff.imaging.projection import XRayView
@@ -36,12 +38,17 @@ __all__ = [
     "check_files",
     "in_order",
     "lps_from_world",
+    "open_radiographs",
     "read_radiographs",
     "read_scans",
+    "shrunk",
     "times_of",
     "world_from_lps",
     "write_radiographs",
 ]
+
+KEPT = 4
+"""Frames of a large file that stay in memory."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +116,69 @@ def read_radiographs(
     return tuple(
         _radiograph(scan, centre, 0, i, time_s) for i, (scan, time_s) in enumerate(zip(scans, times_of(scans)))
     )
+
+
+def open_radiographs(
+    path: str | Path,
+    *,
+    geometry: Geometry | None = None,
+    centre: ArrayLike = (0.0, 200.0, 0.0),
+    within: Path | None = None,
+) -> Sequence[Radiograph]:
+    """Like ``read_radiographs``, but of a large uncompressed file every frame is read when it is asked for.
+
+    Such a file may hold more than ``read_radiographs`` takes, and its radiographs carry no hash of it.
+
+    Raises
+    ------
+    RadiographError : as ``read_radiographs``; of single frames when they are read.
+    """
+    path = Path(path)
+    file = None if path.is_dir() else read_frames(path, geometry or Geometry(), within)
+    return (
+        read_radiographs(path, geometry=geometry, centre=centre, within=within)
+        if file is None
+        else _OneByOne(file, centre)
+    )
+
+
+class _OneByOne(Sequence[Radiograph]):
+    """Radiographs of a file, each read when it is asked for; the last few are kept."""
+
+    def __init__(self, file: FrameFile, centre: ArrayLike) -> None:
+        self.file = file
+        self.centre = centre
+        self._kept: OrderedDict[int, Radiograph] = OrderedDict()
+
+    def __len__(self) -> int:
+        return self.file.scan.layout.frames
+
+    @overload
+    def __getitem__(self, index: int) -> Radiograph: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Radiograph, ...]: ...
+    def __getitem__(self, index: int | slice) -> Radiograph | tuple[Radiograph, ...]:
+        if isinstance(index, slice):
+            return tuple(self[i] for i in range(*index.indices(len(self))))
+        index = range(len(self))[index]
+        if index not in self._kept:
+            found = _radiograph(self.file.frame(index), self.centre, 0, index, self.file.scan.tags.times[index])
+            self._kept[index] = found
+            while len(self._kept) > KEPT:
+                self._kept.popitem(last=False)
+            return found
+        return self._kept[index]
+
+
+def shrunk(pixels: NDArray[np.float32], wide: int, tall: int) -> NDArray[np.float32]:
+    """Pixels (H, W) as means over equal cells, ``wide`` columns and ``tall`` rows at most, in the same proportions."""
+    import cv2
+
+    share = min(wide / pixels.shape[1], tall / pixels.shape[0])
+    if share >= 1.0:
+        return pixels
+    size = (max(1, round(pixels.shape[1] * share)), max(1, round(pixels.shape[0] * share)))
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
 def times_of(scans: tuple[Scan, ...]) -> tuple[float | None, ...]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -19,7 +19,7 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError, SubjectGaps
 from spinestiff.files import check_output, regular_file, regular_files, write_json
-from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_HEADER_BYTES
+from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_HEADER_BYTES, MOST_MAPPED_BYTES
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.subject.gaps import Gap, read_open_record
 from spinestiff.subject.records import (
@@ -196,12 +196,14 @@ def read_unannotated(folder: str | Path) -> Subject:
     return Subject(folder, record, bare, _unusual(record), gaps)
 
 
-def check_radiograph_path(subject: Subject, image: str) -> None:
+def check_radiograph_path(subject: Subject, image: str, one_by_one: bool = False) -> None:
     """Raise SubjectError unless the radiograph of an image is there: files inside the subject folder, none too large.
 
-    A file is told from a pipe, a device and a link that leads elsewhere; it is not opened.
+    A file is told from a pipe, a device and a link that leads elsewhere; it is not opened. ``one_by_one``: it may be as
+    large as a file of which single frames are read (``open_push``).
     """
-    _check_input(subject, subject.image_path(image), f"the radiograph of {image}")
+    most = MOST_MAPPED_BYTES + MOST_HEADER_BYTES if one_by_one else MOST_INPUT_BYTES
+    _check_input(subject, subject.image_path(image), f"the radiograph of {image}", most)
 
 
 def write_subject(folder: str | Path, record: SubjectRecord) -> None:
@@ -254,7 +256,21 @@ def read_push(subject: Subject, push: PushRecord) -> tuple[Radiograph, ...]:
     SubjectError : the number of frames is not that of the forces.
     RadiographError : see ``read_radiographs``.
     """
-    frames = _read_images(subject, push.image, "frontal")
+    frames = tuple(_read_images(subject, push.image, "frontal"))
+    check_frames(subject, push, len(frames))
+    return frames
+
+
+def open_push(subject: Subject, push: PushRecord) -> Sequence[Radiograph]:
+    """Like ``read_push``, but of a large uncompressed file each frame is read when it is asked for.
+
+    Raises
+    ------
+    SubjectError, RadiographError : as ``read_push``; of single frames when they are read.
+    """
+    from spinestiff.imaging.radiograph import open_radiographs
+
+    frames = _read_images(subject, push.image, "frontal", open_radiographs)
     check_frames(subject, push, len(frames))
     return frames
 
@@ -267,7 +283,7 @@ def read_view(subject: Subject, push: PushRecord, view: FurtherViewRecord) -> tu
     SubjectError : another number of radiographs, or they are of another kind.
     RadiographError : see ``read_radiographs``.
     """
-    frames = _read_images(subject, push.view_image(view.frames[0], view.id), view.kind)
+    frames = tuple(_read_images(subject, push.view_image(view.frames[0], view.id), view.kind))
     if len(frames) != len(view.frames):
         raise SubjectError(
             f"{subject.folder / SUBJECT_FILE}: view '{view.id}' of push '{push.id}' names "
@@ -389,7 +405,12 @@ def _annotated(subject: Subject, image: str) -> tuple[str, ImageAnnotation]:
     return where, subject.annotation.images[image]
 
 
-def _read_images(subject: Subject, image: str, which: Literal["frontal", "lateral"]) -> tuple[Radiograph, ...]:
+def _read_images(
+    subject: Subject,
+    image: str,
+    which: Literal["frontal", "lateral"],
+    reader: Callable[..., Sequence[Radiograph]] | None = None,
+) -> Sequence[Radiograph]:
     from spinestiff.imaging.radiograph import read_radiographs
     from spinestiff.subject.geometry import image_geometry
 
@@ -398,10 +419,10 @@ def _read_images(subject: Subject, image: str, which: Literal["frontal", "latera
         geometry = image_geometry(subject.record, subject.annotation, image, which)
     except SubjectError as problem:
         raise SubjectError(f"{subject.folder / SUBJECT_FILE}: {problem}") from None
-    frames = read_radiographs(path, geometry=geometry, within=subject.folder)
-    for frame in frames:
-        if view_kind(frame.view) != which:
-            raise SubjectError(f"{path}: a {view_kind(frame.view)} radiograph, wanted a {which} one")
+    frames = (reader or read_radiographs)(path, geometry=geometry, within=subject.folder)
+    # Files of a folder have one orientation, or they would not be a sequence.
+    if (found := view_kind(frames[0].view)) != which:
+        raise SubjectError(f"{path}: a {found} radiograph, wanted a {which} one")
     return frames
 
 
@@ -459,7 +480,7 @@ def check_output_beside(folder: Path, path: Path, option: str, *, force: bool) -
     check_output(path, option, inputs=inputs, closed=folder, but=results, force=force)
 
 
-def _check_input(subject: Subject, path: Path, what: str) -> None:
+def _check_input(subject: Subject, path: Path, what: str, most: int = MOST_INPUT_BYTES) -> None:
     """Raise SubjectError unless a file, or each file of a folder, may be read and no step writes there."""
     folder, results = subject.folder, subject.results
     if not os.path.lexists(path):
@@ -469,7 +490,7 @@ def _check_input(subject: Subject, path: Path, what: str) -> None:
         if not files:
             raise SubjectError(f"{path}: found an empty folder, wanted {what}")
     else:
-        regular_file(path, SubjectError, within=folder, cap_bytes=MOST_INPUT_BYTES)
+        regular_file(path, SubjectError, within=folder, cap_bytes=most)
     if path.resolve().is_relative_to(results.resolve()) or results.resolve().is_relative_to(path.resolve()):
         raise SubjectError(f"{path}: lies where results are written ({results}); move it elsewhere in the folder")
 

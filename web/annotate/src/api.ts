@@ -6,9 +6,12 @@ export interface Session {
   version: string; subject: string; vertebrae: string[]; lowest_quality: number; images: ImageInfo[]; marks: Marks; revision: number; missing: string[];
 }
 export interface Grey {
-  rows: number; columns: number; window: [number, number]; kind: string; first: Point; up: Point; pixel_mm: Point; levels: Uint16Array;
+  rows: number; columns: number; window: [number, number]; kind: string; first: Point; up: Point; pixel_mm: Point;
+  /** left, top, right, bottom of what was sent, in pixels of the radiograph, and with how many pixels it was sent. */
+  part: [number, number, number, number]; shown: Point; levels: Uint16Array;
 }
-export interface Cobb { degrees: number; upper: string; lower: string; convexity: string; region: string; half_width: number }
+/** ``words`` as every Cobb angle is told: size, half interval, levels, definition, side. */
+export interface Cobb { upper: string; lower: string; region: string; words: string }
 export interface Judged { vertebrae: number; problem: string; cobb: Cobb | null; curves: Cobb[] }
 export interface TrackedFrame { vertebrae: Record<string, Quad>; quality: Record<string, [number, number, number, number]> }
 export interface Tracking { state: "none" | "running" | "done" | "failed"; done: number; total: number; error: string; frames: TrackedFrame[] }
@@ -56,8 +59,8 @@ export const importFile = (name: string, text: string, image: string): Promise<{
   send("POST", "/api/import", { name, text, image });
 export const exportFile = async (form: string): Promise<Blob> => (await ask("GET", `/api/export?${query({ form })}`)).blob();
 
-export async function radiograph(image: string, frame: number): Promise<Grey> {
-  const answer = await ask("GET", `/api/radiograph?${query({ image, frame })}`);
+export async function radiograph(image: string, frame: number, [wide, tall]: Point, part?: readonly number[]): Promise<Grey> {
+  const answer = await ask("GET", `/api/radiograph?${query({ image, frame, wide, tall, ...(part ? { part: part.join() } : {}) })}`);
   const about = JSON.parse(answer.headers.get("x-radiograph") ?? "{}") as Omit<Grey, "levels">;
   // Sent little endian, which is the order of every machine that runs a browser.
   return { ...about, levels: new Uint16Array(await answer.arrayBuffer()) };

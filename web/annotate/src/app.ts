@@ -2,18 +2,22 @@
 import * as api from "./api";
 import type { Cobb, ImageInfo, Session, TrackedFrame, Tracking } from "./api";
 import { centre, changed, guessed, History, type ImageMarks, type Marks, moved, NOTHING, type Point, type Quad, removed, renamed, type Selection, selected, type Support, without } from "./marks";
+import { Pictures } from "./pictures";
+import { Proposals } from "./proposals";
 import { Saver } from "./saver";
 import { Stage } from "./stage";
 
 export type Tool = "move" | "spine" | "pedicle" | Support;
-export interface Says { saved(state: string, words: string): void; problem(words: string): void; aloud(words: string): void; refresh(): void }
+export interface Says { saved(state: string, words: string): void; problem(words: string, gone?: () => boolean): void; aloud(words: string): void; refresh(): void }
 
-const JUDGE_MS = 60;
+const JUDGE_MS = 60, DETAIL_MS = 120, SCREEN_STEP = 64;
 
 export class App {
   readonly names: string[];
   image: ImageInfo;
   frame = 0;
+  /** The key whose picture is on the stage. */
+  loaded = "";
   tool: Tool = "move";
   selection: Selection | null = null;
   cobb: Cobb | null = null;
@@ -30,16 +34,21 @@ export class App {
   private readonly saver: Saver;
   private draft: ImageMarks | null = null;
   private hidden: Marks = {};
-  private proposed: Record<string, Record<string, Quad>> = {};
+  private readonly proposals = new Proposals();
+  private readonly pictures = new Pictures();
   private judging = 0;
+  private detailing = 0;
 
   constructor(readonly session: Session, readonly stage: Stage, readonly says: Says) {
     this.names = session.vertebrae;
     this.missing = session.missing;
     const marks = Object.fromEntries(Object.entries(session.marks).map(([name, image]) => [name, { ...NOTHING, ...image }]));
+    for (const [key, image] of Object.entries(marks))
+      if (image.unseen?.length) this.proposals.propose(key, image.unseen.map((name) => image.vertebrae[name]).filter((quad) => quad !== undefined));
     this.history = new History(marks);
     this.saver = new Saver(session.revision, says.saved, (lines) => { this.missing = lines; says.refresh(); });
     this.image = session.images[0] as ImageInfo;
+    stage.onview = () => this.detail();
   }
 
   /** Name of what is annotated here: the image, or one of its later frames. */
@@ -64,18 +73,47 @@ export class App {
     const asked = this.key;
     this.says.refresh();
     try {
-      const grey = await api.radiograph(image.name, this.frame);
+      const most = this.screen;
+      const grey = await this.pictures.get(image.name, this.frame, most);
       if (asked !== this.key) return;
       this.stage.load(grey, same);
-      this.says.problem("");
+      this.loaded = asked;
+      if (image.forces.length > 1 && !same) void this.pictures.ahead(image.name, this.frame, image.forces.length, most);
       if (this.isPush && !this.tracking[name]) this.watch(name, await api.tracking(name));
     } catch (error) {
-      if (asked === this.key) this.says.problem(words(error));
+      if (asked === this.key) this.says.problem(words(error), () => this.key !== asked || this.loaded === asked);
     }
     this.after();
   }
 
+  /** Columns and rows that the screen can show. */
+  private get screen(): Point {
+    const { clientWidth, clientHeight } = this.stage.canvas;
+    const steps = (size: number): number => Math.min(4096, SCREEN_STEP * Math.max(1, Math.ceil((size * devicePixelRatio) / SCREEN_STEP)));
+    return [steps(clientWidth), steps(clientHeight)];
+  }
+
+  /** Where the screen shows more than was sent, fetch that part finer, once the view rests. */
+  private detail(): void {
+    clearTimeout(this.detailing);
+    this.detailing = window.setTimeout(async () => {
+      const { loaded } = this, at = this.selection;
+      if (loaded !== this.key) return;
+      for (const wanted of this.stage.wanted(at ? selected(this.seen, at)[0] : undefined)) {
+        const found = await api.radiograph(this.image.name, this.frame, wanted.most, wanted.part).catch(() => null);
+        if (!found || loaded !== this.key) return;
+        this.stage.patch(found);
+      }
+    }, DETAIL_MS);
+  }
+
   // Changes. A drag previews and then commits once.
+  /** Without what a drag has previewed. */
+  cancel(): void {
+    this.draft = null;
+    this.after();
+  }
+
   preview(change: (marks: ImageMarks) => ImageMarks): void {
     this.draft = change(this.draft ?? this.adopted(this.selection));
     this.after();
@@ -99,7 +137,7 @@ export class App {
 
   replace(marks: Marks, what: string): void {
     this.history.commit(marks, this.key, what);
-    this.saver.want(this.history.marks);
+    this.saver.want(this.proposals.told(this.history.marks));
     this.after();
   }
 
@@ -120,7 +158,7 @@ export class App {
   private turn(step: { image: string; words: string } | null, how: string): void {
     if (!step) return this.says.aloud("nothing more to take back or do again");
     this.draft = null;
-    this.saver.want(this.history.marks);
+    this.saver.want(this.proposals.told(this.history.marks));
     this.says.aloud(`${step.words}: ${how}`);
     const image = this.session.images.find((one) => step.image === one.name || step.image.startsWith(`${one.name}/`));
     if (image && step.image !== this.key) void this.open(image.name, Number(step.image.slice(image.name.length + 1)) || 0);
@@ -147,8 +185,29 @@ export class App {
     this.says.aloud(`${at.name} turned by ${degrees} degrees`);
   }
 
+  /** Vertebrae in sight that are as they were proposed and that nobody has looked at. */
+  get unseen(): string[] { return this.proposals.unseen(this.key, this.marks.vertebrae); }
+
+  unseenIn(key: string): number { return this.proposals.unseen(key, this.history.marks[key]?.vertebrae ?? {}).length; }
+
+  private look(at: Selection | null): void {
+    const quad = at?.kind === "vertebra" ? this.marks.vertebrae[at.name] : undefined;
+    if (quad && this.proposals.look(this.key, quad)) this.saver.want(this.proposals.told(this.history.marks));
+  }
+
+  /** Show the next vertebra that nobody has looked at, large. */
+  lookOn(): void {
+    const unseen = this.unseen, next = this.names.find((name) => unseen.includes(name));
+    const quad = next && this.marks.vertebrae[next];
+    if (!quad) return this.says.aloud("every proposed vertebra was looked at");
+    this.choose("move");
+    this.stage.show(quad);
+    this.select({ kind: "vertebra", name: next, part: -1 });
+  }
+
   select(at: Selection | null): void {
     this.selection = at;
+    this.look(at);
     const points = at ? selected(this.seen, at) : [];
     if (points.length) this.stage.reveal(centre(points));
     this.tell();
@@ -198,7 +257,7 @@ export class App {
 
   rename(step: number): void {
     const next = renamed(this.marks, this.names, step);
-    if (!next) return this.says.problem(`The names end at ${step < 0 ? "T1" : "L5"}; mark what lies beyond as not visible first.`);
+    if (!next) return this.problem(`The names end at ${step < 0 ? "T1" : "L5"}; mark what lies beyond as not visible first.`);
     this.change(() => next, step < 0 ? "names moved up" : "names moved down");
     this.selection = null;
     this.says.aloud(step < 0 ? "each vertebra has the name of the one above" : "each vertebra has the name of the one below");
@@ -223,7 +282,7 @@ export class App {
       const middle = centre(quad);
       return [Math.hypot(middle[0] - at[0], middle[1] - at[1]), name, middle] as const;
     });
-    if (!near.length) return this.says.problem("Mark the vertebrae first: a pedicle belongs to the nearest one.");
+    if (!near.length) return this.problem("Mark the vertebrae first: a pedicle belongs to the nearest one.");
     const [, name, middle] = near.reduce((a, b) => (b[0] < a[0] ? b : a));
     const first = (at[0] - middle[0]) * this.stage.first[0] + (at[1] - middle[1]) * this.stage.first[1] > 0;
     const mirrored: Point = [2 * middle[0] - at[0], at[1]];
@@ -242,27 +301,31 @@ export class App {
   }
 
   /** Vertebrae that were corrected since they were proposed; a new proposal keeps them and takes them for guides. */
-  get kept(): Record<string, Quad> {
-    const before = this.proposed[this.key];
-    if (!before) return {};
-    return Object.fromEntries(Object.entries(this.marks.vertebrae).filter(([name, quad]) => String(quad) !== String(before[name])));
+  get kept(): Record<string, Quad> { return this.proposals.kept(this.key, this.marks.vertebrae); }
+
+  /** Say what is wrong until its cause goes: another radiograph or tool, or other marks. */
+  problem(text: string, gone?: () => boolean): void {
+    const { key, tool, marks } = this;
+    this.says.problem(text, gone ?? (() => key !== this.key || tool !== this.tool || marks !== this.marks));
   }
 
   async propose(): Promise<void> {
     const { marks, key } = this;
     if (marks.spine.length < 3) {
       this.choose("spine");
-      return this.says.problem("Click at least three points along the spine first: from the uppermost vertebra to the lowest.");
+      return this.problem(
+        "Click at least three points along the spine first: from the uppermost vertebra to the lowest.",
+        () => key !== this.key || this.tool !== "spine" || this.marks.spine.length >= 3,
+      );
     }
     await this.whileBusy("Proposing …", async () => {
       const found = await api.propose(this.image.name, this.frame, marks.spine, this.upper, this.lower, this.kept);
       if (key !== this.key) return;
       const kept = this.kept;
-      const fresh = Object.entries(found.vertebrae).filter(([name]) => !(name in kept));
-      this.proposed = { ...this.proposed, [key]: Object.fromEntries(fresh) };
+      this.proposals.propose(key, Object.entries(found.vertebrae).filter(([name]) => !(name in kept)).map(([, quad]) => quad));
       this.change((now) => ({ ...now, vertebrae: { ...found.vertebrae, ...kept } }), "proposal");
       this.choose("move");
-      this.says.aloud(`${Object.keys(found.vertebrae).length} vertebrae proposed; look at each of them`);
+      this.says.aloud(`${Object.keys(found.vertebrae).length} vertebrae proposed; look at each of them, L shows the next`);
     });
   }
 
@@ -279,7 +342,7 @@ export class App {
     const before = this.tracking[name];
     // Frames of the last run stay in sight until there are new ones.
     this.tracking = { ...this.tracking, [name]: state.frames.length || !before ? state : { ...state, frames: before.frames } };
-    if (state.state === "failed") this.says.problem(state.error);
+    if (state.state === "failed") this.says.problem(state.error, () => this.tracking[name]?.state !== "failed");
     if (state.state === "done" && before?.state === "running") this.says.aloud("tracking is done");
     if (state.state === "running")
       window.setTimeout(() => void api.tracking(name).then((next) => this.watch(name, next), () => undefined), 300);
@@ -290,7 +353,7 @@ export class App {
     this.busy = words_;
     this.says.problem("");
     this.says.refresh();
-    try { await act(); } catch (error) { this.says.problem(words(error)); }
+    try { await act(); } catch (error) { this.problem(words(error)); }
     this.busy = "";
     this.after();
   }
@@ -305,12 +368,13 @@ export class App {
 
   private paint(): void {
     const { marks, selection, names, cobb, tracked, cursor, show, tool } = this;
-    this.stage.draw({ marks, selection, names, cobb, tracked, cursor, show, spine: tool === "spine", lowest: this.session.lowest_quality });
+    this.stage.draw({ marks, selection, names, cobb, tracked, cursor, show, spine: tool === "spine", lowest: this.session.lowest_quality, unseen: this.unseen });
   }
 
   private async judge(): Promise<void> {
     const { marks, key } = this;
     try {
+      if (!Object.keys(this.seen.vertebrae).length) throw new Error("nothing to judge");
       const found = await api.judge(this.image.name, { ...NOTHING, vertebrae: this.seen.vertebrae });
       if (key === this.key) { this.cobb = found.cobb; this.curves = found.curves; this.judged = found.problem; }
     } catch {

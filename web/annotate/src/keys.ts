@@ -10,6 +10,7 @@ export const KEYS: [string, string][] = [
   ["Delete", "not visible; removes a point"],
   ["P", "points along the spine: arrows move the cross, Enter sets a point"],
   ["S / H / D", "pelvis, shoulder, pedicle points, in the same way"],
+  ["L", "next vertebra to look at, large"],
   ["Escape", "back to moving"],
   ["O", "propose vertebrae"],
   ["Ctrl+Z / Ctrl+Y", "undo, redo"],
@@ -17,6 +18,7 @@ export const KEYS: [string, string][] = [
   ["Ctrl+Arrows", "move the picture"],
   ["[ / ]", "frame before, next frame"],
   ["Mouse", "drag corners and vertebrae; wheel zooms; drag beside marks moves the picture; right button drags greys"],
+  ["Touch", "one finger as the mouse; two fingers zoom and move the picture"],
 ];
 const STEPS: Record<string, Point> = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
@@ -61,6 +63,7 @@ function acted(app: App, event: KeyboardEvent): boolean {
     case "escape": app.choose("move"); app.select(null); break;
     case "enter": if (app.tool === "move" || !app.cursor) return false; app.add(app.cursor); break;
     case "o": void app.propose(); break;
+    case "l": app.lookOn(); break;
     case "+": case "=": app.stage.zoom(1.25, place(app)); break;
     case "-": app.stage.zoom(0.8, place(app)); break;
     case "f": app.stage.fit(); break;

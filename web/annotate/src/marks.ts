@@ -7,6 +7,8 @@ export interface ImageMarks {
   supports: Partial<Record<Support, Point[]>>;
   pedicles: Record<string, [Point, Point]>;
   spine: Point[];
+  /** Of the vertebrae, those that nobody has looked at since they were proposed; told and saved, not changed here. */
+  unseen?: string[];
 }
 export type Marks = Record<string, ImageMarks>;
 export const NOTHING: ImageMarks = { vertebrae: {}, supports: {}, pedicles: {}, spine: [] };

@@ -1,6 +1,6 @@
 // The controls around the radiograph: what they show follows the state, what they do is asked of it.
 import * as api from "./api";
-import { type App, type Says, type Tool, words } from "./app";
+import { type App, type Says, type Tool } from "./app";
 import { KEYS } from "./keys";
 
 const TOOLS: Record<Tool, [string, string]> = {
@@ -22,10 +22,19 @@ function put(id: string, text: string): void {
   if (element.textContent !== text) element.textContent = text;
 }
 
+/** Tells when the cause of the problem in sight is gone; null without one. */
+let standing: (() => boolean) | null = null;
+
 /** What can be said before there is a state. */
 export const says: Says = {
   saved: (state, text) => { need("saved").dataset["state"] = state; put("saved", text); },
-  problem: (text) => { need("problem").hidden = !text; put("problem", text); },
+  // One place for both, of one size: the picture stays where it is.
+  problem: (text, gone = () => false) => {
+    standing = text ? gone : null;
+    need("problem").hidden = !text;
+    need("hint").hidden = !!text;
+    put("problem", text);
+  },
   aloud: (text) => put("spoken", text),
   refresh: () => undefined,
 };
@@ -61,6 +70,7 @@ export class Panel {
     click("further", () => app.stage.zoom(0.8));
     click("fit", () => app.stage.fit());
     click("propose", () => void app.propose());
+    click("look-on", () => { app.lookOn(); app.stage.canvas.focus(); });
     click("clear-spine", () => app.clearSpine());
     click("names-up", () => app.rename(-1));
     click("names-down", () => app.rename(1));
@@ -148,23 +158,28 @@ export class Panel {
 
   refresh(): void {
     const { app } = this, { marks } = app;
+    if (standing?.()) says.problem("");
     this.makeTools();
     for (const id of ["upper", "lower"] as const) need<HTMLSelectElement>(id).value = app[id];
     for (const [name, [made, mark, state]] of this.images) {
       const n = Object.keys(app.allMarks[name]?.vertebrae ?? {}).length;
-      const open = app.missing.some((line) => line.startsWith(`${name}:`));
-      mark.textContent = n === 0 ? "○" : open ? "◐" : "✓";
-      state.textContent = n === 0 ? "nothing marked" : `${n} vertebrae${open ? ", not complete" : ""}`;
+      const open = app.missing.some((line) => line.startsWith(`${name}:`)), unseen = app.unseenIn(name);
+      mark.textContent = n === 0 ? "○" : open || unseen ? "◐" : "✓";
+      state.textContent = n === 0 ? "nothing marked" : `${n} vertebrae${unseen ? `, ${unseen} to look at` : open ? ", not complete" : ""}`;
       if (name === app.image.name) made.setAttribute("aria-current", "true"); else made.removeAttribute("aria-current");
     }
-    const shown = app.seen.vertebrae;
+    const shown = app.seen.vertebrae, unseen = app.unseen;
     for (const [name, [made, box]] of this.vertebrae) {
       const there = name in shown;
       made.disabled = !there;
+      made.dataset["unseen"] = String(unseen.includes(name));
+      made.title = unseen.includes(name) ? `${name}: proposed, not looked at yet` : name;
       made.setAttribute("aria-pressed", String(app.selection?.kind === "vertebra" && app.selection.name === name));
       box.checked = there;
       box.disabled = app.frame > 0;
     }
+    need<HTMLButtonElement>("look-on").disabled = !unseen.length;
+    put("look-on", unseen.length ? `Next to look at (${unseen.length} left)` : "Next to look at");
     need<HTMLButtonElement>("undo").disabled = !app.canUndo;
     need<HTMLButtonElement>("redo").disabled = !app.canRedo;
     for (const id of ["names-up", "names-down"]) need<HTMLButtonElement>(id).disabled = app.frame > 0;
@@ -181,10 +196,10 @@ export class Panel {
 
   private cobb(): void {
     const { cobb, curves, image, judged } = this.app, target = need("cobb");
-    const angle = (one: api.Cobb): string => `${Math.abs(one.degrees).toFixed(1)}°`;
-    const text = cobb ? angle(cobb) : image.kind === "lateral" ? "Read in frontal radiographs." : "Needs two vertebrae.";
-    const rest = cobb ? ` ± ${cobb.half_width.toFixed(0)}° ${cobb.upper} to ${cobb.lower}, ${cobb.convexity}` : "";
-    const others = curves.filter((one) => one.upper !== cobb?.upper).map((one) => `${angle(one)} ${one.upper} to ${one.lower}, ${one.region}`);
+    // Size and uncertainty large, levels, definition and side behind them.
+    const [figures, behind] = cobb ? (cobb.words.split(/(?= \()/) as [string, string?]) : [];
+    const text = figures ?? (image.kind === "lateral" ? "Read in frontal radiographs." : "Needs two vertebrae."), rest = behind ?? "";
+    const others = curves.filter((one) => one.words !== cobb?.words).map((one) => `${one.words}, ${one.region}`);
     const key = [text, rest, judged, ...others].join("\n");
     if (target.dataset["key"] === key) return;
     target.dataset["key"] = key;
@@ -215,12 +230,13 @@ export class Panel {
     const source = frame === 0 ? "marked" : here ? `${here} corrected, the others tracked` : app.tracked ? "tracked" : "not tracked yet";
     const own = app.marks.vertebrae, tracked = Object.entries(app.tracked?.quality ?? {}).filter(([name]) => !(name in own));
     const doubtful = tracked.flatMap(([, quality]) => quality).filter((q) => q < app.session.lowest_quality).length;
-    put("frame-text", `${words_}: ${source}${doubtful ? `, ${doubtful} corners doubtful or lost` : ""}`);
+    put("frame-text", `Frame ${words_}: ${source}${doubtful ? `, ${doubtful} corners doubtful or lost` : ""}`);
     need<HTMLButtonElement>("frame-back").disabled = frame === 0;
     need<HTMLButtonElement>("frame-on").disabled = frame === count - 1;
     const running = state?.state === "running", bar = need<HTMLProgressElement>("track-progress");
     need<HTMLButtonElement>("track").disabled = running;
-    bar.hidden = !running;
+    bar.style.visibility = running ? "visible" : "hidden";
+    need("frame-text").title = need("frame-text").textContent ?? "";
     if (running) bar.value = state.done / Math.max(1, state.total);
   }
 
@@ -262,20 +278,18 @@ export class Panel {
     await app.whileBusy("Reading …", async () => {
       const found = await api.importFile(file.name, await file.text(), app.key);
       app.replace({ ...app.allMarks, ...found.marks }, `import of ${Object.keys(found.marks).length} radiographs`);
-      if (found.warnings.length) says.problem(found.warnings.join(" "));
+      if (found.warnings.length) app.problem(found.warnings.join(" "));
     });
     input.value = "";
   }
 
   private async export(form: "csv" | "slicer"): Promise<void> {
-    try {
+    await this.app.whileBusy("", async () => {
       const link = document.createElement("a");
       link.href = URL.createObjectURL(await api.exportFile(form));
       link.download = form === "csv" ? "corners.csv" : "corners.mrk.json";
       link.click();
       URL.revokeObjectURL(link.href);
-    } catch (error) {
-      says.problem(words(error));
-    }
+    });
   }
 }

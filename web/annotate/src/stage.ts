@@ -4,17 +4,23 @@ import { centre, type ImageMarks, type Point, type Quad, type Selection, selecte
 
 // Blue, orange, yellow and white of the Okabe-Ito set; shape and width tell the same as colour does.
 const MARK = "#56b4e9", CHOSEN = "#ffb000", ANGLE = "#f0e442", TRACKED = "#ffffff", HALO = "rgba(0,0,0,.75)";
-const HANDLE = 4.5, REACH = 11, LOUPE = 150, LOUPE_ZOOM = 4;
+// A finger covers more than a mouse points at. Of a small vertebra corners take less, so that its middle stays free.
+const HANDLE = 4.5, REACH = 11, FINGER = 24, OF_A_SIDE = 0.4, LOUPE = 150, LOUPE_ZOOM = 4, RING = 10, MOST_PATCHES = 4;
 
 export interface Shown {
   marks: ImageMarks; selection: Selection | null; names: readonly string[]; cobb: Cobb | null; tracked: TrackedFrame | null;
-  cursor: Point | null; show: boolean; spine: boolean; lowest: number;
+  cursor: Point | null; show: boolean; spine: boolean; lowest: number; unseen: readonly string[];
 }
+interface Wanted { part: [number, number, number, number]; most: Point }
+interface Patch { grey: Grey; picture: HTMLCanvasElement }
 
 export class Stage {
   private readonly context: CanvasRenderingContext2D;
   private readonly picture = document.createElement("canvas");
   private grey: Grey | null = null;
+  private patches: Patch[] = [];
+  /** Called when something else of the radiograph may be in sight. */
+  onview: () => void = () => undefined;
   private shown: Shown | null = null;
   private due = false;
   /** Screen pixels a radiograph's pixel, and where its (0, 0) lies on the canvas. */
@@ -35,8 +41,7 @@ export class Stage {
     const before = this.grey;
     const same = keepView && before?.rows === grey.rows && before.columns === grey.columns;
     this.grey = grey;
-    this.picture.width = grey.columns;
-    this.picture.height = grey.rows;
+    this.patches = [];
     if (!same) { this.window = [...grey.window]; this.resize(); this.fit(); }
     this.develop();
   }
@@ -51,18 +56,64 @@ export class Stage {
     this.develop();
   }
 
+  /** What of the radiograph the screen shows finer than it was sent: what is in sight, and what lies under the loupe. */
+  wanted(point: Point | undefined): Wanted[] {
+    const grey = this.grey;
+    if (!grey || grey.shown[0] >= grey.columns) return [];
+    const { clientWidth, clientHeight } = this.canvas, fine = this.scale * this.ratio;
+    const ask = (from: Point, to: Point, per: number): Wanted[] => {
+      const part: Wanted["part"] = [Math.max(0, Math.floor(from[0])), Math.max(0, Math.floor(from[1])), Math.min(grey.columns, Math.ceil(to[0])), Math.min(grey.rows, Math.ceil(to[1]))];
+      const [wide, high] = [part[2] - part[0], part[3] - part[1]], enough = 0.9 * Math.min(1, per);
+      if (wide < 2 || high < 2 || enough <= grey.shown[0] / grey.columns) return [];
+      const there = this.patches.some(({ grey: { part: p, shown } }) => p[0] <= part[0] && p[1] <= part[1] && p[2] >= part[2] && p[3] >= part[3] && shown[0] / (p[2] - p[0]) >= enough);
+      return there ? [] : [{ part, most: [sent(wide, per), sent(high, per)] }];
+    };
+    const sent = (size: number, per: number): number => Math.min(8192, Math.max(16, Math.ceil(size * Math.min(1, per))));
+    const near = LOUPE / LOUPE_ZOOM;
+    return [
+      ...ask(this.toPixel([0, 0]), this.toPixel([clientWidth, clientHeight]), fine),
+      ...(point ? ask([point[0] - near, point[1] - near], [point[0] + near, point[1] + near], LOUPE_ZOOM * this.ratio) : []),
+    ];
+  }
+
+  /** A finer part of the radiograph in sight. */
+  patch(grey: Grey): void {
+    const made: Patch = { grey, picture: document.createElement("canvas") };
+    this.patches = [...this.patches.slice(1 - MOST_PATCHES), made];
+    this.print(made);
+    this.redraw();
+  }
+
   private develop(): void {
-    const grey = this.grey, context = this.picture.getContext("2d");
-    if (!grey || !context) return;
+    if (!this.grey) return;
+    this.print({ grey: this.grey, picture: this.picture });
+    for (const patch of this.patches) this.print(patch);
+    this.redraw();
+  }
+
+  private print({ grey, picture }: Patch): void {
+    const [wide, tall] = grey.shown, context = picture.getContext("2d");
+    if (!context) return;
+    if (picture.width !== wide || picture.height !== tall) { picture.width = wide; picture.height = tall; }
     const [low, high] = this.window, table = new Uint32Array(65536);
     for (let i = 0; i < 65536; i++) {
       const shade = Math.min(255, Math.max(0, Math.round(((i - low) * 255) / Math.max(1, high - low))));
       table[i] = 0xff000000 | (shade << 16) | (shade << 8) | shade;
     }
-    const image = context.createImageData(grey.columns, grey.rows), pixels = new Uint32Array(image.data.buffer);
+    const image = context.createImageData(wide, tall), pixels = new Uint32Array(image.data.buffer);
     for (let i = 0; i < pixels.length; i++) pixels[i] = table[grey.levels[i] as number] as number;
     context.putImageData(image, 0, 0);
-    this.redraw();
+  }
+
+  /** The radiograph about a place (x, y), its finer parts over the whole. */
+  private expose(): void {
+    const c = this.context, draw = (picture: HTMLCanvasElement, [left, top, right, bottom]: Grey["part"]): void => {
+      // The first pixel's centre is (0, 0), so a picture begins half a pixel before.
+      const [x, y] = this.toPlace([left - 0.5, top - 0.5]);
+      c.drawImage(picture, x, y, (right - left) * this.scale, (bottom - top) * this.scale);
+    };
+    if (this.grey) draw(this.picture, this.grey.part);
+    for (const { picture, grey } of this.patches) draw(picture, grey.part);
   }
 
   private get ratio(): number { return window.devicePixelRatio || 1; }
@@ -91,6 +142,18 @@ export class Stage {
     this.redraw();
   }
 
+  /** The picture about a vertebra, so large that its surroundings can be told. */
+  show(quad: Quad): void {
+    const xs = quad.map((p) => p[0]), ys = quad.map((p) => p[1]), { clientWidth, clientHeight } = this.canvas;
+    const size = Math.max(Math.max(...xs) - Math.min(...xs), Math.max(...ys) - Math.min(...ys), 4), middle = centre(quad);
+    const scale = Math.min(40, (0.4 * Math.min(clientWidth, clientHeight)) / size);
+    // What was chosen by hand stays, where it is about that.
+    if (this.scale < 0.6 * scale || this.scale > 1.8 * scale) this.scale = scale;
+    this.origin = [0.5 * clientWidth - middle[0] * this.scale, 0.5 * clientHeight - middle[1] * this.scale];
+    this.fitted = false;
+    this.redraw();
+  }
+
   pan(by: Point): void {
     this.origin = [this.origin[0] + by[0], this.origin[1] + by[1]];
     this.fitted = false;
@@ -109,20 +172,26 @@ export class Stage {
   toPlace(pixel: Point): Point { return [pixel[0] * this.scale + this.origin[0], pixel[1] * this.scale + this.origin[1]]; }
 
   /** The mark under a place of the canvas: points before corners before whole vertebrae, the nearest of a kind. */
-  under(place: Point): Selection | null {
+  under(place: Point, finger = false): Selection | null {
     const shown = this.shown;
     if (!shown?.show) return null;
     const found: [number, Selection][] = [];
     const offer = (points: readonly Point[] | undefined, make: (i: number) => Selection): void =>
       points?.forEach((p, i) => {
         const q = this.toPlace(p), distance = Math.hypot(q[0] - place[0], q[1] - place[1]);
-        if (distance < REACH) found.push([distance, make(i)]);
+        if (distance < reach) found.push([distance, make(i)]);
       });
+    let reach = finger ? FINGER : REACH;
     const marks = shown.marks;
     if (shown.spine) offer(marks.spine, (part) => ({ kind: "spine", name: "", part }));
     for (const kind of ["pelvis", "shoulder"] as const) offer(marks.supports[kind], (part) => ({ kind, name: "", part }));
     for (const [name, pair] of Object.entries(marks.pedicles)) offer(pair, (part) => ({ kind: "pedicle", name, part }));
-    for (const [name, quad] of Object.entries(this.quads())) offer(quad, (part) => ({ kind: "vertebra", name, part }));
+    for (const [name, quad] of Object.entries(this.quads())) {
+      const side = Math.min(...quad.map((p, i) => { const q = quad[(i + 1) % 4] as Point; return Math.hypot(q[0] - p[0], q[1] - p[1]); }));
+      // Outwards the whole reach, inwards so much that a vertebra's middle can be got hold of.
+      reach = within(this.toPixel(place), quad) ? Math.min(finger ? FINGER : REACH, OF_A_SIDE * side * this.scale) : finger ? FINGER : REACH;
+      offer(quad, (part) => ({ kind: "vertebra", name, part }));
+    }
     if (found.length) return found.reduce((a, b) => (b[0] < a[0] - 1e-9 ? b : a))[1];
     const pixel = this.toPixel(place);
     const name = Object.entries(this.quads()).find(([, quad]) => within(pixel, quad))?.[0];
@@ -151,11 +220,11 @@ export class Stage {
     c.fillStyle = "#000";
     c.fillRect(0, 0, this.canvas.clientWidth, this.canvas.clientHeight);
     if (!this.grey) return;
-    // The first pixel's centre is (0, 0), so the picture begins half a pixel before.
-    const [x, y] = this.toPlace([-0.5, -0.5]);
     c.imageSmoothingEnabled = this.scale < 4;
-    c.imageSmoothingQuality = "high";
-    c.drawImage(this.picture, x, y, this.size[0] * this.scale, this.size[1] * this.scale);
+    // What was sent fits the screen; only a picture that is shown smaller than that needs more than two pixels' mean.
+    c.imageSmoothingQuality = this.grey.shown[0] > 1.5 * this.grey.columns * this.scale * ratio ? "high" : "low";
+    this.expose();
+    this.onview();
     const shown = this.shown;
     if (shown?.show) { this.paintMarks(shown); this.paintLoupe(shown); }
     this.paintSides();
@@ -203,7 +272,8 @@ export class Stage {
     c.textBaseline = "middle";
     for (const [name, quad] of Object.entries(this.quads())) {
       const chosen = selection?.kind === "vertebra" && selection.name === name, measured = name in marks.vertebrae;
-      this.outline(quad, chosen ? CHOSEN : measured ? MARK : TRACKED, chosen ? 2.4 : 1.4, measured ? [] : [6, 4], true);
+      const unseen = shown.unseen.includes(name);
+      this.outline(quad, chosen ? CHOSEN : measured ? MARK : TRACKED, chosen ? 2.4 : 1.4, unseen ? [2, 4] : measured ? [] : [6, 4], true);
       const side = Math.max(...quad.map((p) => this.toPlace(p)[0]));
       this.text(name, side + 9, this.toPlace(centre(quad))[1], chosen ? CHOSEN : "#fff", "left");
       if (!measured) this.paintLost(quad, shown.tracked?.quality[name]);
@@ -224,27 +294,33 @@ export class Stage {
   }
 
   private handle(p: Point, chosen: boolean): void {
-    const c = this.context, [x, y] = this.toPlace(p), size = chosen ? HANDLE + 2.5 : HANDLE;
-    c.fillStyle = chosen ? CHOSEN : "#000";
-    c.strokeStyle = chosen ? "#000" : CHOSEN;
-    c.lineWidth = 1.6;
-    c.fillRect(x - size, y - size, 2 * size, 2 * size);
-    c.strokeRect(x - size, y - size, 2 * size, 2 * size);
+    const c = this.context, [x, y] = this.toPlace(p), size = chosen ? HANDLE + 3 : HANDLE;
+    // Hollow: what it marks stays in sight.
+    for (const [colour, width] of [[HALO, chosen ? 5 : 3.4], [CHOSEN, chosen ? 2.6 : 1.6]] as const) {
+      c.strokeStyle = colour;
+      c.lineWidth = width;
+      c.strokeRect(x - size, y - size, 2 * size, 2 * size);
+    }
   }
 
-  /** Corners that were lost get a cross, doubtful ones a question mark. */
+  /** Around a doubtful corner a ring, around a lost one a broken one; the sign stands outside, the corner stays in sight. */
   private paintLost(quad: Quad, quality: readonly number[] | undefined): void {
+    const c = this.context, middle = this.toPlace(centre(quad));
     quad.forEach((p, i) => {
       const q = quality?.[i] ?? 1;
       if (q >= (this.shown?.lowest ?? 0)) return;
-      if (q > 0) return this.text("?", ...this.toPlace(p), CHOSEN, "center");
-      const [x, y] = this.toPlace(p), d = 6;
-      const c = this.context;
+      const [x, y] = this.toPlace(p), away = Math.hypot(x - middle[0], y - middle[1]) || 1;
+      const [dx, dy] = [(x - middle[0]) / away, (y - middle[1]) / away];
+      c.setLineDash(q > 0 ? [] : [4, 5]);
       for (const [colour, width] of [[HALO, 4], [CHOSEN, 2]] as const) {
         c.beginPath();
-        c.moveTo(x - d, y - d); c.lineTo(x + d, y + d); c.moveTo(x - d, y + d); c.lineTo(x + d, y - d);
-        c.strokeStyle = colour; c.lineWidth = width; c.stroke();
+        c.arc(x, y, RING, 0, 2 * Math.PI);
+        c.strokeStyle = colour;
+        c.lineWidth = width;
+        c.stroke();
       }
+      c.setLineDash([]);
+      this.text(q > 0 ? "?" : "×", x + 2 * RING * dx, y + 2 * RING * dy, CHOSEN, "center");
     });
   }
 
@@ -296,8 +372,7 @@ export class Stage {
     c.fillStyle = "#000"; c.fillRect(left, top, LOUPE, LOUPE);
     this.scale = LOUPE_ZOOM;
     this.origin = [left + LOUPE / 2 - p[0] * LOUPE_ZOOM, top + LOUPE / 2 - p[1] * LOUPE_ZOOM];
-    const [x, y] = this.toPlace([-0.5, -0.5]);
-    c.drawImage(this.picture, x, y, this.size[0] * LOUPE_ZOOM, this.size[1] * LOUPE_ZOOM);
+    this.expose();
     for (const quad of Object.values(quads)) this.outline(quad, MARK, 1, [], true);
     this.crosshair(p);
     this.scale = scale;

@@ -41,7 +41,6 @@ def decoded(dataset: Dataset, tags: Tags, layout: Layout) -> NDArray[Any]:
     RadiographError : pixels that are not of the declared size, or no decoder for them. Whatever a decoder raises
         passes: callers read inside ``files.one_clear_line``.
     """
-    shape = (layout.frames, layout.rows, layout.columns)
     if tags.syntax in NATIVE:
         check_native(layout, len(dataset.PixelData))
         with named("PixelData"):
@@ -56,6 +55,12 @@ def decoded(dataset: Dataset, tags: Tags, layout: Layout) -> NDArray[Any]:
             raise RadiographError(
                 f"PixelData: {tags.syntax_name} pixels that can't be decoded; copy it again, or export it uncompressed"
             ) from None
+    return whole_bits(pixels, layout)
+
+
+def whole_bits(pixels: NDArray[Any], layout: Layout) -> NDArray[Any]:
+    """Stored values (F, H, W) without what lies above the stored bits. Raises RadiographError for another number."""
+    shape = (layout.frames, layout.rows, layout.columns)
     if pixels.size != np.prod(shape):
         raise RadiographError(f"PixelData: found {pixels.size} pixels, wanted {np.prod(shape)}; export it uncompressed")
     # What lies above the stored bits (old overlays) goes; the sign comes back by the same shift.

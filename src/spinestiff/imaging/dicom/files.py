@@ -22,10 +22,15 @@ if TYPE_CHECKING:
 
 MOST_BYTES = 512 * 1024**2
 """Of decoded pixels in a file, and of all files of a folder together."""
+MOST_MAPPED_BYTES = 4 * 1024**3
+"""Of pixels in an uncompressed file of which one frame at a time is read."""
 MOST_HEADER_BYTES = 2**20
 _DEFLATED = "1.2.840.10008.1.2.1.99"
 _DIRECTORY = "1.2.840.10008.1.3.10"
 _MODALITY = 0x00080060
+_PIXELS = 0x7FE00010
+_PIXELS_LITTLE_ENDIAN = b"\xe0\x7f\x10\x00"
+_IMPLICIT, _EXPLICIT = "1.2.840.10008.1.2", "1.2.840.10008.1.2.1"
 
 
 @contextlib.contextmanager
@@ -110,6 +115,43 @@ def read_dataset(path: Path) -> tuple[Dataset, str]:
         raise RadiographError("found a DICOMDIR, wanted a radiograph; name the radiograph's own file")
     with named("the file's elements"):
         return (_inflated(header, content) if syntax == _DEFLATED else dcmread(BytesIO(content))), sha256
+
+
+def read_header(path: Path) -> tuple[Dataset, int, int] | None:
+    """A regular file without reading its pixels, or None where it is not uncompressed, little endian DICOM.
+
+    Returns
+    -------
+    The dataset, in which an empty element stands for the pixels; the byte at which they begin; how many are there. 0
+    and 0 where there is no such element.
+
+    Raises
+    ------
+    RadiographError : damaged, or a header longer than any.
+    """
+    from pydicom.dataelem import DataElement
+    from pydicom.errors import InvalidDicomError
+    from pydicom.filereader import read_file_meta_info, read_partial
+
+    with named("the file's header"):
+        try:
+            syntax = str(read_file_meta_info(path).get("TransferSyntaxUID"))
+        except InvalidDicomError:
+            return None
+    if syntax not in (_IMPLICIT, _EXPLICIT):
+        return None
+    with path.open("rb") as file, named("the file's elements"):
+        dataset = read_partial(file, stop_when=lambda tag, vr, length: tag >= _PIXELS)
+        at = file.tell()
+        if at > MOST_HEADER_BYTES:
+            raise RadiographError(f"found a header of {at / 2**20:.0f} MB, wanted a radiograph; export it again")
+        head = file.read(12)
+    told = head[4:8] if syntax == _IMPLICIT else head[8:12]
+    if head[:4] != _PIXELS_LITTLE_ENDIAN or len(told) < 4:
+        return dataset, 0, 0
+    dataset.add(DataElement(_PIXELS, "OW", b""))
+    start = at + (8 if syntax == _IMPLICIT else 12)
+    return dataset, start, min(int.from_bytes(told, "little"), path.stat().st_size - start)
 
 
 def declared_modality(path: Path) -> str:

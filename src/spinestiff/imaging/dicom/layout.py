@@ -52,8 +52,8 @@ def check_modality(modality: str) -> None:
         )
 
 
-def checked_layout(tags: Tags) -> Layout:
-    """The layout that a file declares.
+def checked_layout(tags: Tags, most_bytes: int = MOST_BYTES) -> Layout:
+    """The layout that a file declares; of pixels in ``most_bytes`` at most.
 
     Raises
     ------
@@ -88,10 +88,10 @@ def checked_layout(tags: Tags) -> Layout:
             f"HighBit: found {tags.high_bit}, wanted {layout.stored - 1} as BitsStored says; export it again"
         )
     count = layout.frames * layout.frame_bytes
-    if count > MOST_BYTES:
+    if count > most_bytes:
         raise RadiographError(
             f"NumberOfFrames, Rows, Columns: found {size}, {count / 2**20:.0f} MB, wanted at most "
-            f"{MOST_BYTES // 2**20} MB; crop it"
+            f"{most_bytes // 2**20} MB; crop it"
         )
     return layout
 

@@ -89,7 +89,7 @@ def _draw(axis: Axes, row: Row, index: int, crop: tuple[int, int, int, int]) -> 
     axis.set_ylim(bottom + 0.5, top - 0.5)
     axis.axhline(top - 0.5, color=colour, linewidth=9.0, clip_on=True)
     name = f"{row.push.id}, from the {row.push.side}\n" if index == 0 else "\n"
-    role = f"{quality.force_n:g} N: {proposal.role}"
+    role = f"frame {index}, {quality.force_n:g} N: {proposal.role}"
     axis.set_title(f"{name}{role}\n{_lines(quality)}", fontsize=9, pad=4, loc="left", color="#222222")
 
 
