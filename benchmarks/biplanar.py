@@ -159,7 +159,7 @@ def make_subject(seed: int) -> Subject:
         values,
         rest,
         record,
-        TrackedPush.of(nominal["frontal"], told_n, frontal),
+        TrackedPush.of(nominal["frontal"], frontal),
         pedicles,
         _lateral(torso, nominal["lateral"], states, random, p),
         _turn_deg(torso, states[-1]),

@@ -256,7 +256,7 @@ def tracked_push(
         quality = quality_of(predicted) * (random.uniform(size=(17, 1)) > LOST * (number > 0))
         corners = corners + (wrong + error + dragged) * view.magnification
         frames.append(VertebraCorners(VERTEBRAE, corners, quality))
-    return TrackedPush.of(nominal, told, frames)
+    return TrackedPush.of(nominal, frames)
 
 
 def drawn_drag(random: np.random.Generator) -> Floats:

@@ -43,6 +43,8 @@ def test_every_example_has_a_test() -> None:
         "01_push_a_torso.py",
         "02_recover_ratios.py",
         "03_your_own_model.py",
+        "04_fit_with_pytorch.py",
+        "05_fit_with_jax.py",
     ]
     for path in EXAMPLES:
         assert f"test_{path.stem[3:]}(" in Path(__file__).read_text(encoding="utf-8")
@@ -87,3 +89,22 @@ def test_your_own_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     printed = capsys.readouterr().out
     assert "lower joint: true ratio 2, found 2.0000" in printed
     assert_as_documented("03_your_own_model.py", printed)
+
+
+@pytest.mark.parametrize("framework", ["torch", "jax"])
+def test_fit_with_a_framework_s_optimiser(
+    framework: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """test_fit_with_pytorch( and test_fit_with_jax( at once."""
+    pytest.importorskip(framework, reason=f'pip install "spinestiff[{framework}]"')
+    result = run({"torch": "04_fit_with_pytorch.py", "jax": "05_fit_with_jax.py"}[framework], tmp_path, monkeypatch)
+    truth, found = result["truth"], result["found"]
+    assert isinstance(truth, dict)
+    assert isinstance(found, dict)
+    for name, value in truth.items():
+        # Noise-free and on the same mesh: nothing but the optimiser's stopping rule is in between.
+        assert found[name] == pytest.approx(value, rel=1e-3)
+    # Progress: a line an evaluation, each with its loss.
+    losses = [float(one) for one in re.findall(r"loss +([0-9.e+-]+) mm\^2, ", capfd.readouterr().out)]
+    assert len(losses) > 5
+    assert min(losses) < 1e-6 * losses[0]

@@ -13,9 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.study.report.torso_picture import (
+from spinestiff.anatomy.picture import (
     DPI,
     FRONT,
     LANDSCAPE,
@@ -27,6 +25,8 @@ from spinestiff.study.report.torso_picture import (
     joint_places,
     torso_figure,
 )
+from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.torso import TorsoModel
 
 AXIS_COLOURS = ("#d02020", "#208020", "#2040d0")
 

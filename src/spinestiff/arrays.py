@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import enum
 from collections.abc import Collection, Iterator, Mapping
-from typing import Any
+from importlib import import_module
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,15 @@ class ShortRepr:
     """
 
     LONGEST = 160
+    SHOWN_BY: ClassVar[str] = ""
+    """"module:function" that makes HTML of it for notebooks; by name, since what draws a thing imports it. "": none."""
+
+    def _repr_html_(self) -> str | None:
+        if not self.SHOWN_BY:
+            return None
+        module, _, function = self.SHOWN_BY.partition(":")
+        shown: str = getattr(import_module(module), function)(self)
+        return shown
 
     def __repr__(self) -> str:
         line = f"{type(self).__name__}({', '.join(self._facts())})"

@@ -60,3 +60,7 @@ class FitError(SpinestiffError):
     """Stiffness ratios can't be estimated from these trials."""
 
     exit_status = 3
+
+
+class OutsideWarning(UserWarning):
+    """Something is asked of the model that lies far outside what it was made for and compared with."""

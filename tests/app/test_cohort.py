@@ -7,7 +7,6 @@ import shutil
 import pytest
 
 from cohort_runners import QUICK, cohort_of
-from spinestiff import __version__
 from spinestiff.app.cohort import Shown, _print, duration, order_of, run_cohort
 from spinestiff.cohort import subject_run
 from spinestiff.cohort.marker import Order, examine
@@ -18,6 +17,7 @@ from spinestiff.cohort.worker import Task, make_results
 from spinestiff.errors import SubjectError
 from spinestiff.study.visit import open_visit
 from spinestiff.subject.outcomes import Estimate
+from spinestiff.subject.program import program
 from spinestiff.subject.run_record import read_outcome
 
 
@@ -94,7 +94,7 @@ def test_a_real_subject_goes_through_and_its_row_says_what_its_results_say(finis
     assert make_results(task, lines.append) == "done"
     assert [line for line in lines if not line.endswith("up to date")] == []
     assert examine(place, order).state == "current"
-    assert order.version == __version__
+    assert order.version == program()
     row = read_row(place.results / "row.json")
     visit = open_visit(finished.folder)
     estimate = read_outcome(visit.subject, Estimate)

@@ -12,6 +12,7 @@ import pytest
 
 from spinestiff import __version__
 from spinestiff.app.study import live
+from spinestiff.app.volume import Volume, speaking
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
 from spinestiff.study.seven.participants import seven
@@ -45,8 +46,9 @@ def study(told, finished):
 def test_help_names_command_and_options_and_imports_nothing_heavy(spinestiff):
     shown = spinestiff("study", "seven", "--help")
     assert shown.status == 0
-    options = {"--others", "--mesh", "--workers", "--page", "--page-only", "--json", "--help"}
-    assert set(re.findall(r"^ +(--[a-z-]+)", shown.out, re.M)) == options
+    own = {"--others", "--mesh", "--workers", "--page", "--page-only", "--json"}
+    everywhere = {"--quiet", "--verbose", "--settings", "--help"}
+    assert set(re.findall(r"^ +(?:-\w, )?(--[a-z-]+)", shown.out, re.M)) == own | everywhere
     assert re.search(r"^ +study ", spinestiff("--help").out, re.M)
     code = """
 import sys
@@ -147,7 +149,7 @@ def test_a_folder_that_the_study_did_not_make_is_left_alone(tmp_path):
 def test_progress_in_a_log_has_a_line_each(capsys):
     with live(["subject-1"]) as on_line:
         on_line("subject-1", "make: [bold]")
-    with live(["subject-1"], quiet=True) as on_line:
+    with speaking(Volume(quiet=True)), live(["subject-1"]) as on_line:
         on_line("subject-1", "never seen")
     err = capsys.readouterr().err
     assert re.search(r"^ +\d+\.\d s  subject-1: make: \[bold\]$", err, re.M)

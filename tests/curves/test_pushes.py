@@ -120,7 +120,7 @@ def test_every_frame_is_seen_and_knows_its_annotation(subject):
         content["pushes"]["main"]["annotated_frames"] = [0, 3]
 
     altered(subject, Tracked, change)
-    found = seen_frames(read_outcome(read_subject(subject), Tracked).pushes["main"])
+    found = seen_frames(read_outcome(read_subject(subject), Tracked).pushes["main"], (0.0, 15.0, 22.5, 30.0))
     assert [(frame.frame, frame.force_n, frame.origin) for frame in found] == [
         (0, 0.0, 0), (1, 15.0, 0), (2, 22.5, 3), (3, 30.0, 3),
     ]  # fmt: skip

@@ -39,7 +39,7 @@ def model():
 @pytest.fixture(scope="module")
 def pose_of(jax, model):
     start = model.solve(AT).equilibrium.state
-    return importlib.import_module("spinestiff.interop.jax").equilibrium(model, start)
+    return importlib.import_module("spinestiff.interop.jax").jax_equilibrium(model, start)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_no_equilibrium_is_an_error_that_says_why(jax, pose_of):
 
 
 def test_thirty_two_bits_are_refused(jax, model):
-    from spinestiff.interop.jax import equilibrium
+    from spinestiff.interop.jax import jax_equilibrium as equilibrium
 
     jax.config.update("jax_enable_x64", False)
     try:

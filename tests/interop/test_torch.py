@@ -34,7 +34,7 @@ def model():
 
 @pytest.fixture
 def equilibrium(torch):
-    return importlib.import_module("spinestiff.interop.torch").equilibrium
+    return importlib.import_module("spinestiff.interop.torch").torch_equilibrium
 
 
 def test_without_torch_the_import_says_what_to_install(monkeypatch):

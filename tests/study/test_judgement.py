@@ -66,7 +66,7 @@ class Case:
     def with_frames(self, change):
         """The corners of every frame changed."""
         corners = [change(self.tracked.corners(i)) for i in range(len(FORCES))]
-        return replace(self, tracked=TrackedPush.of(self.tracked.view.view(), FORCES, corners))
+        return replace(self, tracked=TrackedPush.of(self.tracked.view.view(), corners))
 
     def with_rest(self, template=None, **pictures):
         """Personalised anew, with other pictures or from another template."""
@@ -111,7 +111,7 @@ def sound():
         id="main", side="left", level=8.0, d21_mm=400.0, d31_mm=200.0, frames="main", forces_n=FORCES, roles=ROLES
     )
     record = SubjectRecord(schema_version=1, id="girl", age=13.0, sex="female", height_cm=HEIGHT, pushes=(push,))
-    tracked = TrackedPush.of(view, FORCES, frames)
+    tracked = TrackedPush.of(view, frames)
     shaped = personalise(template_torso(HEIGHT), rest)
     pushes = push_set(shaped.torso, record.pushes, {"main": tracked})
     fit = fit_pushes(pushes, ("lateral_bending", "tissue"), RATIOS, extent="estimate")
@@ -180,7 +180,7 @@ def test_a_vertebra_that_tracking_lost_is_told_by_the_residuals(sound):
     shown = frames[2].corners.copy()
     shown[VERTEBRAE.index("T8"), :, 0] += 7.0
     frames[2] = replace(frames[2], corners=shown)
-    case = replace(sound, tracked=TrackedPush.of(sound.tracked.view.view(), FORCES, frames))
+    case = replace(sound, tracked=TrackedPush.of(sound.tracked.view.view(), frames))
     fit = fit_pushes(case.pushes, ("lateral_bending", "tissue"), RATIOS, extent="estimate")
     case = replace(case, fit=fit)
     assert "look for the corners of T8, then" in case.doubts()["residuals as expected"]
@@ -220,7 +220,7 @@ def test_exchanged_forces(sound):
 
 def test_frames_of_the_same_force_need_not_grow(sound):
     forces, corners = (0.0, 20.0, 40.0, 40.0), [sound.tracked.corners(i) for i in (0, 1, 3, 2)]
-    tracked = TrackedPush.of(sound.tracked.view.view(), forces, corners)
+    tracked = TrackedPush.of(sound.tracked.view.view(), corners)
     assert replace(sound.with_push(forces_n=forces), tracked=tracked).check("motion grows with force").passed
     forces = (0.0, 20.0, 40.0, 40.5)
     assert not replace(sound.with_push(forces_n=forces), tracked=tracked).check("motion grows with force").passed
@@ -228,7 +228,7 @@ def test_frames_of_the_same_force_need_not_grow(sound):
 
 def back_again(sound, forces, shown):
     """The subject with frames as if they had been taken in another order, or under other forces."""
-    tracked = TrackedPush.of(sound.tracked.view.view(), forces, [sound.tracked.corners(i) for i in shown])
+    tracked = TrackedPush.of(sound.tracked.view.view(), [sound.tracked.corners(i) for i in shown])
     roles = (*ROLES[:3], *["unused"] * (len(forces) - 3))
     return replace(sound.with_push(forces_n=forces, roles=roles), tracked=tracked)
 

@@ -7,13 +7,15 @@ from dataclasses import replace
 
 import pytest
 
+from spinestiff import __version__
 from spinestiff.errors import EquilibriumError, FitError, RadiographError, SubjectError
 from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.study.runner import ALL_STEPS, STEPS, Step, run_steps
 from spinestiff.study.visit import Settings, open_visit
 from spinestiff.subject.folder import read_subject
 from spinestiff.subject.outcome_parts import OUTCOME_VERSION
-from spinestiff.subject.run_record import input_digest, package_version, record_step, step_record
+from spinestiff.subject.program import program
+from spinestiff.subject.run_record import input_digest, record_step, step_record
 
 UP_TO_DATE = [f"{step}: up to date" for step in STEPS]
 AFTER = {"estimate": ["estimate", "assess", "report"], "personalise": ["personalise", "estimate", "assess", "report"]}
@@ -70,10 +72,11 @@ def dry():
 
 def test_the_record_of_a_run(finished):
     run = read_json(finished.folder / "results" / "run.json")
-    assert run["version"] == package_version()
+    assert run["version"] == __version__
+    assert {step["program"] for step in run["steps"].values()} == {program()}
     # The report writes the view as well.
     assert set(run["steps"]) == {*STEPS, "view"}
-    of_subject = {f"subject.json: {part}" for part in ("X-ray geometry", "frames and forces")}
+    of_subject = {f"subject.json: {part}" for part in ("X-ray geometry", "frames")}
     pushes = {"pushes/main.dcm", "pushes/second.dcm"}
     assert set(run["steps"]["track"]["inputs"]) == {*of_subject, "annotation.json: pushes", *pushes}
     assert set(run["steps"]["personalise"]["inputs"]) >= {
@@ -193,6 +196,10 @@ def set_force(content):
     content["pushes"][0]["forces_n"][1] += 1.0
 
 
+def set_age(content):
+    content["age"] += 1.0
+
+
 def set_distance(content):
     content["xray"]["source_detector_mm"] = 1499.0
 
@@ -212,18 +219,34 @@ def move_corner(image):
         ("subject.json", set_prior, AFTER["estimate"]),
         ("subject.json", set_parameters, AFTER["estimate"]),
         ("subject.json", set_population, AFTER["estimate"]),
-        ("subject.json", set_force, ["track", "response", *AFTER["estimate"]]),
+        ("subject.json", set_force, ["response", *AFTER["estimate"]]),
+        ("subject.json", set_age, ["report"]),
         ("subject.json", set_distance, ["track", "response", *AFTER["personalise"]]),
         ("annotation.json", move_corner("rest/frontal"), ["response", *AFTER["personalise"]]),
         ("annotation.json", move_corner("push/second"), ["track", "response", *AFTER["estimate"]]),
     ],
-    ids=["height", "role", "priors", "parameters", "population", "force", "geometry", "rest", "push"],
+    ids=["height", "role", "priors", "parameters", "population", "force", "age", "geometry", "rest", "push"],
 )
 def test_a_change_redoes_what_uses_it_and_what_follows(subject, dry, name, change, redone):
     edited(subject, name, lambda content: content.setdefault("xray", {}) if name == "subject.json" else None)
     dry(opened(subject))
     edited(subject, name, change)
     assert dry(opened(subject)) == redone
+    assert dry(opened(subject)) == []
+
+
+def test_age_and_sex_shape_the_torso_where_the_mass_is_known(subject, dry):
+    edited(subject, "subject.json", lambda content: content.update(mass_kg=45.0))
+    assert dry(opened(subject)) == AFTER["personalise"]
+    edited(subject, "subject.json", set_age)
+    assert dry(opened(subject)) == AFTER["personalise"]
+
+
+def test_changed_code_has_all_redone_and_says_why(subject, dry, monkeypatch):
+    monkeypatch.setattr("spinestiff.subject.run_record.program", lambda: "0.1.0+another")
+    lines = []
+    assert dry(opened(subject), observer=lines.append) == list(STEPS)
+    assert lines[0] == f"track: was made by spinestiff {program()}, this is 0.1.0+another; made again"
     assert dry(opened(subject)) == []
 
 

@@ -58,7 +58,7 @@ def corners(shift=0.0):
 
 
 def push(**said):
-    return TrackedPush.of(frontal_view(), (0.0, 20.0), [corners(), corners(1.5)], **said)
+    return TrackedPush.of(frontal_view(), [corners(), corners(1.5)], **said)
 
 
 def moving(**changed):
@@ -240,7 +240,6 @@ def test_corners_come_back_to_a_thousandth_of_a_pixel():
     assert found.vertebrae == wanted.vertebrae
     np.testing.assert_allclose(view.pixels(found.corners), view.pixels(wanted.corners), atol=0.00051)
     np.testing.assert_array_equal(found.quality, wanted.quality)
-    assert [frame.force_n for frame in push().frames] == [0.0, 20.0]
 
 
 def test_where_the_supports_are_is_part_of_a_frame():

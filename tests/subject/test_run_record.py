@@ -125,21 +125,23 @@ def test_a_damaged_record_only_means_redoing(bare, text):
 
 def test_the_version_is_part_of_the_digest(monkeypatch):
     before = step_digest({}, {})
-    monkeypatch.setattr("spinestiff.subject.run_record.package_version", lambda: "another")
+    monkeypatch.setattr("spinestiff.subject.run_record.program", lambda: "another")
     assert step_digest({}, {}) != before
 
 
 CHANGES = {
     "subject.json: X-ray geometry": (("record", "xray"), {"source_detector_mm": 1500.0}),
     "subject.json: body": (("record", "height_cm"), 158.0),
-    "subject.json: frames and forces": (("push", "forces_n"), (0.0, 21.0)),
+    "subject.json: forces": (("push", "forces_n"), (0.0, 21.0)),
+    "subject.json: frames": (("push", "frames"), "b.dcm"),
+    "subject.json: person": (("record", "age"), 14.0),
     "subject.json: pushes": (("push", "level"), 8.5),
     "subject.json: supports": (("record", "pelvis"), "hinge"),
     "subject.json: roles": (("push", "roles"), ("unused", "training")),
     "annotation.json: rest": (("image", "rest/frontal"), None),
     "annotation.json: pushes": (("image", "push/a"), None),
 }
-TOGETHER = {"subject.json: frames and forces": {"subject.json: frames and forces", "subject.json: pushes"}}
+TOGETHER = {f"subject.json: {part}": {f"subject.json: {part}", "subject.json: pushes"} for part in ("forces", "frames")}
 QUAD = [[12.0, 10.0], [2.0, 10.0], [2.0, 20.0], [12.0, 20.0]]
 
 

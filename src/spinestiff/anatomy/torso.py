@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -157,6 +157,8 @@ class TorsoModel(ShortRepr):
         lie against a wall behind the patient), "humerus_head" (2: left, right), "pelvis_belt" (1).
     height_cm : body height.
     """
+
+    SHOWN_BY: ClassVar[str] = "spinestiff.anatomy.picture:html_of"
 
     bone_names: tuple[str, ...]
     rest_pose: TorsoState

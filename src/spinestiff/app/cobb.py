@@ -146,20 +146,17 @@ def readings_table(readings: Sequence[CobbReading]) -> Table:
     """A row an image: the largest angle, and that of each region."""
     from spinestiff.curves.cobb import REGIONS
 
-    table = Table(
-        title="Cobb angles, ± half of the 95 % interval, by corner noise",
-        title_justify="left",
-        title_style="bold",
-    )
-    for column in ("image", "status", "largest angle", *(name for _, name in REGIONS.values())):
-        table.add_column(column)
+    columns = ("status", "largest angle", *(name for _, name in REGIONS.values()))
+    made = tables.table("Cobb angles, ± half of the 95 % interval, by corner noise", "image", *columns, left=columns)
     for reading in readings:
         if reading.largest is None:
-            table.add_row(escape(reading.image), reading.status)
+            made.add_row(escape(reading.image), reading.status)
             continue
         regions = ["-" if curve is None else _cell(reading, curve) for curve in reading.by_region().values()]
-        table.add_row(escape(reading.image), reading.status, reading.words(), *regions)
-    return table
+        made.add_row(
+            escape(reading.image), reading.status, *[tables.stacked(cell) for cell in (reading.words(), *regions)]
+        )
+    return made
 
 
 def _cell(reading: CobbReading, curve: Curve) -> str:

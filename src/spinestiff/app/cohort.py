@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from spinestiff import __version__
+from spinestiff.app.progress import beating
+from spinestiff.app.volume import volume
 from spinestiff.cohort.marker import Order
 from spinestiff.cohort.participants import read_participants
 from spinestiff.cohort.supervisor import (
@@ -22,12 +23,15 @@ from spinestiff.cohort.supervisor import (
     usual_memory_mb,
 )
 from spinestiff.errors import OptionError
+from spinestiff.subject.program import program
 from spinestiff.words import counted
 
 LEVELS = ("participant", "group")
 FAILED = 1
 """Exit status where a participant failed."""
 MOST_SHOWN = 20
+LOG_SILENCE_S = 30.0
+"""After which a log tells how far all are: a cohort takes hours."""
 _RECENT = 12
 
 
@@ -36,7 +40,7 @@ def order_of(settings: dict[str, Any]) -> Order:
     from spinestiff.cohort.subject_run import RUNNER, settings_of
 
     settings_of(settings)
-    return Order(runner=RUNNER, settings=settings, version=__version__)
+    return Order(runner=RUNNER, settings=settings, version=program())
 
 
 def run_cohort(
@@ -189,9 +193,11 @@ def live(count: int, jobs: int) -> Iterator[Shown]:
     from rich.progress_bar import ProgressBar
     from rich.table import Table
 
-    console = Console(stderr=True, highlight=False)
+    console = Console(stderr=True, quiet=volume().quiet, highlight=False)
     if not console.is_terminal:
-        yield Shown(count, jobs, lambda line: console.print(escape(line), soft_wrap=True))
+        shown = Shown(count, jobs, lambda line: say(line))
+        with beating(lambda line: console.print(escape(line), soft_wrap=True), shown.headline, LOG_SILENCE_S) as say:
+            yield shown
         return
     shown = Shown(count, jobs, lambda line: None)
     marks = {"done": "[green]done[/green]", "failed": "[bold red]failed[/bold red]", "again": "[yellow]again[/yellow]"}

@@ -43,6 +43,9 @@ SHOWN_ALONE = 3
 WORTH_TELLING_N = 3.0
 """What the prior of a force's offset covers at 95 % (``estimation.priors``)."""
 
+WIDE = 160
+"""Characters of the table of files where nobody looks at it: names are not broken."""
+
 
 @dataclass(frozen=True)
 class Asked:
@@ -104,7 +107,7 @@ def make_subject(out: Path, sources: Sequence[Path], asked: Asked) -> None:
     data = making.subject_data(identifier, sorting)
     notes = making.fill(data, asked.given)
     making.name_pushes(data, sorting)
-    tables.show(_table(sorting, [push["id"] for push in data["pushes"]], chosen, refused, others))
+    tables.show(_table(sorting, [push["id"] for push in data["pushes"]], chosen, refused, others), WIDE)
     told, lines = making.person_of(chosen)
     notes += lines
     making.fill(data, Given({key: value for key, value in told.items() if key not in asked.given.person}))
@@ -283,9 +286,9 @@ def _table(
     others: Sequence[Study],
 ) -> Table:
     """Every file, what it becomes and why; ``names`` are those of the pushes."""
-    table = Table(title="Radiographs", title_justify="left", title_style="bold")
-    for name in ("file", "frames", "time s", "becomes", "why"):
-        table.add_column(name, justify="right" if name in ("frames", "time s") else "left", overflow="fold")
+    made = tables.table("Radiographs", "file", "frames", "time s", "becomes", "why", left=("becomes", "why"))
+    for column in made.columns:
+        column.overflow = "fold"
     becomes = {}
     for name, push in zip(names, sorting.pushes):
         for number, one in enumerate(push.files):
@@ -297,19 +300,19 @@ def _table(
     for one in sorted(chosen, key=lambda one: (one.name not in becomes, one.tags.moment or 0.0, one.name)):
         time = "" if one.tags.moment is None else f"{one.tags.moment - min(moments):.0f}"
         use = becomes.get(one.name, "left out")
-        table.add_row(escape(one.name), str(one.frames), time, use, escape(sorting.reasons[one.name]))
+        made.add_row(escape(one.name), str(one.frames), time, use, escape(sorting.reasons[one.name]))
     alike: dict[tuple[str, str], list[Refused]] = {}
     for one_ in refused:
         alike.setdefault((PurePosixPath(one_.name).parent.as_posix(), one_.why), []).append(one_)
     for (folder, why), files in alike.items():
         if len(files) > SHOWN_ALONE:
-            table.add_row(escape(f"{len(files)} files in {folder}"), "", "", "left out", escape(why))
+            made.add_row(escape(f"{len(files)} files in {folder}"), "", "", "left out", escape(why))
         else:
             for left in files:
-                table.add_row(escape(left.name), "", "", "left out", escape(why))
+                made.add_row(escape(left.name), "", "", "left out", escape(why))
     for study in others:
-        table.add_row(escape(study.words), "", "", "left out", "another study than asked for")
-    return table
+        made.add_row(escape(study.words), "", "", "left out", "another study than asked for")
+    return made
 
 
 def _finish(out: Path, work: _Work, notes: Sequence[str]) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from rich.table import Table
-
 from spinestiff.app import tables
 from spinestiff.study.parameter_words import TITLES, gradient_rows, model_title, parameter_lines
 from spinestiff.study.visit import Visit
@@ -20,38 +18,31 @@ def read_parameters(visit: Visit) -> ParameterStudy:
 def show_parameters(found: ParameterStudy) -> None:
     """Print it."""
     columns: tuple[str, ...] = ("parameter", "default", "estimate", "share, %")
-    table = _table(f"Motion of the corners per e-fold, mm ({found.mesh} mesh)", *columns)
+    made = tables.table(f"Motion of the corners per e-fold, mm ({found.mesh} mesh)", *columns)
     for effect in found.effects:
         cells = (number(effect.default_mm, 2), number(effect.estimate_mm, 2), fixed(100.0 * effect.share, 0))
-        table.add_row(TITLES[effect.name], *cells)
-    tables.show(table)
+        made.add_row(TITLES[effect.name], *cells)
+    tables.show(made)
     optimum = ", ".join(f"{name} {number(value, 2)}" for name, value in found.optimum.items())
     title = f"Gradient of the paper's objective (Eq. 10, Table 3), mm² per e-fold; equal weights' optimum: {optimum}"
-    table = _table(title, "parameter", "default", "optimum", "paper, mean of |default|")
+    made = tables.table(title, "parameter", "default", "optimum", "paper, mean of |default|")
     for row in gradient_rows(found):
-        table.add_row(*row)
-    tables.show(table)
+        made.add_row(*row)
+    tables.show(made)
     columns = ("ratios", "estimate", "training", "left out", "held out", "AIC", "extreme")
-    table = _table("Ratios, weighed fit: corner RMSE, mm", *columns)
+    made = tables.table("Ratios, weighed fit: corner RMSE, mm", *columns)
     for model in found.models:
         errors = (model.training_rmse_mm, model.left_out_rmse_mm, model.held_out_rmse_mm)
-        table.add_row(
+        made.add_row(
             model_title(model),
             ", ".join(number(model.ratios.get(name), 2) for name in model.parameters),
             *[fixed(error, 2) for error in errors],
             fixed(model.aic),
             ", ".join(model.extreme),
         )
-    tables.show(table)
+    tables.show(made)
     for line in parameter_lines(found):
         print(line)
     for model in found.models:
         if model.note:
             print(f"note: {model_title(model)}: {model.note}")
-
-
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", title_style="bold")
-    for i, column in enumerate(columns):
-        table.add_column(column, justify="left" if i == 0 else "right")
-    return table

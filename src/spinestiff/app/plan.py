@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from rich.table import Table
-
 from spinestiff.app import tables
 from spinestiff.errors import OptionError
 from spinestiff.files import write_bytes, write_text
@@ -131,20 +129,17 @@ def plan_next(visit: Visit, wish: Wish, say: Observer) -> Plan:
 
 def show_plan(plan: Plan, visit: Visit) -> None:
     """Print what was planned."""
-    table = Table(title="One more push", title_justify="left", title_style="bold")
-    for column in ("push", "view", "exposures", "expected, 95 %"):
-        table.add_column(column, justify="left" if column in ("push", "view") else "right")
+    made = tables.table("One more push", "push", "view", "exposures", "expected, 95 %", left=("view",))
     for push in plan.next[:SHOWN]:
-        table.add_row(push_words(push), VIEW_WORDS[push.view], str(push.radiographs), width(plan, size_of(push)))
-    tables.show(table)
-    table = Table(title="One push after the other", title_justify="left", title_style="bold")
-    for column in ("push", "view", "exposures so far", "expected, 95 %", "pays"):
-        table.add_column(column, justify="left" if column in ("push", "view") else "right")
+        made.add_row(push_words(push), VIEW_WORDS[push.view], str(push.radiographs), width(plan, size_of(push)))
+    tables.show(made)
+    columns = ("push", "view", "exposures\nso far", "expected, 95 %", "pays")
+    made = tables.table("One push after the other", *columns, left=("view",))
     for step in plan.sequence:
         push, words = step.push, width(plan, size_of(step.push))
         pays = "yes" if step.pays else "hardly"
-        table.add_row(push_words(push), VIEW_WORDS[push.view], str(step.exposures), words, pays)
-    tables.show(table)
+        made.add_row(push_words(push), VIEW_WORDS[push.view], str(step.exposures), words, pays)
+    tables.show(made)
     for line in plan_lines(plan):
         print(line)
     print(f"picture: {visit.file('plan.png')}\nsheet to print: {visit.file('protocol.html')}")

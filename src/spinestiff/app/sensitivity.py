@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from rich.table import Table
-
 from spinestiff.app import tables
 from spinestiff.study.sensitivity_words import (
     FORCE_COLUMNS,
@@ -27,27 +25,22 @@ def read_sensitivity(visit: Visit) -> Sensitivity:
 def show_sensitivity(found: Sensitivity, visit: Visit) -> None:
     """Print it."""
     title = f"Refits on the {found.mesh} mesh, weighed: change of the stiffness, %"
-    table = Table(title=title, title_justify="left", title_style="bold")
-    for column in ("changed", "by", *found.parameters):
-        table.add_column(column, justify="left" if column in ("changed", "by") else "right")
+    names = [name.replace("@", "\n@") for name in found.parameters]
+    made = tables.table(title, "changed", "by", *names, left=("by",))
     for one in found.refits:
         if one.series != "weighed":
             continue
         if one.what == "nothing":
-            table.add_row("as it is (ratio)", "", *[number(one.ratios.get(name)) for name in found.parameters])
+            made.add_row("as it is (ratio)", "", *[number(one.ratios.get(name)) for name in found.parameters])
             continue
         cells = [fixed(one.stiffness_percent.get(name), 1, True) for name in found.parameters]
-        table.add_row(TITLES[one.what], change_title(one), *cells)
-    tables.show(table)
-    table = Table(
-        title="10 % of force, mean of both signs, % (paper's Table 7)", title_justify="left", title_style="bold"
-    )
-    table.add_column("estimator")
-    for column in FORCE_COLUMNS:
-        table.add_column(column, justify="right")
+        made.add_row(TITLES[one.what], change_title(one), *cells)
+    tables.show(made)
+    title = "10 % of force, mean of both signs, % (paper's Table 7)"
+    made = tables.table(title, "estimator", *FORCE_COLUMNS)
     for label, percent in force_rows(found):
-        table.add_row(label, *force_cells(percent))
-    tables.show(table)
+        made.add_row(label, *force_cells(percent))
+    tables.show(made)
     for line in sensitivity_lines(found):
         print(line)
     print(f"picture: {visit.file('sensitivity.png')}")

@@ -11,6 +11,12 @@ from typing import Annotated
 
 import typer
 
+from spinestiff.app.commands.common import common
+from spinestiff.app.progress import LONGEST_SILENCE_S, beating
+from spinestiff.app.volume import volume
+
+WIDE = 160
+"""Characters of tables with a column a subject, where no terminal sets them."""
 study = typer.Typer(
     name="study", help="Whole studies of synthetic subjects.", no_args_is_help=True, rich_markup_mode=None
 )
@@ -22,6 +28,7 @@ def _group() -> None:
 
 
 @study.command()
+@common
 def seven(
     folder: Annotated[Path, typer.Argument(help="Folder of the study; what is there already is not made again.")],
     others: Annotated[
@@ -67,7 +74,7 @@ def seven(
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as problem:
             raise SubjectError(f"{folder}: can't be written ({trouble(problem)})") from None
-        with sole_run(folder), live([one.name for one in wanted], quiet=json) as on_line:
+        with sole_run(folder), live([one.name for one in wanted]) as on_line:
             failures = run_study(folder, wanted, settings, on_line, workers or threads(), way).failures
     first = [known_outcome(folder, one, settings) for one in those_seven()]
     further = [found for one in thirty() if (found := known_outcome(folder, one, settings)) is not None]
@@ -83,7 +90,7 @@ def seven(
     else:
         if not others:
             for table in paper_tables(first):
-                tables.show(tables.paper_table(table))
+                tables.show(tables.paper_table(table), WIDE)
         tables.show(tables.goals_table(goals(there), f"Goals, {len(there)} of {len(wanted)} subjects"))
         typer.echo(f"page: {written}")
     if failures:
@@ -92,18 +99,21 @@ def seven(
 
 
 @contextmanager
-def live(names: Sequence[str], quiet: bool = False) -> Iterator[Callable[[str, str], None]]:
+def live(names: Sequence[str]) -> Iterator[Callable[[str, str], None]]:
     """A table with a row a subject and what it is at, on a terminal; in a log a line each."""
     from rich.console import Console
     from rich.live import Live
     from rich.markup import escape
     from rich.table import Table
 
-    console, began = Console(stderr=True, quiet=quiet, highlight=False), time.perf_counter()
+    console, began = Console(stderr=True, quiet=volume().quiet, highlight=False), time.perf_counter()
     if not console.is_terminal:
-        yield lambda name, line: console.print(
-            f"{time.perf_counter() - began:7.1f} s  {escape(name)}: {escape(line)}", soft_wrap=True
-        )
+
+        def keep(line: str) -> None:
+            console.print(f"{time.perf_counter() - began:7.1f} s  {escape(line)}", soft_wrap=True)
+
+        with beating(keep, lambda: f"{len(names)} subjects, still at work", LONGEST_SILENCE_S) as say:
+            yield lambda name, line: say(f"{name}: {line}")
         return
     at: dict[str, tuple[str, float, float]] = dict.fromkeys(names, ("waiting", 0.0, 0.0))
 

@@ -1,14 +1,12 @@
-"""What commands print: tables for people, JSON for programs."""
+"""What commands print: tables for people, 80 characters wide where that is possible, and JSON for programs."""
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
-import platform
-import sys
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -22,31 +20,16 @@ if TYPE_CHECKING:
     from spinestiff.subject.outcomes import Estimate, FrameProposal, HeldOutFrame
     from spinestiff.verification.outcome import Check
 
-LIBRARIES = (
-    "numpy",
-    "scipy",
-    "numba",
-    "rslab",
-    "pydantic",
-    "pydicom",
-    "pylibjpeg-openjpeg",
-    "pyjpegls",
-    "pillow",
-    "opencv-python-headless",
-    "scikit-image",
-    "matplotlib",
-)
-EXTRAS = {
-    "python-gdcm": "JPEG Lossless radiographs (extra [dicom])",
-}
+WIDTH = 80
+"""Characters of a line where the output is no terminal."""
 
 
-def show(table: Table) -> None:
-    """Print a table as wide as it needs where the output is no terminal."""
+def show(shown: Table, width: int = WIDTH) -> None:
+    """Print a table: in a terminal's width, else in ``width``."""
     console = Console()
     if not console.is_terminal:
-        console = Console(width=160)
-    console.print(table)
+        console = Console(width=width)
+    console.print(shown)
 
 
 def show_json(data: Any) -> None:
@@ -54,11 +37,25 @@ def show_json(data: Any) -> None:
     print(json.dumps(data, indent=1, allow_nan=False))
 
 
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", title_style="bold")
+def table(title: str, *columns: str, left: Sequence[str] = (), gap: int = 2, whole: bool = True) -> Table:
+    """An empty table without lines between columns.
+
+    Parameters
+    ----------
+    left : columns that are words, besides the first; numbers stand on the right.
+    gap : blanks between columns.
+    whole : numbers are not broken where a line is too short; words and the first column are.
+    """
+    made = Table(
+        title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False,
+        padding=(0, gap - 1, 0, 0),
+    )  # fmt: skip
+    lines = max(column.count("\n") for column in columns)
     for i, column in enumerate(columns):
-        table.add_column(column, justify="left" if i == 0 else "right")
-    return table
+        head = "\n" * (lines - column.count("\n")) + column
+        words = i == 0 or column in left
+        made.add_column(head, justify="left" if words else "right", overflow="fold", no_wrap=whole and not words)
+    return made
 
 
 def _number(value: float | None, digits: int = 2) -> str:
@@ -66,67 +63,70 @@ def _number(value: float | None, digits: int = 2) -> str:
 
 
 def repeatability_table(found: Repeatability) -> Table:
-    """Within-subject scatter of each ratio, found and expected."""
-    columns = ("ratio", "within-subject sd of log", "95 %", "expected", "smallest detectable change", "expected", "p")
-    table = _table("Repeatability", *columns)
+    """Within-subject scatter of each ratio, found and expected, and the smallest change that would show."""
+    columns = ("ratio", "sd of log", "95 %", "expected", "smallest\nchange", "\nexpected", "p")
+    made = table("Repeatability: scatter within a subject", *columns)
     for name, one in found.scatter.items():
         ends = f"{one.low:.3f} to {one.high:.3f}"
         factors = (f"× {one.detectable_factor:.3g}", f"× {one.expected_factor:.3g}")
-        table.add_row(
+        made.add_row(
             escape(name), f"{one.within_sd_log:.3f}", ends, f"{one.expected_sd_log:.3f}", *factors, f"{one.p_value:.2g}"
         )
-    return table
+    return made
 
 
 def estimate_table(estimate: Estimate) -> Table:
     """Stiffness in plain units with intervals, and the ratios that it comes from."""
-    table = _table(f"Estimate: {badge(estimate)}", "stiffness", "value", "95 % interval", "", "at bound")
+    made = table(f"Estimate: {badge(estimate)}", "stiffness", "value", "95 % interval", "", left=("",))
     for key, title in PLAIN.items():
         found = estimate.plain[key]
-        span = "" if found.low is None and found.high is None else f"{interval(found)} {found.unit}"
-        table.add_row(title, f"{estimated(found)} {found.unit}", span, "", "")
-    table.add_section()
+        span = "" if found.low is None and found.high is None else interval(found)
+        made.add_row(title, estimated(found), span, found.unit)
+    made.add_section()
     for name in estimate.parameters:
         ratio = estimate.ratios[name]
-        at_bound = "yes" if ratio.at_bound else "no"
         known = ratio.determined if has_intervals(estimate) else NO_INTERVALS
-        table.add_row(f"ratio: {escape(name)}", estimated(ratio), interval(ratio), known, at_bound)
-    return table
+        known += ", at bound" if ratio.at_bound else ""
+        made.add_row(f"ratio: {escape(name)}", estimated(ratio), interval(ratio), known)
+    return made
+
+
+PREDICTORS = {
+    "rest": "rest", "default": "de-\nfault", "fit": "fit", "forecast": "fore-\ncast",
+    "fitted_supports": "fitted\nsupp.", "extrapolation": "extra-\npol.", "single_ratio": "one\nratio", "truth": "truth",
+}  # fmt: skip
+"""Columns of the held-out frames' table, by the name of the predictor."""
 
 
 def assessment_table(frames: Sequence[HeldOutFrame]) -> Table:
     """RMSE of every held-out frame by predictor, and the change of the Cobb angle (tilt form)."""
-    names = ("rest", "default", "fit", "forecast", "fitted_supports", "extrapolation", "single_ratio", "truth")
-    table = _table(
+    names = [name for name in PREDICTORS if any(frame.rmse_mm[name] is not None for frame in frames)]
+    made = table(
         "Held-out frames: corner RMSE, mm, and change of tilt, degrees",
-        "frame",
-        "force N",
-        *names,
-        "measured",
-        "fitted",
-    )
+        "frame", "N", *(PREDICTORS[name] for name in names), "tilt,\nseen", "tilt,\nfit",
+        gap=1,
+    )  # fmt: skip
     for frame in frames:
         changes = [frame.cobb_change_deg.get(key) for key in ("measured", "fit")]
-        table.add_row(
+        made.add_row(
             escape(f"{frame.push} {frame.frame}"),
             f"{frame.force_n:.0f}",
             *[_number(frame.rmse_mm[name]) for name in names],
             *[_number(None if change is None else change.tilt, 1) for change in changes],
         )
-    return table
+    return made
 
 
 def frames_table(frames: Sequence[FrameProposal]) -> Table:
     """Every frame's quality and support motion, its role in ``subject.json`` and the proposed one."""
-    table = _table(
-        "Frames: quality, motion of supports since the first frame, roles",
-        "push", "frame", "force N", "sharpness", "contrast/noise", "vertebrae", "tracking mm",
-        "pelvis", "shoulder", "role", "proposed",
+    made = table(
+        "Frames: quality, motion of supports since the first frame (mm), roles",
+        "frame", "N", "sharp-\nness", "contr./\nnoise", "ver-\ntebrae", "track.\nmm", "pelvis", "shoul-\nder",
+        "role", "proposed", gap=1,
     )  # fmt: skip
     for frame in frames:
-        table.add_row(
-            escape(f"{frame.push} ({frame.side}, rib {frame.level:g})"),
-            str(frame.frame),
+        made.add_row(
+            escape(f"{frame.push} {frame.frame}"),
             f"{frame.force_n:.0f}",
             _number(frame.sharpness),
             _number(frame.contrast_to_noise, 1),
@@ -136,43 +136,50 @@ def frames_table(frames: Sequence[FrameProposal]) -> Table:
             frame.role,
             frame.proposed,
         )
-    return table
+    return made
 
 
 def _motion(support: Mapping[Any, float | None] | None) -> str:
     if support is None:
-        return "not seen"
+        return "-"
     turn = support["degrees"]
-    return _number(support["mm"], 1) + " mm" + ("" if turn is None else f", {turn:+.1f}°")
+    return _number(support["mm"], 1) + ("" if turn is None else f", {turn:+.1f}°")
 
 
 def cobb_table(rows: Sequence[tuple[str, str, str, str, str]]) -> Table:
-    """Rows of image, Cobb angle with levels, and the three forms of its change."""
-    table = _table(
+    """Rows of image, Cobb angle with levels, and the three forms of its change, each with its levels below it."""
+    columns = ("angle", "change: signed", "fixed levels", "tilt")
+    made = table(
         "Cobb angles, ± half of the 95 % interval; changes above 0: convex to the left",
-        "image", "angle", "change: signed", "fixed levels", "tilt",
+        "image", *columns, left=columns, gap=1,
     )  # fmt: skip
     for row in rows:
-        table.add_row(*[escape(cell) for cell in row])
-    return table
+        made.add_row(*[escape(stacked(cell)) for cell in row])
+    return made
+
+
+def stacked(cell: str) -> str:
+    """ "12.0° ± 4.0° (T5–L1, endplates)" with a line for each of what is in brackets."""
+    first, bracket, rest = cell.partition(" (")
+    return f"{first}\n({rest.replace(', ', ',' + chr(10))}" if bracket else cell
 
 
 def paper_table(found: PaperTable) -> Table:
     """A table of the paper, ours beside the paper's lines."""
-    table = _table(f"Table {found.number}: {found.title}", "", "", *found.columns, "average")
+    made = table(f"Table {found.number}: {found.title}", "", "", *found.columns, "average", left=("",), whole=False)
     last = ""
     for line in found.lines:
-        table.add_row("" if line.label == last else line.label, line.whose, *line.cells, line.average)
+        made.add_row("" if line.label == last else line.label, line.whose, *line.cells, line.average)
         last = line.label
-    return table
+    return made
 
 
 def goals_table(found: Sequence[Goal], title: str) -> Table:
     """What a study is judged by."""
-    table = _table(title, "goal", "wanted", "found", "")
+    made = table(title, "goal", "wanted", "found", "", left=("wanted", "found"))
     for goal in found:
-        table.add_row(goal.name, goal.wanted, goal.found, "" if goal.met is None else "met" if goal.met else "NOT MET")
-    return table
+        made.add_row(goal.name, goal.wanted, goal.found, "" if goal.met is None else "met" if goal.met else "NOT MET")
+    return made
 
 
 def check_record(check: Check) -> dict[str, Any]:
@@ -192,39 +199,8 @@ def check_table(results: Sequence[Check]) -> Table:
     """All checks with their errors; the title counts what passed, each kind by itself."""
     from spinestiff.verification.outcome import summary
 
-    table = _table(summary(results), "check", "kind", "error", "tolerance", "")
+    made = table(summary(results), "check", "kind", "error", "tolerance", "", left=("kind",))
     for r in results:
         verdict = "passed" if r.passed else "[bold red]FAILED[/bold red]"
-        table.add_row(escape(r.name), r.kind, f"{r.error:.1e}", f"{r.tolerance:.0e}", verdict)
-    return table
-
-
-def doctor_table() -> Table:
-    """Versions of what is installed, the sparse solver in use and missing extras."""
-    from spinestiff import __version__
-    from spinestiff.anatomy.template import template_torso
-    from spinestiff.mechanics.factor import default_backend
-    from spinestiff.parallel import threads
-
-    table = _table("spinestiff doctor", "what", "found")
-    table.add_row("spinestiff", __version__)
-    table.add_row("Python", f"{sys.version.split()[0]} on {platform.platform()}")
-    for name in LIBRARIES:
-        table.add_row(name, _installed(name) or "MISSING: pip install it")
-    table.add_row("sparse solver in use", default_backend())
-    table.add_row("threads", str(threads()))
-    for name, use in EXTRAS.items():
-        table.add_row(f"{name} (optional)", _installed(name) or f"not installed; needed for {escape(use)}")
-    for mesh in ("coarse", "fine"):
-        torso = template_torso(157.0, mesh)
-        table.add_row(
-            f"template mesh '{mesh}'", f"{len(torso.tissue.rest_positions)} nodes, {len(torso.joints)} joints"
-        )
-    return table
-
-
-def _installed(name: str) -> str | None:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return None
+        made.add_row(escape(r.name), r.kind, f"{r.error:.1e}", f"{r.tolerance:.0e}", verdict)
+    return made

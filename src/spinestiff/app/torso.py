@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from spinestiff.app.commands.common import common
 from spinestiff.app.options import (
     age_limits,
     height_limits,
@@ -54,6 +55,7 @@ TemplateMesh = Annotated[str | None, typer.Option("--mesh", help="Mesh of the te
 
 
 @torso.command("import")
+@common
 def import_(
     folder: Annotated[Path, typer.Argument(help="Bone meshes: STL, OBJ, PLY, VTP.")],
     out: Annotated[Path, typer.Option(help="New folder for torso.npz, torso.json and torso.png.")],
@@ -100,6 +102,7 @@ def import_(
 
 
 @torso.command()
+@common
 def export(
     file: TorsoFile = None,
     kind: Annotated[str, typer.Option("--format", help="vtu, glb, osim, mjcf, feb or mrk.")] = "vtu",
@@ -174,6 +177,7 @@ def _export_drawn(folder: Path | None, kind: str, out: Path | None, draws: int) 
 
 
 @torso.command()
+@common
 def show(
     file: TorsoFile = None,
     height: Height = None,

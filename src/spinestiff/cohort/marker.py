@@ -33,7 +33,7 @@ class Order(CohortRecord):
     ----------
     runner : the function that makes results, "module:name".
     settings : what it is asked, as JSON.
-    version : of this program.
+    version : of this program, with a hash of its sources.
     """
 
     runner: str

@@ -91,20 +91,23 @@ def push_responses(subject: Subject, gauge: GaugeError = GAUGE) -> Responses:
     return Responses(
         gauge_scale_sd=gauge.scale,
         gauge_zero_sd_n=gauge.zero_n,
-        pushes={name: push_response(seen_frames(found), rest, gauge) for name, found in tracked.items()},
+        pushes={
+            name: push_response(seen_frames(found, subject.push(name).forces_n), rest, gauge)
+            for name, found in tracked.items()
+        },
     )
 
 
-def seen_frames(push: TrackedPush) -> list[FrameCorners]:
-    """The frames of a push as a clinician sees them."""
+def seen_frames(push: TrackedPush, forces_n: Sequence[float]) -> list[FrameCorners]:
+    """The frames of a push as a clinician sees them, each with its force."""
     view = push.view.view()
     axes = np.stack(picture_axes(view), axis=1)
     found = []
-    for index, frame in enumerate(push.frames):
+    for index, force in enumerate(forces_n):
         corners = push.corners(index)
         origin = annotated_frame(push, index)
         points = view.to_patient_plane(corners.corners) @ axes
-        found.append(FrameCorners(index, frame.force_n, corners.vertebrae, points, corners.quality, origin))
+        found.append(FrameCorners(index, force, corners.vertebrae, points, corners.quality, origin))
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -101,6 +101,8 @@ class StiffnessFit(ShortRepr):
     warnings : what a reader of the result must know.
     weighed : what only the weighed fit tells.
     """
+
+    SHOWN_BY: ClassVar[str] = "spinestiff.estimation.picture:html_of"
 
     ratios: StiffnessRatios
     status: FitStatus

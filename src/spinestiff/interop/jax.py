@@ -21,7 +21,7 @@ except ImportError:
     raise ImportError('spinestiff.interop.jax needs JAX; try: pip install "spinestiff[jax]"') from None
 
 
-def equilibrium(
+def jax_equilibrium(
     model: DifferentiableEquilibrium, start: TorsoState | Linearisation | None = None
 ) -> Callable[[Any], Pose]:
     """The function from parameters (P,) to the pose in equilibrium, arrays (B, 3), (B, 3, 3), (F, 3).

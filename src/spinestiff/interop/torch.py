@@ -42,7 +42,7 @@ class _Equilibrium(torch.autograd.Function):  # type: ignore[misc]
         return tuple(map(torch.from_numpy, ctx.solution.jvp(_array(tangent))))
 
 
-def equilibrium(
+def torch_equilibrium(
     model: DifferentiableEquilibrium, parameters: torch.Tensor, start: TorsoState | Linearisation | None = None
 ) -> Pose:
     """Pose in equilibrium at ``parameters`` (P,): float64 tensors (B, 3), (B, 3, 3), (F, 3) on the CPU.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +22,7 @@ from spinestiff.mechanics.system import System
 __all__ = ["Equilibrium", "EquilibriumProblem", "NewtonStep", "OnNewtonStep", "SolveStatus"]
 
 MAX_ITERATIONS = 60
+_log = logging.getLogger(__name__)
 
 
 class EquilibriumProblem(System):
@@ -92,7 +94,12 @@ class EquilibriumProblem(System):
         if run.wants_more(found):
             found = run.descend(load, found.state if found.smallest_j > 0.0 else state)
         fault = fault_of(self, found, run.stiffness, self.all_terms(load))
-        return replace(found, history=tuple(run.history), factorisations=run.factorisations, fault=fault)
+        found = replace(found, history=tuple(run.history), factorisations=run.factorisations, fault=fault)
+        _log.debug(
+            "%s after %d iterations and %d factorisations, residual %.1e N",
+            found.status.name, found.iterations, found.factorisations, found.residual_norm,
+        )  # fmt: skip
+        return found
 
     def _checked(self, start: TorsoState) -> TorsoState:
         rest = self.torso.rest_pose

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
@@ -12,11 +13,13 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints, ShortRepr, read_only
-from spinestiff.errors import TorsoError
+from spinestiff.errors import OutsideWarning, TorsoError
 from spinestiff.mechanics.terms import TermBlocks, point_blocks
 
 # A push from the patient's right drives the spine to the left: +x, positive in the paper's Table 2.
 PUSH_DIRECTION = {"right": 1.0, "left": -1.0}
+USUAL_LIMIT_N = 114.0
+"""The largest force of the paper's measurements (paper 2.1)."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -111,6 +114,8 @@ def rib_push(
 ) -> LoadCase:
     """The gauge's force F3 on the ribs of one side, split over the two ribs nearest in height by the lever rule.
 
+    Warns (``OutsideWarning``) above ``USUAL_LIMIT_N``: nothing that the model was compared with was pushed harder.
+
     Parameters
     ----------
     side : "left" or "right", the patient's side that is pushed; the force points to the other side.
@@ -122,6 +127,19 @@ def rib_push(
     ------
     TorsoError : unknown side, level outside 1-12, negative force.
     """
+    if force_n > USUAL_LIMIT_N:
+        warnings.warn(
+            f"a push of {force_n:g} N: the model was made for up to {USUAL_LIMIT_N:g} N, the largest that was measured",
+            OutsideWarning,
+            stacklevel=2,
+        )
+    return rib_load(torso, side, level, force_n, anterior_mm, label)
+
+
+def rib_load(
+    torso: TorsoModel, side: str, level: float, force_n: float, anterior_mm: float = 0.0, label: str = ""
+) -> LoadCase:
+    """As ``rib_push``, for what has judged the force by itself: no warning."""
     if side not in PUSH_DIRECTION:
         raise TorsoError(f"push side '{side}'; wanted 'left' or 'right'")
     if not 1.0 <= level <= 12.0:

@@ -11,7 +11,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import TorsoError
 from spinestiff.mechanics.contact import OneSidedProblem
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.mechanics.loads import PUSH_DIRECTION, LoadCase, rib_push, three_point_reactions
+from spinestiff.mechanics.loads import PUSH_DIRECTION, LoadCase, rib_load, three_point_reactions
 from spinestiff.mechanics.result import Equilibrium
 from spinestiff.mechanics.supports import PELVES, SupportKind, held_shoulder, three_point_supports
 
@@ -90,7 +90,7 @@ def push_load(torso: TorsoModel, site: PushSite, force_n: float, rig: Rig, label
     ------
     TorsoError : unknown side, level outside 1-12, negative force, or distances that are none of Eqs. 1-2.
     """
-    push = rib_push(torso, site.side, site.level, force_n, label=label)
+    push = rib_load(torso, site.side, site.level, force_n, label=label)
     if rig.pelvis != "dead-loads":
         return push
     f1, f2 = three_point_reactions(force_n, site.d21_mm, site.d31_mm)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -68,6 +69,8 @@ class Equilibrium(ShortRepr):
     smallest_j : smallest volume ratio at the integration points.
     fault : the bone, joint, node or element at fault where the solve failed; empty where it converged.
     """
+
+    SHOWN_BY: ClassVar[str] = "spinestiff.mechanics.picture:html_of_equilibrium"
 
     state: TorsoState
     status: SolveStatus

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Sequence
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -48,6 +48,8 @@ class System(ShortRepr):
     held : indices of held degrees of freedom.
     place : where pelvis and shoulder are; None: what is held stays where a solve's start has it.
     """
+
+    SHOWN_BY: ClassVar[str] = "spinestiff.mechanics.picture:html_of_problem"
 
     def __init__(
         self,

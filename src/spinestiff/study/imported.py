@@ -23,7 +23,7 @@ def write_imported(found: ImportedTorso, folder: Path) -> None:
     ------
     TorsoError : the folder holds something, or can't be written; then nothing is left there.
     """
-    from spinestiff.study.report.torso_picture import draw_torso
+    from spinestiff.anatomy.picture import draw_torso
 
     with whole_folder(folder, TorsoError) as draft:
         write_torso(draft / "torso.npz", found.torso)

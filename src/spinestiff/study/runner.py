@@ -9,6 +9,7 @@ so a plan (``spinestiff plan``), which is asked for anew each time and is no ste
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -16,14 +17,17 @@ from typing import Any
 
 from spinestiff.errors import SubjectError
 from spinestiff.files import file_digest
-from spinestiff.observer import Observer
+from spinestiff.observer import Observer, heard
 from spinestiff.study import steps as step_functions
+from spinestiff.study.summary import ASSESSMENT_FILE, ESTIMATE_FILE
 from spinestiff.study.visit import Visit
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
 from spinestiff.subject.run_record import (
     StepRecord,
     changed_inputs,
     changed_outputs,
+    changed_program,
+    differences,
     is_current,
     is_unchanged,
     record_step,
@@ -37,8 +41,8 @@ WITHOUT_PUSHES = {"personalise"}
 """Steps for which the rest radiographs are enough."""
 STEPS = ("track", "response", "personalise", "estimate", "assess", "report")
 PUSHES, ROLES = f"{SUBJECT_FILE}: pushes", f"{SUBJECT_FILE}: roles"
-XRAY, FORCES, BODY = (f"{SUBJECT_FILE}: {part}" for part in ("X-ray geometry", "frames and forces", "body"))
-SUPPORTS = f"{SUBJECT_FILE}: supports"
+XRAY, FRAMES, FORCES = (f"{SUBJECT_FILE}: {part}" for part in ("X-ray geometry", "frames", "forces"))
+BODY, PERSON, SUPPORTS = (f"{SUBJECT_FILE}: {part}" for part in ("body", "person", "supports"))
 REST_MARKS, PUSH_MARKS = f"{ANNOTATION_FILE}: rest", f"{ANNOTATION_FILE}: pushes"
 SHAPE = ("torso.npz", "personalised.json")
 MADE_BY = {
@@ -52,6 +56,7 @@ MADE_BY = {
     "predictions.npz": "assess",
 }
 """Results that later steps read, and the step that makes them."""
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -102,7 +107,7 @@ def _mesh(visit: Visit) -> dict[str, Any]:
 
 ALL_STEPS: Mapping[str, Step] = {
     "track": Step(
-        step_functions.track_step, (XRAY, FORCES, PUSH_MARKS), ("push",), (), lambda visit: ("tracked.json",)
+        step_functions.track_step, (XRAY, FRAMES, PUSH_MARKS), ("push",), (), lambda visit: ("tracked.json",)
     ),
     "frames": Step(
         step_functions.frames_step,
@@ -133,6 +138,7 @@ ALL_STEPS: Mapping[str, Step] = {
         ("tracked.json", *SHAPE),
         lambda visit: (
             "estimate.json",
+            ESTIMATE_FILE,
             "training.npz",
             *(("posterior.csv",) if visit.settings.method == "weighed" else ()),
         ),
@@ -164,12 +170,17 @@ ALL_STEPS: Mapping[str, Step] = {
         (PUSHES, ROLES, SUPPORTS),
         (),
         ("tracked.json", *SHAPE, "estimate.json", "training.npz"),
-        lambda visit: ("assessment.json", "predictions.npz", *(("comparison.json",) if visit.truth else ())),
+        lambda visit: (
+            "assessment.json",
+            ASSESSMENT_FILE,
+            "predictions.npz",
+            *(("comparison.json",) if visit.truth else ()),
+        ),
         _truth,
     ),
     "report": Step(
         step_functions.report_step,
-        (PUSHES, ROLES, BODY, SUPPORTS, XRAY, REST_MARKS, PUSH_MARKS),
+        (PUSHES, ROLES, BODY, PERSON, SUPPORTS, XRAY, REST_MARKS, PUSH_MARKS),
         ("rest", "push"),
         ("tracked.json", "response.json", *SHAPE, "estimate.json", "assessment.json", "predictions.npz"),
         lambda visit: ("report.html", "view.html"),
@@ -207,7 +218,7 @@ def run_steps(
     ------
     SpinestiffError : the first step that fails; what was written before stays.
     """
-    say = observer or (lambda line: None)
+    say = heard(observer, _log)
     if force:
         visit = replace(visit, settings=replace(visit.settings, redo=True))
     if not visit.subject.pushes and set(steps) - WITHOUT_PUSHES:
@@ -226,14 +237,21 @@ def run_steps(
         if not force and is_current(visit.subject, name, _as_compared(visit, name, record)):
             say(f"{name}: up to date")
             continue
+        _log.debug("%s is made from what changed: %s", name, ", ".join(differences(visit.subject, name, record)))
+        before = changed_program(visit.subject, name, record)
+        if before:
+            say(f"{name}: was made by spinestiff {before}, this is {record.program}; made again")
         for changed in changed_outputs(visit.subject, name):
             say(f"{name}: {changed} is not as it was written; made again")
         # The report writes the view on its way.
         view = known["view"]
         along = step_record(visit.subject, view.inputs(visit), view.settings(visit)) if name == "report" else None
         began = time.perf_counter()
+        _log.info("%s begins", name, extra={"event": "begin", "step": name})
         step.run(visit, lambda line, name=name: say(f"{name}: {line}"))  # type: ignore[misc]
-        _record(visit, step, name, record, time.perf_counter() - began)
+        seconds = time.perf_counter() - began
+        _record(visit, step, name, record, seconds)
+        _log.info("%s is done", name, extra={"event": "end", "step": name, "seconds": round(seconds, 3)})
         if along is not None:
             _record(visit, view, "view", along)
         ran.append(name)

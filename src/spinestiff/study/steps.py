@@ -20,7 +20,7 @@ from spinestiff.estimation.evaluation import FitStep
 from spinestiff.estimation.fitted import Method, StiffnessFit
 from spinestiff.estimation.forecast import Forecast
 from spinestiff.estimation.linear import MOST_PROFILED
-from spinestiff.files import write_bytes
+from spinestiff.files import write_bytes, write_text
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.pedicles import PediclePoints
 from spinestiff.imaging.projection import XRayView
@@ -46,6 +46,7 @@ from spinestiff.study.predictions import (
     write_solved,
 )
 from spinestiff.study.sensitivity import sensitivity_study
+from spinestiff.study.summary import ASSESSMENT_FILE, ESTIMATE_FILE, assessment_csv, estimate_csv
 from spinestiff.study.support_notes import strongest_notes, support_notes
 from spinestiff.study.trials import PushSet, fit_from_coarse, fit_pushes
 from spinestiff.study.truth import compare_with_truth, read_truth
@@ -104,7 +105,7 @@ def track_step(visit: Visit, say: Observer) -> None:
         said: dict[str, object] = {"millimetres": dict(frames[0].provenance), "annotated_frames": list(annotated)}
         said |= {"pedicles": marked_pedicles(subject, push, view), "sides": side_views(subject, push)}
         said |= {"markers": read_markers(subject, push, view)}
-        pushes[push.id] = TrackedPush.of(view, push.forces_n, tracked, supports, **said)
+        pushes[push.id] = TrackedPush.of(view, tracked, supports, **said)
         for i, frame in enumerate(pushes[push.id].frames):
             if frame.support_note:
                 say(f"push '{push.id}' frame {i}: {frame.support_note}")
@@ -267,7 +268,7 @@ def personalise_step(visit: Visit, say: Observer) -> None:
         say("shaping a coarse torso, too, which the estimate starts on")
         write_torso(visit.file(START), shape(subject_template(subject.record, "coarse"), finer=fine).torso)
     if shaped.scan is not None:
-        from spinestiff.study.report.torso_picture import draw_scan
+        from spinestiff.anatomy.picture import draw_scan
 
         draw_scan(shaped.torso, shaped.scan.points, visit.file("skin_scan.png"))
     write_outcome(subject, geometry_record(shaped, provenance))
@@ -319,8 +320,8 @@ def starting_torso(visit: Visit) -> TorsoModel:
 
 
 def estimate_step(visit: Visit, say: Observer) -> None:
-    """Estimate the ratios from the training frames; writes ``estimate.json``, draws of the ratios and of all that is
-    not quite known (``posterior.csv``), and the equilibria, ``training.npz``.
+    """Estimate the ratios from the training frames; writes ``estimate.json`` and ``.csv``, draws of the ratios and of
+    all that is not quite known (``posterior.csv``), and the equilibria, ``training.npz``.
 
     Raises
     ------
@@ -338,6 +339,7 @@ def estimate_step(visit: Visit, say: Observer) -> None:
         of_equilibria(training, fit.equilibria, "fit") | of_equilibria(training, fit.default_equilibria, "default"),
     )
     write_draws(visit.file("posterior.csv"), fit)
+    write_text(visit.file(ESTIMATE_FILE), estimate_csv(record))
     write_outcome(visit.subject, record)
 
 
@@ -358,7 +360,7 @@ def sensitivity_step(visit: Visit, say: Observer) -> None:
 def assess_step(visit: Visit, say: Observer) -> None:
     """Predict all frames by all models, and say how well the held-out ones are met.
 
-    Writes ``predictions.npz``, ``assessment.json`` and, where the truth is given, ``comparison.json``.
+    Writes ``predictions.npz``, ``assessment.json`` and ``.csv`` and, where the truth is given, ``comparison.json``.
 
     Raises
     ------
@@ -389,6 +391,7 @@ def assess_step(visit: Visit, say: Observer) -> None:
     assessment = Assessment(frames=assess(predictions, expected), notes=tuple(_support_notes(visit, predictions)))
     comparison = None if visit.truth is None else compare_with_truth(estimate, pushes, visit.truth)
     write_solved(visit.file("predictions.npz"), stored(predictions))
+    write_text(visit.file(ASSESSMENT_FILE), assessment_csv(assessment))
     write_outcome(subject, assessment)
     if comparison is None:
         # One of an earlier estimate would be none of this one.

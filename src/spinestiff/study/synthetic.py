@@ -6,6 +6,7 @@ The truth is written beside the folder (``DIR.truth.json``), never into it.
 from __future__ import annotations
 
 import json
+import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -41,7 +42,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.places import place_of_pelvis
 from spinestiff.mechanics.supports import Supports
-from spinestiff.observer import Observer
+from spinestiff.observer import Observer, heard
 from spinestiff.parallel import in_parallel
 from spinestiff.personalise.prior import OWN_PEDICLE_SD, PERSON_PEDICLE_SD
 from spinestiff.personalise.quality import mesh_quality
@@ -263,7 +264,7 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
         raise SubjectError(f"{folder}: is not empty; choose another folder, nothing was written")
     if os.path.lexists(truth_path(folder)):
         raise SubjectError(f"{truth_path(folder)}: is there already; choose another folder, nothing was written")
-    say = observer or (lambda line: None)
+    say = heard(observer, logging.getLogger(__name__))
     random = np.random.default_rng(recipe.seed)
     say("shaping the torso")
     torso = subject_torso(recipe, say)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -47,6 +48,10 @@ class Settings:
     parameters: tuple[str, ...] | None = None
     population: str | None = None
     redo: bool = False
+
+    def as_record(self) -> dict[str, Any]:
+        """As JSON, but for ``redo``, which is no matter of results."""
+        return {key: value for key, value in asdict(self).items() if key != "redo"}
 
     def __post_init__(self) -> None:
         if self.parameters is not None:

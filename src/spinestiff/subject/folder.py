@@ -21,6 +21,7 @@ from spinestiff.errors import SubjectError, SubjectGaps
 from spinestiff.files import check_output, regular_file, regular_files, write_json
 from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_HEADER_BYTES, MOST_MAPPED_BYTES
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
+from spinestiff.mechanics.loads import USUAL_LIMIT_N
 from spinestiff.subject.gaps import Gap, read_open_record
 from spinestiff.subject.records import (
     ANNOTATION_FILE,
@@ -31,7 +32,6 @@ from spinestiff.subject.records import (
     RESULTS,
     SCHEMA_VERSION,
     SUBJECT_FILE,
-    USUAL_LIMIT_N,
     Annotation,
     FurtherViewRecord,
     ImageAnnotation,

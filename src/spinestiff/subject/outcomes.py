@@ -63,7 +63,7 @@ class TrackedFrame(Outcome):
 
     Attributes
     ----------
-    force_n : magnitude.
+    force_n : as files of earlier versions have it; forces are those of ``subject.json``.
     corners_px : (Nv, 4, 2) column, row. quality : (Nv, 4), from 0 to 1.
     support_motion_mm : by support, where it is seen; of a shoulder only across its wall.
     obliquity_deg : turn of the pelvis about the AP axis, +z; above 0 the patient's left side rises. None in the first
@@ -73,7 +73,7 @@ class TrackedFrame(Outcome):
     support_note : what moved by more than the paper allows ("the pelvis moved by 3.4 mm, obliquity +2.1 degrees").
     """
 
-    force_n: float
+    force_n: float | None = None
     corners_px: tuple[tuple[Pair, Pair, Pair, Pair], ...]
     quality: tuple[tuple[float, float, float, float], ...]
     support_motion_mm: dict[str, float] = Field(default_factory=dict)
@@ -216,7 +216,6 @@ class TrackedPush(Outcome):
     def of(
         cls,
         view: XRayView,
-        forces_n: Sequence[float],
         tracked: Sequence[VertebraCorners],
         supports: Sequence[SupportMotion] = (),
         **said: object,
@@ -230,14 +229,13 @@ class TrackedPush(Outcome):
         """
         frames = [
             {
-                "force_n": force,
                 "corners_px": view.pixels(corners.corners).round(3).tolist(),
                 "quality": corners.quality.round(3).tolist(),
                 "support_motion_mm": {m.name: round(float(m.distance[i]), 3) for m in supports if m.seen[i]},
                 "support_note": "; ".join(notes[i] for notes in (m.notes() for m in supports) if i in notes),
                 **(_support_places(supports, i) if i > 0 else {}),
             }
-            for i, (force, corners) in enumerate(zip(forces_n, tracked, strict=True))
+            for i, corners in enumerate(tracked)
         ]
         return cls.model_validate(
             {"view": ViewRecord.of(view), "vertebrae": tracked[0].vertebrae, "frames": frames, **said}

@@ -34,8 +34,6 @@ LATERAL = "rest/lateral"
 FEWEST_VERTEBRAE = 8
 GAUGE_LIMIT_N = 500.0
 """What the force gauge of the set-up measures accurately (paper 2.1)."""
-USUAL_LIMIT_N = 114.0
-"""The largest force of the paper's measurements (paper 2.1)."""
 MOST_TURNED_DEG = 45.0
 """Of a vertebra between two frames of a push: half of what corners begun at the wrong one make of it."""
 DISTANCES_MM = (30.0, 1000.0)

@@ -18,6 +18,7 @@ from spinestiff.errors import SubjectError
 from spinestiff.files import file_digest, json_text, parse_json, read_text, write_json
 from spinestiff.subject.folder import Subject
 from spinestiff.subject.outcome_parts import Outcome, OutcomeFile
+from spinestiff.subject.program import program
 from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE, complaint_of
 
 RUN_FILE = "run.json"
@@ -36,6 +37,7 @@ class StepRecord(Outcome):
     settings : what the step was asked.
     seconds : wall-clock time.
     outputs : SHA-256 by path relative to the subject folder.
+    program : that did it (``subject.program``).
     """
 
     digest: str
@@ -43,6 +45,7 @@ class StepRecord(Outcome):
     settings: dict[str, Any] = Field(default_factory=dict)
     seconds: float = 0.0
     outputs: dict[str, str] = Field(default_factory=dict)
+    program: str = ""
 
 
 class RunRecord(Outcome):
@@ -51,11 +54,6 @@ class RunRecord(Outcome):
     schema_version: Literal[2] = RUN_SCHEMA
     version: str
     steps: dict[str, StepRecord] = Field(default_factory=dict)
-
-
-def package_version() -> str:
-    """The version of spinestiff that runs."""
-    return __version__
 
 
 def _pushes(subject: Subject, *fields: str) -> object:
@@ -67,20 +65,37 @@ def _images(subject: Subject, kind: str) -> object:
     return {name: image.model_dump(mode="json") for name, image in images.items() if name.startswith(kind)}
 
 
+def _frames(subject: Subject) -> object:
+    """What tracking looks at: of forces only how many there are, and which is the least, from which markers move."""
+    pushes = [
+        (push.model_dump(mode="json", include={"id", "frames", "views", "markers"}), push) for push in subject.pushes
+    ]
+    return [{**known, "count": len(push.forces_n), "least": push.markers and push.unloaded} for known, push in pushes]
+
+
+def _body(subject: Subject) -> object:
+    """What the torso is shaped from; age and sex say nothing of it where the mass is not known."""
+    left_out = {"pushes", "xray", "id", *_SUPPORTS, *_ASKED}
+    return subject.record.model_dump(
+        mode="json", exclude=left_out if subject.record.mass_kg is not None else left_out | _PERSON
+    )
+
+
+_PERSON = {"age", "sex"}
 _SUPPORTS = {"pelvis", "wall", "priors"}
 _ASKED = {"parameters", "population"}
 """Settings that are in ``subject.json``: a step that follows them has them among its settings."""
 
 PARTS: Mapping[str, Callable[[Subject], object]] = {
     f"{SUBJECT_FILE}: X-ray geometry": lambda s: s.record.xray.model_dump(mode="json"),
-    f"{SUBJECT_FILE}: frames and forces": lambda s: _pushes(s, "id", "frames", "forces_n", "views", "markers"),
+    f"{SUBJECT_FILE}: frames": _frames,
+    f"{SUBJECT_FILE}: forces": lambda s: _pushes(s, "id", "forces_n"),
     f"{SUBJECT_FILE}: pushes": lambda s: _pushes(
         s, "id", "frames", "forces_n", "side", "level", "d21_mm", "d31_mm", "views", "markers"
     ),
     f"{SUBJECT_FILE}: roles": lambda s: _pushes(s, "id", "roles"),
-    f"{SUBJECT_FILE}: body": lambda s: s.record.model_dump(
-        mode="json", exclude={"pushes", "xray", "id", *_SUPPORTS, *_ASKED}
-    ),
+    f"{SUBJECT_FILE}: body": _body,
+    f"{SUBJECT_FILE}: person": lambda s: s.record.model_dump(mode="json", include=_PERSON),
     f"{SUBJECT_FILE}: supports": lambda s: s.record.model_dump(mode="json", include=_SUPPORTS),
     f"{ANNOTATION_FILE}: rest": lambda s: _images(s, "rest/"),
     f"{ANNOTATION_FILE}: pushes": lambda s: _images(s, "push/"),
@@ -101,22 +116,22 @@ def input_digest(subject: Subject, name: str) -> str:
 
 
 def step_digest(inputs: Mapping[str, str], settings: Mapping[str, Any]) -> str:
-    """One hash of all that a step depends on: its inputs' hashes, its settings and this program's version."""
-    parts = {"inputs": dict(inputs), "settings": dict(settings), "version": package_version()}
+    """One hash of all that a step depends on: its inputs' hashes, its settings and this program."""
+    parts = {"inputs": dict(inputs), "settings": dict(settings), "version": program()}
     return hashlib.sha256(json_text(parts).encode()).hexdigest()
 
 
 def step_record(subject: Subject, inputs: Iterable[str], settings: Mapping[str, Any]) -> StepRecord:
     """The record of a step that is about to run. Raises SubjectError if an input can't be read."""
     hashes = {name: input_digest(subject, name) for name in sorted(inputs)}
-    return StepRecord(digest=step_digest(hashes, settings), inputs=hashes, settings=dict(settings))
+    return StepRecord(digest=step_digest(hashes, settings), inputs=hashes, settings=dict(settings), program=program())
 
 
 def record_step(subject: Subject, step: str, record: StepRecord, outputs: Iterable[Path], seconds: float = 0.0) -> None:
     """Write a step into ``run.json`` beside the other steps, with the hashes of what it has just written."""
     made = {path.relative_to(subject.folder).as_posix(): file_digest(path) for path in outputs}
     done = record.model_copy(update={"outputs": made, "seconds": round(seconds, 3)})
-    run = RunRecord(version=package_version(), steps={**recorded_steps(subject), step: done})
+    run = RunRecord(version=__version__, steps={**recorded_steps(subject), step: done})
     write_json(subject.results / RUN_FILE, run.model_dump(mode="json"))
 
 
@@ -137,6 +152,28 @@ def is_current(subject: Subject, step: str, record: StepRecord) -> bool:
     """Whether the step was made from just this and its outputs are still as it left them."""
     recorded = recorded_steps(subject).get(step)
     return recorded is not None and recorded.digest == record.digest and not changed_outputs(subject, step)
+
+
+def changed_program(subject: Subject, step: str, record: StepRecord) -> str:
+    """The program that made a step of the same inputs and settings; "" where more has changed, or nothing."""
+    last = recorded_steps(subject).get(step)
+    alike = last is not None and (last.inputs, last.settings) == (record.inputs, record.settings)
+    return last.program if last is not None and alike and last.program != record.program else ""
+
+
+def differences(subject: Subject, step: str, record: StepRecord) -> tuple[str, ...]:
+    """What of a step is not as when it ran last: names of inputs, settings and outputs; "never run" if it has not."""
+    last = recorded_steps(subject).get(step)
+    if last is None:
+        return ("never run",)
+    found = [
+        name
+        for then, now in ((last.inputs, record.inputs), (last.settings, record.settings))
+        for name in dict.fromkeys((*then, *now))
+        if then.get(name) != now.get(name)
+    ]
+    program = ("the program",) if last.program != record.program else ()
+    return (*found, *changed_outputs(subject, step), *program)
 
 
 def changed_inputs(subject: Subject, step: str) -> tuple[str, ...]:

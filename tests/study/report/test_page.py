@@ -127,7 +127,6 @@ def make_visit(folder: Path, side: int = 256, seed: int = 1) -> Visit:
         quality = np.full((14, 4), 0.9)
         tracked[name] = TrackedPush.of(
             view,
-            forces,
             [VertebraCorners(torso.vertebrae[SEEN], view.from_pixels(found), quality) for found in frames],
             moved(forces),
             millimetres={"pixel spacing": "DICOM ImagerPixelSpacing, at the detector", "orientation": "DICOM L\\F"},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +25,7 @@ from spinestiff.anatomy.template.surfaces import Surface, joined, signed_volume
 from spinestiff.anatomy.torso import BoneSurface, JointTable, TissueMesh, TorsoModel, joint_frames
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import TorsoError
-from spinestiff.observer import Observer
+from spinestiff.observer import Observer, heard
 
 __all__ = ["DEFAULT_SPACING_MM", "ImportedTorso", "import_torso"]
 
@@ -85,7 +86,7 @@ def import_torso(
     ------
     TorsoError : in one line, naming the mesh, what can't be used and what to do.
     """
-    say = observer or (lambda line: None)
+    say = heard(observer, logging.getLogger(__name__))
     refuse_unknown_mesher(mesher)
     files = find_files(Path(folder), None if mapping is None else Path(mapping))
     say(f"read: {sum(map(len, files.bones.values()))} meshes")

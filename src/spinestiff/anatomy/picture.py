@@ -16,6 +16,7 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.files import write_bytes
+from spinestiff.shown import as_html
 
 # title, world axis and sign that runs to the right of the page, direction towards the viewer
 View = tuple[str, int, float, tuple[float, float, float]]
@@ -97,6 +98,24 @@ def torso_figure(torso: TorsoModel) -> Figure:
     return figure
 
 
+def small_figure(torso: TorsoModel) -> Figure:
+    """The torso from the front, for a notebook."""
+    figure = Figure(figsize=(2.4, 3.2), layout="constrained")
+    axis = figure.add_subplot()
+    draw_front(axis, torso)
+    axis.set_axis_off()
+    return figure
+
+
+def draw_front(axis: Axes, torso: TorsoModel) -> None:
+    """Skin and bones from the front; of a torso without bone surfaces, where its bones are."""
+    draw_skin(axis, torso, 0, 1.0)
+    if torso.bone_surfaces:
+        draw_bones(axis, torso, FRONT)
+    else:
+        axis.plot(*torso.rest_pose.bone_positions[:, :2].T, "o", color="#3b4a5a", markersize=4.0)
+
+
 def scan_figure(torso: TorsoModel, points: Floats) -> Figure:
     """Points (n, 3) mm of a skin scan over the torso's skin and bones, from the front and the side, those nearer to the
     viewer than the torso's middle in blue, those behind in pale blue."""
@@ -129,3 +148,14 @@ def _write(figure: Figure, path: Path) -> None:
     stream = BytesIO()
     figure.savefig(stream, format="png", dpi=DPI, pil_kwargs={"optimize": True})
     write_bytes(path, stream.getvalue())
+
+
+def html_of(torso: TorsoModel) -> str:
+    """As a notebook shows it."""
+    rows = [
+        ("height", f"{torso.height_cm:.4g} cm"),
+        ("bones", str(len(torso.bone_names))),
+        ("joints", str(len(torso.joints))),
+        ("tissue", f"{len(torso.tissue.rest_positions)} nodes, {len(torso.tissue.elements)} tetrahedra"),
+    ]
+    return as_html("Torso at rest", rows, small_figure(torso))

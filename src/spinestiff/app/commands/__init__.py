@@ -1,0 +1,1 @@
+"""The commands, by what they are about; ``app/cli.py`` lists them."""

@@ -1,0 +1,50 @@
+"""What every command takes: ``--quiet``, ``-v`` and ``--settings``."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import typer
+
+from spinestiff.app.settings_file import settings_option
+from spinestiff.app.volume import Volume, speaking
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress; warnings and errors alone.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="What the library logs, too.")]
+SettingsFile = Annotated[
+    Path | None,
+    typer.Option("--settings", callback=settings_option, is_eager=True, help="Options in a TOML file, by their names."),
+]
+COMMON: dict[str, tuple[Any, Any]] = {
+    "quiet": (Quiet, False),
+    "verbose": (Verbose, False),
+    "settings": (SettingsFile, None),
+}
+
+
+def common(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command with the options of ``COMMON``."""
+    hints = get_type_hints(command, include_extras=True)
+    own = [
+        parameter.replace(annotation=hints[name]) for name, parameter in inspect.signature(command).parameters.items()
+    ]
+    added = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
+        for name, (hint, default) in COMMON.items()
+    ]
+
+    @wraps(command)
+    def with_common(
+        *args: Any, quiet: bool = False, verbose: bool = False, settings: Path | None = None, **kw: Any
+    ) -> Any:
+        with speaking(Volume(quiet, verbose)):
+            return command(*args, **kw)
+
+    del with_common.__wrapped__  # type: ignore[attr-defined]
+    with_common.__signature__ = inspect.Signature([*own, *added])  # type: ignore[attr-defined]
+    with_common.__annotations__ = {**hints, **{name: hint for name, (hint, _) in COMMON.items()}}
+    return with_common

@@ -1,0 +1,156 @@
+"""``init``, ``inspect``, ``annotate``, ``frames``, ``deidentify``: radiographs and what is known of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spinestiff.app.annotate import annotate_folder
+from spinestiff.app.commands.shared import Folder
+from spinestiff.app.options import (
+    distance_limits,
+    level_limits,
+    oldest_limits,
+    pixel_limits,
+    source_limits,
+    stature_limits,
+    within,
+)
+
+
+def init(
+    out: Annotated[Path, typer.Argument(help="New subject folder; or one that is not complete, without SOURCE.")],
+    sources: Annotated[
+        list[Path] | None, typer.Argument(metavar="SOURCE...", help="DICOM files, or folders with some in them.")
+    ] = None,
+    pushes: Annotated[
+        Path | None,
+        typer.Option(help="Table, a row a frame: file,frame,force_n,side,level,d21_mm,d31_mm; and perhaps role,push."),
+    ] = None,
+    id: Annotated[str | None, typer.Option(help="Of the subject; default the folder's name.")] = None,
+    age: Annotated[
+        float | None, typer.Option(callback=within("years", oldest_limits, above=True), help="Age, years.")
+    ] = None,
+    sex: Annotated[str | None, typer.Option(help="female or male.")] = None,
+    height: Annotated[
+        float | None, typer.Option(callback=within("cm", stature_limits), help="Standing height, cm.")
+    ] = None,
+    side: Annotated[str | None, typer.Option(help="The patient's side that is pushed: left or right.")] = None,
+    level: Annotated[
+        float | None,
+        typer.Option(callback=within("ribs", level_limits), help="Rib that is pushed; 8.5 lies between two."),
+    ] = None,
+    d21: Annotated[
+        float | None, typer.Option(callback=within("mm", distance_limits), help="From shoulder to pelvis support, mm.")
+    ] = None,
+    d31: Annotated[
+        float | None, typer.Option(callback=within("mm", distance_limits), help="From shoulder support to push, mm.")
+    ] = None,
+    log: Annotated[
+        list[str] | None, typer.Option(help="Force log of a push: FILE, or PUSH=FILE where there are several pushes.")
+    ] = None,
+    log_columns: Annotated[str | None, typer.Option(help="Names of the logs' columns: TIME,FORCE.")] = None,
+    log_units: Annotated[
+        str | None, typer.Option(help="Units of the logs: s or ms, then N, kgf or lbf, e.g. s,N.")
+    ] = None,
+    log_offset: Annotated[
+        list[str] | None,
+        typer.Option(help="The log's time at the push's first frame, s: SECONDS or PUSH=SECONDS; else it is found."),
+    ] = None,
+    study: Annotated[str | None, typer.Option(help="Which of several studies, e.g. A1 or A1,A2.")] = None,
+    frontal: Annotated[str | None, typer.Option(help="File of the frontal rest radiograph.")] = None,
+    lateral: Annotated[str | None, typer.Option(help="File of the lateral rest radiograph.")] = None,
+    source_detector: Annotated[
+        float | None,
+        typer.Option(callback=within("mm", source_limits, above=True), help="X-ray source to detector, mm."),
+    ] = None,
+    source_patient: Annotated[
+        float | None,
+        typer.Option(callback=within("mm", source_limits, above=True), help="X-ray source to patient, mm."),
+    ] = None,
+    imager_pixel: Annotated[
+        float | None, typer.Option(callback=within("mm", pixel_limits, above=True), help="Pixel at the detector, mm.")
+    ] = None,
+    orientation: Annotated[
+        str | None, typer.Option(help="standard: radiographs without an orientation are shown as usual.")
+    ] = None,
+    no_questions: Annotated[bool, typer.Option("--no-questions", help="Ask nothing on a terminal.")] = False,
+) -> None:
+    """Make a subject folder from a hospital's DICOM files; what is not known stays open, and is named."""
+    from spinestiff.app.init import Asked, make_subject
+    from spinestiff.app.options import one_of
+    from spinestiff.app.questions import on_terminal
+    from spinestiff.subject.intake.making import Given
+
+    one_of("--sex", sex, "female", "male")
+    one_of("--side", side, "left", "right")
+    one_of("--orientation", orientation, "standard")
+    person = {"age": age, "sex": sex, "height_cm": height}
+    push = {"side": side, "level": level, "d21_mm": d21, "d31_mm": d31}
+    xray = {"source_detector_mm": source_detector, "source_patient_mm": source_patient}
+    geometry = {**xray, "imager_pixel_mm": imager_pixel, "orientation": orientation}
+    given = Given(
+        *({key: value for key, value in part.items() if value is not None} for part in (person, push, geometry))
+    )
+    asked = Asked(given, id, pushes, study, frontal, lateral, tuple(log or ()), tuple(log_offset or ()), log_columns,
+                  log_units, not no_questions and on_terminal())  # fmt: skip
+    make_subject(out, sources or [], asked)
+
+
+def inspect(
+    path: Annotated[Path, typer.Argument(help="DICOM file, folder of files, or subject folder.")],
+    json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of text.")] = False,
+) -> None:
+    """What the reader sees in radiographs: frames, millimetres and where they come from, what a fit lacks."""
+    from spinestiff.app.inspect import show_inspection
+
+    show_inspection(path, json)
+
+
+def annotate(
+    folder: Folder,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="On 127.0.0.1; 0 is any that is free.")] = 0,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address, open nothing.")] = False,
+) -> None:
+    """Mark the vertebrae's corners in the browser; every change is saved at once."""
+    annotate_folder(folder, port, not no_browser)
+
+
+def frames(
+    folder: Folder,
+    write: Annotated[bool, typer.Option("--write", help="Put the proposed roles into subject.json.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of a table.")] = False,
+) -> None:
+    """Quality and support motion of every frame, and which to train on; writes a picture strip."""
+    from spinestiff.app.frames import select_frames, show_frames
+    from spinestiff.app.progress import progress
+    from spinestiff.app.tables import show_json
+    from spinestiff.study.visit import open_visit
+    from spinestiff.subject.lock import sole_run
+
+    visit = open_visit(folder)
+    with sole_run(visit.subject.folder), progress() as say:
+        records = select_frames(visit, say, write)
+    if json:
+        show_json([frame.model_dump(mode="json") for frame in records])
+    else:
+        show_frames(records, visit.file("frames.png"), write)
+
+
+def deidentify(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="DICOM file or folder.")],
+    out: Annotated[Path, typer.Argument(help="New folder; nothing is overwritten.")],
+    key: Annotated[Path | None, typer.Option(help="Key file, for the same pseudonyms again; made if missing.")] = None,
+    burned_in_ok: Annotated[bool, typer.Option("--burned-in-ok", help="Burned-in text was looked at.")] = False,
+) -> None:
+    """Copy radiographs without their patients; says what to look at. Exit status 2 if one is refused."""
+    from spinestiff.app.deidentify import deidentify_files
+    from spinestiff.app.progress import progress
+
+    with progress() as say:
+        lines, refused = deidentify_files(source, out, key, burned_in_ok, say)
+    typer.echo("\n".join(lines))
+    if refused:
+        raise typer.Exit(2)

@@ -1,0 +1,107 @@
+"""``synth`` and ``demo``: subjects of known stiffness."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from spinestiff.app.commands.shared import (
+    Acquisition,
+    Cobb,
+    Curve,
+    Height,
+    Markers,
+    Nodes,
+    PushForce,
+    Ratios,
+    Seed,
+    Spine,
+    SpineId,
+    run_steps_of,
+)
+from spinestiff.app.findings import print_summary
+from spinestiff.errors import SubjectError
+
+
+def synth(
+    folder: Annotated[Path, typer.Argument(help="New subject folder; the truth goes beside it.")],
+    seed: Seed = 0,
+    height: Height = 157.0,
+    cobb: Cobb = 12.0,
+    curve: Curve = "thoracic",
+    force: PushForce = 60.0,
+    ratios: Ratios = None,
+    spine: Spine = None,
+    spine_id: SpineId = None,
+    acquisition: Acquisition = "paper",
+    nodes: Nodes = None,
+    biplanar: Annotated[
+        bool, typer.Option("--biplanar", help="Lateral radiographs and marked pedicles in every frame of a push, too.")
+    ] = False,
+    markers: Markers = None,
+) -> None:
+    """Make a synthetic subject of known stiffness: DICOM radiographs, force log, annotation."""
+    from spinestiff.app.progress import progress
+    from spinestiff.study.synthetic import synthesise
+
+    recipe = recipe_of(seed, height, cobb, curve, force, ratios, spine, spine_id, acquisition)
+    recipe = replace(recipe, nodes=nodes, biplanar=biplanar, markers=markers or 0)
+    with progress() as say:
+        truth = synthesise(folder, recipe, say)
+    typer.echo(f"subject: {folder}\ntruth:   {truth}")
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Where the synthetic subject goes.")] = Path("spinestiff-demo"),
+    seed: Seed = 0,
+    height: Height = 157.0,
+    cobb: Cobb = 12.0,
+    curve: Curve = "thoracic",
+    force: PushForce = 60.0,
+    ratios: Ratios = "0.10,0.04",
+    spine: Spine = None,
+    spine_id: SpineId = None,
+    acquisition: Acquisition = "planned",
+) -> None:
+    """A synthetic subject from radiographs to report, compared with its truth."""
+    from spinestiff.app.progress import progress
+    from spinestiff.study.runner import STEPS
+    from spinestiff.study.synthetic import made_by, synthesise, truth_path
+
+    recipe = recipe_of(seed, height, cobb, curve, force, ratios, spine, spine_id, acquisition)
+    if not made_by(out, recipe):
+        with progress() as say:
+            synthesise(out, recipe, lambda line: say(f"synth: {line}"))
+    print_summary(run_steps_of(out, STEPS, False, truth_path(out), "demo"))
+
+
+def recipe_of(
+    seed: int,
+    height: float,
+    cobb: float,
+    curve: str,
+    force: float,
+    ratios: str | None,
+    spine: Path | None,
+    spine_id: str | None,
+    acquisition: str,
+) -> Any:
+    """The synthetic subject that the options ask for. Raises SubjectError."""
+    from spinestiff.study.synthetic import ACQUISITIONS, Recipe
+
+    if (spine is None) != (spine_id is None):
+        raise SubjectError("--spine and --spine-id belong together; give both or none")
+    chosen = None
+    if ratios is not None:
+        try:
+            bending, tissue = (float(part) for part in ratios.split(","))
+        except ValueError:
+            raise SubjectError(f"--ratios {ratios}: wanted two numbers BENDING,TISSUE, e.g. 0.10,0.04") from None
+        chosen = (bending, tissue)
+    real = None if spine is None or spine_id is None else (spine, spine_id)
+    if acquisition not in ACQUISITIONS:
+        raise SubjectError(f"--acquisition {acquisition}: wanted {' or '.join(ACQUISITIONS)}")
+    return Recipe(seed, height, cobb, curve, force, chosen, real, ACQUISITIONS[acquisition])

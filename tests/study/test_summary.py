@@ -1,0 +1,49 @@
+"""Results as CSV: the numbers of their JSON, by name."""
+
+from __future__ import annotations
+
+import csv
+
+import pytest
+
+from spinestiff.files import read_json
+
+
+def rows(path):
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def number(text):
+    return None if text == "" else float(text)
+
+
+def test_the_estimate_s_csv_has_its_numbers(finished):
+    results = finished.folder / "results"
+    found, told = read_json(results / "estimate.json"), rows(results / "estimate.csv")
+    assert sorted(row["quantity"] for row in told) == sorted([*found["plain"], *found["ratios"]])
+    for row in told:
+        one = {**found["plain"], **found["ratios"]}[row["quantity"]]
+        assert [number(row[key]) for key in ("value", "low95", "high95")] == [one[k] for k in ("value", "low", "high")]
+        assert (row["open_low"], row["open_high"]) == tuple(
+            "yes" if one[k] else "no" for k in ("open_low", "open_high")
+        )
+        assert (row["unit"], row["determined"]) == (one.get("unit", ""), one.get("determined", ""))
+        assert row["status"] == found["status"]
+
+
+def test_the_assessment_s_csv_has_its_numbers(finished):
+    results = finished.folder / "results"
+    frames, told = read_json(results / "assessment.json")["frames"], rows(results / "assessment.csv")
+    assert len(told) == len(frames) == 2
+    for row, frame in zip(told, frames):
+        assert (row["push"], int(row["frame"]), float(row["force_n"])) == (
+            frame["push"],
+            frame["frame"],
+            frame["force_n"],
+        )
+        for name, error in frame["rmse_mm"].items():
+            assert number(row[f"rmse_mm_{name}"]) == error
+        for name, change in frame["cobb_change_deg"].items():
+            shown = number(row[f"tilt_change_deg_{name}"])
+            assert shown == (None if change is None else pytest.approx(change["tilt"]))
