@@ -39,11 +39,12 @@ from pathlib import Path
 from typing import Any
 
 from spinestiff import __version__
+from spinestiff.cohort.asked import Cohort
 from spinestiff.cohort.marker import Order, whole_results
 from spinestiff.cohort.participants import read_participants
 from spinestiff.cohort.places import DONE_FILE, LEDGER_FILE, place_of
 from spinestiff.cohort.row import Row, Stiffness, write_row
-from spinestiff.cohort.supervisor import Cohort, run_participants
+from spinestiff.cohort.supervisor import run_participants
 from spinestiff.errors import SpinestiffError
 from spinestiff.files import write_json, write_text
 

@@ -111,6 +111,7 @@ COMMANDS = {
         "--population",
         "--jobs",
         "--index",
+        "--scheduler",
         "--minutes",
         "--memory",
         "--difference",
@@ -122,7 +123,19 @@ COMMANDS = {
 }
 COMMON = ("--quiet", "--verbose", "--settings", "--help")
 # Not pydantic: typer itself may import it.
-HEAVY = ("numba", "scipy", "cv2", "matplotlib", "skimage", "pydicom", "rslab", "numpy", "fastapi", "uvicorn")
+HEAVY = (
+    "numba",
+    "scipy",
+    "cv2",
+    "matplotlib",
+    "skimage",
+    "pydicom",
+    "rslab",
+    "numpy",
+    "fastapi",
+    "uvicorn",
+    "distributed",
+)
 
 
 def digests(folder):

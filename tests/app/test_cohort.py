@@ -9,10 +9,10 @@ import pytest
 from cohort_runners import QUICK, cohort_of
 from spinestiff.app.cohort import Shown, _print, duration, order_of, run_cohort
 from spinestiff.cohort import subject_run
+from spinestiff.cohort.asked import News, Summary
 from spinestiff.cohort.marker import Order, examine
 from spinestiff.cohort.places import place_of
 from spinestiff.cohort.row import read_row
-from spinestiff.cohort.supervisor import News, Summary
 from spinestiff.cohort.worker import Task, make_results
 from spinestiff.errors import SubjectError
 from spinestiff.study.visit import open_visit
@@ -66,6 +66,8 @@ def test_where_the_reasons_of_many_failures_are_is_told(capfd, tmp_path):
         (("none", "out"), "none: no such folder; wanted one with participants.tsv"),
         (("in", "out", "everybody"), "level 'everybody': wanted participant or group"),
         (("in", "out", "--index", "1"), "--index 1: runs a single participant; add the level"),
+        (("in", "out", "participant", "--index", "1", "--scheduler", "tcp://x:1"), "leave out it or --index"),
+        (("in", "out", "group", "--scheduler", "tcp://x:1"), "--scheduler tcp://x:1: runs participants on a cluster"),
         (("in", "out", "participant", "--index", "3"), "--index 3: wanted a row of participants.tsv, 1 to 2"),
         (("in", "in/out"), "wanted two folders apart"),
         (("in", "out", "--mesh", "huge"), "unknown mesh 'huge'"),
@@ -128,5 +130,9 @@ def test_the_time_left_is_that_of_who_is_left():
     assert shown.seconds_left() == pytest.approx(15.0)
     shown.news(News("s1", "failed", "no", 1.0))
     assert shown.headline().startswith("1 done, 1 failed, 2 waiting, 0 s passed, about 10 s left")
+    shown.room(0)
+    assert shown.headline() == "1 done, 1 failed, 2 waiting for workers, 0 s passed"
+    shown.room(1)
+    assert shown.seconds_left() == pytest.approx(20.0)
     assert [row[:3] for row in shown.rows()] == [("s0", "done", ""), ("s1", "failed", "no")]
     assert [duration(one) for one in (45.2, 720.0, 12000.0)] == ["45 s", "12 min", "3 h 20 min"]

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from cohort_runners import QUICK, cohort_of
+from spinestiff.cohort.asked import Cohort
 from spinestiff.cohort.marker import Order
 from spinestiff.cohort.places import place_of
-from spinestiff.cohort.supervisor import Cohort
 from spinestiff.cohort.worker import Task
 
 

@@ -27,8 +27,8 @@ def rows(path, what):
 
 def test_a_try_is_open_until_it_ends_and_lost_with_its_run(tmp_path):
     with open_ledger(tmp_path, "r1", ORDER) as ledger:
-        ledger.begin_try("sub-01", 1)
-        ledger.begin_try("sub-02", 1)
+        ledger.begin_try("sub-01", 1, "here")
+        ledger.begin_try("sub-02", 1, "here")
         assert rows(tmp_path, "SELECT ended FROM tries") == [(None,), (None,)]
         ledger.end_try(tried())
     with open_ledger(tmp_path, "r2", ORDER) as ledger:
@@ -56,7 +56,7 @@ def test_tries_that_are_known_are_taken_over_once(tmp_path):
 def test_a_file_that_is_no_ledger_is_moved_aside(tmp_path):
     (tmp_path / "ledger.sqlite").write_bytes(b"no database at all, but a longer text " * 40)
     with open_ledger(tmp_path, "r1", ORDER) as ledger:
-        ledger.begin_try("sub-01", 1)
+        ledger.begin_try("sub-01", 1, "here")
     assert (tmp_path / "ledger-aside-1.sqlite").read_bytes().startswith(b"no database")
     assert rows(tmp_path, "SELECT participant FROM tries") == [("sub-01",)]
 

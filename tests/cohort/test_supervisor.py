@@ -13,11 +13,13 @@ from pathlib import Path
 
 import pytest
 
+from spinestiff.cohort.asked import Cohort, Limits
 from spinestiff.cohort.ledger import read_last
 from spinestiff.cohort.lock import cohort_lock
 from spinestiff.cohort.marker import whole_results
 from spinestiff.cohort.places import place_of
-from spinestiff.cohort.supervisor import Cohort, Limits, run_one, run_participants, worker_environment
+from spinestiff.cohort.processes import worker_environment
+from spinestiff.cohort.supervisor import run_one, run_participants
 from spinestiff.errors import InUseError, OptionError, SubjectError
 from spinestiff.files import file_digest
 
@@ -25,7 +27,8 @@ PARENT = """
 import sys
 from pathlib import Path
 from spinestiff.cohort.marker import Order
-from spinestiff.cohort.supervisor import Cohort, run_participants
+from spinestiff.cohort.asked import Cohort
+from spinestiff.cohort.supervisor import run_participants
 order = Order.model_validate_json(sys.argv[3])
 names = tuple(sys.argv[4].split(","))
 cohort = Cohort(Path(sys.argv[1]), Path(sys.argv[2]), names, order)

@@ -10,18 +10,12 @@ from typing import Any
 
 from spinestiff.app.progress import beating
 from spinestiff.app.volume import volume
+from spinestiff.cohort.asked import Cohort, Limits, News, Summary
+from spinestiff.cohort.cluster import run_on_cluster
 from spinestiff.cohort.marker import Order
 from spinestiff.cohort.participants import read_participants
-from spinestiff.cohort.supervisor import (
-    Cohort,
-    Limits,
-    News,
-    Summary,
-    processors,
-    run_one,
-    run_participants,
-    usual_memory_mb,
-)
+from spinestiff.cohort.processes import processors, usual_memory_mb
+from spinestiff.cohort.supervisor import run_one, run_participants
 from spinestiff.errors import OptionError
 from spinestiff.subject.program import program
 from spinestiff.words import counted
@@ -54,12 +48,14 @@ def run_cohort(
     memory_gb: float | None = None,
     difference: float | None = None,
     usual: bool = False,
+    scheduler: str | None = None,
 ) -> int:
     """Run the levels that are asked for and print what came out; the exit status.
 
     Parameters
     ----------
     usual : ``order`` holds no setting that was asked for: the group level alone takes the results as most were made.
+    scheduler : address of a Dask scheduler whose workers run the participants; None runs them here.
 
     Raises
     ------
@@ -69,18 +65,13 @@ def run_cohort(
         raise OptionError(f"level '{level}': wanted {' or '.join(LEVELS)}; both are run if it is left out")
     if index is not None and level != "participant":
         raise OptionError(f"--index {index}: runs a single participant; add the level: participant --index {index}")
+    if scheduler is not None and (index is not None or level == "group"):
+        what = "--index" if index is not None else "group"
+        raise OptionError(f"--scheduler {scheduler}: runs participants on a cluster; leave out it or {what}")
     cohort = Cohort(source, target, read_participants(source), order)
     status = 0
     if level != "group":
-        count = len(cohort.participants) if index is None else 1
-        side_by_side = min(jobs or processors(), count)
-        memory = usual_memory_mb(side_by_side) if memory_gb is None else 1000.0 * memory_gb
-        limits = Limits(None if minutes is None else 60.0 * minutes, memory)
-        with live(count, side_by_side) as shown:
-            if index is None:
-                summary = run_participants(cohort, side_by_side, limits, shown.news, shown.expect)
-            else:
-                summary = run_one(cohort, index, limits, shown.news)
+        summary = _run(cohort, jobs, index, None if minutes is None else 60.0 * minutes, memory_gb, scheduler)
         _print(summary, target)
         status = FAILED if summary.failed else 0
     if level != "participant":
@@ -89,6 +80,29 @@ def run_cohort(
         for line in write_overview(source, target, cohort.participants, difference, None if level and usual else order):
             print(line)
     return status
+
+
+def _run(
+    cohort: Cohort,
+    jobs: int | None,
+    index: int | None,
+    seconds: float | None,
+    memory_gb: float | None,
+    scheduler: str | None,
+) -> Summary:
+    asked_mb = None if memory_gb is None else 1000.0 * memory_gb
+    if scheduler is not None:
+        with live(len(cohort.participants), 0) as shown:
+            return run_on_cluster(
+                cohort, scheduler, jobs, Limits(seconds, asked_mb), shown.news, shown.expect, shown.room, shown.remark
+            )
+    count = len(cohort.participants) if index is None else 1
+    side_by_side = min(jobs or processors(), count)
+    limits = Limits(seconds, usual_memory_mb(side_by_side) if asked_mb is None else asked_mb)
+    with live(count, side_by_side) as shown:
+        if index is None:
+            return run_participants(cohort, side_by_side, limits, shown.news, shown.expect)
+        return run_one(cohort, index, limits, shown.news)
 
 
 def _print(summary: Summary, target: Path) -> None:
@@ -102,8 +116,11 @@ def _print(summary: Summary, target: Path) -> None:
 class Shown:
     """What a live table shows of a run: who is at work at what, what has ended, how long it may still take."""
 
-    def __init__(self, count: int, jobs: int, keep: Callable[[str], None]) -> None:
-        self._count, self._jobs, self._keep = count, jobs, keep
+    def __init__(
+        self, count: int, jobs: int, keep: Callable[[str], None], remark: Callable[[str], None] | None = None
+    ) -> None:
+        self._count, self._keep = count, keep
+        self.jobs, self.remark = jobs, remark or keep
         self._stages: dict[str, News] = {}
         self._began: dict[str, float] = {}
         self._recent: list[News] = []
@@ -114,6 +131,10 @@ class Shown:
     def expect(self, usual: float | None) -> None:
         """How long a participant took in earlier runs."""
         self._usual = usual
+
+    def room(self, jobs: int) -> None:
+        """How many participants can be at work at a time, from now on."""
+        self.jobs = jobs
 
     def news(self, one: News) -> None:
         """Take what has become of a participant."""
@@ -134,9 +155,9 @@ class Shown:
         return sum(one.stage in stages for one in self._stages.values())
 
     def seconds_left(self) -> float | None:
-        """By the mean of those done in this run, else the median of earlier ones; None while there are none."""
+        """By the mean of those done in this run, else the median of earlier ones; None where nothing tells it."""
         usual = sum(self._seconds) / len(self._seconds) if self._seconds else self._usual
-        if usual is None:
+        if usual is None or self.jobs == 0:
             return None
         passed = [
             min(time.monotonic() - self._began[name], usual)
@@ -144,14 +165,14 @@ class Shown:
             if one.stage == "running"
         ]
         left = usual * (self.count_of("waiting", "running", "again")) - sum(passed)
-        return max(left, 0.0) / self._jobs
+        return max(left, 0.0) / self.jobs
 
     def headline(self) -> str:
         """One line: counts and the time left."""
         counts = [
             (self.count_of("done"), "done"), (self.count_of("up to date"), "up to date"),
             (self.count_of("failed"), "failed"), (self.count_of("running"), "running"),
-            (self.count_of("waiting", "again"), "waiting"),
+            (self.count_of("waiting", "again"), "waiting" if self.jobs else "waiting for workers"),
         ]  # fmt: skip
         left = self.seconds_left()
         parts = [f"{count} {word}" for count, word in counts if count]
@@ -199,12 +220,12 @@ def live(count: int, jobs: int) -> Iterator[Shown]:
         with beating(lambda line: console.print(escape(line), soft_wrap=True), shown.headline, LOG_SILENCE_S) as say:
             yield shown
         return
-    shown = Shown(count, jobs, lambda line: None)
+    shown = Shown(count, jobs, lambda line: None, lambda line: console.print(escape(line), soft_wrap=True))
     marks = {"done": "[green]done[/green]", "failed": "[bold red]failed[/bold red]", "again": "[yellow]again[/yellow]"}
 
     class Picture:
         def __rich__(self) -> Group:
-            table = Table(title=f"{counted(count, 'participant')}, {jobs} at a time", title_justify="left")
+            table = Table(title=f"{counted(count, 'participant')}, {shown.jobs} at a time", title_justify="left")
             for column in ("participant", "", "", "time"):
                 table.add_column(column, no_wrap=True, overflow="ellipsis")
             for name, stage, words, took in shown.rows():

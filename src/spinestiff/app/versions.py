@@ -51,6 +51,7 @@ EXTRAS = (
         ("sphinx", "furo", "myst-nb", "sphinx-copybutton", "latex2mathml", "ziamath"),
         "the documentation site",
     ),
+    Extra("cluster", ("distributed", "dask-jobqueue"), "spinestiff cohort --scheduler: a Dask cluster"),
     Extra("oracles", ("opensim", "mujoco", "felupe", "scikit-fem"), "programs that tests compare answers with"),
     Extra(
         "test", ("pytest", "pytest-xdist", "hypothesis", "mpmath", "ruff", "mypy", "hatchling"), "tests, lint and types"

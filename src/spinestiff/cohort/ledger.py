@@ -117,9 +117,9 @@ class Ledger:
     def __init__(self, connection: sqlite3.Connection, path: Path, run: str) -> None:
         self._connection, self._path, self.run = connection, path, run
 
-    def begin_try(self, participant: str, number: int) -> None:
-        """A try begins."""
-        values = (self.run, participant, number, now(), socket.gethostname())
+    def begin_try(self, participant: str, number: int, host: str) -> None:
+        """A try begins, on a machine."""
+        values = (self.run, participant, number, now(), host)
         self._write("INSERT INTO tries (run, participant, try, started, host) VALUES (?, ?, ?, ?, ?)", [values])
 
     def end_try(self, tried: Try) -> None:

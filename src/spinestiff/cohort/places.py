@@ -19,6 +19,8 @@ ROW_FILE = "row.json"
 LOCK_FILE = "cohort.lock"
 LEDGER_FILE = "ledger.sqlite"
 CACHE = "cohort.cache"
+CLUSTER_FILE = "cohort.cluster"
+"""There while a cluster is at work, which has to see it (``cluster``)."""
 
 
 @dataclass(frozen=True)

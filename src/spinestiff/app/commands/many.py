@@ -30,6 +30,13 @@ def cohort(
     index: Annotated[
         int | None, typer.Option(help="Only the subject in this row of participants.tsv, from 1 (docs/cohort.md).")
     ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Subjects on the workers of this Dask scheduler, e.g. tcp://host:8786 (extra [cluster]).",
+        ),
+    ] = None,
     minutes: Annotated[
         float,
         typer.Option(
@@ -58,6 +65,7 @@ def cohort(
     asked["parameters"] = None if parameters is None else list(names_of(parameters) or ())
     sources = (context.get_parameter_source(name) for name in asked)
     usual = all(one is None or one.name == "DEFAULT" for one in sources)
-    status = run_cohort(source, target, level, order_of(asked), jobs, index, minutes, memory, difference, usual)
+    order = order_of(asked)
+    status = run_cohort(source, target, level, order, jobs, index, minutes, memory, difference, usual, scheduler)
     if status:
         raise typer.Exit(status)
