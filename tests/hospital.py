@@ -85,3 +85,23 @@ def disc(folder: Path) -> Path:
     dataset.Modality = "CT"
     dataset.save_as(ct)
     return folder
+
+
+def gauged(folder: Path) -> np.ndarray:
+    """An export in ``in`` with a push of 30 frames at 4 a second, its first frame 3.1 s after the start of the log
+    ``gauge.csv``; gives the frames' true forces.
+    """
+    start = 3.1
+    rng = np.random.default_rng(0)
+    times = np.arange(0.0, 16.0, 0.02)
+    forces = np.interp(times, [0.0, 4.5, 7.5, 11.0, 12.5], [0.0, 0.0, 58.0, 58.0, 0.0])
+    picture = texture(5)
+    seen = [shifted(picture, 0.15 * np.interp(start + i / 4.0, times, forces)) for i in range(30)]
+    noisy = np.stack([one + 150.0 * rng.standard_normal(one.shape) for one in seen])
+    export(folder / "in" / "x" / "I7", frames=30, pixels=noisy)
+    export(folder / "in" / "x" / "I2")
+    path = folder / "gauge.csv"
+    rows = [f"{1000 * t:.0f};{(f + 0.1 * rng.standard_normal()) / 9.80665:.4f}".replace(".", ",")
+            for t, f in zip(times, forces)]  # fmt: skip
+    path.write_text("\n".join(["Time (ms);Load (kgf)", *rows]), encoding="utf-8")
+    return np.interp(start + np.arange(30) / 4.0, times, forces)

@@ -37,11 +37,13 @@ LAYERS = {
     "plot": 7,
     "subject": 4,
     "curves": 5,
+    "loopback": 5,
     "study": 6,
     "verification": 7,
     "annotate": 7,
     "cohort": 7,
-    "app": 8,
+    "workbench": 8,
+    "app": 9,
 }
 # Where a third-party package may be imported; what is missing here may be imported nowhere.
 HOMES: dict[str, tuple[str, ...]] = {
@@ -76,10 +78,10 @@ HOMES: dict[str, tuple[str, ...]] = {
         "cohort/picture.py",
     ),
     "jinja2": ("study/report/viewer/page.py",),
-    "pydantic": ("subject/*", "curves/corner_files.py", "annotate/*", "cohort/*"),
+    "pydantic": ("subject/*", "curves/corner_files.py", "annotate/*", "cohort/*", "loopback/asking.py", "workbench/*"),
     "pydantic_core": ("subject/*",),
-    "fastapi": ("annotate/server.py",),
-    "uvicorn": ("annotate/server.py",),
+    "fastapi": ("annotate/server.py", "loopback/asking.py", "workbench/*"),
+    "uvicorn": ("loopback/serving.py",),
     "typer": ("app/*",),
     "rich": ("app/*",),
     "trimesh": ("anatomy/*",),

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from phantoms import phantom, sixteen_bit
-from spinestiff.annotate.guard import TOKEN_HEADER
 from spinestiff.annotate.session import AnnotationSession
 from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
+from spinestiff.loopback.guard import TOKEN_HEADER
 
 # Words that stand in the DICOM files and must not come out.
 CANARY = "Canary^Patient"

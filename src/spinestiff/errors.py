@@ -38,6 +38,14 @@ class InUseError(SubjectError):
     """A folder that another run holds; it can be used once that has ended."""
 
 
+class ChangedElsewhere(SubjectError):
+    """What is on disk, or a page's copy of it, is no longer what was read."""
+
+
+class NotThere(SubjectError):
+    """What a page asks for is not there, or no longer."""
+
+
 class RadiographError(SpinestiffError):
     """A radiograph can't be read, or lacks what a measurement in millimetres needs."""
 

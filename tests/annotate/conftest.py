@@ -7,10 +7,10 @@ import threading
 from pathlib import Path
 
 import pytest
-import uvicorn
 
-from spinestiff.annotate.server import guarded_application, listening
+from spinestiff.annotate.server import guarded_application
 from spinestiff.annotate.session import AnnotationSession
+from spinestiff.loopback.serving import listening, server_of
 from unannotated import Served, write_folder
 
 
@@ -35,9 +35,7 @@ def served(session):
     with listening(0) as sock:
         port = sock.getsockname()[1]
         guarded, address = guarded_application(session, port)
-        server = uvicorn.Server(
-            uvicorn.Config(guarded, log_level="error", access_log=False, lifespan="off", server_header=False)
-        )
+        server = server_of(guarded)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [sock]}, daemon=True)
         thread.start()
         yield Served(session, address, port, address.partition("#")[2])

@@ -18,7 +18,7 @@ def shipped(name):
 def test_the_built_page_belongs_to_its_sources():
     """Whoever changes web/annotate builds it (CONTRIBUTING.md); the hash is that of web/annotate/vite.config.ts."""
     names = ["index.html", "package.json", "package-lock.json", "tsconfig.json", "vite.config.ts"]
-    names += [f"src/{path.name}" for path in (SOURCES / "src").iterdir()]
+    names += [f"{folder}/{path.name}" for folder in ("src", "../shared") for path in (SOURCES / folder).iterdir()]
     digest = hashlib.sha256()
     for name in sorted(names):
         digest.update(f"{name}\n".encode() + (SOURCES / name).read_bytes().replace(b"\r\n", b"\n"))
@@ -31,7 +31,7 @@ def test_the_built_page_belongs_to_its_sources():
 
 def test_nothing_is_inline_and_nothing_of_another_host():
     html = shipped("index.html")
-    assert re.findall(r"<script[^>]*>", html) == ['<script src="/annotate.js" defer>']
+    assert re.findall(r"<script[^>]*>", html) == ['<script src="annotate.js" defer>']
     assert not re.search(r"<style|\sstyle=|\son\w+=|javascript:", html)
     for name in ("index.html", "annotate.js", "annotate.css"):
         assert not re.search(

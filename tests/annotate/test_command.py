@@ -11,8 +11,8 @@ import sys
 
 import pytest
 
-from spinestiff.annotate.server import listening
 from spinestiff.app import annotate as command
+from spinestiff.loopback.serving import listening
 
 PROGRAM = [sys.executable, "-c", "from spinestiff.app.cli import main; main()", "annotate"]
 

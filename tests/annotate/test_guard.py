@@ -8,8 +8,8 @@ import socket
 
 import pytest
 
-from spinestiff.annotate.guard import LARGEST_BODY, TOKEN_HEADER
-from spinestiff.annotate.server import listening
+from spinestiff.loopback.guard import LARGEST_BODY, TOKEN_HEADER
+from spinestiff.loopback.serving import listening
 from unannotated import CANARY
 
 DATA = [

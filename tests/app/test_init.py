@@ -13,7 +13,7 @@ import numpy as np
 import pydicom
 import pytest
 
-from hospital import CANARY, disc, export, shifted, texture
+from hospital import CANARY, disc, export, gauged
 from spinestiff.app import questions
 from spinestiff.app.init import Asked, make_subject
 from spinestiff.errors import OptionError, SpinestiffError
@@ -277,20 +277,7 @@ def test_what_is_open_is_filled_and_nothing_else_changes(spinestiff, tmp_path, s
 @pytest.fixture
 def logged(tmp_path):
     """An export with a push of 30 frames at 4 a second, its first frame 3.1 s after the log's start."""
-    start = 3.1
-    rng = np.random.default_rng(0)
-    times = np.arange(0.0, 16.0, 0.02)
-    forces = np.interp(times, [0.0, 4.5, 7.5, 11.0, 12.5], [0.0, 0.0, 58.0, 58.0, 0.0])
-    picture = texture(5)
-    seen = [shifted(picture, 0.15 * np.interp(start + i / 4.0, times, forces)) for i in range(30)]
-    noisy = np.stack([one + 150.0 * rng.standard_normal(one.shape) for one in seen])
-    export(tmp_path / "in" / "x" / "I7", frames=30, pixels=noisy)
-    export(tmp_path / "in" / "x" / "I2")
-    path = tmp_path / "gauge.csv"
-    rows = [f"{1000 * t:.0f};{(f + 0.1 * rng.standard_normal()) / 9.80665:.4f}".replace(".", ",")
-            for t, f in zip(times, forces)]  # fmt: skip
-    path.write_text("\n".join(["Time (ms);Load (kgf)", *rows]), encoding="utf-8")
-    return tmp_path, np.interp(start + np.arange(30) / 4.0, times, forces)
+    return tmp_path, gauged(tmp_path)
 
 
 SITE = ("--side", "left", "--level", 5, "--d21", 400, "--d31", 66)

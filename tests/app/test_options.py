@@ -35,16 +35,17 @@ ARGUMENTS = {
     ("cobb",): ("none",),
     ("plan",): ("none",),
     ("cohort",): ("none", "new"),
+    ("serve",): ("new",),
     ("torso", "import"): ("none", "--out", "new"),
 }
 NUMBERS = numbers()
 
 
 def test_all_commands_were_walked():
-    assert len(NUMBERS) == 34
+    assert len(NUMBERS) == 35
     assert {words for words, _ in NUMBERS} == {
         ("synth",), ("init",), ("demo",), ("cobb",), ("torso", "import"), ("torso", "export"), ("torso", "show"),
-        ("plan",), ("cohort",),
+        ("plan",), ("cohort",), ("serve",),
     }  # fmt: skip
 
 
@@ -89,6 +90,7 @@ def test_each_option_has_the_limits_of_its_quantity(spinestiff, tmp_path):
         ("plan", "none", "--limit", 501): "5 to 500 N",
         ("plan", "none", "--dose", 0): "above 0 and at most 1e+06 of any unit",
         ("plan", "none", "--lateral-dose", 0): "above 0 and at most 1e+06 of any unit",
+        ("serve", "new", "--upload-limit", 0): "above 0 and at most 1000 GB",
         ("cobb", "none", "--noise-px", 0): "above 0 and at most 1000 pixels",
     }
     for arguments, limits in wanted.items():

@@ -10,7 +10,7 @@ const out = join(here, "../../src/spinestiff/annotate/page");
 // The same list is read by tests/annotate/test_built.py.
 function sourceHash(): string {
   const names = ["index.html", "package.json", "package-lock.json", "tsconfig.json", "vite.config.ts"];
-  for (const name of readdirSync(join(here, "src"))) names.push(`src/${name}`);
+  for (const folder of ["src", "../shared"]) for (const name of readdirSync(join(here, folder))) names.push(`${folder}/${name}`);
   const digest = createHash("sha256");
   for (const name of names.sort()) {
     digest.update(`${name}\n`).update(readFileSync(join(here, name), "utf8").replaceAll("\r\n", "\n"));

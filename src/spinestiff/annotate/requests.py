@@ -2,37 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
 from spinestiff.annotate.draft import Corners, Draft, DraftImage, Points
 from spinestiff.annotate.session import Judged
 from spinestiff.curves.cobb import REGIONS, CobbReading, Curve
-from spinestiff.errors import SubjectError
-from spinestiff.files import parse_json
-from spinestiff.subject.records import VertebraName, complaint_of
+from spinestiff.loopback.asking import Sent
+from spinestiff.subject.records import VertebraName
 
 
-class _Sent(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
-class Save(_Sent):
+class Save(Sent):
     """All marks of the folder, made on revision ``revision``."""
 
     revision: Annotated[int, Field(ge=0)]
     draft: Draft
 
 
-class Judge(_Sent):
+class Judge(Sent):
     """Marks of one image, to be judged but not saved."""
 
     image: str
     marks: DraftImage
 
 
-class Propose(_Sent):
+class Propose(Sent):
     """Points along the spine of a frame, head to foot: the first in ``upper``, the last in ``lower``.
 
     ``kept`` are vertebrae that stay as they are and guide the others.
@@ -43,37 +38,21 @@ class Propose(_Sent):
     points: Points
     upper: VertebraName
     lower: VertebraName
-    kept: dict[VertebraName, Corners] = {}
+    kept: dict[VertebraName, Corners] = Field(default_factory=dict)
 
 
-class Track(_Sent):
+class Track(Sent):
     """Follow a push from the annotated frames that the session holds."""
 
     image: str
 
 
-class Import(_Sent):
+class Import(Sent):
     """A file's name, of which its end alone counts, its text, and the image in sight."""
 
     name: Annotated[str, Field(max_length=1000)]
     text: str
     image: str
-
-
-S = TypeVar("S", bound=_Sent)
-
-
-def sent(body: bytes, kind: type[S]) -> S:
-    """A request's body. Raises SubjectError, in one line, for anything it may not be."""
-    try:
-        text = body.decode("utf-8")
-    except UnicodeDecodeError:
-        raise SubjectError("the request is no UTF-8 text") from None
-    parse_json(text, "the request")
-    try:
-        return kind.model_validate_json(text)
-    except ValidationError as error:
-        raise SubjectError(f"the request: {complaint_of(error)}") from None
 
 
 def judged_record(judged: Judged) -> dict[str, Any]:

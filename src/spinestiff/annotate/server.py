@@ -4,33 +4,27 @@ from __future__ import annotations
 
 import json
 import secrets
-import socket
 from collections.abc import Callable
-from contextlib import suppress
-from importlib.resources import files
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import uvicorn
-from fastapi import Depends, FastAPI, Request, Response
-from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse
+from fastapi import FastAPI, Response
 
 from spinestiff import __version__
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.annotate.exchange import Form, exported, imported
 from spinestiff.annotate.following import Follower, following_record
-from spinestiff.annotate.guard import Guard
 from spinestiff.annotate.pictures import MOST_SIDE, frame_of, picture
-from spinestiff.annotate.requests import Import, Judge, Propose, Save, Track, judged_record, sent
-from spinestiff.annotate.session import AnnotationSession, ChangedElsewhere
+from spinestiff.annotate.requests import Import, Judge, Propose, Save, Track, judged_record
+from spinestiff.annotate.session import AnnotationSession
 from spinestiff.arrays import Floats
-from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.imaging.proposal import propose_boxes
 from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY
+from spinestiff.loopback.asking import Body, bare_application, sent
+from spinestiff.loopback.guard import Access, Guard, own_origins
+from spinestiff.loopback.serving import LOOPBACK, listening, run_server, shipped
 from spinestiff.subject.records import LATERAL, REST_IMAGES
 
-LOOPBACK = "127.0.0.1"
 PAGE = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/annotate.js": ("annotate.js", "text/javascript; charset=utf-8"),
@@ -38,19 +32,11 @@ PAGE = {
 }
 
 
-async def _body(request: Request) -> bytes:
-    return await request.body()
-
-
-Body = Annotated[bytes, Depends(_body)]
-
-
 def application(session: AnnotationSession) -> FastAPI:
     """The page and its data, still unguarded: what ``serve`` puts behind ``Guard``."""
-    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    app = bare_application()
     for path in PAGE:
         app.add_api_route(path, _shipped(path), methods=["GET"])
-    _add_answers(app)
     follower = Follower(session)
 
     @app.get("/api/session")
@@ -149,12 +135,8 @@ def serve(session: AnnotationSession, port: int, ready: Callable[[str], None]) -
     """
     with listening(port) as sock:
         guarded, address = guarded_application(session, sock.getsockname()[1])
-        config = uvicorn.Config(guarded, log_level="error", access_log=False, lifespan="off", server_header=False)
-        server = uvicorn.Server(config)
         ready(address)
-        # uvicorn stops in order at Ctrl-C and raises it once more afterwards.
-        with suppress(KeyboardInterrupt):
-            server.run(sockets=[sock])
+        run_server(guarded, sock)
 
 
 def guarded_application(session: AnnotationSession, port: int) -> tuple[Guard, str]:
@@ -163,48 +145,14 @@ def guarded_application(session: AnnotationSession, port: int) -> tuple[Guard, s
     The token stands in the fragment, which a browser sends to nobody.
     """
     token = secrets.token_urlsafe(32)
-    return Guard(application(session), token, port), f"http://{LOOPBACK}:{port}/#{token}"
-
-
-def listening(port: int) -> socket.socket:
-    """A socket that listens on loopback. Raises SubjectError if the port is taken."""
-    sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    try:
-        sock.bind((LOOPBACK, port))
-        sock.listen()
-    except (OSError, OverflowError):
-        sock.close()
-        raise SubjectError(
-            f"port {port} can't be used on {LOOPBACK}; choose another with --port, or 0 for any"
-        ) from None
-    return sock
+    return Guard(application(session), Access(token, own_origins(port))), f"http://{LOOPBACK}:{port}/#{token}"
 
 
 def _shipped(path: str) -> Callable[[], Response]:
     name, kind = PAGE[path]
+    content = shipped("spinestiff.annotate", name)
 
     def page() -> Response:
-        return Response(files("spinestiff.annotate").joinpath("page", name).read_bytes(), media_type=kind)
+        return Response(content(), media_type=kind)
 
     return page
-
-
-def _add_answers(app: FastAPI) -> None:
-    """Failures as one line of JSON."""
-
-    @app.exception_handler(ChangedElsewhere)
-    def changed(_: Request, error: Exception) -> JSONResponse:
-        return JSONResponse({"error": str(error)}, 409)
-
-    @app.exception_handler(SpinestiffError)
-    def refused(_: Request, error: Exception) -> JSONResponse:
-        return JSONResponse({"error": " ".join(str(error).split())}, 422)
-
-    @app.exception_handler(RequestValidationError)
-    def malformed(_: Request, error: Exception) -> JSONResponse:
-        return JSONResponse({"error": "the request is not one of this page's"}, 422)
-
-    @app.exception_handler(OSError)
-    def unwritten(_: Request, error: Exception) -> JSONResponse:
-        assert isinstance(error, OSError)
-        return JSONResponse({"error": f"a file can't be read or written ({error.strerror})"}, 500)

@@ -18,7 +18,7 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.annotate.draft import DRAFT_FILE, Draft, DraftImage, read_draft
 from spinestiff.curves.cobb import CobbReading, read_cobb
 from spinestiff.curves.corner_files import ImageCorners, Side
-from spinestiff.errors import RadiographError, SpinestiffError, SubjectError
+from spinestiff.errors import ChangedElsewhere, RadiographError, SpinestiffError, SubjectError
 from spinestiff.files import write_json
 from spinestiff.imaging.features import picture_axes, view_kind
 from spinestiff.imaging.projection import XRayView
@@ -56,10 +56,6 @@ KEPT = 3
 FRONTAL = "rest/frontal"
 SHOWN = 3
 """Of the values that subject.json does not know yet; ``spinestiff inspect`` lists all."""
-
-
-class ChangedElsewhere(SubjectError):
-    """The annotation on disk, or the page's copy of it, is no longer the one that was read."""
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ for command in (
     subjects.inspect,
     subjects.init,
     subjects.annotate,
+    subjects.serve,
     steps.track,
     subjects.frames,
     steps.response,

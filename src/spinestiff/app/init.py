@@ -33,7 +33,7 @@ from spinestiff.subject.intake.force_log import (
 from spinestiff.subject.intake.logged import Logged, at_offset, put_beside
 from spinestiff.subject.intake.making import Given
 from spinestiff.subject.intake.push_table import pushes_of, read_push_table
-from spinestiff.subject.intake.sorting import Sorting, sort_files
+from spinestiff.subject.intake.sorting import Sorting, sort_files, uses_of
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
 from spinestiff.words import counted
@@ -289,13 +289,7 @@ def _table(
     made = tables.table("Radiographs", "file", "frames", "time s", "becomes", "why", left=("becomes", "why"))
     for column in made.columns:
         column.overflow = "fold"
-    becomes = {}
-    for name, push in zip(names, sorting.pushes):
-        for number, one in enumerate(push.files):
-            becomes[one.name] = f"push {name}" + (f", frame {number}" if len(push.files) > 1 else "")
-    for name, rest in (("rest, frontal", sorting.frontal), ("rest, lateral", sorting.lateral)):
-        if rest is not None:
-            becomes[rest.name] = name
+    becomes = uses_of(sorting, names)
     moments = [one.tags.moment for one in chosen if one.tags.moment is not None]
     for one in sorted(chosen, key=lambda one: (one.name not in becomes, one.tags.moment or 0.0, one.name)):
         time = "" if one.tags.moment is None else f"{one.tags.moment - min(moments):.0f}"

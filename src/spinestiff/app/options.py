@@ -196,3 +196,8 @@ def memory_limits() -> tuple[float, float]:
 def difference_limits() -> tuple[float, float]:
     """A factor between two stiffnesses, the larger over the smaller."""
     return 1.0, 100.0
+
+
+def upload_limits() -> tuple[float, float]:
+    """GB of one upload."""
+    return 0.0, 1000.0

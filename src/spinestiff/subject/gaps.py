@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from pydantic import ValidationError
+
 from spinestiff.files import parse_json, read_text
 from spinestiff.subject.records import (
     DISTANCES_MM,
@@ -21,6 +23,7 @@ from spinestiff.subject.records import (
     OLDEST,
     SUBJECT_FILE,
     SubjectRecord,
+    complaints_of,
     parse_record,
 )
 
@@ -147,3 +150,12 @@ def _filled(data: dict[str, Any]) -> dict[str, Any]:
 def check_open_record(data: dict[str, Any]) -> None:
     """Raise SubjectError for what the schema allows neither as it is nor for want of a value."""
     parse_record(json.dumps(_filled(data)), SUBJECT_FILE, SubjectRecord)
+
+
+def open_complaints(data: dict[str, Any]) -> list[tuple[str, str]]:
+    """What the schema does not allow in a record with gaps: each field and what is wrong with it."""
+    try:
+        SubjectRecord.model_validate_json(json.dumps(_filled(data)))
+    except ValidationError as error:
+        return complaints_of(error)
+    return []

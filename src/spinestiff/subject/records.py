@@ -591,6 +591,11 @@ def complaint_of(error: ValidationError, page: str = SUBJECT_PAGE) -> str:
     return f"{field}: {told}{more}" if field else f"{told}{more}"
 
 
+def complaints_of(error: ValidationError, page: str = SUBJECT_PAGE) -> list[tuple[str, str]]:
+    """All of pydantic's complaints, each as the field and what is wrong with it."""
+    return [(_field_path(one), _complaint(one, page)) for one in error.errors(include_url=False)]
+
+
 def _field_path(complaint: ErrorDetails) -> str:
     path = ""
     for part in complaint["loc"]:

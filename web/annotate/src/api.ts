@@ -1,5 +1,8 @@
 // What the page asks of its server, always with this start's token. Nothing is asked of anybody else.
+import { ask } from "../../shared/net";
 import type { ImageMarks, Marks, Point, Quad } from "./marks";
+
+export { Refused, takeToken } from "../../shared/net";
 
 export interface ImageInfo { name: string; title: string; kind: "frontal" | "lateral"; forces: (number | null)[]; roles: (string | null)[] }
 export interface Session {
@@ -16,51 +19,27 @@ export interface Judged { vertebrae: number; problem: string; cobb: Cobb | null;
 export interface TrackedFrame { vertebrae: Record<string, Quad>; quality: Record<string, [number, number, number, number]> }
 export interface Tracking { state: "none" | "running" | "done" | "failed"; done: number; total: number; error: string; frames: TrackedFrame[] }
 
-const KEY = "spinestiff-token";
-
-export class Refused extends Error {
-  constructor(readonly status: number, message: string) { super(message); }
-}
-
-/** The token comes in the fragment, which no server sees, and is kept for reloads of this tab alone. */
-export function takeToken(): void {
-  const given = location.hash.slice(1);
-  if (!/^[\w-]{20,}$/.test(given)) return;
-  sessionStorage.setItem(KEY, given);
-  history.replaceState(null, "", "/");
-}
-
-async function ask(method: string, path: string, body?: string): Promise<Response> {
-  const headers: Record<string, string> = { "x-spinestiff-token": sessionStorage.getItem(KEY) ?? "" };
-  if (body !== undefined) headers["content-type"] = "application/json";
-  const answer = await fetch(path, body === undefined ? { method, headers } : { method, headers, body });
-  if (answer.ok) return answer;
-  let why = `the server answered ${answer.status}`;
-  try { why = ((await answer.json()) as { error?: string }).error ?? why; } catch { /* no JSON: the number says it */ }
-  throw new Refused(answer.status, why);
-}
-
 const query = (values: Record<string, string | number>): string =>
   new URLSearchParams(Object.entries(values).map(([key, value]) => [key, String(value)])).toString();
 const send = async <T>(method: string, path: string, data: unknown): Promise<T> =>
   (await (await ask(method, path, JSON.stringify(data))).json()) as T;
 
-export const session = async (): Promise<Session> => (await (await ask("GET", "/api/session")).json()) as Session;
+export const session = async (): Promise<Session> => (await (await ask("GET", "api/session")).json()) as Session;
 export const save = (marks: Marks, revision: number): Promise<{ revision: number; missing: string[] }> =>
-  send("PUT", "/api/annotation", { revision, draft: { schema_version: 1, images: marks } });
-export const judge = (image: string, marks: ImageMarks): Promise<Judged> => send("POST", "/api/judge", { image, marks });
+  send("PUT", "api/annotation", { revision, draft: { schema_version: 1, images: marks } });
+export const judge = (image: string, marks: ImageMarks): Promise<Judged> => send("POST", "api/judge", { image, marks });
 export const propose = (
   image: string, frame: number, points: Point[], upper: string, lower: string, kept: Record<string, Quad>,
-): Promise<{ vertebrae: Record<string, Quad> }> => send("POST", "/api/propose", { image, frame, points, upper, lower, kept });
-export const track = (image: string): Promise<Tracking> => send("POST", "/api/track", { image });
+): Promise<{ vertebrae: Record<string, Quad> }> => send("POST", "api/propose", { image, frame, points, upper, lower, kept });
+export const track = (image: string): Promise<Tracking> => send("POST", "api/track", { image });
 export const tracking = async (image: string): Promise<Tracking> =>
-  (await (await ask("GET", `/api/track?${query({ image })}`)).json()) as Tracking;
+  (await (await ask("GET", `api/track?${query({ image })}`)).json()) as Tracking;
 export const importFile = (name: string, text: string, image: string): Promise<{ marks: Marks; warnings: string[] }> =>
-  send("POST", "/api/import", { name, text, image });
-export const exportFile = async (form: string): Promise<Blob> => (await ask("GET", `/api/export?${query({ form })}`)).blob();
+  send("POST", "api/import", { name, text, image });
+export const exportFile = async (form: string): Promise<Blob> => (await ask("GET", `api/export?${query({ form })}`)).blob();
 
 export async function radiograph(image: string, frame: number, [wide, tall]: Point, part?: readonly number[]): Promise<Grey> {
-  const answer = await ask("GET", `/api/radiograph?${query({ image, frame, wide, tall, ...(part ? { part: part.join() } : {}) })}`);
+  const answer = await ask("GET", `api/radiograph?${query({ image, frame, wide, tall, ...(part ? { part: part.join() } : {}) })}`);
   const about = JSON.parse(answer.headers.get("x-radiograph") ?? "{}") as Omit<Grey, "levels">;
   // Sent little endian, which is the order of every machine that runs a browser.
   return { ...about, levels: new Uint16Array(await answer.arrayBuffer()) };

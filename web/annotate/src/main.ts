@@ -1,26 +1,16 @@
 // Starts the page: takes the token, asks for the session, opens the first radiograph that is not complete.
 import * as api from "./api";
+import { theme } from "../../shared/theme";
 import { App, words } from "./app";
 import * as keys from "./keys";
 import { need, Panel, says } from "./panel";
 import * as pointer from "./pointer";
 import { Stage } from "./stage";
 
-const THEME = "spinestiff-theme";
-
-function theme(): void {
-  const select = need<HTMLSelectElement>("theme"), dark = matchMedia("(prefers-color-scheme: dark)");
-  select.value = localStorage.getItem(THEME) ?? "auto";
-  const apply = (): void => {
-    document.documentElement.dataset["theme"] = select.value === "auto" ? (dark.matches ? "dark" : "light") : select.value;
-  };
-  select.addEventListener("change", () => { localStorage.setItem(THEME, select.value); apply(); });
-  dark.addEventListener("change", apply);
-  apply();
-}
-
 async function start(): Promise<void> {
-  theme();
+  theme(need<HTMLSelectElement>("theme"));
+  // Under another address than its own it is a room of the workbench.
+  need("back").hidden = location.pathname === "/";
   api.takeToken();
   try {
     const session = await api.session();

@@ -54,7 +54,6 @@ export class Panel {
 
   constructor(private readonly app: App) {
     put("subject", app.session.subject);
-    document.title = `Annotation ${app.session.subject}`;
     this.makeImages();
     this.makeVertebrae();
     for (const id of ["upper", "lower"] as const) {

@@ -16,6 +16,7 @@ from spinestiff.app.options import (
     pixel_limits,
     source_limits,
     stature_limits,
+    upload_limits,
     within,
 )
 
@@ -116,6 +117,32 @@ def annotate(
 ) -> None:
     """Mark the vertebrae's corners in the browser; every change is saved at once."""
     annotate_folder(folder, port, not no_browser)
+
+
+def serve(
+    root: Annotated[Path, typer.Argument(help="Folder of subject folders; made if it is not there.")] = Path(),
+    source: Annotated[
+        list[Path] | None, typer.Option(help="Folder on this machine that subjects may be made from; may be repeated.")
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 is any that is free.")] = 0,
+    host: Annotated[str, typer.Option(help="Address to listen on; others than 127.0.0.1 need --proxy.")] = "127.0.0.1",
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address, open nothing.")] = False,
+    read_only: Annotated[bool, typer.Option("--read-only", help="Look at everything, change nothing.")] = False,
+    jobs: Annotated[int, typer.Option(min=1, max=64, help="Jobs side by side; of one subject one at a time.")] = 1,
+    upload_limit: Annotated[
+        float, typer.Option(callback=within("GB", upload_limits, above=True), help="Of one upload, GB.")
+    ] = 8.0,
+    proxy: Annotated[
+        str | None, typer.Option(help="Origin of a reverse proxy that checks who asks (docs/workbench.md).")
+    ] = None,
+    proxy_secret: Annotated[
+        Path | None, typer.Option(help="File with the secret that the proxy adds to each request.")
+    ] = None,
+) -> None:
+    """The workbench: everything from radiographs to report on one page in the browser, on this machine alone."""
+    from spinestiff.app.serve import serve_folder
+
+    serve_folder(root, source or [], port, host, not no_browser, read_only, jobs, upload_limit, proxy, proxy_secret)
 
 
 def frames(

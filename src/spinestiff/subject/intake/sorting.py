@@ -64,6 +64,18 @@ class Sorting:
     reasons: dict[str, str]
 
 
+def uses_of(sorting: Sorting, names: Sequence[str]) -> dict[str, str]:
+    """What each radiograph becomes, in words, by name of the file; ``names`` are those of the pushes."""
+    uses = {}
+    for name, push in zip(names, sorting.pushes):
+        for number, one in enumerate(push.files):
+            uses[one.name] = f"push {name}" + (f", frame {number}" if len(push.files) > 1 else "")
+    for words, rest in (("rest, frontal", sorting.frontal), ("rest, lateral", sorting.lateral)):
+        if rest is not None:
+            uses[rest.name] = words
+    return uses
+
+
 def sort_files(
     found: Sequence[Exported],
     table: Sequence[TablePush] | None = None,

@@ -1,0 +1,128 @@
+"""A subject at a glance: what is missing, what comes next, what was found."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from spinestiff.errors import SpinestiffError
+from spinestiff.study.wording import badge, headline, told_stiffness
+from spinestiff.subject.folder import Subject, annotatable, read_annotation, read_unannotated
+from spinestiff.subject.gaps import Gap
+from spinestiff.subject.outcomes import Estimate
+from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, REST_IMAGES
+from spinestiff.subject.run_record import read_outcome
+from spinestiff.workbench.job_table import Job
+
+STAGES = {
+    "broken": "Can't be read",
+    "form": "Values are missing",
+    "radiographs": "Radiographs are missing",
+    "annotate": "To be annotated",
+    "roles": "No frames to estimate from",
+    "run": "Ready to run",
+    "done": "Has a result",
+}
+"""Where a subject stands."""
+NO_PUSH = "There is no push: there can be a plan, and no estimate"
+NO_TRAINING = "No frame is used for training: choose some in the values, or have the step Judge the frames propose them"
+
+
+def card(key: str, folder: Path, job: Job | None) -> dict[str, Any]:
+    """A subject as JSON; whatever is wrong with it is told in the card, not raised."""
+    about: dict[str, Any] = {"key": key, "name": folder.name, "job": None if job is None else job.record()}
+    try:
+        subject = read_unannotated(folder)
+    except (SpinestiffError, OSError) as error:
+        return {**about, "stage": "broken", "stage_words": STAGES["broken"], "missing": [_one_line(error, folder)]}
+    record, unknown = subject.record, {gap.key for gap in subject.gaps if gap.push is None}
+    about |= {
+        "id": record.id,
+        "age": None if "age" in unknown else record.age,
+        "sex": None if "sex" in unknown else record.sex,
+        "height_cm": None if "height_cm" in unknown else record.height_cm,
+        "pushes": len(record.pushes),
+    }
+    stage, missing = _stage(subject)
+    found = result(subject)
+    if stage == "run" and found is not None and "problem" not in found:
+        stage = "done"
+    return {**about, "stage": stage, "stage_words": STAGES[stage], "missing": missing, "result": found}
+
+
+def _stage(subject: Subject) -> tuple[str, list[str]]:
+    wanted = [name for name in annotatable(subject.record) if name != LATERAL]
+    absent = [name for name in wanted if not os.path.lexists(subject.image_path(name))]
+    unmarked, problem = _unmarked(subject)
+    missing = [gap_words(subject, gap) for gap in subject.gaps]
+    missing += [f"{title_of(name)}: no radiograph" for name in absent]
+    missing += [f"{title_of(name)}: not annotated" for name in unmarked if name not in absent]
+    missing += problem
+    training = any(push.frames_of("training") for push in subject.pushes)
+    if not subject.gaps and not training:
+        missing.append(NO_PUSH if not subject.pushes else NO_TRAINING)
+    if subject.gaps:
+        return "form", missing
+    if absent:
+        return "radiographs", missing
+    if unmarked or problem:
+        return "annotate", missing
+    return ("run" if training else "roles"), missing
+
+
+def _unmarked(subject: Subject) -> tuple[list[str], list[str]]:
+    """Images that an estimate needs and nobody has annotated, and what is wrong with the annotation."""
+    path = subject.folder / ANNOTATION_FILE
+    there = [name for name in annotatable(subject.record) if os.path.lexists(subject.image_path(name))]
+    if not os.path.lexists(path):
+        return there, []
+    try:
+        marked = read_annotation(path).images
+    except SpinestiffError as error:
+        return [], [_one_line(error, subject.folder)]
+    return [name for name in there if name not in marked], []
+
+
+def result(subject: Subject) -> dict[str, Any] | None:
+    """What an estimate found, as JSON; None where there is none."""
+    if not (subject.results / Estimate.FILE).is_file():
+        return None
+    try:
+        estimate = read_outcome(subject, Estimate)
+    except SpinestiffError as error:
+        return {"problem": _one_line(error, subject.folder)}
+    stiffness = [
+        {"name": name, "unit": unit, "determined": determined, **found.model_dump(include=QUANTITY)}
+        for name, found, unit, determined in told_stiffness(estimate)
+    ]
+    return {
+        "badge": badge(estimate),
+        "lines": [line[0].upper() + line[1:] for line in headline(estimate)],
+        "stiffness": stiffness,
+        "doubts": [f"{check.name}: {check.text}" for check in estimate.failed],
+        "rmse_mm": estimate.training_rmse_mm.fit,
+    }
+
+
+QUANTITY = {"value", "low", "high", "open_low", "open_high"}
+
+
+def gap_words(subject: Subject, gap: Gap) -> str:
+    """What is not known, as a person would ask for it."""
+    words = gap.words.partition(" (")[0]
+    if gap.push is None:
+        return "Sex" if gap.key == "sex" else words[0].upper() + words[1:]
+    frames = ""
+    if gap.frames:
+        frames = f", frame {gap.frames[0]}" + (f" to {gap.frames[-1]}" if len(gap.frames) > 1 else "")
+    return f"Push {subject.pushes[gap.push].id}{frames}: {words}"
+
+
+def title_of(image: str) -> str:
+    """An image in words."""
+    return image.replace("rest/", "Rest, ") if image in REST_IMAGES else image.replace("push/", "Push ")
+
+
+def _one_line(error: Exception, folder: Path) -> str:
+    return " ".join(str(error).replace(f"{folder}{os.sep}", "").replace(str(folder), "the folder").split())

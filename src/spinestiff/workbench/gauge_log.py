@@ -1,0 +1,84 @@
+"""A push's forces from the log of its gauge, for the form: as ``spinestiff init --log``, and nothing is written."""
+
+from __future__ import annotations
+
+import base64
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from spinestiff.errors import SpinestiffError, SubjectError
+from spinestiff.files import write_text
+from spinestiff.study.report.figures import as_png
+from spinestiff.study.report.log_picture import draw_log
+from spinestiff.subject.folder import Subject, check_radiograph_path
+from spinestiff.subject.intake.force_log import FORCE_UNITS, TIME_UNITS, find_columns, read_force_log, with_units
+from spinestiff.subject.intake.logged import put_beside
+
+
+@dataclass(frozen=True)
+class LogWish:
+    """What somebody says of a log: names of its columns and their units, and its time at the first frame, s."""
+
+    columns: tuple[str, str] | None = None
+    time_unit: str | None = None
+    force_unit: str | None = None
+    offset_s: float | None = None
+
+
+def forces_of_log(subject: Subject, number: int, text: str, wish: LogWish) -> dict[str, Any]:
+    """The forces of a push's frames, how well they are known, and a picture of log and motion, as JSON.
+
+    Raises
+    ------
+    SpinestiffError : no such push, no log, units that are not told, frames without times.
+    """
+    if not 0 <= number < len(subject.pushes):
+        raise SubjectError(f"the request: no push {number}")
+    push = subject.pushes[number]
+    check_radiograph_path(subject, push.image)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "log.csv"
+        write_text(path, text)
+        try:
+            columns = find_columns(path, wish.columns)
+            time_unit, force_unit = wish.time_unit or columns.time_unit, wish.force_unit or columns.force_unit
+            for what, unit, known in (("time", time_unit, TIME_UNITS), ("force", force_unit, FORCE_UNITS)):
+                if unit not in known:
+                    raise SubjectError(f"{columns.words}; say the unit of {what}: {' or '.join(known)}")
+            columns = with_units(columns, path, str(time_unit), str(force_unit))
+            log = read_force_log(path, columns)
+        except SpinestiffError as error:
+            raise type(error)(_for_a_form(str(error), path)) from None
+    try:
+        logged = put_beside(log, [subject.folder / push.frames], push.id, wish.offset_s)
+    except SpinestiffError as error:
+        raise type(error)(str(error).replace(str(subject.folder), "the subject")) from None
+    match = logged.match
+    picture = as_png(draw_log(f"push {push.id}", log, match, logged.times_s, logged.motion))
+    return {
+        "columns": columns.words,
+        "notes": list(log.notes),
+        "placed": logged.placed,
+        "forces_n": logged.forces_n if logged.placed else None,
+        "given": match.given,
+        "why": match.why,
+        "offset_s": _finite(match.offset_s),
+        "low_s": _finite(match.low_s),
+        "high_s": _finite(match.high_s),
+        "open_n": _finite(match.open_n),
+        "explained": _finite(match.explained),
+        "picture": "data:image/png;base64," + base64.b64encode(picture).decode("ascii"),
+    }
+
+
+def _for_a_form(words: str, path: Path) -> str:
+    """A message of the command line as the page says it."""
+    words = words.replace(f"{path}: ", "the log: ").replace(str(path), "the log")
+    return words.replace("--log-columns TIME,FORCE", "the names of both columns").replace("--log-units", "the units")
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

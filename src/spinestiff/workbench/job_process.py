@@ -1,0 +1,129 @@
+"""The process of a job: it runs the command, keeps its log, gives signs of life and ends the command when asked to.
+
+It is no child of the server, so that it goes on when that ends. The command's input stays open as long as this process
+lives; where it dies, however, the command reads the end of it and ends, too (``app.job``).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from spinestiff.errors import SubjectError
+from spinestiff.workbench.job_table import JobTable, State
+
+COMMAND = (sys.executable, "-m", "spinestiff.app.job")
+BEAT_S = 0.4
+GRACE_S = 3.0
+LARGEST_LOG = 4 * 2**20
+"""Bytes."""
+
+
+def start_job(table: Path, job: str, folder: Path, arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
+    """Start the process of a job. Names of folders go to it by its input: its arguments are for everybody to see."""
+    task = {"table": str(table), "job": job, "folder": str(folder), "arguments": arguments, "log": str(log)}
+    flags: dict[str, Any] = {"start_new_session": True}
+    if os.name == "nt":
+        flags = {"creationflags": 0x00000208}  # CREATE_NEW_PROCESS_GROUP | DETACHED_PROCESS
+    process = subprocess.Popen(
+        [sys.executable, "-m", "spinestiff.workbench.job_process"],
+        stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=table.parent, **flags,
+    )  # fmt: skip
+    assert process.stdin is not None
+    with contextlib.suppress(OSError):  # it ended at once: it will be found lost
+        process.stdin.write(json.dumps(task).encode() + b"\n")
+        process.stdin.close()
+    return process
+
+
+def run_job(
+    table: JobTable, job: str, folder: Path, arguments: list[str], log: Path, command: tuple[str, ...] = COMMAND
+) -> State:
+    """Run a command in a subject's folder to its end, or until the table says to cancel it."""
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1", "NO_COLOR": "1", "COLUMNS": "110", "TERM": "dumb"}
+    process = subprocess.Popen(
+        [*command, *arguments],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=folder, env=environment,
+        start_new_session=os.name != "nt",
+    )  # fmt: skip
+    reader = threading.Thread(target=_keep_log, args=(process, folder, log), daemon=True)
+    reader.start()
+    try:
+        go_on = True
+        while process.poll() is None:
+            with contextlib.suppress(SubjectError):  # a table that is busy for once
+                go_on = table.beat(job)
+            if not go_on:
+                end_group(process)
+                break
+            time.sleep(BEAT_S)
+    finally:
+        end_group(process)
+    reader.join(timeout=5.0)
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            pipe.close()
+    state: State = "cancelled" if not go_on else "done" if process.returncode == 0 else "failed"
+    table.end(job, state, process.returncode)
+    return state
+
+
+def end_group(process: subprocess.Popen[bytes]) -> None:
+    """End a process and all that it has started: asked first, killed after ``GRACE_S``."""
+    if os.name == "nt":
+        if process.poll() is None:
+            subprocess.run(["taskkill", "/T", "/F", "/PID", str(process.pid)], capture_output=True, check=False)
+        process.wait()
+        return
+    for number, wait in ((signal.SIGTERM, GRACE_S), (signal.SIGKILL, GRACE_S)):
+        if process.poll() is not None and number == signal.SIGTERM:
+            continue
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, number)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(wait)
+
+
+def _keep_log(process: subprocess.Popen[bytes], folder: Path, log: Path) -> None:
+    """Copy what the command says, without the folder's name: it may be a person's."""
+    named = [re.escape(one) for one in sorted({str(folder), str(folder.resolve())}, key=len, reverse=True)]
+    # A name of two characters is no person's, and stands in numbers.
+    named += [rf"(?<![\w.-]){re.escape(folder.name)}(?![\w-])"] if len(folder.name) > 2 else []
+    hidden = re.compile("|".join(named))
+    assert process.stdout is not None
+    written = 0
+    with log.open("ab") as file:
+        for line in process.stdout:
+            content = hidden.sub("subject", line.decode("utf-8", "replace")).encode()
+            written += len(content)
+            if written < LARGEST_LOG:
+                file.write(content)
+                file.flush()
+
+
+def main() -> None:
+    """Run the job that standard input names."""
+    task = json.loads(sys.stdin.buffer.readline())
+    table = JobTable(Path(task["table"]))
+
+    def stop(number: int, frame: object) -> None:
+        raise SystemExit(1)
+
+    signal.signal(signal.SIGTERM, stop)
+    try:
+        run_job(table, task["job"], Path(task["folder"]), list(task["arguments"]), Path(task["log"]))
+    finally:
+        table.end(task["job"], "lost", None)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,145 @@
+"""A subject as one zip file: everything, or without what tells whose it is."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from spinestiff.errors import RadiographError, SubjectError
+from spinestiff.files import json_text, read_json, regular_files
+from spinestiff.imaging.deidentification.deidentify import deidentify
+from spinestiff.imaging.deidentification.pseudonyms import Key, random_key
+from spinestiff.subject.folder import MOST_INPUT_BYTES, read_annotation, read_unannotated
+from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE
+
+LEFT_OUT = {
+    "torso": "a torso of the subject's own bones",
+    "skin_scan": "a scan of the skin",
+    "markers": "markers on the skin",
+}
+README = "README.txt"
+_PERSONAL = frozenset({"id", "pushes", "torso", "skin_scan", "schema_version"})
+
+
+def whole_parcel(folder: Path, place: Path) -> Path:
+    """All files of a subject, but hidden ones and links, as a zip file in a folder; returns its path."""
+    return _zipped(place, ((path.relative_to(folder).as_posix(), path) for path in _files(folder)))
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    for base, folders, names in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not name.startswith(".") and not Path(base, name).is_symlink())
+        for name in sorted(names):
+            path = Path(base, name)
+            if not name.startswith(".") and path.is_file() and not path.is_symlink():
+                yield path
+
+
+def nameless_parcel(folder: Path, place: Path, burned_in_ok: bool) -> Path:
+    """Radiographs without their patients, values and annotation under new names, as a zip file; returns its path.
+
+    Results are left out: they can be made again from these, and show the subject's name.
+
+    Parameters
+    ----------
+    burned_in_ok : somebody has looked, and there is no name in the pictures.
+
+    Raises
+    ------
+    RadiographError, SubjectError : a radiograph that can't be freed of its patient; nothing is written then.
+    """
+    subject = read_unannotated(folder)
+    key, values = random_key(), read_json(folder / SUBJECT_FILE)
+    content: dict[str, bytes] = {}
+    images = {image: subject.folder / f"{image}.dcm" for image in ("rest/frontal", "rest/lateral")}
+    for image, path in images.items():
+        if path.exists():
+            content[f"{image}.dcm"] = _freed(path, folder, key, burned_in_ok, image)
+    left_out, names = set(), {}
+    pushes: list[dict[str, Any]] = []
+    for number, push in enumerate(values["pushes"], 1):
+        name = f"push-{number}"
+        names[push["id"]] = name
+        new = {**push, "id": name}
+        left_out |= {key for key in ("markers",) if new.pop(key, None) is not None}
+        views = []
+        for count, view in enumerate(push.get("views", ()), 1):
+            files = _copied(folder / view["files"], folder, f"views/{name}-{count}", key, burned_in_ok)
+            content |= files[1]
+            names[f"{push['id']}/{view['id']}"] = f"view-{count}"
+            views.append({**view, "id": f"view-{count}", "files": files[0]})
+        if views:
+            new["views"] = views
+        new["frames"], files_ = _copied(folder / push["frames"], folder, f"pushes/{name}", key, burned_in_ok)
+        content |= files_
+        pushes.append(new)
+    left_out |= {key for key in ("torso", "skin_scan") if values.get(key) is not None}
+    kept = {name: value for name, value in values.items() if name not in _PERSONAL and name not in LEFT_OUT}
+    record = {**kept, "schema_version": values["schema_version"], "id": "subject", "pushes": pushes}
+    if scale := (record.get("xray") or {}).get("scale"):
+        record["xray"] = {**record["xray"], "scale": {_renamed(image, names): one for image, one in scale.items()}}
+    content[SUBJECT_FILE] = json_text(record).encode()
+    if (folder / ANNOTATION_FILE).is_file():
+        read_annotation(folder / ANNOTATION_FILE)
+        annotation = read_json(folder / ANNOTATION_FILE)
+        marked = {_renamed(image, names): marks for image, marks in annotation["images"].items()}
+        content[ANNOTATION_FILE] = json_text({**annotation, "images": marked}).encode()
+    lines = [
+        "Made by spinestiff: radiographs without their patients, values and annotation under new names.",
+        "Age, sex and height are those of the person. Pixels are unchanged: look for text that is burned in.",
+    ]
+    lines += [f"Left out: {LEFT_OUT[one]}." for one in sorted(left_out)]
+    content[README] = ("\n".join(lines) + "\n").encode()
+    return _zipped(place, sorted(content.items()))
+
+
+def _copied(path: Path, folder: Path, name: str, key: Key, burned_in_ok: bool) -> tuple[str, dict[str, bytes]]:
+    """Radiographs of a file or folder under a new name."""
+    if not path.is_dir():
+        return f"{name}.dcm", {f"{name}.dcm": _freed(path, folder, key, burned_in_ok, name)}
+    inside = list(regular_files(path, SubjectError, within=folder, cap_bytes=MOST_INPUT_BYTES))
+    return name, {
+        f"{name}/{number:03d}.dcm": _freed(one, folder, key, burned_in_ok, name) for number, one in enumerate(inside)
+    }
+
+
+def _freed(path: Path, folder: Path, key: Key, burned_in_ok: bool, name: str) -> bytes:
+    if not path.resolve().is_relative_to(folder.resolve()) or not path.is_file():
+        raise RadiographError(f"{name}: no file in the subject's folder")
+    if path.stat().st_size > MOST_INPUT_BYTES:
+        raise RadiographError(f"{name}: too large")
+    try:
+        return deidentify(path.read_bytes(), key, burned_in_ok=burned_in_ok).content
+    except RadiographError as problem:
+        raise RadiographError(f"{name}: {problem}") from None
+
+
+def _renamed(image: str, names: dict[str, str]) -> str:
+    parts = image.split("/")
+    if parts[0] != "push" or len(parts) < 2:
+        return image
+    new = ["push", names.get(parts[1], parts[1]), *parts[2:]]
+    if len(parts) == 4:
+        new[3] = names.get(f"{parts[1]}/{parts[3]}", parts[3])
+    return "/".join(new)
+
+
+def _zipped(place: Path, content: Any) -> Path:
+    place.mkdir(parents=True, exist_ok=True)
+    target = place / f"{secrets.token_hex(8)}.zip"
+    try:
+        with zipfile.ZipFile(target, "x", zipfile.ZIP_DEFLATED, compresslevel=3) as zipped:
+            for name, what in content:
+                if isinstance(what, bytes):
+                    # The same date for all: when they were packed tells nothing of the person.
+                    zipped.writestr(zipfile.ZipInfo(name), what, zipfile.ZIP_DEFLATED)
+                else:
+                    zipped.write(what, name)
+    except BaseException:
+        target.unlink(missing_ok=True)
+        raise
+    return target

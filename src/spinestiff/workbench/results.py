@@ -1,0 +1,122 @@
+"""What a subject's results show: pages and pictures by name, never by path, and what stands in them as numbers."""
+
+from __future__ import annotations
+
+import secrets
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from spinestiff.errors import NotThere, SpinestiffError, SubjectError
+from spinestiff.files import regular_file
+from spinestiff.study.plan_words import plan_lines
+from spinestiff.subject.folder import Subject, read_subject, read_unannotated
+from spinestiff.subject.plan_outcome import Plan
+from spinestiff.subject.records import RESULTS
+from spinestiff.subject.run_record import changed_inputs, read_outcome, recorded_steps
+from spinestiff.workbench.cards import result
+
+PAGES = {
+    "report.html": "Report",
+    "view.html": "Torso in 3D",
+    "protocol.html": "Sheet for the next push",
+}
+PICTURES = {
+    "plan.png": "The next push",
+    "sensitivity.png": "If something had been otherwise",
+    "parameters.png": "Which parameters at all",
+    "frames.png": "Quality of the frames",
+}
+TYPES = {".html": "text/html; charset=utf-8", ".png": "image/png"}
+LARGEST = 200 * 2**20
+TICKET_S, MOST_TICKETS = 12 * 3600.0, 500
+
+
+def result_file(folder: Path, name: str) -> Path:
+    """A page or picture of a subject.
+
+    Raises
+    ------
+    NotThere : no such name, or the subject has none. SubjectError : it leads out of the folder, or is no file.
+    """
+    if name not in PAGES and name not in PICTURES:
+        raise NotThere("there is no such page")
+    path = folder / RESULTS / name
+    if not path.exists():
+        raise NotThere("this page is not there yet; run the step that makes it")
+    regular_file(path, SubjectError, within=folder, cap_bytes=LARGEST, name=name)
+    return path
+
+
+def results_record(folder: Path) -> dict[str, Any]:
+    """What a subject's results are, as JSON."""
+    subject = read_unannotated(folder)
+    there = {}
+    for name, title in {**PAGES, **PICTURES}.items():
+        try:
+            result_file(folder, name)
+        except SpinestiffError:
+            continue
+        there[name] = title
+    return {
+        "pages": [{"name": name, "title": there[name]} for name in PAGES if name in there],
+        "pictures": [{"name": name, "title": there[name]} for name in PICTURES if name in there],
+        "result": result(subject),
+        "plan": _plan(subject),
+        "stale": _stale(folder),
+    }
+
+
+def _plan(subject: Subject) -> list[str]:
+    if Plan.STEP not in recorded_steps(subject):
+        return []
+    try:
+        return list(plan_lines(read_outcome(subject, Plan)))
+    except SpinestiffError:
+        return []
+
+
+def _stale(folder: Path) -> list[str]:
+    """Inputs that have changed since the report was made from them, in words."""
+    try:
+        subject = read_subject(folder)
+    except SpinestiffError:
+        return []
+    return sorted({name for step in ("estimate", "report") for name in changed_inputs(subject, step)})
+
+
+@dataclass(frozen=True)
+class _Ticket:
+    place: Path
+    until: float
+
+
+class Tickets:
+    """Addresses that open something for a while: frames and downloads can't send the token, but nobody can guess these.
+
+    They say nothing of what they open, and end with the server.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._tickets: dict[str, _Ticket] = {}
+
+    def issue(self, place: Path, seconds: float = TICKET_S) -> str:
+        """A ticket for a folder or file."""
+        with self._lock:
+            now = time.monotonic()
+            kept = {key: one for key, one in self._tickets.items() if one.until > now}
+            self._tickets = dict(list(kept.items())[-MOST_TICKETS + 1 :])
+            ticket = secrets.token_urlsafe(24)
+            self._tickets[ticket] = _Ticket(place, now + seconds)
+            return ticket
+
+    def place(self, ticket: str, once: bool = False) -> Path:
+        """What it opens. Raises NotThere."""
+        with self._lock:
+            found = self._tickets.pop(ticket, None) if once else self._tickets.get(ticket)
+        if found is None or found.until < time.monotonic():
+            raise NotThere("this address is no longer; open it again from the workbench")
+        return found.place

@@ -1,0 +1,100 @@
+"""The folder that is served: its subjects, each by a key that says nothing of it, and the workbench's own files."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import os
+import re
+import secrets
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from spinestiff.errors import NotThere, SubjectError
+from spinestiff.files import listed, trouble, write_bytes
+from spinestiff.subject.records import IDENTIFIER, SUBJECT_FILE, WANTED_ID
+
+OWN = ".workbench"
+"""Folder of the workbench's own files, beside the subjects."""
+KEY = r"[0-9a-f]{16}"
+"""Of subjects, uploads, jobs and what lies in the trash."""
+MOST_SUBJECTS = 2000
+
+
+@dataclass(frozen=True)
+class Root:
+    """The folder that is served.
+
+    Attributes
+    ----------
+    path : of it. secret : makes keys from names, so that no name stands in an address, a table or a log.
+    """
+
+    path: Path
+    secret: bytes = field(repr=False)
+
+    @property
+    def own(self) -> Path:
+        """The workbench's own files."""
+        return self.path / OWN
+
+    def key_of(self, name: str) -> str:
+        """The key of a subject's folder, the same at every start."""
+        return hmac.new(self.secret, name.encode(), hashlib.sha256).hexdigest()[:16]
+
+    def subjects(self) -> Iterator[tuple[str, Path]]:
+        """Key and folder of each subject, in the order of names; links are no subjects, wherever they lead."""
+        count = 0
+        for folder in listed(self.path, SubjectError):
+            if folder.name.startswith(".") or folder.is_symlink() or not os.path.lexists(folder / SUBJECT_FILE):
+                continue
+            count += 1
+            if count > MOST_SUBJECTS:
+                return
+            yield self.key_of(folder.name), folder
+
+    def subject(self, key: str) -> Path:
+        """The folder of a subject. Raises NotThere."""
+        for found, folder in self.subjects():
+            if hmac.compare_digest(found, key):
+                return folder
+        raise NotThere("this subject is not there, or no longer; go back to all subjects")
+
+    def new_subject(self, name: str) -> Path:
+        """Where a new subject goes. Raises SubjectError for what is no name of one, or is taken."""
+        if not re.fullmatch(IDENTIFIER, name):
+            raise SubjectError(f"name: found {name[:64]!r}, wanted {WANTED_ID}")
+        if any(one.name.casefold() == name.casefold() for one in listed(self.path, SubjectError)):
+            raise SubjectError("name: there is a folder of that name already; wanted another name")
+        return self.path / name
+
+
+def open_root(path: Path, read_only: bool = False) -> Root:
+    """A folder to be served; it is made if it is not there.
+
+    Raises
+    ------
+    SubjectError : it is a subject itself, or can't be read or written.
+    """
+    if (path / SUBJECT_FILE).exists():
+        raise SubjectError(f"{path}: is a subject itself; wanted the folder around it: {path.resolve().parent}")
+    try:
+        if not read_only:
+            path.mkdir(parents=True, exist_ok=True)
+        if not path.is_dir():
+            raise SubjectError(f"{path}: no such folder; wanted one with subject folders in it")
+    except OSError as problem:
+        raise SubjectError(f"{path}: can't be written ({trouble(problem)})") from None
+    place = path.resolve() / OWN / "key"
+    if place.is_symlink() or place.parent.is_symlink():
+        raise SubjectError(f"{place.parent}: a link; the workbench keeps its own files in the folder itself")
+    try:
+        secret = place.read_bytes() if place.is_file() else b""
+    except OSError as problem:
+        raise SubjectError(f"{place}: can't be read ({trouble(problem)})") from None
+    if len(secret) != 32:
+        secret = secrets.token_bytes(32)
+        if not read_only:
+            write_bytes(place, secret, private=True)
+    return Root(path.resolve(), secret)

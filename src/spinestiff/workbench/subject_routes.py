@@ -1,0 +1,96 @@
+"""What the page asks of subjects: cards, the form, the trash."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import FastAPI
+from pydantic import Field
+
+from spinestiff.errors import InUseError
+from spinestiff.loopback.asking import Body, Sent, sent
+from spinestiff.subject.folder import read_unannotated
+from spinestiff.workbench.bench import Bench
+from spinestiff.workbench.cards import card
+from spinestiff.workbench.form import form_record, judged, save_form
+from spinestiff.workbench.gauge_log import LogWish, forces_of_log
+
+Column = Annotated[str, Field(min_length=1, max_length=100)]
+
+
+class Check(Sent):
+    """Values to be judged, not saved."""
+
+    values: dict[str, Any]
+
+
+class Save(Sent):
+    """Values, made on a revision of the file."""
+
+    values: dict[str, Any]
+    revision: Annotated[str, Field(max_length=64)]
+
+
+class Log(Sent):
+    """A gauge's log of a push, and what somebody says of it."""
+
+    push: Annotated[int, Field(ge=0, le=999)]
+    text: str
+    columns: Annotated[tuple[Column, Column], Field(strict=False)] | None = None
+    time_unit: Literal["s", "ms"] | None = None
+    force_unit: Literal["N", "kgf", "lbf"] | None = None
+    offset_s: Annotated[float, Field(ge=-1e9, le=1e9)] | None = None
+
+
+def add_subjects(app: FastAPI, bench: Bench) -> None:
+    """Add the routes."""
+    root = bench.root
+
+    @app.get("/api/subjects")
+    def subjects() -> dict[str, Any]:
+        latest = bench.jobs.table.latest()
+        return {"subjects": [card(key, folder, latest.get(key)) for key, folder in root.subjects()]}
+
+    @app.get("/api/subjects/{key}")
+    def subject(key: str) -> dict[str, Any]:
+        return card(key, root.subject(key), bench.jobs.table.latest().get(key))
+
+    @app.delete("/api/subjects/{key}")
+    def remove(key: str) -> dict[str, Any]:
+        folder = root.subject(key)
+        if bench.jobs.table.active(key) is not None:
+            raise InUseError("this subject has a job; cancel it first, or wait for its end")
+        return {"trash": bench.trash.remove(folder)}
+
+    @app.get("/api/subjects/{key}/form")
+    def form(key: str) -> dict[str, Any]:
+        return form_record(root.subject(key))
+
+    @app.post("/api/check")
+    def check(body: Body) -> dict[str, Any]:
+        return judged(sent(body, Check).values)
+
+    @app.put("/api/subjects/{key}/form")
+    def save(key: str, body: Body) -> dict[str, Any]:
+        asked = sent(body, Save)
+        revision = save_form(root.subject(key), asked.values, asked.revision)
+        return {"revision": revision, **judged(asked.values)}
+
+    @app.post("/api/subjects/{key}/log")
+    def log(key: str, body: Body) -> dict[str, Any]:
+        asked, subject = sent(body, Log), read_unannotated(root.subject(key))
+        wish = LogWish(asked.columns, asked.time_unit, asked.force_unit, asked.offset_s)
+        return forces_of_log(subject, asked.push, asked.text, wish)
+
+    @app.get("/api/trash")
+    def trash() -> dict[str, Any]:
+        return {"trash": bench.trash.listed()}
+
+    @app.post("/api/trash/{key}/restore")
+    def restore(key: str) -> dict[str, Any]:
+        return {"key": bench.trash.restore(key)}
+
+    @app.delete("/api/trash/{key}")
+    def delete(key: str) -> dict[str, Any]:
+        bench.trash.delete(key)
+        return {}

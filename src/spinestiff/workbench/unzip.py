@@ -1,0 +1,75 @@
+"""Zip files of uploads opened with limits: on their number, their size, and how much larger than packed they become."""
+
+from __future__ import annotations
+
+import shutil
+import zipfile
+from pathlib import Path
+
+from spinestiff.errors import SubjectError
+from spinestiff.subject.folder import MOST_INPUT_BYTES
+from spinestiff.subject.intake.collecting import MOST_FILES
+from spinestiff.workbench.names import harmless
+
+MOST_TIMES = 100
+"""How many times larger than packed a zip file may become; radiographs shrink to a third at best."""
+SPARED_BYTES = 10 * 2**20
+"""Below it, the factor is not asked: black pictures are small."""
+_PIECE = 2**20
+
+
+def unzip(archive: Path, target: Path, most_bytes: int) -> int:
+    """Unpack a zip file into a new folder; returns the bytes that were written.
+
+    What its headers promise is not trusted: bytes are counted as they come. Folders, links and zip files inside are
+    not followed. A file that is refused leaves nothing behind.
+
+    Raises
+    ------
+    SubjectError : no zip file, damaged or encrypted; too many files, or too large.
+    """
+    try:
+        written = _unzip(archive, target, most_bytes)
+    except SubjectError:
+        shutil.rmtree(target, ignore_errors=True)
+        raise
+    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError, OSError) as problem:
+        shutil.rmtree(target, ignore_errors=True)
+        what = "is encrypted" if isinstance(problem, RuntimeError) else "is damaged, or no zip file"
+        raise SubjectError(f"a zip file of the upload {what}; unpack it yourself and upload the folder") from None
+    return written
+
+
+def _unzip(archive: Path, target: Path, most_bytes: int) -> int:
+    packed = archive.stat().st_size
+    limit = min(most_bytes, max(MOST_TIMES * packed, SPARED_BYTES))
+    written, taken = 0, set[str]()
+    with zipfile.ZipFile(archive) as zipped:
+        entries = [entry for entry in zipped.infolist() if not entry.is_dir() and not _is_link(entry)]
+        if len(entries) > MOST_FILES:
+            raise SubjectError(f"a zip file of the upload holds more than {MOST_FILES} files; upload a part of it")
+        for entry in entries:
+            name = harmless(entry.filename, taken)
+            taken.add(name.casefold())
+            place = target / name
+            place.parent.mkdir(parents=True, exist_ok=True)
+            size = 0
+            with zipped.open(entry) as source, place.open("xb") as file:
+                while piece := source.read(_PIECE):
+                    size += len(piece)
+                    written += len(piece)
+                    if written > limit:
+                        raise SubjectError(
+                            f"a zip file of the upload becomes larger than {limit // 2**20} MB when it is unpacked, "
+                            "more than radiographs do; unpack it yourself and upload the folder"
+                        )
+                    if size > MOST_INPUT_BYTES:
+                        raise SubjectError(
+                            "a file in a zip file of the upload is larger than any radiograph that is read"
+                        )
+                    file.write(piece)
+    return written
+
+
+def _is_link(entry: zipfile.ZipInfo) -> bool:
+    return (entry.external_attr >> 16) & 0o170000 == 0o120000

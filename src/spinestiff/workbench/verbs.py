@@ -1,0 +1,143 @@
+"""What a job may do: commands of this program by name, and their options, each with all that it may be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from spinestiff.errors import OptionError
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An option that is one of some words, the first unless another is chosen; ``words`` what each means."""
+
+    title: str
+    words: Mapping[str, str]
+
+    def argument(self, name: str, value: Any) -> str:
+        """As the command line takes it. Raises OptionError."""
+        if not isinstance(value, str) or value not in self.words:
+            raise OptionError(f"{name}: wanted one of {', '.join(self.words)}")
+        return f"--{name}={value}"
+
+
+@dataclass(frozen=True)
+class Number:
+    """An option that is a number within limits."""
+
+    title: str
+    low: float
+    high: float
+    usual: float
+    unit: str = ""
+    whole: bool = False
+
+    def argument(self, name: str, value: Any) -> str:
+        """As the command line takes it. Raises OptionError."""
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not self.low <= value <= self.high:
+            raise OptionError(f"{name}: wanted {self.low:g} to {self.high:g} {self.unit}".rstrip())
+        if self.whole and value != int(value):
+            raise OptionError(f"{name}: wanted a whole number")
+        return f"--{name}={int(value) if self.whole else float(value)!r}"
+
+
+@dataclass(frozen=True)
+class Switch:
+    """An option that is there or not."""
+
+    title: str
+
+    def argument(self, name: str, value: Any) -> str:
+        """As the command line takes it, "" where it is off. Raises OptionError."""
+        if not isinstance(value, bool):
+            raise OptionError(f"{name}: wanted true or false")
+        return f"--{name}" if value else ""
+
+
+@dataclass(frozen=True)
+class Verb:
+    """A command that a job runs on a subject."""
+
+    title: str
+    about: str
+    options: Mapping[str, Choice | Number | Switch] = field(default_factory=dict)
+    minutes: str = ""
+
+    def arguments(self, verb: str, given: Mapping[str, Any]) -> list[str]:
+        """The command line in the subject's folder. Raises OptionError for options that the command has not."""
+        found = [verb, "."]
+        for name, value in given.items():
+            if name not in self.options:
+                raise OptionError("the request: an option that this step has not")
+            found.append(self.options[name].argument(name, value))
+        return [one for one in found if one]
+
+    def record(self) -> dict[str, Any]:
+        """As JSON, for a form."""
+        options = {
+            name: {"kind": type(option).__name__.lower(), **{key: _plain(value) for key, value in vars(option).items()}}
+            for name, option in self.options.items()
+        }
+        return {"title": self.title, "about": self.about, "minutes": self.minutes, "options": options}
+
+
+def _plain(value: Any) -> Any:
+    return dict(value) if isinstance(value, Mapping) else value
+
+
+MESH = Choice("Mesh", {"fine": "fine: the result", "coarse": "coarse: a quick look, about a minute"})
+REFIT_MESH = Choice("Mesh of the refits", {"coarse": "coarse: some minutes", "fine": "fine: long"})
+REDO = Switch("Do everything again, also what has not changed")
+VERBS: Mapping[str, Verb] = {
+    "run": Verb(
+        "Estimate the stiffness",
+        "Follows the corners through the pushes, shapes the torso, estimates, checks and writes the report. Only what "
+        "changed is done again.",
+        {"mesh": MESH, "redo": REDO},
+        "four minutes for a usual subject",
+    ),
+    "plan": Verb(
+        "Plan the next push",
+        "Which side, rib and force would narrow the result most. It writes a sheet to print.",
+        {
+            "target": Choice("What is to become narrow", {"bending": "bending of the spine", "tissue": "soft tissue"}),
+            "limit": Number("Largest force", 5.0, 500.0, 80.0, "N"),
+            "exposures": Number("Further radiographs at most", 2, 40, 8, "", True),
+        },
+        "a minute",
+    ),
+    "sensitivity": Verb(
+        "If something had been otherwise",
+        "The estimate again with force, pushed rib, corners, mesh and geometry changed, one at a time.",
+        {"mesh": REFIT_MESH},
+        "some minutes",
+    ),
+    "parameters": Verb(
+        "Which parameters at all",
+        "What six stiffness parameters do to this spine, and which of them the radiographs tell of.",
+        {"mesh": REFIT_MESH},
+        "some minutes",
+    ),
+    "report": Verb("Write the report", "The report alone, from what was found last.", {"redo": REDO}, "some seconds"),
+    "view": Verb("Make the 3D view", "The torso from rest to full load, to turn around.", {}, "some seconds"),
+    "frames": Verb(
+        "Judge the frames",
+        "Quality and support motion of every frame, and which to estimate from.",
+        {"write": Switch("Put what it proposes into the values")},
+        "some seconds",
+    ),
+}
+
+
+def command_of(verb: str, given: Mapping[str, Any]) -> list[str]:
+    """The command line of a job, in its subject's folder.
+
+    Raises
+    ------
+    OptionError : no such verb or option, or a value that the option does not take.
+    """
+    if verb not in VERBS:
+        raise OptionError("the request: no such step")
+    return VERBS[verb].arguments(verb, given)

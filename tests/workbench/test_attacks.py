@@ -1,0 +1,502 @@
+"""What the workbench must not do, whoever asks: thirteen attacks."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import socket
+import sqlite3
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+from urllib.parse import quote
+
+import pytest
+from fastapi.routing import APIRoute
+
+from hospital import CANARY as PATIENT
+from hospital import disc
+from spinestiff.errors import NotThere, OptionError, SubjectError
+from spinestiff.loopback import guard, serving
+from spinestiff.loopback.guard import LARGEST_BODY, PROXY_HEADER, TOKEN_HEADER
+from spinestiff.workbench import unzip as unzipping
+from spinestiff.workbench.door import access_of, check_host
+from spinestiff.workbench.job_process import run_job
+from spinestiff.workbench.names import harmless
+from spinestiff.workbench.rooms import OWN, open_root
+from spinestiff.workbench.server import application
+from spinestiff.workbench.unzip import unzip
+from spinestiff.workbench.verbs import VERBS, command_of
+from unannotated import CANARY
+
+POSIX = pytest.mark.skipif(os.name == "nt", reason="process groups and links as POSIX has them")
+
+
+def routes(served):
+    """Method and path of every route, with the subject's key where one is wanted."""
+    for route in application(served.bench).routes:
+        if isinstance(route, APIRoute):
+            for method in route.methods:
+                path = route.path.replace("{number}", "0").replace("{at}", "0")
+                yield method, path.replace("{key}", served.key()).replace("{name}", "x").replace("{ticket}", "x")
+
+
+# 1. Somebody without the token.
+
+
+def test_nothing_is_given_or_taken_without_the_token(served):
+    found = [(method, path) for method, path in routes(served) if "/api/" in path]
+    found += [("GET", f"/annotate/{served.key()}/api/session"), ("PUT", f"/annotate/{served.key()}/api/annotation")]
+    assert len(found) > 25
+    for method, path in found:
+        for token in ("", "x" * len(served.token), served.token[:-1]):
+            status, _, body = served.ask(method, path, {} if method != "GET" else None, token=token)
+            assert (status, set(json.loads(body))) == (403, {"error"}), (method, path)
+        assert served.ask(method, path, headers={TOKEN_HEADER: None})[0] == 403
+    assert (served.bench.root.path / "girl").is_dir()
+    rest = {path for _, path in routes(served) if "/api/" not in path}
+    assert rest == {"/", "/workbench.js", "/workbench.css", "/shown/x/x", "/parcel/x"}
+
+
+# 2. A foreign name that leads here (DNS rebinding).
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "127.0.0.1", "localhost:1", "evil.example:{port}", "127.0.0.1:{port}.x"]
+)
+@pytest.mark.parametrize("path", ["/", "/api/subjects", "/shown/x/report.html"])
+def test_a_foreign_host_is_refused(served, host, path):
+    assert served.ask("GET", path, headers={"Host": host.format(port=served.port)})[0] == 421
+
+
+# 3. A page of another site in the same browser.
+
+
+def test_a_foreign_page_is_refused_even_with_the_token(served):
+    for headers in (
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+        {"Origin": "http://127.0.0.1:1"},
+        {"Sec-Fetch-Site": "cross-site"},
+        {"Sec-Fetch-Site": "same-site"},
+    ):
+        assert served.ask("GET", "/api/subjects", headers=headers)[0] == 403, headers
+        assert served.ask("POST", "/api/uploads", {}, headers)[0] == 403, headers
+    assert served.ask("GET", "/api/subjects", headers={"Origin": f"http://127.0.0.1:{served.port}"})[0] == 200
+
+
+# 4. Names that climb out of their folder.
+
+NASTY = [
+    "../../evil.dcm", "/etc/evil.dcm", "C:\\windows\\evil.dcm", "a/../../../evil.dcm", "..", ".", "", "a\0b.dcm",
+    "\\\\host\\share\\x", "con.dcm", "a/.ssh/authorized_keys", "x" * 2000, "a/" * 500 + "b", "~/evil", "a\nb",
+    "ä ö/ü.dcm", "%2e%2e/evil", "a..", ". .",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NASTY)
+def test_names_of_files_are_no_paths(served, name):
+    path = Path(harmless(name))
+    assert not path.is_absolute() and ".." not in path.parts and not any(part.startswith(".") for part in path.parts)
+    assert path.name and len(str(path)) < 1100 and "\\" not in str(path) and ":" not in str(path)
+    key = served.upload({name: b"x", "b.dcm": b"y"})
+    place = served.bench.uploads.place(key)
+    inside = [one for one in served.bench.root.path.parent.rglob("*") if one.is_file() and one.read_bytes() == b"x"]
+    assert len(inside) == 1 and inside[0].resolve().is_relative_to(place / "files")
+
+
+def test_keys_and_tickets_are_no_paths(served):
+    (served.bench.root.path.parent / "outside").mkdir()
+    for name in ("..", "../outside", "girl", ".workbench", "%2e%2e", "..%2f..", "x" * 500):
+        for path in (
+            f"/api/subjects/{name}/form", f"/api/subjects/{name}/results", f"/api/uploads/{name}",
+            f"/shown/{name}/report.html", f"/parcel/{name}", f"/api/trash/{name}/restore", f"/api/jobs/{name}/log",
+            f"/annotate/{name}/api/session",
+        ):  # fmt: skip
+            method = "DELETE" if "uploads" in path else "POST" if "restore" in path else "GET"
+            status, _, body = served.ask(method, quote(path, safe="/%"), {} if method == "POST" else None)
+            assert status in (404, 405, 307), (path, status, body)
+    ticket = served.good("GET", f"/api/subjects/{served.key()}/results")["ticket"]
+    for name in ("..%2fsubject.json", "subject.json", "run.json", "estimate.json", "%2e%2e", "report.html"):
+        assert served.ask("GET", f"/shown/{ticket}/{name}")[0] == 404, name
+    for name in ("../x", ".hidden", "", "a/b", "CON?", "a" * 65):
+        look = {"origin": "source", "key": "0" * 16, "name": name, "person": {}}
+        assert served.ask("POST", "/api/subjects", look)[0] in (404, 422)
+    with pytest.raises(SubjectError):
+        served.bench.root.new_subject("../x")
+
+
+def test_the_form_sets_no_path(served):
+    key = served.key()
+    form = served.good("GET", f"/api/subjects/{key}/form")
+    for change in (
+        lambda values: values["pushes"][0].update(frames="../../secret.dcm"),
+        lambda values: values["pushes"][0].update(frames="rest/frontal.dcm"),
+        lambda values: values["pushes"][0].update(id="other"),
+        lambda values: values.update(torso="rest/frontal.dcm"),
+        lambda values: values.update(skin_scan={"file": "x.stl", "unit": "mm", "axes": {}}),
+    ):
+        values = json.loads(json.dumps(form["values"]))
+        change(values)
+        sent = {"values": values, "revision": form["revision"]}
+        status, body = served.json("PUT", f"/api/subjects/{key}/form", sent)
+        assert status == 422 and "can't be changed here" in body["error"]
+    assert served.good("GET", f"/api/subjects/{key}/form")["values"] == form["values"]
+
+
+# 5. Links that lead out of the served folder.
+
+
+@POSIX
+def test_links_out_of_the_folder_are_not_followed(served, pristine, tmp_path):
+    root, key = served.bench.root.path, served.key()
+    secret = tmp_path / "secret.html"
+    secret.write_text("secret", encoding="utf-8")
+    (root / "linked").symlink_to(pristine, target_is_directory=True)
+    assert [card["name"] for card in served.good("GET", "/api/subjects")["subjects"]] == ["girl"]
+    results = root / "girl" / "results"
+    results.mkdir()
+    (results / "report.html").symlink_to(secret)
+    found = served.good("GET", f"/api/subjects/{key}/results")
+    assert found["pages"] == []
+    status, _, body = served.ask("GET", f"/shown/{found['ticket']}/report.html")
+    assert status == 422 and b"secret" not in body.replace(b"secret.html", b"")
+    (root / "girl" / "notes.txt").symlink_to(secret)
+    ticket = served.good("POST", f"/api/subjects/{key}/zip", {"nameless": False})["ticket"]
+    _, _, packed = served.ask("GET", f"/parcel/{ticket}")
+    with zipfile.ZipFile(io.BytesIO(packed)) as zipped:
+        assert "subject.json" in zipped.namelist() and not {"notes.txt", "results/report.html"} & set(zipped.namelist())
+    (root / "girl" / "rest" / "frontal.dcm").unlink()
+    (root / "girl" / "rest" / "frontal.dcm").symlink_to(pristine / "rest" / "frontal.dcm")
+    assert served.ask("POST", f"/api/subjects/{key}/zip", {"nameless": True, "burned_in_ok": True})[0] == 422
+
+
+# 6. A zip file that becomes a thousand times as large.
+
+
+def packed(entries, **options):
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as zipped:
+        for name, what in entries:
+            zipped.writestr(name, what, **options)
+    return content.getvalue()
+
+
+def test_a_zip_bomb_is_refused_and_leaves_nothing(served, tmp_path):
+    bomb = packed((f"{i}.dcm", bytes(4 * 2**20)) for i in range(12))
+    assert len(bomb) < 100_000
+    key = served.upload({"bomb.zip": bomb})
+    status, body = served.json("POST", "/api/look", {"origin": "upload", "key": key})
+    assert status == 422 and "more than radiographs do" in body["error"]
+    assert not (served.bench.uploads.place(key) / "unpacked" / "0").exists()
+
+
+def test_a_zip_file_is_not_believed(tmp_path, monkeypatch):
+    archive, target = tmp_path / "a.zip", tmp_path / "out"
+    archive.write_bytes(packed([("../../evil.dcm", b"x"), ("a/../b", b"y"), ("/c", b"z")]))
+    assert unzip(archive, target, 2**20) == 3
+    assert (
+        all(path.resolve().is_relative_to(target) for path in target.rglob("*"))
+        and not (tmp_path / "evil.dcm").exists()
+    )
+    link = zipfile.ZipInfo("link")
+    link.external_attr = 0o120777 << 16
+    archive.write_bytes(packed([(link, "/etc/passwd"), ("a", b"x")]))
+    assert unzip(archive, tmp_path / "two", 2**20) == 1
+    archive.write_bytes(packed([("a", os.urandom(3 * 2**20))]))
+    with pytest.raises(SubjectError, match="larger than 2 MB"):
+        unzip(archive, tmp_path / "three", 2 * 2**20)
+    monkeypatch.setattr(unzipping, "MOST_FILES", 3)
+    archive.write_bytes(packed((str(i), b"x") for i in range(4)))
+    with pytest.raises(SubjectError, match="more than 3 files"):
+        unzip(archive, tmp_path / "four", 2**20)
+    for content in (b"no zip", packed([("a", b"x" * 100)])[:60]):
+        archive.write_bytes(content)
+        with pytest.raises(SubjectError, match="damaged, or no zip file"):
+            unzip(archive, tmp_path / "five", 2**20)
+    assert {path.name for path in tmp_path.iterdir()} == {"a.zip", "out", "two"}
+
+
+# 7. More than anybody has radiographs.
+
+
+def test_large_bodies_and_uploads_are_refused(served, root):
+    assert served.ask("POST", "/api/check", None, {"Content-Length": str(LARGEST_BODY + 1)})[0] == 413
+    key = served.good("POST", "/api/uploads", {})["key"]
+    many = [{"name": str(i), "size": 0} for i in range(20_001)]
+    assert served.ask("POST", f"/api/uploads/{key}/files", {"files": many})[0] == 422
+    large = [{"name": f"{i}.zip", "size": served.bench.uploads.most_bytes // 2} for i in range(3)]
+    assert "at most 8 GB" in served.json("POST", f"/api/uploads/{key}/files", {"files": large})[1]["error"]
+    assert (
+        "at most"
+        in served.json("POST", f"/api/uploads/{key}/files", {"files": [{"name": "a", "size": 2**40}]})[1]["error"]
+    )
+    served.good("POST", f"/api/uploads/{key}/files", {"files": [{"name": "a", "size": 3}]})
+    assert served.ask("PUT", f"/api/uploads/{key}/files/0/0", b"four")[0] == 422
+    assert served.ask("PUT", f"/api/uploads/{key}/files/0/1", b"x")[0] == 409
+    assert served.ask("PUT", f"/api/uploads/{key}/files/1/0", b"x")[0] == 404
+    assert served.ask("PUT", f"/api/uploads/{key}/files/-1/0", b"x")[0] == 404
+    assert served.ask("PUT", f"/api/uploads/{key}/files/0/0", b"x" * (2 * 2**20 + 1))[0] == 422
+
+
+# 8. Requests that trickle.
+
+
+def test_slow_heads_and_bodies_are_cut_off(root, serve, monkeypatch):
+    monkeypatch.setattr(serving, "HEAD_S", 0.6)
+    monkeypatch.setattr(guard, "BODY_S", 0.6)
+    with serve(root) as served:
+        began = time.monotonic()
+        cut = pytest.raises((BrokenPipeError, ConnectionResetError, ConnectionAbortedError))
+        with socket.create_connection(("127.0.0.1", served.port), timeout=10) as sock, cut:
+            for letter in "GET / HTTP/1.1\r\nHost: " + "x" * 1000:
+                sock.sendall(letter.encode())
+                time.sleep(0.05)
+        assert 0.4 < time.monotonic() - began < 5
+        with socket.create_connection(("127.0.0.1", served.port), timeout=10) as sock:
+            head = f"POST /api/check HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\n{TOKEN_HEADER}: {served.token}\r\n"
+            sock.sendall(f"{head}Content-Length: 1000\r\n\r\n{{".encode())
+            assert sock.recv(1000).split()[1] == b"408"
+        # Somebody who asks in time is answered, again and again on one connection, with pauses.
+        with socket.create_connection(("127.0.0.1", served.port), timeout=10) as sock:
+            for _ in range(3):
+                sock.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\n\r\n".encode())
+                assert sock.recv(100).split()[1] == b"200"
+                while sock.recv(2**16)[-8:] != b"</html>\n":
+                    pass
+                time.sleep(0.8)
+
+
+# 9. Options of a job that are more than options.
+
+
+def test_jobs_take_no_arguments_but_their_own(served):
+    path = f"/api/subjects/{served.key()}/jobs"
+    for asked in (
+        {"verb": "run; rm -rf .", "options": {}},
+        {"verb": "deidentify", "options": {}},
+        {"verb": "run", "options": {"mesh": "fine --truth=/etc/passwd"}},
+        {"verb": "run", "options": {"mesh": "$(id)"}},
+        {"verb": "run", "options": {"truth": "x"}},
+        {"verb": "run", "options": {"redo": "yes"}},
+        {"verb": "run", "options": {"mesh": True}},
+        {"verb": "plan", "options": {"limit": "80"}},
+        {"verb": "plan", "options": {"limit": 1e9}},
+        {"verb": "plan", "options": {"exposures": 2.5}},
+        {"verb": "plan", "options": {"limit": True}},
+        {"verb": "run", "options": {}, "folder": "/etc"},
+        {"verb": "run", "options": {"mesh": ["fine"]}},
+    ):
+        assert served.ask("POST", path, asked)[0] == 422, asked
+    assert served.bench.jobs.table.jobs() == []
+    assert command_of("run", {"mesh": "coarse", "redo": False}) == ["run", ".", "--mesh=coarse"]
+    assert command_of("plan", {"limit": 60, "exposures": 4}) == ["plan", ".", "--limit=60.0", "--exposures=4"]
+    with pytest.raises(OptionError):
+        command_of("plan", {"limit": float("nan")})
+
+
+def test_every_verb_is_a_command_with_these_options():
+    from typer.main import get_group
+
+    from spinestiff.app.cli import app
+
+    commands = get_group(app).commands
+    for name, verb in VERBS.items():
+        known = {option for parameter in commands[name].params for option in parameter.opts}
+        assert {f"--{option}" for option in verb.options} <= known, name
+
+
+# 10. Markup in names.
+
+
+def test_no_page_runs_what_a_name_holds(served, root):
+    page = served.ask("GET", "/")
+    policy = page[1]["content-security-policy"]
+    assert "script-src 'self';" in policy and "unsafe" not in policy and "frame-ancestors 'none'" in policy
+    (root / "girl" / "results").mkdir()
+    (root / "girl" / "results" / "report.html").write_text("<script>parent.document</script>", encoding="utf-8")
+    ticket = served.good("GET", f"/api/subjects/{served.key()}/results")["ticket"]
+    status, headers, _ = served.ask("GET", f"/shown/{ticket}/report.html", headers={TOKEN_HEADER: None})
+    assert status == 200 and headers["content-security-policy"].startswith("sandbox allow-scripts")
+    assert "allow-same-origin" not in headers["content-security-policy"]
+    assert (
+        "default-src 'none'" in headers["content-security-policy"]
+        and "connect-src" not in headers["content-security-policy"]
+    )
+    (root / "<img src=x onerror=alert(1)>").mkdir()
+    (root / "<img src=x onerror=alert(1)>" / "subject.json").write_text("{}", encoding="utf-8")
+    _, headers, body = served.ask("GET", "/api/subjects")
+    assert headers["content-type"] == "application/json" and headers["x-content-type-options"] == "nosniff"
+    assert any(card["name"].startswith("<img") for card in json.loads(body)["subjects"])
+
+
+# 11. Jobs whose children outlive them.
+
+STUB = """
+import subprocess, sys, time, signal
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+stubborn = 'import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(600)'
+child = subprocess.Popen([sys.executable, '-c', stubborn])
+open('pids', 'w').write(f'{child.pid}')
+print('ready', flush=True)
+time.sleep(600)
+"""
+
+
+WATCHED = """
+import subprocess, time
+import spinestiff.app.start as start
+
+def main():
+    print(subprocess.Popen(['sleep', '600']).pid, flush=True)
+    time.sleep(600)
+
+start.main = main
+from spinestiff.app.job import main
+main()
+"""
+
+
+def alive(pid):
+    try:
+        with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def wait_for(condition, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
+def test_a_cancelled_job_takes_its_children_along(served, root):
+    import threading
+
+    table, folder = served.bench.jobs.table, root / "girl"
+    job = table.add(served.key(), "run", {})
+    assert table.take(1).id == job.id
+    log = root / "log"
+    command = (sys.executable, "-c", STUB)
+    work = (table, job.id, folder, [], log, command)
+    thread = threading.Thread(target=run_job, args=work, daemon=True)
+    thread.start()
+    wait_for(lambda: log.exists() and b"ready" in log.read_bytes())
+    child = int((folder / "pids").read_text(encoding="utf-8"))
+    assert alive(child)
+    assert served.good("POST", f"/api/jobs/{job.id}/cancel", {})["cancel"]
+    thread.join(timeout=30)
+    assert table.job(job.id).state == "cancelled" and not alive(child)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
+def test_a_command_ends_with_the_process_that_watches_over_it(tmp_path):
+    """Also where that is killed: the command's input ends, and it ends its group."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", WATCHED], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+    )
+    child = int(process.stdout.readline())
+    assert alive(child)
+    process.stdin.close()
+    process.wait(timeout=20)
+    process.stdout.close()
+    wait_for(lambda: not alive(child))
+
+
+# 12. Whose spine it is, in logs, addresses, the table, titles.
+
+
+def test_nothing_of_the_patient_is_in_logs_addresses_or_the_table(root, serve, tmp_path):
+    export = disc(tmp_path / PATIENT.replace("^", "_"))
+    with serve(root, jobs=True) as served:
+        upload = served.upload_folder(export)
+        look = served.good("POST", "/api/look", {"origin": "upload", "key": upload})
+        assert len(look["files"]) == 4 and "DOE" not in json.dumps(look["studies"]).replace("DOE_JANE", "")
+        asked = {"origin": "upload", "key": upload, "name": "DOE_JANE", "person": {}}
+        key = served.good("POST", "/api/subjects", asked)["key"]
+        assert "DOE" not in key and not served.bench.uploads.folder.joinpath(upload).exists()
+        job = served.good("POST", f"/api/subjects/{key}/jobs", {"verb": "run", "options": {}})["id"]
+        assert served.until(job, "failed").status == 2
+        lines = served.good("GET", f"/api/jobs/{job}/log")["lines"]
+        assert any("age is missing" in line for line in lines)
+    own = root / OWN
+    content = b"".join(path.read_bytes() for path in own.rglob("*") if path.is_file())
+    assert (own / "logs" / f"{job}.log").stat().st_size > 100
+    for word in (b"DOE", b"JANE", PATIENT.encode(), *(part.encode() for part in CANARY.split("^"))):
+        assert word not in content, word
+    with sqlite3.connect(own / "jobs.sqlite") as table:
+        rows = table.execute("SELECT * FROM job").fetchall()
+    table.close()
+    assert len(rows) == 1 and key in rows[0] and "DOE" not in repr(rows)
+    page = (Path(__file__).parents[2] / "src/spinestiff/workbench/page/index.html").read_text(encoding="utf-8")
+    assert "<title>spinestiff workbench</title>" in page
+
+
+# 13. Others in the network.
+
+
+def test_a_public_address_is_refused_without_a_proxy(tmp_path):
+    for host in ("0.0.0.0", "192.168.1.5", "::", "8.8.8.8"):
+        with pytest.raises(OptionError, match=r"--host .*: others could reach it.*--proxy and"):
+            check_host(host, None)
+        check_host(host, "https://spine.example.org")
+    for host in ("127.0.0.1", "localhost"):
+        check_host(host, None)
+    with pytest.raises(OptionError, match=r"wanted 127\.0\.0\.1 or localhost"):
+        check_host("::1", None)
+    with pytest.raises(OptionError, match="wanted an address"):
+        check_host("spine.example.org", None)
+    short = tmp_path / "secret"
+    short.write_text("short", encoding="utf-8")
+    for proxy, secret in (("https://spine.example.org", None), (None, short), ("https://spine.example.org", short)):
+        with pytest.raises(OptionError):
+            access_of(1, proxy, secret, False)
+    short.write_text("s" * 40, encoding="utf-8")
+    for proxy in ("spine.example.org", "ftp://x", "https://a/b", "https://a@b", "https://a?b"):
+        with pytest.raises(OptionError, match=r"wanted an origin|wanted a host"):
+            access_of(1, proxy, short, False)
+
+
+def test_behind_a_proxy_nobody_comes_past_it(root, serve, tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_text("s" * 40 + "\n", encoding="utf-8")
+    with serve(root, proxy="https://spine.example.org", secret=secret) as served:
+        good = {"Host": "spine.example.org", PROXY_HEADER: "s" * 40, "Origin": "https://spine.example.org"}
+        for path in ("/", "/api/subjects"):
+            assert served.ask("GET", path, headers=good)[0] == 200
+            assert served.ask("GET", path, headers={**good, PROXY_HEADER: None})[0] == 403
+            assert served.ask("GET", path, headers={**good, PROXY_HEADER: "s" * 39})[0] == 403
+            assert served.ask("GET", path, headers={**good, "Host": f"127.0.0.1:{served.port}"})[0] == 421
+            assert served.ask("GET", path, headers={**good, "Origin": "http://spine.example.org"})[0] == 403
+        # A form of another site can't send the page's header.
+        assert served.ask("GET", "/api/subjects", headers={**good, TOKEN_HEADER: None})[0] == 403
+
+
+# And somebody who may look, but change nothing.
+
+
+def test_read_only_changes_nothing(root, serve):
+    before = {path: path.stat().st_mtime_ns for path in root.rglob("*")}
+    with serve(root, read_only=True) as served:
+        key = served.key()
+        for method, path in routes(served):
+            if method in ("POST", "PUT", "DELETE") and not path.endswith(("/api/check", "/log", "/zip")):
+                assert served.ask(method, path, {})[0] == 403, path
+        assert served.ask("PUT", f"/annotate/{key}/api/annotation", {})[0] == 403
+        for path in ("/api/subjects", f"/api/subjects/{key}/form", f"/api/subjects/{key}/jobs", "/api/trash"):
+            assert served.ask("GET", path)[0] == 200, path
+        assert served.ask("GET", f"/annotate/{key}/api/session")[0] == 200
+    assert {path: path.stat().st_mtime_ns for path in root.rglob("*")} == before
+
+
+def test_a_folder_that_is_a_subject_is_not_served(root):
+    with pytest.raises(SubjectError, match="is a subject itself; wanted the folder around it"):
+        open_root(root / "girl")
+    with pytest.raises(NotThere):
+        open_root(root).subject("0" * 16)

@@ -1,0 +1,379 @@
+"""The way of the work as the page asks for it: upload, form, jobs, results, zip files, trash."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pydicom
+import pytest
+
+from hospital import disc, export, gauged
+from spinestiff.annotate.draft import DraftImage
+from spinestiff.files import read_json
+from spinestiff.subject.folder import read_subject, read_unannotated, write_annotation
+from spinestiff.subject.records import Annotation
+from spinestiff.workbench.job_process import start_job
+from spinestiff.workbench.job_table import LOST_S, JobTable
+from spinestiff.workbench.rooms import open_root
+from spinestiff.workbench.unzip import unzip
+from unannotated import CANARY, drawn
+
+POSIX = pytest.mark.skipif(os.name == "nt", reason="processes as POSIX has them")
+
+
+def annotated(folder):
+    """Mark what the radiographs of the folder show."""
+    images = {name: drawn(name) for name in ("rest/frontal", "rest/lateral", "push/a")}
+    whole = {name: DraftImage.model_validate({"vertebrae": shown.named()}).whole() for name, shown in images.items()}
+    write_annotation(folder, Annotation(schema_version=1, images=whole))
+
+
+# New subjects.
+
+
+def test_an_export_becomes_a_subject(served, tmp_path):
+    upload = served.upload_folder(disc(tmp_path / "disc"))
+    look = served.good("POST", "/api/look", {"origin": "upload", "key": upload})
+    assert [(one["use"], one["frames"]) for one in look["files"]] == [
+        ("rest, frontal", 1), ("rest, lateral", 1), ("push 1", 3), ("push 2", 2),
+    ]  # fmt: skip
+    assert len(look["left_out"]) == 7 and look["studies"][0]["label"] == "A1"
+    made = {"origin": "upload", "key": upload, "name": "boy-04", "person": {"age": 14.5}}
+    key = served.good("POST", "/api/subjects", made)["key"]
+    card = served.good("GET", f"/api/subjects/{key}")
+    assert (card["name"], card["stage"], card["age"], card["pushes"]) == ("boy-04", "form", 14.5, 2)
+    assert card["missing"][0] == "Sex" and "Push push-1, frame 0 to 2: force on the ribs in N" in card["missing"]
+    assert sorted(path.name for path in (served.bench.root.path / "boy-04").iterdir()) == [
+        "pushes",
+        "rest",
+        "subject.json",
+    ]
+    assert served.ask("POST", "/api/subjects", made)[0] in (404, 422)
+
+
+def test_a_zip_file_and_several_studies(served, tmp_path):
+    export(tmp_path / "all" / "a", study="1.2.1")
+    export(tmp_path / "all" / "b", study="1.2.2", time="111500")
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as zipped:
+        for name in ("a", "b"):
+            zipped.write(tmp_path / "all" / name, f"deep/{name}")
+    upload = served.upload({"disc.ZIP": content.getvalue()})
+    look = served.good("POST", "/api/look", {"origin": "upload", "key": upload})
+    assert [one["label"] for one in look["studies"]] == ["A1", "A2"] and look["files"] == [] and look["study"] is None
+    look = served.good("POST", "/api/look", {"origin": "upload", "key": upload, "study": "A2"})
+    assert [one["name"].rpartition("/")[2] for one in look["files"]] == ["b"]
+    asked = {"origin": "upload", "key": upload, "study": "A2", "name": "x", "person": {}}
+    assert served.good("POST", "/api/subjects", asked)
+
+
+def test_an_upload_goes_on_where_it_stopped(served):
+    key = served.good("POST", "/api/uploads", {})["key"]
+    served.good("POST", f"/api/uploads/{key}/files", {"files": [{"name": "a", "size": 6}]})
+    assert served.good("PUT", f"/api/uploads/{key}/files/0/0", b"abc")["come"] == 3
+    status, body = served.json("PUT", f"/api/uploads/{key}/files/0/0", b"abc")
+    assert (status, body["error"]) == (409, "go on at 3")
+    assert "has not come whole" in served.json("POST", "/api/look", {"origin": "upload", "key": key})[1]["error"]
+    assert served.good("PUT", f"/api/uploads/{key}/files/0/3", b"def")["come"] == 6
+    assert (served.bench.uploads.place(key) / "files" / "a").read_bytes() == b"abcdef"
+    # The same after the server has been started anew.
+    served.bench.uploads._lists.clear()
+    assert served.good("POST", f"/api/uploads/{key}/files", {"files": []})["files"] == [
+        {"path": "a", "size": 6, "come": 6}
+    ]
+
+
+def test_folders_on_the_machine_are_those_that_were_named(root, serve, tmp_path):
+    disc(tmp_path / "exports" / "one")
+    (tmp_path / "exports" / ".hidden").mkdir()
+    with serve(root, sources=(tmp_path / "exports",)) as served:
+        offered = served.good("GET", "/api/sources")["sources"]
+        assert [one["name"] for one in offered] == ["exports", "exports/one"]
+        look = served.good("POST", "/api/look", {"origin": "source", "key": offered[1]["key"]})
+        assert len(look["files"]) == 4
+        assert served.ask("POST", "/api/look", {"origin": "source", "key": "0" * 16})[0] == 404
+        asked = {"origin": "source", "key": offered[1]["key"], "name": "new", "person": {}}
+        assert served.good("POST", "/api/subjects", asked)["key"] == served.key("new")
+
+
+# The form.
+
+
+def test_the_form_is_the_schema_and_says_what_is_wrong_where(served):
+    form = served.good("GET", f"/api/subjects/{served.key()}/form")
+    assert (
+        set(form["words"]) >= {"age", "pushes.d21_mm"} and form["schema"]["properties"]["height_cm"]["maximum"] == 200
+    )
+    values = form["values"]
+    assert form["problems"] == [] and form["open"] == []
+    values["height_cm"], values["age"] = 500, "old"
+    values["pushes"][0] |= {"d31_mm": 600, "forces_n": [0, None, 20]}
+    judged = served.good("POST", "/api/check", {"values": values})
+    found = {one["field"]: one["text"] for one in judged["problems"]}
+    assert (
+        set(found) == {"age", "height_cm", "pushes[0]"} and "d31_mm 600 is not below d21_mm 400" in found["pushes[0]"]
+    )
+    assert "200" in found["height_cm"]
+    assert [one["field"] for one in judged["open"]] == ["pushes[0].forces_n[1]"]
+
+
+def test_values_are_saved_whole_or_not_at_all(served, root):
+    key, path = served.key(), root / "girl" / "subject.json"
+    form = served.good("GET", f"/api/subjects/{key}/form")
+    before, values = path.read_bytes(), form["values"]
+    bad = {"values": {**values, "height_cm": 500}, "revision": form["revision"]}
+    assert served.ask("PUT", f"/api/subjects/{key}/form", bad)[0] == 422 and path.read_bytes() == before
+    good = {"values": {**values, "height_cm": 150.5}, "revision": form["revision"]}
+    saved = served.good("PUT", f"/api/subjects/{key}/form", good)
+    assert read_unannotated(root / "girl").record.height_cm == 150.5
+    status, body = served.json("PUT", f"/api/subjects/{key}/form", good)
+    assert status == 409 and "changed meanwhile" in body["error"]
+    values["height_cm"] = None
+    opened = served.good("PUT", f"/api/subjects/{key}/form", {"values": values, "revision": saved["revision"]})
+    assert [one["field"] for one in opened["open"]] == ["height_cm"]
+    assert served.good("GET", f"/api/subjects/{key}")["stage"] == "form"
+
+
+def test_a_gauges_log_gives_the_forces_and_writes_nothing(root, serve, tmp_path):
+    true = gauged(tmp_path)
+    with serve(root, sources=(tmp_path / "in",)) as served:
+        source = served.good("GET", "/api/sources")["sources"][0]["key"]
+        made = {"origin": "source", "key": source, "name": "new", "person": {}}
+        key = served.good("POST", "/api/subjects", made)["key"]
+        before, text = content_of(root / "new"), (tmp_path / "gauge.csv").read_text(encoding="utf-8")
+        found = served.good("POST", f"/api/subjects/{key}/log", {"push": 0, "text": text})
+        np.testing.assert_allclose(found["forces_n"], true, atol=2.5)
+        assert found["placed"] and not found["given"] and found["low_s"] <= 3.1 <= found["high_s"]
+        assert "'Load (kgf)' (kgf)" in found["columns"] and found["picture"].startswith("data:image/png;base64,iVBOR")
+        given = served.good("POST", f"/api/subjects/{key}/log", {"push": 0, "text": text, "offset_s": 3.1})
+        np.testing.assert_allclose(given["forces_n"], true, atol=0.6)
+        flat = "time,force\n" + "\n".join(f"{i / 10},1.5" for i in range(200))
+        units = {"time_unit": "s", "force_unit": "N"}
+        assert (
+            "say the unit of time"
+            in served.json("POST", f"/api/subjects/{key}/log", {"push": 0, "text": flat})[1]["error"]
+        )
+        unknown = served.good("POST", f"/api/subjects/{key}/log", {"push": 0, "text": flat, **units})
+        assert not unknown["placed"] and unknown["forces_n"] is None and "changes by 0.0 N only" in unknown["why"]
+        for bad in ({"push": 1, "text": text}, {"push": 0, "text": "no log"}, {"push": -1, "text": text}):
+            status, body = served.json("POST", f"/api/subjects/{key}/log", bad)
+            assert status == 422 and str(tmp_path) not in body["error"] and "--" not in body["error"]
+        assert content_of(root / "new") == before
+
+
+@POSIX
+def test_values_are_not_changed_under_a_run(served, root):
+    from spinestiff.subject.lock import sole_run
+
+    form = served.good("GET", f"/api/subjects/{served.key()}/form")
+    with sole_run(root / "girl"):
+        sent = {"values": form["values"], "revision": form["revision"]}
+        status, body = served.json("PUT", f"/api/subjects/{served.key()}/form", sent)
+        assert status == 409 and "another run" in body["error"]
+        assert served.ask("DELETE", f"/api/subjects/{served.key()}")[0] == 409
+
+
+def test_cards_say_what_comes_next(served, root):
+    def card():
+        return served.good("GET", f"/api/subjects/{served.key()}")
+
+    assert card()["stage"] == "annotate" and "Push a: not annotated" in card()["missing"]
+    annotated(root / "girl")
+    assert (card()["stage"], card()["missing"], card()["result"]) == ("run", [], None)
+    (root / "girl" / "rest" / "frontal.dcm").rename(root / "girl" / "rest" / "other.dcm")
+    assert card()["stage"] == "radiographs" and card()["missing"] == ["Rest, frontal: no radiograph"]
+    (root / "girl" / "subject.json").write_text("{", encoding="utf-8")
+    assert card()["stage"] == "broken" and "not JSON" in card()["missing"][0]
+
+
+# Jobs.
+
+
+def test_one_job_at_a_time_a_subject_and_a_cancelled_one_that_waits(served):
+    path = f"/api/subjects/{served.key()}/jobs"
+    job = served.good("POST", path, {"verb": "run", "options": {"mesh": "coarse"}})
+    assert (job["state"], job["options"]) == ("waiting", {"mesh": "coarse"})
+    status, body = served.json("POST", path, {"verb": "view", "options": {}})
+    assert status == 409 and "has a job already" in body["error"]
+    assert served.ask("DELETE", f"/api/subjects/{served.key()}")[0] == 409
+    assert served.good("POST", f"/api/jobs/{job['id']}/cancel", {})["state"] == "cancelled"
+    assert served.good("POST", path, {"verb": "view", "options": {}})["state"] == "waiting"
+    assert [one["verb"] for one in served.good("GET", path)["jobs"]] == ["view", "run"]
+
+
+def test_jobs_start_in_turn_and_no_more_than_allowed(tmp_path):
+    table = JobTable(tmp_path / "t.sqlite")
+    table.make()
+    first, second, third = (table.add(key, "run", {}) for key in "abc")
+    assert table.take(2).id == first.id and table.take(2).id == second.id and table.take(2) is None
+    table.end(first.id, "done", 0)
+    assert table.take(2).id == third.id
+    # Written twice, what was first stays.
+    table.end(first.id, "failed", 1)
+    assert table.job(first.id).state == "done"
+
+
+def test_a_job_without_a_sign_of_life_is_lost(tmp_path, monkeypatch):
+    table = JobTable(tmp_path / "t.sqlite")
+    table.make()
+    job = table.add("a", "run", {})
+    assert table.take(1).id == job.id
+    table.give_up_lost()
+    assert table.job(job.id).state == "running" and table.beat(job.id)
+    now = time.time()
+    monkeypatch.setattr("spinestiff.workbench.job_table.time.time", lambda: now + LOST_S + 1)
+    table.give_up_lost()
+    assert table.job(job.id).state == "lost" and not table.beat(job.id)
+
+
+def test_a_job_runs_says_its_lines_and_ends(root, serve):
+    with serve(root, jobs=True) as served:
+        job = served.good("POST", f"/api/subjects/{served.key()}/jobs", {"verb": "run", "options": {}})["id"]
+        status, headers, body = served.ask("GET", f"/api/jobs/{job}/events")
+        assert status == 200 and headers["content-type"].startswith("text/event-stream")
+        events = [block.split("\n") for block in body.decode().strip().split("\n\n")]
+        states = [json.loads(lines[-1].removeprefix("data: "))["state"] for lines in events if lines[0] == "event: job"]
+        assert states[-1] == "failed" and "running" in states
+        said = [
+            line for lines in events if "event: lines" in lines for line in json.loads(lines[-1].removeprefix("data: "))
+        ]
+        assert any("no annotation; mark the vertebra corners" in line for line in said)
+        # From a place on, as a page asks that was reloaded.
+        at = max(int(lines[0].removeprefix("id: ")) for lines in events if lines[0].startswith("id: "))
+        assert b"event: lines" not in served.ask("GET", f"/api/jobs/{job}/events?at={at}")[2]
+        assert served.good("GET", f"/api/jobs/{job}/log")["lines"] == said
+        assert served.good("GET", f"/api/subjects/{served.key()}")["job"]["status"] == 2
+
+
+@pytest.mark.slow
+@POSIX
+def test_a_job_outlives_its_server_and_is_cancelled_by_the_next(root, serve):
+    """A real run: the corners are followed and the torso is being shaped when it is cancelled."""
+    annotated(root / "girl")
+    with serve(root, jobs=True) as served:
+        asked = {"verb": "run", "options": {"mesh": "coarse"}}
+        job = served.good("POST", f"/api/subjects/{served.key()}/jobs", asked)["id"]
+        served.until(job, "running")
+        process = served.bench.jobs._started
+        while "personalise:" not in "".join(served.good("GET", f"/api/jobs/{job}/log")["lines"]):
+            time.sleep(0.1)
+    with serve(root, jobs=True) as served:
+        assert served.good("GET", f"/api/subjects/{served.key()}")["job"]["state"] == "running"
+        served.good("POST", f"/api/jobs/{job}/cancel", {})
+        served.until(job, "cancelled")
+    for one in process:
+        one.wait(timeout=20)
+    # What was finished stays.
+    assert (root / "girl" / "results" / "tracked.json").exists()
+
+
+def alive(pid):
+    try:
+        return "\tZ" not in Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
+def test_a_job_whose_process_is_killed_takes_the_command_along(root, tmp_path):
+    bench = open_root(root)
+    table = JobTable(bench.own / "jobs.sqlite")
+    table.make()
+    job = table.add(bench.key_of("girl"), "run", {})
+    table.take(1)
+    process = start_job(table.path, job.id, root / "girl", ["check"], tmp_path / "log")
+    end = time.monotonic() + 30
+
+    def children():
+        with open(f"/proc/{process.pid}/task/{process.pid}/children", encoding="utf-8") as file:
+            return [int(pid) for pid in file.read().split()]
+
+    while not children():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    (command,) = children()
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    while alive(command):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+# What is left of it.
+
+
+def test_everything_and_nothing_of_the_patient_as_zip_files(served, root, tmp_path):
+    annotated(root / "girl")
+    key = served.key()
+
+    def packed(**asked):
+        ticket = served.good("POST", f"/api/subjects/{key}/zip", asked)["ticket"]
+        status, headers, content = served.ask("GET", f"/parcel/{ticket}", headers={"x-spinestiff-token": None})
+        assert status == 200 and headers["content-disposition"] == 'attachment; filename="subject.zip"'
+        assert served.ask("GET", f"/parcel/{ticket}")[0] == 404
+        return content
+
+    whole = packed(nameless=False)
+    with zipfile.ZipFile(io.BytesIO(whole)) as zipped:
+        assert sorted(zipped.namelist()) == sorted(
+            path.relative_to(root / "girl").as_posix() for path in (root / "girl").rglob("*") if path.is_file()
+        )
+        assert zipped.read("pushes/a.dcm") == (root / "girl" / "pushes" / "a.dcm").read_bytes()
+    bare = packed(nameless=True, burned_in_ok=True)
+    (tmp_path / "bare.zip").write_bytes(bare)
+    unzip(tmp_path / "bare.zip", tmp_path / "bare", 2**30)
+    content = b"".join(path.read_bytes() for path in (tmp_path / "bare").rglob("*") if path.is_file())
+    for word in (*CANARY.split("^"), "girl"):
+        assert word.encode() not in content
+    subject, first = read_subject(tmp_path / "bare"), read_subject(root / "girl")
+    assert subject.record.id == "subject" and subject.pushes[0].id == "push-1"
+    assert subject.annotation.images["push/push-1"] == first.annotation.images["push/a"]
+    old = pydicom.dcmread(root / "girl" / first.pushes[0].frames)
+    new = pydicom.dcmread(tmp_path / "bare" / subject.pushes[0].frames)
+    assert (new.pixel_array == old.pixel_array).all() and new.PatientIdentityRemoved == "YES"
+    assert list(served.bench.parcels.iterdir()) == []
+
+
+def content_of(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_what_is_removed_can_be_put_back(served, root):
+    before = content_of(root / "girl")
+    trash = served.good("DELETE", f"/api/subjects/{served.key()}")["trash"]
+    assert served.good("GET", "/api/subjects")["subjects"] == [] and not (root / "girl").exists()
+    assert [(one["key"], one["name"]) for one in served.good("GET", "/api/trash")["trash"]] == [(trash, "girl")]
+    assert served.good("POST", f"/api/trash/{trash}/restore", {})["key"] == served.key()
+    assert content_of(root / "girl") == before
+    trash = served.good("DELETE", f"/api/subjects/{served.key()}")["trash"]
+    (root / "girl").mkdir()
+    assert served.ask("POST", f"/api/trash/{trash}/restore", {})[0] == 422
+    served.good("DELETE", f"/api/trash/{trash}")
+    assert served.good("GET", "/api/trash")["trash"] == []
+
+
+def test_the_annotation_page_is_a_room_of_its_own(served, root):
+    page = f"/annotate/{served.key()}"
+    status, headers, body = served.ask("GET", f"{page}/", headers={"x-spinestiff-token": None})
+    assert status == 200 and b'src="annotate.js"' in body and "frame-src" not in headers["content-security-policy"]
+    assert served.ask("GET", f"{page}/annotate.css")[0] == 200 and served.ask("GET", f"{page}/subject.json")[0] == 404
+    session = served.good("GET", f"{page}/api/session")
+    assert session["subject"] == "girl" and len(session["images"]) == 3
+    marks = {"vertebrae": drawn("rest/frontal").named()}
+    draft = {"schema_version": 1, "images": {"rest/frontal": marks}}
+    sent = {"revision": session["revision"], "draft": draft}
+    assert served.good("PUT", f"{page}/api/annotation", sent)["revision"] == 1
+    assert set(read_json(root / "girl" / "annotation.json")["images"]) == {"rest/frontal"}
+    # Values that change while somebody annotates: the marks stay.
+    form = served.good("GET", f"/api/subjects/{served.key()}/form")
+    sent = {"values": {**form["values"], "height_cm": 150}, "revision": form["revision"]}
+    served.good("PUT", f"/api/subjects/{served.key()}/form", sent)
+    assert set(served.good("GET", f"{page}/api/session")["marks"]) == {"rest/frontal"}

@@ -1,0 +1,62 @@
+// What the workbench's server is asked for, and what it answers.
+import { get, send } from "../../shared/net";
+
+export interface Job {
+  id: string; subject: string; verb: string; options: Record<string, unknown>; state: "waiting" | "running" | "done" | "failed" | "cancelled" | "lost";
+  asked: number; began: number | null; ended: number | null; status: number | null; cancel: boolean;
+}
+export interface Stiffness {
+  name: string; unit: string; determined: string | null; value: number; low: number | null; high: number | null; open_low: boolean; open_high: boolean;
+}
+export interface Result { problem?: string; badge: string; lines: string[]; stiffness: Stiffness[]; doubts: string[]; rmse_mm: number }
+export interface Card {
+  key: string; name: string; job: Job | null; stage: "broken" | "form" | "radiographs" | "annotate" | "roles" | "run" | "done"; stage_words: string; missing: string[];
+  id?: string; age?: number | null; sex?: string | null; height_cm?: number | null; pushes?: number; result?: Result | null;
+}
+export interface Results {
+  pages: { name: string; title: string }[]; pictures: { name: string; title: string }[]; result: Result | null; plan: string[]; stale: string[]; ticket: string;
+}
+export type Values = { [name: string]: unknown };
+export interface Schema {
+  type?: string; title?: string; description?: string; $ref?: string; $defs?: Record<string, Schema>; properties?: Record<string, Schema>; required?: string[];
+  anyOf?: Schema[]; enum?: string[]; const?: unknown; items?: Schema; minimum?: number; maximum?: number; exclusiveMinimum?: number; default?: unknown;
+}
+export interface Said { field: string; text: string }
+export interface Judged { problems: Said[]; open: Said[] }
+export interface Form extends Judged { schema: Schema; words: Record<string, { title?: string; unit?: string; help?: string; picture?: string }>; values: Values; revision: string }
+export interface Option { kind: "choice" | "number" | "switch"; title: string; words?: Record<string, string>; low?: number; high?: number; usual?: number; unit?: string; whole?: boolean }
+export interface Verb { title: string; about: string; minutes: string; options: Record<string, Option> }
+export interface Look {
+  studies: { label: string; words: string }[]; study: string | null; told: Values; notes: string[];
+  files: { name: string; frames: number; view: string; use: string; why: string }[]; left_out: { name: string; why: string }[];
+}
+export interface Asked { origin: "upload" | "source"; key: string; study?: string; frontal?: string; lateral?: string }
+
+export const bench = (): Promise<{ version: string; read_only: boolean; upload_bytes: number }> => get("/api/bench");
+export const subjects = async (): Promise<Card[]> => (await get<{ subjects: Card[] }>("/api/subjects")).subjects;
+export const subject = (key: string): Promise<Card> => get(`/api/subjects/${key}`);
+export const remove = (key: string): Promise<{ trash: string }> => send("DELETE", `/api/subjects/${key}`);
+export const trash = async (): Promise<{ key: string; name: string; removed: number }[]> =>
+  (await get<{ trash: { key: string; name: string; removed: number }[] }>("/api/trash")).trash;
+export const restore = (key: string): Promise<{ key: string }> => send("POST", `/api/trash/${key}/restore`);
+export const deleteForGood = (key: string): Promise<unknown> => send("DELETE", `/api/trash/${key}`);
+export const form = (key: string): Promise<Form> => get(`/api/subjects/${key}/form`);
+export const check = (values: Values): Promise<Judged> => send("POST", "/api/check", { values });
+export const save = (key: string, values: Values, revision: string): Promise<Judged & { revision: string }> =>
+  send("PUT", `/api/subjects/${key}/form`, { values, revision });
+export interface GaugeLog {
+  columns: string; notes: string[]; placed: boolean; forces_n: number[] | null; given: boolean; why: string; offset_s: number | null; low_s: number | null; high_s: number | null; open_n: number | null; explained: number | null; picture: string;
+}
+export const gaugeLog = (key: string, asked: Values): Promise<GaugeLog> => send("POST", `/api/subjects/${key}/log`, asked);
+export const verbs = (): Promise<Record<string, Verb>> => get("/api/verbs");
+export const jobs = async (key: string): Promise<Job[]> => (await get<{ jobs: Job[] }>(`/api/subjects/${key}/jobs`)).jobs;
+export const allJobs = async (): Promise<Job[]> => (await get<{ jobs: Job[] }>("/api/jobs")).jobs;
+export const start = (key: string, verb: string, options: Values): Promise<Job> => send("POST", `/api/subjects/${key}/jobs`, { verb, options });
+export const cancel = (job: string): Promise<Job> => send("POST", `/api/jobs/${job}/cancel`);
+export const log = (job: string): Promise<{ lines: string[]; at: number }> => get(`/api/jobs/${job}/log`);
+export const results = (key: string): Promise<Results> => get(`/api/subjects/${key}/results`);
+export const pack = (key: string, nameless: boolean, burned_in_ok: boolean): Promise<{ ticket: string; bytes: number }> =>
+  send("POST", `/api/subjects/${key}/zip`, { nameless, burned_in_ok });
+export const sources = async (): Promise<{ key: string; name: string }[]> => (await get<{ sources: { key: string; name: string }[] }>("/api/sources")).sources;
+export const look = (asked: Asked): Promise<Look> => send("POST", "/api/look", asked);
+export const make = (asked: Asked & { name: string; person: Values }): Promise<{ key: string }> => send("POST", "/api/subjects", asked);

@@ -1,0 +1,59 @@
+// Two subjects or visits side by side, and all of them in a table.
+import { h } from "../../shared/dom";
+import * as api from "./api";
+import { badge, person } from "./cards";
+import { act, link, number, type Room } from "./page";
+import { bars, span, titleOf } from "./stiffness";
+
+export async function compare(first = "", second = ""): Promise<Room> {
+  const cards = (await api.subjects()).filter((card) => card.result && !card.result.problem), below = h("div");
+  const select = (id: string, label: string, value: string): [HTMLElement, HTMLSelectElement] => {
+    const made = h("select", { id }, ...cards.map((card) => h("option", { value: card.key }, card.name)));
+    if (cards.some((card) => card.key === value)) made.value = value;
+    made.addEventListener("change", () => act(draw));
+    return [h("label", {}, `${label} `, made), made];
+  };
+  const [a, left] = select("first", "First", first), [b, right] = select("second", "Second", second || (cards[1]?.key ?? ""));
+  async function draw(): Promise<void> {
+    const pair = [left.value, right.value].map((key) => cards.find((card) => card.key === key)).filter((card) => card !== undefined);
+    const tickets = await Promise.all(pair.map((card) => api.results(card.key)));
+    below.replaceChildren(
+      h("div", { class: "card" }, h("h2", {}, "Stiffness, 95 % intervals"), bars(pair.map((card) => ({ name: card.name, result: card.result as api.Result }))),
+        h("p", { class: "soft" }, "Values whose intervals overlap widely may be the same. Whether one person changed between two visits, the command spinestiff repeat can tell.")),
+      h("div", { class: "pair" }, ...pair.map((card, i) => h("section", { "aria-label": card.name }, h("h2", {}, card.name, " ", badge(card)), h("p", { class: "soft" }, person(card)),
+        tickets[i]?.pages.some((page) => page.name === "report.html") ? h("iframe", { src: `/shown/${tickets[i].ticket}/report.html`, title: `Report of ${card.name}`, sandbox: "allow-scripts" }) : null))));
+  }
+  if (cards.length < 2) return { element: h("section", {}, h("h1", {}, "Compare"), h("p", { class: "soft" }, "Two subjects with a result are needed.")) };
+  await draw();
+  return { element: h("section", { class: "wide" }, h("h1", {}, "Compare"), h("p", { class: "row" }, a, b), below) };
+}
+
+type Column = [string, (card: api.Card) => string | number | null, ((card: api.Card) => string)?];
+
+export async function table(): Promise<Room> {
+  const cards = await api.subjects(), names = [...new Set(cards.flatMap((card) => card.result?.stiffness?.map((one) => one.name) ?? []))];
+  const columns: Column[] = [
+    ["Subject", (card) => card.name], ["State", (card) => (card.stage === "done" ? (card.result?.badge ?? "") : card.stage_words)], ["Sex", (card) => card.sex ?? null],
+    ["Age, years", (card) => card.age ?? null], ["Height, cm", (card) => card.height_cm ?? null], ["Pushes", (card) => card.pushes ?? null],
+    ...names.map((name): Column => {
+      const of = (card: api.Card): api.Stiffness | undefined => card.result?.stiffness?.find((one) => one.name === name);
+      const unit = cards.map(of).find((one) => one)?.unit ?? "";
+      return [`${titleOf(name)}, ${unit}`, (card) => of(card)?.value ?? null, (card) => { const one = of(card); return one ? `${number(one.value)} (${span(one.low, one.high)})` : ""; }];
+    }),
+  ];
+  let by = 0, up = true;
+  const head = h("tr"), body = h("tbody");
+  const draw = (): void => {
+    head.replaceChildren(...columns.map(([title], i) => h("th", { scope: "col", "aria-sort": i === by ? (up ? "ascending" : "descending") : "none" },
+      h("button", { type: "button", class: "quiet", onclick: () => { up = i === by ? !up : true; by = i; draw(); head.querySelectorAll("button")[i]?.focus(); } }, title, i === by ? (up ? " ▲" : " ▼") : ""))));
+    const value = (columns[by] as Column)[1];
+    const sorted = [...cards].sort((one, other) => {
+      const [p, q] = [value(one), value(other)];
+      if (p === null || q === null) return p === q ? 0 : p === null ? 1 : -1;
+      return (up ? 1 : -1) * (typeof p === "number" && typeof q === "number" ? p - q : String(p).localeCompare(String(q)));
+    });
+    body.replaceChildren(...sorted.map((card) => h("tr", {}, ...columns.map(([, of, shown], i) => (i ? h("td", {}, shown ? shown(card) : String(of(card) ?? "")) : h("th", { scope: "row" }, link(card.name, `/subject/${card.key}/results`)))))));
+  };
+  draw();
+  return { element: h("section", { class: "wide" }, h("h1", {}, "All subjects"), h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "All subjects" }, h("table", {}, h("thead", {}, head), body)), h("p", { class: "soft" }, "Values with 95 % intervals. For statistics over people see spinestiff cohort.")) };
+}

@@ -1,0 +1,152 @@
+// The values of a subject: a form from its schema, checked as one types and saved as soon as it may be.
+import { button, h } from "../../shared/dom";
+import { Refused, words } from "../../shared/net";
+import * as api from "./api";
+import { type Context, field, input, isSimple, plain, sayId, typed, wordsOf } from "./fields";
+import { gaugeLog } from "./gauge";
+import { act, type Room, state } from "./page";
+import { type Push, torso } from "./torso";
+
+const PAUSE_MS = 350, BY_HAND = new Set(["schema_version", "pushes", "xray", "id", "age", "sex", "height_cm", "mass_kg"]);
+const PUSH = ["side", "level", "d21_mm", "d31_mm"], PERSON = ["id", "age", "sex", "height_cm", "mass_kg"];
+
+export async function values(key: string): Promise<Room> {
+  let form = await api.form(key), timer = 0, saved = JSON.stringify(form.values), stopped = state.readOnly, over = false;
+  const past: string[] = [], body = h("div"), said = h("p", { role: "status", class: "saved" });
+  const undo = button("↶ Undo", () => act(async () => {
+    const before = past.pop();
+    if (!before) return;
+    form.values = JSON.parse(before) as api.Values;
+    draw();
+    await save(true);
+  }), { id: "undo-values", "aria-keyshortcuts": "Control+Z" });
+  const context = (): Context => ({ form, readOnly: state.readOnly, changed: later, focused: (path) => pictures(path) });
+  let focus = "";
+
+  function later(): void {
+    pictures(focus);
+    if (stopped) return;
+    tell("saving", "Checking …");
+    clearTimeout(timer);
+    timer = window.setTimeout(() => void save().catch((error: unknown) => tell("failed", `Not saved: ${words(error)}`)), PAUSE_MS);
+  }
+  function tell(kind: string, text: string): void { said.dataset["state"] = kind; said.textContent = text; }
+
+  async function save(undone = false): Promise<void> {
+    const text = JSON.stringify(form.values), judged = await api.check(form.values);
+    if (text !== JSON.stringify(form.values)) return;
+    judge(judged);
+    if (judged.problems.length) return tell("failed", `Not saved: ${judged.problems.length === 1 ? "one value is not possible" : `${judged.problems.length} values are not possible`}.`);
+    if (text !== saved) {
+      try {
+        const done = await api.save(key, form.values, form.revision);
+        form.revision = done.revision;
+      } catch (error) {
+        if (error instanceof Refused && error.status === 403) stopped = true;
+        throw error;
+      }
+      if (!undone) past.push(saved);
+      saved = text;
+    }
+    undo.disabled = !past.length;
+    tell("saved", judged.open.length ? `Saved. ${judged.open.length === 1 ? "One value is" : `${judged.open.length} values are`} still to be filled in.` : "Saved. Everything is filled in.");
+    if (!over) document.dispatchEvent(new Event("subject-changed"));
+  }
+
+  function judge({ problems, open }: api.Judged): void {
+    for (const place of body.querySelectorAll<HTMLElement>(".says")) { place.textContent = ""; delete place.dataset["kind"]; }
+    for (const box of body.querySelectorAll("[aria-invalid]")) box.removeAttribute("aria-invalid");
+    const put = (path: string, text: string, kind: string): void => {
+      // The body may not be on the page yet.
+      const at = (where: string): HTMLElement | null => body.querySelector(`#${sayId(where)}`);
+      let where = path.replace(/\[(\d+) to \d+\]$/, "[$1]"), place = at(where);
+      while (!place && where.includes(".")) place = at((where = where.slice(0, where.lastIndexOf("."))));
+      place ??= body.querySelector<HTMLElement>("#values-says");
+      if (!place) return;
+      place.append(place.textContent ? " " : "", text);
+      place.dataset["kind"] = kind;
+      if (kind === "bad") for (const box of body.querySelectorAll(`[aria-describedby="${place.id}"]`)) box.setAttribute("aria-invalid", "true");
+    };
+    for (const { field: path, text } of problems) put(path, text, "bad");
+    for (const { field: path } of open) put(path, "Not known yet.", "open");
+  }
+
+  function draw(): void {
+    const schema = form.schema, told = (name: string): api.Schema => schema.properties?.[name] ?? {};
+    const pushes = (form.values["pushes"] ?? []) as api.Values[];
+    const others = Object.keys(schema.properties ?? {}).filter((name) => !BY_HAND.has(name));
+    const simple = others.filter((name) => isSimple(plain(told(name), form))), kept = others.filter((name) => !simple.includes(name) && form.values[name] !== undefined);
+    body.replaceChildren(
+      h("p", { id: "values-says", class: "says", role: "alert" }),
+      h("fieldset", {}, h("legend", {}, "Person"), h("div", { class: "grid" }, ...PERSON.map((name) => field(form.values, name, name, told(name), context())))),
+      ...pushes.map((push, number) => pushSet(push, number, plain(plain(told("pushes"), form).items ?? {}, form))),
+      pushes.length ? "" : h("p", { class: "warn" }, "There is no push yet: a plan can be made, and no estimate."),
+      h("details", {}, h("summary", {}, wordsOf("xray", form).title ?? "xray"), h("p", { class: "soft" }, wordsOf("xray", form).help ?? ""), xray(plain(told("xray"), form))),
+      h("details", {}, h("summary", {}, "Choices of the model"), h("p", { class: "soft" }, "The usual ones fit most subjects."),
+        h("div", { class: "grid" }, ...simple.map((name) => field(form.values, name, name, told(name), context()))),
+        kept.length ? h("p", { class: "soft" }, `Kept as they are in subject.json: ${kept.join(", ")}.`) : null));
+    judge(form);
+    pictures(focus);
+  }
+
+  function xray(schema: api.Schema): HTMLElement {
+    const holder = (form.values["xray"] ?? {}) as api.Values, own = { ...context(), changed: () => { if (Object.keys(holder).length) form.values["xray"] = holder; later(); } };
+    return h("div", { class: "grid" }, ...Object.entries(schema.properties ?? {}).filter(([, one]) => isSimple(plain(one, form))).map(([name, one]) => field(holder, name, `xray.${name}`, one, own)));
+  }
+
+  function pushSet(push: api.Values, number: number, schema: api.Schema): HTMLElement {
+    const path = `pushes[${number}]`, forces = (push["forces_n"] ?? []) as unknown[], told = schema.properties ?? {};
+    const roles = (push["roles"] ?? forces.map(() => "unused")) as unknown[];
+    const rolesOf = plain(told["roles"] ?? {}, form).items ?? {}, own = { ...context(), changed: () => { if (push["roles"] !== undefined || roles.some((one) => one !== "unused")) push["roles"] = roles; later(); } };
+    const role = (i: number): HTMLElement => {
+      const made = input(roles, i, `${path}.roles[${i}]`, plain(rolesOf, form), own, `Use of frame ${i}`);
+      made.querySelector("option[value='']")?.remove();
+      (made as HTMLSelectElement).value = String(roles[i]);
+      return made;
+    };
+    // A column of a table, pasted into one force, fills those below it, too.
+    const pasted = (event: Event, first: number): void => {
+      const text = (event as ClipboardEvent).clipboardData?.getData("text") ?? "", found = text.trim().split(/[\s;]+/).map(typed);
+      if (found.length < 2) return;
+      event.preventDefault();
+      found.slice(0, forces.length - first).forEach((force, i) => { forces[first + i] = force; });
+      later();
+      draw();
+      body.querySelector<HTMLElement>(`[aria-label="Force in frame ${first}, N"]`)?.focus();
+    };
+    const rows = forces.map((_, i) => h("tr", { onpaste: (event: Event) => pasted(event, i) }, h("th", { scope: "row" }, `Frame ${i}`),
+      h("td", {}, input(forces, i, `${path}.forces_n[${i}]`, { type: "number" }, context(), `Force in frame ${i}, N`), h("span", { class: "unit" }, "N")), h("td", {}, role(i)),
+      h("td", {}, h("small", { class: "says", id: sayId(`${path}.forces_n[${i}]`) }), h("small", { class: "says", id: sayId(`${path}.roles[${i}]`) }))));
+    return h("fieldset", { class: "push" }, h("legend", {}, `Push ${String(push["id"] ?? number + 1)}`),
+      h("p", { class: "says", id: sayId(path), role: "status" }),
+      h("div", { class: "beside" }, h("div", {}, h("div", { class: "grid" }, ...PUSH.map((name) => field(push, name, `${path}.${name}`, told[name] ?? {}, context()))),
+        h("table", { class: "frames" }, h("thead", {}, h("tr", {}, h("td", {}), h("th", { scope: "col" }, "Force on the ribs"), h("th", { scope: "col" }, "Use"), h("td", {}))), h("tbody", {}, ...rows)),
+        h("p", { class: "says", id: sayId(`${path}.forces_n`) }),
+        state.readOnly ? null : gaugeLog(key, number, (found) => { found.slice(0, forces.length).forEach((force, i) => { forces[i] = force; }); later(); draw(); }), h("p", { class: "soft" }, `${wordsOf("pushes.roles", form).help ?? ""} A column of forces can be pasted into the first of them.`)),
+      h("figure", { class: "diagram", "data-push": String(number) })));
+  }
+
+  /** Each push's torso shows its values; what is being filled in stands out. */
+  function pictures(path: string): void {
+    focus = path;
+    const pushes = (form.values["pushes"] ?? []) as api.Values[];
+    for (const figure of body.querySelectorAll<HTMLElement>(".diagram")) {
+      const number = Number(figure.dataset["push"]), push = pushes[number] ?? {}, forces = ((push["forces_n"] ?? []) as unknown[]).filter((one) => typeof one === "number");
+      const value = (name: string): number | null => (typeof push[name] === "number" ? push[name] : null);
+      const shown: Push = { side: (push["side"] as Push["side"]) ?? null, level: value("level"), d21: value("d21_mm"), d31: value("d31_mm"), force: forces.length ? Math.max(...forces) : null };
+      const mine = path.startsWith(`pushes[${number}].`) ? (wordsOf(path.replace(/\[\d+\]$/, ""), form).picture ?? "") : "";
+      if (shown.level !== null && (shown.level < 1 || shown.level > 12)) shown.level = null;
+      figure.replaceChildren(torso(shown, mine), h("figcaption", { class: "soft" }, "Not to scale."));
+    }
+  }
+
+  const keys = (event: KeyboardEvent): void => {
+    if ((event.ctrlKey || event.metaKey) && event.key === "z" && !(event.target instanceof HTMLInputElement)) { event.preventDefault(); undo.click(); }
+  };
+  addEventListener("keydown", keys);
+  undo.disabled = true;
+  draw();
+  if (state.readOnly) tell("saved", "To be looked at only.");
+  else tell("saved", form.open.length ? "What is marked is still to be filled in. Every change is saved at once." : "Every change is saved at once.");
+  return { element: h("div", { class: "values" }, h("div", { class: "row bar" }, undo, said), body), leave: () => { over = true; clearTimeout(timer); removeEventListener("keydown", keys); if (JSON.stringify(form.values) !== saved) void save().catch(() => undefined); } };
+}
