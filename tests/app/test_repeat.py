@@ -14,7 +14,7 @@ def test_two_visits_of_one_person(spinestiff, subject, tmp_path):
     shutil.copytree(subject, later)
     ran = spinestiff("repeat", subject, later, "--out", tmp_path / "out")
     assert (ran.status, ran.err) == (0, "")
-    assert re.search(r"smallest\n.*\bchange +expected", ran.out)
+    assert re.search(r"smallest *\n.*\bchange +expected", ran.out)
     assert "tissue: two estimates of one unchanged person differ by less than a factor of 1.00" in ran.out
     assert f"picture: {tmp_path / 'out/repeat.png'}" in ran.out
     written = read_json(tmp_path / "out/repeat.json")

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS
 from spinestiff.anatomy.template import MESHES, template_torso
-from spinestiff.errors import EquilibriumError, SpinestiffError, SubjectError, TrackingError
+from spinestiff.errors import EquilibriumError, OutsideWarning, SpinestiffError, SubjectError, TrackingError
 from spinestiff.files import file_digest
 from spinestiff.imaging.pedicles import pedicle_centres
 from spinestiff.imaging.tracking.quality import usable_corners
@@ -353,7 +353,7 @@ def test_a_push_that_cannot_be_carried_leaves_nothing_behind(tmp_path, tiny, mon
         return solve(self, load, *args, **{**kwargs, **({"max_iterations": 2} if load.size > 200.0 else {})})
 
     monkeypatch.setattr(EquilibriumProblem, "solve", limited)
-    with pytest.raises(EquilibriumError, match="reduce the force"):
+    with pytest.warns(OutsideWarning, match="490 N"), pytest.raises(EquilibriumError, match="reduce the force"):
         synthesise(tmp_path / "crushed", replace(tiny, force_n=490.0, ratios=(0.05, 0.01)))
     assert list(tmp_path.iterdir()) == []
 

@@ -34,7 +34,7 @@ def show_parameters(found: ParameterStudy) -> None:
     for model in found.models:
         errors = (model.training_rmse_mm, model.left_out_rmse_mm, model.held_out_rmse_mm)
         made.add_row(
-            model_title(model),
+            model_title(model).replace("_", " "),  # words can be broken
             ", ".join(number(model.ratios.get(name), 2) for name in model.parameters),
             *[fixed(error, 2) for error in errors],
             fixed(model.aic),

@@ -70,7 +70,17 @@ def repeatability_table(found: Repeatability) -> Table:
         ends = f"{one.low:.3f} to {one.high:.3f}"
         factors = (f"× {one.detectable_factor:.3g}", f"× {one.expected_factor:.3g}")
         made.add_row(
-            escape(name), f"{one.within_sd_log:.3f}", ends, f"{one.expected_sd_log:.3f}", *factors, f"{one.p_value:.2g}"
+            escape(name.replace("_", " ")),
+            f"{one.within_sd_log:.3f}",
+            ends,
+            f"{one.expected_sd_log:.3f}",
+            *factors,
+            f"{one.p_value:.2g}",
+            f"{one.within_sd_log:.3f}",
+            ends,
+            f"{one.expected_sd_log:.3f}",
+            *factors,
+            f"{one.p_value:.2g}",
         )
     return made
 

@@ -27,11 +27,11 @@ from spinestiff.estimation.weighed import (
 
 # The search ends once an undamped step is shorter than so many standard deviations.
 CLOSE_SD = 1e-3
-# Of steps that promise less than this, as much is left as the one before says that they swing, at most so much. Where
-# so many steps in a row promise less than ``NEARLY`` (a twentieth of an sd), equilibria that jump by more than that are
-# as near as the search can come.
-SWINGING, MOST_LEFT = 1.0, 0.6
-NEARLY, ENOUGH = 1e-3, 4
+# Of steps that promise less than this, as much is taken as the one before says: less where they swing, more where they
+# creep one way, between these shares. Where so many steps in a row promise less than ``NEARLY`` (a twentieth of an sd)
+# and no less than half of the one before, equilibria that jump by more than that are as near as the search can come.
+SMALL, LEAST_SHARE, MOST_SHARE = 1.0, 0.1, 8.0
+NEARLY, ENOUGH = 1e-3, 6
 # One step changes a ratio by at most these factors: beyond, the linear model says nothing.
 LARGEST_SOFTENING, LARGEST_STIFFENING = 8.0, 8.0
 SHORTEST_STEP = 1.0 / 64.0
@@ -63,23 +63,26 @@ def search(
     point, slope, weights = start, problem.slope(start), None
     visited: list[Place] = []
     evaluations, near = 1, 0
-    last: Floats | None = None
+    last: tuple[Floats, float] | None = None
+    promised = np.inf
     while True:
         weights = problem.weights(point, slope, weights)
         step, nuisances, predicted = gauss_newton_step(point, slope, weights, limits)
-        near = near + 1 if predicted < NEARLY else 0
+        near = near + 1 if 0.5 * promised < predicted < NEARLY else 0
+        promised = predicted
         if predicted < 0.5 * close_sd**2 or near > ENOUGH:
             return WeighedFit(point, slope, weights, FitStatus.CONVERGED, _pairs(visited))
         before, refused, share, guiding = phi(point, weights), list[Place](), 1.0, True
         moved: WeighedPoint | None = None
         wished = np.concatenate([step, nuisances - point.nuisances])
-        if last is not None and predicted < SWINGING:
-            share = _relaxed(wished, last, slope, weights)
-        last = wished
+        if last is not None and predicted < SMALL:
+            share = _relaxed(wished, *last, slope, weights)
         while moved is None and share >= SHORTEST_STEP:
             if evaluations >= max_evaluations:
                 return WeighedFit(point, slope, weights, FitStatus.ITERATION_LIMIT, _pairs(visited))
-            target = np.clip(point.log_ratios + log_step(share * step), *limits)
+            # More than the whole step in the log: a compliance can't fall below 0.
+            ahead = log_step(share * step) if share <= 1.0 else share * log_step(step)
+            target = np.clip(point.log_ratios + ahead, *limits)
             wanted = point.nuisances + share * (nuisances - point.nuisances)
             if guiding and refused:
                 known = [Place(point, slope), *refused]
@@ -95,7 +98,7 @@ def search(
                 after = phi(trial, weights)
             except EquilibriumError:
                 problem.trial_set.note(target, float("nan"), None, False)
-                share *= 0.25
+                share = 1.0 if share > 1.0 else 0.25 * share
                 continue
             # Below rounding of the equilibria a decrease is none.
             if after <= before - 1e-4 * share * predicted or (predicted < 1e-4 and after <= before + 1e-4):
@@ -103,6 +106,9 @@ def search(
                 problem.trial_set.note(target, after, trial.evaluation, True)
                 break
             problem.trial_set.note(target, after, trial.evaluation, False)
+            if share > 1.0:
+                share = 1.0
+                continue
             if guiding:
                 refused.append(Place(trial, problem.slope(trial).light))
                 guiding = len(refused) <= MOST_GUIDED
@@ -111,18 +117,22 @@ def search(
         visited = [*visited, Place(point, slope.light), *refused]
         if moved is None:
             return WeighedFit(point, slope, weights, FitStatus.STALLED, _pairs(visited))
-        point, slope = moved, problem.slope(moved)
+        point, slope, last = moved, problem.slope(moved), (wished, share)
 
 
-def _relaxed(wished: Floats, before: Floats, slope: WeighedSlope, weights: Weights) -> float:
-    """The share to take of a step of a fixed-point iteration, (P + M,), after the one ``before`` was wished for."""
+def _relaxed(wished: Floats, before: Floats, taken: float, slope: WeighedSlope, weights: Weights) -> float:
+    """The share to take of a step of a fixed-point iteration, (P + M,), after so much was taken of the one ``before``.
+
+    Where one direction decides, it ends there (Irons and Tuck 1969).
+    """
     ratios, change = weights.whiten(slope.ratios), wished - before
     p = ratios.shape[1]
 
     def product(a: Floats, b: Floats) -> float:
         return float((ratios @ a[:p]) @ (ratios @ b[:p]) + a[p:] @ b[p:])
 
-    return 1.0 - float(np.clip(product(wished, change) / max(product(change, change), 1e-300), 0.0, MOST_LEFT))
+    share = -taken * product(before, change) / max(product(change, change), 1e-300)
+    return float(np.clip(share, LEAST_SHARE, MOST_SHARE))
 
 
 def _pairs(places: list[Place]) -> tuple[tuple[WeighedPoint, WeighedSlope], ...]:

@@ -32,6 +32,7 @@ from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study.predictions import Model, predict, stored, write_solved
 from spinestiff.study.report import page as report
+from spinestiff.study.report import pictures as drawing
 from spinestiff.study.report.content import _strip, budget_bars
 from spinestiff.study.report.page import write_report
 from spinestiff.study.report.viewer.page import script_hash
@@ -374,13 +375,13 @@ def drawn() -> dict[str, list]:
 def html(visit: Visit, drawn: dict[str, list]) -> str:
     with pytest.MonkeyPatch.context() as patch:
         for name in ("draw_overlay", "draw_curve_changes", "draw_tilt_changes", "draw_ratio_map", "draw_profiles"):
-            real = getattr(report, name)
+            real = getattr(drawing, name)
 
             def noted(content, name=name, real=real):
                 drawn.setdefault(name, []).append(content)
                 return real(content)
 
-            patch.setattr(report, name, noted)
+            patch.setattr(drawing, name, noted)
         # Everything that is shown was solved by earlier steps.
         patch.setattr(EquilibriumProblem, "solve", None)
         return written(visit)
