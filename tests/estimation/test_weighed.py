@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, multivariate_normal
 
+from spinestiff.estimation import mode
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS
@@ -286,6 +287,16 @@ def test_a_ratio_outside_the_limits_ends_at_them(column, clean) -> None:
     ended = narrow.searched(narrow.weighed(clean))
     assert ended.status is FitStatus.CONVERGED
     assert logs(ended).min() == pytest.approx(np.log(0.5), abs=1e-9)
+
+
+def test_small_steps_are_as_long_as_those_before_say(found) -> None:
+    """Along one direction, in which a step falls short by a factor or swings, one such step ends there."""
+    before = np.random.default_rng(0).normal(size=found.slope.ratios.shape[1] + found.slope.nuisances.shape[1])
+    for fit_for, wanted in ((0.01, mode.MOST_SHARE), (0.25, 4.0), (1.0, 1.0), (2.0, 0.5), (40.0, mode.LEAST_SHARE)):
+        for taken in (1.0, 0.5, 2.0):
+            left = (1.0 - taken * fit_for) * before
+            share = mode._relaxed(left, before, taken, found.slope, found.weights)
+            assert share == pytest.approx(wanted), (fit_for, taken)
 
 
 def test_the_likelihood_is_that_of_the_residuals_with_unknowns_integrated_out(column, asked) -> None:
