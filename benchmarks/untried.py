@@ -1,0 +1,150 @@
+"""How much variance do residuals show in shapes that no variant of the model has? (``discrepancy``'s ``untried``)
+
+    python benchmarks/untried.py [--rerun [--first SEED] [--count N] [--acquisition paper]] [--json]
+
+Subjects of ``coverage_subjects`` (seeds below 1000) are fitted on the coarse mesh. At the end of each fit the residuals
+are held against the covariance that was expected of them, with the remainder of the discrepancy's modes (what is
+independent from vertebra to vertebra, nearly all of it ``untried``) smaller than shipped: restricted log likelihood,
+p-value, the standard deviations of the log ratios and their errors. Prints the sums of what is stored, or makes rows
+and adds them (about 40 CPU s a subject; needs the extra ``[mesh]``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from coverage_subjects import make_subject
+from rich.console import Console
+from rich.table import Table
+from scipy.linalg import cholesky, solve_triangular
+from scipy.stats import chi2
+
+import spinestiff.estimation.fit as fits
+from spinestiff.anatomy.template import template_torso
+from spinestiff.errors import SpinestiffError
+from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem
+from spinestiff.personalise.shape import personalise
+from spinestiff.study.trials import Known, fit_pushes, push_set
+
+RESULTS = Path(__file__).parent / "results" / "untried.json"
+NAMES = ("lateral_bending", "tissue")
+START = {"lateral_bending": 0.07, "tissue": 0.04}
+SHARES = (1.0, 0.5, 0.25, 0.12, 0.0)
+"""Standard deviation of the remainder, of that with 0.3 of the variance untried."""
+UNTRIED = 0.3
+
+
+def searched(seed: int, acquisition: Any) -> tuple[WeighedProblem, WeighedFit, Mapping[str, float], str]:
+    """A subject's problem and where its search ended, with the true ratios and what else the body has."""
+    subject = make_subject(seed, acquisition, 3000)
+    template = template_torso(subject.height_cm, "coarse", age_years=subject.age, sex=subject.sex)
+    shaped = personalise(template, subject.rest)
+    pushes = push_set(shaped.torso, subject.records, subject.tracked, known=Known(Priors(), shaped.covariance))
+    kept: list[tuple[WeighedProblem, WeighedFit]] = []
+    told = fits._told
+
+    def keeping(asked: WeighedProblem, found: WeighedFit, *others: Any) -> Any:
+        kept.append((asked, found))
+        return told(asked, found, *others)
+
+    fits._told = keeping
+    try:
+        fit_pushes(pushes, NAMES, START, extent="estimate")
+    finally:
+        fits._told = told
+    return *kept[-1], subject.ratios, subject.kind
+
+
+def held_against(asked: WeighedProblem, found: WeighedFit, truth: Mapping[str, float], remainder: float) -> list[float]:
+    """Restricted log likelihood, p-value, standard deviations of both logs and their errors."""
+    point, slope = found.point, found.slope
+    shipped = asked._modes
+    assert shipped is not None
+    asked._modes = replace(shipped, remainder=remainder * shipped.remainder)
+    try:
+        own = asked.covariance(point)
+    finally:
+        asked._modes = shipped
+    data = slice(0, asked.data)
+    root = cholesky(own[data, data] + slope.nuisances[data] @ slope.nuisances[data].T, lower=True)
+    free = point.values[data] - slope.nuisances[data] @ point.nuisances
+    values, fixed = (solve_triangular(root, columns, lower=True) for columns in (free, slope.ratios[data]))
+    q, triangle = np.linalg.qr(fixed)
+    left = values - q @ (q.T @ values)
+    size = float(left @ left)
+    likelihood = -0.5 * size - np.log(np.diag(root)).sum() - np.log(np.abs(np.diag(triangle))).sum()
+    sds = np.sqrt(np.diag(np.linalg.inv(triangle.T @ triangle)))
+    errors = point.log_ratios - np.linalg.solve(triangle, q.T @ values) - np.log([truth[name] for name in NAMES])
+    p_value = float(chi2.sf(size, asked.data - len(NAMES)))
+    return [float(f"{value:.5g}") for value in (likelihood, p_value, *sds, *errors)]
+
+
+def row_of(seed: int, acquisition: str) -> dict[str, Any]:
+    """A subject's row. Raises SpinestiffError where it can't be made or fitted."""
+    asked, found, truth, kind = searched(seed, acquisition)
+    shipped = shipped_untried()
+    table = [held_against(asked, found, truth, share * np.sqrt(UNTRIED / shipped)) for share in SHARES]
+    return {"seed": seed, "acquisition": acquisition, "kind": kind, "table": table}
+
+
+def shipped_untried() -> float:
+    """What is shipped."""
+    from spinestiff.estimation.discrepancy import shipped_data
+
+    return shipped_data().untried
+
+
+def show(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Sums and medians over the subjects."""
+    found = np.array([row["table"] for row in rows])
+    table = Table(title=f"{len(rows)} subjects, all of them synthetic")
+    for column in ("untried", "log likelihood, sum", "median p", "rms error / sd: bending, tissue", "median sd of log"):
+        table.add_column(column)
+    for i, share in enumerate(SHARES):
+        likelihood, p_values = found[:, i, 0] - found[:, 0, 0], found[:, i, 1]
+        sds, errors = found[:, i, 2:4], found[:, i, 4:6]
+        sizes = np.sqrt(np.mean(np.clip(errors / sds, -5.0, 5.0) ** 2, axis=0))
+        table.add_row(
+            f"{UNTRIED * share**2:.2g}",
+            f"{likelihood.sum():+.1f}",
+            f"{np.median(p_values):.3f}",
+            f"{sizes[0]:.2f}, {sizes[1]:.2f}",
+            "{:.2f}, {:.2f}".format(*np.median(sds, axis=0)),
+        )
+    Console().print(table)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rerun", action="store_true", help="make rows and add them to what is stored")
+    parser.add_argument("--first", type=int, default=1, help="seed to begin with")
+    parser.add_argument("--count", type=int, default=8)
+    parser.add_argument("--acquisition", default="three pushes", choices=("three pushes", "paper"))
+    parser.add_argument("--json", action="store_true", help="print what is stored")
+    asked = parser.parse_args()
+    rows: list[dict[str, Any]] = json.loads(RESULTS.read_text()) if RESULTS.is_file() else []
+    if asked.rerun:
+        for seed in range(asked.first, asked.first + asked.count):
+            try:
+                row = row_of(seed, asked.acquisition)
+            except SpinestiffError as error:
+                print(seed, error, flush=True)
+                continue
+            rows = [one for one in rows if (one["seed"], one["acquisition"]) != (seed, asked.acquisition)] + [row]
+            RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
+            print(seed, row["kind"], row["table"][2], flush=True)
+    if asked.json:
+        print(json.dumps(rows, indent=1))
+    else:
+        show(rows)
+
+
+if __name__ == "__main__":
+    main()
