@@ -1,13 +1,14 @@
 """Do the intervals hold? Subjects of known stiffness, made and estimated by corners alone (``coverage_subjects.py``).
 
-    python benchmarks/coverage.py --scenario NAME [--log FILE] [--first SEED] [--count N]
+    python benchmarks/coverage.py --scenario NAME... [--logs FOLDER] [--first SEED] [--count N]
     python benchmarks/coverage.py --summary FILE...
     python benchmarks/coverage.py --store [NAME FILE...]
     python benchmarks/coverage.py --json | --rerun FOLDER
 
 The first makes and estimates a scenario's subjects and writes a line each as it goes; a log that exists is gone on
-with, and a second process with other seeds and another log halves the time. Logs are kept in
-benchmarks/results/coverage, where the next machine goes on with them. ``--summary`` prints how often the truth lies
+with, and a second process with other seeds and another folder halves the time. Scenarios given together take turns, so
+that a body of both is meshed once. Logs are kept in benchmarks/results/coverage, where the next machine goes on with
+them. ``--summary`` prints how often the truth lies
 inside, by ratio and jointly, for closed and for open intervals and by tercile of the true ratio, with the standard
 errors of so many subjects; ``--store`` keeps the figures (of the kept logs, or a scenario's of others) in
 benchmarks/results/coverage.json, ``--json`` prints that file, and ``--rerun`` repeats all its scenarios. All of it is
@@ -50,7 +51,7 @@ from spinestiff.errors import EquilibriumError, SpinestiffError
 from spinestiff.estimation.discrepancy import Mesh
 from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.priors import Priors
-from spinestiff.estimation.profiles import WIDTH_FACTOR
+from spinestiff.estimation.profiles import WIDTH_FACTOR, Profile
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess
 from spinestiff.study.forecasts import forecasts
@@ -84,7 +85,7 @@ class Scenario:
 
 SCENARIOS = {
     "coarse pair, three pushes": Scenario("three pushes", 3000, "coarse", 10000, 460),
-    "coarse pair, the paper's acquisition": Scenario("paper", 3000, "coarse", 20000, 460),
+    "coarse pair, the paper's acquisition": Scenario("paper", 3000, "coarse", 10000, 460),
     "default chain, three pushes": Scenario("three pushes", 15000, "fine", 40000, 140),
     "rendered, three pushes": Scenario("three pushes", 15000, "fine", 60000, 45, rendered=True),
     "settings, three pushes": Scenario("three pushes", 3000, "coarse", 0, 230),
@@ -195,10 +196,7 @@ def told(fit: StiffnessFit, truth: Mapping[str, float]) -> dict[str, Any]:
         return {"status": fit.status.name, "evaluations": len(fit.history)}
     at = np.log([truth[name] for name in NAMES])
     best = np.log(fit.ratios.values)
-    rises = []
-    for i, profile in enumerate(likely.profiles):
-        inside = profile.log_ratios[0] <= at[i] <= profile.log_ratios[-1]
-        rises.append(float(np.interp(at[i], profile.log_ratios, profile.rise)) if inside else float("inf"))
+    rises = [risen(profile, at[i]) for i, profile in enumerate(likely.profiles)]
     joint = float(likely.emulator.phi(at)[0] - likely.emulator.phi(best)[0])
     return {
         "status": fit.status.name,
@@ -217,6 +215,15 @@ def told(fit: StiffnessFit, truth: Mapping[str, float]) -> dict[str, Any]:
         "evaluations": len(fit.history),
         "factorisations": fit.cost.factorisations,
     }
+
+
+def risen(profile: Profile, at: float) -> float:
+    """A profile's rise at a log ratio; beyond its ends, outside any 95 % interval, as a parabola through them."""
+    where, rise = profile.log_ratios, profile.rise
+    if where[0] <= at <= where[-1]:
+        return float(np.interp(at, where, rise))
+    end, least = (0 if at < where[0] else -1), where[int(np.argmin(rise))]
+    return float(rise[end] * ((at - least) / (where[end] - least)) ** 2)
 
 
 def summarised(scenario: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -334,16 +341,21 @@ def read_logs(paths: Sequence[Path]) -> list[dict[str, Any]]:
     return [json.loads(line) for path in paths for line in path.read_text().splitlines()]
 
 
-def campaign(scenario: Scenario, first: int, count: int, log: Path) -> None:
-    """The subjects that a log lacks."""
-    known = {row["seed"] for row in read_logs([log])} if log.is_file() else set()
-    for seed in range(first, first + count):
-        if seed in known:
-            continue
+def campaign(names: Sequence[str], first: int | None, count: int | None, folder: Path) -> None:
+    """The subjects that the scenarios' logs in a folder lack."""
+    folder.mkdir(parents=True, exist_ok=True)
+    wanted = []
+    for name in names:
+        scenario, log = SCENARIOS[name], folder / log_of(name).name
+        known = {row["seed"] for row in read_logs([log])} if log.is_file() else set()
+        begin = scenario.first if first is None else first
+        seeds = range(begin, begin + (count or scenario.count))
+        wanted += [(seed, scenario, log) for seed in seeds if seed not in known]
+    for seed, scenario, log in sorted(wanted, key=lambda one: one[0]):
         row = run_one(seed, scenario)
         with log.open("a") as stream:
             stream.write(json.dumps(rounded(row)) + "\n")
-        print(seed, row.get("not made") or row.get("failed") or row.get("z"), row.get("cpu_s"), flush=True)
+        print(log.stem, seed, row.get("not made") or row.get("failed") or row.get("z"), row.get("cpu_s"), flush=True)
 
 
 def rounded(value: Any) -> Any:
@@ -376,10 +388,10 @@ def store(entry: dict[str, Any]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenario", choices=list(SCENARIOS))
+    parser.add_argument("--scenario", choices=list(SCENARIOS), nargs="+")
     parser.add_argument("--first", type=int, help="seed to begin with, of the scenario's own if left out")
     parser.add_argument("--count", type=int, help="seeds, those of the scenario if left out")
-    parser.add_argument("--log", type=Path)
+    parser.add_argument("--logs", type=Path, default=LOGS, metavar="FOLDER")
     parser.add_argument("--summary", type=Path, nargs="+", metavar="FILE")
     parser.add_argument("--store", nargs="*", metavar=("SCENARIO", "FILE"))
     parser.add_argument("--json", action="store_true", help="print what is stored")
@@ -402,17 +414,12 @@ def main() -> None:
                 store(summarised(name, read_logs([log_of(name)])))
                 show(summarised(name, read_logs([log_of(name)])))
     elif asked.rerun:
-        asked.rerun.mkdir(parents=True, exist_ok=True)
-        for entry in stored():
-            name = entry["scenario"]
-            log, scenario = asked.rerun / log_of(name).name, SCENARIOS[name]
-            campaign(scenario, scenario.first, scenario.count, log)
-            show(summarised(name, read_logs([log])))
+        names = [entry["scenario"] for entry in stored()]
+        campaign(names, None, None, asked.rerun)
+        for name in names:
+            show(summarised(name, read_logs([asked.rerun / log_of(name).name])))
     elif asked.scenario:
-        scenario = SCENARIOS[asked.scenario]
-        first = scenario.first if asked.first is None else asked.first
-        LOGS.mkdir(exist_ok=True)
-        campaign(scenario, first, asked.count or scenario.count, asked.log or log_of(asked.scenario))
+        campaign(asked.scenario, asked.first, asked.count, asked.logs)
     else:
         parser.error("wanted --scenario, --summary, --store, --json or --rerun")
 

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import lru_cache
+from typing import Any, Literal
 
 import numpy as np
 from discrepancy_pairs import OF_BASE, STANDARD_LAW, Bench, equal_ratios
@@ -150,12 +151,10 @@ def make_subject(
     if not isinstance(acquisition, str):
         assert visit, "pushes of one's own make a later visit"
         first = PUSHES["paper"]
-    random, p = np.random.default_rng([13, seed]), Priors()
-    sex: Literal["female", "male"] = "female" if random.uniform() < 0.8 else "male"
-    age = float(random.uniform(*AGES))
-    mean = float(np.interp(age, (10.0, 16.0), (138.0, 163.0) if sex == "female" else (138.0, 174.0)))
-    height = mean + float(np.clip(random.normal(0.0, HEIGHT_SD_CM), -LARGEST_HEIGHT_CM, LARGEST_HEIGHT_CM))
-    torso = _of_drawn_stiffness(_true_torso(random, height, age, sex, nodes, seed), random, p)
+    body, p = _body(seed, nodes), Priors()
+    sex, age, height, torso = body.sex, body.age, body.height, body.torso
+    random = np.random.default_rng()
+    random.bit_generator.state = body.drawn_next
     drawn = {
         name: float(np.exp(random.uniform(*np.log(limits))))
         for name, limits in (("lateral_bending", BENDING), ("tissue", TISSUE))
@@ -233,6 +232,28 @@ def make_subject(
             )
         )
     return Subject(seed, round(height, 0), age, sex, float(cobb), ratios, kind, own.rest, tuple(records), tracked)
+
+
+@dataclass(frozen=True)
+class _Body:
+    """A person before any push, and the state of the random numbers that the rest is drawn with."""
+
+    sex: Literal["female", "male"]
+    age: float
+    height: float
+    torso: TorsoModel
+    drawn_next: Mapping[str, Any]
+
+
+@lru_cache(maxsize=2)  # pushes of one person that follow each other: meshing takes as long as the first pushes
+def _body(seed: int, nodes: int) -> _Body:
+    random = np.random.default_rng([13, seed])
+    sex: Literal["female", "male"] = "female" if random.uniform() < 0.8 else "male"
+    age = float(random.uniform(*AGES))
+    mean = float(np.interp(age, (10.0, 16.0), (138.0, 163.0) if sex == "female" else (138.0, 174.0)))
+    height = mean + float(np.clip(random.normal(0.0, HEIGHT_SD_CM), -LARGEST_HEIGHT_CM, LARGEST_HEIGHT_CM))
+    torso = _of_drawn_stiffness(_true_torso(random, height, age, sex, nodes, seed), random, Priors())
+    return _Body(sex, age, height, torso, random.bit_generator.state)
 
 
 @dataclass(frozen=True)
