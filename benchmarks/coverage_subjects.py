@@ -184,8 +184,9 @@ def make_subject(
         return changed_load(told, load_changes(told, torso.rest_pose), own.acts[push])
 
     stiffness = stiffness_ratios(ratios, torso.joints.kinds)
-    kind = str(random.choice(KINDS))
-    bench = OF_BASE[kind](torso, random)[0] if kind else Bench(torso)
+    lacking = np.random.default_rng([29, seed])  # of its own: how much a visit draws depends on its pushes
+    kind = str(lacking.choice(KINDS))
+    bench = OF_BASE[kind](torso, lacking)[0] if kind else Bench(torso)
     if kind and kind not in STANDARD_LAW:
         # As much energy as the same body stores without what the model lacks, its volume's resistance included.
         stores = stiffness.with_values(Bench(torso).true_ratios(stiffness))

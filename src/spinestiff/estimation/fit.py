@@ -40,6 +40,8 @@ WIDEST_INTERVAL = 0.9
 WORST_CONDITION = 1e12
 # Of a log ratio that the data say nothing of.
 LEAST_PRECISION = 1e-6
+# Share by which the corners' error may differ where an estimate is solved again: digits of a stored one.
+SAME_RMSE = 0.01
 Extent = Literal["estimate", "intervals", "everything"]
 
 
@@ -147,7 +149,7 @@ def fit_stiffness(
         method=method,
         orientation=orientation,
         bounds=(float(bounds[0]), float(bounds[1])),
-        warnings=(*_warnings(trial_set, default, point), *_open_ends(opens, bounds)),
+        warnings=(*_warnings(trial_set, default, point), *_open_ends(opens, bounds), *_unsettled(likely)),
         weighed=weighed,
     )
 
@@ -163,6 +165,8 @@ def likelihood_rise(
     geometry: Floats | None = None,
     taped: bool = False,
     population: str | None = None,
+    rmse_mm: float | None = None,
+    starts: Sequence[TorsoState] | None = None,
 ) -> float:
     """By how much twice the negative log likelihood is higher at other ratios than at an estimate.
 
@@ -170,15 +174,22 @@ def likelihood_rise(
     ----------
     estimate, nuisances : of a weighed fit of these trials; nuisances in prior standard deviations, by name.
     others : by the estimate's names.
+    rmse_mm : of that fit. A soft spine may have two equilibria under one push; the fit's error tells whether its own
+        were found again. starts : the fit's states of the loaded trials to solve from; default rest.
 
     Raises
     ------
-    EquilibriumError : there is no equilibrium at one of the two.
+    EquilibriumError : there is no equilibrium at one of the two, or the estimate's are others than the fit's.
     """
     groups = parameter_groups(problems[0].torso, tuple(estimate))
     asked = _asked(problems, trials, groups, orientation, None, priors, geometry, taped, population)
     best = np.log(list(estimate.values()))
-    point = asked.solve(best, np.array([nuisances.get(name, 0.0) for name in asked.unknowns.names]))
+    point = asked.solve(best, np.array([nuisances.get(name, 0.0) for name in asked.unknowns.names]), starts=starts)
+    if rmse_mm is not None and abs(point.evaluation.rmse - rmse_mm) > SAME_RMSE * rmse_mm:
+        raise EquilibriumError(
+            f"the estimate's equilibria are not found again: corners off by {point.evaluation.rmse:.3g} mm, "
+            f"in the fit by {rmse_mm:.3g} mm"
+        )
     slope = asked.slope(point)
     found = WeighedFit(point, slope, asked.weights(point, slope, None), FitStatus.CONVERGED, ())
     return rise_at(asked, found, np.log([others[name] for name in estimate]))
@@ -433,6 +444,12 @@ def _warnings(trial_set: TrialSet, default: Evaluation | None, point: Evaluation
         if square:
             found.append(f"{name}: orientation by covariance means little for {', '.join(square)} (near-square box)")
     return tuple(found)
+
+
+def _unsettled(likely: Likely | None) -> list[str]:
+    if likely is None or likely.settled:
+        return []
+    return ["an end of the intervals is interpolated between places where the model was solved, and less certain"]
 
 
 def _open_ends(opens: Mapping[str, tuple[bool, bool]], bounds: tuple[float, float]) -> list[str]:

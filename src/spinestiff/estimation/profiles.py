@@ -32,8 +32,8 @@ NEAR, FARTHEST_STEP, SAME = 0.1, 1.2, 1e-3
 # Nuisances that the emulator has so wrong that the place would tell it nothing are solved for again, so many times; by
 # half as much where they are not as near as this share of how near they were.
 MOST_AGAIN, SHRINKING = 3, 0.7
-# Steps of a profile, in standard deviations, and how far beyond the linear end it is followed at most.
-STEP, FARTHEST = 0.35, 6.0
+# Steps of a profile, in standard deviations; each is so much longer than the last one, so that the bounds are reached.
+STEP, LONGER = 0.35, 1.05
 # A profile that rises by less than this anywhere inside the bounds is flat.
 FLAT = 0.5
 # Another minimum is one that a ridge of this height parts from the estimate.
@@ -68,6 +68,7 @@ class Likely(ShortRepr):
     region : (n, 2) outline of the joint 95 % region of two ratios, not cut at the bounds; None for another number.
     draws : (D, P) log ratios and (D, M) nuisances, equally probable. effective : independent draws they are worth.
     emulator : of phi.
+    settled : emulator and model agreed at the ends in the end, and the model has an equilibrium at each.
     """
 
     low: Floats
@@ -80,6 +81,7 @@ class Likely(ShortRepr):
     draws: tuple[Floats, Floats]
     effective: float
     emulator: Emulator
+    settled: bool = True
 
 
 def likely_ratios(
@@ -113,7 +115,12 @@ def likely_ratios(
         if heights.min() < emulator.phi(fit.point.log_ratios)[0] - CLOSE_ENOUGH:
             # Lower than the estimate: a hole between places, which would draw the draws.
             wanted.append(candidates[int(np.argmin(heights))])
-        if solved == MOST_ROUNDS or not _solve_ends(problem, fit, emulator, places, wanted, np.linalg.inv(covariance)):
+        if solved == MOST_ROUNDS:
+            settled = False
+            break
+        wrong, unsolved = _solve_ends(problem, fit, emulator, places, wanted, np.linalg.inv(covariance))
+        if not wrong:
+            settled = not any(k < len(ends) for k in unsolved)
             break
     low, high = (np.array([where[i // 2] for i, (where, _) in enumerate(ends) if i % 2 == side]) for side in (0, 1))
     opens = [np.array([is_open for i, (_, is_open) in enumerate(ends) if i % 2 == side]) for side in (0, 1)]
@@ -124,7 +131,7 @@ def likely_ratios(
     draws, effective = _draws(emulator, candidates, density)
     region = _region(emulator, fit.point.log_ratios, low, high) if len(precision) == 2 else None
     open_low, open_high = opens
-    likely = Likely(low, high, open_low, open_high, kinds, tuple(profiles), region, draws, effective, emulator)
+    likely = Likely(low, high, open_low, open_high, kinds, tuple(profiles), region, draws, effective, emulator, settled)
     return likely, tuple(places)
 
 
@@ -158,11 +165,11 @@ def _solve_ends(
     places: list[Place],
     ends: list[Floats],
     precision: Floats,
-) -> bool:
-    """Solve the model at those ends where the emulator may be wrong; whether it was."""
-    wrong = False
+) -> tuple[bool, list[int]]:
+    """Solve the model at those ends where the emulator may be wrong: whether it was, and which have no equilibrium."""
+    wrong, unsolved = False, []
     solved = list(emulator.log_ratios)
-    for end in ends:
+    for k, end in enumerate(ends):
         apart = np.array(solved) - end
         nearest = int(np.argmin(np.abs(apart).max(axis=1)))
         if np.einsum("ki,ij,kj->k", apart, precision, apart).min() < NEAR**2:
@@ -178,10 +185,11 @@ def _solve_ends(
             place, height = solved_place(problem, fit, where, emulator.nuisances(where)[0])
         except EquilibriumError:
             problem.trial_set.note(where, float("nan"), None, False)
+            unsolved.append(k)
             continue
         wrong |= abs(height - float(emulator.phi(where)[0])) > CLOSE_ENOUGH
         places.append(place)
-    return wrong
+    return wrong, unsolved
 
 
 def solved_place(
@@ -226,11 +234,12 @@ class _Tracer:
         """Outward to both sides until phi has risen by twice ``rise`` or the bounds are reached."""
         found = [(self._best, 0.0)]
         for sign in (-1.0, 1.0):
-            at, before = self._best, 0.0
-            for _ in range(int(FARTHEST / STEP * 1.96) + 1):
-                value = float(np.clip(at[i] + sign * STEP * self._sd[i], *self._limits))
+            at, before, step = self._best, 0.0, STEP * self._sd[i]
+            while True:
+                value = float(np.clip(at[i] + sign * step, *self._limits))
                 if value == at[i]:
                     break
+                step *= LONGER
                 at, height = self._lowest(i, value, at)
                 found.append((at, height))
                 if height > 2.0 * rise and height > before:

@@ -20,14 +20,13 @@ from spinestiff.anatomy.torso import TissueMesh, TorsoModel
 from spinestiff.errors import TorsoError
 from spinestiff.observer import Observer
 
-# mm between corners inside, of a 157 cm body: between the shipped meshes in nodes.
-SPACING_MM = 34.0
-REFERENCE_HEIGHT_CM = 157.0
-# Nodes of a mesh with that spacing, and how their number falls with it; 0.8 to 1.5 times that were found.
+# mm between corners inside, of a 157 cm body; nodes of a mesh with that spacing, and how their number falls with it:
+# 0.8 to 1.5 times that were found.
+SPACING_MM, REFERENCE_HEIGHT_CM = 34.0, 157.0
 NODES_AT_SPACING, NODES_POWER = 6150.0, 2.3
 NODES = (3_000, 65_000)
-# Where a number of nodes is wanted, each try has the same spacing and other points.
-AS_MANY_NODES = 8 * (1.0,)
+# Each try has other points; the first ones have the spacing of the nodes wanted, the last ones others.
+AS_MANY_NODES = (*8 * (1.0,), *TRIED_SHARES[1:])
 
 
 def can_rebuild(torso: TorsoModel) -> bool:
@@ -71,7 +70,7 @@ def with_new_tissue(
     state: TorsoState,
     observer: Observer | None = None,
     *,
-    nodes: int | None = None,
+    nodes: int,
     seed: int = 0,
 ) -> TorsoModel:
     """A torso without tissue filled anew, free of stress, up to a skin.
@@ -81,7 +80,7 @@ def with_new_tissue(
     bare : bones at rest in their new places. skin : closed, world mm, around them.
     old, state : a torso in the state nearest to that; an element's moduli are those of the old element nearest to it.
     observer : is told each try.
-    nodes : about how many (``NODES``); between the shipped meshes if None. seed : of the mesh's points.
+    nodes : about how many (``NODES``). seed : of the mesh's points.
 
     Raises
     ------
@@ -91,12 +90,11 @@ def with_new_tissue(
     surfaces = {
         name: (bare.surface_positions(rest, i), bare.bone_surfaces[i].faces) for i, name in enumerate(bare.bone_names)
     }
-    share = 1.0 if nodes is None else (nodes / NODES_AT_SPACING) ** (-1.0 / NODES_POWER)
+    share = (nodes / NODES_AT_SPACING) ** (-1.0 / NODES_POWER)
     spacing = share * SPACING_MM * bare.height_cm / REFERENCE_HEIGHT_CM
     skin = rounded(skin, SKIN_SHARE * spacing)
     refuse_bones_outside(surfaces, skin)
-    tries = TRIED_SHARES if nodes is None else AS_MANY_NODES
-    made = mesh_tissue(surfaces, skin, spacing, observer=observer, tried_shares=tries, seed=seed)
+    made = mesh_tissue(surfaces, skin, spacing, observer=observer, tried_shares=AS_MANY_NODES, seed=seed)
     middles = old.node_positions(state)[old.tissue.elements[:, :4]].mean(1)
     nearest = cKDTree(middles).query(made.nodes[made.elements[:, :4]].mean(1))[1]
     tissue = TissueMesh(

@@ -41,7 +41,7 @@ from spinestiff.personalise.measured_skin import TrunkSize, skin_at_sizes, trunk
 from spinestiff.personalise.pose import ViewPose, posed
 from spinestiff.personalise.prior import elastic_prior, pelvis_on_springs, regulariser
 from spinestiff.personalise.quality import MeshQuality, require_quality
-from spinestiff.personalise.rebuild import can_rebuild, skin_of, with_new_tissue, without_tissue
+from spinestiff.personalise.rebuild import NODES, can_rebuild, skin_of, with_new_tissue, without_tissue
 from spinestiff.personalise.scan import SkinScan
 from spinestiff.personalise.scanned_skin import ScanFit, with_scan
 from spinestiff.personalise.sizes import resized
@@ -303,7 +303,8 @@ class _Fit:
             bare = finished(*without_tissue(sized, state))
             vertices, faces = skin_of(sized, state)
             skin = (skin_at_sizes(bare, vertices, faces, self.trunk), faces)
-            torso, missed = self.to_tape(with_new_tissue(bare, skin, sized, state, self.say))
+            nodes = int(np.clip(len(sized.tissue.rest_positions), *NODES))
+            torso, missed = self.to_tape(with_new_tissue(bare, skin, sized, state, self.say, nodes=nodes))
             torso, scanned = self.scanned(torso)
             mesh, new = "rebuilt", (NEW_MESH["rebuilt"], *missed)
             quality = require_quality(torso)

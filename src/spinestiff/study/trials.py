@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import FitError, SubjectError, TrackingError
@@ -358,6 +359,8 @@ def rise_of(
     nuisances: Mapping[str, float],
     others: Mapping[str, float],
     population: str | None = None,
+    rmse_mm: float | None = None,
+    starts: Sequence[TorsoState] | None = None,
 ) -> float:
     """By how much less likely other ratios are than an estimate (``estimation.fit.likelihood_rise``)."""
     return likelihood_rise(
@@ -371,6 +374,8 @@ def rise_of(
         pushes.known.geometry,
         pushes.known.taped,
         population,
+        rmse_mm,
+        starts,
     )
 
 

@@ -75,7 +75,9 @@ def compare_with_truth(estimate: Estimate, pushes: PushSet, truth: Path) -> Comp
         return unknown
     try:
         nuisances = {one.name: one.standard for one in estimate.nuisances}
-        distance2 = rise_of(pushes, estimate.values, nuisances, wanted, estimate.population)
+        distance2 = rise_of(
+            pushes, estimate.values, nuisances, wanted, estimate.population, estimate.training_rmse_mm.fit
+        )
     except EquilibriumError:
         return unknown
     return unknown.model_copy(update={"distance2": distance2, "inside": bool(distance2 <= size)})
