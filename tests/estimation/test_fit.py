@@ -9,8 +9,9 @@ import pytest
 
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, parameter_group
 from spinestiff.anatomy.template import template_torso
-from spinestiff.errors import FitError
+from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation import fit as fitting
+from spinestiff.estimation import profiles
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fit import fit_stiffness, likelihood_rise
 from spinestiff.estimation.objective import Trial
@@ -233,7 +234,28 @@ def test_the_rise_at_other_ratios_is_that_of_the_interval(column, noisy, whole) 
     estimate = whole.ratios.as_dict()
     rise = likelihood_rise(loaded, noisy, estimate, nuisances, dict(zip(estimate, np.exp(others), strict=True)))
     assert rise == pytest.approx(3.84, abs=0.25)
-    assert likelihood_rise(loaded, noisy, estimate, nuisances, estimate) == pytest.approx(0.0, abs=1e-4)
+    states = [one.state for one in whole.equilibria]
+    again = likelihood_rise(loaded, noisy, estimate, nuisances, estimate, rmse_mm=1.001 * whole.rmse_mm, starts=states)
+    assert again == pytest.approx(0.0, abs=1e-4)
+
+
+def test_an_estimate_whose_equilibria_are_not_found_again_has_no_rise(column, noisy, whole) -> None:
+    """A soft spine may have two under one push."""
+    nuisances = {nuisance.name: nuisance.standard for nuisance in whole.weighed.nuisances}
+    estimate = whole.ratios.as_dict()
+    with pytest.raises(EquilibriumError, match=r"not found again: corners off by .* mm, in the fit by"):
+        likelihood_rise(
+            [column.problem] * len(noisy), noisy, estimate, nuisances, estimate, rmse_mm=1.05 * whole.rmse_mm
+        )
+
+
+def test_ends_that_were_not_solved_are_told(column, clean, whole, monkeypatch) -> None:
+    assert whole.likely.settled
+    monkeypatch.setattr(profiles, "MOST_ROUNDS", 0)
+    fit = fit_stiffness(column.problem, clean, bounds=BOUNDS, extent="intervals")
+    assert not fit.likely.settled
+    assert any("an end of the intervals is interpolated" in text for text in fit.warnings)
+    assert not any("interpolated" in text for text in whole.warnings)
 
 
 @pytest.mark.parametrize(

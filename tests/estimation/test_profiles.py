@@ -14,6 +14,7 @@ from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import (
     Profile,
     _solve_ends,
+    _Tracer,
     likely_ratios,
     profile_kind,
     region_rise,
@@ -211,6 +212,17 @@ def test_tissue_too_soft_to_be_felt_is_known_to_one_side(column) -> None:
     assert likely.open_low[1]
     assert not likely.open_high[1]
     assert likely.high[1] > np.log(0.03)
+
+
+def test_a_profile_that_hardly_rises_is_followed_to_the_bounds(found, likely) -> None:
+    """Bounds 60 standard deviations off, beyond which nothing is known: no profile ends in between."""
+    limits = (-60.0 * float(sd_of(found).max()), 60.0 * float(sd_of(found).max()))
+    emulator = SimpleNamespace(phi=lambda where: 1e-4 * np.sum(np.atleast_2d(where) ** 2, axis=1))
+    tracer = _Tracer(emulator, np.zeros(2), np.diag(sd_of(found) ** 2), limits)
+    for i in range(2):
+        profile = tracer.profile(i, 1.92)
+        assert (profile.log_ratios[0], profile.log_ratios[-1]) == limits
+        assert tracer.end(profile, i, 1.0, 1.92)[1]
 
 
 def test_one_ratio_alone_has_an_interval_and_no_region(column, noisy) -> None:

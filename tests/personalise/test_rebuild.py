@@ -95,6 +95,8 @@ def test_the_subject_gets_a_new_mesh_and_is_told(rebuilt, template, subject, wai
     assert any(line.endswith("building a new mesh") for line in lines)
     assert (torso.bone_names, torso.joints.names) == (BONES, template.joints.names)
     assert len(torso.joints) == 67
+    nodes = len(torso.tissue.rest_positions) / len(template.tissue.rest_positions)
+    assert 0.75 < nodes < 1.6  # a coarse mesh stays one: what is learnt of it holds
     assert set(torso.landmarks) == set(template.landmarks)
     assert np.abs(rest_vertebrae(torso)[0] - rest_vertebrae(subject)[0]).max() < 2.5
     found = trunk_sizes(torso, ("L2",))[0]["L2"]
