@@ -91,6 +91,7 @@ def test_an_unknown_whose_standard_deviation_is_0_is_none(column, trials) -> Non
         ("frame_obliquity_deg", {"obliquity of a frame"}),
         ("frame_shoulder_mm", {"shoulder of a frame"}),
         ("trunk", {"trunk size"}),
+        ("mesh", {"tissue mesh"}),
         ("source_distance", {"source distance"}),
     ):
         assert groups - set(of(column, trials, kept.scaled(name, 0.0)).groups) == gone

@@ -30,6 +30,7 @@ EXACT = Priors(
     trunk=0.0,
     rib_joints=0.0,
     tissue_volume=0.0,
+    mesh=0.0,
     source_distance=0.0,
 )
 

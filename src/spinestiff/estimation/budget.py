@@ -16,7 +16,7 @@ from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights
 TRACKING, DRAG, DISCREPANCY, STANCE = "tracking", "drag of tracking", "model discrepancy", "stance"
 FACTORS = (0.5, 2.0)
 # What a person has at every visit, beside ratios: an error that two estimates of one person share.
-PERSONAL = (DISCREPANCY, "trunk size", "rib joints", "tissue's volume", "pedicles' places")
+PERSONAL = (DISCREPANCY, "trunk size", "rib joints", "tissue's volume", "tissue mesh", "pedicles' places")
 # What is anew where the same radiographs are annotated again.
 ANNOTATED = ("annotation", "marks set by hand", "rest geometry")
 SMALLEST_MM = 0.02

@@ -44,6 +44,9 @@ class Priors:
         an eleventh of it (J Biomech 2024 163:111923).
     tissue_volume : of the log of the tissue's lambda at a given mu: Poisson's ratio of 0.3 or 0.49 for 0.45 is a factor
         of 6 less or 5 more.
+    mesh : of the log of the tissue's stiffness on the mesh over that on ever finer ones: bodies on 65,000 and 26,000 nodes
+        move as if their tissue were 3 and 4.5 % softer than the fine mesh's, give or take 3 %
+        (``benchmarks/mesh_limit.py``).
     source_distance : of the source's distance, relative; it scales motions.
     annotation_mm : of a corner set by hand, along one axis, common to all frames of a sequence.
     marking_mm : of a corner set by hand in a loaded frame or in a radiograph from another side, along one axis, beside
@@ -99,6 +102,7 @@ class Priors:
     trunk_power: tuple[float, float] = (1.2, 0.8)
     rib_joints: float = 1.5
     tissue_volume: float = 1.0
+    mesh: float = 0.04
     source_distance: float = 0.01
     annotation_mm: float = 0.3
     marking_mm: float = 0.3

@@ -180,6 +180,7 @@ def unknowns_of(
     free = {act: np.array([not is_fitted(act, fitted, q.torso) for q in problems], dtype=bool) for act in RATIOS}
     add("rib joints", "rib joints", "ribs", p.rib_joints, loaded & ribs & free["ribs"])
     add("tissue's volume", "tissue's volume", "volume", p.tissue_volume, loaded & free["volume"])
+    add("tissue mesh", "tissue mesh", "tissue", p.mesh, loaded)
     add("source distance", "source distance", "motion", p.source_distance, loaded)
     return Unknowns(tuple(found), len(trials))
 

@@ -60,6 +60,7 @@ BENCH = Priors(
     trunk_taped=0.0,
     rib_joints=0.0,
     tissue_volume=0.5,
+    mesh=0.0,
     source_distance=0.005,
     annotation_mm=0.05,
     tracking_shared_mm=0.0,
