@@ -57,13 +57,17 @@ from spinestiff.errors import RadiographError, SpinestiffError
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import read_radiographs, write_radiographs
 from spinestiff.imaging.synthetic.acquisition import Acquisition
+from spinestiff.study.recipe import Recipe
 from spinestiff.study.runner import run_steps
 from spinestiff.study.spines import real_spine
-from spinestiff.study.synthetic import Recipe, synthesise
+from spinestiff.study.synthetic import synthesise
 from spinestiff.study.truth import read_truth
 from spinestiff.study.visit import open_visit
+from spinestiff.subject.assessment_outcome import Assessment
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import image_corners, image_pedicles, read_subject
-from spinestiff.subject.outcomes import Assessment, Estimate, FrameProposals, GeometryRecord, Tracked
+from spinestiff.subject.geometry_outcome import GeometryRecord
+from spinestiff.subject.outcomes import FrameProposals, Tracked
 from spinestiff.subject.run_record import read_outcome
 
 MOST_SECONDS = 20.0

@@ -35,6 +35,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push
 from spinestiff.mechanics.supports import PELVES, three_point_supports
 from spinestiff.personalise.shape import place_vertebrae
+from spinestiff.study.seven import paper
 from spinestiff.study.spines import CURVES, curved_spine
 
 TARGET_N_PER_DEG = 3.66
@@ -44,7 +45,7 @@ LOWEST_RIB = 10  # the last one that is joined to the sternum
 
 
 class Row(NamedTuple):
-    """Tables 2 and 4 of the paper: a subject, its largest push (above 0: towards left curvature) and its ratios."""
+    """Of Tables 2 and 4 of the paper: a subject, its largest push (above 0: towards left curvature) and its ratios."""
 
     height_cm: float
     cobb_deg: float
@@ -54,15 +55,7 @@ class Row(NamedTuple):
     tissue: float
 
 
-SUBJECTS = (
-    Row(157, 11, "thoracic", -59, 0.10, 0.01),
-    Row(160, 16, "lumbar", 114, 0.19, 0.02),
-    Row(144, 15, "thoracic", -60, 0.02, 0.02),
-    Row(146, -10, "thoracic", 79, 0.05, 0.09),
-    Row(168, 16, "lumbar", 88, 0.01, 0.11),
-    Row(139, 11, "thoracolumbar", -45, 0.06, 0.02),
-    Row(165, 7, "thoracic", -92, 0.63, 0.15),
-)
+SUBJECTS = tuple(Row(*(getattr(one, name) for name in Row._fields)) for one in paper.SUBJECTS)
 
 
 def apex_level(torso: TorsoModel, curve: str, side: str) -> float:

@@ -38,7 +38,8 @@ from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY, usable_corners
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.judgement import RestShape, failed, judge
 from spinestiff.study.trials import PushSet, push_set
-from spinestiff.subject.outcomes import Check, TrackedPush
+from spinestiff.subject.estimate_outcome import Check
+from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import SubjectRecord
 
 FOUND = 0.9

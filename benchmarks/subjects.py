@@ -29,11 +29,14 @@ import numpy as np
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
 from spinestiff.files import read_json
+from spinestiff.study.recipe import Recipe
 from spinestiff.study.runner import run_steps
 from spinestiff.study.spines import real_spine
-from spinestiff.study.synthetic import Recipe, made_by, synthesise, truth_path
+from spinestiff.study.synthetic import made_by, synthesise, truth_path
 from spinestiff.study.visit import open_visit
-from spinestiff.subject.outcomes import Assessment, Comparison, Estimate, Tracked
+from spinestiff.subject.assessment_outcome import Assessment, Comparison
+from spinestiff.subject.estimate_outcome import Estimate
+from spinestiff.subject.outcomes import Tracked
 from spinestiff.subject.run_record import read_outcome
 
 RATIOS, FORCE_N = (0.10, 0.04), 60.0

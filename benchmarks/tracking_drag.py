@@ -26,9 +26,10 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError
 from spinestiff.files import read_json
+from spinestiff.study.recipe import Recipe, SyntheticPush
 from spinestiff.study.runner import run_steps
 from spinestiff.study.spines import CURVES
-from spinestiff.study.synthetic import Recipe, SyntheticPush, made_by, synthesise, truth_path
+from spinestiff.study.synthetic import made_by, synthesise, truth_path
 from spinestiff.study.visit import open_visit
 from spinestiff.subject.outcomes import Tracked
 from spinestiff.subject.run_record import read_outcome

@@ -41,6 +41,7 @@ from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push, three_point_reactions
 from spinestiff.mechanics.supports import SupportKind, Supports, three_point_supports
 from spinestiff.mechanics.terms import PointSprings
+from spinestiff.study.seven import paper
 
 Found = dict[str, Any]
 PLANES = {"FE": 0, "AR": 1, "LB": 2}  # axis of the moment: lateral, along the spine, sagittal
@@ -69,9 +70,9 @@ MANNEN_2018_REGIONS = {
 }
 # The paper's Table 6 (validation pose) and Table 2 (largest of the capture): change of the Cobb angle, degrees; Table
 # 5: RMSE of the default model there, mm.
-TABLE_6 = (-16, 6, -43, 26, 0, -27, -15)
-TABLE_2_CHANGE = (-19, 13, -46, 25, 8, -26, -20)
-TABLE_5_DEFAULT = (15.05, 10.87, 14.36, 11.72, 4.39, 8.98, 3.37)
+TABLE_6 = paper.TABLE_6["Diff in validation pose (measured)"]
+TABLE_2_CHANGE = tuple(one.change_deg for one in paper.SUBJECTS)
+TABLE_5_DEFAULT = paper.TABLE_5["Validation pose, default params"]
 
 
 # Specimens: some bones and their joints without tissue
@@ -486,7 +487,7 @@ def _about_z(turned: np.ndarray) -> float:
 
 def _force_per_degree(table: list[Found], kind: str) -> Found:
     ours = [entry["n_per_deg"] for entry in table if entry["supports"] == kind]
-    paper = [abs(s.force_n / change) for s, change in zip(SUBJECTS, TABLE_2_CHANGE)]
+    theirs = [abs(s.force_n / change) for s, change in zip(SUBJECTS, TABLE_2_CHANGE)]
     median = float(np.median(ours))
     met = abs(median / TARGET_N_PER_DEG - 1.0) < 0.1 and min(ours) > 0.02 and max(ours) < 11.81
     reason = "the modulus is fitted on the level pelvis with its wall"
@@ -494,7 +495,7 @@ def _force_per_degree(table: list[Found], kind: str) -> Found:
         reason = "the median is fitted by the modulus, the range is not"
     return row(
         f"N per degree of Cobb angle, seven bodies, {kind}: median (range)",
-        f"{TARGET_N_PER_DEG} (0.02 to 11.81); paper's own seven {np.median(paper):.1f} ({span(paper)})",
+        f"{TARGET_N_PER_DEG} (0.02 to 11.81); paper's own seven {np.median(theirs):.1f} ({span(theirs)})",
         "Wong 2024, n = 21; Table 2",
         f"{median:.2f} ({span(ours, 2)})",
         met,

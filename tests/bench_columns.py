@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from spinestiff.curves.corner_files import ImageCorners
 from spinestiff.files import parse_json
 from spinestiff.subject.phantom_record import PhantomRecord
-from spinestiff.subject.records import parse_record
+from spinestiff.subject.record_reading import parse_record
 
 PAGE = Path(__file__).parents[1] / "docs" / "bench-phantom.md"
 

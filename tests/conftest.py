@@ -80,7 +80,7 @@ def stub_report(visit, predictions, say):
 @pytest.fixture(scope="session")
 def cheap_recipe():
     from spinestiff.imaging.synthetic.acquisition import Acquisition
-    from spinestiff.study.synthetic import Recipe, SyntheticPush
+    from spinestiff.study.recipe import Recipe, SyntheticPush
 
     main = SyntheticPush("main", 8.0, (0.0, 0.5, 0.75, 1.0), ("unused", "training", "training", "validation"))
     second = SyntheticPush("second", 6.0, (0.0, 1.0), ("unused", "validation"))
@@ -144,7 +144,7 @@ def viewed(finished):
     from spinestiff.study.report.viewer.files import scene_of
     from spinestiff.study.steps import stored_predictions
     from spinestiff.study.visit import open_visit
-    from spinestiff.subject.outcomes import Estimate
+    from spinestiff.subject.estimate_outcome import Estimate
     from spinestiff.subject.run_record import read_outcome
 
     visit = open_visit(finished.folder)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from spinestiff.study.parameters import SIX
-from spinestiff.subject.outcomes import CobbChangeRecord, RatioEstimate
+from spinestiff.subject.assessment_outcome import CobbChangeRecord
+from spinestiff.subject.estimate_outcome import RatioEstimate
 from spinestiff.subject.study_outcome import FrameOutcome, SubjectOutcome
 
 PREDICTORS = {
@@ -43,7 +44,7 @@ def outcome(number: int = 1, size: float = 10.0, name: str = "", **changed: obje
     """A subject whose ratios are found 10 % too high."""
     truth = {"lateral_bending": 0.1 * number, "tissue": 0.02 * number}
     fields: dict[str, object] = {
-        "version": "1",
+        "program": "1",
         "settings": "digest",
         "mesh": "fine",
         "name": name or f"subject-{number}",

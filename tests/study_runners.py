@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 
-from spinestiff import __version__
 from spinestiff.errors import EquilibriumError
 from spinestiff.files import write_json
 from spinestiff.parallel import threads
 from spinestiff.study.seven.subject import result_file, settings_digest
+from spinestiff.subject.program import program
 from study_outcomes import outcome
 
 
@@ -18,7 +18,7 @@ def made(folder, participant, settings, say):
     if participant.name == "subject-2":
         raise EquilibriumError("no equilibrium")
     found = outcome(int(participant.name[-1]), age=float(threads()))
-    found = found.model_copy(update={"version": __version__, "settings": settings_digest(participant, settings)})
+    found = found.model_copy(update={"program": program(), "settings": settings_digest(participant, settings)})
     write_json(result_file(folder, participant), found.model_dump(mode="json"))
     return found
 

@@ -35,6 +35,8 @@ LAYERS = {
     "personalise": 4,
     "interop": 4,
     "plot": 7,
+    "versions": 0,
+    "run_log": 5,
     "subject": 4,
     "curves": 5,
     "loopback": 5,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from spinestiff.subject.records import Annotation
+from spinestiff.subject.annotation_record import Annotation
 from spinestiff.words import counted
 
 

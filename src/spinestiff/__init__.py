@@ -69,20 +69,20 @@ if TYPE_CHECKING:  # the same list for editors and type checkers; a test compare
     from spinestiff.personalise.shape import personalise as personalise_torso  # noqa: F401 (typed as the others)
     from spinestiff.study.assessment import assess as assess
     from spinestiff.study.elastic_supports import SyntheticSupports as SyntheticSupports
+    from spinestiff.study.recipe import Recipe as Recipe
+    from spinestiff.study.recipe import SyntheticPush as SyntheticPush
     from spinestiff.study.runner import run_steps as run_steps
     from spinestiff.study.steps import stored_predictions as stored_predictions
-    from spinestiff.study.synthetic import Recipe as Recipe
-    from spinestiff.study.synthetic import SyntheticPush as SyntheticPush
     from spinestiff.study.synthetic import synthesise as synthesise
     from spinestiff.study.visit import Settings as Settings
     from spinestiff.study.visit import open_visit as open_visit
+    from spinestiff.subject.assessment_outcome import Assessment as Assessment
+    from spinestiff.subject.estimate_outcome import Estimate as Estimate
     from spinestiff.subject.folder import image_corners as image_corners
     from spinestiff.subject.folder import image_supports as image_supports
     from spinestiff.subject.folder import read_push as read_push
     from spinestiff.subject.folder import read_subject as read_subject
-    from spinestiff.subject.outcomes import Assessment as Assessment
-    from spinestiff.subject.outcomes import Estimate as Estimate
-    from spinestiff.subject.outcomes import GeometryRecord as GeometryRecord
+    from spinestiff.subject.geometry_outcome import GeometryRecord as GeometryRecord
     from spinestiff.subject.outcomes import Responses as Responses
     from spinestiff.subject.outcomes import Tracked as Tracked
     from spinestiff.subject.run_record import read_outcome as read_outcome
@@ -124,9 +124,13 @@ _MODULES = {
     "study.steps": ("stored_predictions",),
     "study.assessment": ("assess",),
     "subject.run_record": ("read_outcome",),
-    "subject.outcomes": ("Tracked", "Responses", "GeometryRecord", "Estimate", "Assessment"),
+    "subject.outcomes": ("Tracked", "Responses"),
+    "subject.geometry_outcome": ("GeometryRecord",),
+    "subject.estimate_outcome": ("Estimate",),
+    "subject.assessment_outcome": ("Assessment",),
     "study.elastic_supports": ("SyntheticSupports",),
-    "study.synthetic": ("Recipe", "SyntheticPush", "synthesise"),
+    "study.recipe": ("Recipe", "SyntheticPush"),
+    "study.synthetic": ("synthesise",),
     "errors": ("SpinestiffError", "OutsideWarning"),
 }
 _HOMES = {name: f"spinestiff.{module}" for module, names in _MODULES.items() for name in names}

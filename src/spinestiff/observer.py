@@ -12,6 +12,8 @@ from collections.abc import Callable
 # Is handed a line for people at a time, by any thread (``parallel``). What is handed data has a name of its own, e.g.
 # ``OnFitStep``.
 Observer = Callable[[str], None]
+LOGGER = "spinestiff"
+"""The logger of the whole package."""
 
 
 def heard(observer: Observer | None, logger: logging.Logger) -> Observer:

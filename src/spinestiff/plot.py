@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from spinestiff.mechanics.result import Equilibrium
     from spinestiff.mechanics.system import System
     from spinestiff.study.visit import Visit
-    from spinestiff.subject.outcomes import Estimate
+    from spinestiff.subject.estimate_outcome import Estimate
 
 
 def torso(model: TorsoModel) -> Figure:
@@ -75,7 +75,7 @@ def rest(visit: Visit, view: Literal["frontal", "lateral"] = "frontal") -> Figur
     SubjectError : the subject has not been personalised, or has no such radiograph.
     """
     from spinestiff.study.report.pictures import rest_picture
-    from spinestiff.subject.outcomes import GeometryRecord
+    from spinestiff.subject.geometry_outcome import GeometryRecord
     from spinestiff.subject.run_record import read_outcome
 
     geometry = read_outcome(visit.subject, GeometryRecord)
@@ -98,8 +98,7 @@ def held_out(visit: Visit) -> tuple[Figure, ...]:
     predictions = stored_predictions(visit)
     frames = predictions.of_role("validation")
     films = {name: read_push(visit.subject, visit.subject.push(name)) for name in {p.item.push for p in frames}}
-    model = predictions.pushes.torso
-    return tuple(frame_picture(visit, model, p, films[p.item.push])[1] for p in frames)
+    return tuple(frame_picture(visit, predictions, p, films[p.item.push])[1] for p in frames)
 
 
 def force_and_curve(visit: Visit) -> Figure:
@@ -218,7 +217,7 @@ def plan(visit: Visit) -> Figure:
 
 
 def _estimate(visit: Visit) -> Estimate:
-    from spinestiff.subject.outcomes import Estimate
+    from spinestiff.subject.estimate_outcome import Estimate
     from spinestiff.subject.run_record import read_outcome
 
     return read_outcome(visit.subject, Estimate)

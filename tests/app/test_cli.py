@@ -20,8 +20,10 @@ from spinestiff.mechanics import equilibrium
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.study import steps
 from spinestiff.study.wording import estimated, response_lines, uncertainty_lines
+from spinestiff.subject.assessment_outcome import Assessment
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_subject
-from spinestiff.subject.outcomes import Assessment, Estimate, Responses
+from spinestiff.subject.outcomes import Responses
 from spinestiff.subject.run_record import read_outcome
 from spinestiff.verification.outcome import Check
 
@@ -480,6 +482,7 @@ def test_check(spinestiff, monkeypatch, passed, status):
 
 def test_synth_and_demo_hand_their_options_on(spinestiff, tmp_path, monkeypatch):
     from spinestiff.study import synthetic
+    from spinestiff.study.recipe import PLANNED_PUSHES, Recipe
 
     asked = []
 
@@ -492,16 +495,16 @@ def test_synth_and_demo_hand_their_options_on(spinestiff, tmp_path, monkeypatch)
     options = ("--seed", 4, "--height", 150, "--cobb", -20, "--curve", "lumbar", "--force", 80)
     refused(spinestiff("synth", tmp_path / "x", *options, "--ratios", "0.2,0.03"), "far enough", 3)
     refused(spinestiff("demo", "--out", tmp_path / "y"), "far enough", 3)
-    assert asked[0] == (tmp_path / "x", synthetic.Recipe(4, 150.0, -20.0, "lumbar", 80.0, (0.2, 0.03)))
-    assert asked[1] == (tmp_path / "y", synthetic.Recipe(ratios=(0.1, 0.04), pushes=synthetic.PLANNED_PUSHES))
+    assert asked[0] == (tmp_path / "x", Recipe(4, 150.0, -20.0, "lumbar", 80.0, (0.2, 0.03)))
+    assert asked[1] == (tmp_path / "y", Recipe(ratios=(0.1, 0.04), pushes=PLANNED_PUSHES))
     refused(spinestiff("demo", "--out", tmp_path / "w", "--acquisition", "paper"), "far enough", 3)
-    assert asked.pop() == (tmp_path / "w", synthetic.Recipe(ratios=(0.1, 0.04)))
+    assert asked.pop() == (tmp_path / "w", Recipe(ratios=(0.1, 0.04)))
     refused(spinestiff("synth", tmp_path / "z", "--nodes", 4000), "far enough", 3)
-    assert asked[2] == (tmp_path / "z", synthetic.Recipe(nodes=4000))
+    assert asked[2] == (tmp_path / "z", Recipe(nodes=4000))
     refused(spinestiff("synth", tmp_path / "z", "--biplanar"), "far enough", 3)
-    assert asked[3] == (tmp_path / "z", synthetic.Recipe(biplanar=True))
+    assert asked[3] == (tmp_path / "z", Recipe(biplanar=True))
     refused(spinestiff("synth", tmp_path / "z", "--markers", 12), "far enough", 3)
-    assert asked[4] == (tmp_path / "z", synthetic.Recipe(markers=12))
+    assert asked[4] == (tmp_path / "z", Recipe(markers=12))
 
 
 # What is refused

@@ -14,8 +14,10 @@ from spinestiff.curves.pushes import cobb_frames, cobb_rows
 from spinestiff.study.report.clinician import clinician_content
 from spinestiff.study.report.viewer.page import component
 from spinestiff.study.visit import open_visit
+from spinestiff.subject.assessment_outcome import Assessment
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_subject
-from spinestiff.subject.outcomes import Assessment, Estimate, Responses
+from spinestiff.subject.outcomes import Responses
 from spinestiff.subject.run_record import read_outcome
 
 TILTS = [12, 6, 0, -8, -16, -12, -4, 6, 12]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import logging
 import shutil
 
 import pytest
@@ -16,7 +18,7 @@ from spinestiff.cohort.row import read_row
 from spinestiff.cohort.worker import Task, make_results
 from spinestiff.errors import SubjectError
 from spinestiff.study.visit import open_visit
-from spinestiff.subject.outcomes import Estimate
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.program import program
 from spinestiff.subject.run_record import read_outcome
 
@@ -111,6 +113,31 @@ def test_a_real_subject_goes_through_and_its_row_says_what_its_results_say(finis
     held = {Estimate: estimate.model_copy(update={"population": "koutras2025"})}
     monkeypatch.setattr(subject_run, "read_outcome", lambda *of: held.get(of[1]) or read_outcome(*of))
     assert subject_run.row_of(visit, "girl").population == "koutras2025"
+
+
+def test_the_run_of_a_participant_is_logged_beside_its_results_and_names_nobody(subject, tmp_path, monkeypatch):
+    place = place_of(tmp_path / "in", tmp_path / "out", "Doe_Jane")
+    place.target.mkdir(parents=True)
+    subject.rename(place.work)
+    # One quick step again, and none of the others.
+    monkeypatch.setattr(subject_run, "STEPS", ("response",))
+    (place.work / "results" / "response.json").unlink()
+    lines = []
+
+    def say(line):
+        lines.append(line)
+        logging.getLogger("spinestiff.study").info("said of Doe_Jane: %s", line)
+
+    for _ in range(2):
+        subject_run.run_subject(place.work, "Doe_Jane", {"mesh": "coarse"}, say)
+    assert lines[-1] == "response: up to date"
+    assert not (place.work / "results" / "logs").exists()
+    (log,) = place.logs.glob("*-cohort.jsonl")
+    first, *between, last = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+    assert (first["command"], first["settings"]["mesh"], last["outcome"]) == ("cohort", "coarse", "done")
+    assert ("begin", "response") in {(line.get("event"), line.get("step")) for line in between}
+    assert any(line["text"].startswith("said of …: response: ") for line in between)
+    assert "Doe" not in log.read_text(encoding="utf-8")
 
 
 def test_settings_that_there_are_not_are_refused_before_anything_runs():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import re
 import subprocess
 import sys
 
@@ -131,16 +132,30 @@ def test_json_of_doctor(spinestiff):
 
 @pytest.mark.parametrize(
     ("words", "there"),
-    [("spinestiff pl", {"plan"}), ("spinestiff plan --li", {"--limit"}), ("spinestiff study s", {"seven"})],
+    [
+        ("spinestiff pl", {"plan"}),
+        ("spinestiff plan --li", {"--limit"}),
+        ("spinestiff study s", {"seven"}),
+        ("spinestiff plan girl --target ", {"bending", "tissue", "rotation", "cobb"}),
+        ("spinestiff torso export --format m", {"mjcf", "mrk"}),
+        ("spinestiff cohort study results g", {"group"}),
+    ],
 )
-def test_the_shell_completes_commands_and_options(words, there):
-    """As bash asks an installed program."""
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_shell_completes_commands_options_and_words(words, there, shell):
+    """As each shell asks an installed program."""
     code = "import sys; sys.argv[0] = 'spinestiff'; from spinestiff.app.start import main; main()"
-    asks = {"_SPINESTIFF_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
+    asks = {"_SPINESTIFF_COMPLETE": f"complete_{shell}"}
+    if shell == "bash":
+        asks |= {"COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+    else:
+        asks |= {"_TYPER_COMPLETE_ARGS": words, "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
     ended = subprocess.run(
         [sys.executable, "-c", code], env=os.environ | asks, capture_output=True, text=True, timeout=60, check=False
     )
-    assert set(ended.stdout.split()) == there, ended.stderr
+    # Bash takes a word a line, zsh "word":"help" in an action of its own, fish word, tab and help.
+    said = re.findall(r'^(?:.*\(\()?"([^"]+)"', ended.stdout, re.M) if shell == "zsh" else ended.stdout.splitlines()
+    assert {line.split("\t")[0] for line in said} == there, ended.stdout + ended.stderr
 
 
 # The log of a run

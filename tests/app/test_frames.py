@@ -69,4 +69,9 @@ def test_roles_stay_without_being_asked(spinestiff, subject, monkeypatch):
     ran = spinestiff("frames", subject)
     assert ran.status == 0
     assert "supports not seen: validation" in ran.out
+    (log,) = (subject / "results" / "logs").iterdir()
+    lines = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+    assert (lines[0]["command"], lines[0]["settings"]["write"]) == ("frames", False)
+    assert ("begin", "frames") in {(line.get("event"), line.get("step")) for line in lines}
+    assert lines[-1]["outcome"] == "done"
     assert (subject / "subject.json").read_text() == before

@@ -5,10 +5,26 @@ from __future__ import annotations
 from typing import Annotated, get_args, get_type_hints
 
 import pytest
+import typer
 
+from spinestiff.anatomy.export import FORMATS
+from spinestiff.anatomy.importing.orienting import UNITS
+from spinestiff.anatomy.template import MESHES
+from spinestiff.anatomy.template.body import Sex
 from spinestiff.app.cli import app
+from spinestiff.app.cohort import LEVELS
 from spinestiff.app.options import within
+from spinestiff.app.plan import TARGETS
+from spinestiff.curves.cobb import DEFINITIONS
 from spinestiff.errors import OptionError
+from spinestiff.estimation.fitted import METHODS
+from spinestiff.estimation.ratio_priors import POPULATIONS
+from spinestiff.imaging.features import ORIENTATIONS
+from spinestiff.study.plan import SIDES, VIEWS
+from spinestiff.study.recipe import ACQUISITIONS
+from spinestiff.study.report.pdf import PAPERS
+from spinestiff.study.spines import CURVES
+from spinestiff.study.visit import NOBODY
 
 ANNOTATED = Annotated[int, 0].__class__
 
@@ -95,3 +111,56 @@ def test_each_option_has_the_limits_of_its_quantity(spinestiff, tmp_path):
     }
     for arguments, limits in wanted.items():
         assert spinestiff(*arguments).lines == [f"spinestiff: {arguments[-2]} {arguments[-1]}: wanted {limits}"]
+
+
+# Options of a few words, which the shell completes
+
+
+def offered(group, words=()):
+    """Every option and argument that takes text, by its command: what the shell offers for it."""
+    found = {}
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            found |= offered(command, (*words, name))
+            continue
+        for param in command.params:
+            if param.type_descriptor.annotation in (str, list[str]):
+                items = param.shell_complete(typer.Context(command), "")
+                found[" ".join((*words, name)), param.opts[0]] = tuple(item.value for item in items)
+    return found
+
+
+def test_the_shell_offers_all_words_that_an_option_takes_and_no_other():
+    def both(words):
+        return {*words, "both"}
+
+    known = {
+        "--mesh": MESHES,
+        "--method": METHODS,
+        "--orientation": ORIENTATIONS,
+        "--population": (*POPULATIONS, NOBODY),
+        "--curve": CURVES,
+        "--acquisition": ACQUISITIONS,
+        "--target": TARGETS,
+        "--side": both(SIDES),
+        "--views": both(VIEWS),
+        "--definition": DEFINITIONS,
+        "--patient-left": SIDES,
+        "--paper": PAPERS,
+        "--sex": get_args(Sex),
+        "--unit": UNITS,
+        "--format": FORMATS,
+        "level": LEVELS,
+    }
+    # Of a command whose option takes other words, and those that take any text, or several words at once.
+    special = {("init", "--side"): SIDES, ("init", "--orientation"): ("standard",)}
+    open_ = {
+        "--ratios", "--spine-id", "--id", "--log", "--log-columns", "--log-units", "--log-offset", "--study",
+        "--frontal", "--lateral", "--host", "--proxy", "--parameters", "--ribs", "--under", "--scheduler", "--axes",
+        "--mesher",
+    }  # fmt: skip
+    found = offered(typer.main.get_command(app))
+    assert {option for _, option in found} == known.keys() | open_
+    for (command, option), words in found.items():
+        wanted = special.get((command, option), known.get(option, ()))
+        assert set(words) == set(wanted) and len(words) == len(wanted), (command, option)

@@ -28,8 +28,12 @@ def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, 
     ran = spinestiff("plan", subject, "--json", "--limit", 30, "--ribs", "6,8", "--side", "left", "--exposures", 3)
     assert ran.status == 0 and "plan: " in ran.err
     found = json.loads(ran.out)
+    assert {tuple(push) for push in found} == {("side", "level", "force_n", "view", "expected_factor")}
     assert all(push["side"] == "left" for push in found)
-    assert {(push["level"], push["force_n"], push["view"], push["radiographs"]) for push in found} == {
+    results = subject / "results"
+    kept = read_json(results / "plan.json")["next"]
+    assert [{name: push[name] for name in found[0]} for push in kept] == found
+    assert {(push["level"], push["force_n"], push["view"], push["radiographs"]) for push in kept} == {
         (rib, force, view, count)
         for rib in (6.0, 8.0)
         for force in (15.0, 30.0)
@@ -38,10 +42,8 @@ def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, 
     assert found[0]["force_n"] == 30.0
     assert {push["level"] for push in found} == {6.0, 8.0}
     factors = [push["expected_factor"] for push in found]
-    assert factors == sorted(factors)
+    assert factors == sorted(factors) != factors[::-1]
     assert factors[0] > 1.0
-    results = subject / "results"
-    assert read_json(results / "plan.json")["next"] == found
     assert is_unchanged(read_subject(subject), "plan")
     assert "results/plan.json" in ALL_STEPS["report"].inputs(open_visit(subject))
     assert cv2.imread(str(results / "plan.png")).shape[1] > 1000
@@ -58,6 +60,15 @@ def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, 
     assert "116 ± 25 N" in ran.out
     ran = spinestiff("plan", subject, "--json", "--limit", 30, "--ribs", "8", "--side", "left", "--views", "frontal")
     assert {push["view"] for push in json.loads(ran.out)} == {"frontal"}
+    # Each plan has a log of its own.
+    logs = sorted((results / "logs").glob("*-plan.jsonl"))
+    assert len(logs) == len(list((results / "logs").iterdir())) == 3
+    first, *between, last = [json.loads(line) for line in logs[-1].read_text(encoding="utf-8").splitlines()]
+    assert (first["command"], first["settings"]["limit_n"], first["settings"]["ribs"]) == ("plan", 30.0, [8.0])
+    events = [(line["event"], line["step"]) for line in between if "event" in line]
+    assert events == [("begin", "plan"), ("end", "plan")]
+    assert any(line["text"] == "plan: comparing" for line in between)
+    assert (last["event"], last["outcome"]) == ("end", "done")
 
 
 def test_a_plan_is_of_the_estimate_and_pushes_that_it_was_made_from(spinestiff, subject):

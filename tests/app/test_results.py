@@ -14,7 +14,7 @@ from spinestiff.study.report.pictures import curve_changes
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.visit import open_visit
 from spinestiff.study.wording import fixed
-from spinestiff.subject.outcomes import Assessment
+from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.run_record import read_outcome
 
 # Verbs that read a result and don't make it, and the step that makes it.

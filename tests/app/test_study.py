@@ -10,7 +10,6 @@ import sys
 
 import pytest
 
-from spinestiff import __version__
 from spinestiff.app.study import live
 from spinestiff.app.volume import Volume, speaking
 from spinestiff.errors import SubjectError
@@ -20,6 +19,7 @@ from spinestiff.study.seven.subject import result_file, settings_digest
 from spinestiff.study.synthetic import truth_path
 from spinestiff.study.visit import Settings
 from spinestiff.subject.lock import sole_run
+from spinestiff.subject.program import program
 from study_outcomes import outcome
 
 SETTINGS = Settings(mesh="coarse")
@@ -29,7 +29,7 @@ SETTINGS = Settings(mesh="coarse")
 def told(tmp_path):
     """A folder with what was found of the first of the seven, without the subject."""
     first = seven()[0]
-    found = outcome(1, version=__version__, settings=settings_digest(first, SETTINGS), mesh="coarse")
+    found = outcome(1, program=program(), settings=settings_digest(first, SETTINGS), mesh="coarse")
     write_json(result_file(tmp_path, first), found.model_dump(mode="json"))
     return tmp_path
 
@@ -107,7 +107,7 @@ def test_what_was_found_with_other_settings_does_not_count(spinestiff, told):
     refused(told / "mistyped", "coarse")
     assert not (told / "mistyped").exists()
     path = result_file(told, seven()[0])
-    write_json(path, {**read_json(path), "version": "0.0.0"})
+    write_json(path, {**read_json(path), "program": "0.0.0"})
     refused(told, "coarse")
 
 

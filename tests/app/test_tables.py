@@ -9,9 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from spinestiff.app import doctor, tables, versions
+from spinestiff import versions
+from spinestiff.app import doctor, tables
 from spinestiff.mechanics.factor import default_backend
-from spinestiff.subject.outcomes import Estimate, FrameProposal, HeldOutFrame, PlainStiffness, RatioEstimate
+from spinestiff.subject.assessment_outcome import HeldOutFrame
+from spinestiff.subject.estimate_outcome import Estimate, PlainStiffness, RatioEstimate
+from spinestiff.subject.outcomes import FrameProposal
 from spinestiff.subject.program import program
 from spinestiff.verification.outcome import Check
 

@@ -10,8 +10,19 @@ import pytest
 
 from spinestiff.anatomy.stiffness import DEFAULT_YOUNG_MPA
 from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.study.seven.paper import SUBJECTS
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
+
+
+def test_every_stored_calibration_is_of_the_papers_seven():
+    columns = ("height_cm", "cobb_deg", "curve", "force_n", "bending", "tissue")
+    table = [{name: getattr(one, name) for name in columns} for one in SUBJECTS]
+    stored = sorted(RESULTS.glob("calibrate_tissue_*.json"))
+    assert len(stored) == 6
+    for path in stored:
+        rows = json.loads(path.read_text(encoding="utf-8"))["subjects"]
+        assert [{name: row[name] for name in columns} for row in rows] == table, path.name
 
 
 def test_the_default_modulus_is_the_calibrated_one_to_two_digits():

@@ -19,7 +19,8 @@ from spinestiff.curves.corner_files import (
     write_corners,
 )
 from spinestiff.errors import SubjectError
-from spinestiff.subject.records import Annotation, read_record
+from spinestiff.subject.annotation_record import Annotation
+from spinestiff.subject.record_reading import read_record
 
 QUAD = np.array([[100.0, 50.0], [140.0, 52.0], [141.0, 78.0], [101.0, 76.0]])
 

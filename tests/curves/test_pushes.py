@@ -14,8 +14,9 @@ from spinestiff.errors import SubjectError
 from spinestiff.study.assessment import change_record
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.visit import open_visit
+from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.folder import read_subject
-from spinestiff.subject.outcomes import Assessment, Responses, Tracked
+from spinestiff.subject.outcomes import Responses, Tracked
 from spinestiff.subject.run_record import read_outcome
 
 

@@ -18,8 +18,8 @@ from spinestiff.study import assessment
 from spinestiff.study.assessment import BASELINES, assess, change_record, extrapolated, single_ratio
 from spinestiff.study.predictions import Model, Solved, predict, predictions_of
 from spinestiff.study.trials import push_set
+from spinestiff.subject.assessment_outcome import Assessment, CobbChangeRecord
 from spinestiff.subject.folder import read_subject
-from spinestiff.subject.outcomes import Assessment, CobbChangeRecord
 from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import read_outcome
 

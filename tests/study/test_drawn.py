@@ -13,7 +13,7 @@ from spinestiff.anatomy.stiffness import NMM_PER_NM
 from spinestiff.errors import SubjectError, TorsoError
 from spinestiff.study.drawn import ESTIMATE, TABLE, check_format, drawn_ratios, export_drawn
 from spinestiff.study.visit import open_visit
-from spinestiff.subject.outcomes import Estimate
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.run_record import read_outcome, write_outcome
 
 

@@ -9,8 +9,8 @@ from spinestiff.estimation.forecast import Forecast
 from spinestiff.estimation.noise import Channels
 from spinestiff.study.forecasts import forecast_record
 from spinestiff.study.wording import forecast_lines
+from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.folder import read_subject
-from spinestiff.subject.outcomes import Assessment
 from spinestiff.subject.run_record import read_outcome
 
 

@@ -16,7 +16,8 @@ from spinestiff.imaging.projection import frontal_view
 from spinestiff.study import frame_selection
 from spinestiff.study.frame_selection import FrameQuality, Motion, propose
 from spinestiff.subject.outcomes import TrackedFrame
-from spinestiff.subject.records import PushRecord, SubjectRecord, read_record
+from spinestiff.subject.record_reading import read_record
+from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.subject.roles import write_roles
 
 GOOD = ImageQuality(1.0, 5.0, 0.0)

@@ -29,7 +29,7 @@ from spinestiff.study.parameters import (
 )
 from spinestiff.study.refits import basis_of
 from spinestiff.study.visit import Settings, open_visit
-from spinestiff.subject.outcomes import Estimate
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.parameters_outcome import GradientRow, ModelScore, ParameterEffect, ParameterStudy
 
 COARSE = Settings(mesh="coarse")

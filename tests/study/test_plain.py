@@ -9,7 +9,7 @@ from spinestiff.anatomy.regions import torso_ratios
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.study.plain import plain_stiffness
-from spinestiff.subject.outcomes import RatioEstimate
+from spinestiff.subject.estimate_outcome import RatioEstimate
 
 
 @pytest.fixture(scope="module")

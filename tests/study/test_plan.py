@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import re
+import weakref
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from spinestiff.errors import EquilibriumError, SubjectError
+from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.files import read_json, write_json
 from spinestiff.imaging.features import view_kind
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.sensitivity import Linearisation
+from spinestiff.parallel import threads
 from spinestiff.study import plan as planning
 from spinestiff.study.plan import Frame, Wish, make_plan
 from spinestiff.study.plan_scene import places_of_draws, population_places, read_draws, scene_of
@@ -19,7 +23,7 @@ from spinestiff.study.plan_words import now_of, pays, plan_lines, size_of
 from spinestiff.study.report.protocol import protocol_page
 from spinestiff.study.runner import run_steps
 from spinestiff.study.visit import Settings, open_visit
-from spinestiff.subject.outcomes import Estimate
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.run_record import read_outcome
 
 SMALL = Wish(limit_n=30.0, exposures=5, sides=("left", "right"), ribs=(6.0, 8.0))
@@ -49,6 +53,23 @@ def test_single_pushes_come_best_first_and_all_of_them_narrow(plan) -> None:
         assert push.radiographs == (2 if push.view == "frontal" else 4)
         same = [one for one in plan.next if one.expected_factor == push.expected_factor]
         assert [one.radiographs for one in same] == sorted(one.radiographs for one in same)
+
+
+def test_a_plan_holds_a_tangent_a_thread_and_is_that_of_all_at_once(scene, plan, monkeypatch) -> None:
+    alive, most = weakref.WeakSet(), [0]
+    begin = Linearisation.__init__
+
+    def counted(self, *args, **kwargs):
+        begin(self, *args, **kwargs)
+        alive.add(self)
+        most[0] = max(most[0], len(alive))
+
+    monkeypatch.setattr(Linearisation, "__init__", counted)
+    assert make_plan(scene, SMALL) == plan
+    assert 1 <= most[0] <= threads()
+    monkeypatch.setattr(planning, "_OneByOne", lambda *trials: TrialSet(*trials, None))
+    assert make_plan(scene, SMALL) == plan
+    assert most[0] >= 8
 
 
 def test_a_frontal_radiograph_is_worth_the_same_whether_or_not_lateral_ones_are_compared(scene, plan) -> None:

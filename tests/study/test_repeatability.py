@@ -9,17 +9,11 @@ import pytest
 
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
-from spinestiff.study.repeatability import (
-    VisitEstimate,
-    VisitRatio,
-    estimate_of,
-    repeatability,
-    repeatability_lines,
-)
+from spinestiff.study.repeatability import VisitEstimate, VisitRatio, estimate_of, repeatability, repeatability_lines
 from spinestiff.study.report.figures import as_png
 from spinestiff.study.report.repeat_picture import draw_repeatability
 from spinestiff.study.visit import open_visit
-from spinestiff.subject.outcomes import Estimate
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.run_record import read_outcome
 
 

@@ -25,16 +25,10 @@ from spinestiff.study.sensitivity import (
     weighed_cases,
     with_force,
 )
-from spinestiff.study.sensitivity_words import (
-    force_lines,
-    force_rows,
-    sensitivity_lines,
-    table_7_average,
-    tornado_rows,
-)
+from spinestiff.study.sensitivity_words import force_lines, force_rows, sensitivity_lines, table_7_average, tornado_rows
 from spinestiff.study.visit import Settings, open_visit, pushes_on
 from spinestiff.study.wording import fixed
-from spinestiff.subject.outcomes import Estimate
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.sensitivity_outcome import Refit, Sensitivity
 
 COARSE = Settings(mesh="coarse")
@@ -245,6 +239,24 @@ def test_refits_of_another_estimate_are_not_gone_on_with(visit) -> None:
     altered(visit.subject.folder, Estimate, lambda content: content.update(notes=["made again"]))
     with pytest.raises(KeyboardInterrupt):
         sensitivity_study(open_visit(visit.subject.folder, COARSE), say, lambda basis: cases)
+    assert len(made) == 2
+
+
+def test_refits_by_other_sources_of_the_same_version_are_not_gone_on_with(visit, monkeypatch) -> None:
+    made = []
+
+    def stopped(start):
+        raise KeyboardInterrupt
+
+    def fit(start):
+        made.append(1)
+        return {"tissue": 0.05}
+
+    cases = [Case("weighed", "nothing", "", fit, {}), Case("weighed", "force", "+10 %", stopped, {})]
+    for sources in ("these", "these", "others"):
+        monkeypatch.setattr("spinestiff.study.sensitivity.program", lambda sources=sources: f"0.1.0+{sources}")
+        with pytest.raises(KeyboardInterrupt):
+            sensitivity_study(visit, say, lambda basis: cases)
     assert len(made) == 2
 
 

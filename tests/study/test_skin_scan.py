@@ -14,7 +14,7 @@ from spinestiff.personalise.skin_surface import skin_surface
 from spinestiff.study.runner import run_steps
 from spinestiff.study.visit import Settings, open_visit
 from spinestiff.subject.folder import read_subject
-from spinestiff.subject.outcomes import GeometryRecord
+from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.run_record import read_outcome
 
 AXES = {"left": "+x", "up": "+z", "front": "-y"}

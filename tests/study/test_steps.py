@@ -28,14 +28,10 @@ from spinestiff.study.steps import assess_step, stored_predictions, usual_ratios
 from spinestiff.study.truth import read_truth
 from spinestiff.study.visit import Settings, load_pushes, open_visit
 from spinestiff.study.wording import held_lines
-from spinestiff.subject.outcomes import (
-    Assessment,
-    Comparison,
-    Estimate,
-    GeometryRecord,
-    RatioEstimate,
-    Tracked,
-)
+from spinestiff.subject.assessment_outcome import Assessment, Comparison
+from spinestiff.subject.estimate_outcome import Estimate, RatioEstimate
+from spinestiff.subject.geometry_outcome import GeometryRecord
+from spinestiff.subject.outcomes import Tracked
 from spinestiff.subject.run_record import read_outcome
 
 

@@ -23,21 +23,14 @@ from spinestiff.personalise.markers import place_markers
 from spinestiff.personalise.pose import align_view
 from spinestiff.study import synthetic
 from spinestiff.study.elastic_supports import SyntheticSupports
+from spinestiff.study.recipe import Recipe, SyntheticPush
 from spinestiff.study.steps import followed_view, marked_pedicles, side_views
 from spinestiff.study.stiffening import Stiffening
-from spinestiff.study.synthetic import (
-    BENDING_RANGE,
-    TISSUE_RANGE,
-    Recipe,
-    SyntheticPush,
-    made_by,
-    subject_torso,
-    synthesise,
-    truth_path,
-)
+from spinestiff.study.synthetic import BENDING_RANGE, TISSUE_RANGE, made_by, subject_torso, synthesise, truth_path
+from spinestiff.study.synthetic_markers import spread_markers
+from spinestiff.subject.annotation_record import ImageAnnotation
 from spinestiff.subject.folder import image_corners, image_supports, read_push, read_rest, read_subject, read_view
 from spinestiff.subject.marker_table import read_markers
-from spinestiff.subject.records import ImageAnnotation
 
 PUSH = SyntheticPush("main", 8.0, (0.0, 1.0), ("unused", "training"))
 
@@ -304,7 +297,7 @@ def test_markers_that_are_too_few_or_find_no_room_are_refused(tiny):
         replace(tiny, markers=2)
     torso = subject_torso(tiny)
     with pytest.raises(SubjectError, match="this torso's front and flanks have room for"):
-        synthetic.spread_markers(torso, 100_000, np.zeros((1, 3)))
+        spread_markers(torso, 100_000, np.zeros((1, 3)))
 
 
 def test_the_same_seed_gives_the_same_bytes(twins):

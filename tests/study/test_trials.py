@@ -26,7 +26,7 @@ from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.push import Rig, push_problem
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.pose import posed
-from spinestiff.study.synthetic import spread_markers
+from spinestiff.study.synthetic_markers import spread_markers
 from spinestiff.study.trials import Known, fit_pushes, known_of, push_set, rig_of, seen_beside
 from spinestiff.subject.outcome_parts import ViewRecord
 from spinestiff.subject.outcomes import MarkedPedicles, MarkerTracks, Measured, SidePicture, SideView, TrackedPush

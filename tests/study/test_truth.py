@@ -10,7 +10,8 @@ from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
 from spinestiff.study.truth import compare_with_truth, known_comparison, read_truth, true_values
 from spinestiff.study.visit import load_pushes, open_visit
-from spinestiff.subject.outcomes import Comparison, Estimate
+from spinestiff.subject.assessment_outcome import Comparison
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.run_record import read_outcome
 
 

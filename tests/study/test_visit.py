@@ -12,7 +12,8 @@ from spinestiff.files import read_json, write_json
 from spinestiff.study.predictions import Model
 from spinestiff.study.steps import estimated_model
 from spinestiff.study.visit import Settings, load_pushes, open_visit
-from spinestiff.subject.outcomes import Estimate, Tracked
+from spinestiff.subject.estimate_outcome import Estimate
+from spinestiff.subject.outcomes import Tracked
 from spinestiff.subject.run_record import read_outcome
 
 

@@ -27,21 +27,17 @@ from spinestiff.study.wording import (
     span_in_words,
     uncertainty_lines,
 )
-from spinestiff.subject.folder import read_subject
-from spinestiff.subject.outcome_parts import Quantity
-from spinestiff.subject.outcomes import (
-    AngleResponse,
+from spinestiff.subject.estimate_outcome import (
     BudgetRecord,
     CombinationRecord,
     Estimate,
-    Flexibility,
-    ForcePerDegree,
     PlainStiffness,
-    PushResponse,
     RatioEstimate,
-    Responses,
     SupportPlaceRecord,
 )
+from spinestiff.subject.folder import read_subject
+from spinestiff.subject.outcome_parts import Quantity
+from spinestiff.subject.outcomes import AngleResponse, Flexibility, ForcePerDegree, PushResponse, Responses
 from spinestiff.subject.run_record import read_outcome
 
 

@@ -16,6 +16,7 @@ from spinestiff.errors import SubjectError, TorsoError
 from spinestiff.imaging.projection import frontal_view, lateral_view, placed_view
 from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.study.steps import subject_template
+from spinestiff.subject.annotation_record import Annotation, ImageAnnotation
 from spinestiff.subject.folder import (
     check_frames,
     image_corners,
@@ -29,7 +30,7 @@ from spinestiff.subject.folder import (
     write_annotation,
     write_subject,
 )
-from spinestiff.subject.records import Annotation, ImageAnnotation, SubjectRecord
+from spinestiff.subject.records import SubjectRecord
 
 DOCUMENT = (Path(__file__).parents[2] / "docs/subject-folder.md").read_text(encoding="utf-8")
 SUBJECT, ANNOTATION = (json.loads(block) for block in re.findall(r"```json\n(.*?)```", DOCUMENT, re.S))

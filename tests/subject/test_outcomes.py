@@ -16,23 +16,15 @@ from spinestiff.errors import SpinestiffError
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.tracking import SupportMotion
-from spinestiff.subject import outcomes
+from spinestiff.subject import assessment_outcome, estimate_outcome, geometry_outcome, outcomes
+from spinestiff.subject.annotation_record import Annotation
+from spinestiff.subject.assessment_outcome import Assessment, Comparison
+from spinestiff.subject.estimate_outcome import Check, Estimate, RatioEstimate
 from spinestiff.subject.folder import Subject
+from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.outcome_parts import OutcomeFile, Quantity, ViewRecord, finite, nested
-from spinestiff.subject.outcomes import (
-    Assessment,
-    Check,
-    Comparison,
-    Estimate,
-    FrameProposals,
-    GeometryRecord,
-    Measured,
-    RatioEstimate,
-    Responses,
-    Tracked,
-    TrackedPush,
-)
-from spinestiff.subject.records import Annotation, SubjectRecord
+from spinestiff.subject.outcomes import FrameProposals, Measured, Responses, Tracked, TrackedPush
+from spinestiff.subject.records import SubjectRecord
 from spinestiff.subject.run_record import read_outcome, write_outcome
 
 PUSH = {"id": "a", "side": "right", "level": 8, "d21_mm": 400, "d31_mm": 200, "frames": "a.dcm", "forces_n": [0, 20]}
@@ -162,7 +154,8 @@ def examples():
 def test_there_is_an_example_of_every_result():
     kinds = {
         kind
-        for _, kind in inspect.getmembers(outcomes, inspect.isclass)
+        for module in (outcomes, geometry_outcome, estimate_outcome, assessment_outcome)
+        for _, kind in inspect.getmembers(module, inspect.isclass)
         if issubclass(kind, OutcomeFile) and kind is not OutcomeFile
     }
     assert {type(example) for example in examples()} == kinds

@@ -9,9 +9,11 @@ import pytest
 from results import altered, register
 from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.files import read_json, write_json
+from spinestiff.subject.annotation_record import Annotation
+from spinestiff.subject.assessment_outcome import Comparison
 from spinestiff.subject.folder import Subject, read_subject
-from spinestiff.subject.outcomes import Comparison, FrameProposals, Tracked
-from spinestiff.subject.records import Annotation, SubjectRecord
+from spinestiff.subject.outcomes import FrameProposals, Tracked
+from spinestiff.subject.records import SubjectRecord
 from spinestiff.subject.run_record import (
     PARTS,
     StepRecord,

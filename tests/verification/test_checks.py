@@ -10,7 +10,7 @@ import pytest
 
 from spinestiff.anatomy.points import rotation_second_derivative
 from spinestiff.mechanics import joints, potential, tissue
-from spinestiff.verification import checks, derivatives, energies, equilibria, solutions, whole
+from spinestiff.verification import checks, derivatives, energies, solutions, solving, whole
 from spinestiff.verification.outcome import GOLD, INDEPENDENT, Check, compared, counted, judged, summary, vanishing
 
 
@@ -147,7 +147,7 @@ def test_checks_catch_a_missing_rotation_term_of_tied_nodes(monkeypatch):
 
     monkeypatch.setattr(tissue, "rotation_second_derivative", zero)
     assert any("Hessian" in name for name in _failed(energies.tissue_derivatives))
-    assert any("order" in name for name in _failed(equilibria.newton))
+    assert any("order" in name for name in _failed(solving.newton))
 
 
 def test_checks_catch_a_force_without_the_volume_part(monkeypatch):

@@ -12,8 +12,8 @@ from chromium import Tab, browser
 from hospital import disc
 from spinestiff.annotate.draft import DraftImage
 from spinestiff.files import read_json
+from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.folder import write_annotation
-from spinestiff.subject.records import Annotation
 from unannotated import CANARY, drawn
 
 pytestmark = pytest.mark.skipif(

@@ -18,8 +18,8 @@ import pytest
 from hospital import disc, export, gauged
 from spinestiff.annotate.draft import DraftImage
 from spinestiff.files import read_json
+from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.folder import read_subject, read_unannotated, write_annotation
-from spinestiff.subject.records import Annotation
 from spinestiff.workbench.job_process import start_job
 from spinestiff.workbench.job_table import LOST_S, JobTable
 from spinestiff.workbench.rooms import open_root

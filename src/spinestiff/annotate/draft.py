@@ -12,7 +12,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from spinestiff.errors import SubjectError
 from spinestiff.files import parse_json, read_text
-from spinestiff.subject.records import ImageAnnotation, Point, VertebraName, complaint_of
+from spinestiff.subject.annotation_record import ImageAnnotation
+from spinestiff.subject.record_reading import complaint_of
+from spinestiff.subject.records import Point, VertebraName
 
 DRAFT_FILE = "annotation.draft.json"
 MOST_POINTS = 50

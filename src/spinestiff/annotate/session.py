@@ -24,6 +24,7 @@ from spinestiff.imaging.features import picture_axes, view_kind
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.proposal import leans_of
 from spinestiff.imaging.radiograph import Radiograph
+from spinestiff.subject.annotation_record import FEWEST_VERTEBRAE, FURTHER_VIEW, Annotation, ImageAnnotation
 from spinestiff.subject.folder import (
     Subject,
     annotatable,
@@ -37,18 +38,8 @@ from spinestiff.subject.folder import (
     read_view,
     write_annotation,
 )
-from spinestiff.subject.records import (
-    ANNOTATION_FILE,
-    FEWEST_VERTEBRAE,
-    FURTHER_VIEW,
-    LATERAL,
-    REST_IMAGES,
-    SCHEMA_VERSION,
-    SUBJECT_FILE,
-    Annotation,
-    ImageAnnotation,
-    complaint_of,
-)
+from spinestiff.subject.record_reading import complaint_of
+from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE
 from spinestiff.words import counted
 
 # Images whose frames stay in memory; a push of 1024 x 1024 has a few megabytes a frame.

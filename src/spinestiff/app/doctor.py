@@ -9,7 +9,7 @@ from typing import Any
 from rich.table import Table
 
 from spinestiff.app import tables
-from spinestiff.app.versions import EXTRAS, LIBRARIES, installed
+from spinestiff.versions import EXTRAS, LIBRARIES, installed
 
 
 def examine() -> dict[str, Any]:

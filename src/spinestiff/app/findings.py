@@ -22,7 +22,7 @@ def print_estimate(visit: Any) -> None:
     """The estimate, with what makes it doubtful before and what it rests on after it."""
     from spinestiff.app import tables
     from spinestiff.study.wording import headline, held_lines, uncertainty_lines
-    from spinestiff.subject.outcomes import Estimate
+    from spinestiff.subject.estimate_outcome import Estimate
     from spinestiff.subject.run_record import read_outcome
 
     estimate = read_outcome(visit.subject, Estimate)
@@ -46,7 +46,7 @@ def print_assessment(visit: Any) -> None:
     """The held-out frames, and the truth where it is given."""
     from spinestiff.app import tables
     from spinestiff.study.wording import forecast_lines
-    from spinestiff.subject.outcomes import Assessment, Comparison
+    from spinestiff.subject.assessment_outcome import Assessment, Comparison
     from spinestiff.subject.run_record import read_outcome
 
     assessment = read_outcome(visit.subject, Assessment)
@@ -77,7 +77,7 @@ def show_json(record: dict[str, Any]) -> None:
 
 def estimate_record(visit: Any) -> dict[str, Any]:
     """The estimate as JSON, as ``results/estimate.json`` has it."""
-    from spinestiff.subject.outcomes import Estimate
+    from spinestiff.subject.estimate_outcome import Estimate
     from spinestiff.subject.run_record import read_outcome
 
     found: dict[str, Any] = read_outcome(visit.subject, Estimate).model_dump(mode="json")
@@ -86,7 +86,7 @@ def estimate_record(visit: Any) -> dict[str, Any]:
 
 def assessment_record(visit: Any) -> dict[str, Any]:
     """The held-out frames as JSON, as ``results/assessment.json`` has them, with the comparison with a truth."""
-    from spinestiff.subject.outcomes import Assessment, Comparison
+    from spinestiff.subject.assessment_outcome import Assessment, Comparison
     from spinestiff.subject.run_record import read_outcome
 
     found: dict[str, Any] = read_outcome(visit.subject, Assessment).model_dump(mode="json")

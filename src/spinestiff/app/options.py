@@ -1,4 +1,4 @@
-"""Numbers given as options: refused where they are read, before a command does anything."""
+"""Values of options: numbers, refused where they are read before a command does anything; words that a shell offers."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def cobb_limits() -> tuple[float, float]:
 
 def force_limits() -> tuple[float, float]:
     """N, of a synthetic push."""
-    from spinestiff.study.synthetic import LARGEST_FORCE_N
+    from spinestiff.study.recipe import LARGEST_FORCE_N
 
     return 0.0, LARGEST_FORCE_N
 
@@ -133,6 +133,18 @@ def push_limits() -> tuple[float, float]:
 def dose_limits() -> tuple[float, float]:
     """In any unit of dose."""
     return 0.0, 1e6
+
+
+def offering(*words: str) -> Callable[[str], list[str]]:
+    """What a shell offers as the value of an option (``autocompletion``): of these words those that go on so.
+
+    They are all that there are; the words are written out, so that a shell need not wait for heavy imports.
+    """
+
+    def offered(incomplete: str) -> list[str]:
+        return [word for word in words if word.startswith(incomplete)]
+
+    return offered
 
 
 def one_of(option: str, value: str | None, *words: str) -> None:

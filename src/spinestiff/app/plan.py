@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import asdict
+from typing import Any
 
 from spinestiff.app import tables
 from spinestiff.errors import OptionError
 from spinestiff.files import write_bytes, write_text
-from spinestiff.observer import Observer
+from spinestiff.observer import Observer, heard
 from spinestiff.study.plan import RIBS, ROUNDING, SIDES, VIEWS, Frame, Wish, make_plan
 from spinestiff.study.plan_scene import scene_of
 from spinestiff.study.plan_words import VIEW_WORDS, plan_lines, push_words, size_of, width
-from spinestiff.study.runner import ALL_STEPS, PUSHES, run_steps
+from spinestiff.study.runner import ALL_STEPS, PUSHES, logged_step, run_steps
 from spinestiff.study.visit import Visit
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.run_record import record_step, recorded_steps, step_record, write_outcome
@@ -19,6 +21,7 @@ from spinestiff.subject.run_record import record_step, recorded_steps, step_reco
 TARGETS = ("bending", "tissue", "rotation", "cobb")
 MOST_EXPOSURES = 40
 SHOWN = 6  # single pushes in the table
+_log = logging.getLogger(__name__)
 
 
 def wish_of(
@@ -97,7 +100,7 @@ def _frame(text: str, largest: float) -> Frame:
     return Frame(side, rib, force)  # type: ignore[arg-type]
 
 
-def plan_next(visit: Visit, wish: Wish, say: Observer) -> Plan:
+def plan_next(visit: Visit, wish: Wish, observer: Observer | None) -> Plan:
     """Plan, and write ``plan.json``, ``plan.png`` and ``protocol.html`` into ``results/``.
 
     The torso is shaped first if it has not been.
@@ -106,13 +109,20 @@ def plan_next(visit: Visit, wish: Wish, say: Observer) -> Plan:
     ------
     SpinestiffError : see ``study.plan.make_plan`` and ``study.plan_scene.scene_of``; or something can't be written.
     """
+    if "personalise" not in recorded_steps(visit.subject):
+        run_steps(visit, ("personalise",), observer)
+    say = heard(observer, _log)
+    with logged_step(Plan.STEP):
+        plan = make_plan(scene_of(visit), wish, lambda line: say(f"{Plan.STEP}: {line}"))
+        _write(visit, plan, wish)
+    return plan
+
+
+def _write(visit: Visit, plan: Plan, wish: Wish) -> None:
     from spinestiff.study.report.figures import as_png
     from spinestiff.study.report.plan_picture import draw_plan
     from spinestiff.study.report.protocol import protocol_page
 
-    if "personalise" not in recorded_steps(visit.subject):
-        run_steps(visit, ("personalise",), say)
-    plan = make_plan(scene_of(visit), wish, lambda line: say(f"plan: {line}"))
     picture, sheet = as_png(draw_plan(plan)), protocol_page(plan, visit.subject.record.id)
     subject = visit.subject
     # Where an estimate is there, what it was made from and what it made; before any push what shapes the torso, and
@@ -124,7 +134,12 @@ def plan_next(visit: Visit, wish: Wish, say: Observer) -> Plan:
     record_step(subject, Plan.STEP, record, [visit.file(Plan.FILE)])
     write_bytes(visit.file("plan.png"), picture)
     write_text(visit.file("protocol.html"), sheet)
-    return plan
+
+
+def plan_record(plan: Plan) -> list[dict[str, Any]]:
+    """Single pushes, best first, for programs; ``plan.json`` holds more of each."""
+    size = "expected_deg" if plan.target == "cobb" else "expected_factor"
+    return [{name: getattr(push, name) for name in ("side", "level", "force_n", "view", size)} for push in plan.next]
 
 
 def show_plan(plan: Plan, visit: Visit) -> None:

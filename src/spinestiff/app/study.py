@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from spinestiff.app.commands.common import common
+from spinestiff.app.options import offering
 from spinestiff.app.progress import LONGEST_SILENCE_S, beating
 from spinestiff.app.volume import volume
 
@@ -34,7 +35,12 @@ def seven(
     others: Annotated[
         bool, typer.Option("--others", help="Thirty others, drawn from the ranges of the seven, in place of the seven.")
     ] = False,
-    mesh: Annotated[str, typer.Option(help="Mesh of the estimates: fine, or coarse, a quick look.")] = "fine",
+    mesh: Annotated[
+        str,
+        typer.Option(
+            help="Mesh of the estimates: fine, or coarse, a quick look.", autocompletion=offering("fine", "coarse")
+        ),
+    ] = "fine",
     workers: Annotated[
         int | None, typer.Option(min=1, max=256, help="Subjects at a time; default a processor each.")
     ] = None,
@@ -81,8 +87,8 @@ def seven(
     there = further if others else [found for found in first if found is not None]
     if page_only and not further and not any(first):
         raise SubjectError(
-            f"{folder}: has no outcome of a study with --mesh {mesh} by this version; wanted the folder of a run of "
-            "spinestiff study seven, nothing was written"
+            f"{folder}: has no outcome of a study with --mesh {mesh} by this version and these sources; wanted the "
+            "folder of a run of spinestiff study seven, nothing was written"
         )
     written = write_page(folder, place, first, further, settings)
     if json:

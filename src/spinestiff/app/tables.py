@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from spinestiff.study.repeatability import Repeatability
     from spinestiff.study.seven.goals import Goal
     from spinestiff.study.seven.tables import PaperTable
-    from spinestiff.subject.outcomes import Estimate, FrameProposal, HeldOutFrame
+    from spinestiff.subject.assessment_outcome import HeldOutFrame
+    from spinestiff.subject.estimate_outcome import Estimate
+    from spinestiff.subject.outcomes import FrameProposal
     from spinestiff.verification.outcome import Check
 
 WIDTH = 80

@@ -15,6 +15,7 @@ from spinestiff.app.options import (
     kyphosis_limits,
     lordosis_limits,
     mass_limits,
+    offering,
     own_height_limits,
     spacing_limits,
     within,
@@ -37,7 +38,10 @@ Height = Annotated[
 Age = Annotated[
     float | None, typer.Option(callback=within("years", age_limits), help="Age of the template, years, 8 to 100.")
 ]
-Sex = Annotated[str | None, typer.Option(help="Sex of the template: female or male.")]
+Sex = Annotated[
+    str | None,
+    typer.Option(help="Sex of the template: female or male.", autocompletion=offering("female", "male")),
+]
 Mass = Annotated[float | None, typer.Option(callback=within("kg", mass_limits), help="Body mass of the template, kg.")]
 Kyphosis = Annotated[
     float | None,
@@ -51,7 +55,10 @@ Lordosis = Annotated[
         callback=within("degrees", lordosis_limits), help="Lordosis L1 to S1 of the template, degrees, 35 to 60."
     ),
 ]
-TemplateMesh = Annotated[str | None, typer.Option("--mesh", help="Mesh of the template: coarse or fine.")]
+TemplateMesh = Annotated[
+    str | None,
+    typer.Option("--mesh", help="Mesh of the template: coarse or fine.", autocompletion=offering("coarse", "fine")),
+]
 
 
 @torso.command("import")
@@ -60,7 +67,9 @@ def import_(
     folder: Annotated[Path, typer.Argument(help="Bone meshes: STL, OBJ, PLY, VTP.")],
     out: Annotated[Path, typer.Option(help="New folder for torso.npz, torso.json and torso.png.")],
     mapping: Annotated[Path | None, typer.Option(help="Which file is which bone (docs/your-own-anatomy.md).")] = None,
-    unit: Annotated[str | None, typer.Option(help="mm, cm or m; found if left out.")] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="mm, cm or m; found if left out.", autocompletion=offering("mm", "cm", "m"))
+    ] = None,
     axes: Annotated[
         str | None, typer.Option(help="Where the files' x, y, z point, e.g. LPS; found if left out.")
     ] = None,
@@ -105,7 +114,14 @@ def import_(
 @common
 def export(
     file: TorsoFile = None,
-    kind: Annotated[str, typer.Option("--format", help="vtu, glb, osim, mjcf, feb or mrk.")] = "vtu",
+    kind: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            help="vtu, glb, osim, mjcf, feb or mrk.",
+            autocompletion=offering("vtu", "glb", "osim", "mjcf", "feb", "mrk"),
+        ),
+    ] = "vtu",
     out: Annotated[
         Path | None, typer.Option(help="The file to write; torso with the format's ending if left out.")
     ] = None,

@@ -9,8 +9,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 
-LOGGER = "spinestiff"
-"""Of the whole package."""
+from spinestiff.observer import LOGGER
 
 
 @dataclass(frozen=True)

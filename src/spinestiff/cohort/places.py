@@ -1,7 +1,8 @@
 """Where things lie in a cohort's folders: inputs and outputs of a participant, and the files of the cohort itself.
 
 ``OUT/<participant>/`` holds ``results`` (published whole, with the marker ``done.json`` inside), ``work`` (the private
-folder of a run, there only until its results are published), ``last.json`` and ``log.txt`` (how the last run went) and
+folder of a run, there only until its results are published), ``logs`` (a log of each run in which a step ran; beside
+the results, since the same inputs give the same results), ``last.json`` and ``log.txt`` (how the last run went) and
 ``aside-<n>`` (what was found in the place of results and is none).
 """
 
@@ -16,6 +17,7 @@ from spinestiff.files import file_digest, regular_files
 RESULTS = "results"
 DONE_FILE = "done.json"
 ROW_FILE = "row.json"
+LOGS = "logs"
 LOCK_FILE = "cohort.lock"
 LEDGER_FILE = "ledger.sqlite"
 CACHE = "cohort.cache"
@@ -65,6 +67,11 @@ class Place:
     def last(self) -> Path:
         """How the last run went."""
         return self.target / "last.json"
+
+    @property
+    def logs(self) -> Path:
+        """The folder of the runs' logs."""
+        return self.target / LOGS
 
     @property
     def log(self) -> Path:

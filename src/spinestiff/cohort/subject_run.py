@@ -9,15 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from spinestiff.cohort.places import ROW_FILE
+from spinestiff.cohort.places import LOGS, ROW_FILE
 from spinestiff.cohort.row import CurveKind, HeldOut, Row, Stiffness, write_row
 from spinestiff.curves.cobb import REGIONS
 from spinestiff.curves.pushes import rest_reading
 from spinestiff.observer import Observer
+from spinestiff.run_log import run_log
 from spinestiff.study.runner import STEPS, run_steps
 from spinestiff.study.visit import Settings, Visit, open_visit
+from spinestiff.subject.assessment_outcome import Assessment, HeldOutFrame
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcome_parts import Quantity
-from spinestiff.subject.outcomes import Assessment, Estimate, HeldOutFrame
 from spinestiff.subject.run_record import read_outcome
 
 RUNNER = f"{__name__}:run_subject"
@@ -34,17 +36,23 @@ def settings_of(asked: dict[str, Any]) -> Settings:
 
 
 def run_subject(folder: Path, participant: str, settings: dict[str, Any], say: Observer) -> None:
-    """All steps of one subject folder; those that are up to date are left out.
+    """All steps of one subject folder; those that are up to date are left out, the others are logged.
+
+    Parameters
+    ----------
+    folder : the private one, ``Place.work``; the log goes to ``Place.logs``.
 
     Raises
     ------
     SpinestiffError : the first step that fails.
     """
     visit = open_visit(folder, settings_of(settings))
-    for warning in visit.subject.warnings:
-        say(f"warning: {warning}")
-    run_steps(visit, STEPS, say)
-    write_row(visit.file(ROW_FILE), row_of(visit, participant))
+    asked = visit.settings.as_record()
+    with run_log(visit.subject, "cohort", asked, folder=folder.parent / LOGS, names=(participant,)):
+        for warning in visit.subject.warnings:
+            say(f"warning: {warning}")
+        run_steps(visit, STEPS, say)
+        write_row(visit.file(ROW_FILE), row_of(visit, participant))
 
 
 def row_of(visit: Visit, participant: str) -> Row:

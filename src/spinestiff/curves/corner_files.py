@@ -22,7 +22,9 @@ from spinestiff.arrays import Floats, read_only
 from spinestiff.curves import corner_csv, corner_markups
 from spinestiff.errors import SubjectError
 from spinestiff.files import parse_json, read_text, write_json, write_text
-from spinestiff.subject.records import ANNOTATION_FILE, FURTHER_VIEW, LATERAL, SCHEMA_VERSION, Annotation, complaint_of
+from spinestiff.subject.annotation_record import FURTHER_VIEW, Annotation
+from spinestiff.subject.record_reading import complaint_of
+from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, SCHEMA_VERSION
 
 CORNERS = ("top_left", "top_right", "bottom_right", "bottom_left")
 MARKUPS_SUFFIX = ".mrk.json"

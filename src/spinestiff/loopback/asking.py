@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from spinestiff.errors import ChangedElsewhere, InUseError, NotThere, SpinestiffError, SubjectError
 from spinestiff.files import parse_json
-from spinestiff.subject.records import complaint_of
+from spinestiff.subject.record_reading import complaint_of
 
 
 class Sent(BaseModel):

@@ -16,7 +16,7 @@ from spinestiff.imaging.features import rmse, target_features
 from spinestiff.study.forecasts import forecast_record
 from spinestiff.study.predictions import Model, Prediction, Predictions
 from spinestiff.study.trials import PushSet, PushTrial, fit_from_coarse
-from spinestiff.subject.outcomes import CobbChangeRecord, HeldOutFrame
+from spinestiff.subject.assessment_outcome import CobbChangeRecord, HeldOutFrame
 
 BASELINES = ("rest", "default", "fit", "forecast", "fitted_supports", "extrapolation", "single_ratio", "truth")
 COBB_MODELS = ("default", "fit", "truth")

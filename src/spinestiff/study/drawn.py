@@ -19,7 +19,7 @@ from spinestiff.observer import Observer
 from spinestiff.study.plain import plain_stiffness
 from spinestiff.study.plan_scene import read_draws
 from spinestiff.study.visit import Visit
-from spinestiff.subject.outcomes import Estimate
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.run_record import read_outcome, refuse_changed, result_path
 from spinestiff.words import counted
 

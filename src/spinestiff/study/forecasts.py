@@ -11,7 +11,7 @@ from spinestiff.estimation.fit import forecast_unseen
 from spinestiff.estimation.forecast import Forecast
 from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.trials import PushSet, PushTrial
-from spinestiff.subject.outcomes import ForecastRecord
+from spinestiff.subject.assessment_outcome import ForecastRecord
 
 
 def forecasts(

@@ -25,7 +25,7 @@ from spinestiff.personalise.shape import Personalised
 from spinestiff.study.frame_selection import SAME_FORCE
 from spinestiff.study.misfit import Explanation, Spines, explanations, motion, moved, rms, spines, strays
 from spinestiff.study.trials import PushSet, PushTrial
-from spinestiff.subject.outcomes import Check
+from spinestiff.subject.estimate_outcome import Check
 from spinestiff.subject.records import PushRecord, SubjectRecord
 
 # Corners set aside of a vertebra's four that make it a wrong vertebra rather than a wrong corner.

@@ -38,7 +38,7 @@ from spinestiff.study.judgement import LIMITS
 from spinestiff.study.refits import converged
 from spinestiff.study.wording import HALF_WIDTH_95, fixed, number
 from spinestiff.subject.phantom_record import CORNERS_FILE, PHANTOM_FILE, FrameRecord, JointRecord, PhantomRecord
-from spinestiff.subject.records import read_record
+from spinestiff.subject.record_reading import read_record
 
 PAGE = "docs/bench-phantom.md"
 BENCH = Priors(

@@ -10,8 +10,8 @@ from spinestiff.anatomy.stiffness import NMM_PER_NM, ParameterGroup, StiffnessRa
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.study.wording import HALF_WIDTH_95
+from spinestiff.subject.estimate_outcome import PlainStiffness, RatioEstimate
 from spinestiff.subject.outcome_parts import Quantity
-from spinestiff.subject.outcomes import PlainStiffness, RatioEstimate
 
 
 def plain_stiffness(

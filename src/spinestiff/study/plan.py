@@ -20,23 +20,25 @@ from scipy.stats import norm
 
 from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.anatomy.stiffness import RATIO_BOUNDS, StiffnessRatios
+from spinestiff.anatomy.stiffness import RATIO_BOUNDS, ParameterGroup, StiffnessRatios
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.estimation.design import Design, better_known, design_at
-from spinestiff.estimation.evaluation import TrialSet
+from spinestiff.estimation.evaluation import Evaluation, Slope, TrialSet
 from spinestiff.estimation.objective import Picture, Trial
 from spinestiff.estimation.profiles import CONFIDENCE, WIDTH_FACTOR
 from spinestiff.estimation.ratio_priors import ratio_prior
+from spinestiff.estimation.unknowns import ACTS
 from spinestiff.estimation.weighed import WeighedProblem
-from spinestiff.imaging.features import Features, VertebraCorners, silhouette_shares, state_features
+from spinestiff.imaging.features import Features, Orientation, VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load
 from spinestiff.mechanics.push import PushSite, push_load, push_problem
 from spinestiff.observer import Observer
+from spinestiff.parallel import in_parallel
 from spinestiff.study.plan_scene import Scene
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlannedView, PlanStep, Target
 from spinestiff.words import counted
@@ -320,7 +322,7 @@ class _Widths:
         loaded += [] if carried.predicted is None else [carried.predicted]
         still = [*carried.known_still, *carried.still]
         seen_as = "procrustes" if scene.taken is None else scene.taken.orientation
-        trials = TrialSet([p for p, _ in loaded], [trial for _, trial in loaded], carried.groups, seen_as, None)
+        trials = _OneByOne([p for p, _ in loaded], [trial for _, trial in loaded], carried.groups, seen_as)
         known = scene.known
         held = ratio_prior(carried.groups, scene.torso.joints.kinds, known.priors.level_smoothness, scene.population)
         problem = WeighedProblem(trials, still, seen_as, known.priors, known.geometry, known.taped, held)
@@ -375,8 +377,67 @@ class _Widths:
         return width.degrees
 
 
+class _OneByOne(TrialSet):
+    """Trials whose tangents are let go one by one: each holds a factor, 30 MB on the coarse mesh, and there are dozens.
+
+    First order comes with the equilibria, and without tangents.
+    """
+
+    def __init__(
+        self,
+        problems: Sequence[EquilibriumProblem],
+        trials: Sequence[Trial],
+        groups: tuple[ParameterGroup, ...],
+        orientation: Orientation,
+    ) -> None:
+        super().__init__(problems, trials, groups, orientation, None)
+        self._orientation: Orientation = orientation
+        self._last: tuple[Evaluation, Slope] | None = None
+
+    def solve(
+        self,
+        log_ratios: Floats,
+        near: Evaluation | None = None,
+        slope: Slope | None = None,
+        acts: Floats | None = None,
+        starts: Sequence[TorsoState] | None = None,
+        linearised: bool = True,
+    ) -> Evaluation:
+        """As that of all at once; from ``starts``, else from rest."""
+        assert near is None
+        assert slope is None
+        assert linearised
+        acts = np.zeros((len(self.trials), len(ACTS))) if acts is None else acts
+
+        def solved(i: int) -> tuple[Evaluation, Slope]:
+            # A set of its own, which keeps its last tangent, ends with this call.
+            alone = TrialSet([self.problems[i]], [self.trials[i]], self.groups, self._orientation, None)
+            start = None if starts is None else starts[i : i + 1]
+            found = alone.solve(log_ratios, acts=acts[i : i + 1], starts=start, linearised=True)
+            return found, replace(alone.slope(found, with_acts=True), tangents=())
+
+        self._last = None
+        parts = in_parallel(solved, range(len(self.trials)))
+        found = Evaluation(
+            np.array(log_ratios),
+            np.array(acts),
+            tuple(part.equilibria[0] for part, _ in parts),
+            tuple(part.residuals[0] for part, _ in parts),
+        )
+        moves, acted = zip(*((first.moves[0], first.acted[0]) for _, first in parts if first.acted is not None))
+        self._last = found, Slope((), moves, acted)
+        return found
+
+    def slope(self, point: Evaluation, with_acts: bool = False) -> Slope:
+        """Of the point that was solved last."""
+        assert with_acts
+        assert self._last is not None
+        assert self._last[0] is point
+        return self._last[1]
+
+
 def _told(problem: WeighedProblem, place: Floats, states: Sequence[TorsoState], tracking_factor: float) -> Design:
-    """What each radiograph would tell at a place; the tangents, which are large, end with this call."""
+    """What each radiograph would tell at a place."""
     point = problem.solve(place, np.zeros(len(problem.unknowns)), starts=states)
     return design_at(problem, point, problem.slope(point), tracking_factor)
 

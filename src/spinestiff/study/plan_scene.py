@@ -18,8 +18,9 @@ from spinestiff.mechanics.push import Rig
 from spinestiff.personalise.pose import align_view, posed
 from spinestiff.study.trials import Known, PushSet, known_of, rig_of
 from spinestiff.study.visit import USUAL, Visit, load_pushes, load_start, torso_on
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject, image_corners, read_rest
-from spinestiff.subject.outcomes import Estimate, GeometryRecord
+from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.records import LATERAL
 from spinestiff.subject.run_record import read_outcome, recorded_steps, refuse_changed, result_path
 

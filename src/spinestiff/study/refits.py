@@ -11,7 +11,7 @@ from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.fitted import Method, StiffnessFit
 from spinestiff.study.trials import PushSet, fit_pushes
 from spinestiff.study.visit import Visit, pushes_on, torso_on
-from spinestiff.subject.outcomes import Estimate
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.run_record import read_outcome
 
 

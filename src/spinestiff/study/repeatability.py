@@ -27,7 +27,7 @@ from scipy.stats import chi2, norm
 from spinestiff.errors import SubjectError
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import number
-from spinestiff.subject.outcomes import Estimate
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.run_record import read_outcome, recorded_steps, refuse_changed
 from spinestiff.words import counted
 

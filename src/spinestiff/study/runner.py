@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -246,16 +247,24 @@ def run_steps(
         # The report writes the view on its way.
         view = known["view"]
         along = step_record(visit.subject, view.inputs(visit), view.settings(visit)) if name == "report" else None
-        began = time.perf_counter()
-        _log.info("%s begins", name, extra={"event": "begin", "step": name})
-        step.run(visit, lambda line, name=name: say(f"{name}: {line}"))  # type: ignore[misc]
-        seconds = time.perf_counter() - began
-        _record(visit, step, name, record, seconds)
-        _log.info("%s is done", name, extra={"event": "end", "step": name, "seconds": round(seconds, 3)})
+        with logged_step(name):
+            began = time.perf_counter()
+            step.run(visit, lambda line, name=name: say(f"{name}: {line}"))  # type: ignore[misc]
+            _record(visit, step, name, record, time.perf_counter() - began)
         if along is not None:
             _record(visit, view, "view", along)
         ran.append(name)
     return ran
+
+
+@contextmanager
+def logged_step(name: str) -> Iterator[None]:
+    """Log that a step begins and, unless it fails, its end with its seconds."""
+    began = time.perf_counter()
+    _log.info("%s begins", name, extra={"event": "begin", "step": name})
+    yield
+    seconds = round(time.perf_counter() - began, 3)
+    _log.info("%s is done", name, extra={"event": "end", "step": name, "seconds": seconds})
 
 
 def _record(visit: Visit, step: Step, name: str, record: StepRecord, seconds: float = 0.0) -> None:

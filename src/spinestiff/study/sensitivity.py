@@ -13,7 +13,6 @@ from functools import partial
 
 import numpy as np
 
-from spinestiff import __version__
 from spinestiff.anatomy.regions import AT
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.stiffness import TISSUE_PARAMETERS
@@ -28,7 +27,8 @@ from spinestiff.personalise.shape import place_vertebrae
 from spinestiff.study.refits import Basis, basis_of, converged
 from spinestiff.study.trials import fit_pushes
 from spinestiff.study.visit import Visit, has_start, pushes_on, torso_on
-from spinestiff.subject.outcomes import GeometryRecord
+from spinestiff.subject.geometry_outcome import GeometryRecord
+from spinestiff.subject.program import program
 from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import read_outcome, recorded_steps, write_outcome
 from spinestiff.subject.sensitivity_outcome import Change, Refit, Sensitivity, Series
@@ -108,9 +108,9 @@ def _shown(case: Case) -> str:
 
 
 def _digest(visit: Visit) -> str:
-    """Of the estimate and of the mesh: refits of another estimate are none of this one."""
+    """Of the estimate, the mesh and the program: refits of another estimate, or by other code, are none of this one."""
     made = recorded_steps(visit.subject)["estimate"]
-    return hashlib.sha256(json_text([made.digest, made.outputs, visit.settings.mesh, __version__]).encode()).hexdigest()
+    return hashlib.sha256(json_text([made.digest, made.outputs, visit.settings.mesh, program()]).encode()).hexdigest()
 
 
 def _earlier(visit: Visit, digest: str) -> tuple[Refit, ...]:

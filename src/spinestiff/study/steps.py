@@ -53,6 +53,8 @@ from spinestiff.study.truth import compare_with_truth, read_truth
 from spinestiff.study.visit import START, Visit, load_pushes, load_start
 from spinestiff.study.wording import response_lines
 from spinestiff.study.written import estimate_record, geometry_record, proposal_record, write_draws
+from spinestiff.subject.assessment_outcome import Assessment, Comparison
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import (
     Subject,
     image_corners,
@@ -63,20 +65,10 @@ from spinestiff.subject.folder import (
     read_rest,
     read_view,
 )
+from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.marker_table import read_markers
 from spinestiff.subject.outcome_parts import ViewRecord
-from spinestiff.subject.outcomes import (
-    Assessment,
-    Comparison,
-    Estimate,
-    FrameProposals,
-    GeometryRecord,
-    MarkedPedicles,
-    SidePicture,
-    SideView,
-    Tracked,
-    TrackedPush,
-)
+from spinestiff.subject.outcomes import FrameProposals, MarkedPedicles, SidePicture, SideView, Tracked, TrackedPush
 from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.subject.run_record import read_outcome, result_path, write_outcome
 from spinestiff.words import counted

@@ -9,8 +9,9 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 
+from spinestiff.subject.assessment_outcome import Assessment
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcome_parts import Quantity
-from spinestiff.subject.outcomes import Assessment, Estimate
 
 ESTIMATE_FILE, ASSESSMENT_FILE = "estimate.csv", "assessment.csv"
 """In ``results/``."""

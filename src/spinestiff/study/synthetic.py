@@ -9,22 +9,20 @@ import json
 import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.axes import Axis, body_axes
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.anatomy.stiffness import RATIO_BOUNDS, stiffness_ratios
-from spinestiff.anatomy.template import OWN_MESH, template_torso
-from spinestiff.anatomy.tissue_points import PointsOnTissue
+from spinestiff.anatomy.stiffness import stiffness_ratios
+from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, cobb_change, tilts
@@ -35,8 +33,7 @@ from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.pedicles import pedicle_centres
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
-from spinestiff.imaging.synthetic.acquisition import LATERAL, Acquisition, Gauge, acquire
-from spinestiff.imaging.synthetic.detector import Exposure
+from spinestiff.imaging.synthetic.acquisition import Acquisition, Gauge, acquire
 from spinestiff.mechanics.assembly import Law
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
@@ -46,9 +43,7 @@ from spinestiff.observer import Observer, heard
 from spinestiff.parallel import in_parallel
 from spinestiff.personalise.prior import OWN_PEDICLE_SD, PERSON_PEDICLE_SD
 from spinestiff.personalise.quality import mesh_quality
-from spinestiff.personalise.rebuild import NODES
 from spinestiff.personalise.shape import place_vertebrae
-from spinestiff.personalise.skin_surface import skin_surface, tissue_points
 from spinestiff.study.elastic_supports import (
     SupportStiffness,
     SyntheticSupports,
@@ -57,21 +52,21 @@ from spinestiff.study.elastic_supports import (
     shoulder_shift,
     support_stiffness,
 )
+from spinestiff.study.recipe import Recipe, SyntheticPush
 from spinestiff.study.spines import VertebraPoses, curved_spine, real_spine
-from spinestiff.study.stiffening import Stiffening, solved_with
+from spinestiff.study.stiffening import solved_with
+from spinestiff.study.synthetic_markers import spread_markers, view_of_markers
+from spinestiff.subject.annotation_record import Annotation, ImageAnnotation
 from spinestiff.subject.folder import write_annotation, write_subject
-from spinestiff.subject.marker_table import FEWEST, MOST, write_markers
-from spinestiff.subject.records import Annotation, ImageAnnotation, PushRecord, Role, SubjectRecord, parse_record
+from spinestiff.subject.marker_table import write_markers
+from spinestiff.subject.record_reading import parse_record
+from spinestiff.subject.records import PushRecord, SubjectRecord
 
 # Table 4's range of estimated ratios, where a subject's own are drawn from.
 BENDING_RANGE, TISSUE_RANGE = (0.05, 0.63), (0.01, 0.15)
 ANNOTATION_SD_MM = 0.3  # of a hand-set corner, at the patient plane
 PEDICLE_SD_MM = 0.7  # of a pedicle's mark, the same
 SIDE = "lateral"  # id of the further view
-BEAD_SD_MM = 0.5  # of a marker's picture in a radiograph, the same
-# Where markers are: between these vertebrae, not further round than this normal's share to the front (a wall hides the
-# back), and off the gauge's pad.
-MARKED_BETWEEN, BACKMOST, PAD_MM = ("T3", "L4"), -0.3, 60.0
 CAMERAS_SD_MM = 400.0  # of the cameras' origin
 CAMERA_AXES: dict[str, Axis] = {"left": "+x", "up": "+z", "front": "-y"}
 MARKER_STREAM, GAUGE_STREAM = 29, 31
@@ -80,163 +75,8 @@ Side = Literal["left", "right"]
 OPPOSITE: Mapping[Side, Side] = {"left": "right", "right": "left"}
 STANDING_SD_MM, STANDING_SD_RAD = 4.0, 0.012  # how differently a patient stands from one exposure to the next
 DETECTOR_WIDTH_MM = 427.0
-LARGEST_FORCE_N = 500.0  # that the gauge shows
 # Nodes of a mesh for whose skin the coarse template's, carried along in a second, is fine enough.
 CARRIED_COARSE = 6_000
-
-
-@dataclass(frozen=True)
-class SyntheticPush:
-    """One push of a synthetic subject, frame by frame.
-
-    Attributes
-    ----------
-    id : name in ``subject.json``.
-    level : rib level of the push point, 1 to 12.
-    shares : force of each frame over the recipe's largest. The first is 0: corners are marked in an unloaded frame.
-    roles : of each frame.
-    other_side : from the side opposite the recipe's other pushes.
-
-    Raises
-    ------
-    SubjectError : the first share is not 0, one is outside 0 to 1, or shares and roles are not as many.
-    """
-
-    id: str
-    level: float
-    shares: tuple[float, ...]
-    roles: tuple[Role, ...]
-    other_side: bool = False
-
-    def __post_init__(self) -> None:
-        if not self.shares or self.shares[0] != 0.0 or not all(0.0 <= share <= 1.0 for share in self.shares):
-            raise SubjectError(f"push '{self.id}': shares {self.shares}; wanted 0 first, then 0 to 1")
-        if len(self.roles) != len(self.shares):
-            raise SubjectError(
-                f"push '{self.id}': {len(self.shares)} shares and {len(self.roles)} roles; wanted one of each a frame"
-            )
-
-
-PAPER_PUSHES = (
-    SyntheticPush(
-        "main",
-        level=8.0,
-        shares=(0.0, 1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6, 1.0),
-        roles=("unused", "unused", "training", "unused", "training", "unused", "validation"),
-    ),
-    SyntheticPush(
-        "second", level=6.0, shares=(0.0, 1 / 3, 2 / 3, 1.0), roles=("unused", "unused", "unused", "validation")
-    ),
-)
-PLANNED_PUSHES = (
-    SyntheticPush("rib-5", level=5.0, shares=(0.0, 1 / 2, 1.0), roles=("unused", "training", "training")),
-    SyntheticPush("rib-9", level=9.0, shares=(0.0, 1.0), roles=("unused", "training")),
-    SyntheticPush("rib-7", level=7.0, shares=(0.0, 2 / 3, 1.0), roles=("unused", "validation", "validation")),
-)
-ACQUISITIONS: Mapping[str, tuple[SyntheticPush, ...]] = {"planned": PLANNED_PUSHES, "paper": PAPER_PUSHES}
-"""Of a visit: the three loaded frames that ``spinestiff plan`` proposes first on the convex side, before any push, with
-another rib held out; and the paper's, a third and two thirds of the force at one rib, with the whole of it and another
-rib held out."""
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """What kind of subject to make.
-
-    Attributes
-    ----------
-    seed : of everything random.
-    height_cm, cobb_deg, curve : body and rest curve (Cobb above 0: left-convex).
-    force_n : largest push.
-    ratios : true lateral bending and tissue ratio; drawn from Table 4's range if None.
-    spine : table and id of a real spine as rest shape, instead of ``cobb_deg`` and ``curve``.
-    pushes : their rib levels, frames and roles; ids differ.
-    shape : rows, columns of a radiograph; the detector keeps its width.
-    mesh : of the subject's tissue, carried to its shape: "own", which shares nothing with the estimator's, or one of
-        these, "coarse" or "fine", which is no test of an estimate on the same.
-    nodes : about how many (``rebuild.NODES``; 0.8 to 1.5 times that) of a mesh built for this subject alone, in its
-        shape and with points drawn by ``seed`` (extra [mesh]); goes with "own".
-    acquisition : how the radiographs are taken; four a second (paper 2.1).
-    lateral_exposure : of the lateral rest radiograph.
-    supports : how much belt and shoulder's pad give under ``force_n``; drawn from 0 to 4 degrees and 0 to 4 mm if None.
-    biplanar : each frame of a push has a lateral radiograph, too, and pedicles are marked in all frontal ones.
-    markers : on the skin of front and flanks, seen by cameras in each frame of a push; 0 = none.
-    age, sex : as told; the body is the template's of its height.
-    side : that is pushed; None: the convex one, which straightens the curve.
-    secondary : deflection of a second curve to the other side, over the first one's (``spines.curved_spine``).
-    stiffening : of the discs; None: linear, as the estimator's.
-    misread : forces are told as a gauge with the errors of ``estimation.priors.Priors`` reads them, and rib levels as
-        somebody feels them, instead of as they are.
-    """
-
-    seed: int = 0
-    height_cm: float = 157.0
-    cobb_deg: float = 12.0
-    curve: str = "thoracic"
-    force_n: float = 60.0
-    ratios: tuple[float, float] | None = None
-    spine: tuple[Path, str] | None = None
-    pushes: tuple[SyntheticPush, ...] = PAPER_PUSHES
-    shape: tuple[int, int] = (1024, 1024)
-    mesh: str = OWN_MESH
-    nodes: int | None = None
-    acquisition: Acquisition = field(default_factory=Acquisition)
-    lateral_exposure: Exposure = LATERAL
-    supports: SyntheticSupports | None = None
-    biplanar: bool = False
-    markers: int = 0
-    age: float = 13.0
-    sex: Literal["female", "male"] = "female"
-    side: Literal["left", "right"] | None = None
-    secondary: float = 0.0
-    stiffening: Stiffening | None = None
-    misread: bool = False
-
-    def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise SubjectError(f"seed {self.seed}; wanted 0 or more")
-        if not 0.0 < self.force_n <= LARGEST_FORCE_N:
-            raise SubjectError(f"force {self.force_n} N; wanted above 0 and at most {LARGEST_FORCE_N:g}")
-        if self.nodes is not None and not NODES[0] <= self.nodes <= NODES[1]:
-            raise SubjectError(f"{self.nodes} nodes; wanted {NODES[0]} to {NODES[1]}")
-        if self.nodes is not None and self.mesh != OWN_MESH:
-            raise SubjectError(f"nodes {self.nodes} of mesh '{self.mesh}'; wanted mesh '{OWN_MESH}', or no nodes")
-        if self.markers and not FEWEST <= self.markers <= MOST:
-            raise SubjectError(f"{self.markers} markers; wanted 0, or {FEWEST} to {MOST}")
-        low, high = RATIO_BOUNDS
-        for value in self.ratios or ():
-            if not low <= value <= high:
-                raise SubjectError(f"stiffness ratio {value}; wanted {low} to {high}")
-        if self.pushes and all(push.other_side for push in self.pushes):
-            raise SubjectError("all pushes are from the other side; wanted at least one that isn't")
-        ids = [push.id for push in self.pushes]
-        if not ids or len(set(ids)) < len(ids):
-            raise SubjectError(f"pushes {', '.join(ids) or 'none'}; wanted at least one, each with an id of its own")
-
-    def as_record(self) -> dict[str, object]:
-        """As written into the truth file."""
-        own = {f.name: getattr(self, f.name) for f in fields(self)}
-        spine = None if self.spine is None else [self.spine[0].name, self.spine[1]]
-        return {
-            **own,
-            "ratios": None if self.ratios is None else list(self.ratios),
-            "shape": list(self.shape),
-            "spine": spine,
-            "pushes": [
-                {
-                    "id": push.id,
-                    "level": push.level,
-                    "shares": list(push.shares),
-                    "roles": list(push.roles),
-                    "other_side": push.other_side,
-                }
-                for push in self.pushes
-            ],
-            "acquisition": asdict(self.acquisition, dict_factory=_plain),
-            "lateral_exposure": asdict(self.lateral_exposure, dict_factory=_plain),
-            "supports": None if self.supports is None else asdict(self.supports),
-            "stiffening": None if self.stiffening is None else asdict(self.stiffening),
-        }
 
 
 def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = None) -> Path:
@@ -599,46 +439,6 @@ def push_heights(torso: TorsoModel, side: Side, level: float) -> tuple[float, fl
         float(marks["pelvis_belt"].positions(rest)[0, 1]),
         rib,
     )
-
-
-def spread_markers(torso: TorsoModel, count: int, spots: Floats) -> tuple[PointsOnTissue, Floats]:
-    """Markers spread over the front and the flanks of a torso between T3 and L4, off where it is pushed: a wall hides
-    the back.
-
-    Parameters
-    ----------
-    count : of markers. spots : (n, 3) mm, points that are pushed.
-
-    Returns
-    -------
-    The points, and the skin's outward directions (count, 3).
-    """
-    skin = skin_surface(torso)
-    heights = [torso.rest_pose.bone_positions[torso.bone(name), 1] for name in MARKED_BETWEEN]
-    free = ~skin.ends & (skin.normals[:, 2] > BACKMOST) & (skin.points[:, 1] < heights[0])
-    free &= (skin.points[:, 1] > heights[1]) & (cKDTree(spots).query(skin.points)[0] > PAD_MM)
-    there = np.flatnonzero(free)
-    if len(there) < count:
-        raise SubjectError(f"{count} markers; this torso's front and flanks have room for {len(there)}")
-    # Each as far from those before as can be, the first in the middle of the front.
-    chosen = [int(np.argmax(skin.normals[there, 2]))]
-    distance = np.full(len(there), np.inf)
-    for _ in range(count - 1):
-        own = np.linalg.norm(skin.points[there] - skin.points[there[chosen[-1]]], axis=1)
-        distance = np.minimum(distance, own)
-        chosen.append(int(np.argmax(distance)))
-    which = there[chosen]
-    return tissue_points(torso, skin, which), skin.normals[which]
-
-
-def view_of_markers(view: XRayView, places: Floats, random: np.random.Generator) -> Floats:
-    """(M, 2) column, row, where somebody marks the pictures of markers at ``places`` (M, 3) mm."""
-    seen = view.project(places)
-    return view.pixels(seen + random.normal(0.0, BEAD_SD_MM, seen.shape) * view.magnification)
-
-
-def _plain(items: list[tuple[str, object]]) -> dict[str, object]:
-    return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in items}
 
 
 def _as_dict(change) -> dict[str, float]:  # type: ignore[no-untyped-def]

@@ -9,8 +9,9 @@ from spinestiff.anatomy.regions import AT
 from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.files import read_json
 from spinestiff.study.trials import PushSet, rise_of
+from spinestiff.subject.assessment_outcome import Comparison
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject
-from spinestiff.subject.outcomes import Comparison, Estimate
 from spinestiff.subject.run_record import read_outcome
 
 

@@ -19,7 +19,8 @@ from spinestiff.imaging.features import ORIENTATIONS, Orientation
 from spinestiff.study.trials import PushSet, known_of, push_set, rig_of
 from spinestiff.study.truth import read_truth
 from spinestiff.subject.folder import Subject, read_subject
-from spinestiff.subject.outcomes import GeometryRecord, Tracked
+from spinestiff.subject.geometry_outcome import GeometryRecord
+from spinestiff.subject.outcomes import Tracked
 from spinestiff.subject.run_record import read_outcome, recorded_steps, result_path
 
 USUAL = ("lateral_bending", "tissue")

@@ -6,17 +6,10 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 
 from spinestiff.anatomy.regions import AT
+from spinestiff.subject.assessment_outcome import HeldOutFrame
+from spinestiff.subject.estimate_outcome import BudgetRecord, CombinationRecord, Estimate
 from spinestiff.subject.outcome_parts import Determination, Quantity
-from spinestiff.subject.outcomes import (
-    AngleResponse,
-    BudgetRecord,
-    CombinationRecord,
-    Estimate,
-    Flexibility,
-    HeldOutFrame,
-    PushResponse,
-    Responses,
-)
+from spinestiff.subject.outcomes import AngleResponse, Flexibility, PushResponse, Responses
 
 MISSING = "not available"
 NO_INTERVALS = "no intervals"

@@ -24,27 +24,24 @@ from spinestiff.study.judgement import RestShape, failed, judge, outlying_notes
 from spinestiff.study.plain import plain_stiffness
 from spinestiff.study.trials import PushSet, seen_beside
 from spinestiff.study.visit import Visit
-from spinestiff.subject.folder import read_identities
-from spinestiff.subject.outcome_parts import LEAST_FIRST, PoseRecord, ViewRecord, finite, nested
-from spinestiff.subject.outcomes import (
+from spinestiff.subject.estimate_outcome import (
     BudgetRecord,
     CombinationRecord,
     CostRecord,
     Estimate,
     FitStepRecord,
-    FrameProposal,
-    GeometryRecord,
-    MeshRecord,
     NuisanceRecord,
     PriorChangeRecord,
     ProfileRecord,
     RatioEstimate,
     Reactions,
-    ScanRecord,
     SupportPlaceRecord,
     TrainingError,
-    VertebraFitRecord,
 )
+from spinestiff.subject.folder import read_identities
+from spinestiff.subject.geometry_outcome import GeometryRecord, MeshRecord, ScanRecord, VertebraFitRecord
+from spinestiff.subject.outcome_parts import LEAST_FIRST, PoseRecord, ViewRecord, finite, nested
+from spinestiff.subject.outcomes import FrameProposal
 from spinestiff.subject.records import PushRecord
 
 PAPER_NOTE = (

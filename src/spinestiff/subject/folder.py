@@ -22,23 +22,19 @@ from spinestiff.files import check_output, regular_file, regular_files, write_js
 from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_HEADER_BYTES, MOST_MAPPED_BYTES
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.mechanics.loads import USUAL_LIMIT_N
+from spinestiff.subject.annotation_record import FURTHER_FRAME, FURTHER_VIEW, Annotation, ImageAnnotation
 from spinestiff.subject.gaps import Gap, read_open_record
+from spinestiff.subject.record_reading import read_record, shown_key
 from spinestiff.subject.records import (
     ANNOTATION_FILE,
-    FURTHER_FRAME,
-    FURTHER_VIEW,
     LATERAL,
     REST_IMAGES,
     RESULTS,
     SCHEMA_VERSION,
     SUBJECT_FILE,
-    Annotation,
     FurtherViewRecord,
-    ImageAnnotation,
     PushRecord,
     SubjectRecord,
-    read_record,
-    shown_key,
 )
 from spinestiff.words import counted
 

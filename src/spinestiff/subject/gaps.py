@@ -15,6 +15,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from spinestiff.files import parse_json, read_text
+from spinestiff.subject.record_reading import complaints_of, parse_record
 from spinestiff.subject.records import (
     DISTANCES_MM,
     GAUGE_LIMIT_N,
@@ -23,8 +24,6 @@ from spinestiff.subject.records import (
     OLDEST,
     SUBJECT_FILE,
     SubjectRecord,
-    complaints_of,
-    parse_record,
 )
 
 _MM = f"mm ({DISTANCES_MM[0]:g} to {DISTANCES_MM[1]:g})"

@@ -8,7 +8,8 @@ import numpy as np
 
 from spinestiff.errors import SubjectError
 from spinestiff.imaging.dicom.millimetres import Geometry, Scale
-from spinestiff.subject.records import Annotation, ScaleRecord, SubjectRecord
+from spinestiff.subject.annotation_record import Annotation
+from spinestiff.subject.records import ScaleRecord, SubjectRecord
 
 AGREEMENT_OF_VERTEBRA = 0.1
 """Relative difference up to which a file's spacing agrees with a vertebra's known size; edges are seen no better."""

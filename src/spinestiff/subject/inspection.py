@@ -13,16 +13,11 @@ from spinestiff.files import listed, regular_file
 from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.dicom.reading import Scan, read_scan
 from spinestiff.imaging.radiograph import candidates, check_files, in_order, read_scans, times_of
+from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.gaps import read_open_record
 from spinestiff.subject.geometry import image_geometry
-from spinestiff.subject.records import (
-    ANNOTATION_FILE,
-    LATERAL,
-    REST_IMAGES,
-    SUBJECT_FILE,
-    Annotation,
-    read_record,
-)
+from spinestiff.subject.record_reading import read_record
+from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, REST_IMAGES, SUBJECT_FILE
 
 MOST_FOLDERS = 256
 """In a folder that is inspected, itself among them."""

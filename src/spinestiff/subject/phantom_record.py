@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from spinestiff.subject.record_reading import Record
 from spinestiff.subject.records import GAUGE_LIMIT_N, VertebraName
 
 PHANTOM_FILE = "phantom.json"
@@ -15,11 +16,7 @@ Millimetres = Annotated[float, Field(gt=0.0, le=5000.0)]
 Pixels = Annotated[int, Field(ge=16, le=100_000)]
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
-class PictureRecord(_Record):
+class PictureRecord(Record):
     """How pictures were taken; a camera has both distances equal, and millimetres of a pixel in the marks' plane.
 
     Attributes
@@ -37,7 +34,7 @@ class PictureRecord(_Record):
     corner_sd_mm: Annotated[float, Field(gt=0.0, le=5.0)] = 0.1
 
 
-class JointRecord(_Record):
+class JointRecord(Record):
     """The bench measurement of the joint below a block: moments that weights on a lever made, and how far it turned.
 
     Attributes
@@ -61,7 +58,7 @@ class JointRecord(_Record):
         return self
 
 
-class RubberRecord(_Record):
+class RubberRecord(Record):
     """The block that the column is cast in, and the modulus of a bar of the same pour.
 
     Attributes
@@ -77,7 +74,7 @@ class RubberRecord(_Record):
     spacing_mm: Annotated[float, Field(ge=5.0, le=100.0)] = 14.0
 
 
-class FrameRecord(_Record):
+class FrameRecord(Record):
     """A picture.
 
     Attributes
@@ -107,7 +104,7 @@ class FrameRecord(_Record):
         return self
 
 
-class PhantomRecord(_Record):
+class PhantomRecord(Record):
     """``phantom.json``.
 
     Attributes
@@ -133,7 +130,7 @@ class PhantomRecord(_Record):
     joints: Annotated[tuple[JointRecord, ...], Field(strict=False)]
     bench_scale_sd: Annotated[float, Field(ge=0.0, le=0.5)] = 0.01
     rubber: RubberRecord | None = None
-    errors: dict[str, Annotated[float, Field(ge=0.0, le=1000.0)]] = {}
+    errors: dict[str, Annotated[float, Field(ge=0.0, le=1000.0)]] = Field(default={})
     frames: Annotated[tuple[FrameRecord, ...], Field(strict=False, min_length=2)]
 
     @model_validator(mode="after")

@@ -16,7 +16,7 @@ from pathlib import Path
 import spinestiff
 from spinestiff import __version__
 
-ABOVE = ("app", "annotate", "cohort", "interop", "plot.py", "verification", "workbench")
+ABOVE = ("app", "annotate", "cohort", "interop", "plot.py", "run_log.py", "verification", "versions.py", "workbench")
 """Rooms from which no result comes: imports point away from them."""
 _MADE = {"__pycache__"}
 

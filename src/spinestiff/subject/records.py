@@ -1,41 +1,30 @@
-"""What subject.json and annotation.json may hold: their schemas, read strictly (docs/subject-folder.md).
+"""What subject.json may hold: its schema, read strictly (docs/subject-folder.md).
 
-Each refusal is one line: file, field, found, wanted. What the folder holds beside the two files is read by ``subject``.
+What the folder holds beside it and annotation.json is read by ``folder``.
 """
 
 from __future__ import annotations
 
-import json
-import re
-from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Annotated, Any, Final, Literal, Self, TypeVar
+from pathlib import PurePosixPath, PureWindowsPath
+from typing import Annotated, Any, Final, Literal, Self
 
-import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
-from pydantic_core import ErrorDetails
+from pydantic import Field, field_validator, model_validator
 
 from spinestiff.anatomy.axes import Axis, Unit, body_axes
-from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.regions import check_parameters
-from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError, TorsoError
-from spinestiff.files import parse_json, read_text
-from spinestiff.imaging.spine_shape import CLEARLY, across, cross, quarter_turns
+from spinestiff.subject.record_reading import IDENTIFIER, Record, shown_value
 from spinestiff.words import counted
 
 SCHEMA_VERSION: Final = 1
 SUBJECT_FILE = "subject.json"
 ANNOTATION_FILE = "annotation.json"
-SUBJECT_PAGE = "docs/subject-folder.md"
 RESULTS = "results"
 """Folder of what is made from the others."""
 REST_IMAGES = {"rest/frontal": "rest/frontal.dcm", "rest/lateral": "rest/lateral.dcm"}
 LATERAL = "rest/lateral"
-FEWEST_VERTEBRAE = 8
 GAUGE_LIMIT_N = 500.0
 """What the force gauge of the set-up measures accurately (paper 2.1)."""
-MOST_TURNED_DEG = 45.0
-"""Of a vertebra between two frames of a push: half of what corners begun at the wrong one make of it."""
 DISTANCES_MM = (30.0, 1000.0)
 LEVELS = (1.0, 12.0)
 """Ribs."""
@@ -43,44 +32,31 @@ HEIGHTS_CM = (120.0, 200.0)
 OLDEST = 120.0
 """Years; an age is above 0."""
 FARTHEST_SOURCE_MM, LARGEST_PIXEL_MM = 10_000.0, 5.0
-FURTHER_FRAME = r"(?P<push>push/[^/]+)/(?P<frame>[1-9][0-9]{0,3})"
-"""Name of an annotated frame of a push after its first, which is push/<id>."""
-FURTHER_VIEW = r"(?P<push>push/[^/]+)/(?P<frame>0|[1-9][0-9]{0,3})/(?P<view>[^/]+)"
-"""Name of a radiograph of a push's frame from another side."""
-FEWEST_OF_VIEW = 3
 MARKER_NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}"
 MOST_TURNED_VIEW_DEG = 40.0
 """Of an oblique radiograph, against the frontal or lateral one; beyond, it is nearer to the other of the two."""
-IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
-WANTED_ID = "1 to 64 letters (A to Z), digits, '.', '_' or '-', the first a letter or digit"
 LONGEST_PATH = 250
-
 Role = Literal["training", "validation", "unused"]
 VertebraName = Literal[
     "T1", "T2", "T3", "T4", "T5", "T6", "T7", "T8", "T9", "T10", "T11", "T12", "L1", "L2", "L3", "L4", "L5"
 ]  # fmt: skip
 # Lists pass for tuples here (JSON has nothing else); what is in them is checked strictly.
 Point = Annotated[tuple[float, float], Field(strict=False)]
-Quad = Annotated[tuple[Point, Point, Point, Point], Field(strict=False)]
 Pair = Annotated[tuple[Point, Point], Field(strict=False)]
 Identifier = Annotated[str, Field(pattern=IDENTIFIER)]
 Distance = Annotated[float, Field(ge=DISTANCES_MM[0], le=DISTANCES_MM[1])]
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
 def _inside(path: str) -> str:
     absolute = PurePosixPath(path).is_absolute() or PureWindowsPath(path).drive or path.startswith("\\")
     if absolute or "\\" in path or ".." in PurePosixPath(path).parts or not path.strip() or "\0" in path:
-        raise ValueError(f"found {_shown(path)}, wanted a path inside the subject folder, with / and without ..")
+        raise ValueError(f"found {shown_value(path)}, wanted a path inside the subject folder, with / and without ..")
     if len(path) > LONGEST_PATH or not path.isprintable():
-        raise ValueError(f"found {_shown(path)}, wanted at most {LONGEST_PATH} characters that can be printed")
+        raise ValueError(f"found {shown_value(path)}, wanted at most {LONGEST_PATH} characters that can be printed")
     return path
 
 
-class ScaleRecord(_Record):
+class ScaleRecord(Record):
     """A known length in one image, which sets its millimetres where the file has no pixel spacing.
 
     Either an object or a vertebra that is annotated in that image.
@@ -111,7 +87,7 @@ class ScaleRecord(_Record):
         return self
 
 
-class XRayRecord(_Record):
+class XRayRecord(Record):
     """X-ray geometry where the DICOM files lack it; a value that contradicts a file is refused.
 
     Attributes
@@ -130,7 +106,7 @@ class XRayRecord(_Record):
     scale: dict[str, ScaleRecord] | None = None
 
 
-class FurtherViewRecord(_Record):
+class FurtherViewRecord(Record):
     """Radiographs of a push's frames from another side.
 
     Attributes
@@ -162,7 +138,7 @@ class FurtherViewRecord(_Record):
         return frames
 
 
-class ScanAxes(_Record):
+class ScanAxes(Record):
     """Which axes of a scan, or of cameras, run to the body's left, up and to the front."""
 
     left: Axis
@@ -178,7 +154,7 @@ class ScanAxes(_Record):
         return self
 
 
-class MarkersRecord(_Record):
+class MarkersRecord(Record):
     """Markers on the skin of the trunk, seen by cameras or a surface scanner in each frame of a push.
 
     Attributes
@@ -201,7 +177,7 @@ class MarkersRecord(_Record):
         return _inside(path)
 
 
-class PushRecord(_Record):
+class PushRecord(Record):
     """One series of radiographs under a growing rib force.
 
     Attributes
@@ -312,14 +288,14 @@ class PushRecord(_Record):
         return tuple(i for i, given in enumerate(self.roles) if given == role)
 
 
-class TrunkRecord(_Record):
+class TrunkRecord(Record):
     """Horizontal extents of the trunk at a level, by tape or caliper, mm: side to side and front to back."""
 
     breadth_mm: Annotated[float, Field(ge=100.0, le=600.0)]
     depth_mm: Annotated[float, Field(ge=80.0, le=500.0)]
 
 
-class ScanRecord(_Record):
+class ScanRecord(Record):
     """A surface scan of the trunk.
 
     Attributes
@@ -343,7 +319,7 @@ Pelvis = Literal["estimated", "level", "hinge", "dead-loads"]
 Wall = Literal["bilateral", "one-sided"]
 
 
-class SubjectRecord(_Record):
+class SubjectRecord(Record):
     """``subject.json``: the person, the X-ray geometry and the pushes.
 
     Attributes
@@ -378,11 +354,11 @@ class SubjectRecord(_Record):
     xray: XRayRecord = XRayRecord()
     torso: str | None = None
     pushes: Annotated[tuple[PushRecord, ...], Field(strict=False)]
-    trunk: dict[VertebraName, TrunkRecord] = {}
+    trunk: dict[VertebraName, TrunkRecord] = Field(default={})
     skin_scan: ScanRecord | None = None
     pelvis: Pelvis = "estimated"
     wall: Wall = "bilateral"
-    priors: dict[str, Annotated[float, Field(ge=0.0, le=1000.0)]] = {}
+    priors: dict[str, Annotated[float, Field(ge=0.0, le=1000.0)]] = Field(default={})
     parameters: Annotated[tuple[str, ...], Field(min_length=1, max_length=40, strict=False)] | None = None
     population: str | None = None
 
@@ -410,7 +386,7 @@ class SubjectRecord(_Record):
         known = (*REST_IMAGES, *(push.image for push in self.pushes))
         for image in self.xray.scale or {}:
             if image not in known:
-                raise ValueError(f"xray.scale.{_shown(image)}: unknown image; wanted one of {', '.join(known)}")
+                raise ValueError(f"xray.scale.{shown_value(image)}: unknown image; wanted one of {', '.join(known)}")
         training = [push.forces_n[i] for push in self.pushes for i in push.frames_of("training")]
         if not training and any(push.frames_of("validation") for push in self.pushes):
             raise ValueError("pushes: no frame has the role training, wanted at least one")
@@ -421,211 +397,3 @@ class SubjectRecord(_Record):
                 "wall: found 'one-sided' beside pelvis 'dead-loads', which leave the wall out, wanted 'bilateral'"
             )
         return self
-
-
-class ImageAnnotation(_Record):
-    """Corners in one image, in pixels: (column, row), the first pixel's centre at (0, 0).
-
-    Attributes
-    ----------
-    vertebrae : for each visible vertebra four corners: superior-left, superior-right, inferior-right, inferior-left of
-        the patient in a frontal image; superior-anterior, superior-posterior, inferior-posterior, inferior-anterior in
-        a lateral one.
-    supports : points on the pelvis and on the shoulder that rests on the wall; they show whether the supports moved.
-    pedicles : centres of the left and the right pedicle; they determine axial rotation.
-    """
-
-    vertebrae: dict[VertebraName, Quad]
-    supports: dict[Literal["pelvis", "shoulder"], Annotated[tuple[Point, ...], Field(min_length=1, strict=False)]] = {}
-    pedicles: dict[VertebraName, Pair] = {}
-
-    @field_validator("vertebrae")
-    @classmethod
-    def _is_a_spine(cls, vertebrae: dict[VertebraName, Quad]) -> dict[VertebraName, Quad]:
-        ordered = dict(sorted(vertebrae.items(), key=lambda item: VERTEBRAE.index(item[0])))
-        if ordered:
-            _check_quads(tuple(ordered), np.array(list(ordered.values())))
-        return ordered
-
-    @model_validator(mode="after")
-    def _shows_something(self) -> Self:
-        if not self.vertebrae and not self.pedicles:
-            raise ValueError("vertebrae: found no vertebra, wanted at least one")
-        return self
-
-    def pixels(self) -> Floats:
-        """(Nv, 4, 2) column, row, head to foot."""
-        return np.array(list(self.vertebrae.values()), dtype=float).reshape(-1, 4, 2)
-
-
-class Annotation(_Record):
-    """``annotation.json``: corners in the rest images, in the first frame of each push and, at will, in others of them.
-
-    Attributes
-    ----------
-    schema_version : 1.
-    images : by name: "rest/frontal", "rest/lateral", "push/<id>" (frame 0), "push/<id>/<frame>", and, from other
-        sides, "push/<id>/<frame>/<view>".
-    """
-
-    schema_version: Literal[1]
-    images: dict[str, ImageAnnotation]
-
-    @field_validator("images")
-    @classmethod
-    def _points_are_where_they_serve(cls, images: dict[str, ImageAnnotation]) -> dict[str, ImageAnnotation]:
-        for name, image in images.items():
-            further, aside = re.fullmatch(FURTHER_FRAME, name), re.fullmatch(FURTHER_VIEW, name)
-            fewest = FEWEST_OF_VIEW if aside else FEWEST_VERTEBRAE if further is None else 0
-            if len(image.vertebrae) < fewest:
-                raise ValueError(
-                    f"{shown_key(name)}.vertebrae: found {counted(len(image.vertebrae), 'vertebra', 'vertebrae')}, "
-                    f"wanted at least {fewest}"
-                )
-            if aside is not None and image.supports:
-                raise ValueError(
-                    f"{shown_key(name)} has supports; wanted them in the push's first frame, {aside['push']}"
-                )
-            if further is not None and image.supports:
-                raise ValueError(
-                    f"{shown_key(name)} has supports; wanted them in the push's first frame, {further['push']}"
-                )
-            if image.supports and not name.startswith("push/"):
-                raise ValueError(
-                    f"{shown_key(name)} has supports; wanted them in push images only, where they can move"
-                )
-            if further is not None and further["push"] in images:
-                _check_turned(name, image, images[further["push"]])
-        return images
-
-
-def _check_quads(names: tuple[str, ...], quads: Floats) -> None:
-    """Raise ValueError, naming the vertebra, for corners that are out of order in any view.
-
-    What is left and what is up depends on the view, which is not known here; that vertebrae agree with each other and
-    run from head to foot can be told without it.
-    """
-    edges = np.roll(quads, -1, axis=1) - quads
-    after = np.roll(edges, -1, axis=1)
-    turns = edges[..., 0] * after[..., 1] - edges[..., 1] * after[..., 0]
-    sense = np.sign(turns)
-    for name, turn in zip(names, sense):
-        if not (turn == turn[0]).all() or turn[0] == 0.0:
-            raise ValueError(f"{name}: the corners in this order make no convex quadrilateral; {_ORDER}")
-    usual = 1.0 if sense[:, 0].sum() >= 0 else -1.0
-    for name, turn in zip(names, sense[:, 0]):
-        if turn != usual:
-            raise ValueError(f"{name}: the corners are mirrored against the other vertebrae; {_ORDER}")
-    centres = quads.mean(axis=1)
-    # One vertebra alone has no other to lie above: its own corners say where up is, and only the view can tell more.
-    up = centres[0] - centres[-1] if len(quads) > 1 else quads[0, :2].mean(axis=0) - quads[0, 2:].mean(axis=0)
-    heights = centres @ up
-    for i in range(1, len(names)):
-        if heights[i] >= heights[i - 1]:
-            raise ValueError(f"{names[i]}: does not lie below {names[i - 1]}; wanted the vertebrae from head to foot")
-    for name, turns in zip(names, _quarter_turns(names, quads * [usual, 1.0])):
-        if turns % 2:
-            raise ValueError(f"{name}: the corners begin at the wrong one, a quarter turn off; {_ORDER}")
-    for name, quad in zip(names, quads):
-        if (quad[0] + quad[1] - quad[2] - quad[3]) @ up <= 0.0:
-            raise ValueError(f"{name}: the superior corners lie below the inferior ones; {_ORDER}")
-
-
-def _quarter_turns(names: tuple[str, ...], clockwise: Floats) -> np.ndarray:
-    """(V,) quarter turns by which corners (V, 4, 2) are clearly off; 0 where nothing near tells."""
-    if len(names) < 2:
-        return np.zeros(len(names), dtype=int)
-    found = quarter_turns(clockwise, [VERTEBRAE.index(name) for name in names], [True] * len(names))
-    return np.where(found.ahead < CLEARLY, 0, found.turns)
-
-
-def _check_turned(where: str, image: ImageAnnotation, first: ImageAnnotation) -> None:
-    """Raise ValueError for a vertebra that is turned against the push's first frame as no push turns one."""
-    for name in image.vertebrae:
-        if name in first.vertebrae:
-            before, now = (across(np.array(frame.vertebrae[name])) for frame in (first, image))
-            degrees = float(np.degrees(np.abs(np.arctan2(cross(before, now), before @ now))))
-            if degrees > MOST_TURNED_DEG:
-                raise ValueError(
-                    f"{where}.vertebrae.{name}: turned by {degrees:.0f} degrees since the push's first frame, wanted "
-                    f"at most {MOST_TURNED_DEG:g}; {_ORDER}"
-                )
-
-
-_ORDER = (
-    "wanted superior-left, superior-right, inferior-right, inferior-left of the patient "
-    "(lateral: superior-anterior, superior-posterior, inferior-posterior, inferior-anterior)"
-)
-
-
-R = TypeVar("R", bound=BaseModel)
-
-
-def read_record(path: Path, kind: type[R], page: str = SUBJECT_PAGE) -> R:
-    """A record from a JSON file that ``page`` of the documents describes.
-
-    Raises
-    ------
-    SubjectError : no such file, no JSON, or anything the record does not allow (field, found, wanted).
-    """
-    return parse_record(read_text(path), str(path), kind, page)
-
-
-def parse_record(text: str, name: str, kind: type[R], page: str = SUBJECT_PAGE) -> R:
-    """A record from the text of a JSON file of that name. Raises SubjectError as ``read_record`` does."""
-    parse_json(text, name)
-    try:
-        return kind.model_validate_json(text)
-    except ValidationError as error:
-        raise SubjectError(f"{name}: {complaint_of(error, page)}") from None
-
-
-def complaint_of(error: ValidationError, page: str = SUBJECT_PAGE) -> str:
-    """The most telling of pydantic's complaints as "field: found, wanted"."""
-    # A misspelled key shows up twice, as unknown and as missing: the first says more.
-    complaints = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
-    first = complaints[0]
-    field = _field_path(first)
-    more = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
-    told = _complaint(first, page)
-    return f"{field}: {told}{more}" if field else f"{told}{more}"
-
-
-def complaints_of(error: ValidationError, page: str = SUBJECT_PAGE) -> list[tuple[str, str]]:
-    """All of pydantic's complaints, each as the field and what is wrong with it."""
-    return [(_field_path(one), _complaint(one, page)) for one in error.errors(include_url=False)]
-
-
-def _field_path(complaint: ErrorDetails) -> str:
-    path = ""
-    for part in complaint["loc"]:
-        # pydantic adds this to the path when a key of a dictionary is wrong.
-        if part == "[key]":
-            continue
-        path += f"[{part}]" if isinstance(part, int) else f".{shown_key(part)}"
-    return path.removeprefix(".")
-
-
-def shown_key(key: str) -> str:
-    """A key as it stands in the file, if it can be printed in one line; else quoted and shortened."""
-    return key if key.isprintable() and 0 < len(key) <= 40 else _shown(key, 30)
-
-
-def _complaint(complaint: ErrorDetails, page: str) -> str:
-    kind, message = complaint["type"], complaint["msg"]
-    if kind == "extra_forbidden":
-        return f"unknown key; check its spelling against {page}"
-    if kind == "missing":
-        return "missing"
-    if kind == "value_error":
-        return message.removeprefix("Value error, ")
-    if kind == "string_pattern_mismatch":
-        return f"found {_shown(complaint['input'])}, wanted {WANTED_ID}"
-    wanted = re.sub(r"^(Input|String|Tuple|Dictionary) should (be |have |match )?", "", message)
-    return f"found {_shown(complaint['input'])}, wanted {wanted}"
-
-
-def _shown(value: Any, longest: int = 60) -> str:
-    # As JSON writes them.
-    text = json.dumps(value) if value is None or isinstance(value, bool) else repr(value)
-    return text if len(text) <= longest else text[: longest - 3] + "..."

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from spinestiff.errors import SubjectError
 from spinestiff.files import parse_json, read_text, write_text
-from spinestiff.subject.records import SUBJECT_FILE, Role, SubjectRecord, parse_record
+from spinestiff.subject.record_reading import parse_record
+from spinestiff.subject.records import SUBJECT_FILE, Role, SubjectRecord
 
 _SPACE = " \t\r\n"
 

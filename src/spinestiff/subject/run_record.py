@@ -19,7 +19,8 @@ from spinestiff.files import file_digest, json_text, parse_json, read_text, writ
 from spinestiff.subject.folder import Subject
 from spinestiff.subject.outcome_parts import Outcome, OutcomeFile
 from spinestiff.subject.program import program
-from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE, complaint_of
+from spinestiff.subject.record_reading import complaint_of
+from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE
 
 RUN_FILE = "run.json"
 RUN_SCHEMA: Final = 2

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
+from spinestiff.subject.assessment_outcome import CobbChangeRecord
+from spinestiff.subject.estimate_outcome import RatioEstimate
 from spinestiff.subject.outcome_parts import Outcome
-from spinestiff.subject.outcomes import CobbChangeRecord, RatioEstimate
 
 
 class FrameOutcome(Outcome):
@@ -36,7 +37,8 @@ class SubjectOutcome(Outcome):
 
     Attributes
     ----------
-    version : of the program. settings : digest of recipe and settings, so that what is there need not be redone.
+    program : that found it (``subject.program``). settings : digest of recipe and settings, so that what is there need
+        not be redone.
     mesh : of the estimate.
     name, age, sex, height_cm, curve, force_n : as made, the force above 0 towards left curvature.
     cobb_deg : truth at rest. change_deg : of the largest force, signed.
@@ -52,7 +54,7 @@ class SubjectOutcome(Outcome):
     seconds : by step; without "make" where an earlier run had made the subject.
     """
 
-    version: str
+    program: str
     settings: str
     mesh: Literal["coarse", "fine"]
     name: str

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from spinestiff.verification import derivatives, energies, equilibria, manufactured, places, solutions, whole
+from spinestiff.verification import derivatives, energies, equilibria, manufactured, places, solutions, solving, whole
 from spinestiff.verification.outcome import Check, judged
 
 # What is checked, by the number that the names of checks begin with. docs/validation.md has the tolerances.
@@ -51,11 +51,12 @@ OnCheck = Callable[[Check], None]
 GROUPS: tuple[Group, ...] = (
     *energies.GROUPS,
     *solutions.GROUPS,
+    *solving.GROUPS,
     *equilibria.GROUPS,
     *derivatives.GROUPS,
     *places.GROUPS,
     energies.sweep,
-    equilibria.inverting_steps,
+    solving.inverting_steps,
     *manufactured.GROUPS,
     *whole.GROUPS,
 )

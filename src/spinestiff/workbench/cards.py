@@ -8,9 +8,9 @@ from typing import Any
 
 from spinestiff.errors import SpinestiffError
 from spinestiff.study.wording import badge, headline, told_stiffness
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject, annotatable, read_annotation, read_unannotated
 from spinestiff.subject.gaps import Gap
-from spinestiff.subject.outcomes import Estimate
 from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, REST_IMAGES
 from spinestiff.subject.run_record import read_outcome
 from spinestiff.workbench.job_table import Job

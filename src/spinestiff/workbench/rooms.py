@@ -13,7 +13,8 @@ from pathlib import Path
 
 from spinestiff.errors import NotThere, SubjectError
 from spinestiff.files import listed, trouble, write_bytes
-from spinestiff.subject.records import IDENTIFIER, SUBJECT_FILE, WANTED_ID
+from spinestiff.subject.record_reading import IDENTIFIER, WANTED_ID
+from spinestiff.subject.records import SUBJECT_FILE
 
 OWN = ".workbench"
 """Folder of the workbench's own files, beside the subjects."""

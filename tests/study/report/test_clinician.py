@@ -22,8 +22,10 @@ from spinestiff.study.report.clinician import (
 )
 from spinestiff.study.visit import Visit, open_visit
 from spinestiff.study.wording import told_stiffness
+from spinestiff.subject.assessment_outcome import Assessment
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcome_parts import Determination, Quantity
-from spinestiff.subject.outcomes import Assessment, Estimate, Responses
+from spinestiff.subject.outcomes import Responses
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
 from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import read_outcome, record_step, step_record, write_outcome

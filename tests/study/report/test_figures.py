@@ -183,3 +183,17 @@ def test_no_global_state_is_left() -> None:
     before = dict(rcParams)
     as_svg(draw_tilt_changes([TiltChange("x", NAMES, np.zeros(3), {})]))
     assert dict(rcParams) == before
+
+
+def test_overlay_draws_pedicles_where_they_are_and_shows_them_all(overlay: Overlay) -> None:
+    seen, made = np.array([[130.0, 150.0], [170.0, 90.0]]), np.array([[135.0, 152.0], [178.0, 91.0]])
+    panels = tuple(replace(panel, pedicles=made) for panel in overlay.panels)
+    figure = draw_overlay(replace(overlay, panels=panels, pedicles=seen))
+    for axis in figure.axes:
+        for colour, wanted in ((MEASURED_ON_DARK, seen), (SIMULATED_ON_DARK, made)):
+            np.testing.assert_array_equal(lines(axis, colour)[-1], wanted)
+        assert axis.get_ylim()[1] < 90.0 - 30.0
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert words == ["measured", "simulated", "pedicles, measured", "pedicles, simulated"]
+    with pytest.raises(SpinestiffError, match="panel 'Default stiffness' has 0 pedicles, wanted 2"):
+        replace(overlay, pedicles=seen)

@@ -41,21 +41,15 @@ from spinestiff.study.steps import stored_predictions
 from spinestiff.study.truth import read_truth
 from spinestiff.study.visit import Visit, load_pushes, open_visit
 from spinestiff.study.wording import response_texts
+from spinestiff.subject.annotation_record import Annotation, ImageAnnotation
+from spinestiff.subject.assessment_outcome import Assessment, Comparison
+from spinestiff.subject.estimate_outcome import BudgetRecord, Estimate, RatioEstimate
 from spinestiff.subject.folder import write_annotation, write_subject
+from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.outcome_parts import OutcomeFile, ViewRecord
-from spinestiff.subject.outcomes import (
-    Assessment,
-    BudgetRecord,
-    Comparison,
-    Estimate,
-    GeometryRecord,
-    RatioEstimate,
-    Responses,
-    Tracked,
-    TrackedPush,
-)
+from spinestiff.subject.outcomes import Responses, Tracked, TrackedPush
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
-from spinestiff.subject.records import Annotation, ImageAnnotation, PushRecord, SubjectRecord
+from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.subject.run_record import read_outcome, record_step, step_record, write_outcome
 from spinestiff.subject.sensitivity_outcome import Refit, Sensitivity
 

@@ -16,7 +16,8 @@ import { LineMaterial } from "three/examples/jsm/lines/LineMaterial.js";
 import { LineSegments2 } from "three/examples/jsm/lines/LineSegments2.js";
 import { LineSegmentsGeometry } from "three/examples/jsm/lines/LineSegmentsGeometry.js";
 import { onBone, type Pose } from "./pose";
-import type { Corner, Push, Support } from "./scene";
+import type { Corner, Plane, Push, Support } from "./scene";
+import type { Seen } from "./stage";
 
 const UP = new Vector3(0, 1, 0);
 const LEAST_N = 0.5;
@@ -59,8 +60,8 @@ class Arrow extends Group {
 export class Marks {
   readonly loads = new Group();
   readonly supports = new Group();
-  readonly measured: Outlines;
-  readonly simulated: Outlines;
+  readonly measured: Sights;
+  readonly simulated: Sights;
   private readonly loadMaterial = new MeshLambertMaterial();
   private readonly supportMaterial = new MeshLambertMaterial();
   private readonly plateMaterial = new MeshBasicMaterial({ transparent: true, opacity: 0.42, depthWrite: false });
@@ -71,10 +72,8 @@ export class Marks {
 
   /** `mmPerN`: of all arrows. */
   constructor(private readonly mmPerN: number) {
-    this.simulated = new Outlines(3.4);
-    this.measured = new Outlines(1.6);
-    this.simulated.lines.renderOrder = 5;
-    this.measured.lines.renderOrder = 6;
+    this.simulated = new Sights(3.4, 5, DIAMOND);
+    this.measured = new Sights(1.6, 6, CROSS);
   }
 
   /** Build what belongs to a push: its arrows, and supports where they are at rest. */
@@ -182,34 +181,81 @@ export function newtons(force: number): string {
   return `${force < 9.95 ? force.toFixed(1) : force.toFixed(0)} N`;
 }
 
-/** Outlines of vertebrae in the patient plane, drawn over everything else. */
-export class Outlines {
+/** Segments about a marker, in units of its size. */
+type Sign = readonly (readonly [Vector3, Vector3])[];
+const AXES = [new Vector3(1, 0, 0), new Vector3(0, 1, 0), new Vector3(0, 0, 1)] as const;
+const CROSS: Sign = AXES.map((axis) => [axis.clone().negate(), axis] as const);
+const DIAMOND: Sign = AXES.flatMap((axis, i) =>
+  [1, -1].flatMap((a) =>
+    [1, -1].map((b) => [axis.clone().multiplyScalar(a), AXES[(i + 1) % 3]!.clone().multiplyScalar(b)] as const),
+  ),
+);
+const MARKER_MM = 6;
+
+/** What was seen, or what a model has of it: outlines of vertebrae by view and markers, drawn over everything else. */
+export class Sights {
+  readonly group = new Group();
   readonly material: LineMaterial;
-  readonly lines: LineSegments2;
-  /** How many are drawn. */
-  count = 0;
+  private readonly markers: Lines;
+  private readonly outlines: { lines: Lines; normal: Vector3 }[] = [];
 
-  constructor(width: number) {
+  /** `order`: the higher is drawn over the lower. `sign`: of a marker. */
+  constructor(width: number, private readonly order: number, private readonly sign: Sign) {
     this.material = new LineMaterial({ linewidth: width, depthTest: false, depthWrite: false, transparent: true });
-    this.lines = new LineSegments2(new LineSegmentsGeometry(), this.material);
-    this.lines.frustumCulled = false;
-    this.lines.visible = false;
+    this.markers = new Lines(this.material, order);
+    this.group.add(this.markers.object);
   }
 
-  /** Corners (column, row), mm from where the source's foot lies in the plane. */
-  draw(view: Push["view"], boxes: Iterable<Corner[]>): void {
-    const origin = new Vector3(...view.origin);
-    const columns = new Vector3(...view.columns);
-    const rows = new Vector3(...view.rows);
-    const numbers: number[] = [];
-    for (const box of boxes) {
-      const points = box.map(([u, v]) => origin.clone().addScaledVector(columns, u).addScaledVector(rows, v));
-      points.forEach((point, i) => numbers.push(...point.toArray(), ...points[(i + 1) % points.length]!.toArray()));
+  draw(push: Push, seen: Seen): void {
+    const views: [Plane, Corner[][]][] = [[push.view, seen.boxes]];
+    for (const [name, plane] of Object.entries(push.further ?? {})) views.push([plane, seen.further[name] ?? []]);
+    while (this.outlines.length < views.length) {
+      const lines = new Lines(this.material, this.order);
+      this.group.add(lines.object);
+      this.outlines.push({ lines, normal: new Vector3() });
     }
-    this.lines.geometry.dispose();
-    this.lines.geometry = new LineSegmentsGeometry();
-    this.count = numbers.length / 24;
-    this.lines.visible = this.count > 0;
-    if (numbers.length) this.lines.geometry.setPositions(numbers);
+    this.outlines.forEach((outline, i) => {
+      const [plane, boxes] = views[i] ?? [push.view, []];
+      outline.normal.set(...plane.source).sub(new Vector3(...plane.origin)).normalize();
+      outline.lines.draw(boxes.flatMap((box) => edges(plane, box)));
+    });
+    const about = (place: Vector3, end: Vector3): Vector3 => place.clone().addScaledVector(end, MARKER_MM);
+    this.markers.draw(seen.markers.flatMap((place) => this.sign.map(([a, b]): Segment => [about(place, a), about(place, b)])));
   }
+
+  /** Outlines lie in a plane; from its side they would be a line that says nothing. */
+  face(gaze: Vector3): void {
+    for (const { lines, normal } of this.outlines) lines.object.visible = lines.any && Math.abs(normal.dot(gaze)) > 0.3;
+  }
+}
+
+type Segment = [Vector3, Vector3];
+
+class Lines {
+  readonly object: LineSegments2;
+  any = false;
+
+  constructor(material: LineMaterial, order: number) {
+    this.object = new LineSegments2(new LineSegmentsGeometry(), material);
+    this.object.frustumCulled = false;
+    this.object.visible = false;
+    this.object.renderOrder = order;
+  }
+
+  draw(segments: Segment[]): void {
+    this.object.geometry.dispose();
+    this.object.geometry = new LineSegmentsGeometry();
+    this.any = segments.length > 0;
+    this.object.visible = this.any;
+    if (this.any) this.object.geometry.setPositions(segments.flatMap(([a, b]) => [...a.toArray(), ...b.toArray()]));
+  }
+}
+
+/** Corners (column, row), mm from where the source's foot lies in the plane. */
+function edges(plane: Plane, box: Corner[]): Segment[] {
+  const origin = new Vector3(...plane.origin);
+  const columns = new Vector3(...plane.columns);
+  const rows = new Vector3(...plane.rows);
+  const points = box.map(([u, v]) => origin.clone().addScaledVector(columns, u).addScaledVector(rows, v));
+  return points.map((point, i) => [point, points[(i + 1) % points.length]!]);
 }

@@ -1,9 +1,9 @@
 // The slider, the choices and the numbers; they work without a picture, too.
 import { Vector3 } from "three";
 import { isBack, newtons } from "./marks";
-import { bracket, boxesAt, poseAt, reactionsAt, restPose, type Bracket, type Pose } from "./pose";
+import { bracket, boxesAt, furtherBoxesAt, markersAt, poseAt, reactionsAt, restPose, type Bracket, type Pose } from "./pose";
 import type { Frame, Push, Scene, Step } from "./scene";
-import { LAYERS, type Layer, type Shown, type Stage } from "./stage";
+import { LAYERS, type Layer, NOTHING, type Seen, type Shown, type Stage } from "./stage";
 
 const ROLES: Record<string, string> = { training: "training", validation: "held out", unused: "not used" };
 // Of the slider, N; it stands on a measured frame that is not farther away than half of it.
@@ -20,7 +20,7 @@ export class Panel {
 
   constructor(private readonly root: HTMLElement, private readonly scene: Scene) {
     this.rest = restPose(scene);
-    this.last = { push: null, pose: this.rest, force: 0, reactions: [], measured: [], simulated: [] };
+    this.last = { push: null, pose: this.rest, force: 0, reactions: [], measured: NOTHING, simulated: NOTHING };
     this.force = this.part<HTMLInputElement>("force");
     this.push = this.part<HTMLSelectElement>("push");
     this.model = this.part<HTMLSelectElement>("model");
@@ -143,14 +143,15 @@ export class Panel {
     const frame = this.current(force);
     const where = bracket(this.steps, force, frame?.frame ?? null);
     const beyond = force > where.after.force + 1e-9;
-    const boxes = boxesAt(where);
     this.last = {
       push,
       pose: poseAt(this.scene, where),
       force: beyond ? where.after.force : force,
       reactions: reactionsAt(where),
-      measured: frame ? frame.measured : [],
-      simulated: beyond ? [] : [...boxes.values()],
+      measured: frame ? measuredIn(frame) : NOTHING,
+      simulated: beyond
+        ? NOTHING
+        : { boxes: [...boxesAt(where).values()], further: furtherBoxesAt(where), markers: markersAt(where) },
     };
     this.stage?.update(this.last);
     this.describe(push, force, frame, where, beyond);
@@ -244,6 +245,12 @@ export class Panel {
     const button = this.part<HTMLButtonElement>(role);
     if (button) button.disabled = !on;
   }
+}
+
+function measuredIn(frame: Frame): Seen {
+  const further = Object.entries(frame.outlines ?? {}).map(([view, seen]) => [view, seen.boxes]);
+  const markers = Object.values(frame.markers ?? {}).map((place) => new Vector3(...place));
+  return { boxes: frame.measured, further: Object.fromEntries(further), markers };
 }
 
 function sideways(size: number, unit: string): string {

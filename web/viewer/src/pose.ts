@@ -1,6 +1,6 @@
 // Where everything is at a force: a solved state, or between two of them.
 import { Quaternion, Vector3 } from "three";
-import type { Corner, Scene, Step, Vec } from "./scene";
+import type { Corner, Outlined, Scene, Step, Vec } from "./scene";
 
 export interface Pose {
   places: Vector3[];
@@ -62,18 +62,41 @@ export function onBone(pose: Pose, bone: number, offset: Vec | Vector3): Vector3
 
 /** Simulated outlines by vertebra: of both steps' common vertebrae, moved in proportion. */
 export function boxesAt(where: Bracket): Map<string, Corner[]> {
+  return boxesBetween(where.before, where.after, where.share);
+}
+
+function boxesBetween(before: Outlined, after: Outlined, share: number): Map<string, Corner[]> {
   const found = new Map<string, Corner[]>();
-  where.before.vertebrae.forEach((name, i) => {
-    const other = where.after.vertebrae.indexOf(name);
+  before.vertebrae.forEach((name, i) => {
+    const other = after.vertebrae.indexOf(name);
     if (other < 0) return;
-    const a = where.before.boxes[i]!;
-    const b = where.after.boxes[other]!;
+    const a = before.boxes[i]!;
+    const b = after.boxes[other]!;
     found.set(
       name,
-      a.map(([u, v], k): Corner => [u + where.share * (b[k]![0] - u), v + where.share * (b[k]![1] - v)]),
+      a.map(([u, v], k): Corner => [u + share * (b[k]![0] - u), v + share * (b[k]![1] - v)]),
     );
   });
   return found;
+}
+
+/** The same by further view, of those that both steps have. */
+export function furtherBoxesAt(where: Bracket): Record<string, Corner[][]> {
+  const found: Record<string, Corner[][]> = {};
+  for (const [view, before] of Object.entries(where.before.outlines ?? {})) {
+    const after = where.after.outlines?.[view];
+    if (after) found[view] = [...boxesBetween(before, after, where.share).values()];
+  }
+  return found;
+}
+
+/** Simulated markers that both steps have. */
+export function markersAt(where: Bracket): Vector3[] {
+  const after = where.after.markers ?? {};
+  return Object.entries(where.before.markers ?? {}).flatMap(([name, place]) => {
+    const other = after[name];
+    return other ? [new Vector3(...place).lerp(new Vector3(...other), where.share)] : [];
+  });
 }
 
 /** Forces of the supports on the torso, N. */

@@ -17,7 +17,27 @@ export interface Bone {
 export type Vec = [number, number, number];
 export type Corner = [number, number];
 
-export interface Frame {
+/** Outlines of vertebrae, mm at a view's patient plane. */
+export interface Outlined {
+  vertebrae: string[];
+  boxes: Corner[][];
+}
+
+/** What a frame shows beside its frontal corners: outlines by further view, markers on the skin by name. */
+export interface Beside {
+  outlines?: Record<string, Outlined>;
+  markers?: Record<string, Vec>;
+}
+
+/** The source, and the patient plane: a point of it lies at origin + u columns + v rows. */
+export interface Plane {
+  source: Vec;
+  origin: Vec;
+  columns: Vec;
+  rows: Vec;
+}
+
+export interface Frame extends Beside {
   frame: number;
   force: number;
   role: string;
@@ -26,12 +46,10 @@ export interface Frame {
   rmse: Record<string, number>;
 }
 
-export interface Step {
+export interface Step extends Beside, Outlined {
   force: number;
   frame: number | null;
   state: number;
-  vertebrae: string[];
-  boxes: Corner[][];
   reactions: Vec[];
 }
 
@@ -47,7 +65,8 @@ export interface Push {
   id: string;
   side: "left" | "right";
   level: number;
-  view: { source: Vec; origin: Vec; columns: Vec; rows: Vec };
+  view: Plane;
+  further?: Record<string, Plane>;
   load: { bone: number[]; offset: Vec[]; force: Vec[] };
   supports: Support[];
   frames: Frame[];

@@ -14,13 +14,22 @@ export type Layer = (typeof LAYERS)[number];
 const LONGEST_ARROW_MM = 105;
 const TURNED = "Turned freely; the letters say which side of the patient lies where.";
 
+/** Outlines in the push's own view and in further ones, and markers on the skin. */
+export interface Seen {
+  boxes: Corner[][];
+  further: Record<string, Corner[][]>;
+  markers: Vector3[];
+}
+
+export const NOTHING: Seen = { boxes: [], further: {}, markers: [] };
+
 export interface Shown {
   push: Push | null;
   pose: Pose;
   force: number;
   reactions: Vector3[];
-  measured: Corner[][];
-  simulated: Corner[][];
+  measured: Seen;
+  simulated: Seen;
 }
 
 export interface Parts {
@@ -51,13 +60,13 @@ export class Stage {
     this.renderer = new WebGLRenderer({ canvas: parts.canvas, antialias: true, alpha: true, preserveDrawingBuffer: true });
     this.renderer.setClearAlpha(0);
     this.rest = restPose(scene);
-    this.shown = { push: null, pose: this.rest, force: 0, reactions: [], measured: [], simulated: [] };
+    this.shown = { push: null, pose: this.rest, force: 0, reactions: [], measured: NOTHING, simulated: NOTHING };
     this.body = new Body(scene, this.rest);
     const most = Math.max(...scene.pushes.flatMap((push) => push.frames.map((frame) => frame.force)), 1);
     this.marks = new Marks(LONGEST_ARROW_MM / most);
     const { bones, skin, joints, rest } = this.body;
     const { loads, supports, measured, simulated } = this.marks;
-    this.world.add(bones, skin, joints, rest, loads, supports, simulated.lines, measured.lines);
+    this.world.add(bones, skin, joints, rest, loads, supports, simulated.group, measured.group);
     this.camera = new Camera(parts.canvas, this.room(), (view) => this.looked(view));
     // The light comes with the viewer, from over the left shoulder: no side of the torso is dark.
     const light = new DirectionalLight(0xffffff, 2.1);
@@ -93,8 +102,8 @@ export class Stage {
     this.marked = labels.filter((label) => this.on.has(label.kind === "load" ? "loads" : "supports"));
     if (this.on.has("levels")) this.marked.push(...this.levels(pose));
     if (push) {
-      this.marks.measured.draw(push.view, this.on.has("measured") ? shown.measured : []);
-      this.marks.simulated.draw(push.view, this.on.has("simulated") ? shown.simulated : []);
+      this.marks.measured.draw(push, this.on.has("measured") ? shown.measured : NOTHING);
+      this.marks.simulated.draw(push, this.on.has("simulated") ? shown.simulated : NOTHING);
     }
     this.faceOutlines();
     this.ask();
@@ -127,14 +136,10 @@ export class Stage {
     this.ask();
   }
 
-  /** The outlines lie in a plane; from its side they would be a line that says nothing. */
   private faceOutlines(): void {
-    const push = this.shown.push;
-    if (!push) return;
-    const normal = new Vector3(...push.view.source).sub(new Vector3(...push.view.origin)).normalize();
+    if (!this.shown.push) return;
     const gaze = this.camera.eye.getWorldDirection(new Vector3());
-    const seen = Math.abs(normal.dot(gaze)) > 0.3;
-    for (const outlines of [this.marks.measured, this.marks.simulated]) outlines.lines.visible = seen && outlines.count > 0;
+    for (const sights of [this.marks.measured, this.marks.simulated]) sights.face(gaze);
   }
 
   private watch(): void {

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from spinestiff.app.commands.shared import Folder, Force, RefitMesh, run_steps_of
-from spinestiff.app.options import dose_limits, push_limits, within
+from spinestiff.app.commands.shared import Folder, Force, RefitMesh, at_work, run_steps_of
+from spinestiff.app.options import dose_limits, offering, push_limits, within
 
 
 def plan(
     folder: Folder,
     target: Annotated[
-        str, typer.Option(help="What is to become narrow: bending, tissue, rotation or cobb.")
+        str,
+        typer.Option(
+            help="What is to become narrow: bending, tissue, rotation or cobb.",
+            autocompletion=offering("bending", "tissue", "rotation", "cobb"),
+        ),
     ] = "bending",
     limit: Annotated[
         float, typer.Option(callback=within("N", push_limits), help="Largest force to propose, N.")
@@ -43,10 +48,17 @@ def plan(
             help="Dose of one lateral radiograph, in the unit of --dose; default that of --frame-dose.",
         ),
     ] = None,
-    side: Annotated[str, typer.Option(help="Where to push: left, right or both.")] = "both",
+    side: Annotated[
+        str,
+        typer.Option(help="Where to push: left, right or both.", autocompletion=offering("left", "right", "both")),
+    ] = "both",
     ribs: Annotated[str | None, typer.Option(help="Ribs to push, e.g. 5,7,9; default 5 to 10.")] = None,
     views: Annotated[
-        str, typer.Option(help="Radiographs of a pushed state: frontal, frontal+lateral or both (compared).")
+        str,
+        typer.Option(
+            help="Radiographs of a pushed state: frontal, frontal+lateral or both (compared).",
+            autocompletion=offering("frontal", "frontal+lateral", "both"),
+        ),
     ] = "both",
     under: Annotated[
         str | None, typer.Option(help="With --target cobb: the push it is predicted under, SIDE,RIB,FORCE.")
@@ -54,21 +66,17 @@ def plan(
     json: Annotated[bool, typer.Option("--json", help="Print single pushes, best first, as a JSON list.")] = False,
 ) -> None:
     """Which push to take next, and when further ones no longer pay; writes a picture and a sheet to print."""
-    from spinestiff.app.plan import exposures_of, plan_next, show_plan, wish_of
-    from spinestiff.app.progress import progress
+    from spinestiff.app.plan import exposures_of, plan_next, plan_record, show_plan, wish_of
     from spinestiff.app.tables import show_json
-    from spinestiff.study.visit import open_visit
-    from spinestiff.subject.lock import sole_run
 
     budget, lateral_cost = float(exposures), 1.0
     if any(given is not None for given in (dose, frame_dose, lateral_dose)):
         budget, lateral_cost = exposures_of(dose, frame_dose, lateral_dose)
     wish = wish_of(target, limit, budget, side, ribs, under, push_limits()[1], views, lateral_cost)
-    visit = open_visit(folder)
-    with sole_run(visit.subject.folder), progress() as say:
+    with at_work(folder, "plan", **asdict(wish)) as (visit, say):
         found = plan_next(visit, wish, say)
     if json:
-        show_json([push.model_dump(mode="json") for push in found.next])
+        show_json(plan_record(found))
     else:
         show_plan(found, visit)
 

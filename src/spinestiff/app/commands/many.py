@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from spinestiff.app.commands.shared import Mesh, Method, Orientation, Parameters, Population, names_of
-from spinestiff.app.options import difference_limits, memory_limits, minute_limits, within
+from spinestiff.app.options import difference_limits, memory_limits, minute_limits, offering, within
 
 
 def cohort(
@@ -17,7 +17,11 @@ def cohort(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="Folder for all results; IN is only read.")],
     level: Annotated[
         str | None,
-        typer.Argument(metavar="[participant|group]", help="Run the subjects, or put them together; both if left out."),
+        typer.Argument(
+            metavar="[participant|group]",
+            help="Run the subjects, or put them together; both if left out.",
+            autocompletion=offering("participant", "group"),
+        ),
     ] = None,
     mesh: Mesh = "fine",
     method: Method = "weighed",

@@ -2,19 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from spinestiff.app.options import cobb_limits, force_limits, height_limits, marker_limits, node_limits, within
+from spinestiff.app.options import (
+    cobb_limits,
+    force_limits,
+    height_limits,
+    marker_limits,
+    node_limits,
+    offering,
+    within,
+)
+from spinestiff.observer import Observer
 
 Folder = Annotated[Path, typer.Argument(help="Subject folder (docs/subject-folder.md).")]
 Force = Annotated[bool, typer.Option("--redo", help="Run even if nothing changed.")]
 Mesh = Annotated[
-    str, typer.Option(help="Mesh of the estimate: fine, begun on the coarse one, or coarse alone, a quick look.")
+    str,
+    typer.Option(
+        help="Mesh of the estimate: fine, begun on the coarse one, or coarse alone, a quick look.",
+        autocompletion=offering("fine", "coarse"),
+    ),
 ]
-Method = Annotated[str, typer.Option(help="weighed (by what is not known) or paper (equal weights, no intervals).")]
+Method = Annotated[
+    str,
+    typer.Option(
+        help="weighed (by what is not known) or paper (equal weights, no intervals).",
+        autocompletion=offering("weighed", "paper"),
+    ),
+]
 Parameters = Annotated[
     str | None,
     typer.Option(
@@ -25,18 +46,40 @@ Parameters = Annotated[
 ]
 Population = Annotated[
     str | None,
-    typer.Option(help="Hold other people's bending as a prior: koutras2025, or none. Default: as subject.json says."),
+    typer.Option(
+        help="Hold other people's bending as a prior: koutras2025, or none. Default: as subject.json says.",
+        autocompletion=offering("koutras2025", "none"),
+    ),
 ]
-Orientation = Annotated[str, typer.Option(help="Vertebra orientation in the image: procrustes or covariance.")]
+Orientation = Annotated[
+    str,
+    typer.Option(
+        help="Vertebra orientation in the image: procrustes or covariance.",
+        autocompletion=offering("procrustes", "covariance"),
+    ),
+]
 Truth = Annotated[Path | None, typer.Option(help="Truth file of a synthetic subject, for comparison only.")]
-RefitMesh = Annotated[str, typer.Option("--mesh", help="Mesh of the refits: coarse, or fine, which takes long.")]
+RefitMesh = Annotated[
+    str,
+    typer.Option(
+        "--mesh",
+        help="Mesh of the refits: coarse, or fine, which takes long.",
+        autocompletion=offering("coarse", "fine"),
+    ),
+]
 Seed = Annotated[int, typer.Option(help="Of everything random.")]
 Height = Annotated[float, typer.Option(callback=within("cm", height_limits), help="Body height, cm.")]
 Cobb = Annotated[
     float,
     typer.Option(callback=within("degrees", cobb_limits), help="Rest curve, degrees; above 0 is convex to the left."),
 ]
-Curve = Annotated[str, typer.Option(help="thoracic, thoracolumbar, lumbar or double.")]
+Curve = Annotated[
+    str,
+    typer.Option(
+        help="thoracic, thoracolumbar, lumbar or double.",
+        autocompletion=offering("thoracic", "thoracolumbar", "lumbar", "double"),
+    ),
+]
 PushForce = Annotated[
     float, typer.Option("--force", callback=within("N", force_limits, above=True), help="Largest push, N.")
 ]
@@ -65,7 +108,8 @@ SpineId = Annotated[str | None, typer.Option(help="Which spine of the table.")]
 Acquisition = Annotated[
     str,
     typer.Option(
-        help="planned: two ribs, as spinestiff plan proposes; paper: one rib at a third and two thirds of the force."
+        help="planned: two ribs, as spinestiff plan proposes; paper: one rib at a third and two thirds of the force.",
+        autocompletion=offering("planned", "paper"),
     ),
 ]
 
@@ -84,18 +128,33 @@ def run_steps_of(
     ----------
     command : that asks for them, for the log's name; the last step's if left out.
     """
+    with at_work(folder, command or steps[-1], settings, truth, truth=truth is not None, redo=redo) as (visit, say):
+        from spinestiff.study.runner import run_steps
+
+        run_steps(visit, steps, say, redo)
+    return visit
+
+
+@contextmanager
+def at_work(
+    folder: Path, command: str, settings: Mapping[str, Any] | None = None, truth_file: Path | None = None, **asked: Any
+) -> Iterator[tuple[Any, Observer]]:
+    """The visit of a subject folder that no other command is at, and who takes the lines; logged beside the results.
+
+    Parameters
+    ----------
+    command : for the log's name. settings : of the visit. asked : what else the log notes.
+    """
     from spinestiff.app.progress import progress
 
     with progress() as say:
-        from spinestiff.app.run_log import run_log
-        from spinestiff.study.runner import run_steps
+        from spinestiff.run_log import run_log
         from spinestiff.study.visit import Settings, open_visit
         from spinestiff.subject.lock import sole_run
 
-        visit = open_visit(folder, Settings(**settings), truth)
-        asked = {**visit.settings.as_record(), "truth": truth is not None, "redo": redo}
-        with sole_run(visit.subject.folder), run_log(visit.subject, command or steps[-1], asked):
+        visit = open_visit(folder, Settings(**(settings or {})), truth_file)
+        noted = {**visit.settings.as_record(), **asked}
+        with sole_run(visit.subject.folder), run_log(visit.subject, command, noted):
             for warning in visit.subject.warnings:
                 say(f"warning: {warning}")
-            run_steps(visit, steps, say, redo)
-    return visit
+            yield visit, say

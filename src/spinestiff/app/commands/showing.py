@@ -9,7 +9,7 @@ import typer
 
 from spinestiff.app.annotate import opened
 from spinestiff.app.commands.shared import NoOpen, Page, Replace, TorsoFile, run_steps_of
-from spinestiff.app.options import noise_limits, within
+from spinestiff.app.options import noise_limits, offering, within
 from spinestiff.errors import SubjectError
 
 
@@ -31,7 +31,9 @@ def view(
 
 def cobb(
     path: Annotated[Path, typer.Argument(help="Subject folder, or a file of corners (docs/cobb.md).")],
-    definition: Annotated[str, typer.Option(help="endplate or midline.")] = "endplate",
+    definition: Annotated[
+        str, typer.Option(help="endplate or midline.", autocompletion=offering("endplate", "midline"))
+    ] = "endplate",
     json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of a table.")] = False,
     noise_px: Annotated[
         float | None,
@@ -42,7 +44,10 @@ def cobb(
     ] = None,
     patient_left: Annotated[
         str | None,
-        typer.Option(help="left or right: where in the image the patient's left is, if the file can't tell."),
+        typer.Option(
+            help="left or right: where in the image the patient's left is, if the file can't tell.",
+            autocompletion=offering("left", "right"),
+        ),
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the spines, end vertebrae and angles (PNG).")] = None,
     table: Annotated[Path | None, typer.Option("--csv", help="Write all curves as a CSV, too.")] = None,

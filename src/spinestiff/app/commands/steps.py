@@ -29,6 +29,7 @@ from spinestiff.app.findings import (
     show_json,
     summary_record,
 )
+from spinestiff.app.options import offering
 
 
 def run(
@@ -91,7 +92,9 @@ def report(
     folder: Folder,
     truth: Truth = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Print it to results/report.pdf, too, by a browser.")] = False,
-    paper: Annotated[str, typer.Option(help="Of the PDF: a4 or letter.")] = "a4",
+    paper: Annotated[
+        str, typer.Option(help="Of the PDF: a4 or letter.", autocompletion=offering("a4", "letter"))
+    ] = "a4",
     redo: Force = False,
 ) -> None:
     """Write the report: a first page for the clinician, then all the rest."""

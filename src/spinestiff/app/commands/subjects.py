@@ -8,10 +8,11 @@ from typing import Annotated
 import typer
 
 from spinestiff.app.annotate import annotate_folder
-from spinestiff.app.commands.shared import Folder
+from spinestiff.app.commands.shared import Folder, at_work
 from spinestiff.app.options import (
     distance_limits,
     level_limits,
+    offering,
     oldest_limits,
     pixel_limits,
     source_limits,
@@ -34,11 +35,16 @@ def init(
     age: Annotated[
         float | None, typer.Option(callback=within("years", oldest_limits, above=True), help="Age, years.")
     ] = None,
-    sex: Annotated[str | None, typer.Option(help="female or male.")] = None,
+    sex: Annotated[str | None, typer.Option(help="female or male.", autocompletion=offering("female", "male"))] = None,
     height: Annotated[
         float | None, typer.Option(callback=within("cm", stature_limits), help="Standing height, cm.")
     ] = None,
-    side: Annotated[str | None, typer.Option(help="The patient's side that is pushed: left or right.")] = None,
+    side: Annotated[
+        str | None,
+        typer.Option(
+            help="The patient's side that is pushed: left or right.", autocompletion=offering("left", "right")
+        ),
+    ] = None,
     level: Annotated[
         float | None,
         typer.Option(callback=within("ribs", level_limits), help="Rib that is pushed; 8.5 lies between two."),
@@ -75,7 +81,11 @@ def init(
         float | None, typer.Option(callback=within("mm", pixel_limits, above=True), help="Pixel at the detector, mm.")
     ] = None,
     orientation: Annotated[
-        str | None, typer.Option(help="standard: radiographs without an orientation are shown as usual.")
+        str | None,
+        typer.Option(
+            help="standard: radiographs without an orientation are shown as usual.",
+            autocompletion=offering("standard"),
+        ),
     ] = None,
     no_questions: Annotated[bool, typer.Option("--no-questions", help="Ask nothing on a terminal.")] = False,
 ) -> None:
@@ -152,13 +162,9 @@ def frames(
 ) -> None:
     """Quality and support motion of every frame, and which to train on; writes a picture strip."""
     from spinestiff.app.frames import select_frames, show_frames
-    from spinestiff.app.progress import progress
     from spinestiff.app.tables import show_json
-    from spinestiff.study.visit import open_visit
-    from spinestiff.subject.lock import sole_run
 
-    visit = open_visit(folder)
-    with sole_run(visit.subject.folder), progress() as say:
+    with at_work(folder, "frames", write=write) as (visit, say):
         records = select_frames(visit, say, write)
     if json:
         show_json([frame.model_dump(mode="json") for frame in records])

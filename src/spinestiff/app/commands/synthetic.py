@@ -90,7 +90,7 @@ def recipe_of(
     acquisition: str,
 ) -> Any:
     """The synthetic subject that the options ask for. Raises SubjectError."""
-    from spinestiff.study.synthetic import ACQUISITIONS, Recipe
+    from spinestiff.study.recipe import ACQUISITIONS, Recipe
 
     if (spine is None) != (spine_id is None):
         raise SubjectError("--spine and --spine-id belong together; give both or none")

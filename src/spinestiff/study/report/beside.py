@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import numpy as np
 from matplotlib import rc_context
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.arrays import Floats
 from spinestiff.estimation.objective import Residuals, Target, residuals
-from spinestiff.estimation.sights import MarkerTarget, Sight, further_sights, sight_residuals
+from spinestiff.estimation.sights import MarkerTarget, PedicleTarget, Sight, further_sights, sight_residuals
 from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.report.content import MODELS
-from spinestiff.study.report.figures import FIT, MEASURED, STYLE, Overlay, Panel, draw_overlay
+from spinestiff.study.report.figures import FIT, MEASURED, NO_POINTS, STYLE, Overlay, Panel, draw_overlay
 from spinestiff.study.report.placing import pixel_mm, pixels_of, sides_of
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import fixed
@@ -27,6 +27,7 @@ from spinestiff.subject.folder import read_view
 from spinestiff.words import counted
 
 AROUND_MM = 15.0  # around what is drawn of markers
+S = TypeVar("S")
 ROLES = {"training": "fitted", "validation": "held out", "unused": "not used"}
 
 
@@ -113,7 +114,7 @@ class MarkerMotion:
 
 
 def draw_markers(motions: Sequence[MarkerMotion]) -> Figure:
-    """Ways of the markers in true size, seen from the front and from the patient's right, a row a push."""
+    """Ways of the markers in true size, seen from the front and from the patient's right, a row a frame."""
     with rc_context(STYLE):
         every = np.concatenate([one.resting + way for one in motions for way in (0.0, one.measured, one.simulated)])
         low, high = every.min(0) - AROUND_MM, every.max(0) + AROUND_MM
@@ -153,6 +154,47 @@ def _draw_side(axis: Axes, motion: MarkerMotion, along: int, across: str, title:
     axis.set_title(title, fontsize=11)
 
 
+@dataclass(frozen=True)
+class Pedicles:
+    """Pedicles of one radiograph, (P, 2) mm at the patient plane: as marked, and by model."""
+
+    measured: Floats = field(default_factory=lambda: NO_POINTS)
+    simulated: Mapping[str, Floats] = field(default_factory=dict)
+
+    def of(self, model: str) -> Floats:
+        """Those of a model; none where none are marked."""
+        return self.simulated.get(model, NO_POINTS)
+
+    def words(self) -> str:
+        """Half a sentence on how far off each model's are; empty where none are marked."""
+        if not len(self.measured):
+            return ""
+        errors = (
+            f"{MODELS[name].lower()} {fixed(_rms(points - self.measured))} mm"
+            for name, points in self.simulated.items()
+        )
+        return f" Of {counted(len(self.measured), 'pedicle')}: {', '.join(errors)} (RMS)."
+
+
+def pedicles_in(predictions: Predictions, frame: Prediction, sequence: str) -> Pedicles:
+    """Those that are marked in a frame's radiograph.
+
+    Parameters
+    ----------
+    sequence : the push of the frontal radiograph, else the sequence of a further view (``Picture.sequence``).
+    """
+    for sight in _sights(predictions, frame):
+        if isinstance(sight, PedicleTarget) and sight.trial.push == sequence:
+            torso, states = predictions.pushes.torso, frame.states
+            simulated = {
+                name: sight.z + sight_residuals(torso, sight, states[name]).difference
+                for name in MODELS
+                if name in states
+            }
+            return Pedicles(sight.z, simulated)
+    return Pedicles()
+
+
 PixelsOf = Callable[[str, int, str], NDArray[Any]]
 """The grey values of the radiograph of a push's frame in a view."""
 
@@ -169,60 +211,85 @@ def pixels_in(visit: Visit) -> PixelsOf:
 
 
 def beside_pictures(predictions: Predictions, pixels: PixelsOf) -> list[tuple[str, Figure, str, str]]:
-    """Of each view and of markers the frame with the largest force: name, figure, alt and caption."""
+    """Of each view and of markers the frames held out and that with the largest force: name, figure, alt, caption."""
     return [*_view_pictures(predictions, pixels), *_marker_pictures(predictions)]
 
 
 def _view_pictures(predictions: Predictions, pixels: PixelsOf) -> list[tuple[str, Figure, str, str]]:
-    largest: dict[str, tuple[Prediction, Target]] = {}
-    for frame in sorted(predictions.frames, key=lambda one: one.item.force_n):
+    seen: dict[str, list[tuple[Prediction, Target]]] = {}
+    for frame in predictions.frames:
         for sight in _sights(predictions, frame):
             if isinstance(sight, Target):
-                largest[sight.trial.push] = (frame, sight)
+                seen.setdefault(sight.trial.push, []).append((frame, sight))
     found = []
-    for sequence, (frame, sight) in largest.items():
-        view, item = sight.trial.view, frame.item
-        shown = pixels(item.push, item.frame, _view_of(sequence))
-        panels = tuple(
-            Panel(title, pixels_of(view, sight.z + part.difference), part.rmse)
-            for title, part in _compared(predictions, frame, sight).items()
-        )
-        names = sight.trial.corners.vertebrae
-        overlay = Overlay(shown, names, pixels_of(view, sight.z), panels, pixel_mm(view), sides_of(view), None)
-        where = f"view “{_view_of(sequence)}” of push “{item.push}”, frame {item.frame}, {item.force_n:.0f} N"
-        errors = ", ".join(f"{panel.title.lower()} {fixed(panel.rmse_mm)} mm" for panel in panels)
-        alt = f"Radiograph, {where}, with measured and simulated vertebra boxes. RMSE: {errors}."
-        caption = f"{where[0].upper()}{where[1:]}: vertebrae as measured (blue) and simulated (orange)."
-        found.append((f"view-{_view_of(sequence)}-{item.push}", draw_overlay(overlay), alt, caption))
+    for sequence, sights in seen.items():
+        for frame, sight in _worth_showing(sights):
+            view, item = sight.trial.view, frame.item
+            shown = pixels(item.push, item.frame, _view_of(sequence))
+            pedicles = pedicles_in(predictions, frame, sequence)
+            panels = tuple(
+                Panel(
+                    MODELS[name],
+                    pixels_of(view, sight.z + part.difference),
+                    part.rmse,
+                    pixels_of(view, pedicles.of(name)),
+                )
+                for name, part in _compared(predictions, frame, sight).items()
+            )
+            overlay = Overlay(
+                shown,
+                sight.trial.corners.vertebrae,
+                pixels_of(view, sight.z),
+                panels,
+                pixel_mm(view),
+                sides_of(view),
+                pedicles=pixels_of(view, pedicles.measured),
+            )
+            where = f"view “{_view_of(sequence)}” of push “{item.push}”, frame {item.frame}, {item.force_n:.0f} N"
+            errors = ", ".join(f"{panel.title.lower()} {fixed(panel.rmse_mm)} mm" for panel in panels)
+            alt = f"Radiograph, {where}, with measured and simulated vertebra boxes. RMSE: {errors}.{pedicles.words()}"
+            caption = (
+                f"{where[0].upper()}{where[1:]}, {ROLES[item.role]}: vertebrae as measured (blue) and simulated "
+                "(orange)."
+            )
+            name = f"view-{_view_of(sequence)}-{item.push}-frame-{item.frame}"
+            found.append((name, draw_overlay(overlay), alt, caption))
     return found
+
+
+def _worth_showing(seen: Sequence[tuple[Prediction, S]]) -> list[tuple[Prediction, S]]:
+    """Of one push, in the order of forces: the frames held out, which test the estimate, and the largest force."""
+    ordered = sorted(seen, key=lambda one: one[0].item.force_n)
+    return [one for one in ordered if one[0].item.role == "validation" or one is ordered[-1]]
 
 
 def _compared(predictions: Predictions, frame: Prediction, sight: Target) -> dict[str, Residuals]:
     torso, states = predictions.pushes.torso, frame.states
-    return {title: residuals(torso, sight, states[name]) for name, title in MODELS.items() if name in states}
+    return {name: residuals(torso, sight, states[name]) for name in MODELS if name in states}
 
 
 def _marker_pictures(predictions: Predictions) -> list[tuple[str, Figure, str, str]]:
-    largest: dict[str, MarkerMotion] = {}
-    for frame in sorted(predictions.frames, key=lambda one: one.item.force_n):
+    seen: dict[str, list[tuple[Prediction, MarkerMotion]]] = {}
+    for frame in predictions.frames:
         for sight in _sights(predictions, frame):
             start, state = predictions.before(frame.item, "fit"), frame.states.get("fit")
             if not isinstance(sight, MarkerTarget) or start is None or state is None:
                 continue
             motions = _motions(predictions, frame, sight, start, state)
             if motions is not None:
-                title = f"“{frame.item.push}”, {frame.item.force_n:.0f} N"
-                largest[frame.item.push] = MarkerMotion(title, *motions)
-    if not largest:
+                title = f"“{frame.item.push}”, {frame.item.force_n:.0f} N, {ROLES[frame.item.role]}"
+                seen.setdefault(frame.item.push, []).append((frame, MarkerMotion(title, *motions)))
+    shown = [motion for one in seen.values() for _, motion in _worth_showing(one)]
+    if not shown:
         return []
     words = [
         f"{one.title}: moved by {fixed(_rms(one.measured))} mm, the estimate is "
         f"{fixed(_rms(one.simulated - one.measured))} mm off (RMS)"
-        for one in largest.values()
+        for one in shown
     ]
-    alt = f"Motion of skin markers under the largest force of each push, measured and simulated; {'; '.join(words)}."
+    alt = f"Motion of skin markers in {counted(len(shown), 'frame')}, measured and simulated; {'; '.join(words)}."
     caption = (
-        "Markers on the skin under the largest force of each push, in true size: from where they were without force to "
-        "where they were seen (blue), and where the estimate takes them (orange)."
+        "Markers on the skin in the frames held out and under the largest force, in true size: from where they were "
+        "without force to where they were seen (blue), and where the estimate takes them (orange)."
     )
-    return [("skin-markers", draw_markers(list(largest.values())), alt, caption)]
+    return [("skin-markers", draw_markers(shown), alt, caption)]

@@ -15,13 +15,7 @@ import numpy as np
 from spinestiff.curves.changes import change_words
 from spinestiff.curves.pushes import rest_reading
 from spinestiff.study.plan_words import NONE_PAYS, TITLES, VIEW_WORDS, now_of, pays, size_of, width
-from spinestiff.study.report.content import (
-    BENDING_BAND,
-    bending_line,
-    comparison_content,
-    ratio_title,
-    stale_plan,
-)
+from spinestiff.study.report.content import BENDING_BAND, bending_line, comparison_content, ratio_title, stale_plan
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import (
     estimated,
@@ -34,8 +28,10 @@ from spinestiff.study.wording import (
     number,
     told_stiffness,
 )
+from spinestiff.subject.assessment_outcome import Assessment
+from spinestiff.subject.estimate_outcome import Estimate, PlainStiffness
 from spinestiff.subject.outcome_parts import Determination, Quantity
-from spinestiff.subject.outcomes import Assessment, Estimate, PlainStiffness, Responses
+from spinestiff.subject.outcomes import Responses
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import is_unchanged, read_outcome

@@ -23,7 +23,7 @@ from spinestiff.study.report.content import expected_change
 from spinestiff.study.report.figures import MEASURED_ON_DARK, PERCENTILES, SIMULATED_ON_DARK, STYLE, WHITE_ON_DARK
 from spinestiff.study.report.placing import pixel_mm, push_arrow, sides_of
 from spinestiff.study.visit import Visit
-from spinestiff.subject.outcomes import Assessment
+from spinestiff.subject.assessment_outcome import Assessment
 
 HEIGHT = 5.2  # inches
 MARGIN_MM = (75.0, 14.0)

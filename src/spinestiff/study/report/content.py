@@ -37,20 +37,11 @@ from spinestiff.study.wording import (
     span_in_words,
     unknown_title,
 )
+from spinestiff.subject.assessment_outcome import Assessment, Comparison, HeldOutFrame
+from spinestiff.subject.estimate_outcome import Check, Estimate, PlainStiffness, RatioEstimate, Reactions
+from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.outcome_parts import Determination, PoseRecord, Quantity
-from spinestiff.subject.outcomes import (
-    Assessment,
-    Check,
-    Comparison,
-    Estimate,
-    GeometryRecord,
-    HeldOutFrame,
-    PlainStiffness,
-    RatioEstimate,
-    Reactions,
-    Responses,
-    Tracked,
-)
+from spinestiff.subject.outcomes import Responses, Tracked
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.run_record import changed_inputs
 from spinestiff.subject.sensitivity_outcome import Sensitivity

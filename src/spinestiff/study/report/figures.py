@@ -8,7 +8,7 @@ blue is measured, orange is the fit, grey is the default. Marks and line styles 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +36,7 @@ MARGIN_MM = 18.0
 PERCENTILES = (1.0, 99.7)  # of the crop's grey values, black to white
 SCALE_BAR_MM = 50.0
 LABEL_GAP = 0.04  # inches between tick labels
+NO_POINTS = read_only("points", np.zeros((0, 2)), (None, 2), SpinestiffError)
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 10.5,
@@ -67,14 +68,17 @@ class Panel:
     title : e.g. "Estimated stiffness".
     boxes : (n, 4, 2) pixels (column, row), the simulated boxes of the measured vertebrae.
     rmse_mm : corner RMSE at the patient plane; None = no prediction.
+    pedicles : (p, 2) pixels, simulated.
     """
 
     title: str
     boxes: Floats
     rmse_mm: float | None
+    pedicles: Floats = field(default_factory=lambda: NO_POINTS)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "boxes", read_only("boxes", self.boxes, (None, *FEATURE_SHAPE), SpinestiffError))
+        object.__setattr__(self, "pedicles", read_only("pedicles", self.pedicles, (None, 2), SpinestiffError))
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,7 @@ class Overlay:
     mm_per_pixel : at the patient plane, along columns and rows.
     sides : letters at the picture's left and right edge, e.g. ("R", "L") or ("P", "A").
     arrow : pushed height (row), direction along columns (+1 or -1) and text; None = no push.
+    pedicles : (p, 2) pixels, measured; each panel has as many.
     """
 
     pixels: np.ndarray
@@ -99,18 +104,25 @@ class Overlay:
     mm_per_pixel: tuple[float, float]
     sides: tuple[str, str]
     arrow: tuple[float, float, str] | None = None
+    pedicles: Floats = field(default_factory=lambda: NO_POINTS)
 
     def __post_init__(self) -> None:
         shape = (len(self.vertebrae), *FEATURE_SHAPE)
         object.__setattr__(self, "measured", read_only("measured", self.measured, shape, SpinestiffError))
+        pedicles = read_only("pedicles", self.pedicles, (None, 2), SpinestiffError)
+        object.__setattr__(self, "pedicles", pedicles)
         for panel in self.panels:
             if panel.boxes.shape != shape:
                 raise SpinestiffError(f"panel '{panel.title}' has {len(panel.boxes)} boxes, wanted {shape[0]}")
+            if panel.pedicles.shape != pedicles.shape:
+                found, wanted = len(panel.pedicles), len(pedicles)
+                raise SpinestiffError(f"panel '{panel.title}' has {found} pedicles, wanted {wanted}")
 
     @property
     def crop(self) -> tuple[int, int, int, int]:
         """First and last column, first and last row of what is shown: all boxes and a margin, inside the picture."""
-        points = np.concatenate([self.measured, *(panel.boxes for panel in self.panels)]).reshape(-1, 2)
+        boxes = np.concatenate([self.measured, *(panel.boxes for panel in self.panels)]).reshape(-1, 2)
+        points = np.concatenate([boxes, self.pedicles, *(panel.pedicles for panel in self.panels)])
         margin = MARGIN_MM / np.array(self.mm_per_pixel)
         low, high = points.min(0) - margin, points.max(0) + margin
         lacking = 0.5 * (NARROWEST_CROP_MM / self.mm_per_pixel[0] - (high[0] - low[0]))
@@ -263,7 +275,12 @@ def draw_overlay(overlay: Overlay) -> Figure:
             Line2D([], [], color=MEASURED_ON_DARK, marker="o", markersize=4, linewidth=1.4, label="measured"),
             Line2D([], [], color=SIMULATED_ON_DARK, linewidth=3.0, label="simulated"),
         ]
-        figure.legend(handles=handles, loc="lower center", ncols=2, fontsize=10.5, borderaxespad=0.15)
+        if len(overlay.pedicles):
+            handles.append(Line2D([], [], **_PEDICLES_MEASURED, label="pedicles, measured"))
+            handles.append(Line2D([], [], **_PEDICLES_SIMULATED, label="pedicles, simulated"))
+        # A narrow picture has room for two beside each other.
+        columns = len(handles) if count > 1 else 2
+        figure.legend(handles=handles, loc="lower center", ncols=columns, fontsize=10.5, borderaxespad=0.15)
     return figure
 
 
@@ -273,6 +290,18 @@ def _draw_boxes(axis: Axes, overlay: Overlay, panel: Panel) -> None:
         axis.plot(*closed.T, color=SIMULATED_ON_DARK, linewidth=2.3, solid_joinstyle="round")
         closed = np.vstack([measured, measured[:1]])
         axis.plot(*closed.T, color=MEASURED_ON_DARK, linewidth=0.9, marker="o", markersize=2.6)
+    if len(overlay.pedicles):
+        axis.plot(*panel.pedicles.T, **_PEDICLES_SIMULATED)
+        axis.plot(*overlay.pedicles.T, **_PEDICLES_MEASURED)
+
+
+_PEDICLES_MEASURED: dict[str, Any] = {
+    "color": MEASURED_ON_DARK, "linestyle": "none", "marker": "x", "markersize": 5.0, "markeredgewidth": 1.3,
+}  # fmt: skip
+_PEDICLES_SIMULATED: dict[str, Any] = {
+    "color": SIMULATED_ON_DARK, "linestyle": "none", "marker": "o", "markersize": 7.5, "markeredgewidth": 1.8,
+    "markerfacecolor": "none",
+}  # fmt: skip
 
 
 def _draw_marks(axis: Axes, overlay: Overlay, first: bool) -> None:

@@ -34,10 +34,7 @@ from spinestiff.study.report.content import (
     support_rows,
     uncertainty_content,
 )
-from spinestiff.study.report.figures import (
-    as_png,
-    as_svg,
-)
+from spinestiff.study.report.figures import as_png, as_svg
 from spinestiff.study.report.pdf import PDF_FILE
 from spinestiff.study.report.pictures import (
     Drawn,
@@ -58,8 +55,11 @@ from spinestiff.study.report.viewer.page import component, page_environment, scr
 from spinestiff.study.truth import known_comparison
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import fixed
+from spinestiff.subject.assessment_outcome import Assessment
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_push
-from spinestiff.subject.outcomes import Assessment, Estimate, GeometryRecord, Responses, Tracked
+from spinestiff.subject.geometry_outcome import GeometryRecord
+from spinestiff.subject.outcomes import Responses, Tracked
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.run_record import is_unchanged, read_outcome
 from spinestiff.subject.sensitivity_outcome import Sensitivity
@@ -138,7 +138,8 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
         },
         "version": __version__,
         "held_out": [
-            album.add(*frame_picture(visit, torso, p, films[p.item.push])) for p in predictions.of_role("validation")
+            album.add(*frame_picture(visit, predictions, p, films[p.item.push]))
+            for p in predictions.of_role("validation")
         ],
         "rest": [album.add(*rest_picture(visit, torso, view, geometry)) for view in geometry.views],
         "curves": album.add(*curve_picture(predictions)),

@@ -18,14 +18,11 @@ from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.study.plan_words import TITLES, push_words, size_of, width
 from spinestiff.study.predictions import Prediction, Predictions
+from spinestiff.study.report.beside import pedicles_in
 from spinestiff.study.report.certainty_pictures import ProfileCurve, draw_profiles, draw_support_places
-from spinestiff.study.report.content import (
-    MODELS,
-    budget_bars,
-    ratio_title,
-    support_places,
-)
+from spinestiff.study.report.content import MODELS, budget_bars, ratio_title, support_places
 from spinestiff.study.report.figures import (
+    NO_POINTS,
     BudgetBars,
     CurveChange,
     Overlay,
@@ -45,8 +42,9 @@ from spinestiff.study.sensitivity_words import largest, tornado_rows
 from spinestiff.study.truth import read_truth, true_values
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import listed, number
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import image_corners, read_rest
-from spinestiff.subject.outcomes import Estimate, GeometryRecord
+from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.sensitivity_outcome import Sensitivity
 from spinestiff.words import counted
@@ -55,23 +53,30 @@ Drawn = tuple[str, Figure, str, str]
 """Name, figure, what it shows for who can't see it, and caption."""
 
 
-def frame_picture(visit: Visit, torso: TorsoModel, prediction: Prediction, film: Sequence[Radiograph]) -> Drawn:
-    """A held-out frame: vertebrae as measured and as the models have them, on its radiograph."""
-    item, target = prediction.item, prediction.target
+def frame_picture(visit: Visit, predictions: Predictions, prediction: Prediction, film: Sequence[Radiograph]) -> Drawn:
+    """A held-out frame: vertebrae, and pedicles that are marked, as measured and as the models have them."""
+    item, target, torso = prediction.item, prediction.target, predictions.pushes.torso
     view = item.trial.view
     push = visit.subject.push(item.push)
     errors = {name: prediction.rmse(torso, name) for name in MODELS if name in prediction.solved}
+    pedicles = pedicles_in(predictions, prediction, item.push)
     panels = tuple(
-        Panel(title, pixels_of(view, prediction.boxes(torso, name)), errors[name])
+        Panel(
+            title,
+            pixels_of(view, prediction.boxes(torso, name)),
+            errors[name],
+            pixels_of(view, pedicles.of(name)),
+        )
         for name, title in MODELS.items()
         if name in errors
     )
     frame = next(f for f in film if f.frame == item.frame)
     names = item.trial.corners.vertebrae
-    overlay = _overlay(frame, view, names, target.z, panels, push_arrow(torso, view, push, item))
+    arrow = push_arrow(torso, view, push, item)
+    overlay = _overlay(frame, view, names, target.z, panels, arrow, pedicles.measured)
     found = listed(f"{MODELS[name].lower()} {error:.1f} mm" for name, error in errors.items())
     where = f"push “{item.push}”, frame {item.frame}, {item.force_n:.0f} N from the patient’s {push.side}"
-    alt = f"Radiograph of {where}, with measured and simulated vertebra boxes. RMSE: {found}."
+    alt = f"Radiograph of {where}, with measured and simulated vertebra boxes. RMSE: {found}.{pedicles.words()}"
     caption = f"Held-out frame, not used by the estimate: {where}. Vertebrae as measured (blue) and simulated (orange)."
     return f"{item.push}-frame-{item.frame}", draw_overlay(overlay), alt, caption
 
@@ -97,8 +102,10 @@ def _overlay(
     measured: Floats,
     panels: tuple[Panel, ...],
     arrow: tuple[float, float, str] | None,
+    pedicles: Floats = NO_POINTS,
 ) -> Overlay:
-    return Overlay(frame.pixels, names, pixels_of(view, measured), panels, pixel_mm(view), sides_of(view), arrow)
+    seen, marked = pixels_of(view, measured), pixels_of(view, pedicles)
+    return Overlay(frame.pixels, names, seen, panels, pixel_mm(view), sides_of(view), arrow, marked)
 
 
 def curve_changes(predictions: Predictions) -> list[CurveChange]:

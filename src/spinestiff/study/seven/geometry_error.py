@@ -30,8 +30,8 @@ from spinestiff.study.runner import ALL_STEPS, Step
 from spinestiff.study.steps import outputs_of_shape, personalise_step
 from spinestiff.study.visit import START, Visit
 from spinestiff.subject.folder import image_corners, read_rest
+from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.outcome_parts import nested
-from spinestiff.subject.outcomes import GeometryRecord
 from spinestiff.subject.run_record import write_outcome
 
 LENGTH = 0.25  # over which the error is alike, of the spine's length: four vertebrae

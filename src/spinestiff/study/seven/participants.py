@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from spinestiff.anatomy.stiffness import DEFAULT_YOUNG_MPA
+from spinestiff.study.recipe import Recipe, SyntheticPush
 from spinestiff.study.seven.paper import CURVES, SUBJECTS, PaperSubject, Sex
 from spinestiff.study.stiffening import LOW, THETA_DEG, Stiffening
-from spinestiff.study.synthetic import Recipe, SyntheticPush
 from spinestiff.subject.records import Role
 
 CALIBRATED_MPA = 0.2045

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from spinestiff import __version__
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.stiffness import DEFAULT_YOUNG_MPA, stiffness_ratios
 from spinestiff.anatomy.template import template_torso
@@ -29,6 +28,7 @@ from spinestiff.personalise.shape import place_vertebrae
 from spinestiff.study.assessment import extrapolated
 from spinestiff.study.parameters import default_gradients
 from spinestiff.study.predictions import REST, Prediction, Predictions
+from spinestiff.study.recipe import Recipe
 from spinestiff.study.refits import basis_of
 from spinestiff.study.runner import run_steps
 from spinestiff.study.sensitivity import FORCE, SIGNS, with_force
@@ -36,10 +36,12 @@ from spinestiff.study.seven.geometry_error import GeometryError, steps_with
 from spinestiff.study.seven.participants import HELD_OUT, MAIN, Participant
 from spinestiff.study.spines import curved_spine
 from spinestiff.study.steps import stored_predictions
-from spinestiff.study.synthetic import Recipe, made_by, synthesise, truth_path
+from spinestiff.study.synthetic import made_by, synthesise, truth_path
 from spinestiff.study.visit import Settings, Visit, open_visit, pushes_on
+from spinestiff.subject.assessment_outcome import Assessment, Comparison, HeldOutFrame
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import image_corners, read_rest
-from spinestiff.subject.outcomes import Assessment, Comparison, Estimate, HeldOutFrame
+from spinestiff.subject.program import program
 from spinestiff.subject.records import SUBJECT_FILE
 from spinestiff.subject.run_record import read_outcome, recorded_steps
 from spinestiff.subject.study_outcome import FrameOutcome, SubjectOutcome
@@ -63,7 +65,7 @@ def usable_folder(folder: Path) -> None:
 
 
 def known_outcome(folder: Path, participant: Participant, settings: Settings) -> SubjectOutcome | None:
-    """What an earlier run found of this subject with these settings and this version; None: nothing, or not that."""
+    """What an earlier run by this program (``subject.program``) found of this subject with these settings, or None."""
     path = result_file(folder, participant)
     if not path.is_file():
         return None
@@ -71,7 +73,7 @@ def known_outcome(folder: Path, participant: Participant, settings: Settings) ->
         found = SubjectOutcome.model_validate_json(read_text(path), strict=True)
     except (SpinestiffError, ValueError):
         return None
-    return found if (found.version, found.settings) == (__version__, settings_digest(participant, settings)) else None
+    return found if (found.program, found.settings) == (program(), settings_digest(participant, settings)) else None
 
 
 def settings_digest(participant: Participant, settings: Settings) -> str:
@@ -189,7 +191,7 @@ def _outcome(
     coarse = replace(visit, settings=replace(settings, mesh="coarse"))
     tissue = estimate.plain["tissue_young"]
     return SubjectOutcome(
-        version=__version__,
+        program=program(),
         settings=settings_digest(participant, settings),
         mesh=settings.mesh,  # type: ignore[arg-type]
         name=participant.name,

@@ -11,7 +11,7 @@ from spinestiff.study.parameters import TABLE_3
 from spinestiff.study.seven.paper import SUBJECTS, TABLE_5, TABLE_6, TABLE_7
 from spinestiff.study.seven.participants import MAIN, TISSUE_SCALE
 from spinestiff.study.wording import fixed, interval
-from spinestiff.subject.outcomes import RatioEstimate
+from spinestiff.subject.estimate_outcome import RatioEstimate
 from spinestiff.subject.study_outcome import SubjectOutcome
 
 PAPER, OURS, TRUTH = "paper", "ours", "truth"

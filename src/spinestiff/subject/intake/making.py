@@ -15,7 +15,8 @@ from spinestiff.files import read_json, trouble, whole_folder, write_json
 from spinestiff.imaging.dicom.export import Exported
 from spinestiff.subject.gaps import PERSON, PUSH, check_open_record, gaps_of
 from spinestiff.subject.intake.sorting import Sorting
-from spinestiff.subject.records import IDENTIFIER, REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE, WANTED_ID
+from spinestiff.subject.record_reading import IDENTIFIER, WANTED_ID
+from spinestiff.subject.records import REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE
 
 
 @dataclass(frozen=True)

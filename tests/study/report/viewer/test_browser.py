@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from chromium import Tab, browser
 from spinestiff.anatomy.template import template_torso
 from spinestiff.study.report.viewer.page import view_page
-from spinestiff.study.report.viewer.scene import Scene
+from spinestiff.study.report.viewer.scene import Scene, visit_scene
 
 pytestmark = pytest.mark.skipif(
     browser() is None or sys.platform == "win32", reason="no Chromium to open the viewer in, or no pipe to drive it by"
@@ -216,6 +216,30 @@ def test_measured_and_simulated_lie_on_the_bones_seen_from_the_tube(tab, shown):
     assert lines.sum() > 500
     near = cv2.dilate(bones.astype(np.uint8), np.ones((5, 5))).astype(bool)
     assert np.mean(near[lines]) > 0.97
+
+
+def test_markers_and_further_views_are_drawn_and_the_latter_seen_from_their_side(tab, beside, tmp_path):
+    def without(scene, **parts):
+        (push,) = scene.pushes
+        frames = tuple(replace(frame, beside=replace(frame.beside, **parts)) for frame in push.frames)
+        return replace(scene, pushes=(replace(push, frames=frames),))
+
+    scene = visit_scene("seen from all sides", beside, {"main": ("left", 8.0)})
+    marked = without(scene, outlines={})
+    counts = {"front": [], "right": []}
+    for shown in (without(marked, markers={}), marked, scene):
+        show(tab, tmp_path / "view.html", shown)
+        for layer in ("bones", "skin", "levels", "loads", "supports", "simulated"):
+            tab.run(f"{VIEWER}.querySelector('[data-show={layer}]').click()")
+        for side, found in counts.items():
+            tab.run(f"{VIEWER}.querySelector('[data-view={side}]').click()")
+            stage = pixels(tab)
+            found.append(int((np.abs(stage - stage[-3, 3]).max(-1) > 60).sum()))
+    # Whatever is shown, letters say which side is which.
+    letters, crosses, outlines = counts["right"]
+    assert letters + 50 < crosses < outlines - 500
+    frontal, crosses, aside = counts["front"]
+    assert letters + 500 < frontal < crosses - 50 and aside == crosses
 
 
 def test_frames_are_stepped_through(tab, shown):

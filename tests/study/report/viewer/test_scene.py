@@ -182,6 +182,35 @@ def test_errors_are_those_of_the_outlines_shown(viewed, record):
     assert full["role"] == "validation" and full["rmse"]["fit"] < full["rmse"]["default"]
 
 
+def test_further_views_and_markers_are_where_they_were_seen(beside):
+    """The whole torso moves by 6 mm to the left, half as far with default stiffness."""
+    (push,) = scene_record(visit_scene("x", beside, {"main": ("left", 8.0)}))["pushes"]
+    rest, full = push["frames"]
+    picture = beside.frames[0].item.trial.further[0]
+    shown, q = push["further"]["aside"], np.array(full["outlines"]["aside"]["boxes"])
+    assert full["outlines"]["aside"]["vertebrae"] == list(picture.corners.vertebrae)
+    points = np.array(shown["origin"]) + q @ np.array([shown["columns"], shown["rows"]])
+    np.testing.assert_allclose(picture.view.project(points), picture.view.from_patient_plane(q), atol=1e-2)
+    seen = picture.view.to_patient_plane(picture.corners.corners)
+    np.testing.assert_allclose(q.mean(1), seen.mean(1), atol=2e-3)
+    before = np.array(list(rest["markers"].values()))
+    assert list(rest["markers"]) == list(full["markers"]) == [f"m{number}" for number in range(1, 8)]
+    np.testing.assert_allclose(np.array(list(full["markers"].values())) - before, [[6.0, 0.0, 0.0]] * 7, atol=2e-3)
+    for model, share in (("fit", 1.0), ("default", 0.5)):
+        first, last = push["models"][model]
+        assert first["markers"] == rest["markers"]
+        moved = np.array(list(last["markers"].values())) - before
+        np.testing.assert_allclose(moved, [[6.0 * share, 0.0, 0.0]] * 7, atol=2e-3)
+        apart = np.abs(np.array(last["outlines"]["aside"]["boxes"]) - q).max()
+        assert (apart < 0.05) == (model == "fit")
+
+
+def test_a_push_seen_from_the_front_alone_has_nothing_beside(record):
+    for push in record["pushes"]:
+        parts = [*push["frames"], *(step for steps in push["models"].values() for step in steps)]
+        assert "further" not in push and not any({"outlines", "markers"} & part.keys() for part in parts)
+
+
 def test_a_push_without_a_frame_at_rest_starts_there_all_the_same(viewed):
     loaded = tuple(t for t in viewed.predictions.pushes.trials if t.force_n > 0.0)
     pushes = replace(viewed.predictions.pushes, trials=loaded)

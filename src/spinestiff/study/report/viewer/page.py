@@ -37,6 +37,7 @@ class Component:
     pushes : (id, words) of each. models : (name, words) of those that any push has.
     most_n : the largest force, N.
     rows : the table of frames, cells as people read them.
+    further, markers : some frame shows vertebrae from another side, markers on the skin.
     """
 
     title: str
@@ -48,6 +49,8 @@ class Component:
     models: tuple[tuple[str, str], ...]
     most_n: float
     rows: tuple[tuple[str, ...], ...]
+    further: bool
+    markers: bool
 
 
 def component(scene: Scene) -> Component:
@@ -63,6 +66,8 @@ def component(scene: Scene) -> Component:
         tuple((name, MODEL_TITLES[name]) for name in known),
         max((frame.force_n for push in scene.pushes for frame in push.frames), default=0.0),
         tuple(row for push in scene.pushes for row in _rows(push)),
+        any(push.further for push in scene.pushes),
+        any(frame.beside.markers for push in scene.pushes for frame in push.frames),
     )
 
 

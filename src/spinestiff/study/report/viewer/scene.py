@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,8 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.curves.pushes import reading_of
-from spinestiff.estimation.objective import make_target
+from spinestiff.estimation.objective import Picture, Target, make_target, residuals
+from spinestiff.estimation.sights import MarkerTarget, further_sights
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.supports import SupportKind, Supports
@@ -29,6 +30,25 @@ from spinestiff.study.trials import PushSet, PushTrial
 SCENE_VERSION = 1
 MODELS = ("fit", "default")
 _LARGEST_INT16 = 32767
+
+
+Outlines = tuple[tuple[str, ...], Floats]
+"""Names (Nv,) of vertebrae and their boxes (Nv, 4, 2), mm at the patient plane of a view."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What a frame shows beside its frontal corners, as measured or as a model has it.
+
+    Attributes
+    ----------
+    outlines : of vertebrae in further views, by the view's id.
+    markers : (3,) mm by name, on the skin; measured ones from where the model has them under the push's least force,
+        since only their motion is known.
+    """
+
+    outlines: Mapping[str, Outlines] = field(default_factory=dict)
+    markers: Mapping[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -41,6 +61,7 @@ class Frame:
     vertebrae : (Nv,) names. measured : (Nv, 4, 2) mm at the patient plane.
     rmse_mm : by model, where it found an equilibrium.
     cobb : the Cobb angle measured in it, in words.
+    beside : what else it shows, measured.
     """
 
     frame: int
@@ -50,6 +71,7 @@ class Frame:
     measured: Floats
     rmse_mm: Mapping[str, float]
     cobb: str = ""
+    beside: Beside = Beside()
 
 
 @dataclass(frozen=True)
@@ -62,6 +84,7 @@ class Step:
     state : where everything is.
     vertebrae : (Nv,) names. boxes : (Nv, 4, 2) mm at the patient plane, as they are compared with the measured ones.
     reactions : (S, 3) N, in the order of ``PushScene.supports``.
+    beside : the same of what else the frame shows.
     """
 
     force_n: float
@@ -70,6 +93,7 @@ class Step:
     vertebrae: tuple[str, ...]
     boxes: Floats
     reactions: Floats
+    beside: Beside = Beside()
 
 
 @dataclass(frozen=True)
@@ -90,7 +114,7 @@ class PushScene:
     Attributes
     ----------
     push, side, level : as in ``subject.json``.
-    view : of its radiographs, moved to where the patient stood.
+    view : of its radiographs, moved to where the patient stood. further : those from other sides, by id.
     load : points and forces per N of push.
     supports : see ``Support``.
     frames : by force.
@@ -105,6 +129,7 @@ class PushScene:
     supports: tuple[Support, ...]
     frames: tuple[Frame, ...]
     models: Mapping[str, tuple[Step, ...]]
+    further: Mapping[str, XRayView] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -147,11 +172,11 @@ def visit_scene(title: str, predictions: Predictions, levels: Mapping[str, tuple
             prediction = made.get((push, trial.frame))
             if prediction is None:
                 found = {name: _at_rest(pushes, trial, len(supports)) for name in MODELS}
-                frames.append(_frame(pushes.torso, _resting(pushes, trial), dict.fromkeys(MODELS, REST)))
+                frames.append(_frame(predictions, _resting(pushes, trial), dict.fromkeys(MODELS, REST)))
             else:
                 known = [name for name in MODELS if name in prediction.solved]
-                found = {name: _step(pushes.torso, prediction, name, supports) for name in known}
-                frames.append(_frame(pushes.torso, prediction, {name: name for name in known}))
+                found = {name: _step(pushes, prediction, name, supports) for name in known}
+                frames.append(_frame(predictions, prediction, {name: name for name in known}))
             for name, step in found.items():
                 steps[name].append(step)
         largest = max(trials, key=lambda t: t.force_n)
@@ -159,7 +184,10 @@ def visit_scene(title: str, predictions: Predictions, levels: Mapping[str, tuple
         unit = load.scaled(1.0 / load.size) if load.size else load
         side, level = levels[push]
         models = {name: tuple(found) for name, found in steps.items() if len(found) > 1}
-        scenes.append(PushScene(push, side, level, trials[0].trial.view, unit, supports, tuple(frames), models))
+        further = {_view_id(one): one.view for trial in trials for one in trial.trial.further}
+        scenes.append(
+            PushScene(push, side, level, trials[0].trial.view, unit, supports, tuple(frames), models, further)
+        )
     return Scene(title, pushes.torso, tuple(scene for scene in scenes if scene.models))
 
 
@@ -187,21 +215,66 @@ def _resting(pushes: PushSet, trial: PushTrial) -> Prediction:
 
 def _at_rest(pushes: PushSet, trial: PushTrial, supports: int) -> Step:
     torso, names = pushes.torso, trial.trial.corners.vertebrae
-    boxes = _resting(pushes, trial).boxes(torso, REST)
-    return Step(0.0, trial.frame, torso.rest_pose, names, boxes, np.zeros((supports, 3)))
+    resting = _resting(pushes, trial)
+    beside = _simulated_beside(pushes, resting, torso.rest_pose)
+    return Step(0.0, trial.frame, torso.rest_pose, names, resting.boxes(torso, REST), np.zeros((supports, 3)), beside)
 
 
-def _step(torso: TorsoModel, prediction: Prediction, name: str, supports: Sequence[Support]) -> Step:
-    item = prediction.item
+def _step(pushes: PushSet, prediction: Prediction, name: str, supports: Sequence[Support]) -> Step:
+    item, torso = prediction.item, pushes.torso
     solved, names = prediction.solved[name], item.trial.corners.vertebrae
     # Both lists: held bones, then springs.
     assert len(solved.reactions) == len(supports)
     boxes = prediction.boxes(torso, name)
-    return Step(item.force_n, item.frame, solved.state, names, boxes, solved.reactions)
+    beside = _simulated_beside(pushes, prediction, solved.state)
+    return Step(item.force_n, item.frame, solved.state, names, boxes, solved.reactions, beside)
 
 
-def _frame(torso: TorsoModel, prediction: Prediction, states: Mapping[str, str]) -> Frame:
-    item = prediction.item
+def _view_id(picture: Picture) -> str:
+    """A sequence is named by its push and its view, whose id has no spaces."""
+    return picture.sequence.rpartition(" ")[2]
+
+
+def _sights(pushes: PushSet, prediction: Prediction) -> tuple[dict[str, Target], MarkerTarget | None]:
+    """Corners by further view, and markers, that a frame shows."""
+    found = further_sights([pushes.torso], [prediction.target], pushes.orientation)
+    ids = {picture.sequence: _view_id(picture) for picture in prediction.item.trial.further}
+    corners = {ids[one.sequence]: one.target for one in found if isinstance(one.target, Target)}
+    markers = [one.target for one in found if isinstance(one.target, MarkerTarget)]
+    return corners, markers[0] if markers else None
+
+
+def _simulated_beside(pushes: PushSet, prediction: Prediction, state: TorsoState) -> Beside:
+    corners, markers = _sights(pushes, prediction)
+    outlines = {
+        view: (target.trial.corners.vertebrae, target.z + residuals(pushes.torso, target, state).difference)
+        for view, target in corners.items()
+    }
+    if markers is None:
+        return Beside(outlines)
+    return Beside(outlines, _named(prediction, markers, markers.points.positions(pushes.torso, state)))
+
+
+def _measured_beside(predictions: Predictions, prediction: Prediction) -> Beside:
+    pushes, item = predictions.pushes, prediction.item
+    corners, markers = _sights(pushes, prediction)
+    outlines = {view: (target.trial.corners.vertebrae, np.asarray(target.z)) for view, target in corners.items()}
+    first, start = pushes.reference(item.push).trial.markers, predictions.before(item, MODELS[0])
+    if markers is None or first is None or start is None:
+        return Beside(outlines)
+    moved = markers.z - first.positions[markers.rows]
+    there = _named(prediction, markers, markers.points.positions(pushes.torso, start) + moved)
+    return Beside(outlines, {name: place for name, place in there.items() if np.isfinite(place).all()})
+
+
+def _named(prediction: Prediction, markers: MarkerTarget, places: Floats) -> dict[str, Floats]:
+    seen = prediction.item.trial.markers
+    assert seen is not None
+    return {seen.names[row]: place for row, place in zip(markers.rows, places)}
+
+
+def _frame(predictions: Predictions, prediction: Prediction, states: Mapping[str, str]) -> Frame:
+    item, torso = prediction.item, predictions.pushes.torso
     errors = {name: prediction.rmse(torso, state) for name, state in states.items()}
     return Frame(
         item.frame,
@@ -211,6 +284,7 @@ def _frame(torso: TorsoModel, prediction: Prediction, states: Mapping[str, str])
         np.asarray(prediction.target.z),
         errors,
         reading_of(item.trial.label, item.trial.corners, item.trial.view).words(),
+        _measured_beside(predictions, prediction),
     )
 
 
@@ -313,19 +387,13 @@ class _States:
 
 
 def _push_record(push: PushScene, states: _States) -> dict[str, Any]:
-    view = push.view
-    foot = view.source + view.source_to_patient * view.normal
     return {
         "id": push.push,
         "side": push.side,
         "level": push.level,
-        # The patient plane: a point q of it lies at origin + q0 columns + q1 rows.
-        "view": {
-            "source": _rounded(view.source),
-            "origin": _rounded(foot),
-            "columns": _rounded(view.detector_axes[0], 7),
-            "rows": _rounded(view.detector_axes[1], 7),
-        },
+        "view": _view_record(push.view),
+        # Here and below, what a push, a frame or a step has nothing of is left out.
+        **({"further": {name: _view_record(view) for name, view in push.further.items()}} if push.further else {}),
         "load": {
             "bone": push.load.points.bone.tolist(),
             "offset": _rounded(push.load.points.offset),
@@ -349,6 +417,7 @@ def _push_record(push: PushScene, states: _States) -> dict[str, Any]:
                 "vertebrae": list(frame.vertebrae),
                 "measured": _rounded(frame.measured),
                 "rmse": {name: round(value, 4) for name, value in frame.rmse_mm.items()},
+                **_beside_record(frame.beside),
             }
             for frame in push.frames
         ],
@@ -361,12 +430,36 @@ def _push_record(push: PushScene, states: _States) -> dict[str, Any]:
                     "vertebrae": list(step.vertebrae),
                     "boxes": _rounded(step.boxes),
                     "reactions": _rounded(step.reactions),
+                    **_beside_record(step.beside),
                 }
                 for step in steps
             ]
             for name, steps in push.models.items()
         },
     }
+
+
+def _view_record(view: XRayView) -> dict[str, Any]:
+    """The source and the patient plane: a point q of it lies at origin + q0 columns + q1 rows."""
+    foot = view.source + view.source_to_patient * view.normal
+    return {
+        "source": _rounded(view.source),
+        "origin": _rounded(foot),
+        "columns": _rounded(view.detector_axes[0], 7),
+        "rows": _rounded(view.detector_axes[1], 7),
+    }
+
+
+def _beside_record(beside: Beside) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    if beside.outlines:
+        found["outlines"] = {
+            view: {"vertebrae": list(names), "boxes": _rounded(boxes)}
+            for view, (names, boxes) in beside.outlines.items()
+        }
+    if beside.markers:
+        found["markers"] = {name: _rounded(place) for name, place in beside.markers.items()}
+    return found
 
 
 def _rounded(array: Floats, decimals: int = 3) -> Any:

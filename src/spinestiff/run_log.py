@@ -1,4 +1,4 @@
-"""The log of a run: ``results/logs/*.jsonl``, a JSON object a line, with versions and settings, without patient data.
+"""The log of a run: ``logs/*.jsonl``, a JSON object a line, with versions and settings, without patient data.
 
 A run is named by when it began. Its first line says what was asked of which versions, its last how it ended; between
 them is what the library logs. Names of files and folders, which may be a patient's, and the subject's id are taken out.
@@ -13,45 +13,53 @@ import platform
 import re
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TextIO
 
-from spinestiff.app.versions import LIBRARIES, installed
-from spinestiff.app.volume import LOGGER, volume
 from spinestiff.errors import SpinestiffError
+from spinestiff.observer import LOGGER
 from spinestiff.subject.folder import Subject
 from spinestiff.subject.program import program
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
+from spinestiff.versions import LIBRARIES, installed
 
 LOGS = "logs"
-"""The folder of all logs, in ``results/``."""
+"""The folder of all logs, usually in ``results/``."""
 _EXTRAS = ("event", "step", "seconds")
 _LEAST = 3  # characters of a name that can be told from other words and numbers
 _OWN_NAMES = {SUBJECT_FILE, ANNOTATION_FILE, "subject", "annotation", "rest", "pushes", "frontal", "lateral"}
 
 
 @contextmanager
-def run_log(subject: Subject, command: str, settings: Mapping[str, Any]) -> Iterator[None]:
+def run_log(
+    subject: Subject,
+    command: str,
+    settings: Mapping[str, Any],
+    folder: Path | None = None,
+    names: Iterable[str] = (),
+) -> Iterator[None]:
     """Log what happens inside to a new file beside the subject's results.
+
+    All that the library logs as information, and what is below that where somebody has asked the logger for it.
 
     Parameters
     ----------
     command : as on the command line, without its arguments. settings : what the steps were asked, as JSON.
+    folder : of the log; None: ``logs`` in the subject's ``results/``. names : further ones that must not be told.
     """
     began, start = datetime.now(UTC), time.perf_counter()
     name = f"{began:%Y%m%dT%H%M%S}-{began.microsecond:06d}-{command.replace(' ', '-')}.jsonl"
-    lines = _Lines(subject.results / LOGS / name, _scrubbed(subject))
+    lines = _Lines((folder or subject.results / LOGS) / name, _scrubbed(subject, names))
     asked = {"command": command, "settings": dict(settings), "versions": versions()}
     lines.write({"time": _stamp(began), "event": "start", **asked})
     logger = logging.getLogger(LOGGER)
     before = logger.level
+    lines.setLevel(min(logging.INFO, logger.getEffectiveLevel()))
     if not logger.isEnabledFor(logging.INFO):
         logger.setLevel(logging.INFO)
-    if volume().verbose:
-        lines.setLevel(logging.DEBUG)
     logger.addHandler(lines)
     end: dict[str, Any] = {"event": "end", "outcome": "done"}
     try:
@@ -80,7 +88,7 @@ class _Lines(logging.Handler):
     """Log records as JSON lines: kept until a step begins, then written to a new file as they come."""
 
     def __init__(self, path: Path, scrub: re.Pattern[str]) -> None:
-        super().__init__(logging.INFO)
+        super().__init__()
         self._path, self._scrub, self._waiting = path, scrub, list[str]()
         self._file: TextIO | None = None
 
@@ -119,12 +127,12 @@ class _Lines(logging.Handler):
             self._file = None
 
 
-def _scrubbed(subject: Subject) -> re.Pattern[str]:
-    """What finds the names that must not be told: of the folder, of all that lies in it but results, and the id."""
+def _scrubbed(subject: Subject, names: Iterable[str]) -> re.Pattern[str]:
+    """What finds the names that must not be told: of the folder, of all in it but results, the id and others."""
     folder = subject.folder
     paths = [path.relative_to(folder) for path in folder.rglob("*") if path.relative_to(folder).parts[0] != RESULTS]
-    names = {part for path in paths for part in (path.as_posix(), path.name, path.stem)}
-    told = {name for name in (*names, subject.record.id, folder.resolve().name) if _tells(name)}
+    inside = {part for path in paths for part in (path.as_posix(), path.name, path.stem)}
+    told = {name for name in (*inside, *names, subject.record.id, folder.resolve().name) if _tells(name)}
     told |= {str(folder), str(folder.resolve())}
     ordered = sorted(map(re.escape, told), key=len, reverse=True)
     return re.compile(rf"(?<!\w)(?:{'|'.join(ordered)})(?!\w)")

@@ -1,0 +1,163 @@
+"""What annotation.json may hold: its schema, read strictly (docs/subject-folder.md)."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.arrays import Floats
+from spinestiff.imaging.spine_shape import CLEARLY, across, cross, quarter_turns
+from spinestiff.subject.record_reading import Record, shown_key
+from spinestiff.subject.records import Pair, Point, VertebraName
+from spinestiff.words import counted
+
+FEWEST_VERTEBRAE = 8
+MOST_TURNED_DEG = 45.0
+"""Of a vertebra between two frames of a push: half of what corners begun at the wrong one make of it."""
+FURTHER_FRAME = r"(?P<push>push/[^/]+)/(?P<frame>[1-9][0-9]{0,3})"
+"""Name of an annotated frame of a push after its first, which is push/<id>."""
+FURTHER_VIEW = r"(?P<push>push/[^/]+)/(?P<frame>0|[1-9][0-9]{0,3})/(?P<view>[^/]+)"
+"""Name of a radiograph of a push's frame from another side."""
+FEWEST_OF_VIEW = 3
+Quad = Annotated[tuple[Point, Point, Point, Point], Field(strict=False)]
+
+
+class ImageAnnotation(Record):
+    """Corners in one image, in pixels: (column, row), the first pixel's centre at (0, 0).
+
+    Attributes
+    ----------
+    vertebrae : for each visible vertebra four corners: superior-left, superior-right, inferior-right, inferior-left of
+        the patient in a frontal image; superior-anterior, superior-posterior, inferior-posterior, inferior-anterior in
+        a lateral one.
+    supports : points on the pelvis and on the shoulder that rests on the wall; they show whether the supports moved.
+    pedicles : centres of the left and the right pedicle; they determine axial rotation.
+    """
+
+    vertebrae: dict[VertebraName, Quad]
+    supports: dict[Literal["pelvis", "shoulder"], Annotated[tuple[Point, ...], Field(min_length=1, strict=False)]] = (
+        Field(default_factory=dict)
+    )
+    pedicles: dict[VertebraName, Pair] = Field(default={})
+
+    @field_validator("vertebrae")
+    @classmethod
+    def _is_a_spine(cls, vertebrae: dict[VertebraName, Quad]) -> dict[VertebraName, Quad]:
+        ordered = dict(sorted(vertebrae.items(), key=lambda item: VERTEBRAE.index(item[0])))
+        if ordered:
+            _check_quads(tuple(ordered), np.array(list(ordered.values())))
+        return ordered
+
+    @model_validator(mode="after")
+    def _shows_something(self) -> Self:
+        if not self.vertebrae and not self.pedicles:
+            raise ValueError("vertebrae: found no vertebra, wanted at least one")
+        return self
+
+    def pixels(self) -> Floats:
+        """(Nv, 4, 2) column, row, head to foot."""
+        return np.array(list(self.vertebrae.values()), dtype=float).reshape(-1, 4, 2)
+
+
+class Annotation(Record):
+    """``annotation.json``: corners in the rest images, in the first frame of each push and, at will, in others of them.
+
+    Attributes
+    ----------
+    schema_version : 1.
+    images : by name: "rest/frontal", "rest/lateral", "push/<id>" (frame 0), "push/<id>/<frame>", and, from other
+        sides, "push/<id>/<frame>/<view>".
+    """
+
+    schema_version: Literal[1]
+    images: dict[str, ImageAnnotation]
+
+    @field_validator("images")
+    @classmethod
+    def _points_are_where_they_serve(cls, images: dict[str, ImageAnnotation]) -> dict[str, ImageAnnotation]:
+        for name, image in images.items():
+            further, aside = re.fullmatch(FURTHER_FRAME, name), re.fullmatch(FURTHER_VIEW, name)
+            fewest = FEWEST_OF_VIEW if aside else FEWEST_VERTEBRAE if further is None else 0
+            if len(image.vertebrae) < fewest:
+                raise ValueError(
+                    f"{shown_key(name)}.vertebrae: found {counted(len(image.vertebrae), 'vertebra', 'vertebrae')}, "
+                    f"wanted at least {fewest}"
+                )
+            if aside is not None and image.supports:
+                raise ValueError(
+                    f"{shown_key(name)} has supports; wanted them in the push's first frame, {aside['push']}"
+                )
+            if further is not None and image.supports:
+                raise ValueError(
+                    f"{shown_key(name)} has supports; wanted them in the push's first frame, {further['push']}"
+                )
+            if image.supports and not name.startswith("push/"):
+                raise ValueError(
+                    f"{shown_key(name)} has supports; wanted them in push images only, where they can move"
+                )
+            if further is not None and further["push"] in images:
+                _check_turned(name, image, images[further["push"]])
+        return images
+
+
+def _check_quads(names: tuple[str, ...], quads: Floats) -> None:
+    """Raise ValueError, naming the vertebra, for corners that are out of order in any view.
+
+    What is left and what is up depends on the view, which is not known here; that vertebrae agree with each other and
+    run from head to foot can be told without it.
+    """
+    edges = np.roll(quads, -1, axis=1) - quads
+    after = np.roll(edges, -1, axis=1)
+    turns = edges[..., 0] * after[..., 1] - edges[..., 1] * after[..., 0]
+    sense = np.sign(turns)
+    for name, turn in zip(names, sense):
+        if not (turn == turn[0]).all() or turn[0] == 0.0:
+            raise ValueError(f"{name}: the corners in this order make no convex quadrilateral; {_ORDER}")
+    usual = 1.0 if sense[:, 0].sum() >= 0 else -1.0
+    for name, turn in zip(names, sense[:, 0]):
+        if turn != usual:
+            raise ValueError(f"{name}: the corners are mirrored against the other vertebrae; {_ORDER}")
+    centres = quads.mean(axis=1)
+    # One vertebra alone has no other to lie above: its own corners say where up is, and only the view can tell more.
+    up = centres[0] - centres[-1] if len(quads) > 1 else quads[0, :2].mean(axis=0) - quads[0, 2:].mean(axis=0)
+    heights = centres @ up
+    for i in range(1, len(names)):
+        if heights[i] >= heights[i - 1]:
+            raise ValueError(f"{names[i]}: does not lie below {names[i - 1]}; wanted the vertebrae from head to foot")
+    for name, turns in zip(names, _quarter_turns(names, quads * [usual, 1.0])):
+        if turns % 2:
+            raise ValueError(f"{name}: the corners begin at the wrong one, a quarter turn off; {_ORDER}")
+    for name, quad in zip(names, quads):
+        if (quad[0] + quad[1] - quad[2] - quad[3]) @ up <= 0.0:
+            raise ValueError(f"{name}: the superior corners lie below the inferior ones; {_ORDER}")
+
+
+def _quarter_turns(names: tuple[str, ...], clockwise: Floats) -> np.ndarray:
+    """(V,) quarter turns by which corners (V, 4, 2) are clearly off; 0 where nothing near tells."""
+    if len(names) < 2:
+        return np.zeros(len(names), dtype=int)
+    found = quarter_turns(clockwise, [VERTEBRAE.index(name) for name in names], [True] * len(names))
+    return np.where(found.ahead < CLEARLY, 0, found.turns)
+
+
+def _check_turned(where: str, image: ImageAnnotation, first: ImageAnnotation) -> None:
+    """Raise ValueError for a vertebra that is turned against the push's first frame as no push turns one."""
+    for name in image.vertebrae:
+        if name in first.vertebrae:
+            before, now = (across(np.array(frame.vertebrae[name])) for frame in (first, image))
+            degrees = float(np.degrees(np.abs(np.arctan2(cross(before, now), before @ now))))
+            if degrees > MOST_TURNED_DEG:
+                raise ValueError(
+                    f"{where}.vertebrae.{name}: turned by {degrees:.0f} degrees since the push's first frame, wanted "
+                    f"at most {MOST_TURNED_DEG:g}; {_ORDER}"
+                )
+
+
+_ORDER = (
+    "wanted superior-left, superior-right, inferior-right, inferior-left of the patient "
+    "(lateral: superior-anterior, superior-posterior, inferior-posterior, inferior-anterior)"
+)

@@ -1,0 +1,98 @@
+"""JSON files read as strict records; each refusal is one line: file, field, found, wanted."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
+
+from spinestiff.errors import SubjectError
+from spinestiff.files import parse_json, read_text
+
+SUBJECT_PAGE = "docs/subject-folder.md"
+IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
+WANTED_ID = "1 to 64 letters (A to Z), digits, '.', '_' or '-', the first a letter or digit"
+
+
+class Record(BaseModel):
+    """The base of all that such a file may hold: no unknown key, no other type, nothing that is not finite."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+R = TypeVar("R", bound=BaseModel)
+
+
+def read_record(path: Path, kind: type[R], page: str = SUBJECT_PAGE) -> R:
+    """A record from a JSON file that ``page`` of the documents describes.
+
+    Raises
+    ------
+    SubjectError : no such file, no JSON, or anything the record does not allow (field, found, wanted).
+    """
+    return parse_record(read_text(path), str(path), kind, page)
+
+
+def parse_record(text: str, name: str, kind: type[R], page: str = SUBJECT_PAGE) -> R:
+    """A record from the text of a JSON file of that name. Raises SubjectError as ``read_record`` does."""
+    parse_json(text, name)
+    try:
+        return kind.model_validate_json(text)
+    except ValidationError as error:
+        raise SubjectError(f"{name}: {complaint_of(error, page)}") from None
+
+
+def complaint_of(error: ValidationError, page: str = SUBJECT_PAGE) -> str:
+    """The most telling of pydantic's complaints as "field: found, wanted"."""
+    # A misspelled key shows up twice, as unknown and as missing: the first says more.
+    complaints = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
+    first = complaints[0]
+    field = _field_path(first)
+    more = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
+    told = _complaint(first, page)
+    return f"{field}: {told}{more}" if field else f"{told}{more}"
+
+
+def complaints_of(error: ValidationError, page: str = SUBJECT_PAGE) -> list[tuple[str, str]]:
+    """All of pydantic's complaints, each as the field and what is wrong with it."""
+    return [(_field_path(one), _complaint(one, page)) for one in error.errors(include_url=False)]
+
+
+def _field_path(complaint: ErrorDetails) -> str:
+    path = ""
+    for part in complaint["loc"]:
+        # pydantic adds this to the path when a key of a dictionary is wrong.
+        if part == "[key]":
+            continue
+        path += f"[{part}]" if isinstance(part, int) else f".{shown_key(part)}"
+    return path.removeprefix(".")
+
+
+def shown_key(key: str) -> str:
+    """A key as it stands in the file, if it can be printed in one line; else quoted and shortened."""
+    return key if key.isprintable() and 0 < len(key) <= 40 else shown_value(key, 30)
+
+
+def _complaint(complaint: ErrorDetails, page: str) -> str:
+    kind, message = complaint["type"], complaint["msg"]
+    if kind == "extra_forbidden":
+        return f"unknown key; check its spelling against {page}"
+    if kind == "missing":
+        return "missing"
+    if kind == "value_error":
+        return message.removeprefix("Value error, ")
+    if kind == "string_pattern_mismatch":
+        return f"found {shown_value(complaint['input'])}, wanted {WANTED_ID}"
+    wanted = re.sub(r"^(Input|String|Tuple|Dictionary) should (be |have |match )?", "", message)
+    return f"found {shown_value(complaint['input'])}, wanted {wanted}"
+
+
+def shown_value(value: Any, longest: int = 60) -> str:
+    """A value as the file has it, shortened."""
+    # As JSON writes them.
+    text = json.dumps(value) if value is None or isinstance(value, bool) else repr(value)
+    return text if len(text) <= longest else text[: longest - 3] + "..."
