@@ -2,46 +2,20 @@
 
 from __future__ import annotations
 
-import http.client
-import json
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spinestiff.loopback.guard import TOKEN_HEADER
+from asking import Asker, wait_for
 from spinestiff.workbench.bench import Bench
 from spinestiff.workbench.uploads import LARGEST_PIECE
 
 
 @dataclass
-class Client:
-    """A running server."""
+class Client(Asker):
+    """A running workbench."""
 
     bench: Bench
-    port: int
-    token: str
-
-    @property
-    def address(self):
-        return f"http://127.0.0.1:{self.port}/#{self.token}"
-
-    def ask(self, method, path, body=None, headers=None, token=None):
-        """Status, headers and body of an answer; ``headers`` over those that the page sends."""
-        sent = {TOKEN_HEADER: self.token if token is None else token, **(headers or {})}
-        sent = {key: value for key, value in sent.items() if value is not None}
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
-        try:
-            data = body if body is None or isinstance(body, bytes) else json.dumps(body).encode()
-            connection.request(method, path, data, sent)
-            answer = connection.getresponse()
-            return answer.status, dict(answer.getheaders()), answer.read()
-        finally:
-            connection.close()
-
-    def json(self, method, path, body=None) -> tuple[int, Any]:
-        status, _, content = self.ask(method, path, body)
-        return status, json.loads(content)
 
     def good(self, method, path, body=None) -> Any:
         status, content = self.json(method, path, body)
@@ -66,8 +40,7 @@ class Client:
         return self.upload({path.relative_to(folder.parent).as_posix(): path.read_bytes() for path in files})
 
     def until(self, job, *states, seconds=60.0):
-        end = time.monotonic() + seconds
-        while (found := self.bench.jobs.table.job(job)).state not in states:
-            assert time.monotonic() < end, found
-            time.sleep(0.05)
-        return found
+        """The job once it is in one of the states."""
+        table = self.bench.jobs.table
+        wait_for(lambda: table.job(job).state in states, seconds, lambda: table.job(job))
+        return table.job(job)

@@ -19,6 +19,12 @@ FLAGS = (
 )  # fmt: skip
 
 
+ALT, CTRL, SHIFT = 1, 2, 8
+CODES = {"Enter": 13, "Escape": 27, "Delete": 46, "PageUp": 33, "PageDown": 34, "Tab": 9, " ": 32}
+CODES |= {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "Home": 36, "End": 35}
+CODES |= {".": 190, ",": 188, "-": 189}
+
+
 def browser() -> str | None:
     """Path of a Chromium, if there is one."""
     names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -114,11 +120,16 @@ class Tab:
         """Until what was asked for has been drawn."""
         self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
 
-    def press(self, key: str, times: int = 1) -> None:
-        codes = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "Home": 36, "End": 35, "Tab": 9}
+    def press(self, key: str, times: int = 1, modifiers: int = 0) -> None:
+        """Press a key by its name, or a character; ``modifiers`` of ``ALT``, ``CTRL`` and ``SHIFT``."""
+        text = {"Enter": "\r"}.get(key, key if len(key) == 1 else "")
+        told = {"key": key, "code": key, "windowsVirtualKeyCode": CODES.get(key) or ord(key.upper())}
+        if text and modifiers in (0, SHIFT):
+            told["text"] = text
         for _ in range(times):
-            for kind in ("rawKeyDown", "keyUp"):
-                self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=codes[key])
+            kind = "keyDown" if "text" in told else "rawKeyDown"
+            self.call("Input.dispatchKeyEvent", type=kind, modifiers=modifiers, **told)
+            self.call("Input.dispatchKeyEvent", type="keyUp", modifiers=modifiers, **{**told, "text": ""})
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         """Press the mouse at one place of the window, let go at another."""

@@ -1,18 +1,17 @@
-"""A small subject folder that nobody has annotated yet, and questions to the server of its page."""
+"""A small subject folder that nobody has annotated yet, and the server of its page."""
 
 from __future__ import annotations
 
-import http.client
 import json
 from dataclasses import dataclass
 
 import numpy as np
 
+from asking import Asker
 from phantoms import phantom, sixteen_bit
 from spinestiff.annotate.session import AnnotationSession
 from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
-from spinestiff.loopback.guard import TOKEN_HEADER
 
 # Words that stand in the DICOM files and must not come out.
 CANARY = "Canary^Patient"
@@ -61,27 +60,7 @@ def write_folder(folder):
 
 
 @dataclass
-class Served:
-    """A running server."""
+class Served(Asker):
+    """A running annotation page."""
 
     session: AnnotationSession
-    address: str
-    port: int
-    token: str
-
-    def ask(self, method, path, body=None, headers=None, token=None):
-        """Status, headers and body of an answer; ``headers`` over those that the page sends."""
-        sent = {TOKEN_HEADER: self.token if token is None else token, **(headers or {})}
-        sent = {key: value for key, value in sent.items() if value is not None}
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
-        try:
-            data = body if body is None or isinstance(body, bytes) else json.dumps(body).encode()
-            connection.request(method, path, data, sent)
-            answer = connection.getresponse()
-            return answer.status, dict(answer.getheaders()), answer.read()
-        finally:
-            connection.close()
-
-    def json(self, method, path, body=None):
-        status, _, content = self.ask(method, path, body)
-        return status, json.loads(content)

@@ -38,7 +38,7 @@ def served(session):
         server = server_of(guarded)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [sock]}, daemon=True)
         thread.start()
-        yield Served(session, address, port, address.partition("#")[2])
+        yield Served(port, address.partition("#")[2], session)
         server.should_exit = True
         thread.join(timeout=20)
         assert not thread.is_alive()

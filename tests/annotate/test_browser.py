@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from chromium import Tab, browser
+from chromium import ALT, CTRL, SHIFT, Tab, browser
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.curves.cobb import REGIONS, read_cobb
 from spinestiff.curves.corner_files import read_corners
@@ -20,9 +20,6 @@ pytestmark = pytest.mark.skipif(
     browser() is None or sys.platform == "win32", reason="no Chromium to open the page in, or no pipe to drive it by"
 )
 
-ALT, CTRL, SHIFT = 1, 2, 8
-CODES = {"Enter": 13, "Escape": 27, "Delete": 46, "PageUp": 33, "PageDown": 34, "Tab": 9, " ": 32}
-CODES |= {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "Home": 36, "End": 35}
 CLICKED = ("T1", "T5", "T9", "L1", "L5")
 
 
@@ -76,17 +73,7 @@ class Page:
         self.tab.run(f"document.getElementById('{name}').click()")
 
     def key(self, key, modifiers=0, times=1):
-        code = CODES.get(key) or ord(key.upper())
-        for _ in range(times):
-            for kind in ("rawKeyDown", "keyUp"):
-                self.tab.call(
-                    "Input.dispatchKeyEvent",
-                    type=kind,
-                    key=key,
-                    code=key,
-                    windowsVirtualKeyCode=code,
-                    modifiers=modifiers,
-                )
+        self.tab.press(key, times, modifiers)
 
     def text(self, name):
         return self.tab.run(f"document.getElementById('{name}').innerText")

@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 
+from asking import wait_for
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.annotate import following
 from spinestiff.annotate.draft import Draft, DraftImage
@@ -33,10 +34,7 @@ def annotated(session):
 
 
 def ended(follower, seconds=60.0):
-    end = time.monotonic() + seconds
-    while follower.state(PUSH).state == "running":
-        assert time.monotonic() < end
-        time.sleep(0.02)
+    wait_for(lambda: follower.state(PUSH).state != "running", seconds)
     return follower.state(PUSH)
 
 

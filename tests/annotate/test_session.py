@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from phantoms import phantom, sixteen_bit
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.annotate.draft import Draft, DraftImage, parse_draft
 from spinestiff.annotate.exchange import exported, imported
@@ -16,8 +17,10 @@ from spinestiff.curves.cobb import read_cobb
 from spinestiff.curves.corner_files import read_corners
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import SubjectError
+from spinestiff.imaging.projection import lateral_view
+from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.subject.folder import read_annotation, read_subject
-from unannotated import CANARY, drawn
+from unannotated import CANARY, MM, drawn
 
 ALL = ("rest/frontal", "rest/lateral", "push/a")
 
@@ -331,3 +334,29 @@ def test_a_save_that_failed_can_be_tried_again(session, monkeypatch):
     # The draft was written before that, by this very program.
     assert session.save(whole(), 1) == 2
     assert set(read_annotation(session.annotation_path).images) == set(ALL)
+
+
+def test_radiographs_from_other_sides_are_offered(unannotated):
+    """Of a view the one with the least force is needed, and three vertebrae are enough."""
+    record = json.loads((unannotated / "subject.json").read_text(encoding="utf-8"))
+    record["pushes"][0]["views"] = [{"id": "side", "kind": "lateral", "files": "pushes/b.dcm", "frames": [2, 1]}]
+    (unannotated / "subject.json").write_text(json.dumps(record), encoding="utf-8")
+    view = lateral_view(shape=(640, 448), pixel=MM * 1500.0 / 1340.0)
+    pixels = [sixteen_bit(phantom(kind="lateral", bend=bend).pixels) for bend in (-20.0, -18.0)]
+    write_radiographs(unannotated / "pushes" / "b.dcm", np.stack(pixels), view)
+    session = AnnotationSession(unannotated)
+    assert session.images[-2:] == ("push/a/2/side", "push/a/1/side")
+    images = {one["name"]: one for one in session_record(session)["images"]}
+    assert images["push/a/1/side"] == {
+        "name": "push/a/1/side", "title": "Push a, frame 1, view side", "kind": "lateral", "forces": [20.0],
+        "roles": ("training",),
+    }  # fmt: skip
+    assert not np.array_equal(session.frames("push/a/2/side")[0].pixels, session.frames("push/a/1/side")[0].pixels)
+    assert "push/a/1/side: no vertebra marked yet" in session.missing({})
+    assert not any(line.startswith("push/a/2/side") for line in session.missing({}))
+    marks = drawn("rest/lateral").named()
+    few, enough = (DraftImage(vertebrae={name: marks[name] for name in list(marks)[:n]}) for n in (2, 3))
+    assert "push/a/1/side: 2 vertebrae, wanted at least 3" in session.missing({"push/a/1/side": few})
+    assert not any("side" in line for line in session.missing({"push/a/1/side": enough}))
+    (unannotated / "pushes" / "b.dcm").unlink()
+    assert AnnotationSession(unannotated).absent == ("push/a/1/side",)

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from bench_client import Client
+from chromium import Tab
 from spinestiff.loopback.serving import listening, server_of
 from spinestiff.workbench.bench import open_bench
 from spinestiff.workbench.door import access_of
@@ -40,7 +41,7 @@ def serving(root, jobs=False, proxy=None, secret=None, **options):
         thread.start()
         if jobs:
             bench.jobs.start()
-        yield Client(bench, port, access.token)
+        yield Client(port, access.token, bench)
         bench.jobs.stop()
         server.should_exit = True
         thread.join(timeout=20)
@@ -57,3 +58,12 @@ def served(root):
     """Without anybody who starts jobs."""
     with serving(root) as client:
         yield client
+
+
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory):
+    """A browser of its own, for tests that skip where there is none."""
+    with Tab(tmp_path_factory.mktemp("profile")) as opened:
+        opened.call("Emulation.setFocusEmulationEnabled", enabled=True)
+        opened.call("DOM.enable")
+        yield opened

@@ -7,9 +7,11 @@ import json
 import os
 import socket
 import sqlite3
+import struct
 import subprocess
 import sys
 import time
+import tracemalloc
 import zipfile
 from pathlib import Path
 from urllib.parse import quote
@@ -17,6 +19,7 @@ from urllib.parse import quote
 import pytest
 from fastapi.routing import APIRoute
 
+from asking import wait_for
 from hospital import CANARY as PATIENT
 from hospital import disc
 from spinestiff.errors import NotThere, OptionError, SubjectError
@@ -220,6 +223,22 @@ def test_a_zip_file_is_not_believed(tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {"a.zip", "out", "two"}
 
 
+def test_a_list_of_entries_without_end_is_not_read(tmp_path):
+    """A hundred thousand entries of 55 bytes each, more than there may be: refused before they are in memory."""
+    entry = struct.pack("<4s6H3L5H2L", b"PK\x01\x02", 20, 20, 0, 0, 0, 0, 0, 0, 0, 9, 0, 0, 0, 0, 0, 0)
+    listed = b"".join(entry + b"%09d" % number for number in range(100_000))
+    end = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 65535, 65535, len(listed), 0, 0)
+    (tmp_path / "a.zip").write_bytes(listed + end)
+    tracemalloc.start()
+    try:
+        with pytest.raises(SubjectError, match="larger than 5 MB, more than 20000 files need"):
+            unzip(tmp_path / "a.zip", tmp_path / "out", 2**30)
+        assert tracemalloc.get_traced_memory()[1] < 2**20
+    finally:
+        tracemalloc.stop()
+    assert not (tmp_path / "out").exists()
+
+
 # 7. More than anybody has radiographs.
 
 
@@ -366,13 +385,6 @@ def alive(pid):
             return file.read().rpartition(")")[2].split()[0] != "Z"
     except FileNotFoundError:
         return False
-
-
-def wait_for(condition, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.05)
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")

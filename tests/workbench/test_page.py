@@ -8,7 +8,8 @@ import sys
 
 import pytest
 
-from chromium import Tab, browser
+from bench_page import click, files, fill, go, load, text
+from chromium import browser
 from hospital import disc
 from spinestiff.annotate.draft import DraftImage
 from spinestiff.files import read_json
@@ -19,52 +20,6 @@ from unannotated import CANARY, drawn
 pytestmark = pytest.mark.skipif(
     browser() is None or sys.platform == "win32", reason="no Chromium to open the page in, or no pipe to drive it by"
 )
-
-
-@pytest.fixture(scope="module")
-def tab(tmp_path_factory):
-    with Tab(tmp_path_factory.mktemp("profile")) as opened:
-        opened.call("Emulation.setFocusEmulationEnabled", enabled=True)
-        opened.call("DOM.enable")
-        yield opened
-
-
-def load(tab, address, state="open"):
-    tab.loaded = False
-    tab.requests.clear()
-    tab.complaints.clear()
-    tab.call("Page.navigate", url="about:blank")
-    tab.wait(lambda: tab.loaded)
-    tab.loaded = False
-    tab.call("Page.navigate", url=address)
-    tab.wait(lambda: tab.loaded)
-    tab.until(f"document.body.dataset.state == '{state}'")
-
-
-def go(tab, place):
-    tab.run(f"(document.body.dataset.state = 'asked', location.hash = {json.dumps('#' + place)}, 1)")
-    tab.until("document.body.dataset.state == 'open'")
-
-
-def click(tab, selector):
-    tab.until(f"!!document.querySelector({json.dumps(selector)})")
-    tab.run(f"(document.querySelector({json.dumps(selector)}).click(), 1)")
-
-
-def fill(tab, selector, text):
-    """As somebody types: the field in focus, its old text replaced."""
-    tab.run(f"(document.querySelector({json.dumps(selector)}).focus(), document.activeElement.select?.(), 1)")
-    tab.call("Input.insertText", text=text)
-
-
-def files(tab, selector, paths):
-    top = tab.call("DOM.getDocument")["root"]["nodeId"]
-    node = tab.call("DOM.querySelector", nodeId=top, selector=selector)["nodeId"]
-    tab.call("DOM.setFileInputFiles", files=[str(path) for path in paths], nodeId=node)
-
-
-def text(tab, selector="#room"):
-    return tab.run(f"document.querySelector({json.dumps(selector)}).innerText")
 
 
 def annotate(folder):

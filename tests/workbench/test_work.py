@@ -15,6 +15,7 @@ import numpy as np
 import pydicom
 import pytest
 
+from asking import wait_for
 from hospital import disc, export, gauged
 from spinestiff.annotate.draft import DraftImage
 from spinestiff.files import read_json
@@ -263,8 +264,7 @@ def test_a_job_outlives_its_server_and_is_cancelled_by_the_next(root, serve):
         job = served.good("POST", f"/api/subjects/{served.key()}/jobs", asked)["id"]
         served.until(job, "running")
         process = served.bench.jobs._started
-        while "personalise:" not in "".join(served.good("GET", f"/api/jobs/{job}/log")["lines"]):
-            time.sleep(0.1)
+        wait_for(lambda: "personalise:" in "".join(served.good("GET", f"/api/jobs/{job}/log")["lines"]), 120.0)
     with serve(root, jobs=True) as served:
         assert served.good("GET", f"/api/subjects/{served.key()}")["job"]["state"] == "running"
         served.good("POST", f"/api/jobs/{job}/cancel", {})
@@ -290,21 +290,15 @@ def test_a_job_whose_process_is_killed_takes_the_command_along(root, tmp_path):
     job = table.add(bench.key_of("girl"), "run", {})
     table.take(1)
     process = start_job(table.path, job.id, root / "girl", ["check"], tmp_path / "log")
-    end = time.monotonic() + 30
 
     def children():
         with open(f"/proc/{process.pid}/task/{process.pid}/children", encoding="utf-8") as file:
             return [int(pid) for pid in file.read().split()]
 
-    while not children():
-        assert time.monotonic() < end
-        time.sleep(0.02)
-    (command,) = children()
+    (command,) = wait_for(children)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    while alive(command):
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    wait_for(lambda: not alive(command))
 
 
 # What is left of it.

@@ -6,6 +6,7 @@ import re
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spinestiff.annotate.session import AnnotationSession
 from spinestiff.errors import SubjectError
@@ -41,7 +42,22 @@ def picture(
     ------
     SubjectError : a part outside the frame, a side of no sensible size.
     """
-    pixels = radiograph.pixels
+    grey, about = greys(radiograph.pixels, wide, tall, part)
+    first, up = picture_axes(radiograph.view)
+    return grey, {
+        **about,
+        "kind": view_kind(radiograph.view),
+        "first": first.tolist(),
+        "up": up.tolist(),
+        "pixel_mm": (radiograph.view.pixel_spacing / radiograph.view.magnification).tolist(),
+    }
+
+
+def greys(
+    pixels: NDArray[np.float32], wide: int = MOST_SIDE, tall: int = MOST_SIDE, part: str = ""
+) -> tuple[bytes, dict[str, Any]]:
+    """Grey values of pixels (H, W), and what the page needs to know of them alone. Parameters and errors as of
+    ``picture``."""
     if not (LEAST_SIDE <= wide <= MOST_SIDE and LEAST_SIDE <= tall <= MOST_SIDE):
         raise SubjectError(f"a picture of {wide} x {tall} pixels; wanted {LEAST_SIDE} to {MOST_SIDE}")
     left, top, right, bottom = _box(part, pixels.shape)
@@ -50,20 +66,14 @@ def picture(
     shown = pixels[top:bottom, left:right]
     shown = shrunk(shown, wide, tall)
     grey = np.rint((shown - low) * np.float32(GREY_LEVELS / max(high - low, 1e-9))).astype("<u2")
-    first, up = picture_axes(radiograph.view)
     step = max(1, max(grey.shape) // 512)
-    about = {
+    return grey.tobytes(), {
         "rows": pixels.shape[0],
         "columns": pixels.shape[1],
         "part": [left, top, right, bottom],
         "shown": [grey.shape[1], grey.shape[0]],
         "window": np.percentile(grey[::step, ::step], WINDOW).tolist(),
-        "kind": view_kind(radiograph.view),
-        "first": first.tolist(),
-        "up": up.tolist(),
-        "pixel_mm": (radiograph.view.pixel_spacing / radiograph.view.magnification).tolist(),
     }
-    return grey.tobytes(), about
 
 
 def _box(part: str, shape: tuple[int, ...]) -> tuple[int, int, int, int]:

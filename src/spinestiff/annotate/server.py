@@ -103,11 +103,16 @@ def session_record(session: AnnotationSession) -> dict[str, Any]:
             kind = "lateral" if name == LATERAL else "frontal"
             images.append({"name": name, "title": f"Rest, {kind}", "kind": kind, "forces": [None], "roles": [None]})
         else:
-            push = session.subject.push(name.removeprefix("push/"))
+            push = session.subject.push(name.split("/")[1])
             unknown = {i for gap in session.subject.gaps if gap.push == record.pushes.index(push) for i in gap.frames}
             forces = [None if i in unknown else force for i, force in enumerate(push.forces_n)]
-            title = f"Push {push.id}"
-            images.append({"name": name, "title": title, "kind": "frontal", "forces": forces, "roles": push.roles})
+            if name in session.views:
+                frame, view = session.subject.view(name)
+                title = f"Push {push.id}, frame {frame}, view {view.id}"
+                one = {"kind": view.kind, "forces": forces[frame : frame + 1], "roles": push.roles[frame : frame + 1]}
+            else:
+                title, one = f"Push {push.id}", {"kind": "frontal", "forces": forces, "roles": push.roles}
+            images.append({"name": name, "title": title, **one})
     marks = {name: image.model_dump(mode="json") for name, image in session.marks.items()}
     return {
         "version": __version__,

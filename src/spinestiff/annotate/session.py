@@ -24,10 +24,17 @@ from spinestiff.imaging.features import picture_axes, view_kind
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.proposal import leans_of
 from spinestiff.imaging.radiograph import Radiograph
-from spinestiff.subject.annotation_record import FEWEST_VERTEBRAE, FURTHER_VIEW, Annotation, ImageAnnotation
+from spinestiff.subject.annotation_record import (
+    FEWEST_OF_VIEW,
+    FEWEST_VERTEBRAE,
+    FURTHER_VIEW,
+    Annotation,
+    ImageAnnotation,
+)
 from spinestiff.subject.folder import (
     Subject,
     annotatable,
+    annotatable_views,
     check_image_name,
     check_radiograph_path,
     image_corners,
@@ -76,6 +83,7 @@ class AnnotationSession:
     Attributes
     ----------
     images : names of those that are there. absent : of those that a fit needs and that are not there yet.
+    views : names of radiographs of pushes from other sides, and whether a fit needs their marks.
 
     Raises
     ------
@@ -85,8 +93,10 @@ class AnnotationSession:
     def __init__(self, folder: str | Path) -> None:
         self.subject = read_unannotated(folder)
         wanted = annotatable(self.subject.record)
-        self.images = tuple(name for name in wanted if self._offered(name))
-        self.absent = tuple(name for name in wanted if name != LATERAL and name not in self.images)
+        self.views = annotatable_views(self.subject.record)
+        self.images = tuple(name for name in (*wanted, *self.views) if self._offered(name))
+        needed = (*wanted, *(name for name, needed in self.views.items() if needed))
+        self.absent = tuple(name for name in needed if name != LATERAL and name not in self.images)
         if not self.images:
             raise SubjectError(f"{folder}: no radiograph to annotate; wanted {', '.join(REST_IMAGES.values())}")
         self.lock = RLock()
@@ -215,12 +225,15 @@ class AnnotationSession:
             lines.append(f"{SUBJECT_FILE}: not known yet: {', '.join(open_[:SHOWN])}{more}")
         for name in self.images:
             image = marks.get(name, DraftImage())
+            if image.empty and not self.views.get(name, True):
+                continue
+            fewest = FEWEST_OF_VIEW if name in self.views else FEWEST_VERTEBRAE
             problem = self.judged(name, image).problem
             if not image.vertebrae:
                 lines.append(f"{name}: no vertebra marked yet")
-            elif len(image.vertebrae) < FEWEST_VERTEBRAE:
+            elif len(image.vertebrae) < fewest:
                 found = counted(len(image.vertebrae), "vertebra", "vertebrae")
-                lines.append(f"{name}: {found}, wanted at least {FEWEST_VERTEBRAE}")
+                lines.append(f"{name}: {found}, wanted at least {fewest}")
             elif problem:
                 lines.append(f"{name}: {problem}")
         for name in sorted(set(marks) - set(self.images)):

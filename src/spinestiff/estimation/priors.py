@@ -44,8 +44,8 @@ class Priors:
         an eleventh of it (J Biomech 2024 163:111923).
     tissue_volume : of the log of the tissue's lambda at a given mu: Poisson's ratio of 0.3 or 0.49 for 0.45 is a factor
         of 6 less or 5 more.
-    mesh : of the log of the tissue's stiffness on the mesh over that on ever finer ones: bodies on 65,000 and 26,000 nodes
-        move as if their tissue were 3 and 4.5 % softer than the fine mesh's, give or take 3 %
+    mesh : of the log of the tissue's stiffness on the mesh over that on ever finer ones: bodies on 65,000 and 26,000
+        nodes move as if their tissue were 3 and 4.5 % softer than the fine mesh's, give or take 3 %
         (``benchmarks/mesh_limit.py``).
     source_distance : of the source's distance, relative; it scales motions.
     annotation_mm : of a corner set by hand, along one axis, common to all frames of a sequence.

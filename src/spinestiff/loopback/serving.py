@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import socket
 from collections.abc import Callable
 from contextlib import suppress
@@ -78,6 +79,10 @@ def listening(port: int, host: str = LOOPBACK) -> socket.socket:
     """A socket that listens. Raises SubjectError if the port is taken, or the address is none of this machine's."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     sock = socket.socket(family, socket.SOCK_STREAM)
+    # A server that was killed leaves connections behind that hold its port for a minute; elsewhere than on Windows this
+    # takes it over, and never from a server that listens.
+    if os.name != "nt":
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         sock.bind((host, port))
         sock.listen()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -67,20 +67,30 @@ def known_of(record: SubjectRecord, geometry: Floats | None) -> Known:
             check_population(record.population)
         except FitError as error:
             raise SubjectError(f"subject.json: population: {error}") from None
-    named = {field.name for field in fields(Priors)} - {"trunk_power"}
-    for name in record.priors:
-        if name not in named:
-            raise SubjectError(f"subject.json: priors.{name}: unknown prior; wanted one of {', '.join(sorted(named))}")
-    try:
-        given: dict[str, Any] = dict(record.priors)
-        priors = replace(Priors(), **given)
-    except FitError as error:
-        raise SubjectError(f"subject.json: {error}") from None
+    priors = given_priors(record.priors)
     if record.pelvis != "estimated":
         priors = replace(priors, obliquity_deg=0.0, frame_obliquity_deg=0.0)
     if record.pelvis == "dead-loads":
         priors = replace(priors, shoulder_mm=0.0, frame_shoulder_mm=0.0)
     return Known(priors, geometry, bool(record.trunk) or record.skin_scan is not None)
+
+
+def usual_priors() -> dict[str, float]:
+    """The priors that ``subject.json`` may set, by name, as they are where it does not."""
+    return {name: value for name, value in asdict(Priors()).items() if name != "trunk_power"}
+
+
+def given_priors(given: Mapping[str, float]) -> Priors:
+    """The usual priors with those of ``subject.json``. Raises SubjectError for one that there is not, or can't be."""
+    usual = usual_priors()
+    for name in given:
+        if name not in usual:
+            raise SubjectError(f"subject.json: priors.{name}: unknown prior; wanted one of {', '.join(sorted(usual))}")
+    try:
+        changed: dict[str, Any] = dict(given)
+        return replace(Priors(), **changed)
+    except FitError as error:
+        raise SubjectError(f"subject.json: {error}") from None
 
 
 @dataclass(frozen=True)

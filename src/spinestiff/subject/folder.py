@@ -427,6 +427,18 @@ def annotatable(record: SubjectRecord) -> tuple[str, ...]:
     return (*REST_IMAGES, *(push.image for push in record.pushes))
 
 
+def annotatable_views(record: SubjectRecord) -> dict[str, bool]:
+    """Names of all radiographs from other sides, and whether an annotation needs them: of each view the one with the
+    least force.
+    """
+    return {
+        push.view_image(frame, view.id): frame == push.least_of(view)
+        for push in record.pushes
+        for view in push.views
+        for frame in view.frames
+    }
+
+
 def check_image_name(subject: Subject, name: str) -> None:
     """Raise SubjectError unless an annotation of this subject may have an image, or a push's frame, of that name."""
     path, needed = subject.folder / ANNOTATION_FILE, annotatable(subject.record)
@@ -455,11 +467,9 @@ def _check_images(subject: Subject) -> None:
             continue
         if name not in images:
             raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
-    for push in subject.pushes:
-        for view in push.views:
-            name = push.view_image(push.least_of(view), view.id)
-            if name not in images:
-                raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
+    for name, needed in annotatable_views(subject.record).items():
+        if needed and name not in images:
+            raise SubjectError(f"{path}: images.{name}: missing; wanted the vertebra corners of this image")
 
 
 def check_output_beside(folder: Path, path: Path, option: str, *, force: bool) -> None:

@@ -66,6 +66,11 @@ def read_markers(subject: Subject, push: PushRecord, view: XRayView) -> MarkerTr
     )
 
 
+def marker_names(path: Path, frames: int) -> tuple[str, ...]:
+    """Names of the markers in a table of a push with so many frames. Raises SubjectError as ``read_markers``."""
+    return _table(path, frames)[0]
+
+
 def write_markers(path: Path, names: tuple[str, ...], places: Floats) -> None:
     """Write a table of places (frames, M, 3); NaN: not seen."""
     lines = [",".join(COLUMNS)]

@@ -183,6 +183,13 @@ def changed_inputs(subject: Subject, step: str) -> tuple[str, ...]:
     return () if recorded is None else _changed(subject, recorded.inputs)
 
 
+def changed_parts(subject: Subject, step: str) -> tuple[str, ...]:
+    """Like ``changed_inputs``, of the parts of both JSON files alone (``PARTS``): no other file is read."""
+    recorded = recorded_steps(subject).get(step)
+    inputs = {} if recorded is None else recorded.inputs
+    return _changed(subject, {name: sha for name, sha in inputs.items() if name in PARTS})
+
+
 def refuse_changed(subject: Subject, *steps: str) -> None:
     """Raise SubjectError if an input of one of these steps has changed since it ran."""
     for step in steps:

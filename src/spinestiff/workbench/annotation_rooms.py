@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from spinestiff.files import file_digest
 from spinestiff.loopback.asking import bare_application
 from spinestiff.loopback.guard import App, Message, Receive, Send
 from spinestiff.loopback.serving import shipped
-from spinestiff.subject.records import SUBJECT_FILE
+from spinestiff.subject.records import REST_IMAGES, SUBJECT_FILE
 from spinestiff.workbench.rooms import Root
 
 MOUNT = "/annotate"
@@ -50,12 +51,16 @@ class AnnotationRooms:
         await app({**scope, "path": f"/{rest}", "root_path": ""}, receive, send)
 
     def _room(self, key: str) -> FastAPI:
-        """The application of a subject, made anew where ``subject.json`` has changed. Raises SpinestiffError."""
+        """The application of a subject, made anew where ``subject.json`` has changed or a rest radiograph has come.
+
+        Raises SpinestiffError.
+        """
         folder = self.root.subject(key)
         with self._lock:
-            digest = file_digest(folder / SUBJECT_FILE)
-            if folder not in self._rooms or self._rooms[folder][0] != digest:
-                self._rooms[folder] = digest, application(AnnotationSession(folder))
+            there = [str(place) for place in REST_IMAGES.values() if os.path.lexists(folder / place)]
+            made_of = " ".join([file_digest(folder / SUBJECT_FILE), *there])
+            if folder not in self._rooms or self._rooms[folder][0] != made_of:
+                self._rooms[folder] = made_of, application(AnnotationSession(folder))
             self._rooms.move_to_end(folder)
             while len(self._rooms) > MOST:
                 self._rooms.popitem(last=False)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from spinestiff.errors import SpinestiffError
 from spinestiff.study.wording import badge, headline, told_stiffness
 from spinestiff.subject.estimate_outcome import Estimate
-from spinestiff.subject.folder import Subject, annotatable, read_annotation, read_unannotated
+from spinestiff.subject.folder import Subject, annotatable, annotatable_views, read_annotation, read_unannotated
 from spinestiff.subject.gaps import Gap
-from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, REST_IMAGES
-from spinestiff.subject.run_record import read_outcome
+from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, REST_IMAGES, SUBJECT_FILE
+from spinestiff.subject.run_record import changed_parts, read_outcome, recorded_steps
 from spinestiff.workbench.job_table import Job
 
 STAGES = {
@@ -25,6 +28,8 @@ STAGES = {
     "done": "Has a result",
 }
 """Where a subject stands."""
+SHOWN_STEPS = ("estimate", "report")
+"""Steps whose results people look at; their inputs are everything that a person gives."""
 NO_PUSH = "There is no push: there can be a plan, and no estimate"
 NO_TRAINING = "No frame is used for training: choose some in the values, or have the step Judge the frames propose them"
 
@@ -46,9 +51,35 @@ def card(key: str, folder: Path, job: Job | None) -> dict[str, Any]:
     }
     stage, missing = _stage(subject)
     found = result(subject)
-    if stage == "run" and found is not None and "problem" not in found:
+    changed = [] if found is None else stale(subject, changed_parts)
+    if stage == "run" and found is not None and "problem" not in found and not changed:
         stage = "done"
-    return {**about, "stage": stage, "stage_words": STAGES[stage], "missing": missing, "result": found}
+    return {
+        **about,
+        "stage": stage,
+        "stage_words": STAGES[stage],
+        "missing": missing,
+        "result": found,
+        "stale": changed,
+    }
+
+
+def stale(subject: Subject, changed: Callable[[Subject, str], tuple[str, ...]]) -> list[str]:
+    """What has changed since estimate and report were made, in words; also where the subject has gaps by now.
+
+    Parameters
+    ----------
+    subject : as ``read_unannotated`` gives it.
+    changed : ``run_record.changed_inputs``, or ``changed_parts`` where radiographs are not to be read again.
+    """
+    # Where it can't be read it has changed: nothing is estimated without one.
+    with suppress(SpinestiffError):
+        subject = replace(subject, annotation=read_annotation(subject.folder / ANNOTATION_FILE))
+    names = {name for step in SHOWN_STEPS for name in changed(subject, step)}
+    report = recorded_steps(subject).get("report")
+    if report is not None and os.path.lexists(subject.image_path(LATERAL)):
+        names |= {REST_IMAGES[LATERAL]} - set(report.inputs)
+    return sorted(name.replace(SUBJECT_FILE, "values").replace(ANNOTATION_FILE, "annotation") for name in names)
 
 
 def _stage(subject: Subject) -> tuple[str, list[str]]:
@@ -74,7 +105,9 @@ def _stage(subject: Subject) -> tuple[str, list[str]]:
 def _unmarked(subject: Subject) -> tuple[list[str], list[str]]:
     """Images that an estimate needs and nobody has annotated, and what is wrong with the annotation."""
     path = subject.folder / ANNOTATION_FILE
-    there = [name for name in annotatable(subject.record) if os.path.lexists(subject.image_path(name))]
+    views = [name for name, needed in annotatable_views(subject.record).items() if needed]
+    wanted = (*annotatable(subject.record), *views)
+    there = [name for name in wanted if os.path.lexists(subject.image_path(name))]
     if not os.path.lexists(path):
         return there, []
     try:

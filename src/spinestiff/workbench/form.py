@@ -5,18 +5,26 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from spinestiff.annotate.draft import DRAFT_FILE, read_draft
 from spinestiff.errors import ChangedElsewhere, SubjectError
 from spinestiff.files import read_json, read_text, write_json
+from spinestiff.study.trials import given_priors, usual_priors
+from spinestiff.subject.folder import read_annotation
 from spinestiff.subject.gaps import Gap, check_open_record, gaps_of, open_complaints
+from spinestiff.subject.intake.adding import markers_place, side_places
 from spinestiff.subject.lock import sole_run
-from spinestiff.subject.records import SUBJECT_FILE, SubjectRecord
+from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE, SubjectRecord
 from spinestiff.workbench.form_words import WORDS
 
 FIXED = frozenset({"schema_version", "frames", "files", "file", "torso"})
 """Keys whose values no page may set: the form's version, and names of files."""
+BESIDE = frozenset({"views", "markers"})
+"""Keys of a push whose records may be taken out and put back, with the names that ``intake.adding`` gave."""
+NAMES_STAY = "names of files, pushes and views can't be changed here"
 
 
 def form_record(folder: Path) -> dict[str, Any]:
@@ -28,6 +36,7 @@ def form_record(folder: Path) -> dict[str, Any]:
     return {
         "schema": SubjectRecord.model_json_schema(),
         "words": WORDS,
+        "priors": usual_priors(),
         "values": values,
         "revision": _digest(text),
         **judged(values),
@@ -36,10 +45,22 @@ def form_record(folder: Path) -> dict[str, Any]:
 
 def judged(values: dict[str, Any]) -> dict[str, Any]:
     """What is wrong with values, and what is still open, by field."""
+    complaints = open_complaints(values)
+    if not any(field.startswith("priors") for field, _ in complaints):
+        complaints += _of_priors(values)
     return {
-        "problems": [{"field": field, "text": text} for field, text in open_complaints(values)],
+        "problems": [{"field": field, "text": text} for field, text in complaints],
         "open": [{"field": field, "text": gap.words} for gap in gaps_of(values) for field in _fields(gap)],
     }
+
+
+def _of_priors(values: dict[str, Any]) -> list[tuple[str, str]]:
+    """What is wrong with priors that the schema allows: the field and the words."""
+    try:
+        given_priors(values.get("priors") or {})
+    except SubjectError as error:
+        return [("priors", str(error).removeprefix(f"{SUBJECT_FILE}: "))]
+    return []
 
 
 def _fields(gap: Gap) -> list[str]:
@@ -54,15 +75,22 @@ def save_form(folder: Path, values: dict[str, Any], revision: str) -> str:
     ------
     ChangedElsewhere : the file is no longer the one that the form was made from.
     InUseError : a run is at work on the subject.
-    SubjectError : values that the schema does not allow, or another name of a file, push or view.
+    SubjectError : values that the schema does not allow, another name of a file, push or view, or a view taken out that
+        somebody has annotated.
     """
     path = folder / SUBJECT_FILE
     with sole_run(folder):
         if _digest(read_text(path)) != revision:
-            raise ChangedElsewhere(f"{SUBJECT_FILE} was changed meanwhile; reload the form to go on from there")
-        if _fixed(read_json(path)) != _fixed(values):
-            raise SubjectError("names of files, pushes and views can't be changed here")
+            raise ChangedElsewhere(
+                f"{SUBJECT_FILE} was changed meanwhile, in another window or by a command; load what is there now"
+            )
+        before = read_json(path)
+        if _fixed(before) != _fixed(values):
+            raise SubjectError(NAMES_STAY)
         check_open_record(values)
+        for _, problem in _of_priors(values):
+            raise SubjectError(problem)
+        _check_beside(folder, before, values)
         write_json(path, values)
         return _digest(read_text(path))
 
@@ -72,6 +100,8 @@ def _fixed(values: Any, where: str = "") -> dict[str, Any]:
     found: dict[str, Any] = {}
     if isinstance(values, dict):
         for key, value in values.items():
+            if key in BESIDE and where.startswith(".pushes["):
+                continue  # ``_check_beside``
             if (key in FIXED and not isinstance(value, list)) or (key == "id" and where):
                 found[f"{where}.{key}"] = copy.deepcopy(value)
             else:
@@ -79,6 +109,49 @@ def _fixed(values: Any, where: str = "") -> dict[str, Any]:
     elif isinstance(values, list):
         for number, value in enumerate(values):
             found |= _fixed(value, f"{where}[{number}]")
+    return found
+
+
+def _check_beside(folder: Path, before: dict[str, Any], values: dict[str, Any]) -> None:
+    """Raise SubjectError where views or markers name other files than they did, or than lie where they belong, and
+    where a view is taken out that is annotated. Both records are ones that the schema allows.
+    """
+    for old, new in zip(before["pushes"], values["pushes"]):
+        named = {(view["id"], view["files"]) for view in old.get("views") or ()}
+        for view in new.get("views") or ():
+            usual = side_places(new["id"], view["id"])
+            if (view["id"], view["files"]) not in named and not _lies_in(folder, view["files"], usual):
+                raise SubjectError(NAMES_STAY)
+        file, last = ((push.get("markers") or {}).get("file") for push in (new, old))
+        if file not in (None, last) and not _lies_in(folder, file, (markers_place(new["id"]),)):
+            raise SubjectError(NAMES_STAY)
+    lost = _views(before) - _views(values)
+    for image in _annotated(folder):
+        if image in lost:
+            raise SubjectError(f"{image} is annotated; remove its marks on the annotation page first")
+
+
+def _lies_in(folder: Path, place: str, allowed: tuple[str, ...]) -> bool:
+    return place in allowed and (folder / place).exists()
+
+
+def _views(values: dict[str, Any]) -> set[str]:
+    """Names in the annotation of all radiographs from other sides."""
+    return {
+        f"push/{push['id']}/{frame}/{view['id']}"
+        for push in values["pushes"]
+        for view in push.get("views") or ()
+        for frame in view["frames"]
+    }
+
+
+def _annotated(folder: Path) -> set[str]:
+    """Names of the images that somebody has marked, as far as they can be read."""
+    found: set[str] = set()
+    with suppress(SubjectError):
+        found |= set(read_annotation(folder / ANNOTATION_FILE).images)
+    with suppress(SubjectError):
+        found |= set(read_draft(folder / DRAFT_FILE).images)
     return found
 
 

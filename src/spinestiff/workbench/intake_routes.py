@@ -1,20 +1,28 @@
-"""What the page asks for a new subject: uploads in pieces, folders on this machine, what lies in them, the making."""
+"""What the page asks of radiographs: uploads in pieces, folders on this machine, what lies in them, and what is made
+of it: a new subject, or more of one that is there."""
 
 from __future__ import annotations
 
+import json
 import threading
 from collections import OrderedDict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from fastapi import FastAPI
+from fastapi import FastAPI, Response
 from pydantic import Field
 
+from spinestiff.errors import NotThere
 from spinestiff.loopback.asking import Body, Sent, sent
+from spinestiff.subject.intake.adding import Standing, add_markers, inputs_of, read_standing
+from spinestiff.workbench.additions import add, add_side, looked_at_beside, radiographs_record
 from spinestiff.workbench.bench import Bench
 from spinestiff.workbench.newcomer import Export, Wish, looked_at, make_newcomer, read_export
+from spinestiff.workbench.thumbnails import thumbnail
 
 Name = Annotated[str, Field(max_length=2000)]
+Key = Annotated[str, Field(max_length=32)]
+Number = Annotated[int, Field(ge=0, le=999)]
 
 
 class File(Sent):
@@ -31,17 +39,22 @@ class Announce(Sent):
 
 
 class Look(Sent):
-    """An upload or a folder on this machine, and what somebody says of it."""
+    """An upload, a folder on this machine or, with a table of pushes, neither, and what somebody says of it.
 
-    origin: Literal["upload", "source"]
-    key: Annotated[str, Field(max_length=32)]
+    ``subject`` : key of the one that it is to be added to; None: a new one.
+    """
+
+    origin: Literal["upload", "source", "none"]
+    key: Key = ""
     study: Annotated[str, Field(max_length=40)] | None = None
     frontal: Name | None = None
     lateral: Name | None = None
+    table: str | None = None
+    subject: Key | None = None
 
     @property
     def wish(self) -> Wish:
-        return Wish(self.study, self.frontal, self.lateral)
+        return Wish(self.study, self.frontal, self.lateral, self.table)
 
 
 class Make(Look):
@@ -51,16 +64,52 @@ class Make(Look):
     person: dict[str, Any] = Field(default_factory=dict)
 
 
+class Picture(Look):
+    """The same, and the name of the radiograph whose picture is wanted."""
+
+    name: Name
+
+
+class Side(Look):
+    """The same, and the names of the radiographs that show a push from another side; the rest as in ``subject.json``,
+    which is judged there."""
+
+    names: Annotated[list[Name], Field(min_length=1, max_length=1000)]
+    push: Number
+    view: dict[str, Any]
+
+
+class Markers(Sent):
+    """Skin markers of a push, as in ``subject.json``, where they are judged, and the text of their table."""
+
+    push: Number
+    markers: dict[str, Any]
+    text: str
+
+
 class Exports:
-    """What was read of uploads and folders lately: reading takes a while, and is asked for again at each choice."""
+    """What was read of uploads, folders and subjects lately: reading takes a while, and is asked for again at each
+    choice."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
         self._lock = threading.Lock()
         self._read: OrderedDict[tuple[Path, ...], Export] = OrderedDict()
+        self._standing: tuple[object, Standing] | None = None
+
+    def standing(self, key: str) -> Standing:
+        """A subject and its radiographs. Raises NotThere, SubjectError."""
+        folder = self.bench.root.subject(key)
+        with self._lock:
+            seen = tuple((path, (status := path.stat()).st_mtime_ns, status.st_size) for path in inputs_of(folder))
+            if self._standing is None or self._standing[0] != seen:
+                self._standing = seen, read_standing(folder)
+            return self._standing[1]
 
     def of(self, asked: Look) -> Export:
         """What is in an upload or folder. Raises SpinestiffError."""
+        if asked.origin == "none":
+            return Export()
         if asked.origin == "upload":
             places = tuple(self.bench.uploads.whole(asked.key))
         else:
@@ -111,7 +160,18 @@ def add_intake(app: FastAPI, bench: Bench) -> None:
         asked = sent(body, Look)
         if asked.origin == "source":
             exports.forget()
-        return looked_at(exports.of(asked), asked.wish)
+        if asked.subject is None:
+            return looked_at(exports.of(asked), asked.wish)
+        return looked_at_beside(exports.standing(asked.subject), exports.of(asked), asked.wish)
+
+    @app.post("/api/look/picture")
+    def picture(body: Body) -> Response:
+        asked = sent(body, Picture)
+        found = next((one for one in exports.of(asked).found if one.name == asked.name), None)
+        if found is None:
+            raise NotThere("this radiograph is not there, or no longer")
+        content, about = thumbnail(found)
+        return Response(content, media_type="application/octet-stream", headers={"x-radiograph": json.dumps(about)})
 
     @app.post("/api/subjects")
     def make(body: Body) -> dict[str, Any]:
@@ -121,3 +181,24 @@ def add_intake(app: FastAPI, bench: Bench) -> None:
             bench.uploads.discard(asked.key)
         exports.forget()
         return {"key": key}
+
+    @app.get("/api/subjects/{key}/radiographs")
+    def radiographs(key: str) -> dict[str, Any]:
+        return radiographs_record(exports.standing(key))
+
+    @app.post("/api/subjects/{key}/radiographs")
+    def extend(key: str, body: Body) -> dict[str, Any]:
+        asked = sent(body, Look)
+        return {"changes": add(exports.standing(key), exports.of(asked), asked.wish)}
+
+    @app.post("/api/subjects/{key}/views")
+    def extend_views(key: str, body: Body) -> dict[str, Any]:
+        asked = sent(body, Side)
+        add_side(exports.standing(key), exports.of(asked), asked.names, asked.push, asked.view)
+        return {}
+
+    @app.post("/api/subjects/{key}/markers")
+    def extend_markers(key: str, body: Body) -> dict[str, Any]:
+        asked = sent(body, Markers)
+        add_markers(exports.standing(key), asked.push, asked.markers, asked.text)
+        return {}

@@ -1,4 +1,4 @@
-"""A new subject from an upload or from a folder on this machine, by the code of ``spinestiff init``."""
+"""A new subject from an upload or a folder on this machine, as ``spinestiff init`` makes it."""
 
 from __future__ import annotations
 
@@ -15,29 +15,64 @@ from spinestiff.files import listed
 from spinestiff.imaging.dicom.export import Exported
 from spinestiff.subject.gaps import PERSON
 from spinestiff.subject.intake import making
+from spinestiff.subject.intake.adding import TABLE
 from spinestiff.subject.intake.collecting import Refused, by_name, chosen_studies, collect, studies
 from spinestiff.subject.intake.making import Given
+from spinestiff.subject.intake.push_table import LARGEST_BYTES, TableRow, parse_push_table, pushes_of
 from spinestiff.subject.intake.sorting import Sorting, sort_files, uses_of
 from spinestiff.workbench.rooms import Root
 
-MOST_SOURCES = 500
+MOST_SOURCES, MOST_LEFT_OUT = 500, 200
+LEFT_OUT = "left out"
+"""What a radiograph becomes that is of no use."""
+_OPTIONS = (
+    ("; name it with --frontal or --lateral, or in --pushes", "; choose it below, or name it in the table of pushes"),
+    ("say which is at rest with --", "choose below which is at rest, "),
+    ("named by --", "chosen as the radiograph at rest, "),
+    ("but --frontal names another", "but another was chosen"),
+    ("but --lateral names another", "but another was chosen"),
+    ("--pushes", "the table of pushes"),
+)
+"""Words of ``sorting`` that name options of the command line, and what stands for them on the page."""
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What somebody says of radiographs: which study, which are the rest ones (names as they were shown)."""
+    """What somebody says of radiographs: which study, which are the rest ones (names as they were shown), and the text
+    of a table of pushes.
+    """
 
     study: str | None = None
     frontal: str | None = None
     lateral: str | None = None
+    table: str | None = None
+
+    @property
+    def rows(self) -> tuple[TableRow, ...] | None:
+        """Of the table. Raises SubjectError."""
+        if self.table is None:
+            return None
+        if len(self.table.encode()) > LARGEST_BYTES:
+            raise SubjectError(f"{TABLE}: more than {LARGEST_BYTES // 2**20} MB, no table of pushes")
+        return parse_push_table(self.table, TABLE)
+
+    def rest(self, found: Sequence[Exported]) -> tuple[Exported | None, Exported | None]:
+        """The frontal and the lateral radiograph at rest that are named, among those found. Raises SubjectError."""
+        names = (self.frontal, self.lateral)
+        frontal, lateral = (None if name is None else _one(by_name(name, found, "the request")) for name in names)
+        return frontal, lateral
 
 
 @dataclass(frozen=True)
 class Export:
     """What lies in folders: radiographs, and files that are none."""
 
-    found: tuple[Exported, ...]
-    refused: tuple[Refused, ...]
+    found: tuple[Exported, ...] = ()
+    refused: tuple[Refused, ...] = ()
+
+    def study(self, wish: Wish) -> tuple[Exported, ...]:
+        """The radiographs of the study that is wished for. Raises SubjectError, OptionError."""
+        return chosen_studies(self.found, wish.study)[0] if self.found else ()
 
 
 def read_export(places: Sequence[Path]) -> Export:
@@ -54,24 +89,47 @@ def read_export(places: Sequence[Path]) -> Export:
 def looked_at(export: Export, wish: Wish) -> dict[str, Any]:
     """The studies in an export, and what each radiograph of the chosen one becomes, as JSON."""
     groups = studies(export.found)
-    record: dict[str, Any] = {"studies": [{"label": one.label, "words": one.words} for one in groups]}
     if wish.study is None and len(groups) > 1:
-        return {**record, "study": None, "files": [], "left_out": _left_out(export), "told": {}, "notes": []}
+        return {**look_record(export), "study": None}
     chosen, sorting = _sorted(export, wish)
     told, notes = making.person_of(chosen)
     uses = uses_of(sorting, [str(number) for number in range(1, len(sorting.pushes) + 1)])
+    record = look_record(export, chosen, uses, sorting.reasons)
+    return {**record, "study": wish.study or groups[0].label, "told": told, "notes": notes}
+
+
+def look_record(
+    export: Export,
+    chosen: Sequence[Exported] = (),
+    uses: Mapping[str, str] | None = None,
+    reasons: Mapping[str, str] | None = None,
+) -> dict[str, Any]:
+    """An export as JSON: its studies, the radiographs of the chosen one, those of use first, and what is left out."""
+    uses, reasons = uses or {}, reasons or {}
     rows = [
         {
             "name": one.name,
             "frames": one.frames,
             "view": one.view or "",
-            "use": uses.get(one.name, "left out"),
-            "why": sorting.reasons[one.name],
+            "use": uses.get(one.name, LEFT_OUT),
+            "why": for_a_page(reasons[one.name]),
         }
         for one in sorted(chosen, key=lambda one: (one.name not in uses, one.tags.moment or 0.0, one.name))
     ]
-    study = wish.study or groups[0].label
-    return {**record, "study": study, "files": rows, "left_out": _left_out(export), "told": told, "notes": notes}
+    return {
+        "studies": [{"label": one.label, "words": one.words} for one in studies(export.found)],
+        "files": rows,
+        "left_out": [{"name": one.name, "why": one.why} for one in export.refused[:MOST_LEFT_OUT]],
+        "told": {},
+        "notes": [],
+    }
+
+
+def for_a_page(words: str) -> str:
+    """Words of the command line as the page says them."""
+    for option, said in _OPTIONS:
+        words = words.replace(option, said)
+    return words
 
 
 def make_newcomer(root: Root, name: str, export: Export, wish: Wish, person: Mapping[str, Any]) -> str:
@@ -94,21 +152,15 @@ def make_newcomer(root: Root, name: str, export: Export, wish: Wish, person: Map
 
 
 def _sorted(export: Export, wish: Wish) -> tuple[tuple[Exported, ...], Sorting]:
-    chosen, _ = chosen_studies(export.found, wish.study)
-    frontal, lateral = (
-        None if given is None else _one(by_name(given, chosen, "the request")) for given in (wish.frontal, wish.lateral)
-    )
-    return chosen, sort_files(chosen, None, frontal, lateral)
+    chosen, rows = export.study(wish), wish.rows
+    table = None if rows is None else pushes_of(TABLE, rows, chosen)
+    return chosen, sort_files(chosen, table, *wish.rest(chosen))
 
 
 def _one(found: Sequence[Exported]) -> Exported:
     if len(found) != 1 or found[0].frames != 1:
         raise SubjectError("a rest radiograph has one frame; choose another file")
     return found[0]
-
-
-def _left_out(export: Export) -> list[dict[str, str]]:
-    return [{"name": one.name, "why": one.why} for one in export.refused[:200]]
 
 
 @dataclass(frozen=True)

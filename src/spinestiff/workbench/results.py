@@ -12,11 +12,11 @@ from typing import Any
 from spinestiff.errors import NotThere, SpinestiffError, SubjectError
 from spinestiff.files import regular_file
 from spinestiff.study.plan_words import plan_lines
-from spinestiff.subject.folder import Subject, read_subject, read_unannotated
+from spinestiff.subject.folder import Subject, read_unannotated
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.records import RESULTS
 from spinestiff.subject.run_record import changed_inputs, read_outcome, recorded_steps
-from spinestiff.workbench.cards import result
+from spinestiff.workbench.cards import result, stale
 
 PAGES = {
     "report.html": "Report",
@@ -65,7 +65,7 @@ def results_record(folder: Path) -> dict[str, Any]:
         "pictures": [{"name": name, "title": there[name]} for name in PICTURES if name in there],
         "result": result(subject),
         "plan": _plan(subject),
-        "stale": _stale(folder),
+        "stale": _stale(subject),
     }
 
 
@@ -78,13 +78,11 @@ def _plan(subject: Subject) -> list[str]:
         return []
 
 
-def _stale(folder: Path) -> list[str]:
-    """Inputs that have changed since the report was made from them, in words."""
+def _stale(subject: Subject) -> list[str]:
     try:
-        subject = read_subject(folder)
-    except SpinestiffError:
-        return []
-    return sorted({name for step in ("estimate", "report") for name in changed_inputs(subject, step)})
+        return stale(subject, changed_inputs)
+    except SpinestiffError as error:
+        return [" ".join(str(error).replace(f"{subject.folder}/", "").split())]
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 import shutil
 import zipfile
 from pathlib import Path
@@ -15,7 +17,25 @@ MOST_TIMES = 100
 """How many times larger than packed a zip file may become; radiographs shrink to a third at best."""
 SPARED_BYTES = 10 * 2**20
 """Below it, the factor is not asked: black pictures are small."""
+LARGEST_LIST = 256 * MOST_FILES
+"""Bytes of the list of entries (the central directory), which is read whole before an entry can be counted: 46 an entry
+and its name."""
 _PIECE = 2**20
+
+
+class _Bounded(io.BufferedReader):
+    """A zip file of which no more than ``LARGEST_LIST`` bytes are read at once, whatever its headers ask for."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """As of a file. Raises SubjectError for more than that."""
+        if size is None or size < 0:
+            size = os.fstat(self.fileno()).st_size - self.tell()
+        if size > LARGEST_LIST:
+            raise SubjectError(
+                f"the list of entries of a zip file of the upload is larger than {LARGEST_LIST / 2**20:.0f} MB, more "
+                f"than {MOST_FILES} files need; upload a part of it"
+            )
+        return super().read(size)
 
 
 def unzip(archive: Path, target: Path, most_bytes: int) -> int:
@@ -44,7 +64,7 @@ def _unzip(archive: Path, target: Path, most_bytes: int) -> int:
     packed = archive.stat().st_size
     limit = min(most_bytes, max(MOST_TIMES * packed, SPARED_BYTES))
     written, taken = 0, set[str]()
-    with zipfile.ZipFile(archive) as zipped:
+    with _Bounded(io.FileIO(archive)) as packed_file, zipfile.ZipFile(packed_file) as zipped:
         entries = [entry for entry in zipped.infolist() if not entry.is_dir() and not _is_link(entry)]
         if len(entries) > MOST_FILES:
             raise SubjectError(f"a zip file of the upload holds more than {MOST_FILES} files; upload a part of it")

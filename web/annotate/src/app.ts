@@ -55,10 +55,11 @@ export class App {
   get key(): string { return this.frame ? `${this.image.name}/${this.frame}` : this.image.name; }
   get marks(): ImageMarks { return this.draft ?? this.history.marks[this.key] ?? NOTHING; }
   get allMarks(): Marks { return this.history.marks; }
-  get isPush(): boolean { return this.image.name.startsWith("push/"); }
+  /** A push's own frames, not one of its radiographs from another side. */
+  get isPush(): boolean { return /^push\/[^/]+$/.test(this.image.name); }
   get canUndo(): boolean { return this.history.canUndo; }
   get canRedo(): boolean { return this.history.canRedo; }
-  get tools(): Tool[] { return this.isPush ? (this.frame ? ["move"] : ["move", "spine", "pelvis", "shoulder"]) : ["move", "spine", "pedicle"]; }
+  get tools(): Tool[] { return this.isPush ? (this.frame ? ["move"] : ["move", "spine", "pelvis", "shoulder"]) : this.image.name.startsWith("push/") ? ["move", "spine"] : ["move", "spine", "pedicle"]; }
   get tracked(): TrackedFrame | null { return this.frame ? (this.tracking[this.image.name]?.frames[this.frame] ?? null) : null; }
 
   async open(name: string, frame = 0): Promise<void> {
@@ -160,7 +161,7 @@ export class App {
     this.draft = null;
     this.saver.want(this.proposals.told(this.history.marks));
     this.says.aloud(`${step.words}: ${how}`);
-    const image = this.session.images.find((one) => step.image === one.name || step.image.startsWith(`${one.name}/`));
+    const all = this.session.images, image = all.find((one) => step.image === one.name) ?? all.find((one) => step.image.startsWith(`${one.name}/`));
     if (image && step.image !== this.key) void this.open(image.name, Number(step.image.slice(image.name.length + 1)) || 0);
     else this.after();
   }

@@ -1,5 +1,5 @@
 // What the workbench's server is asked for, and what it answers.
-import { get, send } from "../../shared/net";
+import { ask, get, send } from "../../shared/net";
 
 export interface Job {
   id: string; subject: string; verb: string; options: Record<string, unknown>; state: "waiting" | "running" | "done" | "failed" | "cancelled" | "lost";
@@ -11,7 +11,7 @@ export interface Stiffness {
 export interface Result { problem?: string; badge: string; lines: string[]; stiffness: Stiffness[]; doubts: string[]; rmse_mm: number }
 export interface Card {
   key: string; name: string; job: Job | null; stage: "broken" | "form" | "radiographs" | "annotate" | "roles" | "run" | "done"; stage_words: string; missing: string[];
-  id?: string; age?: number | null; sex?: string | null; height_cm?: number | null; pushes?: number; result?: Result | null;
+  id?: string; age?: number | null; sex?: string | null; height_cm?: number | null; pushes?: number; result?: Result | null; stale?: string[];
 }
 export interface Results {
   pages: { name: string; title: string }[]; pictures: { name: string; title: string }[]; result: Result | null; plan: string[]; stale: string[]; ticket: string;
@@ -23,14 +23,16 @@ export interface Schema {
 }
 export interface Said { field: string; text: string }
 export interface Judged { problems: Said[]; open: Said[] }
-export interface Form extends Judged { schema: Schema; words: Record<string, { title?: string; unit?: string; help?: string; picture?: string }>; values: Values; revision: string }
+export interface Form extends Judged { schema: Schema; words: Record<string, { title?: string; unit?: string; help?: string; picture?: string }>; priors: Record<string, number>; values: Values; revision: string }
 export interface Option { kind: "choice" | "number" | "switch"; title: string; words?: Record<string, string>; low?: number; high?: number; usual?: number; unit?: string; whole?: boolean }
 export interface Verb { title: string; about: string; minutes: string; options: Record<string, Option> }
 export interface Look {
   studies: { label: string; words: string }[]; study: string | null; told: Values; notes: string[];
-  files: { name: string; frames: number; view: string; use: string; why: string }[]; left_out: { name: string; why: string }[];
+  files: { name: string; frames: number; view: string; use: string; why: string; held?: boolean }[]; left_out: { name: string; why: string }[]; changes?: string[];
 }
-export interface Asked { origin: "upload" | "source"; key: string; study?: string; frontal?: string; lateral?: string }
+export interface Asked { origin: "upload" | "source" | "none"; key: string; study?: string; frontal?: string; lateral?: string; table?: string; subject?: string }
+export interface Radiographs { files: { image: string; name: string; frames: number; use: string }[]; rest: string[] }
+export interface Markers { unit: string; axes: Record<string, string>; side: string; shown: Record<string, unknown> }
 
 export const bench = (): Promise<{ version: string; read_only: boolean; upload_bytes: number }> => get("/api/bench");
 export const subjects = async (): Promise<Card[]> => (await get<{ subjects: Card[] }>("/api/subjects")).subjects;
@@ -59,4 +61,12 @@ export const pack = (key: string, nameless: boolean, burned_in_ok: boolean): Pro
   send("POST", `/api/subjects/${key}/zip`, { nameless, burned_in_ok });
 export const sources = async (): Promise<{ key: string; name: string }[]> => (await get<{ sources: { key: string; name: string }[] }>("/api/sources")).sources;
 export const look = (asked: Asked): Promise<Look> => send("POST", "/api/look", asked);
+export const lookPicture = (asked: Asked, name: string): Promise<Response> => ask("POST", "/api/look/picture", JSON.stringify({ ...asked, name }));
+export const discard = (upload: string): Promise<unknown> => send("DELETE", `/api/uploads/${upload}`);
+export const radiographs = (key: string): Promise<Radiographs> => get(`/api/subjects/${key}/radiographs`);
+export const picture = (key: string, image: string): Promise<Response> =>
+  ask("GET", `/annotate/${key}/api/radiograph?${new URLSearchParams({ image, wide: "96", tall: "128" }).toString()}`);
+export const extend = (key: string, asked: Asked): Promise<{ changes: string[] }> => send("POST", `/api/subjects/${key}/radiographs`, asked);
+export const addView = (key: string, asked: Asked & { names: string[]; push: number; view: Values }): Promise<unknown> => send("POST", `/api/subjects/${key}/views`, asked);
+export const addMarkers = (key: string, push: number, markers: Markers, text: string): Promise<unknown> => send("POST", `/api/subjects/${key}/markers`, { push, markers, text });
 export const make = (asked: Asked & { name: string; person: Values }): Promise<{ key: string }> => send("POST", "/api/subjects", asked);

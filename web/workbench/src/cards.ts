@@ -4,7 +4,7 @@ import * as api from "./api";
 import { act, link, type Room, state, sure, undoable, when } from "./page";
 
 const NEXT: Record<api.Card["stage"], [string, string]> = {
-  broken: ["Look at it", "values"], form: ["Fill in the values", "values"], radiographs: ["Look at it", "values"], annotate: ["Annotate", "annotate"],
+  broken: ["Look at it", "values"], form: ["Fill in the values", "values"], radiographs: ["Add radiographs", "radiographs"], annotate: ["Annotate", "annotate"],
   roles: ["See the steps", "run"], run: ["Run", "run"], done: ["See the result", "results"],
 };
 const JOBS: Record<api.Job["state"], string> = {
@@ -40,6 +40,7 @@ function one(card: api.Card, again: () => void): HTMLElement {
   return h("article", { class: "card", "aria-label": card.name },
     h("h2", {}, link(card.name, `/subject/${card.key}/${room === "annotate" ? "values" : room}`), badge(card)),
     h("p", { class: "soft" }, person(card)), lines, doubts,
+    result && card.stale?.length ? h("p", { class: "warn" }, `Changed since this was found: ${card.stale.join(", ")}.`) : null,
     missing.length ? h("ul", { class: "missing" }, ...missing.slice(0, 3).map((line) => h("li", {}, line)), missing.length > 3 && h("li", {}, `and ${missing.length - 3} more`)) : null,
     card.job && card.job.ended ? h("p", { class: "soft" }, `Last run ${jobWords(card.job)}`) : null,
     h("div", { class: "row" }, h("a", { class: "button main", href }, text),

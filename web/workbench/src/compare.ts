@@ -33,7 +33,7 @@ type Column = [string, (card: api.Card) => string | number | null, ((card: api.C
 export async function table(): Promise<Room> {
   const cards = await api.subjects(), names = [...new Set(cards.flatMap((card) => card.result?.stiffness?.map((one) => one.name) ?? []))];
   const columns: Column[] = [
-    ["Subject", (card) => card.name], ["State", (card) => (card.stage === "done" ? (card.result?.badge ?? "") : card.stage_words)], ["Sex", (card) => card.sex ?? null],
+    ["Subject", (card) => card.name], ["State", (card) => (card.stage === "done" ? (card.result?.badge ?? "") : card.result && card.stale?.length ? `${card.stage_words}; the result is older` : card.stage_words)], ["Sex", (card) => card.sex ?? null],
     ["Age, years", (card) => card.age ?? null], ["Height, cm", (card) => card.height_cm ?? null], ["Pushes", (card) => card.pushes ?? null],
     ...names.map((name): Column => {
       const of = (card: api.Card): api.Stiffness | undefined => card.result?.stiffness?.find((one) => one.name === name);

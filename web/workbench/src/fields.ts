@@ -45,8 +45,9 @@ export function input(holder: Values | unknown[], name: string | number, path: s
     context.changed();
   };
   const given = { id, "aria-describedby": sayId(path), disabled: context.readOnly, onfocus: () => context.focused(path), ...(label ? { "aria-label": label } : {}) };
-  if (schema.enum) {
-    const select = h("select", given, h("option", { value: "" }, now === undefined ? `as usual${schema.default ? `: ${String(schema.default)}` : ""}` : "not known yet"), ...schema.enum.map((one) => h("option", { value: one }, one)));
+  const words = schema.enum ?? (typeof schema.const === "string" ? [schema.const] : null);
+  if (words) {
+    const select = h("select", given, h("option", { value: "" }, now === undefined ? `as usual${schema.default ? `: ${String(schema.default)}` : ""}` : "not known yet"), ...words.map((one) => h("option", { value: one }, one)));
     select.value = typeof now === "string" ? now : "";
     select.addEventListener("change", () => set(select.value || null));
     return select;
@@ -57,9 +58,22 @@ export function input(holder: Values | unknown[], name: string | number, path: s
   return box;
 }
 
-export function field(holder: Values, name: string, path: string, raw: Schema, context: Context): HTMLElement {
+/** Whole numbers from 0, with commas or spaces; what is no such number stays as it is, and the check says so. */
+export const integers = (text: string): (number | string)[] => text.split(/[\s,;]+/).filter(Boolean).map((one) => (/^\d{1,4}$/.test(one) ? Number(one) : one));
+
+/** A field of any kind: its words, the box, and where the check puts what is wrong. */
+export function boxed(path: string, box: HTMLElement, context: Context): HTMLElement {
+  const told = wordsOf(path, context.form);
+  box.setAttribute("id", idOf(path));
+  box.setAttribute("aria-describedby", sayId(path));
+  if (context.readOnly) box.setAttribute("disabled", "");
+  return h("div", { class: "field", "data-field": path }, h("label", { for: idOf(path) }, told.title ?? path), box,
+    told.help ? h("small", { class: "soft" }, told.help) : null, h("small", { class: "says", id: sayId(path), role: "status" }));
+}
+
+export function field(holder: Values, name: string, path: string, raw: Schema, context: Context, usual?: number): HTMLElement {
   const { form } = context, schema = plain(raw, form), told = wordsOf(path, form), title = told.title ?? spoken(name);
-  const about = [told.help, limits(schema) && `${limits(schema)}${told.unit && told.unit !== "rib" ? ` ${told.unit}` : ""}`].filter(Boolean).join(" ");
+  const about = [usual !== undefined && `Usually ${usual}.`, told.help, limits(schema) && `${limits(schema)}${told.unit && told.unit !== "rib" ? ` ${told.unit}` : ""}`].filter(Boolean).join(" ");
   return h("div", { class: "field", "data-field": path },
     h("label", { for: idOf(path) }, title), h("span", { class: "value" }, input(holder, name, path, schema, context), told.unit && told.unit !== "rib" ? h("span", { class: "unit" }, told.unit) : null),
     about ? h("small", { class: "soft" }, about) : null, h("small", { class: "says", id: sayId(path), role: "status" }));

@@ -2,12 +2,13 @@
 import { button, h } from "../../shared/dom";
 import { Refused, words } from "../../shared/net";
 import * as api from "./api";
+import { markers, views } from "./beside";
 import { type Context, field, input, isSimple, plain, sayId, typed, wordsOf } from "./fields";
 import { gaugeLog } from "./gauge";
 import { act, type Room, state } from "./page";
 import { type Push, torso } from "./torso";
 
-const PAUSE_MS = 350, BY_HAND = new Set(["schema_version", "pushes", "xray", "id", "age", "sex", "height_cm", "mass_kg"]);
+const PAUSE_MS = 350, BY_HAND = new Set(["schema_version", "pushes", "xray", "priors", "id", "age", "sex", "height_cm", "mass_kg"]);
 const PUSH = ["side", "level", "d21_mm", "d31_mm"], PERSON = ["id", "age", "sex", "height_cm", "mass_kg"];
 
 export async function values(key: string): Promise<Room> {
@@ -28,7 +29,10 @@ export async function values(key: string): Promise<Room> {
     if (stopped) return;
     tell("saving", "Checking …");
     clearTimeout(timer);
-    timer = window.setTimeout(() => void save().catch((error: unknown) => tell("failed", `Not saved: ${words(error)}`)), PAUSE_MS);
+    timer = window.setTimeout(() => void save().catch((error: unknown) => {
+      tell("failed", `Not saved: ${words(error)} `);
+      if (error instanceof Refused && error.status === 409) said.append(button("Load what is there now", () => act(reload), { id: "reload-values" }));
+    }), PAUSE_MS);
   }
   function tell(kind: string, text: string): void { said.dataset["state"] = kind; said.textContent = text; }
 
@@ -60,7 +64,8 @@ export async function values(key: string): Promise<Room> {
       // The body may not be on the page yet.
       const at = (where: string): HTMLElement | null => body.querySelector(`#${sayId(where)}`);
       let where = path.replace(/\[(\d+) to \d+\]$/, "[$1]"), place = at(where);
-      while (!place && where.includes(".")) place = at((where = where.slice(0, where.lastIndexOf("."))));
+      // A list's entry, then what it is part of.
+      while (!place && where) place = at((where = where.slice(0, Math.max(0, where.lastIndexOf("."), where.lastIndexOf("[")))));
       place ??= body.querySelector<HTMLElement>("#values-says");
       if (!place) return;
       place.append(place.textContent ? " " : "", text);
@@ -75,7 +80,7 @@ export async function values(key: string): Promise<Room> {
     const schema = form.schema, told = (name: string): api.Schema => schema.properties?.[name] ?? {};
     const pushes = (form.values["pushes"] ?? []) as api.Values[];
     const others = Object.keys(schema.properties ?? {}).filter((name) => !BY_HAND.has(name));
-    const simple = others.filter((name) => isSimple(plain(told(name), form))), kept = others.filter((name) => !simple.includes(name) && form.values[name] !== undefined);
+    const simple = others.filter((name) => name !== "torso" && isSimple(plain(told(name), form))), kept = others.filter((name) => !simple.includes(name) && form.values[name] !== undefined);
     body.replaceChildren(
       h("p", { id: "values-says", class: "says", role: "alert" }),
       h("fieldset", {}, h("legend", {}, "Person"), h("div", { class: "grid" }, ...PERSON.map((name) => field(form.values, name, name, told(name), context())))),
@@ -84,9 +89,21 @@ export async function values(key: string): Promise<Room> {
       h("details", {}, h("summary", {}, wordsOf("xray", form).title ?? "xray"), h("p", { class: "soft" }, wordsOf("xray", form).help ?? ""), xray(plain(told("xray"), form))),
       h("details", {}, h("summary", {}, "Choices of the model"), h("p", { class: "soft" }, "The usual ones fit most subjects."),
         h("div", { class: "grid" }, ...simple.map((name) => field(form.values, name, name, told(name), context()))),
-        kept.length ? h("p", { class: "soft" }, `Kept as they are in subject.json: ${kept.join(", ")}.`) : null));
+        kept.length ? h("p", { class: "soft" }, `Kept as they are in subject.json: ${kept.join(", ")}.`) : null), priors());
     judge(form);
     pictures(focus);
+  }
+
+  function priors(): HTMLElement {
+    const holder = (form.values["priors"] ?? {}) as api.Values, told = wordsOf("priors", form);
+    const own = { ...context(), changed: () => {
+      for (const [name, value] of Object.entries(holder)) if (value === null) delete holder[name];
+      if (Object.keys(holder).length) form.values["priors"] = holder; else delete form.values["priors"];
+      later();
+    } };
+    return h("details", { id: "priors", ...(Object.keys(holder).length ? { open: true } : {}) }, h("summary", {}, told.title ?? "priors"), h("p", { class: "soft" }, `${told.help ?? ""} Empty: the usual one. Whoever measured better, or knows of worse, says so here.`),
+      h("p", { class: "says", id: sayId("priors"), role: "status" }),
+      h("div", { class: "grid" }, ...Object.entries(form.priors).map(([name, usual]) => field(holder, name, `priors.${name}`, { type: "number", minimum: 0, maximum: 1000 }, own, usual))));
   }
 
   function xray(schema: api.Schema): HTMLElement {
@@ -123,7 +140,22 @@ export async function values(key: string): Promise<Room> {
         h("table", { class: "frames" }, h("thead", {}, h("tr", {}, h("td", {}), h("th", { scope: "col" }, "Force on the ribs"), h("th", { scope: "col" }, "Use"), h("td", {}))), h("tbody", {}, ...rows)),
         h("p", { class: "says", id: sayId(`${path}.forces_n`) }),
         state.readOnly ? null : gaugeLog(key, number, (found) => { found.slice(0, forces.length).forEach((force, i) => { forces[i] = force; }); later(); draw(); }), h("p", { class: "soft" }, `${wordsOf("pushes.roles", form).help ?? ""} A column of forces can be pasted into the first of them.`)),
-      h("figure", { class: "diagram", "data-push": String(number) })));
+      h("figure", { class: "diagram", "data-push": String(number) })),
+      views(push, path, schema, context(), now), state.readOnly && !push["markers"] ? null : markers(key, push, number, schema, context(), now, reload));
+  }
+
+  /** A change by a button: drawn and saved at once, to be taken back by Undo. */
+  function now(change: () => void): void { change(); draw(); later(); }
+
+  /** What the server has changed: the form begins anew. */
+  async function reload(): Promise<void> {
+    form = await api.form(key);
+    saved = JSON.stringify(form.values);
+    past.length = 0;
+    undo.disabled = true;
+    draw();
+    tell("saved", "Saved.");
+    document.dispatchEvent(new Event("subject-changed"));
   }
 
   /** Each push's torso shows its values; what is being filled in stands out. */

@@ -66,7 +66,10 @@ export async function run(key: string, stage: string): Promise<Room> {
   const ready = stage === "run" || stage === "done";
   const cards = Object.entries(verbs).map(([verb, told]) => {
     const given: api.Values = {}, needs = verb !== "plan" && verb !== "view" && !ready;
-    const start = button("Start", () => act(async () => { watch(await api.start(key, verb, given)); await list(); }), { class: verb === "run" ? "main" : "", "aria-label": `Start: ${told.title}`, id: `start-${verb}` });
+    const start = button("Start", () => act(async () => {
+      // Refused: another window has started one, which is shown.
+      try { watch(await api.start(key, verb, given)); } finally { await list(); }
+    }), { class: verb === "run" ? "main" : "", "aria-label": `Start: ${told.title}`, id: `start-${verb}` });
     starts.push(start);
     return h("div", { class: `verb${verb === "run" ? " first" : ""}` }, h("h3", {}, told.title), h("p", { class: "soft" }, `${told.about}${told.minutes ? ` Takes ${told.minutes}.` : ""}`),
       ...Object.entries(told.options).map(([name, option]) => choice(verb, name, option, given)),

@@ -4,24 +4,34 @@ import * as api from "./api";
 import { badge, person } from "./cards";
 import { values } from "./form";
 import { problem, type Room } from "./page";
+import { radiographs } from "./radiographs";
 import { results } from "./results";
 import { run } from "./run";
 
-const ROOMS: [string, string][] = [["values", "Values"], ["annotate", "Annotation"], ["run", "Run"], ["results", "Results"]];
+const ROOMS: [string, string][] = [["radiographs", "Radiographs"], ["values", "Values"], ["annotate", "Annotation"], ["run", "Run"], ["results", "Results"]];
 const ORDER: api.Card["stage"][] = ["broken", "form", "radiographs", "annotate", "roles", "run", "done"];
 
 export async function subject(key: string, room: string): Promise<Room> {
   let card = await api.subject(key);
-  const head = h("div", { class: "subject" }), missing = h("div");
+  const missing = h("div"), name = h("h1"), who = h("p", { class: "soft" });
+  // Made once: a link that is replaced while it is pressed or has the focus takes the click or the focus with it.
+  const steps = ROOMS.map(([one, title], i) => {
+    const dot = h("span", { class: "dot", "aria-hidden": "true" }), told = h("span", { class: "hidden" });
+    const made = h("a", { href: one === "annotate" ? `/annotate/${key}/` : `#/subject/${key}/${one}`, ...(one === room ? { "aria-current": "page" } : {}) }, dot, title, told);
+    return { made, show: (done: boolean): void => { made.dataset["done"] = String(done); dot.textContent = done ? "✓" : String(i + 1); told.textContent = done ? " (done)" : ""; } };
+  });
+  const head = h("div", { class: "subject" }, name, who, h("nav", { class: "way", "aria-label": "Steps of the work" }, ...steps.map(({ made }) => made)));
   const draw = (): void => {
-    const done: Record<string, boolean> = { values: ORDER.indexOf(card.stage) > 1, annotate: ORDER.indexOf(card.stage) > 3, run: card.stage === "done", results: card.stage === "done" };
-    head.replaceChildren(h("h1", {}, card.name, " ", badge(card)), h("p", { class: "soft" }, person(card)),
-      h("nav", { class: "way", "aria-label": "Steps of the work" }, ...ROOMS.map(([name, title], i) => h("a", { href: name === "annotate" ? `/annotate/${key}/` : `#/subject/${key}/${name}`, ...(name === room ? { "aria-current": "page" } : {}), "data-done": String(done[name]) },
-        h("span", { class: "dot", "aria-hidden": "true" }, done[name] ? "✓" : String(i + 1)), title, done[name] ? h("span", { class: "hidden" }, " (done)") : null))));
+    const far = ORDER.indexOf(card.stage);
+    const radiographs = card.stage !== "broken" && !card.missing.some((line) => line.endsWith(": no radiograph"));
+    const done: Record<string, boolean> = { radiographs, values: far > 1, annotate: far > 3, run: card.stage === "done", results: card.stage === "done" };
+    name.replaceChildren(card.name, " ", badge(card));
+    who.textContent = person(card);
+    steps.forEach(({ show }, i) => show(done[ROOMS[i]?.[0] ?? ""] ?? false));
     missing.replaceChildren(card.missing.length && room !== "values" ? h("details", { class: "warn" }, h("summary", {}, `Still missing: ${card.missing.length}`), h("ul", {}, ...card.missing.map((line) => h("li", {}, line)))) : "");
   };
   draw();
-  const inner = room === "results" ? await results(key, card) : room === "run" ? await run(key, card.stage) : card.stage === "broken" ? { element: h("p", { class: "bad" }, card.missing.join(" ")) } : await values(key);
+  const inner = room === "results" ? await results(key, card) : room === "run" ? await run(key, card.stage) : room === "radiographs" && card.stage !== "broken" ? await radiographs(key) : card.stage === "broken" ? { element: h("p", { class: "bad" }, card.missing.join(" ")) } : await values(key);
   const changed = (): void => { void api.subject(key).then((found) => { card = found; draw(); }, problem); };
   document.addEventListener("subject-changed", changed);
   return {

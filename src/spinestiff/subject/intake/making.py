@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import read_json, trouble, whole_folder, write_json
 from spinestiff.imaging.dicom.export import Exported
 from spinestiff.subject.gaps import PERSON, PUSH, check_open_record, gaps_of
-from spinestiff.subject.intake.sorting import Sorting
+from spinestiff.subject.intake.sorting import PushFiles, Sorting
 from spinestiff.subject.record_reading import IDENTIFIER, WANTED_ID
 from spinestiff.subject.records import REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE
 
@@ -65,28 +65,36 @@ def person_of(files: Sequence[Exported]) -> tuple[dict[str, Any], list[str]]:
 
 def subject_data(identifier: str, sorting: Sorting) -> dict[str, Any]:
     """``subject.json`` with all that is open as None; pushes are named by ``name_pushes`` once more is known."""
-    pushes = []
-    for push in sorting.pushes:
-        record: dict[str, Any] = {key: push.shared.get(key) for key in PUSH}
-        record["forces_n"] = list(push.forces_n)
-        if push.roles is not None:
-            record["roles"] = list(push.roles)
-        pushes.append(record)
+    pushes = [push_data(push) for push in sorting.pushes]
     data = {"schema_version": SCHEMA_VERSION, "id": identifier, **dict.fromkeys(PERSON), "pushes": pushes}
     name_pushes(data, sorting)
     return data
 
 
-def name_pushes(data: dict[str, Any], sorting: Sorting) -> None:
-    """Give each push its id and the place of its frames: the user's name, else side and rib where they are known, else
-    a number; each once.
+def push_data(push: PushFiles) -> dict[str, Any]:
+    """A push of ``subject.json``, still without a name and a place of its frames; None for what is open."""
+    record: dict[str, Any] = {key: push.shared.get(key) for key in PUSH}
+    record["forces_n"] = list(push.forces_n)
+    if push.roles is not None:
+        record["roles"] = list(push.roles)
+    return record
+
+
+def name_pushes(data: dict[str, Any], sorting: Sorting, taken: Iterable[str] = ()) -> None:
+    """Give the last pushes of ``data``, those that were sorted, their ids and the places of their frames: the user's
+    name, else side and rib where they are known, else a number; each once.
+
+    Parameters
+    ----------
+    taken : further names that none may have, as of files that are there.
 
     Raises
     ------
     SubjectError : a name of the user that can be no id.
     """
-    names: list[str] = []
-    for number, (push, record) in enumerate(zip(sorting.pushes, data["pushes"]), 1):
+    before = len(data["pushes"]) - len(sorting.pushes)
+    names = {name.casefold() for name in (*taken, *(record["id"] for record in data["pushes"][:before]))}
+    for number, (push, record) in enumerate(zip(sorting.pushes, data["pushes"][before:]), before + 1):
         name = push.name
         if name is not None and not re.fullmatch(IDENTIFIER, name):
             raise SubjectError(f"the table of pushes: push: found {name[:64]!r}, wanted {WANTED_ID}")
@@ -94,10 +102,10 @@ def name_pushes(data: dict[str, Any], sorting: Sorting) -> None:
             name = f"{record['side']}-{record['level']:g}"
         first = name or f"push-{number}"
         name, count = first, 1
-        while name.casefold() in map(str.casefold, names):
+        while name.casefold() in names:
             count += 1
             name = f"{first}-{count}"
-        names.append(name)
+        names.add(name.casefold())
         record |= {"id": name, "frames": f"pushes/{name}" + (".dcm" if len(push.files) == 1 else "")}
 
 
@@ -142,19 +150,36 @@ def make_folder(out: Path, data: dict[str, Any], sorting: Sorting) -> None:
     """
     check_open_record(data)
     with whole_folder(out, SubjectError) as draft:
-        for image, one in (("rest/frontal", sorting.frontal), ("rest/lateral", sorting.lateral)):
-            if one is not None:
-                _copy(one, draft / REST_IMAGES[image])
-        for push, record in zip(sorting.pushes, data["pushes"]):
-            if len(push.files) == 1:
-                _copy(push.files[0], draft / record["frames"])
-            else:
-                for number, one in enumerate(push.files):
-                    _copy(one, draft / record["frames"] / f"{number:03d}.dcm")
+        copy_radiographs(draft, data, sorting)
         write_json(draft / SUBJECT_FILE, data)
 
 
-def _copy(one: Exported, place: Path) -> None:
+def copy_radiographs(folder: Path, data: Mapping[str, Any], sorting: Sorting) -> list[str]:
+    """Copy what was sorted to where it belongs, the pushes being the last of ``data``; returns the places, relative to
+    the folder: files, and folders of single frames. Raises SubjectError for a file that can't be read or written.
+    """
+    places = []
+    for image, one in (("rest/frontal", sorting.frontal), ("rest/lateral", sorting.lateral)):
+        if one is not None:
+            copy_file(one, folder / REST_IMAGES[image])
+            places.append(REST_IMAGES[image])
+    for push, record in zip(sorting.pushes, data["pushes"][len(data["pushes"]) - len(sorting.pushes) :]):
+        copy_frames(push.files, folder / record["frames"])
+        places.append(record["frames"])
+    return places
+
+
+def copy_frames(files: Sequence[Exported], place: Path) -> None:
+    """Copy one file to a place, or several into a folder of that name, in their order. Raises as ``copy_file``."""
+    if len(files) == 1:
+        copy_file(files[0], place)
+    else:
+        for number, one in enumerate(files):
+            copy_file(one, place / f"{number:03d}.dcm")
+
+
+def copy_file(one: Exported, place: Path) -> None:
+    """Copy a radiograph. Raises SubjectError where it can't be read or written."""
     place.parent.mkdir(parents=True, exist_ok=True)
     try:
         shutil.copyfile(one.path, place)

@@ -62,7 +62,12 @@ class TablePush:
 
 
 def read_push_table(path: Path) -> tuple[TableRow, ...]:
-    """The rows of a table of pushes.
+    """The rows of a table of pushes. Raises SubjectError as ``parse_push_table``."""
+    return parse_push_table(read_text(path, LARGEST_BYTES), str(path))
+
+
+def parse_push_table(text: str, name: str) -> tuple[TableRow, ...]:
+    """The rows of a table of pushes from the text of a file of that name.
 
     Raises
     ------
@@ -70,9 +75,9 @@ def read_push_table(path: Path) -> tuple[TableRow, ...]:
     """
     rows = []
     columns = (*COLUMNS, *OPTIONAL)
-    for line, texts in parse_csv(read_text(path, LARGEST_BYTES), str(path), COLUMNS, OPTIONAL):
+    for line, texts in parse_csv(text, name, COLUMNS, OPTIONAL):
         cells = dict(zip(columns, texts))
-        where = f"{path}: row {line}"
+        where = f"{name}: row {line}"
         if not cells["file"]:
             raise SubjectError(f"{where}: file: found nothing, wanted the name of a radiograph or a folder of some")
         force, level, d21, d31 = (_number(cells[key], key, where) for key in _RANGES)
@@ -80,7 +85,7 @@ def read_push_table(path: Path) -> tuple[TableRow, ...]:
         frame, push = _frame(cells["frame"], where), cells["push"] or None
         rows.append(TableRow(line, cells["file"], frame, force, side, level, d21, d31, role, push))
     if not rows:
-        raise SubjectError(f"{path}: no rows; wanted one for each frame of a push")
+        raise SubjectError(f"{name}: no rows; wanted one for each frame of a push")
     return tuple(rows)
 
 
@@ -116,8 +121,8 @@ def _shown(text: str) -> str:
     return repr("".join(c if c.isprintable() else "?" for c in text[:40]))
 
 
-def pushes_of(path: Path, rows: Sequence[TableRow], found: Sequence[Exported]) -> tuple[TablePush, ...]:
-    """The pushes of a table, in its order.
+def pushes_of(path: Path | str, rows: Sequence[TableRow], found: Sequence[Exported]) -> tuple[TablePush, ...]:
+    """The pushes of a table, which messages call ``path``, in its order.
 
     Rows of one file of several frames, or of one folder, are one push. Rows of files of one frame each are one push
     where their ``push`` is the same or, without one, all that they have in common is the same.
@@ -152,7 +157,7 @@ def pushes_of(path: Path, rows: Sequence[TableRow], found: Sequence[Exported]) -
     return pushes
 
 
-def _push(path: Path, group: list[tuple[TableRow, tuple[Exported, ...]]]) -> TablePush:
+def _push(path: Path | str, group: list[tuple[TableRow, tuple[Exported, ...]]]) -> TablePush:
     files = {one.name: one for _, several in group for one in several}
     rows: dict[tuple[str, int], TableRow] = {}
     for row, several in group:

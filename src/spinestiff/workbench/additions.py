@@ -1,0 +1,112 @@
+"""Radiographs and a table of pushes for a subject that is there already: looked at, and added."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from spinestiff.errors import SubjectError
+from spinestiff.subject.intake.adding import (
+    Addition,
+    Standing,
+    add_view,
+    added_data,
+    sort_addition,
+    write_addition,
+)
+from spinestiff.subject.intake.collecting import studies
+from spinestiff.subject.intake.making import person_of
+from spinestiff.subject.intake.sorting import uses_of
+from spinestiff.subject.records import REST_IMAGES
+from spinestiff.workbench.newcomer import Export, Wish, look_record
+
+
+def radiographs_record(standing: Standing) -> dict[str, Any]:
+    """The radiographs that a subject has, as JSON: a row an image, with the name by which the annotation page shows it.
+
+    What the subject should have and has not, or what can't be read, is among the missing of its card.
+    """
+    rows = []
+    for image in dict.fromkeys(standing.images.values()):
+        files = [one for one in standing.files if standing.images[one.name] == image]
+        first = files[0]
+        name = first.name if len(files) == 1 else first.name.rpartition("/")[0]
+        frames = first.frames if len(files) == 1 else len(files)
+        rows.append({"image": _shown_as(standing, image), "name": name, "frames": frames, "use": _use(image)})
+    return {"files": rows, "rest": [image for image in REST_IMAGES if standing.has(image)]}
+
+
+def _use(image: str) -> str:
+    kind, _, name = image.partition("/")
+    push, _, view = name.partition("/")
+    return f"rest, {name}" if kind == "rest" else f"push {push}, view {view}" if view else f"push {push}"
+
+
+def _shown_as(standing: Standing, image: str) -> str:
+    """Of a further view, its first frame's name in the annotation."""
+    parts = image.split("/")
+    if len(parts) < 3:
+        return image
+    push = next(one for one in standing.data["pushes"] if one["id"] == parts[1])
+    frames = next(view["frames"] for view in push["views"] if view["id"] == parts[2])
+    return f"push/{parts[1]}/{frames[0]}/{parts[2]}"
+
+
+def looked_at_beside(standing: Standing, export: Export, wish: Wish) -> dict[str, Any]:
+    """What each radiograph of an export, and a table of pushes, becomes in a subject, as JSON."""
+    groups = studies(export.found)
+    if wish.study is None and len(groups) > 1:
+        return {**look_record(export), "study": None, "changes": []}
+    addition, data, notes = _added(standing, export, wish)
+    chosen, sorting = export.study(wish), addition.sorting
+    new = data["pushes"][len(data["pushes"]) - len(sorting.pushes) :]
+    uses = uses_of(sorting, [push["id"] for push in new])
+    reasons = {one.name: sorting.reasons[one.name] for one in chosen}
+    label = wish.study or (groups[0].label if groups else None)
+    record = look_record(export, chosen, uses, reasons)
+    rows = [{**row, "held": row["name"] in addition.held} for row in record["files"]]
+    return {**record, "files": rows, "study": label, "notes": notes, "changes": _changes(standing, addition, data)}
+
+
+def _changes(standing: Standing, addition: Addition, data: Mapping[str, Any]) -> list[str]:
+    """What there will be that was not, a line each."""
+    rest = {"frontal": addition.sorting.frontal, "lateral": addition.sorting.lateral}
+    lines = [f"A {view} radiograph at rest." for view, one in rest.items() if one is not None]
+    for push in data["pushes"][len(standing.data["pushes"]) :]:
+        lines.append(f"Push {push['id']}, {len(push['forces_n'])} frames.")
+    for number in addition.fills:
+        if data["pushes"][number] != standing.data["pushes"][number]:
+            lines.append(f"Values of push {data['pushes'][number]['id']} that were open.")
+    told = [key for key in ("age", "sex") if standing.data.get(key) is None and data.get(key) is not None]
+    return lines + [f"{key.capitalize()}, from the radiographs' headers." for key in told]
+
+
+def add(standing: Standing, export: Export, wish: Wish) -> list[str]:
+    """Add what was looked at; returns what there is now that was not, a line each.
+
+    Raises
+    ------
+    SpinestiffError : nothing is new, or as ``intake.adding``; the subject is as it was then.
+    """
+    addition, data, _ = _added(standing, export, wish)
+    changes = _changes(standing, addition, data)
+    if not changes:
+        raise SubjectError("there is nothing new in it: the subject has all of this already")
+    write_addition(standing, data, addition)
+    return changes
+
+
+def _added(standing: Standing, export: Export, wish: Wish) -> tuple[Addition, dict[str, Any], list[str]]:
+    chosen = export.study(wish)
+    addition = sort_addition(standing, chosen, wish.rows, *wish.rest(chosen))
+    told, _ = person_of(chosen)
+    data, notes = added_data(standing, addition, told)
+    return addition, data, notes
+
+
+def add_side(standing: Standing, export: Export, names: Sequence[str], push: int, view: Mapping[str, Any]) -> None:
+    """Add radiographs of an export, by their names, as a view of a push from another side. Raises SpinestiffError."""
+    by_names = {one.name: one for one in export.found}
+    if unknown := next((name for name in names if name not in by_names), None):
+        raise SubjectError(f"the request: no radiograph {unknown[:80]!r}")
+    add_view(standing, push, view, [by_names[name] for name in names])

@@ -1,0 +1,70 @@
+"""What somebody does on the workbench's page, in a browser's tab."""
+
+from __future__ import annotations
+
+import json
+
+from chromium import SHIFT
+
+
+def load(tab, address, state="open"):
+    tab.loaded = False
+    tab.call("Page.navigate", url="about:blank")
+    tab.wait(lambda: tab.loaded)
+    # What the page before said last comes late.
+    tab.settle()
+    tab.requests.clear()
+    tab.complaints.clear()
+    tab.loaded = False
+    tab.call("Page.navigate", url=address)
+    tab.wait(lambda: tab.loaded)
+    tab.until(f"document.body.dataset.state == '{state}'")
+
+
+def go(tab, place):
+    tab.run(f"(document.body.dataset.state = 'asked', location.hash = {json.dumps('#' + place)}, 1)")
+    tab.until("document.body.dataset.state == 'open'")
+
+
+def click(tab, selector):
+    tab.until(f"!!document.querySelector({json.dumps(selector)})")
+    tab.run(f"(document.querySelector({json.dumps(selector)}).click(), 1)")
+
+
+def fill(tab, selector, text):
+    """As somebody types: the field in focus, its old text replaced."""
+    tab.run(f"(document.querySelector({json.dumps(selector)}).focus(), document.activeElement.select?.(), 1)")
+    tab.call("Input.insertText", text=text)
+
+
+def files(tab, selector, paths):
+    top = tab.call("DOM.getDocument")["root"]["nodeId"]
+    node = tab.call("DOM.querySelector", nodeId=top, selector=selector)["nodeId"]
+    tab.call("DOM.setFileInputFiles", files=[str(path) for path in paths], nodeId=node)
+
+
+def text(tab, selector="#room"):
+    return tab.run(f"document.querySelector({json.dumps(selector)}).innerText")
+
+
+def chosen(tab, selector, value):
+    """As somebody picks an entry of a list."""
+    pick = f"e.value = {json.dumps(value)}, e.dispatchEvent(new Event('change')), 1"
+    tab.run(f"(e => ({pick}))(document.querySelector({json.dumps(selector)}))")
+
+
+def reach(tab, selector, backwards=False, most=120):
+    """Press Tab until what a selector names has the focus."""
+    tab.until(f"!!document.querySelector({json.dumps(selector)})")
+    for _ in range(most):
+        if tab.run(f"document.activeElement.matches({json.dumps(selector)})"):
+            return
+        tab.press("Tab", modifiers=SHIFT if backwards else 0)
+    raise AssertionError(f"{most} times Tab and not at {selector}")
+
+
+def typed(tab, selector, text):
+    """Reach a field by Tab and type into it, letter by letter; in a list, the first letters of its entry."""
+    reach(tab, selector)
+    for letter in text:
+        tab.press(letter)

@@ -1,0 +1,128 @@
+"""A subject that is there already, in a headless Chromium: more radiographs with pictures, views, priors."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from bench_page import click, files, fill, go, load, text
+from chromium import browser
+from hospital import export
+from spinestiff.files import read_json
+
+pytestmark = pytest.mark.skipif(
+    browser() is None or sys.platform == "win32", reason="no Chromium to open the page in, or no pipe to drive it by"
+)
+SHOWN = "document.querySelectorAll('canvas.thumb[data-state=shown]').length"
+# Pictures whose pixels differ from each other: nothing black, nothing empty.
+DRAWN = """[...document.querySelectorAll('canvas.thumb')].filter(one => {
+  const seen = new Set(one.getContext('2d').getImageData(0, 0, one.width, one.height).data);
+  return seen.size > 50 && one.width <= 96 && one.height <= 128;
+}).length"""
+
+
+def test_more_radiographs_and_a_view_for_a_subject_that_is_there(tab, root, serve, tmp_path):
+    (root / "girl" / "rest" / "lateral.dcm").unlink()
+    export(tmp_path / "more" / "I2", "lateral", patient="", time="103000")
+    export(tmp_path / "more" / "I3", "lateral", patient="", time="103300")
+    export(tmp_path / "more" / "I8", frames=2, patient="", time="104000")
+    before = read_json(root / "girl" / "subject.json")
+    with serve(root) as served:
+        load(tab, served.address)
+        click(tab, "h2 a")
+        click(tab, ".way a[href$='/radiographs']")
+        tab.until(f"{SHOWN} == 2")
+        assert tab.run(DRAWN) == 2 and "push a" in text(tab, "tbody")
+        files(tab, "#files", sorted((tmp_path / "more").iterdir()))
+        tab.until("!!document.querySelector('#add')")
+        tab.run("(document.querySelector('#add').scrollIntoView(), 1)")
+        tab.until(f"{SHOWN} == 5")
+        assert tab.run(DRAWN) == 5
+        assert text(tab, "#changes").split("\n") == ["A lateral radiograph at rest.", "Push push-2, 2 frames."]
+        # The other lateral one shows the push from the side, in its last frame.
+        tab.run("(document.querySelector('#add-view').closest('details').open = true, 1)")
+        click(tab, "#room input[type=checkbox][value='I3']")
+        fill(tab, "#view-frames", "7")
+        click(tab, "#add-view")
+        tab.until("document.querySelector('#problem').innerText.includes('found frame 7')")
+        fill(tab, "#view-frames", "2")
+        click(tab, "#add-view")
+        tab.until("document.querySelector('tbody').innerText.includes('push a, view side')")
+        click(tab, "#add")
+        tab.until("document.querySelector('[role=status]:not([id])').innerText.startsWith('Added')")
+        tab.until(f"{SHOWN} == 5")
+        # The refused view, and that this test reads the canvases.
+        assert all("422" in line or "getImageData" in line for line in tab.complaints)
+    values = read_json(root / "girl" / "subject.json")
+    view = {"id": "side", "kind": "lateral", "frames": [2], "files": "pushes/a-side.dcm"}
+    assert values["pushes"][0] == {**before["pushes"][0], "views": [view]} and values["pushes"][1]["id"] == "push-2"
+    assert (root / "girl" / "rest" / "lateral.dcm").read_bytes() == (tmp_path / "more" / "I2").read_bytes()
+
+
+def test_a_table_for_a_push_that_is_there(tab, root, serve, tmp_path):
+    table = tmp_path / "pushes.csv"
+    table.write_text("file,frame,force_n,side,level,d21_mm,d31_mm\nno.dcm,1,25,,,,\n", encoding="utf-8")
+    with serve(root) as served:
+        load(tab, served.address)
+        go(tab, f"/subject/{served.key()}/radiographs")
+        files(tab, "#table", [table])
+        tab.until("document.querySelector('#problem').innerText.includes(\"no radiograph 'no.dcm'\")")
+        right = tmp_path / "right.csv"
+        right.write_text("file,frame,force_n,side,level,d21_mm,d31_mm\na.dcm,1,25,,,,\n", encoding="utf-8")
+        files(tab, "#table", [right])
+        tab.until("!!document.querySelector('#nothing-new')")
+        assert "push a, frame 1: stays 20 N, the table has 25 N" in text(tab)
+
+
+def test_views_markers_and_priors_are_checked_as_one_types(tab, root, serve, tmp_path):
+    table = tmp_path / "markers.csv"
+    rows = [f"{name},{frame},1,2,3" for name in "abc" for frame in range(3)]
+    table.write_text("\n".join(["marker,frame,x,y,z", *rows]), encoding="utf-8")
+    with serve(root) as served:
+        load(tab, served.address)
+        go(tab, f"/subject/{served.key()}/values")
+        tab.run("(document.querySelectorAll('#room details').forEach(one => { one.open = true; }), 1)")
+        files(tab, "#markers-0-file", [table])
+        axes = {"unit": "mm", "axes-left": "+x", "axes-up": "+z", "axes-front": "-y", "side": "front"}
+        for name, value in axes.items():
+            choose = f"e.value = '{value}', e.dispatchEvent(new Event('change')), 1"
+            tab.run(f"(e => ({choose}))(document.getElementById('f-pushes-0--markers-{name}'))")
+        fill(tab, "#f-pushes-0--markers-shown", "d, 20, 30.5")
+        click(tab, "#markers-0-add")
+        tab.until("document.querySelector('#problem').innerText.includes(\"no marker 'd'\")")
+        fill(tab, "#f-pushes-0--markers-shown", "a, 20, 30.5")
+        click(tab, "#markers-0-add")
+        tab.until("document.querySelector('#room').innerText.includes('pushes/a-markers.csv')")
+        markers = {"file": "pushes/a-markers.csv", "unit": "mm", "side": "front", "shown": {"a": [20, 30.5]}}
+        markers["axes"] = {"left": "+x", "up": "+z", "front": "-y"}
+        assert read_json(root / "girl" / "subject.json")["pushes"][0]["markers"] == markers
+        # What is impossible is said where it stands, and not saved.
+        for field, bad, words in (
+            ("pushes-0--markers-shown", "a, 20", "wanted"),
+            ("priors-force-scale", "-1", "greater than or equal to 0"),
+        ):
+            tab.run("(document.querySelectorAll('#room details').forEach(one => { one.open = true; }), 1)")
+            before = tab.run(f"document.getElementById('f-{field}').value")
+            fill(tab, f"#f-{field}", bad)
+            tab.until("document.querySelector('.saved').innerText.startsWith('Not saved')")
+            assert words in text(tab, f"#f-{field}-says")
+            fill(tab, f"#f-{field}", before or "0.005")
+            tab.until("document.querySelector('.saved').innerText.startsWith('Saved')")
+        assert read_json(root / "girl" / "subject.json")["priors"] == {"force_scale": 0.005}
+        assert "Usually 0.02." in text(tab, "[data-field='priors.force_scale']")
+        fill(tab, "#f-priors-frame-obliquity-deg", "9")
+        tab.until("document.querySelector('#f-priors-says').innerText.includes('is a part of obliquity_deg')")
+        tab.run("(document.querySelector('#f-priors-frame-obliquity-deg').value = '', 1)")
+        fill(tab, "#f-priors-force-scale", "0.5")
+        tab.run("(e => (e.value = '', e.dispatchEvent(new Event('input')), 1))"
+                "(document.querySelector('#f-priors-frame-obliquity-deg'))")  # fmt: skip
+        tab.until("document.querySelector('.saved').innerText.startsWith('Saved')")
+        button = "[...document.querySelectorAll('button')].find(one => one.innerText == 'Take the markers out')"
+        tab.run(f"({button}.click(), 1)")
+        tab.until("document.querySelector('.saved').innerText.startsWith('Saved')")
+        tab.until("!document.querySelector('#room').innerText.includes('pushes/a-markers.csv')")
+        assert read_json(root / "girl" / "subject.json")["priors"] == {"force_scale": 0.5}
+        tab.wait(lambda: "markers" not in read_json(root / "girl" / "subject.json")["pushes"][0])
+        click(tab, "#undo-values")
+        tab.wait(lambda: read_json(root / "girl" / "subject.json")["pushes"][0].get("markers") == markers)

@@ -1,0 +1,74 @@
+// Small pictures of radiographs: grey values as the server sends them, on a canvas, asked for when they come into sight.
+import { h } from "../../shared/dom";
+
+interface Grey { levels: Uint16Array; wide: number; tall: number; window: [number, number] }
+const SIDE_BY_SIDE = 2, MOST_KEPT = 500;
+const kept = new Map<string, Promise<Grey>>(), waiting: (() => Promise<void>)[] = [];
+let running = 0, held = 0;
+
+function turn(): void {
+  if (running >= SIDE_BY_SIDE || held) return;
+  const next = waiting.shift();
+  if (!next) return;
+  running++;
+  void next().finally(() => { running--; turn(); });
+}
+
+/** Do what takes the radiographs away, while no picture of them is being asked for, and ask for none afterwards. */
+export async function last<T>(what: () => Promise<T>): Promise<T> {
+  held++;
+  try {
+    while (running) await new Promise((wait) => setTimeout(wait, 20));
+    const done = await what();
+    waiting.length = 0;
+    return done;
+  } finally {
+    held--;
+    for (let i = 0; i < SIDE_BY_SIDE; i++) turn();
+  }
+}
+
+async function read(answer: Response): Promise<Grey> {
+  const about = JSON.parse(answer.headers.get("x-radiograph") ?? "{}") as { shown: [number, number]; window: [number, number] };
+  return { levels: new Uint16Array(await answer.arrayBuffer()), wide: about.shown[0], tall: about.shown[1], window: about.window };
+}
+
+function draw(canvas: HTMLCanvasElement, { levels, wide, tall, window: [low, high] }: Grey): void {
+  const context = canvas.getContext("2d");
+  if (!context) return;
+  canvas.width = wide;
+  canvas.height = tall;
+  const picture = context.createImageData(wide, tall);
+  levels.forEach((level, i) => {
+    picture.data.fill(Math.round((255 * (level - low)) / Math.max(1, high - low)), 4 * i, 4 * i + 3);
+    picture.data[4 * i + 3] = 255;
+  });
+  context.putImageData(picture, 0, 0);
+}
+
+/** The picture of what `source` gives; `key` is the same for the same picture. */
+export function thumbnail(key: string, source: () => Promise<Response>, alt: string): HTMLElement {
+  const canvas = h("canvas", { class: "thumb", role: "img", "aria-label": alt, width: 60, height: 80 });
+  const show = async (): Promise<void> => {
+    if (!canvas.isConnected) return;
+    const asked = kept.get(key) ?? source().then(read);
+    kept.set(key, asked);
+    for (const old of kept.keys()) if (kept.size > MOST_KEPT) kept.delete(old);
+    try {
+      draw(canvas, await asked);
+      canvas.dataset["state"] = "shown";
+    } catch {
+      kept.delete(key);
+      canvas.dataset["state"] = "failed";
+      canvas.setAttribute("aria-label", `${alt}: no picture`);
+    }
+  };
+  const sight = new IntersectionObserver((entries) => {
+    if (!entries.some((entry) => entry.isIntersecting)) return;
+    sight.disconnect();
+    waiting.push(show);
+    turn();
+  }, { rootMargin: "400px" });
+  sight.observe(canvas);
+  return canvas;
+}

@@ -1,0 +1,70 @@
+// The radiographs of a subject that is there: what it has, each with a small picture, and more of them.
+import { button, h } from "../../shared/dom";
+import * as api from "./api";
+import { integers, typed } from "./fields";
+import { type Again, intake } from "./intake";
+import { act, type Room, state } from "./page";
+import { thumbnail } from "./picture";
+
+export async function radiographs(key: string): Promise<Room> {
+  const there = h("div"), more = h("div"), said = h("p", { role: "status" });
+  let room: Room | null = null, over = false;
+  const list = async (): Promise<string[]> => {
+    const { files, rest } = await api.radiographs(key);
+    there.replaceChildren(files.length ? h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Radiographs of the subject" },
+      h("table", {}, h("thead", {}, h("tr", {}, ...["Picture", "File", "Frames", "What it is"].map((name) => h("th", { scope: "col" }, name)))),
+        h("tbody", {}, ...files.map((file) => h("tr", {}, h("td", {}, thumbnail(`${key} ${file.image} ${file.name}`, () => api.picture(key, file.image), file.use)),
+          h("td", { class: "path" }, file.name), h("td", {}, String(file.frames)), h("td", {}, file.use)))))) : h("p", { class: "soft" }, "There are no radiographs yet."));
+    return rest;
+  };
+  const load = async (): Promise<void> => {
+    const rest = await list();
+    if (state.readOnly || over) return;
+    const pushes = ((await api.form(key)).values["pushes"] ?? []) as { id: string; forces_n: unknown[] }[];
+    const next = await intake({
+      title: h("h2", {}, "Add radiographs or a table of pushes"), subject: key, rest,
+      end: (asked, look, again) => [changes(asked, look), side(key, asked, look, pushes, again, list)],
+    });
+    room?.leave?.();
+    room = next;
+    if (over) next.leave?.(); else more.replaceChildren(next.element);
+  };
+  const changes = (asked: api.Asked, look: api.Look): HTMLElement | null => {
+    if (look.studies.length > 1 && look.study === null) return null;
+    const notes = look.notes.map((note) => h("p", { class: "soft" }, note));
+    if (!look.changes?.length) return h("div", {}, h("p", { id: "nothing-new" }, "The subject has all of this already: there is nothing to add."), ...notes);
+    const add = button("Add to the subject", () => act(async () => {
+      const { changes: done } = await api.extend(key, asked);
+      document.dispatchEvent(new Event("subject-changed"));
+      await load();
+      said.textContent = `Added: ${done.join(" ")}`;
+    }, add), { class: "main", id: "add" });
+    return h("div", { class: "card" }, h("p", {}, "This will be added; nothing that is there changes:"), h("ul", { id: "changes" }, ...look.changes.map((line) => h("li", {}, line))), ...notes, add);
+  };
+  await load();
+  return { element: h("div", {}, there, said, more), leave: () => { over = true; room?.leave?.(); } };
+}
+
+/** Radiographs that show a push from another side, taken under the forces of some of its frames. */
+function side(key: string, asked: api.Asked, look: api.Look, pushes: { id: string; forces_n: unknown[] }[], again: Again, list: () => Promise<unknown>): HTMLElement | null {
+  const free = look.files.filter((file) => !file.held);
+  if (!free.length || !pushes.length) return null;
+  const of = (id: string, label: string, box: HTMLElement): HTMLElement => h("div", { class: "field" }, h("label", { for: id }, label), box);
+  const push = h("select", { id: "view-push" }, ...pushes.map((one, i) => h("option", { value: String(i) }, `${one.id} (${one.forces_n.length} frames, from 0)`)));
+  const kind = h("select", { id: "view-kind" }, ...["lateral", "frontal"].map((one) => h("option", { value: one }, one)));
+  const name = h("input", { type: "text", id: "view-id", autocomplete: "off", value: "side" });
+  const frames = h("input", { type: "text", id: "view-frames", autocomplete: "off" }), turned = h("input", { type: "text", id: "view-turned", inputmode: "decimal", class: "number" });
+  const boxes = free.map((file) => h("input", { type: "checkbox", value: file.name }));
+  const add = button("Add the view", () => act(async () => {
+    const names = boxes.filter((box) => box.checked).map((box) => box.value), turn = typed(turned.value);
+    if (!names.length) throw new Error("mark the radiographs of the view first");
+    await api.addView(key, { ...asked, names, push: Number(push.value), view: { id: name.value, kind: kind.value, frames: integers(frames.value), ...(turn === null ? {} : { turned_deg: turn }) } });
+    document.dispatchEvent(new Event("subject-changed"));
+    await Promise.all([again({}), list()]);
+  }, add), { id: "add-view" });
+  return h("details", {}, h("summary", {}, "Some show a push from another side"),
+    h("p", { class: "soft" }, "Lateral or oblique radiographs of the pushed patient, each taken under the force of one of the push’s frames."),
+    h("div", {}, ...free.map((file, i) => h("p", {}, h("label", {}, boxes[i] as HTMLElement, ` ${file.name}`)))),
+    h("div", { class: "grid" }, of("view-push", "Push", push), of("view-kind", "What they are, or are turned from", kind), of("view-id", "Name of the view", name),
+      of("view-frames", "Frames of the push, one a radiograph: 0, 3", frames), of("view-turned", "Turn of the patient to the left, degrees (-40 to 40)", turned)), add);
+}
