@@ -140,7 +140,7 @@ def make_subject(seed: int) -> Subject:
     ratios = stiffness_ratios(values, torso.joints.kinds)
     springs = support_stiffness(torso, side, [loads[-1]], ratios, drawn_supports(random))
     problem = EquilibriumProblem(torso, elastic_supports(torso, side, springs))
-    states = _pushed(problem, loads, ratios)
+    states = _pushed([problem] * len(loads), loads, ratios)
     told_n = [round(share * FORCE_N, 1) for share in SHARES]
     frontal, pedicles = _frontal(torso, nominal["frontal"], states, random, p)
     record = PushRecord(
@@ -323,7 +323,7 @@ def rigs() -> list[dict[str, Any]]:
             values = {"lateral_bending": 0.1, "tissue": 0.05, "axial_rotation": axial}
             ratios = stiffness_ratios(values, torso.joints.kinds)
             loads = [rib_push(torso, "right", 8.0, force) for force in (0.0, 40.0, 60.0)]
-            states = _pushed(problem, loads, ratios)
+            states = _pushed([problem] * len(loads), loads, ratios)
             row: dict[str, Any] = {"wall": wall, "axial_rotation": axial, "turn_deg": _turn_deg(torso, states[-1])}
             markers = spread_markers(torso, MARKERS, loads[-1].points.positions(torso.rest_pose))
             for name, (pedicles, lateral, marked) in SEEN.items():

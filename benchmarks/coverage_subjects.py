@@ -3,18 +3,18 @@
 The truth is a body of 10 to 16 years with its own kyphosis, lordosis, length of spine and sizes of vertebrae, a curve
 of 10 to 80 degrees, and a tissue mesh of its own points: about as many as the estimator's coarse mesh, or more. Belt
 and shoulder's pad are springs (``study.elastic_supports``). What the estimator is not told is drawn with the standard
-deviations of ``estimation.priors.Priors``: force, offset, direction, height and depth of each push, where the patient
-stood and swayed, how far the source was. The template is that of the body's age, sex and height, but of another mass,
-so that the trunk is of another size. Ribs turn on their vertebrae, and tissue resists a change of volume, as the priors
-have it, too. Every seventh subject each has discs that turn farther behind, discs with a neutral zone, or layered
-tissue, as ``discrepancy_pairs`` has them, with their true ratios as there; the mesh, the geometry and the body's
-proportions, the other four kinds that an estimate expects, differ in all. Corners are annotated and tracked as
-``judgement_subjects`` has it.
+deviations of ``estimation.priors.Priors``: force, offset, direction, height and depth of each push, breath and what
+belt and pad do in each frame by themselves, where the patient stood and swayed, how far the source was. The template is
+that of the body's age, sex and height, but of another mass, so that the trunk is of another size. Ribs turn on their
+vertebrae, and tissue resists a change of volume, as the priors have it, too. Every seventh subject each has discs that
+turn farther behind, discs with a neutral zone, or layered tissue, as ``discrepancy_pairs`` has them, with their true
+ratios as there; the mesh, the geometry and the body's proportions, the other four kinds that an estimate expects,
+differ in all. Corners are annotated and tracked as ``judgement_subjects`` has it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal
@@ -38,6 +38,7 @@ from judgement_subjects import (
 )
 
 from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RIB_ROTATION, parameter_group, stiffness_ratios
 from spinestiff.anatomy.template import template_torso
@@ -52,6 +53,8 @@ from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push
+from spinestiff.mechanics.places import shifted_shoulder
+from spinestiff.mechanics.supports import SupportKind, Supports
 from spinestiff.personalise.shape import place_vertebrae
 from spinestiff.personalise.sizes import resized
 from spinestiff.study.elastic_supports import SyntheticSupports, drawn_supports, elastic_supports, support_stiffness
@@ -69,6 +72,7 @@ LEAST_FORCE_N = 15.0
 ANNOTATION_MM = 0.3
 # What a subject's body has that the model lacks; the four others are the kinds that all have.
 KINDS = ("disc centres", "stiffening", "layers", "", "", "", "")
+RAISED = np.array([float(act == "height") for act in ACTS])
 WIDEST = 2.0  # standard deviations of a stiffness that is drawn
 Acquisition = Literal["paper", "three pushes"]
 Side = Literal["left", "right"]
@@ -177,12 +181,14 @@ def make_subject(
     sites = {push: rib_push(torso, sides[push], level, 1.0) for push, level in own.levels.items()}
     forces = {name: push.force_n or own.force for name, push in pushes.items()}
 
-    def load(push: str, share: float) -> LoadCase:
+    def load(push: str, share: float, breath: float = 0.0) -> LoadCase:
         if share == 0.0:
             return sites[push].scaled(0.0)
         told = sites[push].scaled(share * forces[push])
-        return changed_load(told, load_changes(told, torso.rest_pose), own.acts[push])
+        return changed_load(told, load_changes(told, torso.rest_pose), own.acts[push] + breath * RAISED)
 
+    moves = np.random.default_rng([31, seed, visit])
+    own_frames = {push: [_OwnFrame.drawn(moves, p) for _ in one.frames] for push, one in pushes.items()}
     stiffness = stiffness_ratios(ratios, torso.joints.kinds)
     lacking = np.random.default_rng([29, seed])  # of its own: how much a visit draws depends on its pushes
     kind = str(lacking.choice(KINDS))
@@ -198,9 +204,15 @@ def make_subject(
             for side in dict.fromkeys(sides.values()):
                 here = [push for push in sites if sides[push] == side]
                 springs = support_stiffness(torso, side, [load(push, 1.0) for push in here], stiffness, own.give)
-                problem = EquilibriumProblem(torso, elastic_supports(torso, side, springs), laws=laws)
+                held = elastic_supports(torso, side, springs)
                 for push in here:
-                    states[push] = _pushed(problem, [load(push, s) for s, _ in pushes[push].frames], stiffness)
+                    shares, frames = [share for share, _ in pushes[push].frames], own_frames[push]
+                    problems = [
+                        EquilibriumProblem(torso, frame.moved(held, torso) if share else held, laws=laws)
+                        for share, frame in zip(shares, frames, strict=True)
+                    ]
+                    loads = [load(push, share, frame.breath_mm) for share, frame in zip(shares, frames, strict=True)]
+                    states[push] = _pushed(problems, loads, stiffness)
             bent = max(_bent(torso, nominal["frontal"], state) for found in states.values() for state in found)
         except EquilibriumError:
             bent = 2.0 * MOST_TILT
@@ -269,6 +281,29 @@ class _DrawnVisit:
     give: SyntheticSupports
 
 
+@dataclass(frozen=True)
+class _OwnFrame:
+    """What belongs to a loaded frame alone: belt and pad are moved by so much, and the pushed point by a breath."""
+
+    turn: float
+    shoulder_mm: float
+    breath_mm: float
+
+    @classmethod
+    def drawn(cls, random: np.random.Generator, p: Priors) -> _OwnFrame:
+        turn, shoulder, breath = random.normal(size=3) * [p.frame_obliquity_deg, p.frame_shoulder_mm, p.breathing_mm]
+        return cls(float(np.deg2rad(turn)), float(shoulder), float(breath))
+
+    def moved(self, supports: Supports, torso: TorsoModel) -> Supports:
+        """The supports in this frame; a pelvis that is held level stays level."""
+        supports = shifted_shoulder(supports, self.shoulder_mm)
+        belt = np.array([name == "pelvis" for name in supports.names]) & supports.of_kind(SupportKind.SPRING)
+        about, springs = torso.rest_pose.bone_positions[torso.bone("pelvis")], supports.springs
+        turn = exp_so3(np.array([[0.0, 0.0, self.turn]]))[0]
+        turned = np.where(belt[:, None], about + (springs.targets - about) @ turn.T, springs.targets)
+        return replace(supports, springs=replace(springs, targets=turned))
+
+
 def _drawn_visit(
     torso: TorsoModel,
     nominal: Mapping[str, XRayView],
@@ -324,14 +359,14 @@ def _of_drawn_stiffness(torso: TorsoModel, random: np.random.Generator, p: Prior
     return replace(torso, joints=joints, tissue=tissue)
 
 
-def _pushed(problem: EquilibriumProblem, loads: list[LoadCase], stiffness) -> list[TorsoState]:  # type: ignore[no-untyped-def]
-    found: dict[float, TorsoState] = {0.0: problem.torso.rest_pose}
-    state = problem.torso.rest_pose
-    for load in sorted(loads, key=lambda one: one.size):
-        if load.size:
-            state = problem.solve(load, stiffness, state).require().state
-            found[load.size] = state
-    return [found[load.size] for load in loads]
+def _pushed(problems: Sequence[EquilibriumProblem], loads: Sequence[LoadCase], stiffness) -> list[TorsoState]:  # type: ignore[no-untyped-def]
+    """States under the loads, each in its own problem; each starts from the one under the next smaller force."""
+    states = [problem.torso.rest_pose for problem in problems]
+    state = states[0]
+    for i in sorted(range(len(loads)), key=lambda i: float(np.linalg.norm(loads[i].total))):
+        if loads[i].size:
+            state = states[i] = problems[i].solve(loads[i], stiffness, state).require().state
+    return states
 
 
 def _bent(torso: TorsoModel, view: XRayView, state: TorsoState) -> float:
