@@ -486,11 +486,12 @@ def test_other_parameters_and_a_population_asked_in_subject_json(subject, finish
     true_bending = read_truth(visit.truth)["lateral_bending"]
     assert page["ratios"][0]["truth"] == wording.number(true_bending)
     assert page["bending"] is not None
-    # In the measure that the fit had: its population is part of it.
+    # In the measure that the fit had, its population included, and at its own equilibria.
     compared = []
     monkeypatch.setattr(truth, "rise_of", lambda *args: compared.append(args[3:]) or 1.0)
     truth.compare_with_truth(record, load_pushes(visit, "procrustes", "weighed"), visit.truth)
-    assert compared == [({names[0]: true_bending, "tissue": read_truth(visit.truth)["tissue"]}, "koutras2025")]
+    wanted = {names[0]: true_bending, "tissue": read_truth(visit.truth)["tissue"]}
+    assert compared == [(wanted, "koutras2025", record.training_rmse_mm.fit)]
 
 
 def test_many_ratios_say_how_their_intervals_were_found(finished):

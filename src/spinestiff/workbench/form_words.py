@@ -104,6 +104,7 @@ WORDS: Final[dict[str, dict[str, str]]] = {
     "priors.trunk_taped": {"title": "The same where they were measured", "unit": "relative"},
     "priors.rib_joints": {"title": "Stiffness with which ribs turn on their vertebrae", "unit": "log"},
     "priors.tissue_volume": {"title": "How far tissue resists a change of volume", "unit": "log"},
+    "priors.mesh": {"title": "How stiff the mesh makes the tissue", "unit": "log"},
     "priors.source_distance": {"title": "Distance of the X-ray source", "unit": "relative"},
     "priors.annotation_mm": {"title": "A corner set by hand, alike in all frames", "unit": "mm"},
     "priors.marking_mm": {"title": "A corner set by hand, each frame's own part", "unit": "mm"},
