@@ -95,6 +95,7 @@ def test_from_files_to_a_run_that_is_cancelled(tab, root, serve, tmp_path):
         tab.until("!document.querySelector('#start-run').disabled")
         click(tab, "#start-run")
         tab.until("document.querySelector('.live')?.dataset.state == 'running'", 30)
+        tab.until("document.querySelector('h1 .badge').innerText == 'Running'", 30)
         click(tab, "#cancel")
         tab.until("document.querySelector('.live')?.dataset.state == 'cancelled'", 30)
         assert (root / "girl-05" / "results" / "tracked.json").exists()

@@ -447,7 +447,8 @@ def fit_training(visit: Visit, pushes: PushSet, say: Observer) -> StiffnessFit:
         if len(values) > MOST_PROFILED:
             tried = f"{len(values)} ratios from {min(values):.4g} to {max(values):.4g}"
         loss = "no equilibrium" if np.isnan(step.rmse_mm) else f"RMSE {step.rmse_mm:.3f} mm"
-        say(f"evaluation {step.iteration}: {tried}: {loss}")
+        beside = "" if step.accepted else " (not a step of the fit)"  # an interval's end, or refused
+        say(f"evaluation {step.iteration}{beside}: {tried}: {loss}")
 
     names, population = expanded(pushes.torso, visit.parameters), visit.population
     method: Method = visit.settings.method  # type: ignore[assignment]

@@ -10,6 +10,7 @@ const STEPS: [string, string][] = [
   ["estimate", "Estimate the stiffness"], ["assess", "Predict what was held out"], ["report", "Write the report"],
 ];
 const MOST_LINES = 4000, RETRY_MS = 1500;
+const changed = (): void => { document.dispatchEvent(new Event("subject-changed")); };
 const open = (job: api.Job): boolean => job.state === "running" || job.state === "waiting";
 
 export async function run(key: string, stage: string): Promise<Room> {
@@ -39,12 +40,18 @@ export async function run(key: string, stage: string): Promise<Room> {
     clearInterval(clock);
     clock = window.setInterval(() => view.tick(), 1000);
     let at = 0, last = first;
+    changed();
     void (async () => {
       while (!signal.aborted && open(last)) {
         try {
           await events(`/api/jobs/${first.id}/events?at=${at}`, signal, (name, data, id) => {
             if (name === "lines") { at = Number(id); view.lines(data as string[]); }
-            if (name === "job") { last = data as api.Job; view.state(last); }
+            if (name === "job") {
+              const before = last.state;
+              last = data as api.Job;
+              view.state(last);
+              if (last.state !== before && open(last)) changed();
+            }
           });
           problem("");
         } catch (error) {
@@ -57,7 +64,7 @@ export async function run(key: string, stage: string): Promise<Room> {
       clearInterval(clock);
       if (signal.aborted) return;
       current = null;
-      document.dispatchEvent(new Event("subject-changed"));
+      changed();
       await list().catch(problem);
     })();
   }
@@ -171,7 +178,7 @@ class Live {
     }));
     const losses = this.losses.at(-1) ?? [];
     this.curve.hidden = losses.length < 2;
-    if (losses.length > 1) this.curve.replaceChildren(curve(losses), h("figcaption", { class: "soft" }, `How far the model’s corners lie from the measured ones: ${losses.at(-1)?.toFixed(2)} mm after ${losses.length} tries${this.losses.length > 1 ? ` (search ${this.losses.length})` : ""}.`));
+    if (losses.length > 1) this.curve.replaceChildren(curve(losses), h("figcaption", { class: "soft" }, `How far the model’s corners lie from the measured ones: ${losses.at(-1)?.toFixed(2)} mm after ${losses.length} steps of the fit${this.losses.length > 1 ? ` (search ${this.losses.length})` : ""}.`));
   }
 }
 
@@ -179,10 +186,10 @@ function curve(losses: number[]): SVGElement {
   const [width, height, left, low] = [280, 120, 34, 18], high = Math.max(...losses), small = Math.min(...losses);
   const [top, bottom] = [Math.log(high * 1.05), Math.log(small * 0.95)];
   const x = (i: number): number => left + ((width - left - 8) * i) / Math.max(1, losses.length - 1), y = (loss: number): number => 8 + ((height - low - 8) * (top - Math.log(loss))) / Math.max(1e-9, top - bottom);
-  return svg("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `Error by try, from ${losses[0]} to ${losses.at(-1)} mm` },
+  return svg("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `Error by step, from ${losses[0]} to ${losses.at(-1)} mm` },
     svg("path", { class: "axis", d: `M${left} 4V${height - low}H${width - 4}` }),
     svg("text", { x: left - 4, y: y(high) + 4, "text-anchor": "end" }, high.toFixed(1)), high / small > 1.3 && svg("text", { x: left - 4, y: y(small) + 4, "text-anchor": "end" }, small.toFixed(1)),
-    svg("text", { x: width - 6, y: height - 4, "text-anchor": "end" }, "tries"), svg("text", { x: left + 6, y: 14 }, "mm"),
+    svg("text", { x: width - 6, y: height - 4, "text-anchor": "end" }, "steps"), svg("text", { x: left + 6, y: 14 }, "mm"),
     svg("polyline", { points: losses.map((loss, i) => `${x(i)},${y(loss)}`).join(" ") }));
 }
 
