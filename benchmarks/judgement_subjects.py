@@ -9,8 +9,8 @@ annotator marks them and as the tracker follows them. What it is not told:
     stance      each exposure: shift, roll and yaw; distance to the source; between the rest pictures and a push
                 also a change of posture (the spine sways by a smooth curve)
     annotation  0.25 to 1 mm, a standard deviation for each annotator; a lateral view without T1 to T4 in half of them
-    tracking    vertebrae err as bodies and corner by corner, by an error that is predicted within a third
-                (docs/tracking.md); one vertebra in a hundred is lost
+    tracking    vertebrae err as bodies, in shifts and turns, as the tracker's do (docs/tracking.md), by an error that
+                is predicted within a fifth; one vertebra in a hundred is lost
     gauge       2 % a push and half a newton a frame; the pushed point lies 5 mm off
 
 Both torsos have the coarse mesh.
@@ -65,7 +65,11 @@ ANNOTATION_MM = (0.25, 1.0)
 SHIFT_SD_MM, ROLL_SD, YAW_SD, DISTANCE_SD = 4.0, 0.012, 0.026, 0.007
 SWAY_SD_DEG = 1.5  # change of the coronal angle from one exposure to another in which the patient was placed anew
 FRAME_SHIFT_SD_MM, FRAME_ROLL_SD = 0.5, 0.002  # within a push
-TRACK_MM, TRACK_SPREAD, OWN_SHARE, PREDICTED_WITHIN, LOST = 0.09, 0.7, 0.5, 0.3, 0.01
+# Predicted error of a corner along one axis; errors of a vertebra's shifts along columns and rows and of its turn (as
+# channels) over it, where drag is small (tracking_drag.py); correlated with neighbours as estimation.priors has it.
+TRACK_MM, TRACK_SPREAD, PREDICTED_WITHIN, LOST = 0.108, 0.35, 0.2, 0.01
+TRACK_CHANNELS = np.array([1.4, 1.0, 1.67])
+TRACK_SHARED, TRACK_LENGTH = 0.3, 2.0  # of the variance
 # As tracking_drag.py has it, relative to the motion: shifts of all vertebrae alike, of neighbours over so many, of each
 # by itself; turns.
 DRAG_MEAN, DRAG_SMOOTH, DRAG_LENGTH, DRAG_OWN, DRAG_TURN = -0.004, 0.005, 3.5, 0.005, 0.007
@@ -250,13 +254,22 @@ def tracked_push(
         if number:
             view = placed.moved(random.normal(0.0, FRAME_SHIFT_SD_MM, 2), float(random.normal(0.0, FRAME_ROLL_SD)))
         corners = _swayed(projected(torso, view, state), sway)
-        size = TRACK_MM * np.exp(TRACK_SPREAD * random.normal(size=(17, 1))) * (number > 0)
-        error = size[..., None] * (random.normal(size=(17, 1, 2)) + OWN_SHARE * random.normal(size=(17, 4, 2)))
-        predicted = np.sqrt(2.0 * (1.0 + OWN_SHARE**2)) * size * np.exp(PREDICTED_WITHIN * random.normal(size=(17, 4)))
-        quality = quality_of(predicted) * (random.uniform(size=(17, 1)) > LOST * (number > 0))
+        predicted = TRACK_MM * np.exp(TRACK_SPREAD * random.normal(size=(17, 1))) * (number > 0)
+        followed = random.uniform(size=(17, 1)) > LOST * (number > 0)
+        quality = np.repeat(quality_of(np.sqrt(2.0) * predicted) * followed, 4, axis=1)
+        error = _tracking_errors(corners / view.magnification, predicted, random)
         corners = corners + (wrong + error + dragged) * view.magnification
         frames.append(VertebraCorners(VERTEBRAE, corners, quality))
     return TrackedPush.of(nominal, frames)
+
+
+def _tracking_errors(corners: Floats, predicted: Floats, random: np.random.Generator) -> Floats:
+    """(V, 4, 2) mm, a frame's errors of following ``corners`` (V, 4, 2), for predicted ones (V, 1) along one axis."""
+    apart = np.abs(np.subtract.outer(np.arange(17), np.arange(17)))
+    root = np.linalg.cholesky((1.0 - TRACK_SHARED) * np.eye(17) + TRACK_SHARED * np.exp(-apart / TRACK_LENGTH))
+    size = predicted * np.exp(PREDICTED_WITHIN * random.normal(size=(17, 1)))
+    along, down, turned = (size * TRACK_CHANNELS * (root @ random.normal(size=(17, 3)))).T
+    return _as_corners(np.stack([along, down]), turned, corners)
 
 
 def drawn_drag(random: np.random.Generator) -> Floats:
@@ -270,14 +283,18 @@ def drawn_drag(random: np.random.Generator) -> Floats:
 def _dragged(first: Floats, now: Floats, drag: Floats) -> Floats:
     """(V, 4, 2) mm, errors of corners that moved from ``first`` to ``now``: along columns, and turns."""
     along = (now - first).mean(1)[:, 0]
-    size = np.sign(along.sum()) * np.sqrt(np.mean(along**2))
-    arms = now - now.mean(1, keepdims=True)
-    # A channel's shift is twice the corners' mean, its turn is over the root of the arms' squares.
-    angle = 2.0 * size * drag[1] / np.linalg.norm(arms, axis=(1, 2))
-    turn = angle[:, None, None] * np.stack([-arms[..., 1], arms[..., 0]], -1)
-    shift = np.zeros_like(now)
-    shift[..., 0] = (size * drag[0])[:, None]
-    return np.asarray(shift + turn)
+    # A channel's shift is twice the corners' mean.
+    size = 2.0 * np.sign(along.sum()) * np.sqrt(np.mean(along**2))
+    return _as_corners(size * np.stack([drag[0], np.zeros(17)]), size * drag[1], now)
+
+
+def _as_corners(shifts: Floats, turns: Floats, corners: Floats) -> Floats:
+    """(V, 4, 2) errors of ``corners`` (V, 4, 2) of shifts (2, V) and turns (V,), channels as ``estimation.noise`` has
+    them."""
+    arms = corners - corners.mean(1, keepdims=True)
+    turn = np.stack([-arms[..., 1], arms[..., 0]], -1)
+    turn /= np.linalg.norm(arms, axis=(1, 2))[:, None, None]
+    return np.asarray(0.5 * shifts.T[:, None] + turns[:, None, None] * turn)
 
 
 def _swayed(corners: Floats, angle: float) -> Floats:

@@ -4,7 +4,8 @@ Synthetic subjects of many curves and stiffnesses are radiographed under three p
 vertebra's error, in the channels of ``estimation.noise`` (shifts along columns and rows, and the turn), over the root
 mean square of the frame's shifts along columns, is its *share*. Printed are the shares' size, how alike they are along
 the spine, and how alike for the same vertebra in the same frame, in another frame of its push, and under another push:
-what two pushes have in common is no chance of a picture. ``estimation.noise`` has the model of it.
+what two pushes have in common is no chance of a picture. ``estimation.noise`` has the model of it. Printed, too, is the
+size of the errors over what tracking predicts, of vertebrae whose drag should be smaller than that.
 
 ``python benchmarks/tracking_drag.py FOLDER [--subjects N] [--first SEED] [--write]`` (a minute a subject; FOLDER keeps
 them, and a run goes on with what is there).
@@ -21,11 +22,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError
+from spinestiff.estimation.priors import Priors
 from spinestiff.files import read_json
+from spinestiff.imaging.tracking.quality import LOWEST_QUALITY, error_of
 from spinestiff.study.recipe import Recipe, SyntheticPush
 from spinestiff.study.runner import run_steps
 from spinestiff.study.spines import CURVES
@@ -41,20 +45,22 @@ BENDING, TISSUE = (0.03, 0.5), (0.025, 0.2)
 LEVELS, SHARES = (6.0, 8.0, 10.0), (0.0, 0.5, 1.0)
 # Frames in which the spine moved by less (mm, root mean square at the patient plane) say little of shares.
 LEAST_MM = 3.0
-# One wrong vertebra must not decide; a share beyond this counts as this.
-LARGEST = 0.08
+# One wrong vertebra must not decide; a share beyond this counts as this, and so does an error over the predicted one.
+LARGEST, LARGEST_ERROR = 0.08, 8.0
 DISTANCES = 9
 CHANNELS = ("shift along columns", "shift along rows", "turn")
 
 
 @dataclass(frozen=True)
 class Shares:
-    """Of one frame that moved by ``mm``: (3, 17) shares, NaN where a vertebra was not followed."""
+    """Of one frame that moved by ``mm``: (3, 17) shares, NaN where a vertebra was not followed, and errors over the
+    predicted one of a corner along one axis, NaN where drag may be larger."""
 
     push: str
     frame: int
     mm: float
     values: Floats
+    over_predicted: Floats
 
 
 def recipe(seed: int) -> Recipe:
@@ -89,7 +95,8 @@ def shares(folder: Path, seed: int) -> list[Shares]:
         rows = [VERTEBRAE.index(vertebra) for vertebra in push.vertebrae]
         true = np.array([frame["corners_px"] for frame in truth["pushes"][name]])[:, rows]
         seen = np.array([frame.corners_px for frame in push.frames])
-        followed = np.array([frame.quality for frame in push.frames]) > 0.0
+        quality = np.array([frame.quality for frame in push.frames])
+        followed = quality > 0.0
         view = push.view.view()
         mm = float(np.mean(view.pixel_spacing) / view.magnification)
         for number in range(1, len(seen)):
@@ -99,8 +106,12 @@ def shares(folder: Path, seed: int) -> list[Shares]:
             error = mm * channels(seen[number] - seen[0] - (true[number] - true[0]), true[number])
             values = np.full((3, len(VERTEBRAE)), np.nan)
             values[:, rows] = np.where(followed[number].all(1), np.clip(error / size, -LARGEST, LARGEST), np.nan)
+            predicted = np.sqrt(0.5 * np.mean(error_of(np.maximum(quality[number], LOWEST_QUALITY)) ** 2, axis=1))
+            over = np.full((3, len(VERTEBRAE)), np.nan)
+            told = (quality[number] > LOWEST_QUALITY).all(1) & (Priors.tracking_drag * abs(size) < predicted)
+            over[:, rows] = np.where(told, np.clip(error / predicted, -LARGEST_ERROR, LARGEST_ERROR), np.nan)
             if abs(size) >= 2.0 * LEAST_MM:
-                found.append(Shares(name, number, abs(size) / 2.0, values))
+                found.append(Shares(name, number, abs(size) / 2.0, values, over))
     return found
 
 
@@ -146,6 +157,14 @@ def summarised(subjects: list[list[Shares]]) -> dict[str, Any]:
                 name: None if np.isnan(mean) else round(float(mean), 4)
                 for name, mean in zip(VERTEBRAE, np.nanmean(everything, axis=0))
             }
+        over = np.concatenate([frame.over_predicted[c] for frames in subjects for frame in frames])
+        over = np.abs(over[np.isfinite(over)])
+        entry["over_predicted"] = {
+            "vertebrae": len(over),
+            "size": round(float(np.sqrt(np.mean(over**2))), 3),
+            "of_the_median": round(float(np.median(over) / norm.ppf(0.75)), 3),
+            "of_97_5_percent": round(float(np.quantile(over, 0.975) / norm.ppf(0.9875)), 3),
+        }
         result[channel] = entry
     return result
 
