@@ -40,6 +40,9 @@ from spinestiff.imaging.features import picture_axes
 from spinestiff.imaging.tracking.quality import error_of
 
 CHANNELS = 3
+# Errors of a tracked vertebra's shifts along columns and rows and of its turn, over the predicted error of one of its
+# corners along one axis: corners are followed as a body. Measured on synthetic sequences (benchmarks/tracking_drag.py).
+TRACKED = np.array([1.3, 0.85, 1.6])
 # A vertebra whose own error is more than this many times what was expected counts by as much less.
 USUAL = 2.5
 # Of what is expected, in log: the range in which the size of tracking errors is looked for.
@@ -216,7 +219,7 @@ class Noise:
                 corners = one.target.trial.corners
                 error = np.where(corners.usable, error_of(np.maximum(corners.quality, 1e-6)), 0.0)
                 squares = np.sum(error**2, axis=1) / np.maximum(corners.usable.sum(1), 1)
-                own_error[self.of(i)] = np.repeat(priors.tracking_mm**2 + 0.5 * squares, CHANNELS)
+                own_error[self.of(i)] = priors.tracking_mm**2 + np.outer(0.5 * squares, TRACKED**2).ravel()
                 tracked[self.of(i)] = True
         self._own = own_error
         distance = np.abs(np.subtract.outer(self._rows, self._rows)) / priors.tracking_length
