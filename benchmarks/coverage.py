@@ -85,12 +85,12 @@ class Scenario:
 
 
 SCENARIOS = {
-    "coarse pair, three pushes": Scenario("three pushes", 3000, "coarse", 20000, 460),
-    "coarse pair, the paper's acquisition": Scenario("paper", 3000, "coarse", 20000, 460),
+    "coarse pair, three pushes": Scenario("three pushes", 2300, "coarse", 20000, 460),
+    "coarse pair, the paper's acquisition": Scenario("paper", 2300, "coarse", 20000, 460),
     "default chain, three pushes": Scenario("three pushes", 15000, "fine", 40000, 140),
     "rendered, three pushes": Scenario("three pushes", 15000, "fine", 60000, 45, rendered=True),
-    "settings, three pushes": Scenario("three pushes", 3000, "coarse", 0, 230),
-    "settings, the paper's acquisition": Scenario("paper", 3000, "coarse", 500, 230),
+    "settings, three pushes": Scenario("three pushes", 2300, "coarse", 0, 230),
+    "settings, the paper's acquisition": Scenario("paper", 2300, "coarse", 500, 230),
     "settings, default chain": Scenario("three pushes", 15000, "fine", 100, 60),
 }
 
