@@ -140,7 +140,7 @@ def made(seed: int, scenario: Scenario) -> Iterator[Made]:
 
 def run_one(seed: int, scenario: Scenario) -> dict[str, Any]:
     """A subject made and estimated, as a line of the log."""
-    row: dict[str, Any] = {"seed": seed, **scenario.__dict__, "code": code()}
+    row: dict[str, Any] = {"seed": seed, **scenario.__dict__, "code": code(), "width_factor": WIDTH_FACTOR}
     began = time.process_time()
     with ExitStack() as stack:
         try:
@@ -355,8 +355,22 @@ def _percent(share: list[float]) -> str:
 
 
 def read_logs(paths: Sequence[Path]) -> list[dict[str, Any]]:
-    """All lines of some logs."""
-    return [json.loads(line) for path in paths for line in path.read_text().splitlines()]
+    """All lines of some logs, with z and joint rises in units of the present width factor; ends are as they were.
+
+    A profile rises no more than phi itself does where the truth is, so that what was solved there is a bound of z:
+    beyond an interval's ends the profile is extrapolated.
+    """
+    rows = [json.loads(line) for path in paths for line in path.read_text().splitlines()]
+    for row in rows:
+        before = row.get("width_factor", 1.0) / WIDTH_FACTOR
+        for key in ("joint", "joint_solved"):
+            if row.get(key) is not None:
+                row[key] *= before**2
+        if "z" in row:
+            solved = row.get("joint_solved")
+            most = np.inf if solved is None else np.sqrt(max(solved, 0.0))
+            row["z"] = [float(np.clip(before * z, -most, most)) for z in row["z"]]
+    return rows
 
 
 def campaign(names: Sequence[str], first: int | None, count: int | None, folder: Path) -> None:

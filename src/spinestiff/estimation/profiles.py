@@ -21,7 +21,7 @@ from spinestiff.estimation.emulator import FAR_AND_HIGH, FARTHEST_NUISANCES, HIG
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, phi, reduced
 
 CONFIDENCE = 0.95
-WIDTH_FACTOR = 1.0
+WIDTH_FACTOR = 1.1
 # Ends agree once the emulator's phi and the model's differ by less than this there.
 CLOSE_ENOUGH = 0.1
 MOST_ROUNDS = 8
