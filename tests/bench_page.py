@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 
 from chromium import SHIFT
@@ -68,3 +69,11 @@ def typed(tab, selector, text):
     reach(tab, selector)
     for letter in text:
         tab.press(letter)
+
+
+def box(*sizes):
+    """A box as an OBJ file, of these extents along x, y and z."""
+    corners = [[size * bit for size, bit in zip(sizes, bits)] for bits in itertools.product((0, 1), repeat=3)]
+    quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+    lines = ["v " + " ".join(map(str, corner)) for corner in corners]
+    return "\n".join(lines + ["f " + " ".join(str(i + 1) for i in quad) for quad in quads]).encode()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import os
 
 import pytest
 
@@ -18,6 +20,7 @@ from spinestiff.subject.run_record import (
     PARTS,
     StepRecord,
     changed_inputs,
+    changed_lately,
     changed_outputs,
     input_digest,
     is_current,
@@ -101,6 +104,27 @@ def test_a_step_is_unchanged_while_its_inputs_and_outputs_are(bare):
         assert is_unchanged(bare, "estimate")
         spoil.write_bytes(b"other")
         assert not is_unchanged(bare, "estimate")
+
+
+def test_files_that_are_older_than_the_record_are_not_read_again(bare, monkeypatch):
+    file, run = bare.folder / "a.dcm", bare.results / "run.json"
+    assert changed_lately(bare, "estimate") == ()
+    record_step(bare, "estimate", step_record(bare, ["a.dcm", "subject.json: forces"], {}), [])
+    file.write_bytes(b"other")
+    os.utime(run, (2_000_000_000, 2_000_000_000))
+    assert changed_lately(bare, "estimate") == ()
+    os.utime(file, (2_000_000_001, 2_000_000_001))
+    assert changed_lately(bare, "estimate") == ("a.dcm",)
+    file.write_bytes(b"frames")
+    os.utime(file, (2_000_000_001, 2_000_000_001))
+    assert changed_lately(bare, "estimate") == ()
+    # What can't be read has changed, and so has what is gone, and a part of subject.json.
+    other = dataclasses.replace(bare, record=bare.record.model_copy(update={"pushes": ()}))
+    assert changed_lately(other, "estimate") == ("subject.json: forces",)
+    file.unlink()
+    assert changed_lately(bare, "estimate") == ("a.dcm",)
+    file.symlink_to(file)
+    assert changed_lately(bare, "estimate") == ("a.dcm",)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The form beside the single values: views from other sides, skin markers, priors."""
+"""The form beside the single values: views from other sides, skin markers and scan, trunk, ratios, priors."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from bench_page import box
 from hospital import export
+from spinestiff.anatomy.regions import LEVELS, SPINE_REGIONS, TISSUE_REGIONS, check_parameters
+from spinestiff.anatomy.stiffness import DIRECTIONS, INTERVERTEBRAL_BENDING, RIB_ROTATION, TISSUE_PARAMETERS
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json
 from spinestiff.study.trials import usual_priors
@@ -17,7 +20,7 @@ from spinestiff.subject.folder import write_annotation
 from spinestiff.subject.intake import adding
 from spinestiff.subject.intake.collecting import collect
 from spinestiff.workbench.form import form_record, judged, save_form
-from spinestiff.workbench.form_words import WORDS
+from spinestiff.workbench.form_words import RATIO_GROUPS, RATIO_PARTS, WORDS
 from unannotated import drawn
 
 AXES = {"left": "+x", "up": "+z", "front": "-y"}
@@ -68,6 +71,72 @@ def test_priors_are_judged_as_a_fit_judges_them(girl):
     assert save(girl, lambda _, values: values.update(priors={"force_scale": 0.005}))["priors"] == {
         "force_scale": 0.005
     }
+
+
+def test_words_of_ratios_are_of_what_an_estimate_takes():
+    directions = {*DIRECTIONS, INTERVERTEBRAL_BENDING, RIB_ROTATION}
+    assert {name for name, (_, of) in RATIO_GROUPS.items() if of == "joints"} == directions
+    assert {name for name, (_, of) in RATIO_GROUPS.items() if of == "tissue"} == set(TISSUE_PARAMETERS)
+    for name, (_, of) in RATIO_GROUPS.items():
+        check_parameters([f"{name}@{part}" if part else name for part in RATIO_PARTS[of]])
+    assert set(RATIO_PARTS["tissue"]) == {"", *TISSUE_REGIONS}
+    assert set(RATIO_PARTS["joints"]) == {"", *SPINE_REGIONS, LEVELS}
+
+
+def test_trunk_ratios_and_population_are_judged_where_they_stand(root):
+    folder, sizes = root / "girl", {"breadth_mm": 245, "depth_mm": 172}
+    values = form_record(folder)["values"]
+    for change, field, words in (
+        ({"trunk": {"T9": {"breadth_mm": 245}}}, "trunk.T9.depth_mm", "missing"),
+        ({"trunk": {"T9": {**sizes, "breadth_mm": 24}}}, "trunk.T9.breadth_mm", "greater than or equal to 100"),
+        ({"trunk": {"T9": {**sizes, "depth_mm": "a"}}}, "trunk.T9.depth_mm", "found 'a'"),
+        ({"parameters": ["tissue", "tissue"]}, "parameters", "named twice"),
+        ({"parameters": ["lateral_bending@T9-T8"]}, "parameters", "unknown part 'T9-T8'"),
+        ({"population": "nobody"}, "population", "unknown population 'nobody'; known are koutras2025"),
+    ):
+        (problem,) = judged({**values, **change})["problems"]
+        assert problem["field"] == field and words in problem["text"], problem
+        with pytest.raises(SubjectError):
+            save(folder, lambda _, values, change=change: values.update(change))
+    good = {"trunk": {"T9": sizes}, "parameters": ["lateral_bending@T5-T9", "tissue"], "population": "koutras2025"}
+    saved = save(folder, lambda _, values: values.update(good))
+    assert {key: saved[key] for key in good} == good
+
+
+def test_a_skin_scan_comes_is_changed_taken_out_and_put_back(served, root):
+    folder, content, scan = root / "girl", box(280.0, 190.0, 450.0), {"unit": "mm", "axes": AXES}
+    before = (folder / "subject.json").read_bytes()
+
+    def sent(files, **other):
+        body = {"upload": served.upload(files), "scan": {**scan, **other}}
+        return served.json("POST", f"/api/subjects/{served.key()}/scan", body)
+
+    for files, other, words in (
+        ({"a.obj": content}, {"unit": "cm"}, "check unit (cm) and axes"),
+        ({"a.obj": content}, {"axes": {**AXES, "left": "-x"}}, "mirror"),
+        ({"a.obj": content}, {"unit": None}, "the skin scan: unit"),
+        ({"a.obj": content, "b.stl": content}, {}, "found 2 scans in the upload, wanted one"),
+        ({"a.txt": content}, {}, "found 0 scans"),
+        ({"a.obj": b"nothing"}, {}, "a.obj"),
+    ):
+        status, body = sent(files, **other)
+        assert status == 422 and words in body["error"] and str(root) not in body["error"], body
+    assert (folder / "subject.json").read_bytes() == before and not list(folder.glob("skin*"))
+    assert sent({"Back.OBJ": content}) == (200, {})
+    assert read_json(folder / "subject.json")["skin_scan"] == {**scan, "file": "skin-scan.obj"}
+    assert (folder / "skin-scan.obj").read_bytes() == content
+    assert "has a skin scan already" in sent({"a.obj": content})[1]["error"]
+    for file in ("rest/frontal.dcm", "skin-scan-2.obj", "../girl/skin-scan.obj"):
+        with pytest.raises(SubjectError, match="can't be changed here"):
+            save(folder, lambda _, values, file=file: values["skin_scan"].update(file=file))
+    whole = save(folder, lambda _, values: values["skin_scan"].update(unit="cm"))["skin_scan"]
+    assert "skin_scan" not in save(folder, lambda _, values: values.pop("skin_scan"))
+    assert save(folder, lambda _, values: values.update(skin_scan=whole))["skin_scan"] == whole
+    save(folder, lambda _, values: values.update(skin_scan=None, height_cm=None))
+    assert "height_cm is not known yet" in sent({"a.obj": content})[1]["error"]
+    save(folder, lambda _, values: values.update(height_cm=157))
+    assert sent({"a.obj": content})[0] == 200
+    assert read_json(folder / "subject.json")["skin_scan"]["file"] == "skin-scan-2.obj"
 
 
 def test_views_and_markers_are_edited_taken_out_and_put_back(girl):

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from bench_page import click, files, fill, go, load, text
+from bench_page import box, chosen, click, files, fill, go, load, text
 from chromium import browser
 from hospital import export
 from spinestiff.files import read_json
@@ -60,6 +60,34 @@ def test_more_radiographs_and_a_view_for_a_subject_that_is_there(tab, root, serv
     assert (root / "girl" / "rest" / "lateral.dcm").read_bytes() == (tmp_path / "more" / "I2").read_bytes()
 
 
+def test_a_rest_radiograph_is_replaced_and_taken_back(tab, root, serve, tmp_path):
+    lateral = export(tmp_path / "I2", "lateral", patient="", time="103000")
+    new = export(tmp_path / "I9", patient="", time="114500")
+    place = root / "girl" / "rest" / "frontal.dcm"
+    before = place.read_bytes()
+    with serve(root) as served:
+        load(tab, served.address)
+        go(tab, f"/subject/{served.key()}/radiographs")
+        click(tab, "[aria-label='Replace the frontal radiograph at rest']")
+        tab.until("document.querySelector('h2').innerText.includes('in place of the frontal radiograph')")
+        files(tab, "#files", [lateral])
+        tab.until("document.querySelector('#room').innerText.includes('None of these files can take its place')")
+        files(tab, "#files", [new])
+        tab.until("!!document.querySelector('#replace')")
+        assert "rest/frontal.dcm moves to the trash" in text(tab, "#changes") and place.read_bytes() == before
+        tab.run("(document.querySelector('#replace').scrollIntoView(), 1)")
+        tab.until("document.querySelectorAll('.swap canvas[data-state=shown]').length == 2")
+        assert tab.run(DRAWN.replace("canvas.thumb'", ".swap canvas'")) == 2
+        click(tab, "#replace")
+        tab.until("document.querySelector('[role=status]:not([id])').innerText.includes('has to be annotated')")
+        assert place.read_bytes() == new.read_bytes()
+        click(tab, "#undo button")
+        tab.until("document.querySelector('[role=status]:not([id])').innerText.includes('is back, with its marks')")
+        assert place.read_bytes() == before
+        go(tab, "/trash")
+        assert "girl: frontal radiograph at rest" in text(tab)
+
+
 def test_a_table_for_a_push_that_is_there(tab, root, serve, tmp_path):
     table = tmp_path / "pushes.csv"
     table.write_text("file,frame,force_n,side,level,d21_mm,d31_mm\nno.dcm,1,25,,,,\n", encoding="utf-8")
@@ -73,6 +101,46 @@ def test_a_table_for_a_push_that_is_there(tab, root, serve, tmp_path):
         files(tab, "#table", [right])
         tab.until("!!document.querySelector('#nothing-new')")
         assert "push a, frame 1: stays 20 N, the table has 25 N" in text(tab)
+
+
+def test_trunk_scan_and_ratios_are_filled_in(tab, root, serve, tmp_path):
+    scan = tmp_path / "back.obj"
+    scan.write_bytes(box(280.0, 190.0, 450.0))
+    place = root / "girl" / "subject.json"
+    with serve(root) as served:
+        load(tab, served.address)
+        go(tab, f"/subject/{served.key()}/values")
+        tab.run("(document.querySelectorAll('#room details').forEach(one => { one.open = true; }), 1)")
+        click(tab, "#trunk-add")
+        fill(tab, "#f-trunk-T9-breadth-mm", "245")
+        tab.until("document.querySelector('#f-trunk-T9-depth-mm-says').innerText == 'missing'")
+        fill(tab, "#f-trunk-T9-depth-mm", "172")
+        tab.until("document.querySelector('.saved').innerText.startsWith('Saved')")
+        assert read_json(place)["trunk"] == {"T9": {"breadth_mm": 245, "depth_mm": 172}}
+        click(tab, "#ratios-choose")
+        chosen(tab, "#ratio-0-at", "between")
+        chosen(tab, "#ratio-0-0", "T5")
+        click(tab, "#ratios-add")
+        chosen(tab, "#ratio-2-of", "tissue")
+        tab.until("document.querySelector('#f-parameters-says').innerText.includes('named twice')")
+        chosen(tab, "#ratio-2-at", "abdomen")
+        chosen(tab, "#f-population", "koutras2025")
+        tab.until("document.querySelector('.saved').innerText.startsWith('Saved')")
+        values = read_json(place)
+        assert values["parameters"] == ["lateral_bending@T5-T9", "tissue", "tissue@abdomen"]
+        assert values["population"] == "koutras2025"
+        click(tab, "#ratios-usual")
+        tab.wait(lambda: "parameters" not in read_json(place))
+        tab.run("(document.querySelector('#skin').open = true, 1)")
+        files(tab, "#skin-file", [scan])
+        for name, value in {"unit": "cm", "axes-left": "+x", "axes-up": "+z", "axes-front": "-y"}.items():
+            chosen(tab, f"#f-skin-scan-{name}", value)
+        click(tab, "#skin-add")
+        tab.until("document.querySelector('#problem').innerText.includes('check unit (cm) and axes')")
+        chosen(tab, "#f-skin-scan-unit", "mm")
+        click(tab, "#skin-add")
+        tab.until("document.querySelector('#skin summary').innerText.includes('skin-scan.obj')")
+        assert read_json(place)["skin_scan"]["unit"] == "mm"
 
 
 def test_views_markers_and_priors_are_checked_as_one_types(tab, root, serve, tmp_path):

@@ -364,7 +364,7 @@ def test_the_annotation_page_is_a_room_of_its_own(served, root):
     marks = {"vertebrae": drawn("rest/frontal").named()}
     draft = {"schema_version": 1, "images": {"rest/frontal": marks}}
     sent = {"revision": session["revision"], "draft": draft}
-    assert served.good("PUT", f"{page}/api/annotation", sent)["revision"] == 1
+    assert served.good("PUT", f"{page}/api/annotation", sent)["revision"] == session["revision"] + 1
     assert set(read_json(root / "girl" / "annotation.json")["images"]) == {"rest/frontal"}
     # Values that change while somebody annotates: the marks stay.
     form = served.good("GET", f"/api/subjects/{served.key()}/form")

@@ -79,6 +79,7 @@ class AnnotationSession:
     ----------
     folder : with ``subject.json``, complete or not, and at least one radiograph; ``annotation.json`` may be missing, a
         draft is taken up.
+    revision : of the marks as they are on disk. A page saves on the revision that it was given, and on no other.
 
     Attributes
     ----------
@@ -90,7 +91,7 @@ class AnnotationSession:
     SubjectError : the folder can't be annotated, in one line.
     """
 
-    def __init__(self, folder: str | Path) -> None:
+    def __init__(self, folder: str | Path, revision: int = 0) -> None:
         self.subject = read_unannotated(folder)
         wanted = annotatable(self.subject.record)
         self.views = annotatable_views(self.subject.record)
@@ -100,10 +101,11 @@ class AnnotationSession:
         if not self.images:
             raise SubjectError(f"{folder}: no radiograph to annotate; wanted {', '.join(REST_IMAGES.values())}")
         self.lock = RLock()
-        self.revision = 0
+        self.revision = revision
         self._frames: OrderedDict[str, Sequence[Radiograph]] = OrderedDict()
         self._views: dict[str, XRayView] = {}
         self._drafted: dict[str, DraftImage] = {}
+        self._pictures = pictures_on_disk(self.subject.folder)
         self.reload()
 
     def _offered(self, name: str) -> bool:
@@ -121,8 +123,16 @@ class AnnotationSession:
         return self.subject.folder / DRAFT_FILE
 
     def reload(self) -> None:
-        """Take what is on disk: the draft if there is one, else ``annotation.json``, else nothing."""
+        """Take what is on disk: the draft if there is one, else ``annotation.json``, else nothing.
+
+        Where another rest radiograph has taken the place of one, pages that show the old one can no longer save.
+        """
         with self.lock:
+            if self._pictures != (pictures := pictures_on_disk(self.subject.folder)):
+                self._pictures = pictures
+                self._frames.clear()
+                self._views.clear()
+                self.revision += 1
             images: dict[str, DraftImage] = {}
             if self.annotation_path.is_file():
                 images |= _drafted(read_annotation(self.annotation_path))
@@ -137,12 +147,16 @@ class AnnotationSession:
 
         Raises
         ------
-        ChangedElsewhere : another window or program has written since ``revision``.
+        ChangedElsewhere : another window or program has written since ``revision``, or replaced a rest radiograph.
         SubjectError : an unknown image, or a file can't be written.
         """
         with self.lock:
             if revision != self.revision:
                 raise ChangedElsewhere("another window has changed the annotation; reload this page to go on")
+            if self._pictures != pictures_on_disk(self.subject.folder):
+                raise ChangedElsewhere(
+                    "a radiograph at rest was replaced meanwhile; reload this page to mark the new one"
+                )
             if self._seen != self._on_disk():
                 raise ChangedElsewhere(
                     f"{ANNOTATION_FILE} was changed by another program; reload this page to go on from there"
@@ -307,6 +321,14 @@ class AnnotationSession:
 
     def _on_disk(self) -> tuple[str, str]:
         return _digest(self.annotation_path), _digest(self.draft_path)
+
+
+def pictures_on_disk(folder: Path) -> tuple[tuple[str, int, int, int], ...]:
+    """What tells the rest radiographs of a subject from others in their places, without reading them: of each that is
+    there its name, number in the file system, size and time of change."""
+    found = {name: folder / place for name, place in REST_IMAGES.items()}
+    there = {name: path.stat() for name, path in found.items() if path.exists()}
+    return tuple((name, one.st_ino, one.st_size, one.st_mtime_ns) for name, one in there.items())
 
 
 def image_of(name: str) -> str:

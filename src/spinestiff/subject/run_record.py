@@ -183,11 +183,33 @@ def changed_inputs(subject: Subject, step: str) -> tuple[str, ...]:
     return () if recorded is None else _changed(subject, recorded.inputs)
 
 
-def changed_parts(subject: Subject, step: str) -> tuple[str, ...]:
-    """Like ``changed_inputs``, of the parts of both JSON files alone (``PARTS``): no other file is read."""
+def changed_lately(subject: Subject, step: str) -> tuple[str, ...]:
+    """Like ``changed_inputs``, but a file that is older than the record is taken to be as it was, and not read; what
+    can't be read has changed."""
     recorded = recorded_steps(subject).get(step)
-    inputs = {} if recorded is None else recorded.inputs
-    return _changed(subject, {name: sha for name, sha in inputs.items() if name in PARTS})
+    if recorded is None:
+        return ()
+    since = (subject.results / RUN_FILE).stat().st_mtime_ns
+    late = {
+        name: sha for name, sha in recorded.inputs.items() if name in PARTS or _younger(subject.folder / name, since)
+    }
+    return tuple(name for name, sha in late.items() if _readable_digest(subject, name) != sha)
+
+
+def _readable_digest(subject: Subject, name: str) -> str:
+    """``input_digest``, or "" of what is not there or can't be read."""
+    try:
+        return input_digest(subject, name)
+    except SubjectError:
+        return ""
+
+
+def _younger(path: Path, since_ns: int) -> bool:
+    """Whether a file, or one in a folder, was written at that time or after it; also where it is not there."""
+    if not path.exists():
+        return True
+    inside = path.iterdir() if path.is_dir() else ()
+    return any(one.lstat().st_mtime_ns >= since_ns for one in (path, *inside))
 
 
 def refuse_changed(subject: Subject, *steps: str) -> None:

@@ -1,14 +1,20 @@
-"""Radiographs and a table of pushes for a subject that is there already: looked at, and added."""
+"""Radiographs, a table of pushes and a skin scan for a subject that is there already: looked at, and added."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+from spinestiff.anatomy.axes import body_axes
+from spinestiff.anatomy.importing.reading import SUFFIXES
 from spinestiff.errors import SubjectError
+from spinestiff.personalise.scan import read_scan
 from spinestiff.subject.intake.adding import (
     Addition,
     Standing,
+    add_scan,
     add_view,
     added_data,
     sort_addition,
@@ -17,12 +23,18 @@ from spinestiff.subject.intake.adding import (
 from spinestiff.subject.intake.collecting import studies
 from spinestiff.subject.intake.making import person_of
 from spinestiff.subject.intake.sorting import uses_of
-from spinestiff.subject.records import REST_IMAGES
+from spinestiff.subject.record_reading import parse_record
+from spinestiff.subject.records import REST_IMAGES, ScanRecord
+from spinestiff.words import counted
 from spinestiff.workbench.newcomer import Export, Wish, look_record
+
+SAID = 4
+"""Of the files that a subject has already, by name."""
 
 
 def radiographs_record(standing: Standing) -> dict[str, Any]:
-    """The radiographs that a subject has, as JSON: a row an image, with the name by which the annotation page shows it.
+    """The radiographs that a subject has, as JSON: a row an image, with the name by which the annotation page shows it
+    and the version of its first file.
 
     What the subject should have and has not, or what can't be read, is among the missing of its card.
     """
@@ -32,7 +44,8 @@ def radiographs_record(standing: Standing) -> dict[str, Any]:
         first = files[0]
         name = first.name if len(files) == 1 else first.name.rpartition("/")[0]
         frames = first.frames if len(files) == 1 else len(files)
-        rows.append({"image": _shown_as(standing, image), "name": name, "frames": frames, "use": _use(image)})
+        row = {"image": _shown_as(standing, image), "name": name, "frames": frames, "use": _use(image)}
+        rows.append({**row, "version": first.scan.sha256[:16]})
     return {"files": rows, "rest": [image for image in REST_IMAGES if standing.has(image)]}
 
 
@@ -91,7 +104,9 @@ def add(standing: Standing, export: Export, wish: Wish) -> list[str]:
     addition, data, _ = _added(standing, export, wish)
     changes = _changes(standing, addition, data)
     if not changes:
-        raise SubjectError("there is nothing new in it: the subject has all of this already")
+        held = [f"{name} is {other}" for name, other in addition.held.items()]
+        named = f": {', '.join(held[:SAID])}" + (", ..." if len(held) > SAID else "") if held else ""
+        raise SubjectError(f"there is nothing new in it: the subject has all of this already{named}")
     write_addition(standing, data, addition)
     return changes
 
@@ -102,6 +117,25 @@ def _added(standing: Standing, export: Export, wish: Wish) -> tuple[Addition, di
     told, _ = person_of(chosen)
     data, notes = added_data(standing, addition, told)
     return addition, data, notes
+
+
+def add_skin_scan(standing: Standing, scan: Mapping[str, Any], places: Sequence[Path]) -> None:
+    """Add the one surface scan among uploaded files, held against the body first where its height is known.
+
+    Raises
+    ------
+    SubjectError : none, or several; a unit, axes or a file that can't be one of this trunk's; otherwise as
+        ``intake.adding.add_scan``.
+    """
+    files = [one for place in places for one in sorted(place.rglob("*")) if one.suffix.lower() in SUFFIXES]
+    if len(files) != 1:
+        raise SubjectError(f"found {counted(len(files), 'scan')} in the upload, wanted one: {', '.join(SUFFIXES)}")
+    record = parse_record(json.dumps({**scan, "file": files[0].name}), "the skin scan", ScanRecord)
+    height = standing.data.get("height_cm")
+    if height is None:
+        raise SubjectError("height_cm is not known yet; fill it in first, so that unit and axes can be checked by it")
+    read_scan(files[0], record.unit, body_axes(record.axes.left, record.axes.up, record.axes.front), float(height))
+    add_scan(standing, scan, files[0])
 
 
 def add_side(standing: Standing, export: Export, names: Sequence[str], push: int, view: Mapping[str, Any]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import hashlib
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
@@ -13,13 +13,13 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import JSONResponse
 
 from spinestiff.annotate.server import PAGE, application
-from spinestiff.annotate.session import AnnotationSession
+from spinestiff.annotate.session import AnnotationSession, pictures_on_disk
 from spinestiff.errors import NotThere, SpinestiffError
 from spinestiff.files import file_digest
 from spinestiff.loopback.asking import bare_application
 from spinestiff.loopback.guard import App, Message, Receive, Send
 from spinestiff.loopback.serving import shipped
-from spinestiff.subject.records import REST_IMAGES, SUBJECT_FILE
+from spinestiff.subject.records import SUBJECT_FILE
 from spinestiff.workbench.rooms import Root
 
 MOUNT = "/annotate"
@@ -51,16 +51,19 @@ class AnnotationRooms:
         await app({**scope, "path": f"/{rest}", "root_path": ""}, receive, send)
 
     def _room(self, key: str) -> FastAPI:
-        """The application of a subject, made anew where ``subject.json`` has changed or a rest radiograph has come.
+        """The application of a subject, made anew where ``subject.json`` or a rest radiograph is another than it was.
+
+        Its first revision is of these files, so that a page that was loaded from others saves nothing here.
 
         Raises SpinestiffError.
         """
         folder = self.root.subject(key)
         with self._lock:
-            there = [str(place) for place in REST_IMAGES.values() if os.path.lexists(folder / place)]
-            made_of = " ".join([file_digest(folder / SUBJECT_FILE), *there])
+            made_of = f"{file_digest(folder / SUBJECT_FILE)} {pictures_on_disk(folder)}"
             if folder not in self._rooms or self._rooms[folder][0] != made_of:
-                self._rooms[folder] = made_of, application(AnnotationSession(folder))
+                # Below 2^48, so that JSON's numbers hold it and all that follow.
+                first = int(hashlib.sha256(made_of.encode()).hexdigest()[:12], 16)
+                self._rooms[folder] = made_of, application(AnnotationSession(folder, first))
             self._rooms.move_to_end(folder)
             while len(self._rooms) > MOST:
                 self._rooms.popitem(last=False)

@@ -6,6 +6,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from spinestiff.errors import InUseError
 from spinestiff.workbench.jobs import Jobs
 from spinestiff.workbench.newcomer import Sources
 from spinestiff.workbench.results import Tickets
@@ -30,6 +31,11 @@ class Bench:
     def parcels(self) -> Path:
         """Where zip files wait to be fetched."""
         return self.root.own / "parcels"
+
+    def refuse_busy(self, key: str) -> None:
+        """Raise InUseError where a subject has a job that has not ended."""
+        if self.jobs.table.active(key) is not None:
+            raise InUseError("this subject has a job; cancel it first, or wait for its end")
 
 
 def open_bench(

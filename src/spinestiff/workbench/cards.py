@@ -15,7 +15,7 @@ from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject, annotatable, annotatable_views, read_annotation, read_unannotated
 from spinestiff.subject.gaps import Gap
 from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, REST_IMAGES, SUBJECT_FILE
-from spinestiff.subject.run_record import changed_parts, read_outcome, recorded_steps
+from spinestiff.subject.run_record import changed_lately, read_outcome, recorded_steps
 from spinestiff.workbench.job_table import Job
 
 STAGES = {
@@ -51,7 +51,7 @@ def card(key: str, folder: Path, job: Job | None) -> dict[str, Any]:
     }
     stage, missing = _stage(subject)
     found = result(subject)
-    changed = [] if found is None else stale(subject, changed_parts)
+    changed = [] if found is None else stale(subject, changed_lately)
     if stage == "run" and found is not None and "problem" not in found and not changed:
         stage = "done"
     return {
@@ -70,7 +70,7 @@ def stale(subject: Subject, changed: Callable[[Subject, str], tuple[str, ...]]) 
     Parameters
     ----------
     subject : as ``read_unannotated`` gives it.
-    changed : ``run_record.changed_inputs``, or ``changed_parts`` where radiographs are not to be read again.
+    changed : ``run_record.changed_inputs``, or ``changed_lately`` where old radiographs are not to be read again.
     """
     # Where it can't be read it has changed: nothing is estimated without one.
     with suppress(SpinestiffError):

@@ -5,25 +5,39 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from spinestiff.anatomy.regions import CHAIN
 from spinestiff.annotate.draft import DRAFT_FILE, read_draft
-from spinestiff.errors import ChangedElsewhere, SubjectError
+from spinestiff.errors import ChangedElsewhere, FitError, SubjectError
+from spinestiff.estimation.ratio_priors import POPULATIONS, check_population
 from spinestiff.files import read_json, read_text, write_json
 from spinestiff.study.trials import given_priors, usual_priors
 from spinestiff.subject.folder import read_annotation
 from spinestiff.subject.gaps import Gap, check_open_record, gaps_of, open_complaints
-from spinestiff.subject.intake.adding import markers_place, side_places
+from spinestiff.subject.intake.adding import is_scan_place, markers_place, side_places
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE, SubjectRecord
-from spinestiff.workbench.form_words import WORDS
+from spinestiff.workbench.form_words import RATIO_GROUPS, RATIO_PARTS, WORDS
 
 FIXED = frozenset({"schema_version", "frames", "files", "file", "torso"})
 """Keys whose values no page may set: the form's version, and names of files."""
 BESIDE = frozenset({"views", "markers"})
 """Keys of a push whose records may be taken out and put back, with the names that ``intake.adding`` gave."""
+SCAN = "skin_scan"
+"""The same of the subject."""
+CHOICES = {
+    "groups": [{"name": name, "title": title, "of": of} for name, (title, of) in RATIO_GROUPS.items()],
+    "parts": {of: [{"name": name, "title": title} for name, title in told.items()] for of, told in RATIO_PARTS.items()},
+    "chain": list(CHAIN),
+    "populations": list(POPULATIONS),
+}
+"""What may be chosen where the schema takes any word: ratios as groups and parts, the latter also between two of
+``chain``; its last, the sacrum, is no vertebra."""
+_CHECKS: dict[str, Callable[[Any], object]] = {"priors": given_priors, "population": check_population}
 NAMES_STAY = "names of files, pushes and views can't be changed here"
 
 
@@ -37,6 +51,7 @@ def form_record(folder: Path) -> dict[str, Any]:
         "schema": SubjectRecord.model_json_schema(),
         "words": WORDS,
         "priors": usual_priors(),
+        "choices": CHOICES,
         "values": values,
         "revision": _digest(text),
         **judged(values),
@@ -46,21 +61,26 @@ def form_record(folder: Path) -> dict[str, Any]:
 def judged(values: dict[str, Any]) -> dict[str, Any]:
     """What is wrong with values, and what is still open, by field."""
     complaints = open_complaints(values)
-    if not any(field.startswith("priors") for field, _ in complaints):
-        complaints += _of_priors(values)
+    complaints += _beyond_schema(values, complaints)
     return {
         "problems": [{"field": field, "text": text} for field, text in complaints],
         "open": [{"field": field, "text": gap.words} for gap in gaps_of(values) for field in _fields(gap)],
     }
 
 
-def _of_priors(values: dict[str, Any]) -> list[tuple[str, str]]:
-    """What is wrong with priors that the schema allows: the field and the words."""
-    try:
-        given_priors(values.get("priors") or {})
-    except SubjectError as error:
-        return [("priors", str(error).removeprefix(f"{SUBJECT_FILE}: "))]
-    return []
+def _beyond_schema(values: dict[str, Any], complaints: Sequence[tuple[str, str]] = ()) -> list[tuple[str, str]]:
+    """What is wrong with values that the schema allows: the key and the words. Of ``complaints`` are those that it does
+    not allow, by field."""
+    found = []
+    for key, check in _CHECKS.items():
+        value = values.get(key)
+        if value is None or any(field.startswith(key) for field, _ in complaints):
+            continue
+        try:
+            check(value)
+        except (SubjectError, FitError) as error:
+            found.append((key, str(error).removeprefix(f"{SUBJECT_FILE}: ")))
+    return found
 
 
 def _fields(gap: Gap) -> list[str]:
@@ -76,7 +96,7 @@ def save_form(folder: Path, values: dict[str, Any], revision: str) -> str:
     ChangedElsewhere : the file is no longer the one that the form was made from.
     InUseError : a run is at work on the subject.
     SubjectError : values that the schema does not allow, another name of a file, push or view, or a view taken out that
-        somebody has annotated.
+        somebody has annotated. A skin scan may be taken out and put back.
     """
     path = folder / SUBJECT_FILE
     with sole_run(folder):
@@ -85,10 +105,11 @@ def save_form(folder: Path, values: dict[str, Any], revision: str) -> str:
                 f"{SUBJECT_FILE} was changed meanwhile, in another window or by a command; load what is there now"
             )
         before = read_json(path)
-        if _fixed(before) != _fixed(values):
+        scan, last = (_scan_file(one) for one in (values, before))
+        if _fixed(before) != _fixed(values) or (scan not in (None, last) and not is_scan_place(folder, scan)):
             raise SubjectError(NAMES_STAY)
         check_open_record(values)
-        for _, problem in _of_priors(values):
+        for _, problem in _beyond_schema(values):
             raise SubjectError(problem)
         _check_beside(folder, before, values)
         write_json(path, values)
@@ -100,8 +121,8 @@ def _fixed(values: Any, where: str = "") -> dict[str, Any]:
     found: dict[str, Any] = {}
     if isinstance(values, dict):
         for key, value in values.items():
-            if key in BESIDE and where.startswith(".pushes["):
-                continue  # ``_check_beside``
+            if (key in BESIDE and where.startswith(".pushes[")) or (key == SCAN and not where):
+                continue  # ``_check_beside`` and ``_scan_file``
             if (key in FIXED and not isinstance(value, list)) or (key == "id" and where):
                 found[f"{where}.{key}"] = copy.deepcopy(value)
             else:
@@ -110,6 +131,11 @@ def _fixed(values: Any, where: str = "") -> dict[str, Any]:
         for number, value in enumerate(values):
             found |= _fixed(value, f"{where}[{number}]")
     return found
+
+
+def _scan_file(values: dict[str, Any]) -> Any:
+    scan = values.get(SCAN)
+    return scan.get("file") if isinstance(scan, dict) else None
 
 
 def _check_beside(folder: Path, before: dict[str, Any], values: dict[str, Any]) -> None:

@@ -78,11 +78,31 @@ WORDS: Final[dict[str, dict[str, str]]] = {
     "pelvis": {"title": "How the model holds the pelvis"},
     "wall": {"title": "What the back wall can do"},
     "priors": {"title": "What is not quite known", "help": "Standard deviations that differ from the usual ones."},
-    "trunk": {"title": "Sizes of the trunk", "help": "By tape or caliper, at the height of a vertebra."},
+    "trunk": {
+        "title": "Sizes of the trunk",
+        "help": "Straight across, by caliper or between two rulers, without the arms, at the height of a vertebra: T9 "
+        "lies at the lower end of the breastbone, L4 at the top of the pelvis. They shape the skin, not the ribs.",
+    },
     "trunk.breadth_mm": {"title": "Side to side", "unit": "mm"},
     "trunk.depth_mm": {"title": "Front to back", "unit": "mm"},
-    "population": {"title": "Whose ratios are held as a prior"},
-    "parameters": {"title": "Ratios to estimate", "help": "Lateral bending and tissue unless others are named."},
+    "skin_scan": {
+        "title": "Scan of the skin",
+        "help": "Of the standing patient's trunk, by a surface scanner; open, in parts or with holes, as it comes. It "
+        "shapes the skin of the model.",
+    },
+    "skin_scan.unit": {"title": "Unit of the file's coordinates"},
+    "skin_scan.axes.left": {"title": "Axis that runs to the patient's left"},
+    "skin_scan.axes.up": {"title": "Axis that runs up"},
+    "skin_scan.axes.front": {"title": "Axis that runs to the front"},
+    "population": {
+        "title": "Whose ratios are held as a prior",
+        "help": "koutras2025: bending of seven adolescents with scoliosis, for estimates of the whole spine's bending.",
+    },
+    "parameters": {
+        "title": "Ratios to estimate",
+        "help": "Stiffness of this patient over the usual one. Up to four have intervals from profiles; with more, "
+        "intervals are to first order. Two that scale the same joints can't be told apart.",
+    },
     "priors.force_scale": {"title": "Forces: calibration of the gauge", "unit": "relative"},
     "priors.force_offset_n": {"title": "Forces: zero of the gauge, lag of its log", "unit": "N"},
     "priors.direction_deg": {"title": "Direction of the push, upward and forward", "unit": "degrees"},
@@ -126,3 +146,28 @@ WORDS: Final[dict[str, dict[str, str]]] = {
     "priors.level_smoothness": {"title": "Difference of neighbouring levels' ratios", "unit": "log"},
 }
 """By the place in the schema, without numbers of list entries."""
+JOINTS, TISSUE = "joints", "tissue"
+RATIO_GROUPS: Final[dict[str, tuple[str, str]]] = {
+    "lateral_bending": ("Lateral bending, with the ribs' joints at the breastbone", JOINTS),
+    "intervertebral_bending": ("Lateral bending of the spine alone", JOINTS),
+    "flexion_extension": ("Flexion and extension", JOINTS),
+    "axial_rotation": ("Axial rotation", JOINTS),
+    "lateral_shear": ("Shear to the side", JOINTS),
+    "sagittal_shear": ("Shear front to back", JOINTS),
+    "separation": ("Compression and separation", JOINTS),
+    "rib_rotation": ("Turning of the ribs on their vertebrae", JOINTS),
+    "tissue": ("Soft tissue", TISSUE),
+    "tissue_mu": ("Soft tissue, shear modulus alone", TISSUE),
+    "tissue_lambda": ("Soft tissue, resistance to a change of volume alone", TISSUE),
+}
+"""Groups of stiffnesses (``anatomy.stiffness``) in words, and whether they are taken at joints or in tissue."""
+RATIO_PARTS: Final[dict[str, dict[str, str]]] = {
+    JOINTS: {
+        "": "the whole spine",
+        "thoracic": "thoracic (T1 to T12)",
+        "lumbar": "lumbar (T12 to S1)",
+        "levels": "each level by itself",
+    },
+    TISSUE: {"": "all of it", "thorax": "thorax", "abdomen": "abdomen"},
+}
+"""Where a group may be taken (``anatomy.regions``), in words; joints also between two vertebrae."""

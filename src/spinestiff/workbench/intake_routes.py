@@ -12,12 +12,13 @@ from typing import Annotated, Any, Literal
 from fastapi import FastAPI, Response
 from pydantic import Field
 
-from spinestiff.errors import NotThere
+from spinestiff.errors import NotThere, SubjectError
 from spinestiff.loopback.asking import Body, Sent, sent
 from spinestiff.subject.intake.adding import Standing, add_markers, inputs_of, read_standing
-from spinestiff.workbench.additions import add, add_side, looked_at_beside, radiographs_record
+from spinestiff.workbench.additions import add, add_side, add_skin_scan, looked_at_beside, radiographs_record
 from spinestiff.workbench.bench import Bench
 from spinestiff.workbench.newcomer import Export, Wish, looked_at, make_newcomer, read_export
+from spinestiff.workbench.replacing import chosen_instead, looked_at_instead
 from spinestiff.workbench.thumbnails import thumbnail
 
 Name = Annotated[str, Field(max_length=2000)]
@@ -42,6 +43,7 @@ class Look(Sent):
     """An upload, a folder on this machine or, with a table of pushes, neither, and what somebody says of it.
 
     ``subject`` : key of the one that it is to be added to; None: a new one.
+    ``replaces`` : the radiograph at rest of that subject whose place one of them takes; None: all are added.
     """
 
     origin: Literal["upload", "source", "none"]
@@ -51,6 +53,7 @@ class Look(Sent):
     lateral: Name | None = None
     table: str | None = None
     subject: Key | None = None
+    replaces: Literal["rest/frontal", "rest/lateral"] | None = None
 
     @property
     def wish(self) -> Wish:
@@ -85,6 +88,13 @@ class Markers(Sent):
     push: Number
     markers: dict[str, Any]
     text: str
+
+
+class Scan(Sent):
+    """An upload with a surface scan, and its unit and axes as in ``subject.json``, where they are judged."""
+
+    upload: Key
+    scan: dict[str, Any]
 
 
 class Exports:
@@ -162,7 +172,10 @@ def add_intake(app: FastAPI, bench: Bench) -> None:
             exports.forget()
         if asked.subject is None:
             return looked_at(exports.of(asked), asked.wish)
-        return looked_at_beside(exports.standing(asked.subject), exports.of(asked), asked.wish)
+        standing, export = exports.standing(asked.subject), exports.of(asked)
+        if asked.replaces is not None:
+            return looked_at_instead(standing, export, asked.wish, asked.replaces)
+        return looked_at_beside(standing, export, asked.wish)
 
     @app.post("/api/look/picture")
     def picture(body: Body) -> Response:
@@ -191,10 +204,26 @@ def add_intake(app: FastAPI, bench: Bench) -> None:
         asked = sent(body, Look)
         return {"changes": add(exports.standing(key), exports.of(asked), asked.wish)}
 
+    @app.post("/api/subjects/{key}/rest")
+    def replace(key: str, body: Body) -> dict[str, Any]:
+        asked, folder = sent(body, Look), bench.root.subject(key)
+        if asked.replaces is None:
+            raise SubjectError("the request: wanted replaces, the radiograph at rest that is replaced")
+        bench.refuse_busy(key)
+        one = chosen_instead(exports.standing(key), exports.of(asked), asked.wish, asked.replaces)
+        return {"trash": bench.trash.replace(folder, asked.replaces, one.path)}
+
     @app.post("/api/subjects/{key}/views")
     def extend_views(key: str, body: Body) -> dict[str, Any]:
         asked = sent(body, Side)
         add_side(exports.standing(key), exports.of(asked), asked.names, asked.push, asked.view)
+        return {}
+
+    @app.post("/api/subjects/{key}/scan")
+    def extend_skin(key: str, body: Body) -> dict[str, Any]:
+        asked = sent(body, Scan)
+        add_skin_scan(exports.standing(key), asked.scan, bench.uploads.whole(asked.upload))
+        bench.uploads.discard(asked.upload)
         return {}
 
     @app.post("/api/subjects/{key}/markers")

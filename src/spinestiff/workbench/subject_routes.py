@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 from fastapi import FastAPI
 from pydantic import Field
 
-from spinestiff.errors import InUseError
 from spinestiff.loopback.asking import Body, Sent, sent
 from spinestiff.subject.folder import read_unannotated
 from spinestiff.workbench.bench import Bench
@@ -58,8 +57,7 @@ def add_subjects(app: FastAPI, bench: Bench) -> None:
     @app.delete("/api/subjects/{key}")
     def remove(key: str) -> dict[str, Any]:
         folder = root.subject(key)
-        if bench.jobs.table.active(key) is not None:
-            raise InUseError("this subject has a job; cancel it first, or wait for its end")
+        bench.refuse_busy(key)
         return {"trash": bench.trash.remove(folder)}
 
     @app.get("/api/subjects/{key}/form")
@@ -88,7 +86,10 @@ def add_subjects(app: FastAPI, bench: Bench) -> None:
 
     @app.post("/api/trash/{key}/restore")
     def restore(key: str) -> dict[str, Any]:
-        return {"key": bench.trash.restore(key)}
+        if (subject := bench.trash.subject_of(key)) is not None:
+            bench.refuse_busy(subject)
+        subject, gone = bench.trash.restore(key)
+        return {"key": subject, "trash": gone}
 
     @app.delete("/api/trash/{key}")
     def delete(key: str) -> dict[str, Any]:

@@ -1,17 +1,38 @@
-"""Subjects that were removed lie in a trash until somebody deletes them for good; until then they can be put back."""
+"""Subjects that were removed and rest radiographs that were replaced lie in a trash until somebody deletes them for
+good; until then they can be put back.
+
+A place in the trash holds a subject's folder, or a radiograph beside ``radiograph.json``, which says whose it was and
+what was marked in it.
+"""
 
 from __future__ import annotations
 
 import re
 import secrets
 import shutil
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from spinestiff.errors import NotThere, SubjectError
-from spinestiff.files import listed, trouble
+from spinestiff.errors import NotThere, RadiographError, SpinestiffError, SubjectError
+from spinestiff.files import listed, read_json, trouble, write_json
+from spinestiff.imaging.dicom.export import read_exported
+from spinestiff.subject.intake.adding import check_patient, read_standing
 from spinestiff.subject.lock import sole_run
+from spinestiff.subject.records import REST_IMAGES, SUBJECT_FILE
+from spinestiff.workbench.replacing import Marks, exchange
 from spinestiff.workbench.rooms import KEY, Root
+
+RECORD = "radiograph.json"
+
+
+@dataclass(frozen=True)
+class Replaced:
+    """A rest radiograph in the trash: the name of the subject's folder, which image it was, what was marked in it."""
+
+    subject: str
+    image: str
+    marks: Marks
 
 
 class Trash:
@@ -37,30 +58,122 @@ class Trash:
                 raise SubjectError(f"the subject can't be removed ({trouble(problem)})") from None
             return key
 
+    def replace(self, folder: Path, image: str, source: Path, marks: Marks | None = None) -> str | None:
+        """Put a copy of a file in the place of a subject's rest radiograph, with what was marked in it.
+
+        Returns
+        -------
+        The key of the radiograph that was there, which moves here with its own marks; None where there was none.
+
+        Raises
+        ------
+        SpinestiffError : as ``replacing.exchange``; all is as it was then.
+        """
+        key = secrets.token_hex(8)
+        place = self.folder / key
+
+        def keep(gone: Marks) -> Path:
+            write_json(place / RECORD, {"subject": folder.name, "image": image, "marks": asdict(gone)})
+            return place / Path(REST_IMAGES[image]).name
+
+        try:
+            exchange(folder, image, source, marks or Marks(), keep)
+        except BaseException:
+            shutil.rmtree(place, ignore_errors=True)
+            raise
+        return key if place.is_dir() else None
+
     def listed(self) -> list[dict[str, Any]]:
         """What is in the trash, the latest first."""
-        found = []
-        for place in listed(self.folder, SubjectError) if self.folder.is_dir() else []:
-            inside = listed(place, SubjectError) if re.fullmatch(KEY, place.name) and place.is_dir() else []
-            if inside:
-                found.append({"key": place.name, "name": inside[0].name, "removed": place.stat().st_mtime})
+        places = [one for one in listed(self.folder, SubjectError) if self._holds(one)] if self.folder.is_dir() else []
+        found = [{"key": place.name, "removed": place.stat().st_mtime, **self._told(place)} for place in places]
         return sorted(found, key=lambda one: -float(one["removed"]))
 
-    def restore(self, key: str) -> str:
-        """Put a subject back; returns its key. Raises NotThere, or SubjectError where its name is taken."""
-        inside = self._inside(key)
-        target = self.root.new_subject(inside.name)
-        inside.rename(target)
-        inside.parent.rmdir()
-        return self.root.key_of(target.name)
+    def _told(self, place: Path) -> dict[str, Any]:
+        if not (place / RECORD).is_file():
+            return {"name": self._subject(place).name, "image": None, "vertebrae": 0}
+        try:
+            replaced = self._replaced(place)
+        except SpinestiffError:
+            return {"name": "a radiograph that can't be put back", "image": None, "vertebrae": 0}
+        return {"name": replaced.subject, "image": replaced.image, "vertebrae": replaced.marks.vertebrae}
+
+    def restore(self, key: str) -> tuple[str, str | None]:
+        """Put back a subject, or a radiograph in the place of the present one, which comes here.
+
+        Returns
+        -------
+        The key of the subject, and of what came here.
+
+        Raises
+        ------
+        NotThere : nothing of this key.
+        SubjectError : the name of the subject is taken; the subject of a radiograph is not there, or is another
+            patient's; otherwise as ``replace``.
+        """
+        place = self._place(key)
+        if not (place / RECORD).is_file():
+            inside = self._subject(place)
+            target = self.root.new_subject(inside.name)
+            inside.rename(target)
+            place.rmdir()
+            return self.root.key_of(target.name), None
+        replaced = self._replaced(place)
+        folder = self.root.path / replaced.subject
+        if not (folder / SUBJECT_FILE).is_file() or folder.is_symlink():
+            raise SubjectError(f"the subject {replaced.subject} is not there, or no longer; put it back first")
+        file = place / Path(REST_IMAGES[replaced.image]).name
+        _check_whose(folder, replaced.image, file)
+        gone = self.replace(folder, replaced.image, file, replaced.marks)
+        shutil.rmtree(place)
+        return self.root.key_of(replaced.subject), gone
+
+    def subject_of(self, key: str) -> str | None:
+        """The key of the subject that a radiograph belonged to; None for a subject. Raises NotThere, SubjectError."""
+        place = self._place(key)
+        return self.root.key_of(self._replaced(place).subject) if (place / RECORD).is_file() else None
 
     def delete(self, key: str) -> None:
-        """Delete a subject for good. Raises NotThere."""
-        shutil.rmtree(self._inside(key).parent)
+        """Delete a subject or a radiograph for good. Raises NotThere."""
+        shutil.rmtree(self._place(key))
 
-    def _inside(self, key: str) -> Path:
+    def _holds(self, place: Path) -> bool:
+        """Whether it is a place of the trash with something whole in it."""
+        if not re.fullmatch(KEY, place.name) or not place.is_dir():
+            return False
+        inside = listed(place, SubjectError)
+        if (place / RECORD).is_file():
+            return len(inside) == 2
+        return len(inside) == 1 and inside[0].is_dir()
+
+    def _place(self, key: str) -> Path:
         place = self.folder / key
-        inside = listed(place, SubjectError) if re.fullmatch(KEY, key) and place.is_dir() else []
-        if len(inside) != 1:
-            raise NotThere("this subject is not in the trash, or no longer")
-        return inside[0]
+        if not self._holds(place):
+            raise NotThere("this is not in the trash, or no longer")
+        return place
+
+    def _subject(self, place: Path) -> Path:
+        return listed(place, SubjectError)[0]
+
+    def _replaced(self, place: Path) -> Replaced:
+        """Raises SubjectError where the record is not as ``replace`` wrote it."""
+        record = read_json(place / RECORD)
+        try:
+            found = Replaced(record["subject"], record["image"], Marks(**record["marks"]))
+            file = place / Path(REST_IMAGES[found.image]).name
+            whole = Path(found.subject).name == found.subject and file.is_file()
+        except (KeyError, TypeError):
+            whole = False
+        if not whole:
+            raise SubjectError("this radiograph's record in the trash is damaged; it can't be put back")
+        return found
+
+
+def _check_whose(folder: Path, image: str, file: Path) -> None:
+    """Raise SubjectError where a radiograph tells of another patient than those of a subject that stay."""
+    standing = read_standing(folder)
+    try:
+        one = read_exported(file, file.name, file.parent)
+    except RadiographError:
+        return  # as when it was replaced: whatever it is, it was the subject's
+    check_patient([other for other in standing.files if standing.images[other.name] != image], [one])

@@ -19,28 +19,31 @@ export interface Results {
 export type Values = { [name: string]: unknown };
 export interface Schema {
   type?: string; title?: string; description?: string; $ref?: string; $defs?: Record<string, Schema>; properties?: Record<string, Schema>; required?: string[];
-  anyOf?: Schema[]; enum?: string[]; const?: unknown; items?: Schema; minimum?: number; maximum?: number; exclusiveMinimum?: number; default?: unknown;
+  anyOf?: Schema[]; enum?: string[]; const?: unknown; items?: Schema; minimum?: number; maximum?: number; exclusiveMinimum?: number; default?: unknown; additionalProperties?: Schema;
 }
+/** Words where the schema takes any: `of` is "joints" or "tissue", a key of `parts`; the last of `chain` is no vertebra. */
+export interface Choices { groups: { name: string; title: string; of: string }[]; parts: Record<string, { name: string; title: string }[]>; chain: string[]; populations: string[] }
 export interface Said { field: string; text: string }
 export interface Judged { problems: Said[]; open: Said[] }
-export interface Form extends Judged { schema: Schema; words: Record<string, { title?: string; unit?: string; help?: string; picture?: string }>; priors: Record<string, number>; values: Values; revision: string }
+export interface Form extends Judged { schema: Schema; words: Record<string, { title?: string; unit?: string; help?: string; picture?: string }>; priors: Record<string, number>; choices: Choices; values: Values; revision: string }
 export interface Option { kind: "choice" | "number" | "switch"; title: string; words?: Record<string, string>; low?: number; high?: number; usual?: number; unit?: string; whole?: boolean }
 export interface Verb { title: string; about: string; minutes: string; options: Record<string, Option> }
 export interface Look {
   studies: { label: string; words: string }[]; study: string | null; told: Values; notes: string[];
   files: { name: string; frames: number; view: string; use: string; why: string; held?: boolean }[]; left_out: { name: string; why: string }[]; changes?: string[];
 }
-export interface Asked { origin: "upload" | "source" | "none"; key: string; study?: string; frontal?: string; lateral?: string; table?: string; subject?: string }
-export interface Radiographs { files: { image: string; name: string; frames: number; use: string }[]; rest: string[] }
+export interface Asked { origin: "upload" | "source" | "none"; key: string; study?: string; frontal?: string; lateral?: string; table?: string; subject?: string; replaces?: string }
+export interface Radiographs { files: { image: string; name: string; frames: number; use: string; version: string }[]; rest: string[] }
 export interface Markers { unit: string; axes: Record<string, string>; side: string; shown: Record<string, unknown> }
 
 export const bench = (): Promise<{ version: string; read_only: boolean; upload_bytes: number }> => get("/api/bench");
 export const subjects = async (): Promise<Card[]> => (await get<{ subjects: Card[] }>("/api/subjects")).subjects;
 export const subject = (key: string): Promise<Card> => get(`/api/subjects/${key}`);
 export const remove = (key: string): Promise<{ trash: string }> => send("DELETE", `/api/subjects/${key}`);
-export const trash = async (): Promise<{ key: string; name: string; removed: number }[]> =>
-  (await get<{ trash: { key: string; name: string; removed: number }[] }>("/api/trash")).trash;
-export const restore = (key: string): Promise<{ key: string }> => send("POST", `/api/trash/${key}/restore`);
+/** A subject, or a radiograph at rest that was replaced: `image` says which, `vertebrae` how many are marked in it. */
+export interface Removed { key: string; name: string; removed: number; image: string | null; vertebrae: number }
+export const trash = async (): Promise<Removed[]> => (await get<{ trash: Removed[] }>("/api/trash")).trash;
+export const restore = (key: string): Promise<{ key: string; trash: string | null }> => send("POST", `/api/trash/${key}/restore`);
 export const deleteForGood = (key: string): Promise<unknown> => send("DELETE", `/api/trash/${key}`);
 export const form = (key: string): Promise<Form> => get(`/api/subjects/${key}/form`);
 export const check = (values: Values): Promise<Judged> => send("POST", "/api/check", { values });
@@ -67,6 +70,8 @@ export const radiographs = (key: string): Promise<Radiographs> => get(`/api/subj
 export const picture = (key: string, image: string): Promise<Response> =>
   ask("GET", `/annotate/${key}/api/radiograph?${new URLSearchParams({ image, wide: "96", tall: "128" }).toString()}`);
 export const extend = (key: string, asked: Asked): Promise<{ changes: string[] }> => send("POST", `/api/subjects/${key}/radiographs`, asked);
+export const replace = (key: string, asked: Asked): Promise<{ trash: string }> => send("POST", `/api/subjects/${key}/rest`, asked);
 export const addView = (key: string, asked: Asked & { names: string[]; push: number; view: Values }): Promise<unknown> => send("POST", `/api/subjects/${key}/views`, asked);
 export const addMarkers = (key: string, push: number, markers: Markers, text: string): Promise<unknown> => send("POST", `/api/subjects/${key}/markers`, { push, markers, text });
+export const addScan = (key: string, upload: string, scan: Values): Promise<unknown> => send("POST", `/api/subjects/${key}/scan`, { upload, scan });
 export const make = (asked: Asked & { name: string; person: Values }): Promise<{ key: string }> => send("POST", "/api/subjects", asked);

@@ -69,19 +69,24 @@ export async function cards(): Promise<Room> {
   return { element, leave: () => { over = true; clearTimeout(timer); } };
 }
 
+const titleOf = (one: api.Removed): string => (one.image ? `${one.name}: ${one.image.replace("rest/", "")} radiograph at rest` : one.name);
+const removedWords = (one: api.Removed): string => (one.image
+  ? `Replaced ${when(one.removed)}. ${one.vertebrae ? `${one.vertebrae} vertebrae are marked in it` : "Nothing is marked in it"}. Put back, it takes the place of the present one, which comes here.`
+  : `Removed ${when(one.removed)}`);
+
 export async function trashRoom(): Promise<Room> {
   const list = h("div", { class: "cards" });
   const load = async (): Promise<void> => {
     const found = await api.trash();
-    list.replaceChildren(...found.map((one) => h("article", { class: "card", "aria-label": one.name }, h("h2", {}, one.name), h("p", { class: "soft" }, `Removed ${when(one.removed)}`),
+    list.replaceChildren(...found.map((one) => h("article", { class: "card", "aria-label": titleOf(one) }, h("h2", {}, titleOf(one)), h("p", { class: "soft" }, removedWords(one)),
       state.readOnly ? null : h("div", { class: "row" }, button("Put back", () => act(async () => { await api.restore(one.key); await load(); }), { class: "main" }),
         button("Delete for good", () => act(async () => {
-          if (!(await sure(`Delete ${one.name} for good? Radiographs, annotation and results can't be brought back.`, "Delete"))) return;
+          if (!(await sure(`Delete ${titleOf(one)} for good? ${one.image ? "It and what was marked in it" : "Radiographs, annotation and results"} can't be brought back.`, "Delete"))) return;
           await api.deleteForGood(one.key);
           await load();
         }))))));
     if (!found.length) list.append(h("p", { class: "soft" }, "The trash is empty."));
   };
   await load();
-  return { element: h("section", {}, h("h1", {}, "Trash"), h("p", { class: "soft" }, "Subjects that were removed stay here until somebody deletes them for good."), list) };
+  return { element: h("section", {}, h("h1", {}, "Trash"), h("p", { class: "soft" }, "Subjects that were removed, and radiographs at rest that were replaced, stay here until somebody deletes them for good."), list) };
 }

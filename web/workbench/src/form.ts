@@ -3,12 +3,14 @@ import { button, h } from "../../shared/dom";
 import { Refused, words } from "../../shared/net";
 import * as api from "./api";
 import { markers, views } from "./beside";
+import { skin, trunk } from "./body";
 import { type Context, field, input, isSimple, plain, sayId, typed, wordsOf } from "./fields";
 import { gaugeLog } from "./gauge";
 import { act, type Room, state } from "./page";
+import { ratios } from "./ratios";
 import { type Push, torso } from "./torso";
 
-const PAUSE_MS = 350, BY_HAND = new Set(["schema_version", "pushes", "xray", "priors", "id", "age", "sex", "height_cm", "mass_kg"]);
+const PAUSE_MS = 350, BY_HAND = new Set(["schema_version", "pushes", "xray", "priors", "trunk", "skin_scan", "parameters", "population", "id", "age", "sex", "height_cm", "mass_kg"]);
 const PUSH = ["side", "level", "d21_mm", "d31_mm"], PERSON = ["id", "age", "sex", "height_cm", "mass_kg"];
 
 export async function values(key: string): Promise<Room> {
@@ -86,12 +88,20 @@ export async function values(key: string): Promise<Room> {
       h("fieldset", {}, h("legend", {}, "Person"), h("div", { class: "grid" }, ...PERSON.map((name) => field(form.values, name, name, told(name), context())))),
       ...pushes.map((push, number) => pushSet(push, number, plain(plain(told("pushes"), form).items ?? {}, form))),
       pushes.length ? "" : h("p", { class: "warn" }, "There is no push yet: a plan can be made, and no estimate."),
+      trunk(form.values, context(), now), state.readOnly && !form.values["skin_scan"] ? "" : skin(key, form.values, context(), now, reload),
       h("details", {}, h("summary", {}, wordsOf("xray", form).title ?? "xray"), h("p", { class: "soft" }, wordsOf("xray", form).help ?? ""), xray(plain(told("xray"), form))),
-      h("details", {}, h("summary", {}, "Choices of the model"), h("p", { class: "soft" }, "The usual ones fit most subjects."),
-        h("div", { class: "grid" }, ...simple.map((name) => field(form.values, name, name, told(name), context()))),
+      h("details", { id: "choices", ...(form.values["parameters"] || form.values["population"] ? { open: true } : {}) }, h("summary", {}, "Choices of the model"), h("p", { class: "soft" }, "The usual ones fit most subjects."),
+        h("div", { class: "grid" }, ...simple.map((name) => field(form.values, name, name, told(name), context())),
+          field(form.values, "population", "population", { enum: form.choices.populations, default: "nobody’s" }, chosen())),
+        ratios(form.values, context(), now),
         kept.length ? h("p", { class: "soft" }, `Kept as they are in subject.json: ${kept.join(", ")}.`) : null), priors());
     judge(form);
     pictures(focus);
+  }
+
+  /** Where nothing chosen is as good as nothing there. */
+  function chosen(): Context {
+    return { ...context(), changed: () => { if (form.values["population"] === null) delete form.values["population"]; later(); } };
   }
 
   function priors(): HTMLElement {

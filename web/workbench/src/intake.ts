@@ -13,6 +13,8 @@ export interface Purpose {
   title: HTMLElement | null;
   /** The subject that they are added to, and which radiographs at rest it has. */
   subject?: string;
+  /** Of these, the one whose place one of the files takes. */
+  replaces?: string;
   rest: string[];
   /** What is below the files that were found; `used` says that the server has taken the upload up. */
   end: (asked: api.Asked, look: api.Look, again: Again, used: () => void) => (HTMLElement | null)[];
@@ -49,7 +51,7 @@ export async function intake(purpose: Purpose): Promise<Room> {
     }
   });
   const begin = (origin: "upload" | "source" | "none", key: string): Promise<void> => {
-    asked = { origin, key, ...(purpose.subject ? { subject: purpose.subject } : {}), ...(table === null ? {} : { table }) };
+    asked = { origin, key, ...(purpose.subject ? { subject: purpose.subject } : {}), ...(purpose.replaces ? { replaces: purpose.replaces } : {}), ...(table === null ? {} : { table }) };
     return again({});
   };
   /** Ask again, with what was chosen; what is undefined is chosen no longer. */
@@ -100,7 +102,7 @@ export async function intake(purpose: Purpose): Promise<Room> {
   }));
   const tables = h("details", {}, h("summary", {}, "A table of pushes and forces"), h("p", { class: "row" }, h("label", {}, "CSV file: ", tableFile), without),
     h("p", { class: "soft" }, `A row a frame, with the columns ${MANUAL}, and perhaps role and push. A file is named by the end of its path that no other has. With a table only what it names is a push.`));
-  const element = h("section", {}, purpose.title, files, folder, drop, onDisk, tables, bar, said, below);
+  const element = h("section", {}, purpose.title, files, folder, drop, onDisk, purpose.replaces ? null : tables, bar, said, below);
   // For whoever automates the page.
   Object.assign(window, { takeFiles: take });
   return { element, leave: () => { stop.abort(); for (const key of uploads) void api.discard(key).catch(() => undefined); } };
@@ -129,7 +131,7 @@ function sorted(purpose: Purpose, asked: api.Asked, look: api.Look, again: Again
     const could = look.files.filter((file) => file.frames === 1 && !file.held && (file.view === view || file.view === "" || file.use === `rest, ${view}`));
     const now = look.files.find((file) => file.use === `rest, ${view}`);
     if (could.length < 2 && now) return null;
-    if (!could.length) return view === "frontal" ? h("p", { class: "warn" }, "No frontal radiograph at rest was found; it can be added later, but nothing can be estimated without it.") : null;
+    if (!could.length) return purpose.replaces ? h("p", { class: "warn" }, `None of these files can take its place: wanted a ${view} radiograph of one frame.`) : view === "frontal" ? h("p", { class: "warn" }, "No frontal radiograph at rest was found; it can be added later, but nothing can be estimated without it.") : null;
     const select = h("select", { id: view }, h("option", { value: "" }, "none"), ...could.map(({ name }) => h("option", { value: name }, name)));
     select.value = now?.name ?? "";
     select.addEventListener("change", () => act(() => again({ [view]: select.value || undefined })));

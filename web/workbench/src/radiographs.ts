@@ -3,28 +3,41 @@ import { button, h } from "../../shared/dom";
 import * as api from "./api";
 import { integers, typed } from "./fields";
 import { type Again, intake } from "./intake";
-import { act, type Room, state } from "./page";
-import { thumbnail } from "./picture";
+import { act, type Room, state, undoable } from "./page";
+import { last, thumbnail } from "./picture";
+
+const viewOf = (image: string): string => image.replace("rest/", "");
 
 export async function radiographs(key: string): Promise<Room> {
   const there = h("div"), more = h("div"), said = h("p", { role: "status" });
-  let room: Room | null = null, over = false;
+  let room: Room | null = null, over = false, replacing: string | null = null;
   const list = async (): Promise<string[]> => {
     const { files, rest } = await api.radiographs(key);
+    for (const file of files) if (rest.includes(file.image)) there.dataset[viewOf(file.image)] = file.version;
     there.replaceChildren(files.length ? h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Radiographs of the subject" },
-      h("table", {}, h("thead", {}, h("tr", {}, ...["Picture", "File", "Frames", "What it is"].map((name) => h("th", { scope: "col" }, name)))),
-        h("tbody", {}, ...files.map((file) => h("tr", {}, h("td", {}, thumbnail(`${key} ${file.image} ${file.name}`, () => api.picture(key, file.image), file.use)),
-          h("td", { class: "path" }, file.name), h("td", {}, String(file.frames)), h("td", {}, file.use)))))) : h("p", { class: "soft" }, "There are no radiographs yet."));
+      h("table", {}, h("thead", {}, h("tr", {}, ...["Picture", "File", "Frames", "What it is", ...(state.readOnly ? [] : [""])].map((name) => h("th", { scope: "col" }, name)))),
+        h("tbody", {}, ...files.map((file) => h("tr", {}, h("td", {}, thumbnail(`${key} ${file.image} ${file.version}`, () => api.picture(key, file.image), file.use)),
+          h("td", { class: "path" }, file.name), h("td", {}, String(file.frames)), h("td", {}, file.use), state.readOnly ? null : h("td", {}, rest.includes(file.image) ? exchange(file.image) : null)))))) : h("p", { class: "soft" }, "There are no radiographs yet."));
     return rest;
   };
+  const exchange = (image: string): HTMLElement => button("Replace …", () => act(async () => {
+    replacing = image;
+    said.textContent = "";
+    await load();
+    more.querySelector<HTMLElement>("h2")?.focus();
+    more.scrollIntoView({ block: "start" });
+  }), { "aria-label": `Replace the ${viewOf(image)} radiograph at rest` });
   const load = async (): Promise<void> => {
     const rest = await list();
     if (state.readOnly || over) return;
+    if (replacing) return begin(await another(replacing, rest));
     const pushes = ((await api.form(key)).values["pushes"] ?? []) as { id: string; forces_n: unknown[] }[];
-    const next = await intake({
+    begin(await intake({
       title: h("h2", {}, "Add radiographs or a table of pushes"), subject: key, rest,
       end: (asked, look, again) => [changes(asked, look), side(key, asked, look, pushes, again, list)],
-    });
+    }));
+  };
+  const begin = (next: Room): void => {
     room?.leave?.();
     room = next;
     if (over) next.leave?.(); else more.replaceChildren(next.element);
@@ -40,6 +53,38 @@ export async function radiographs(key: string): Promise<Room> {
       said.textContent = `Added: ${done.join(" ")}`;
     }, add), { class: "main", id: "add" });
     return h("div", { class: "card" }, h("p", {}, "This will be added; nothing that is there changes:"), h("ul", { id: "changes" }, ...look.changes.map((line) => h("li", {}, line))), ...notes, add);
+  };
+  const stay = (): void => act(async () => { replacing = null; await load(); });
+  const another = (image: string, rest: string[]): Promise<Room> => {
+    const view = viewOf(image);
+    return intake({
+      title: h("div", {}, h("h2", { tabindex: "-1" }, `Another file in place of the ${view} radiograph at rest`),
+        h("p", { class: "row" }, "Nothing changes before you say so below.", button("Keep the present one", stay))),
+      subject: key, rest: ["rest/frontal", "rest/lateral"].filter((one) => one !== image || !rest.includes(one)), replaces: image,
+      end: (asked, look) => [instead(image, asked, look)],
+    });
+  };
+  const instead = (image: string, asked: api.Asked, look: api.Look): HTMLElement | null => {
+    const file = look.files.find((one) => one.use !== "left out"), view = viewOf(image);
+    if (!file || !look.changes?.length) return null;
+    const shown = (title: string, name: string, picture: HTMLElement): HTMLElement => h("figure", { class: "swap" }, h("figcaption", {}, h("b", {}, title), h("br"), name), picture);
+    const take = button("Replace it", () => act(async () => {
+      const { trash } = await last(() => api.replace(key, asked));
+      replacing = null;
+      document.dispatchEvent(new Event("subject-changed"));
+      await load();
+      said.textContent = `The ${view} radiograph at rest was replaced. Next it has to be annotated.`;
+      undoable(`The ${view} radiograph before, with its marks, is in the trash.`, async () => {
+        await api.restore(trash);
+        document.dispatchEvent(new Event("subject-changed"));
+        said.textContent = `The ${view} radiograph before is back, with its marks; the other one is in the trash.`;
+        await load();
+      });
+    }, take), { class: "main", id: "replace" });
+    return h("div", { class: "card" }, h("div", { class: "row" },
+      shown("Now", image + ".dcm", thumbnail(`${key} ${image} ${there.dataset[view] ?? ""}`, () => api.picture(key, image), `present ${view} radiograph`)), h("span", { "aria-hidden": "true" }, "→"),
+      shown("Then", file.name, thumbnail(`${asked.key} ${file.name}`, () => api.lookPicture(asked, file.name), `new ${view} radiograph`))),
+      h("ul", { id: "changes" }, ...look.changes.map((line) => h("li", {}, line))), ...look.notes.map((note) => h("p", { class: "warn" }, note)), h("p", { class: "row" }, take, button("Keep the present one", stay)));
   };
   await load();
   return { element: h("div", {}, there, said, more), leave: () => { over = true; room?.leave?.(); } };

@@ -6,8 +6,10 @@ Nothing that is there is overwritten: a value that is known stays, and so does e
 from __future__ import annotations
 
 import copy
+import itertools
 import json
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -16,6 +18,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from spinestiff.anatomy.importing.reading import SUFFIXES
 from spinestiff.errors import ChangedElsewhere, RadiographError, SubjectError
 from spinestiff.files import file_digest, read_json, regular_files, trouble, write_json, write_text
 from spinestiff.imaging.dicom.export import Exported, read_exported
@@ -23,18 +26,21 @@ from spinestiff.imaging.dicom.identity import read_identity
 from spinestiff.subject.folder import MOST_INPUT_BYTES
 from spinestiff.subject.gaps import PUSH, check_open_record
 from spinestiff.subject.intake.making import Given, copy_frames, copy_radiographs, fill, name_pushes, push_data
+from spinestiff.subject.intake.pictures import Album
 from spinestiff.subject.intake.push_table import TablePush, TableRow, pushes_of
 from spinestiff.subject.intake.sorting import PushFiles, Sorting, sort_files
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.marker_table import marker_names
 from spinestiff.subject.record_reading import parse_record
-from spinestiff.subject.records import REST_IMAGES, SUBJECT_FILE, FurtherViewRecord, MarkersRecord
+from spinestiff.subject.records import REST_IMAGES, SUBJECT_FILE, FurtherViewRecord, MarkersRecord, ScanRecord
 from spinestiff.words import counted
 
 TABLE = "the table of pushes"
 """What messages call a table that comes without a file."""
 PUSHES = "pushes"
 """The folder of what was taken under a push."""
+SCAN_PLACE = rf"skin-scan(-[0-9]+)?({'|'.join(map(re.escape, SUFFIXES))})"
+"""Where skin scans lie, relative to the subject."""
 
 
 @dataclass(frozen=True)
@@ -117,11 +123,6 @@ def _inside(place: Path, folder: Path) -> Iterable[Path]:
     return [place] if place.is_file() else []
 
 
-def _mark(one: Exported) -> str:
-    """The same for the same image."""
-    return one.scan.tags.identity or one.scan.sha256
-
-
 def sort_addition(
     standing: Standing,
     found: Sequence[Exported],
@@ -142,10 +143,12 @@ def sort_addition(
     SubjectError : radiographs of another patient; a rest radiograph is named where the subject has one; a push of the
         table that is partly in the subject; otherwise as ``pushes_of`` and ``sort_files``.
     """
-    _check_patient(standing, found)
-    own = {_mark(one): one for one in standing.files}
-    held = {one.name: own[_mark(one)].name for one in found if _mark(one) in own}
+    own = Album(standing.files)
+    twins = {one.name: twin for one in found if (twin := own.same(one)) is not None}
+    held = {name: twin.name for name, twin in twins.items()}
     fresh = [one for one in found if one.name not in held]
+    # A copy of what is there may name another patient, or none.
+    check_patient(standing.files, fresh)
     for image, named in (("rest/frontal", frontal), ("rest/lateral", lateral)):
         if named is not None and (standing.has(image) or named.name in held):
             raise SubjectError(
@@ -154,7 +157,7 @@ def sort_addition(
     table, numbers = None, dict[Path, int]()
     if rows is not None:
         # A radiograph that the subject has may be called by either name.
-        also = [replace(own[_mark(one)], name=one.name) for one in found if one.name in held]
+        also = [replace(twin, name=name) for name, twin in twins.items()]
         table = pushes_of(TABLE, rows, [*fresh, *also, *(one for one in standing.files if one.name not in held)])
         numbers = {
             one.path: number
@@ -176,9 +179,11 @@ def sort_addition(
     return Addition(Sorting(rest["rest/frontal"], rest["rest/lateral"], pushes, reasons), held, fills)
 
 
-def _check_patient(standing: Standing, found: Sequence[Exported]) -> None:
-    if standing.files and found:
-        mine, other = (read_identity(files[0].path) for files in (standing.files, found))
+def check_patient(own: Sequence[Exported], found: Sequence[Exported]) -> None:
+    """Raise SubjectError where radiographs tell of another patient than those of a subject; the first of each is asked,
+    since each are of one."""
+    if own and found:
+        mine, other = (read_identity(files[0].path) for files in (own, found))
         if mine.is_of(other) is False:
             raise SubjectError("the radiographs are of another patient than the subject's; make a new subject of them")
 
@@ -280,6 +285,47 @@ def markers_place(push: str) -> str:
     return f"{PUSHES}/{push}-markers.csv"
 
 
+def is_scan_place(folder: Path, place: Any) -> bool:
+    """Whether it is where ``add_scan`` has put a skin scan, relative to the subject, and a file is there."""
+    return isinstance(place, str) and re.fullmatch(SCAN_PLACE, place) is not None and (folder / place).is_file()
+
+
+def _free_scan_place(folder: Path, suffix: str) -> str:
+    count = itertools.count(2)
+    place = f"skin-scan{suffix}"
+    while os.path.lexists(folder / place):
+        place = f"skin-scan-{next(count)}{suffix}"
+    return place
+
+
+def add_scan(standing: Standing, scan: Mapping[str, Any], source: Path) -> dict[str, Any]:
+    """Add a copy of a surface scan of the trunk; returns ``subject.json`` as it is then.
+
+    Parameters
+    ----------
+    scan : ``unit`` and ``axes``. source : STL, OBJ, PLY or VTP file.
+
+    Raises
+    ------
+    SubjectError : a scan that the schema does not allow, another kind of file, or the subject has a scan; otherwise as
+        ``write_addition``.
+    """
+    if standing.data.get("skin_scan") is not None:
+        raise SubjectError("the subject has a skin scan already; take that out first")
+    place = _free_scan_place(standing.folder, source.suffix.lower())
+    if not re.fullmatch(SCAN_PLACE, place):
+        raise SubjectError(f"the skin scan: found a file '{source.suffix[:20]}', wanted {', '.join(SUFFIXES)}")
+    parse_record(json.dumps({**scan, "file": place}), "the skin scan", ScanRecord)
+    data = {**copy.deepcopy(dict(standing.data)), "skin_scan": {**scan, "file": place}}
+
+    def put(draft: Path) -> list[str]:
+        shutil.copyfile(source, draft / place)
+        return [place]
+
+    _write(standing, data, put)
+    return data
+
+
 def add_view(standing: Standing, number: int, view: Mapping[str, Any], files: Sequence[Exported]) -> dict[str, Any]:
     """Add radiographs of a push's frames from another side; returns ``subject.json`` as it is then.
 
@@ -297,7 +343,7 @@ def add_view(standing: Standing, number: int, view: Mapping[str, Any], files: Se
     place = side_places(push["id"], view.get("id"))[len(files) > 1]
     record = parse_record(json.dumps({**view, "files": place}), "the view", FurtherViewRecord)
     for one in files:
-        _check_patient(standing, [one])
+        check_patient(standing.files, [one])
     count, wanted = sum(one.frames for one in files), len(record.frames)
     if count != wanted or (len(files) > 1 and any(one.frames > 1 for one in files)):
         raise SubjectError(
@@ -398,6 +444,6 @@ def _draft(folder: Path) -> Iterator[Path]:
         draft.mkdir()
         yield draft
     except OSError as problem:
-        raise SubjectError(f"the radiographs can't be added ({trouble(problem)}); nothing was changed") from None
+        raise SubjectError(f"the files can't be added ({trouble(problem)}); nothing was changed") from None
     finally:
         shutil.rmtree(draft, ignore_errors=True)

@@ -11,6 +11,7 @@ from pathlib import Path, PurePosixPath
 from spinestiff.errors import OptionError, RadiographError, SubjectError
 from spinestiff.files import listed, regular_file
 from spinestiff.imaging.dicom.export import Exported, read_exported
+from spinestiff.subject.intake.pictures import Album
 from spinestiff.words import counted
 
 MOST_FILES = 20_000
@@ -61,7 +62,7 @@ def collect(
     """
     found: list[Exported] = []
     refused: list[Refused] = []
-    seen: dict[str, str] = {}
+    seen = Album()
     apart = list({source.resolve(): source for source in sources}.values())
     for source, top in zip(apart, _tops(apart)):
         files = _files(source, top)
@@ -77,11 +78,10 @@ def collect(
             except RadiographError as problem:
                 refused.append(Refused(name, str(problem).removeprefix(f"{path.name}: ")))
                 continue
-            mark = one.scan.tags.identity or one.scan.sha256
-            if mark in seen:
-                refused.append(Refused(name, f"the same image as {seen[mark]}"))
+            if (twin := seen.same(one)) is not None:
+                refused.append(Refused(name, f"the same image as {twin.name}"))
             else:
-                seen[mark] = name
+                seen.add(one)
                 found.append(one)
     if not found:
         what = counted(len(refused), "file")

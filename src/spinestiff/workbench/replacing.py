@@ -1,0 +1,290 @@
+"""A rest radiograph of a subject replaced by another file: what takes its place, and the exchange of both.
+
+Pixels that were marked in one picture say nothing of another. So everything that was marked in a radiograph goes where
+it goes, and comes back with it.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from spinestiff.annotate.draft import DRAFT_FILE
+from spinestiff.errors import SubjectError
+from spinestiff.files import parse_json, read_text, trouble, write_json, write_text
+from spinestiff.imaging.dicom.export import Exported
+from spinestiff.subject.gaps import check_open_record
+from spinestiff.subject.intake.adding import Standing, check_patient
+from spinestiff.subject.intake.collecting import studies
+from spinestiff.subject.intake.pictures import Album
+from spinestiff.subject.lock import sole_run
+from spinestiff.subject.records import ANNOTATION_FILE, REST_IMAGES, RESULTS, SUBJECT_FILE
+from spinestiff.subject.run_record import RUN_FILE
+from spinestiff.words import counted
+from spinestiff.workbench.newcomer import Export, Wish, look_record
+
+
+@dataclass(frozen=True)
+class Marks:
+    """What was marked in one rest radiograph, as JSON in the subject's files; None: nothing.
+
+    Attributes
+    ----------
+    annotation, draft : of ``annotation.json`` and ``annotation.draft.json``: corners and pedicles in pixels.
+    scale : a known length in pixels, of ``xray.scale`` in ``subject.json``.
+    """
+
+    annotation: Any = None
+    draft: Any = None
+    scale: Any = None
+
+    @property
+    def vertebrae(self) -> int:
+        """How many have corners; where both files have some, those of the draft count."""
+        shown = self.annotation if self.draft is None else self.draft
+        marked = shown.get("vertebrae") if isinstance(shown, dict) else None
+        return len(marked) if isinstance(marked, dict) else 0
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which radiograph takes the place of one at rest, None where that is not told yet, and why, by name of the file.
+
+    ``notes`` : what is odd about it.
+    """
+
+    one: Exported | None
+    reasons: dict[str, str]
+    notes: tuple[str, ...] = ()
+
+
+def choose(standing: Standing, found: Sequence[Exported], image: str, named: Exported | None) -> Choice:
+    """The radiograph that takes the place of one at rest, "rest/frontal" or "rest/lateral".
+
+    Parameters
+    ----------
+    found : radiographs of one patient. named : what the user says; None: the only one that can be meant.
+
+    Raises
+    ------
+    SubjectError : the subject has none of this view; the named one is another view, or the very same image; it is of
+        another patient than the radiographs that stay.
+    """
+    if not standing.has(image):
+        raise SubjectError(f"the subject has no {REST_IMAGES[image]} that could be replaced; add one instead")
+    present = Album(one for one in standing.files if standing.images[one.name] == image)
+    reasons = {one.name: why for one in found if (why := _unfit(one, image, present))}
+    fit = [one for one in found if one.name not in reasons]
+    told = [one for one in fit if one.view is not None] or fit
+    if named is not None and named.name in reasons:
+        raise SubjectError(f"{named.name}: {reasons[named.name]}")
+    one = named or (told[0] if len(told) == 1 else None)
+    for other in fit:
+        reasons[other.name] = "another was chosen" if one else "one of several; choose below which takes its place"
+    if one is None:
+        return Choice(None, reasons)
+    reasons[one.name] = f"takes the place of {REST_IMAGES[image]}"
+    staying = [other for other in standing.files if standing.images[other.name] != image]
+    check_patient(staying, [one])
+    twin = Album(staying).same(one)
+    notes = () if twin is None else (f"{one.name} is the same image as {twin.name}, which the subject has besides.",)
+    return Choice(one, reasons, notes)
+
+
+def _unfit(one: Exported, image: str, present: Album) -> str:
+    """Why a radiograph can't take the place of one at rest; "" where it can."""
+    wanted = image.rpartition("/")[2]
+    if (twin := present.same(one)) is not None:
+        return f"the same image as {twin.name}, which is to be replaced"
+    if one.frames > 1:
+        return f"{counted(one.frames, 'frame')}; a radiograph at rest has one"
+    if one.view not in (None, wanted):
+        return f"{one.view} ({one.view_source}), wanted a {wanted} radiograph"
+    return ""
+
+
+def looked_at_instead(standing: Standing, export: Export, wish: Wish, image: str) -> dict[str, Any]:
+    """What of an export takes the place of a rest radiograph, and what that entails, as JSON."""
+    groups = studies(export.found)
+    if wish.study is None and len(groups) > 1:
+        return {**look_record(export), "study": None, "changes": []}
+    chosen = export.study(wish)
+    choice = _chosen(standing, export, wish, image)
+    kind = image.rpartition("/")[2]
+    uses = {} if choice.one is None else {choice.one.name: f"rest, {kind}"}
+    record = look_record(export, chosen, uses, choice.reasons)
+    changes = [] if choice.one is None else _entails(standing.folder, image)
+    label = wish.study or (groups[0].label if groups else None)
+    return {**record, "study": label, "notes": list(choice.notes), "changes": changes}
+
+
+def _entails(folder: Path, image: str) -> list[str]:
+    """What the exchange of a rest radiograph does to the rest of the subject, a line each."""
+    marks, kind = marks_of(folder, image), image.rpartition("/")[2]
+    lines = [f"{REST_IMAGES[image]} moves to the trash, from where it can be put back."]
+    if marks.annotation is not None or marks.draft is not None:
+        vertebrae = counted(marks.vertebrae, "marked vertebra", "marked vertebrae")
+        lines.append(f"Its {vertebrae} go with it: the new {kind} radiograph has to be annotated from the start.")
+    else:
+        lines.append(f"The new {kind} radiograph has to be annotated; nothing is marked in the present one.")
+    if marks.scale is not None:
+        lines.append(
+            "The known length that was marked in it (xray.scale in subject.json) goes with it, too. If the new file "
+            "has no pixel spacing of its own, a length has to be measured in it."
+        )
+    lines.append("Annotations of all other radiographs stay.")
+    if (folder / RESULTS / RUN_FILE).is_file():
+        lines.append("Results that came from the present one count as out of date until the next run.")
+    return lines
+
+
+def chosen_instead(standing: Standing, export: Export, wish: Wish, image: str) -> Exported:
+    """The radiograph that takes the place of one at rest. Raises SpinestiffError; also where it is not told which."""
+    one = _chosen(standing, export, wish, image).one
+    if one is None:
+        raise SubjectError(f"none of these files is told to take the place of {REST_IMAGES[image]}; choose one")
+    return one
+
+
+def _chosen(standing: Standing, export: Export, wish: Wish, image: str) -> Choice:
+    chosen = export.study(wish)
+    named = dict(zip(REST_IMAGES, wish.rest(chosen)))[image]
+    return choose(standing, chosen, image, named)
+
+
+def marks_of(folder: Path, image: str) -> Marks:
+    """What is marked in a rest radiograph. Raises SubjectError for files that can't be read."""
+    return _parted(_contents(_texts(folder)), image)[1]
+
+
+def exchange(folder: Path, image: str, source: Path, marks: Marks, keep: Callable[[Marks], Path]) -> None:
+    """Put a copy of a file in the place of a rest radiograph, with what was marked in it: all of it, or nothing.
+
+    While the pictures change places nothing is marked in either, so that at no time marks of one belong to the other.
+
+    Parameters
+    ----------
+    keep : called before anything changes, unless there is no picture: takes down what is marked in it, and returns
+        where it goes, a path that is not there yet, on the same file system.
+
+    Raises
+    ------
+    InUseError : a run is at work on the subject.
+    SubjectError : a file that can't be read or written, or is a link; a known length that the schema does not allow.
+    """
+    target = folder / REST_IMAGES[image]
+    draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
+    with sole_run(folder):
+        if target.is_symlink() or target.parent.is_symlink():
+            raise SubjectError(f"{REST_IMAGES[image]}: is a link, which is not replaced; put a file there by hand")
+        texts = _texts(folder)
+        before = _contents(texts)
+        bare, gone = _parted(before, image)
+        after = _joined(bare, image, marks)
+        there = target.exists()
+        place: Path | None = None
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, draft)
+            if there:
+                place = keep(gone)
+            _write(folder, before, bare)
+            if place is not None:
+                target.rename(place)
+            draft.rename(target)
+            _write(folder, bare, after)
+        except BaseException as problem:
+            if not there:
+                target.unlink(missing_ok=True)
+            elif place is not None and place.exists():
+                place.replace(target)
+            _put_back(folder, texts)
+            if isinstance(problem, OSError):
+                raise SubjectError(
+                    f"the radiograph can't be replaced ({trouble(problem)}); nothing was changed"
+                ) from None
+            raise
+        finally:
+            draft.unlink(missing_ok=True)
+
+
+_FILES = (SUBJECT_FILE, ANNOTATION_FILE, DRAFT_FILE)
+Contents = dict[str, Any]
+"""By name of the file its JSON; None where it is not there."""
+
+
+def _texts(folder: Path) -> dict[str, str | None]:
+    return {name: read_text(folder / name) if os.path.lexists(folder / name) else None for name in _FILES}
+
+
+def _contents(texts: dict[str, str | None]) -> Contents:
+    """Raises SubjectError for a file that is no JSON object, and a subject that the schema does not allow."""
+    found = {name: None if text is None else parse_json(text, name) for name, text in texts.items()}
+    if name := next((name for name, one in found.items() if one is not None and not isinstance(one, dict)), None):
+        raise SubjectError(f"{name}: wanted an object")
+    check_open_record(found[SUBJECT_FILE] or {})
+    return found
+
+
+def _put_back(folder: Path, texts: dict[str, str | None]) -> None:
+    """The files as they were, as far as they can be written."""
+    for name, text in texts.items():
+        with suppress(SubjectError):
+            if text is None:
+                (folder / name).unlink(missing_ok=True)
+            elif read_text(folder / name) != text:
+                write_text(folder / name, text)
+
+
+def _images(content: Any) -> dict[str, Any]:
+    images = content.get("images") if isinstance(content, dict) else None
+    return images if isinstance(images, dict) else {}
+
+
+def _scales(content: Any) -> dict[str, Any]:
+    xray = content.get("xray") if isinstance(content, dict) else None
+    scales = xray.get("scale") if isinstance(xray, dict) else None
+    return scales if isinstance(scales, dict) else {}
+
+
+def _parted(contents: Contents, image: str) -> tuple[Contents, Marks]:
+    """The files without what is marked in an image, and that."""
+    subject, annotation, draft = (contents[name] for name in (SUBJECT_FILE, ANNOTATION_FILE, DRAFT_FILE))
+    marks = Marks(_images(annotation).get(image), _images(draft).get(image), _scales(subject).get(image))
+    return _joined(contents, image, Marks()), marks
+
+
+def _joined(contents: Contents, image: str, marks: Marks) -> Contents:
+    """The files with these marks in an image and no others. Raises SubjectError as ``check_open_record``."""
+    found = dict(contents)
+    for name, marked in ((ANNOTATION_FILE, marks.annotation), (DRAFT_FILE, marks.draft)):
+        content = contents[name] or {"schema_version": 1, "images": {}}
+        images = {key: value for key, value in _images(content).items() if key != image}
+        images |= {} if marked is None else {image: marked}
+        if images != _images(content):
+            found[name] = {**content, "images": images} if images else None
+    subject = contents[SUBJECT_FILE]
+    scales = {key: value for key, value in _scales(subject).items() if key != image}
+    scales |= {} if marks.scale is None else {image: marks.scale}
+    if scales != _scales(subject):
+        xray = {key: value for key, value in (subject.get("xray") or {}).items() if key != "scale"}
+        found[SUBJECT_FILE] = {**subject, "xray": {**xray, "scale": scales} if scales else xray}
+        check_open_record(found[SUBJECT_FILE])
+    return found
+
+
+def _write(folder: Path, now: Contents, wanted: Contents) -> None:
+    """Write the files that are not as wanted, and remove those that are wanted no longer."""
+    for name, content in wanted.items():
+        if content == now[name]:
+            continue
+        if content is None:
+            (folder / name).unlink(missing_ok=True)
+        else:
+            write_json(folder / name, content)
