@@ -398,6 +398,93 @@ def test_supports_and_pedicles_are_points_where_they_belong(page):
     assert len(page.marks("push/a")["supports"]["pelvis"]) == 1
 
 
+def test_pedicles_are_marked_in_a_frame_under_a_push(page):
+    """They go to the tracked vertebra, make no mark of it, start no tracking, and are what the file holds."""
+    tab, image = page.tab, "push/a"
+
+    tab.run(f"annotation.open('{image}')")
+    tab.until(f"annotation.loaded == '{image}'")
+    page.fill(image)
+    tab.run(f"annotation.open('{image}', 1)")
+    tab.until(f"annotation.loaded == '{image}/1'")
+    tab.run("document.querySelector('[data-tool=pedicle]').click()")
+    middle = np.mean(drawn(f"{image}/1").named()["T9"], axis=0)
+    page.click(middle + [7.0, 0.0])
+    assert "Track through the frames first" in page.text("problem") and page.marks(f"{image}/1") is None
+    quads = drawn(f"{image}/1").named()
+    record = json.dumps({"vertebrae": quads, "quality": {name: [1, 1, 1, 1] for name in quads}})
+    done = f"{{state: 'done', done: 3, total: 3, error: '', frames: [{record}, {record}, {record}]}}"
+    tab.run(f"annotation.tracking = {{'{image}': {done}}}; annotation.after()")
+    assert page.text("problem") == ""
+    # A vertebra is chosen meanwhile: it stays as it was tracked.
+    tab.run("annotation.select({kind: 'vertebra', name: 'T5', part: -1})")
+    page.click(middle + [7.0, 0.0])
+    page.saved()
+    assert f"{image}/1" not in page.disk() and "T9 is only guessed yet" in page.text("missing")
+    page.click(middle + [-6.0, 1.0])  # on the guessed one: it is chosen where it lies
+    page.saved()
+    tab.until("!document.getElementById('missing').innerText.includes('guessed')")
+    found = page.disk()[f"{image}/1"]
+    assert found.vertebrae == {} and list(found.pedicles) == ["T9"]
+    np.testing.assert_allclose(found.pedicles["T9"], [middle + [7.0, 0.0], middle + [-7.0, 0.0]], atol=0.06)
+    # Tracking would have been asked for as soon as all was saved.
+    tab.run("new Promise(done => setTimeout(done, 300))")
+    assert tab.run(f"annotation.tracking['{image}'].state") == "done"
+    assert "pedicles of 1 marked" in page.text("frame-text")
+    # Names that move in the first frame move here, too.
+    tab.run(f"annotation.open('{image}')")
+    tab.until(f"annotation.loaded == '{image}'")
+    tab.run("annotation.visible('T1', false)")
+    page.button("names-up")
+    page.saved()
+    assert list(page.disk()[f"{image}/1"].pedicles) == ["T8"] and "L5" not in page.disk()[image].vertebrae
+    # The lateral radiograph shows no left and right.
+    tab.run("annotation.open('rest/lateral')")
+    tab.until("annotation.loaded == 'rest/lateral'")
+    assert not tab.run("!!document.querySelector('[data-tool=pedicle]')")
+
+
+def test_pedicles_by_keyboard_and_by_finger(page):
+    tab, key = page.tab, page.key
+    page.fill()
+    tab.run("annotation.stage.canvas.focus()")
+    tab.run("annotation.select({kind: 'vertebra', name: 'T9', part: -1})")
+    key("d")
+    middle = page.quad("T9").mean(axis=0)
+    np.testing.assert_allclose(tab.run("annotation.cursor"), middle, atol=0.01)
+    key("ArrowRight", ALT, times=7)
+    key("Enter")
+    pair = np.array(page.marks()["pedicles"]["T9"])
+    np.testing.assert_allclose(pair, [middle + [7.0, 0.0], middle - [7.0, 0.0]], atol=0.02)
+    # The guess is chosen by its key and moved by the arrows; pedicles are stepped through.
+    key("6")
+    assert page.text("spoken").startswith("T9, right pedicle: column ")
+    key("ArrowRight")
+    key("ArrowDown", ALT)
+    np.testing.assert_allclose(np.array(page.marks()["pedicles"]["T9"]) - pair, [[0, 0], [1.0, 0.1]], atol=0.011)
+    key("PageDown")
+    assert page.text("spoken").startswith("T9, right pedicle")
+    key("2")
+    assert page.text("spoken").startswith("T9, superior right corner")
+    # A finger that begins 14 pixels beside a pedicle means it.
+    key("Escape")
+    before = np.array(page.marks()["pedicles"]["T9"])
+    tab.run(f"annotation.stage.zoom(3, annotation.stage.toPlace({before[1].tolist()}))")
+    x, y = page.place(before[1])
+    tab.run("document.querySelector('[data-tool=pedicle]').click()")
+    touch(tab, "Start", (x - 14, y))
+    touch(tab, "Move", (x - 4, y))
+    touch(tab, "Move", (x - 4, y + 12))
+    touch(tab, "End")
+    moved = np.array(page.marks()["pedicles"]["T9"]) - before
+    np.testing.assert_allclose(moved * tab.run("annotation.stage.scale"), [[0, 0], [10, 12]], atol=0.1)
+    page.saved()
+    np.testing.assert_allclose(page.disk()["rest/frontal"].pedicles["T9"], before + moved)
+    tab.run("annotation.select({kind: 'pedicle', name: 'T9', part: 0})")
+    key("Delete")
+    assert page.marks()["pedicles"] == {}
+
+
 def test_the_greys_change_by_slider_and_come_back(page):
     def shown():
         page.tab.settle()

@@ -19,7 +19,8 @@ from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import SubjectError
 from spinestiff.imaging.projection import lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
-from spinestiff.subject.folder import read_annotation, read_subject
+from spinestiff.study.steps import marked_pedicles
+from spinestiff.subject.folder import push_corners, read_annotation, read_subject
 from unannotated import CANARY, MM, drawn
 
 ALL = ("rest/frontal", "rest/lateral", "push/a")
@@ -181,6 +182,56 @@ def test_a_later_frame_is_annotated_by_one_vertebra(session):
     assert list(read_annotation(session.annotation_path).images["push/a/2"].vertebrae) == ["T9"]
     with pytest.raises(SubjectError, match="the push has 3 frames"):
         session.save(draft(push__a__3=marked("push/a", "T9")), 1)
+
+
+def pedicles_of(image, *levels):
+    """Left and right, a quarter of the body's width from its middle, as pixels."""
+    quads = drawn(image).named(*levels)
+    middles = {name: np.mean(quad, axis=0) for name, quad in quads.items()}
+    aside = {name: 0.25 * (np.array(quad[0]) - np.array(quad[1])) for name, quad in quads.items()}
+    return {
+        name: tuple(tuple(map(float, middles[name] + way)) for way in (aside[name], -aside[name])) for name in quads
+    }
+
+
+def test_pedicles_alone_annotate_a_later_frame_and_are_what_tracking_reads(session):
+    pairs = pedicles_of("push/a/2", "T8", "T9")
+    pedicles = DraftImage(pedicles=pairs)
+    session.save(Draft(schema_version=1, images={**whole().images, "push/a/2": pedicles}), 0)
+    assert on_disk(session) == {"subject.json", "annotation.json"} and session.missing(session.marks) == []
+    subject = read_subject(session.subject.folder)
+    push = subject.push("a")
+    view = session.view("push/a")
+    (marked,) = marked_pedicles(subject, push, view)
+    assert (marked.frame, marked.vertebrae) == (2, ("T8", "T9"))
+    np.testing.assert_allclose(marked.centres_px, list(pairs.values()), atol=1e-3)
+    # No corner of that frame was marked: tracking begins where it did.
+    assert list(push_corners(subject, push, view)) == [0]
+    assert AnnotationSession(session.subject.folder).marks["push/a/2"] == pedicles
+
+
+def test_a_pedicle_that_is_only_guessed_waits_in_the_draft(session):
+    pairs = pedicles_of("rest/frontal", "T8", "T9")
+    guessed = marked("rest/frontal").model_copy(update={"pedicles": pairs, "guessed": {"T9": 1}})
+    session.save(draft(rest__frontal=guessed), 0)
+    assert on_disk(session) == {"subject.json", "annotation.draft.json"}
+    assert "rest/frontal: one pedicle of T9 is only guessed yet" in " ".join(session.missing(session.marks))
+    assert AnnotationSession(session.subject.folder).marks["rest/frontal"].guessed == {"T9": 1}
+    # A guess of what is no longer there needs no look.
+    gone = guessed.model_copy(update={"pedicles": pedicles_of("rest/frontal", "T8")})
+    session.save(draft(rest__frontal=gone), 1)
+    assert on_disk(session) == {"subject.json", "annotation.json"}
+    assert "guessed" not in session.annotation_path.read_text(encoding="utf-8")
+
+
+def test_pedicles_that_are_swapped_or_outside_are_said_to_be_before_a_fit_reads_them(session):
+    (left, right), far = pedicles_of("push/a", "T9")["T9"], (9999.0, 10.0)
+    for pair, why in (
+        ((right, left), "pedicles.T9: the left one lies right"),
+        ((left, far), "pedicles.T9: found a pedicle"),
+    ):
+        marks = marked("push/a").model_copy(update={"pedicles": {"T9": pair}})
+        assert session.judged("push/a", marks).problem.startswith(why)
 
 
 def test_a_radiograph_that_can_not_be_read_keeps_its_annotation(session):

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
+from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.errors import SubjectError
 from spinestiff.files import parse_json, read_text
 from spinestiff.subject.annotation_record import ImageAnnotation
@@ -47,6 +48,7 @@ class DraftImage(_Strict):
     supports, pedicles : as in ``ImageAnnotation``.
     spine : points along the spine from which boxes are proposed.
     unseen : of the vertebrae, those that were proposed and that nobody has looked at or moved yet.
+    guessed : of vertebrae with one pedicle set by hand the other, 0 left or 1 right, which is guessed.
     """
 
     vertebrae: dict[VertebraName, Corners] = {}
@@ -54,6 +56,7 @@ class DraftImage(_Strict):
     pedicles: dict[VertebraName, Centres] = {}
     spine: Points = ()
     unseen: Annotated[tuple[VertebraName, ...], Field(strict=False)] = ()
+    guessed: dict[VertebraName, Literal[0, 1]] = {}
 
     @property
     def empty(self) -> bool:
@@ -65,11 +68,13 @@ class DraftImage(_Strict):
 
         Raises
         ------
-        SubjectError : in words, where it is not complete; a proposal that nobody has looked at is none.
+        SubjectError : in words, where it is not complete; a proposal that nobody has looked at and a guess are none.
         """
         if unseen := [name for name in self.vertebrae if name in self.unseen]:
             raise SubjectError(f"{len(unseen)} of {len(self.vertebrae)} vertebrae are proposed and not looked at yet")
-        marks = self.model_dump(mode="json", exclude={"spine", "unseen"})
+        if half := [name for name in VERTEBRAE if name in self.pedicles and name in self.guessed]:
+            raise SubjectError(f"one pedicle of {', '.join(half)} is only guessed yet; choose it, or click where it is")
+        marks = self.model_dump(mode="json", exclude={"spine", "unseen", "guessed"})
         marks["supports"] = {name: points for name, points in self.supports.items() if points}
         try:
             return ImageAnnotation.model_validate(marks)

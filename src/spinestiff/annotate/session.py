@@ -38,6 +38,7 @@ from spinestiff.subject.folder import (
     check_image_name,
     check_radiograph_path,
     image_corners,
+    image_pedicles,
     open_push,
     read_annotation,
     read_rest,
@@ -285,7 +286,9 @@ class AnnotationSession:
         except RadiographError:
             # A radiograph that can't be read today doesn't make its annotation a draft.
             return image
-        image_corners(self._with({name: image}), name, view)
+        subject = self._with({name: image})
+        image_corners(subject, name, view)
+        image_pedicles(subject, name, view)
         return image
 
     def seen(self, name: str, marks: DraftImage) -> ImageCorners:

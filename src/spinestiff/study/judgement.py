@@ -425,7 +425,8 @@ def _under_load(
         causes = f"what makes rest and push differ, then for {causes}"
     return _check(
         name,
-        f"push '{push.id}': at rest the spine is bent by {along:.2f} mm (RMS) the way the push bends it, at "
+        f"push '{push.id}': at rest the spine is bent by {abs(along):.2f} mm (RMS) "
+        f"{'the way the push bends it' if along >= 0.0 else 'against the way the push bends it'}, at "
         f"{most.force_n:g} N by {rms(bent):.1f} mm",
         max(along, 0.0),
         limit,

@@ -34,7 +34,8 @@ export class App {
   private readonly saver: Saver;
   private draft: ImageMarks | null = null;
   private hidden: Marks = {};
-  private readonly proposals = new Proposals();
+  private readonly proposals = new Proposals<Quad>();
+  private readonly guesses = new Proposals<Point>();
   private readonly pictures = new Pictures();
   private judging = 0;
   private detailing = 0;
@@ -43,8 +44,11 @@ export class App {
     this.names = session.vertebrae;
     this.missing = session.missing;
     const marks = Object.fromEntries(Object.entries(session.marks).map(([name, image]) => [name, { ...NOTHING, ...image }]));
-    for (const [key, image] of Object.entries(marks))
+    for (const [key, image] of Object.entries(marks)) {
       if (image.unseen?.length) this.proposals.propose(key, image.unseen.map((name) => image.vertebrae[name]).filter((quad) => quad !== undefined));
+      const guessed = Object.entries(image.guessed ?? {}).map(([name, part]) => image.pedicles[name]?.[part]);
+      this.guesses.propose(key, guessed.filter((point) => point !== undefined));
+    }
     this.history = new History(marks);
     this.saver = new Saver(session.revision, says.saved, (lines) => { this.missing = lines; says.refresh(); });
     this.image = session.images[0] as ImageInfo;
@@ -59,7 +63,12 @@ export class App {
   get isPush(): boolean { return /^push\/[^/]+$/.test(this.image.name); }
   get canUndo(): boolean { return this.history.canUndo; }
   get canRedo(): boolean { return this.history.canRedo; }
-  get tools(): Tool[] { return this.isPush ? (this.frame ? ["move"] : ["move", "spine", "pelvis", "shoulder"]) : this.image.name.startsWith("push/") ? ["move", "spine"] : ["move", "spine", "pedicle"]; }
+  /** From the side nobody can tell which of two shadows is the left pedicle's. */
+  get tools(): Tool[] {
+    const pedicle: Tool[] = this.image.kind === "frontal" ? ["pedicle"] : [];
+    if (this.frame) return ["move", ...pedicle];
+    return this.isPush ? ["move", "spine", "pelvis", "shoulder", ...pedicle] : ["move", "spine", ...pedicle];
+  }
   get tracked(): TrackedFrame | null { return this.frame ? (this.tracking[this.image.name]?.frames[this.frame] ?? null) : null; }
 
   async open(name: string, frame = 0): Promise<void> {
@@ -127,19 +136,42 @@ export class App {
   }
 
   change(change: (marks: ImageMarks) => ImageMarks | null, what: string): void {
-    const next = change(this.adopted(this.selection));
+    const next = change(this.marks);
     if (next && next !== this.marks) this.commit(next, what);
   }
 
+  /** A change of what is selected: a tracked vertebra becomes a mark by it. */
+  private changeSelected(change: (marks: ImageMarks) => ImageMarks, what: string): void {
+    const next = change(this.adopted(this.selection));
+    if (next !== this.marks) this.commit(next, what);
+  }
+
   private commit(next: ImageMarks, what: string): void {
+    const corrected = next.vertebrae !== this.marks.vertebrae;
     this.replace({ ...this.history.marks, [this.key]: next }, what);
-    if (this.frame) void this.track();
+    // Pedicles are marked in each frame by themselves: none are tracked.
+    if (this.frame && corrected) void this.track();
   }
 
   replace(marks: Marks, what: string): void {
     this.history.commit(marks, this.key, what);
-    this.saver.want(this.proposals.told(this.history.marks));
+    this.save();
     this.after();
+  }
+
+  /** With what nobody has looked at yet. */
+  private save(): void {
+    const told = Object.entries(this.history.marks).map(([key, image]) =>
+      [key, { ...image, unseen: this.proposals.unseen(key, image.vertebrae), guessed: this.guessedIn(key, image) }] as const);
+    this.saver.want(Object.fromEntries(told));
+  }
+
+  /** Which pedicle of a pair is as it was guessed, 0 the left or 1 the right one, by vertebra. */
+  private guessedIn(key: string, { pedicles }: ImageMarks): Record<string, number> {
+    return Object.fromEntries(Object.entries(pedicles).flatMap(([name, pair]) => {
+      const part = pair.findIndex((point) => this.guesses.isUnseen(key, point));
+      return part < 0 ? [] : [[name, part] as const];
+    }));
   }
 
   /** What is shown: marks, and in later frames what was tracked where nothing is marked. */
@@ -159,7 +191,7 @@ export class App {
   private turn(step: { image: string; words: string } | null, how: string): void {
     if (!step) return this.says.aloud("nothing more to take back or do again");
     this.draft = null;
-    this.saver.want(this.proposals.told(this.history.marks));
+    this.save();
     this.says.aloud(`${step.words}: ${how}`);
     const all = this.session.images, image = all.find((one) => step.image === one.name) ?? all.find((one) => step.image.startsWith(`${one.name}/`));
     if (image && step.image !== this.key) void this.open(image.name, Number(step.image.slice(image.name.length + 1)) || 0);
@@ -169,7 +201,7 @@ export class App {
   nudge(by: Point): void {
     const at = this.selection;
     if (!at) return this.stage.pan([-40 * Math.sign(by[0]), -40 * Math.sign(by[1])]);
-    this.change((marks) => changed(marks, at, (p) => moved(p, by)), `${this.spoken(at)} moved`);
+    this.changeSelected((marks) => changed(marks, at, (p) => moved(p, by)), `${this.spoken(at)} moved`);
     this.tell();
   }
 
@@ -182,7 +214,7 @@ export class App {
       const [x, y] = [p[0] - middle[0], p[1] - middle[1]];
       return moved(middle, [cos * x - sin * y, sin * x + cos * y]);
     };
-    this.change((marks) => changed(marks, { ...at, part: -1 }, turned), `${at.name} turned`);
+    this.changeSelected((marks) => changed(marks, { ...at, part: -1 }, turned), `${at.name} turned`);
     this.says.aloud(`${at.name} turned by ${degrees} degrees`);
   }
 
@@ -193,7 +225,8 @@ export class App {
 
   private look(at: Selection | null): void {
     const quad = at?.kind === "vertebra" ? this.marks.vertebrae[at.name] : undefined;
-    if (quad && this.proposals.look(this.key, quad)) this.saver.want(this.proposals.told(this.history.marks));
+    const point = at?.kind === "pedicle" ? this.marks.pedicles[at.name]?.[at.part] : undefined;
+    if ((quad && this.proposals.look(this.key, quad)) || (point && this.guesses.look(this.key, point))) this.save();
   }
 
   /** Show the next vertebra that nobody has looked at, large. */
@@ -215,24 +248,41 @@ export class App {
     this.after();
   }
 
-  /** The next or previous vertebra there is, with the same part of it. */
+  /** The selected vertebra, or the one that the selected pedicle belongs to. */
+  private get chosen(): Selection | null {
+    const at = this.selection;
+    return at?.kind === "vertebra" || at?.kind === "pedicle" ? at : null;
+  }
+
+  /** The next or previous vertebra there is, with the same part of it; of pedicles the next one that is marked. */
   step(by: number): void {
-    const quads = this.seen.vertebrae, have = this.names.filter((name) => quads[name]);
+    const { kind, part } = this.chosen ?? { kind: "vertebra" as const, part: -1 };
+    const marks = kind === "pedicle" ? this.marks.pedicles : this.seen.vertebrae, have = this.names.filter((name) => marks[name]);
     if (!have.length) return this.says.aloud("no vertebra is marked here");
-    const at = this.selection?.kind === "vertebra" ? have.indexOf(this.selection.name) : -1;
+    const at = this.chosen ? have.indexOf(this.chosen.name) : -1;
     const next = at < 0 ? (by > 0 ? 0 : have.length - 1) : Math.min(have.length - 1, Math.max(0, at + by));
-    this.select({ kind: "vertebra", name: have[next] as string, part: this.selection?.kind === "vertebra" ? this.selection.part : -1 });
+    this.select({ kind, name: have[next] as string, part });
   }
 
   part(part: number): void {
-    if (this.selection?.kind === "vertebra") this.select({ ...this.selection, part });
+    const name = this.chosen?.name;
+    if (name && this.seen.vertebrae[name]) this.select({ kind: "vertebra", name, part });
+  }
+
+  /** Choose a pedicle of the vertebra in hand: 0 is the patient's left one, 1 the right one. */
+  pedicle(part: number): void {
+    const name = this.chosen?.name;
+    if (!name) return this.says.aloud("choose a vertebra first");
+    if (!this.marks.pedicles[name]) return this.says.aloud(`no pedicle of ${name} is marked here`);
+    this.choose("move");
+    this.select({ kind: "pedicle", name, part });
   }
 
   remove(): void {
     const at = this.selection;
     if (!at || !selected(this.marks, at).length) return;
     if (at.kind === "vertebra") return this.visible(at.name, false);
-    this.change((marks) => removed(marks, at), `${this.spoken(at)} removed`);
+    this.change((marks) => removed(marks, at), `${at.kind === "pedicle" ? `both pedicles of ${at.name}` : this.spoken(at)} removed`);
     this.selection = null;
     this.after();
   }
@@ -257,12 +307,20 @@ export class App {
   }
 
   rename(step: number): void {
-    const next = renamed(this.marks, this.names, step);
-    if (!next) return this.problem(`The names end at ${step < 0 ? "T1" : "L5"}; mark what lies beyond as not visible first.`);
-    this.change(() => next, step < 0 ? "names moved up" : "names moved down");
+    const all = this.history.marks, next = this.named.map((key) => [key, renamed(all[key] ?? NOTHING, this.names, step)] as const);
+    if (next.some(([, marks]) => !marks))
+      return this.problem(`The names end at ${step < 0 ? "T1" : "L5"}; mark what lies beyond as not visible first.`);
+    this.replace({ ...all, ...(Object.fromEntries(next) as Marks) }, step < 0 ? "names moved up" : "names moved down");
+    if (this.isPush && this.tracking[this.image.name]?.frames.length) void this.track();
     this.selection = null;
     this.says.aloud(step < 0 ? "each vertebra has the name of the one above" : "each vertebra has the name of the one below");
     this.after();
+  }
+
+  /** What is named as this radiograph is: of a push its later frames, too, whose vertebrae are tracked from here. */
+  private get named(): string[] {
+    const later = (key: string): boolean => this.isPush && key.startsWith(`${this.key}/`) && /^\d+$/.test(key.slice(this.key.length + 1));
+    return [this.key, ...Object.keys(this.history.marks).filter(later)];
   }
 
   /** A point at a place of the radiograph, for the tool in hand. */
@@ -277,16 +335,20 @@ export class App {
     this.says.aloud(`point at column ${at[0].toFixed(0)}, row ${at[1].toFixed(0)}`);
   }
 
-  /** The first point is taken for both until the second comes; which is the patient's left follows from the view. */
+  /** The other one is guessed until it is set, chosen or moved, too; which is the patient's left follows from the view. */
   private addPedicle(at: Point): void {
-    const near = Object.entries(this.marks.vertebrae).map(([name, quad]) => {
+    const near = Object.entries(this.seen.vertebrae).map(([name, quad]) => {
       const middle = centre(quad);
       return [Math.hypot(middle[0] - at[0], middle[1] - at[1]), name, middle] as const;
     });
-    if (!near.length) return this.problem("Mark the vertebrae first: a pedicle belongs to the nearest one.");
+    if (!near.length) {
+      const { key } = this, first = this.frame ? "Track through the frames" : "Mark the vertebrae";
+      return this.problem(`${first} first: a pedicle belongs to the nearest vertebra.`, () => key !== this.key || this.tool !== "pedicle" || Object.keys(this.seen.vertebrae).length > 0);
+    }
     const [, name, middle] = near.reduce((a, b) => (b[0] < a[0] ? b : a));
     const first = (at[0] - middle[0]) * this.stage.first[0] + (at[1] - middle[1]) * this.stage.first[1] > 0;
-    const mirrored: Point = [2 * middle[0] - at[0], at[1]];
+    const mirrored: Point = [Math.round((2 * middle[0] - at[0]) * 100) / 100, at[1]];
+    if (!this.marks.pedicles[name]) this.guesses.add(this.key, mirrored);
     this.change((marks) => {
       const pair = marks.pedicles[name] ?? [first ? at : mirrored, first ? mirrored : at];
       const next: [Point, Point] = first ? [at, pair[1]] : [pair[0], at];
@@ -369,14 +431,15 @@ export class App {
 
   private paint(): void {
     const { marks, selection, names, cobb, tracked, cursor, show, tool } = this;
-    this.stage.draw({ marks, selection, names, cobb, tracked, cursor, show, spine: tool === "spine", lowest: this.session.lowest_quality, unseen: this.unseen });
+    const { lowest_quality: lowest } = this.session, guessed = this.guessedIn(this.key, marks);
+    this.stage.draw({ marks, selection, names, cobb, tracked, cursor, show, spine: tool === "spine", lowest, unseen: this.unseen, guessed });
   }
 
   private async judge(): Promise<void> {
     const { marks, key } = this;
     try {
       if (!Object.keys(this.seen.vertebrae).length) throw new Error("nothing to judge");
-      const found = await api.judge(this.image.name, { ...NOTHING, vertebrae: this.seen.vertebrae });
+      const found = await api.judge(this.image.name, { ...NOTHING, vertebrae: this.seen.vertebrae, pedicles: marks.pedicles });
       if (key === this.key) { this.cobb = found.cobb; this.curves = found.curves; this.judged = found.problem; }
     } catch {
       this.cobb = null;
@@ -395,7 +458,7 @@ export class App {
     const lateral = this.image.kind === "lateral", sides = lateral ? ["anterior", "posterior"] : ["left", "right"];
     if (at.kind === "vertebra")
       return at.part < 0 ? at.name : `${at.name}, ${at.part < 2 ? "superior" : "inferior"} ${sides[at.part === 0 || at.part === 3 ? 0 : 1]} corner`;
-    if (at.kind === "pedicle") return `${at.name}, ${sides[at.part]} pedicle`;
+    if (at.kind === "pedicle") return `${at.name}, ${at.part ? "right" : "left"} pedicle`;
     return at.kind === "spine" ? `point ${at.part + 1} along the spine` : `${at.kind} point ${at.part + 1}`;
   }
 

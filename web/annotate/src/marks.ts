@@ -9,6 +9,8 @@ export interface ImageMarks {
   spine: Point[];
   /** Of the vertebrae, those that nobody has looked at since they were proposed; told and saved, not changed here. */
   unseen?: string[];
+  /** Of vertebrae with one pedicle set by hand the other, 0 left or 1 right, which is a guess; told and saved likewise. */
+  guessed?: Record<string, number>;
 }
 export type Marks = Record<string, ImageMarks>;
 export const NOTHING: ImageMarks = { vertebrae: {}, supports: {}, pedicles: {}, spine: [] };

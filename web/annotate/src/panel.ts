@@ -8,7 +8,7 @@ const TOOLS: Record<Tool, [string, string]> = {
   spine: ["Spine points", "Click the middle of the uppermost vertebra, a few points along the spine, and the middle of the lowest. Say under Spine which two they are, then propose."],
   pelvis: ["Pelvis", "Click points on the pelvis, left and right alike; they show whether it moved under the push."],
   shoulder: ["Shoulder", "Click a point on the shoulder that rests on the wall; it shows whether it moved."],
-  pedicle: ["Pedicles", "Click the middle of a pedicle’s shadow; it goes to the nearest vertebra. Optional."],
+  pedicle: ["Pedicles", "Click the middle of a pedicle’s shadow; it goes to the nearest vertebra. The other one is guessed, dotted, until you click, choose or drag it, too. Optional."],
 };
 
 export function need<T extends HTMLElement>(id: string): T {
@@ -212,7 +212,8 @@ export class Panel {
       target.append(document.createElement("br"), note);
     };
     others.forEach(add);
-    if (judged && Object.keys(this.app.marks.vertebrae).length) add(judged);
+    const { vertebrae, pedicles } = this.app.marks;
+    if (judged && Object.keys({ ...vertebrae, ...pedicles }).length) add(judged);
   }
 
   private frames(): void {
@@ -229,7 +230,8 @@ export class Panel {
     const source = frame === 0 ? "marked" : here ? `${here} corrected, the others tracked` : app.tracked ? "tracked" : "not tracked yet";
     const own = app.marks.vertebrae, tracked = Object.entries(app.tracked?.quality ?? {}).filter(([name]) => !(name in own));
     const doubtful = tracked.flatMap(([, quality]) => quality).filter((q) => q < app.session.lowest_quality).length;
-    put("frame-text", `Frame ${words_}: ${source}${doubtful ? `, ${doubtful} corners doubtful or lost` : ""}`);
+    const pairs = Object.keys(app.marks.pedicles).length, pedicles = pairs ? `, pedicles of ${pairs} marked` : "";
+    put("frame-text", `Frame ${words_}: ${source}${doubtful ? `, ${doubtful} corners doubtful or lost` : ""}${pedicles}`);
     need<HTMLButtonElement>("frame-back").disabled = frame === 0;
     need<HTMLButtonElement>("frame-on").disabled = frame === count - 1;
     const running = state?.state === "running", bar = need<HTMLProgressElement>("track-progress");

@@ -1,38 +1,39 @@
-// Which vertebrae are still as they were proposed, and which of those somebody has looked at.
-import type { Marks, Quad } from "./marks";
+// What is still as it was proposed, and what of that somebody has looked at: boxes of vertebrae, or points.
+import type { Point, Quad } from "./marks";
 
-/** By name of the radiograph; boxes as text, so that a name that moves takes along what was seen of its box. */
-export class Proposals {
+/** By name of the radiograph; marks as text, so that a name that moves takes along what was seen of its mark. */
+export class Proposals<T extends Quad | Point> {
   private readonly proposed = new Map<string, Set<string>>();
   private readonly looked = new Map<string, Set<string>>();
 
-  propose(key: string, quads: readonly Quad[]): void { this.proposed.set(key, new Set(quads.map(String))); }
+  propose(key: string, marks: readonly T[]): void { this.proposed.set(key, new Set(marks.map(String))); }
 
-  /** Remember that a box was looked at; whether that is new. */
-  look(key: string, quad: Quad): boolean {
-    if (!this.isUnseen(key, quad)) return false;
+  /** One more, at which nobody has looked. */
+  add(key: string, mark: T): void {
+    this.proposed.set(key, (this.proposed.get(key) ?? new Set()).add(String(mark)));
+    this.looked.get(key)?.delete(String(mark));
+  }
+
+  /** Remember that a mark was looked at; whether that is new. */
+  look(key: string, mark: T): boolean {
+    if (!this.isUnseen(key, mark)) return false;
     const seen = this.looked.get(key) ?? new Set();
-    this.looked.set(key, seen.add(String(quad)));
+    this.looked.set(key, seen.add(String(mark)));
     return true;
   }
 
-  private isUnseen(key: string, quad: Quad): boolean {
-    const box = String(quad);
-    return !!this.proposed.get(key)?.has(box) && !this.looked.get(key)?.has(box);
+  isUnseen(key: string, mark: T): boolean {
+    const text = String(mark);
+    return !!this.proposed.get(key)?.has(text) && !this.looked.get(key)?.has(text);
   }
 
-  unseen(key: string, vertebrae: Record<string, Quad>): string[] {
-    return Object.entries(vertebrae).filter(([, quad]) => this.isUnseen(key, quad)).map(([name]) => name);
+  unseen(key: string, marks: Record<string, T>): string[] {
+    return Object.entries(marks).filter(([, mark]) => this.isUnseen(key, mark)).map(([name]) => name);
   }
 
-  /** Vertebrae that were put right since they were proposed; without a proposal none. */
-  kept(key: string, vertebrae: Record<string, Quad>): Record<string, Quad> {
-    const boxes = this.proposed.get(key);
-    return boxes ? Object.fromEntries(Object.entries(vertebrae).filter(([, quad]) => !boxes.has(String(quad)))) : {};
-  }
-
-  /** Marks as they are saved: with what nobody has looked at yet. */
-  told(marks: Marks): Marks {
-    return Object.fromEntries(Object.entries(marks).map(([key, image]) => [key, { ...image, unseen: this.unseen(key, image.vertebrae) }]));
+  /** Marks that were put right since they were proposed; without a proposal none. */
+  kept(key: string, marks: Record<string, T>): Record<string, T> {
+    const texts = this.proposed.get(key);
+    return texts ? Object.fromEntries(Object.entries(marks).filter(([, mark]) => !texts.has(String(mark)))) : {};
   }
 }

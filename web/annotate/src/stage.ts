@@ -10,6 +10,8 @@ const HANDLE = 4.5, REACH = 11, FINGER = 24, OF_A_SIDE = 0.4, LOUPE = 150, LOUPE
 export interface Shown {
   marks: ImageMarks; selection: Selection | null; names: readonly string[]; cobb: Cobb | null; tracked: TrackedFrame | null;
   cursor: Point | null; show: boolean; spine: boolean; lowest: number; unseen: readonly string[];
+  /** Of a vertebra's pedicles, 0 left and 1 right, the one that is only guessed. */
+  guessed: Record<string, number>;
 }
 interface Wanted { part: [number, number, number, number]; most: Point }
 interface Patch { grey: Grey; picture: HTMLCanvasElement }
@@ -284,7 +286,7 @@ export class Stage {
     for (const kind of ["pelvis", "shoulder"] as const)
       marks.supports[kind]?.forEach((p, i) => this.point(p, kind, kind === "pelvis" ? "triangle" : "diamond", this.isChosen(kind, "", i)));
     for (const [name, pair] of Object.entries(marks.pedicles))
-      pair.forEach((p, i) => this.point(p, "", "cross", this.isChosen("pedicle", name, i)));
+      pair.forEach((p, i) => this.point(p, "", "cross", this.isChosen("pedicle", name, i), shown.guessed[name] === i));
     if (shown.cursor) this.crosshair(shown.cursor);
   }
 
@@ -324,7 +326,7 @@ export class Stage {
     });
   }
 
-  private point(p: Point, words: string, shape: "circle" | "triangle" | "diamond" | "cross", chosen: boolean): void {
+  private point(p: Point, words: string, shape: "circle" | "triangle" | "diamond" | "cross", chosen: boolean, guessed = false): void {
     const c = this.context, [x, y] = this.toPlace(p), r = chosen ? 7.5 : 5.5;
     c.beginPath();
     if (shape === "circle") c.arc(x, y, r, 0, 2 * Math.PI);
@@ -335,7 +337,9 @@ export class Stage {
       c.closePath();
     }
     c.strokeStyle = HALO; c.lineWidth = 4.5; c.stroke();
+    c.setLineDash(guessed ? [2, 2.5] : []);
     c.strokeStyle = chosen ? CHOSEN : MARK; c.lineWidth = 2; c.stroke();
+    c.setLineDash([]);
     if (words) this.text(words, x + r + 4, y, chosen ? CHOSEN : "#fff", "left");
   }
 

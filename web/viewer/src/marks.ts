@@ -15,7 +15,7 @@ import {
 import { LineMaterial } from "three/examples/jsm/lines/LineMaterial.js";
 import { LineSegments2 } from "three/examples/jsm/lines/LineSegments2.js";
 import { LineSegmentsGeometry } from "three/examples/jsm/lines/LineSegmentsGeometry.js";
-import { onBone, type Pose } from "./pose";
+import { type InPlane, onBone, type Pose } from "./pose";
 import type { Corner, Plane, Push, Support } from "./scene";
 import type { Seen } from "./stage";
 
@@ -72,8 +72,8 @@ export class Marks {
 
   /** `mmPerN`: of all arrows. */
   constructor(private readonly mmPerN: number) {
-    this.simulated = new Sights(3.4, 5, DIAMOND);
-    this.measured = new Sights(1.6, 6, CROSS);
+    this.simulated = new Sights(3.4, 5, DIAMOND, RING);
+    this.measured = new Sights(1.6, 6, CROSS, SALTIRE);
   }
 
   /** Build what belongs to a push: its arrows, and supports where they are at rest. */
@@ -192,32 +192,46 @@ const DIAMOND: Sign = AXES.flatMap((axis, i) =>
 );
 const MARKER_MM = 6;
 
-/** What was seen, or what a model has of it: outlines of vertebrae by view and markers, drawn over everything else. */
+const BARE: InPlane = { boxes: [], pedicles: [] };
+
+/** Segments about a pedicle in the plane of its radiograph, mm. */
+type FlatSign = readonly (readonly [Corner, Corner])[];
+const SALTIRE: FlatSign = [[[-2.5, -2.5], [2.5, 2.5]], [[-2.5, 2.5], [2.5, -2.5]]]; // prettier-ignore
+const RING_MM = 4;
+const RING_SIDES = 16;
+const onRing = (i: number): Corner => {
+  const turn = (2 * Math.PI * i) / RING_SIDES;
+  return [RING_MM * Math.cos(turn), RING_MM * Math.sin(turn)];
+};
+const RING: FlatSign = Array.from({ length: RING_SIDES }, (_, i) => [onRing(i), onRing(i + 1)] as const);
+
+/** What was seen, or what a model has of it: by view outlines of vertebrae and pedicles, and markers, drawn over everything else. */
 export class Sights {
   readonly group = new Group();
   readonly material: LineMaterial;
   private readonly markers: Lines;
   private readonly outlines: { lines: Lines; normal: Vector3 }[] = [];
 
-  /** `order`: the higher is drawn over the lower. `sign`: of a marker. */
-  constructor(width: number, private readonly order: number, private readonly sign: Sign) {
+  /** `order`: the higher is drawn over the lower. `sign`: of a marker. `flat`: of a pedicle. */
+  constructor(width: number, private readonly order: number, private readonly sign: Sign, private readonly flat: FlatSign) {
     this.material = new LineMaterial({ linewidth: width, depthTest: false, depthWrite: false, transparent: true });
     this.markers = new Lines(this.material, order);
     this.group.add(this.markers.object);
   }
 
   draw(push: Push, seen: Seen): void {
-    const views: [Plane, Corner[][]][] = [[push.view, seen.boxes]];
-    for (const [name, plane] of Object.entries(push.further ?? {})) views.push([plane, seen.further[name] ?? []]);
+    const views: [Plane, InPlane][] = [[push.view, seen.own]];
+    for (const [name, plane] of Object.entries(push.further ?? {})) views.push([plane, seen.further[name] ?? BARE]);
     while (this.outlines.length < views.length) {
       const lines = new Lines(this.material, this.order);
       this.group.add(lines.object);
       this.outlines.push({ lines, normal: new Vector3() });
     }
     this.outlines.forEach((outline, i) => {
-      const [plane, boxes] = views[i] ?? [push.view, []];
+      const [plane, { boxes, pedicles }] = views[i] ?? [push.view, BARE];
       outline.normal.set(...plane.source).sub(new Vector3(...plane.origin)).normalize();
-      outline.lines.draw(boxes.flatMap((box) => edges(plane, box)));
+      const marks = pedicles.flatMap(([u, v]) => this.flat.map(([a, b]): [Corner, Corner] => [[u + a[0], v + a[1]], [u + b[0], v + b[1]]]));
+      outline.lines.draw([...boxes.flatMap(sides), ...marks].map(([a, b]): Segment => [inSpace(plane, a), inSpace(plane, b)]));
     });
     const about = (place: Vector3, end: Vector3): Vector3 => place.clone().addScaledVector(end, MARKER_MM);
     this.markers.draw(seen.markers.flatMap((place) => this.sign.map(([a, b]): Segment => [about(place, a), about(place, b)])));
@@ -251,11 +265,12 @@ class Lines {
   }
 }
 
-/** Corners (column, row), mm from where the source's foot lies in the plane. */
-function edges(plane: Plane, box: Corner[]): Segment[] {
-  const origin = new Vector3(...plane.origin);
-  const columns = new Vector3(...plane.columns);
-  const rows = new Vector3(...plane.rows);
-  const points = box.map(([u, v]) => origin.clone().addScaledVector(columns, u).addScaledVector(rows, v));
-  return points.map((point, i) => [point, points[(i + 1) % points.length]!]);
+function sides(box: Corner[]): [Corner, Corner][] {
+  return box.map((corner, i) => [corner, box[(i + 1) % box.length]!]);
+}
+
+/** A point (column, row), mm from where the source's foot lies in the plane. */
+function inSpace(plane: Plane, [u, v]: Corner): Vector3 {
+  const [columns, rows] = [new Vector3(...plane.columns), new Vector3(...plane.rows)];
+  return new Vector3(...plane.origin).addScaledVector(columns, u).addScaledVector(rows, v);
 }

@@ -1,8 +1,8 @@
 // The slider, the choices and the numbers; they work without a picture, too.
 import { Vector3 } from "three";
 import { isBack, newtons } from "./marks";
-import { bracket, boxesAt, furtherBoxesAt, markersAt, poseAt, reactionsAt, restPose, type Bracket, type Pose } from "./pose";
-import type { Frame, Push, Scene, Step } from "./scene";
+import { bracket, furtherAt, markersAt, planeAt, poseAt, reactionsAt, restPose, type Bracket, type Pose } from "./pose";
+import type { Corner, Frame, Push, Scene, Step } from "./scene";
 import { LAYERS, type Layer, NOTHING, type Seen, type Shown, type Stage } from "./stage";
 
 const ROLES: Record<string, string> = { training: "training", validation: "held out", unused: "not used" };
@@ -151,7 +151,7 @@ export class Panel {
       measured: frame ? measuredIn(frame) : NOTHING,
       simulated: beyond
         ? NOTHING
-        : { boxes: [...boxesAt(where).values()], further: furtherBoxesAt(where), markers: markersAt(where) },
+        : { own: planeAt(where), further: furtherAt(where), markers: markersAt(where) },
     };
     this.stage?.update(this.last);
     this.describe(push, force, frame, where, beyond);
@@ -248,9 +248,10 @@ export class Panel {
 }
 
 function measuredIn(frame: Frame): Seen {
-  const further = Object.entries(frame.outlines ?? {}).map(([view, seen]) => [view, seen.boxes]);
+  const marked = (pedicles: Frame["pedicles"]): Corner[] => Object.values(pedicles ?? {});
+  const further = Object.entries(frame.outlines ?? {}).map(([view, seen]) => [view, { boxes: seen.boxes, pedicles: marked(seen.pedicles) }]);
   const markers = Object.values(frame.markers ?? {}).map((place) => new Vector3(...place));
-  return { boxes: frame.measured, further: Object.fromEntries(further), markers };
+  return { own: { boxes: frame.measured, pedicles: marked(frame.pedicles) }, further: Object.fromEntries(further), markers };
 }
 
 function sideways(size: number, unit: string): string {

@@ -60,32 +60,36 @@ export function onBone(pose: Pose, bone: number, offset: Vec | Vector3): Vector3
   return point.applyQuaternion(pose.turns[bone]!).add(pose.places[bone]!);
 }
 
-/** Simulated outlines by vertebra: of both steps' common vertebrae, moved in proportion. */
-export function boxesAt(where: Bracket): Map<string, Corner[]> {
-  return boxesBetween(where.before, where.after, where.share);
+/** What a radiograph shows, mm at its view's patient plane: outlines of vertebrae, and pedicles. */
+export interface InPlane {
+  boxes: Corner[][];
+  pedicles: Corner[];
 }
 
-function boxesBetween(before: Outlined, after: Outlined, share: number): Map<string, Corner[]> {
-  const found = new Map<string, Corner[]>();
-  before.vertebrae.forEach((name, i) => {
-    const other = after.vertebrae.indexOf(name);
-    if (other < 0) return;
-    const a = before.boxes[i]!;
-    const b = after.boxes[other]!;
-    found.set(
-      name,
-      a.map(([u, v], k): Corner => [u + share * (b[k]![0] - u), v + share * (b[k]![1] - v)]),
-    );
+/** Simulated outlines and pedicles that both steps have, moved in proportion. */
+export function planeAt(where: Bracket): InPlane {
+  return planeBetween(where.before, where.after, where.share);
+}
+
+function planeBetween(before: Outlined, after: Outlined, share: number): InPlane {
+  const between = ([u, v]: Corner, [x, y]: Corner): Corner => [u + share * (x - u), v + share * (y - v)];
+  const boxes = before.vertebrae.flatMap((name, i): Corner[][] => {
+    const other = after.boxes[after.vertebrae.indexOf(name)];
+    return other ? [before.boxes[i]!.map((corner, k) => between(corner, other[k]!))] : [];
   });
-  return found;
+  const pedicles = Object.entries(before.pedicles ?? {}).flatMap(([name, point]): Corner[] => {
+    const other = after.pedicles?.[name];
+    return other ? [between(point, other)] : [];
+  });
+  return { boxes, pedicles };
 }
 
 /** The same by further view, of those that both steps have. */
-export function furtherBoxesAt(where: Bracket): Record<string, Corner[][]> {
-  const found: Record<string, Corner[][]> = {};
+export function furtherAt(where: Bracket): Record<string, InPlane> {
+  const found: Record<string, InPlane> = {};
   for (const [view, before] of Object.entries(where.before.outlines ?? {})) {
     const after = where.after.outlines?.[view];
-    if (after) found[view] = [...boxesBetween(before, after, where.share).values()];
+    if (after) found[view] = planeBetween(before, after, where.share);
   }
   return found;
 }

@@ -17,14 +17,16 @@ export interface Bone {
 export type Vec = [number, number, number];
 export type Corner = [number, number];
 
-/** Outlines of vertebrae, mm at a view's patient plane. */
+/** Outlines of vertebrae, mm at a view's patient plane, and pedicles by name, as "T8 left". */
 export interface Outlined {
   vertebrae: string[];
   boxes: Corner[][];
+  pedicles?: Record<string, Corner>;
 }
 
-/** What a frame shows beside its frontal corners: outlines by further view, markers on the skin by name. */
+/** What a frame shows beside its frontal corners: pedicles, outlines by further view, markers on the skin by name. */
 export interface Beside {
+  pedicles?: Record<string, Corner>;
   outlines?: Record<string, Outlined>;
   markers?: Record<string, Vec>;
 }

@@ -4,8 +4,8 @@ import { Body } from "./body";
 import { Camera, CAPTIONS, VIEWS, type ViewName } from "./camera";
 import { type Label, Marks } from "./marks";
 import { readPalette } from "./palette";
-import { onBone, type Pose, restPose } from "./pose";
-import type { Corner, Push, Scene } from "./scene";
+import { type InPlane, onBone, type Pose, restPose } from "./pose";
+import type { Push, Scene } from "./scene";
 
 export const LAYERS = [
   "bones", "skin", "joints", "levels", "loads", "supports", "measured", "simulated", "rest",
@@ -14,14 +14,14 @@ export type Layer = (typeof LAYERS)[number];
 const LONGEST_ARROW_MM = 105;
 const TURNED = "Turned freely; the letters say which side of the patient lies where.";
 
-/** Outlines in the push's own view and in further ones, and markers on the skin. */
+/** What lies in the plane of the push's own view and of further ones, and markers on the skin. */
 export interface Seen {
-  boxes: Corner[][];
-  further: Record<string, Corner[][]>;
+  own: InPlane;
+  further: Record<string, InPlane>;
   markers: Vector3[];
 }
 
-export const NOTHING: Seen = { boxes: [], further: {}, markers: [] };
+export const NOTHING: Seen = { own: { boxes: [], pedicles: [] }, further: {}, markers: [] };
 
 export interface Shown {
   push: Push | null;

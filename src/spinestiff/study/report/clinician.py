@@ -49,8 +49,8 @@ STIFFNESSES = {
 }
 """Stiffness in plain units: heading, and as a sentence names it."""
 MEANINGS: dict[Determination, str] = {
-    "determined": "known within a factor of 2 either way",
-    "weakly determined": "known within a factor of 10 either way, or from one side",
+    "determined": "known within a factor of 2 either way, on average",
+    "weakly determined": "known within a factor of 10 either way, on average, or from one side",
     "not determined": "the radiographs leave it open",
 }
 """What the badge of one stiffness says."""

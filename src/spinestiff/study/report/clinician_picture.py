@@ -94,7 +94,7 @@ def moments(
     reading = reading_of("at rest", before, view)
     force = "without force" if start.force_n == 0.0 else f"under {start.force_n:g} N"
     captions = [
-        f"At rest, {force}. Cobb angle {reading.words()}.",
+        f"Before this push, {force}. Cobb angle {reading.words()}.",
         picture_words("pushed", item.force_n, forms_in_words(change)["fixed_levels"], None, None),
     ]
     if "fit" in frame.states:

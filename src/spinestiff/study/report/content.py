@@ -86,8 +86,8 @@ INFORMED = ("truth", "fitted_supports")
 EQUAL_MM = 0.1  # mean errors that differ by less are called equal
 MODELS = {"rest": "Rest pose, no motion", "default": "Default stiffness", "fit": "Estimated stiffness"}
 DETERMINATIONS: dict[Determination, str] = {
-    "determined": "The radiographs determine every ratio within a factor of 2 either way (95 %).",
-    "weakly determined": "The radiographs tell at least one ratio only within a factor of up to 10, or from one side.",
+    "determined": "The radiographs determine every ratio within a factor of 2 either way, on average of both (95 %).",
+    "weakly determined": "At least one ratio is known only within a factor of 10 either way, or from one side.",
     "not determined": "The radiographs do not determine at least one ratio; its interval says what they allow.",
 }
 
@@ -492,9 +492,10 @@ def support_rows(tracked: Tracked) -> list[dict[str, str]]:
         most = max(turns, key=lambda turn: abs(turn.value), default=None)
         turned = "not seen" if most is None else f"{fixed(most.value, 1, True)}° ± {fixed(most.sd, 1)}°"
         moved = [f"frame {i}" for i, frame in enumerate(push.frames) if frame.support_note]
+        unmoved = "none seen" if turns or any(f.support_motion_mm for f in push.frames) else "not seen"
         rows.append(
             {
-                "push": name, **largest, "obliquity": turned, "moved": listed(moved) or "none",
+                "push": name, **largest, "obliquity": turned, "moved": listed(moved) or unmoved,
                 "frames": str(len(push.frames)),
             }
         )  # fmt: skip

@@ -218,7 +218,7 @@ def test_measured_and_simulated_lie_on_the_bones_seen_from_the_tube(tab, shown):
     assert np.mean(near[lines]) > 0.97
 
 
-def test_markers_and_further_views_are_drawn_and_the_latter_seen_from_their_side(tab, beside, tmp_path):
+def test_pedicles_markers_and_further_views_are_drawn_and_seen_from_their_sides(tab, beside, tmp_path):
     def without(scene, **parts):
         (push,) = scene.pushes
         frames = tuple(replace(frame, beside=replace(frame.beside, **parts)) for frame in push.frames)
@@ -226,8 +226,9 @@ def test_markers_and_further_views_are_drawn_and_the_latter_seen_from_their_side
 
     scene = visit_scene("seen from all sides", beside, {"main": ("left", 8.0)})
     marked = without(scene, outlines={})
+    pedicles = without(marked, markers={})
     counts = {"front": [], "right": []}
-    for shown in (without(marked, markers={}), marked, scene):
+    for shown in (without(pedicles, pedicles={}), pedicles, marked, scene):
         show(tab, tmp_path / "view.html", shown)
         for layer in ("bones", "skin", "levels", "loads", "supports", "simulated"):
             tab.run(f"{VIEWER}.querySelector('[data-show={layer}]').click()")
@@ -236,10 +237,10 @@ def test_markers_and_further_views_are_drawn_and_the_latter_seen_from_their_side
             stage = pixels(tab)
             found.append(int((np.abs(stage - stage[-3, 3]).max(-1) > 60).sum()))
     # Whatever is shown, letters say which side is which.
-    letters, crosses, outlines = counts["right"]
-    assert letters + 50 < crosses < outlines - 500
-    frontal, crosses, aside = counts["front"]
-    assert letters + 500 < frontal < crosses - 50 and aside == crosses
+    letters, pedicles, crosses, outlines = counts["right"]
+    assert pedicles == letters and letters + 50 < crosses < outlines - 500
+    frontal, pedicles, crosses, aside = counts["front"]
+    assert letters + 500 < frontal < pedicles - 50 and pedicles < crosses - 50 and aside == crosses
 
 
 def test_frames_are_stepped_through(tab, shown):

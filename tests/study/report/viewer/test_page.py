@@ -15,7 +15,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.mechanics.supports import SupportKind
 from spinestiff.study.report.viewer import page
 from spinestiff.study.report.viewer.page import component, script_hash, source_hash, view_page
-from spinestiff.study.report.viewer.scene import Scene
+from spinestiff.study.report.viewer.scene import Scene, visit_scene
 
 ROOT = Path(__file__).parents[4]
 BUILT = Path(page.__file__).with_name("viewer.js")
@@ -124,6 +124,22 @@ def test_texts_from_files_are_harmless(viewed):
     record = json.loads(found.scripts[0])
     assert record["title"] == HOSTILE and record["pushes"][0]["id"] == HOSTILE + "main"
     assert not re.search(r"[<>&\u2028]", found.scripts[0])
+
+
+def test_the_legend_names_what_there_is_to_see(beside):
+    scene = visit_scene("seen from all sides", beside, {"main": ("left", 8.0)})
+
+    def told(**gone):
+        frames = tuple(replace(frame, beside=replace(frame.beside, **gone)) for frame in scene.pushes[0].frames)
+        shown = replace(scene, pushes=(replace(scene.pushes[0], frames=frames),))
+        return " ".join(Elements(view_page(shown)).words.split())
+
+    for kind in ("Measured", "Simulated"):
+        assert f"{kind} vertebrae, pedicles, markers" in told()
+        assert f"{kind} vertebrae, pedicles, markers" in told(pedicles={})  # from the side they are seen all the same
+        assert f"{kind} vertebrae, markers" in told(pedicles={}, outlines={})
+        assert f"{kind} vertebrae, pedicles " in told(markers={})
+    assert "rings as simulated" in told() and "rings as simulated" not in told(pedicles={}, outlines={})
 
 
 def test_a_torso_alone_has_no_slider():

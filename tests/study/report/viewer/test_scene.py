@@ -205,10 +205,35 @@ def test_further_views_and_markers_are_where_they_were_seen(beside):
         assert (apart < 0.05) == (model == "fit")
 
 
+def test_pedicles_are_where_they_were_marked_and_where_a_model_has_them(beside):
+    """The whole torso moves by 6 mm to the left, half as far with default stiffness."""
+    (push,) = scene_record(visit_scene("x", beside, {"main": ("left", 8.0)}))["pushes"]
+    trial = beside.frames[0].item.trial
+    (picture,) = trial.further
+    frontal = push["view"], trial.view, trial.pedicles, lambda part: part["pedicles"]
+    aside = (
+        push["further"]["aside"], picture.view, picture.pedicles, lambda part: part["outlines"]["aside"]["pedicles"]
+    )  # fmt: skip
+    for shown, view, marked, of in (frontal, aside):
+        rest, full = (of(frame) for frame in push["frames"])
+        names = [f"{vertebra} {side}" for vertebra in marked.vertebrae for side in ("left", "right")]
+        assert list(full) == names == list(rest)
+        q = np.array(list(full.values()))
+        points = np.array(shown["origin"]) + q @ np.array([shown["columns"], shown["rows"]])
+        np.testing.assert_allclose(view.project(points), marked.points.reshape(-1, 2), atol=1e-2)
+        for model, share in (("fit", 1.0), ("default", 0.5)):
+            first, last = (np.array([of(step)[name] for name in names]) for step in push["models"][model])
+            np.testing.assert_allclose(first, list(rest.values()), atol=2e-3)
+            np.testing.assert_allclose(last - first, share * (q - first), atol=0.05)
+    # Seen from the front, the way is as long as it is, but for what lies nearer to the source.
+    moved = np.array([np.subtract(push["frames"][1]["pedicles"][n], push["frames"][0]["pedicles"][n]) for n in names])
+    np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 6.0, atol=0.4)
+
+
 def test_a_push_seen_from_the_front_alone_has_nothing_beside(record):
     for push in record["pushes"]:
         parts = [*push["frames"], *(step for steps in push["models"].values() for step in steps)]
-        assert "further" not in push and not any({"outlines", "markers"} & part.keys() for part in parts)
+        assert "further" not in push and not any({"pedicles", "outlines", "markers"} & part.keys() for part in parts)
 
 
 def test_a_push_without_a_frame_at_rest_starts_there_all_the_same(viewed):

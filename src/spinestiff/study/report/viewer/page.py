@@ -37,7 +37,7 @@ class Component:
     pushes : (id, words) of each. models : (name, words) of those that any push has.
     most_n : the largest force, N.
     rows : the table of frames, cells as people read them.
-    further, markers : some frame shows vertebrae from another side, markers on the skin.
+    further, pedicles, markers : some frame shows vertebrae from another side, pedicles, markers on the skin.
     """
 
     title: str
@@ -50,12 +50,14 @@ class Component:
     most_n: float
     rows: tuple[tuple[str, ...], ...]
     further: bool
+    pedicles: bool
     markers: bool
 
 
 def component(scene: Scene) -> Component:
     """A scene ready for ``viewer/component.html.j2``."""
     known = [name for name in MODELS if any(name in push.models for push in scene.pushes)]
+    beside = [frame.beside for push in scene.pushes for frame in push.frames]
     return Component(
         scene.title,
         scene.note,
@@ -67,7 +69,8 @@ def component(scene: Scene) -> Component:
         max((frame.force_n for push in scene.pushes for frame in push.frames), default=0.0),
         tuple(row for push in scene.pushes for row in _rows(push)),
         any(push.further for push in scene.pushes),
-        any(frame.beside.markers for push in scene.pushes for frame in push.frames),
+        any(one.pedicles or any(view.pedicles for view in one.outlines.values()) for one in beside),
+        any(one.markers for one in beside),
     )
 
 

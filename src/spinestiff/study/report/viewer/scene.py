@@ -1,4 +1,4 @@
-"""What the 3D viewer shows: bones, skin, joints, pushes, supports and corners, packed for a browser.
+"""What the 3D viewer shows: bones, skin, joints, pushes, supports, and what was seen, packed for a browser.
 
 Lengths are mm in the world frame (docs/conventions.md), forces N. Bones are stored once, in their own frames, and a
 state holds a position and a quaternion for each; the skin is the tissue's boundary, with positions for each state.
@@ -7,7 +7,7 @@ state holds a position and a quaternion for each; the skin is the tissue's bound
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,8 +19,8 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.curves.pushes import reading_of
-from spinestiff.estimation.objective import Picture, Target, make_target, residuals
-from spinestiff.estimation.sights import MarkerTarget, further_sights
+from spinestiff.estimation.objective import make_target
+from spinestiff.estimation.sights import MarkerTarget, PedicleTarget, Sight, further_sights, sight_residuals
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.supports import SupportKind, Supports
@@ -32,8 +32,19 @@ MODELS = ("fit", "default")
 _LARGEST_INT16 = 32767
 
 
-Outlines = tuple[tuple[str, ...], Floats]
-"""Names (Nv,) of vertebrae and their boxes (Nv, 4, 2), mm at the patient plane of a view."""
+@dataclass(frozen=True)
+class Outlines:
+    """Vertebrae in a radiograph from another side, mm at the patient plane of its view.
+
+    Attributes
+    ----------
+    vertebrae : (Nv,) names. boxes : (Nv, 4, 2).
+    pedicles : (2,) by name, as "T8 left".
+    """
+
+    vertebrae: tuple[str, ...]
+    boxes: Floats
+    pedicles: Mapping[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -42,11 +53,13 @@ class Beside:
 
     Attributes
     ----------
+    pedicles : (2,) mm at the patient plane by name, as "T8 left", in the frontal radiograph.
     outlines : of vertebrae in further views, by the view's id.
     markers : (3,) mm by name, on the skin; measured ones from where the model has them under the push's least force,
         since only their motion is known.
     """
 
+    pedicles: Mapping[str, Floats] = field(default_factory=dict)
     outlines: Mapping[str, Outlines] = field(default_factory=dict)
     markers: Mapping[str, Floats] = field(default_factory=dict)
 
@@ -184,7 +197,7 @@ def visit_scene(title: str, predictions: Predictions, levels: Mapping[str, tuple
         unit = load.scaled(1.0 / load.size) if load.size else load
         side, level = levels[push]
         models = {name: tuple(found) for name, found in steps.items() if len(found) > 1}
-        further = {_view_id(one): one.view for trial in trials for one in trial.trial.further}
+        further = {_view_id(one.sequence): one.view for trial in trials for one in trial.trial.further}
         scenes.append(
             PushScene(push, side, level, trials[0].trial.view, unit, supports, tuple(frames), models, further)
         )
@@ -230,47 +243,66 @@ def _step(pushes: PushSet, prediction: Prediction, name: str, supports: Sequence
     return Step(item.force_n, item.frame, solved.state, names, boxes, solved.reactions, beside)
 
 
-def _view_id(picture: Picture) -> str:
-    """A sequence is named by its push and its view, whose id has no spaces."""
-    return picture.sequence.rpartition(" ")[2]
+def _view_id(sequence: str) -> str:
+    """A further view's sequence is named by its push and the view's id, which has no spaces."""
+    return sequence.rpartition(" ")[2]
 
 
-def _sights(pushes: PushSet, prediction: Prediction) -> tuple[dict[str, Target], MarkerTarget | None]:
-    """Corners by further view, and markers, that a frame shows."""
-    found = further_sights([pushes.torso], [prediction.target], pushes.orientation)
-    ids = {picture.sequence: _view_id(picture) for picture in prediction.item.trial.further}
-    corners = {ids[one.sequence]: one.target for one in found if isinstance(one.target, Target)}
-    markers = [one.target for one in found if isinstance(one.target, MarkerTarget)]
-    return corners, markers[0] if markers else None
+def _beside(pushes: PushSet, prediction: Prediction, places: Callable[[Sight], Floats]) -> Beside:
+    """What a frame shows beside its frontal corners.
+
+    Parameters
+    ----------
+    places : of a sight's points: (P, 4, 2) or (P, 2) mm at the patient plane, markers (P, 3) mm, NaN where unknown.
+    """
+    boxes: dict[str, tuple[tuple[str, ...], Floats]] = {}
+    pedicles: dict[str, Mapping[str, Floats]] = {}
+    markers: dict[str, Floats] = {}
+    for sight in further_sights([pushes.torso], [prediction.target], pushes.orientation):
+        target, found = sight.target, places(sight.target)
+        if isinstance(target, MarkerTarget):
+            markers = _markers_by_name(target, found)
+        elif isinstance(target, PedicleTarget):
+            pedicles[sight.sequence] = _pedicles_by_name(pushes.torso, target, found)
+        else:
+            boxes[sight.sequence] = target.trial.corners.vertebrae, found
+    outlines = {
+        _view_id(sequence): Outlines(names, quads, pedicles.get(sequence, {}))
+        for sequence, (names, quads) in boxes.items()
+    }
+    return Beside(pedicles.get(prediction.target.trial.push, {}), outlines, markers)
 
 
 def _simulated_beside(pushes: PushSet, prediction: Prediction, state: TorsoState) -> Beside:
-    corners, markers = _sights(pushes, prediction)
-    outlines = {
-        view: (target.trial.corners.vertebrae, target.z + residuals(pushes.torso, target, state).difference)
-        for view, target in corners.items()
-    }
-    if markers is None:
-        return Beside(outlines)
-    return Beside(outlines, _named(prediction, markers, markers.points.positions(pushes.torso, state)))
+    return _beside(
+        pushes, prediction, lambda target: target.z + sight_residuals(pushes.torso, target, state).difference
+    )
 
 
 def _measured_beside(predictions: Predictions, prediction: Prediction) -> Beside:
     pushes, item = predictions.pushes, prediction.item
-    corners, markers = _sights(pushes, prediction)
-    outlines = {view: (target.trial.corners.vertebrae, np.asarray(target.z)) for view, target in corners.items()}
     first, start = pushes.reference(item.push).trial.markers, predictions.before(item, MODELS[0])
-    if markers is None or first is None or start is None:
-        return Beside(outlines)
-    moved = markers.z - first.positions[markers.rows]
-    there = _named(prediction, markers, markers.points.positions(pushes.torso, start) + moved)
-    return Beside(outlines, {name: place for name, place in there.items() if np.isfinite(place).all()})
+
+    def places(target: Sight) -> Floats:
+        if not isinstance(target, MarkerTarget):
+            return np.asarray(target.z)
+        if first is None or start is None:
+            return np.full_like(target.z, np.nan)
+        moved = target.z - first.positions[target.rows]
+        return np.asarray(target.points.positions(pushes.torso, start) + moved)
+
+    return _beside(pushes, prediction, places)
 
 
-def _named(prediction: Prediction, markers: MarkerTarget, places: Floats) -> dict[str, Floats]:
-    seen = prediction.item.trial.markers
+def _markers_by_name(target: MarkerTarget, places: Floats) -> dict[str, Floats]:
+    seen = target.trial.markers
     assert seen is not None
-    return {seen.names[row]: place for row, place in zip(markers.rows, places)}
+    return {seen.names[row]: place for row, place in zip(target.rows, places) if np.isfinite(place).all()}
+
+
+def _pedicles_by_name(torso: TorsoModel, target: PedicleTarget, places: Floats) -> dict[str, Floats]:
+    sides = np.where(target.outward > 0.0, "left", "right")
+    return {f"{torso.vertebrae[row]} {side}": place for row, side, place in zip(target.rows, sides, places)}
 
 
 def _frame(predictions: Predictions, prediction: Prediction, states: Mapping[str, str]) -> Frame:
@@ -451,15 +483,21 @@ def _view_record(view: XRayView) -> dict[str, Any]:
 
 
 def _beside_record(beside: Beside) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    found: dict[str, Any] = _points_record("pedicles", beside.pedicles) | _points_record("markers", beside.markers)
     if beside.outlines:
         found["outlines"] = {
-            view: {"vertebrae": list(names), "boxes": _rounded(boxes)}
-            for view, (names, boxes) in beside.outlines.items()
+            view: {
+                "vertebrae": list(seen.vertebrae),
+                "boxes": _rounded(seen.boxes),
+                **_points_record("pedicles", seen.pedicles),
+            }
+            for view, seen in beside.outlines.items()
         }
-    if beside.markers:
-        found["markers"] = {name: _rounded(place) for name, place in beside.markers.items()}
     return found
+
+
+def _points_record(key: str, points: Mapping[str, Floats]) -> dict[str, Any]:
+    return {key: {name: _rounded(place) for name, place in points.items()}} if points else {}
 
 
 def _rounded(array: Floats, decimals: int = 3) -> Any:
