@@ -18,7 +18,7 @@ from spinestiff.files import read_json, read_text, write_json
 from spinestiff.study.trials import given_priors, usual_priors
 from spinestiff.subject.folder import read_annotation
 from spinestiff.subject.gaps import Gap, check_open_record, gaps_of, open_complaints
-from spinestiff.subject.intake.adding import is_scan_place, markers_place, side_places
+from spinestiff.subject.intake.adding import is_place, is_scan_place, markers_place, side_places
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE, SubjectRecord
 from spinestiff.workbench.form_words import RATIO_GROUPS, RATIO_PARTS, WORDS
@@ -158,7 +158,7 @@ def _check_beside(folder: Path, before: dict[str, Any], values: dict[str, Any]) 
 
 
 def _lies_in(folder: Path, place: str, allowed: tuple[str, ...]) -> bool:
-    return place in allowed and (folder / place).exists()
+    return any(is_place(place, usual) for usual in allowed) and (folder / place).exists()
 
 
 def _views(values: dict[str, Any]) -> set[str]:

@@ -9,7 +9,7 @@ import pytest
 
 from hospital import disc, export
 from spinestiff.errors import ChangedElsewhere, InUseError, SubjectError
-from spinestiff.files import read_json
+from spinestiff.files import read_json, write_json
 from spinestiff.subject.intake import adding, making
 from spinestiff.subject.intake.collecting import collect
 from spinestiff.subject.intake.push_table import COLUMNS, parse_push_table
@@ -198,3 +198,24 @@ def test_skin_markers_come_with_a_table_that_can_be_read(girl):
     assert data["pushes"][0]["markers"] == {**markers, "file": "pushes/push-1-markers.csv"}
     with pytest.raises(SubjectError, match="has markers already"):
         adding.add_markers(adding.read_standing(girl), 0, markers, table)
+    # Taken out, the table stays where it was, and another one finds a place beside it.
+    del data["pushes"][0]["markers"]
+    write_json(girl / "subject.json", data)
+    data = adding.add_markers(adding.read_standing(girl), 0, markers, table.replace("1,2,3", "4,5,6"))
+    assert data["pushes"][0]["markers"]["file"] == "pushes/push-1-markers-2.csv"
+    assert "1,2,3" in (girl / "pushes" / "push-1-markers.csv").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("place", "usual", "may_be"),
+    [
+        ("pushes/a-markers.csv", "pushes/a-markers.csv", True),
+        ("pushes/a-markers-12.csv", "pushes/a-markers.csv", True),
+        ("pushes/a-markers-2", "pushes/a-markers.csv", False),
+        ("pushes/a-markers-b.csv", "pushes/a-markers.csv", False),
+        ("pushes/rib-5.5-side-2", "pushes/rib-5.5-side", True),
+        ("rest/frontal.dcm", "pushes/a-side.dcm", False),
+    ],
+)
+def test_places_beside_the_usual_one(place, usual, may_be):
+    assert adding.is_place(place, usual) is may_be

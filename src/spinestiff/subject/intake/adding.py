@@ -290,12 +290,24 @@ def is_scan_place(folder: Path, place: Any) -> bool:
     return isinstance(place, str) and re.fullmatch(SCAN_PLACE, place) is not None and (folder / place).is_file()
 
 
-def _free_scan_place(folder: Path, suffix: str) -> str:
-    count = itertools.count(2)
-    place = f"skin-scan{suffix}"
+def is_place(place: str, usual: str) -> bool:
+    """Whether something whose usual place is ``usual`` may have been put there: beside it, if that was taken."""
+    return re.fullmatch(r"(-[0-9]+)?".join(map(re.escape, _parted(usual))), place) is not None
+
+
+def _free_place(folder: Path, usual: str) -> str:
+    """``usual``, or with "-2" and so on before its ending: what was taken out of the subject stays where it was."""
+    (stem, ending), count, place = _parted(usual), itertools.count(2), usual
     while os.path.lexists(folder / place):
-        place = f"skin-scan-{next(count)}{suffix}"
+        place = f"{stem}-{next(count)}{ending}"
     return place
+
+
+def _parted(place: str) -> tuple[str, str]:
+    """A place without its ending, of letters, and that ending, which may be empty."""
+    ending = re.search(r"(\.[A-Za-z]+)?$", place)
+    assert ending is not None
+    return place[: ending.start()], ending.group()
 
 
 def add_scan(standing: Standing, scan: Mapping[str, Any], source: Path) -> dict[str, Any]:
@@ -312,7 +324,7 @@ def add_scan(standing: Standing, scan: Mapping[str, Any], source: Path) -> dict[
     """
     if standing.data.get("skin_scan") is not None:
         raise SubjectError("the subject has a skin scan already; take that out first")
-    place = _free_scan_place(standing.folder, source.suffix.lower())
+    place = _free_place(standing.folder, f"skin-scan{source.suffix.lower()}")
     if not re.fullmatch(SCAN_PLACE, place):
         raise SubjectError(f"the skin scan: found a file '{source.suffix[:20]}', wanted {', '.join(SUFFIXES)}")
     parse_record(json.dumps({**scan, "file": place}), "the skin scan", ScanRecord)
@@ -340,7 +352,7 @@ def add_view(standing: Standing, number: int, view: Mapping[str, Any], files: Se
         another patient; otherwise as ``write_addition``.
     """
     push = _push_of(standing, number)
-    place = side_places(push["id"], view.get("id"))[len(files) > 1]
+    place = _free_place(standing.folder, side_places(push["id"], view.get("id"))[len(files) > 1])
     record = parse_record(json.dumps({**view, "files": place}), "the view", FurtherViewRecord)
     for one in files:
         check_patient(standing.files, [one])
@@ -377,7 +389,7 @@ def add_markers(standing: Standing, number: int, markers: Mapping[str, Any], tab
     SubjectError : no such push, markers that the schema does not allow; otherwise as ``write_addition``.
     """
     push = _push_of(standing, number)
-    place = markers_place(push["id"])
+    place = _free_place(standing.folder, markers_place(push["id"]))
     record = parse_record(json.dumps({**markers, "file": place}), "the markers", MarkersRecord)
     data = copy.deepcopy(dict(standing.data))
     if data["pushes"][number].get("markers") is not None:
