@@ -15,6 +15,7 @@ from spinestiff.estimation import profiles
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fit import fit_stiffness, likelihood_rise
 from spinestiff.estimation.objective import Trial
+from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
@@ -226,14 +227,14 @@ def test_a_push_from_the_wrong_side_is_warned_of(column, clean, whole) -> None:
 
 
 def test_the_rise_at_other_ratios_is_that_of_the_interval(column, noisy, whole) -> None:
-    """At an end of an interval, with the other ratio as the profile has it: 3.84."""
+    """At an end of an interval, with the other ratio as the profile has it: 3.84 for a width factor of 1."""
     profile, end = whole.likely.profiles[0], whole.likely.high[0]
     others = np.array([end, np.interp(end, profile.log_ratios, profile.others[:, 1])])
     nuisances = {nuisance.name: nuisance.standard for nuisance in whole.weighed.nuisances}
     loaded = [column.problem] * len(noisy)
     estimate = whole.ratios.as_dict()
     rise = likelihood_rise(loaded, noisy, estimate, nuisances, dict(zip(estimate, np.exp(others), strict=True)))
-    assert rise == pytest.approx(3.84, abs=0.25)
+    assert rise == pytest.approx(3.84 * WIDTH_FACTOR**2, abs=0.25)
     states = [one.state for one in whole.equilibria]
     again = likelihood_rise(loaded, noisy, estimate, nuisances, estimate, rmse_mm=1.001 * whole.rmse_mm, starts=states)
     assert again == pytest.approx(0.0, abs=1e-4)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from spinestiff.estimation.linear import best_known, linear_ratios
+from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.estimation.weighed import reduced
 
 
@@ -17,7 +18,7 @@ def covariance(found):
 
 def test_ends_lie_at_two_standard_deviations(column, found, covariance, likely):
     linear = linear_ratios(found, (), column.limits)
-    reach = 1.96 * np.sqrt(np.diag(covariance))
+    reach = WIDTH_FACTOR * 1.96 * np.sqrt(np.diag(covariance))
     assert linear.high - found.point.log_ratios == pytest.approx(reach, rel=0.01)
     assert found.point.log_ratios - linear.low == pytest.approx(reach, rel=0.01)
     assert linear.kinds == ("bounded", "bounded")
@@ -39,13 +40,13 @@ def test_ends_beyond_the_bounds_are_open(found, covariance):
 
 def test_draws_spread_as_ratios_and_nuisances_do(column, found, covariance):
     ratios, nuisances = linear_ratios(found, (), column.limits).draws
-    assert np.cov(ratios.T) == pytest.approx(covariance, rel=0.2)
+    assert np.cov(ratios.T) == pytest.approx(WIDTH_FACTOR**2 * covariance, rel=0.2)
     assert ratios.mean(axis=0) == pytest.approx(found.point.log_ratios, abs=0.2 * np.sqrt(np.diag(covariance)).min())
     columns = found.weights.whiten(np.column_stack([found.slope.ratios, found.slope.nuisances]))
     precision = columns.T @ columns
     precision[2:, 2:] += np.eye(len(precision) - 2)
     wanted = np.sqrt(np.diag(np.linalg.inv(precision)))[2:]
-    assert nuisances.std(axis=0) == pytest.approx(wanted, rel=0.15)
+    assert nuisances.std(axis=0) == pytest.approx(WIDTH_FACTOR * wanted, rel=0.15)
 
 
 def test_of_two_that_trade_their_product_is_known_best():
