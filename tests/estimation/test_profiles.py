@@ -51,7 +51,7 @@ def least_rise(asked, found, i, where):
 @pytest.mark.parametrize("i", [0, 1])
 @pytest.mark.parametrize("side", ["low", "high"])
 def test_ends_are_where_the_models_profile_has_risen_enough(asked, found, likely, i, side) -> None:
-    """phi, minimised over all else on the model, rises by 3.84/2 there for a width factor of 1, to 8 % of an sd."""
+    """phi, minimised over all else on the model, rises by 3.84/2 there for a width factor of 1, to 13 % of an sd."""
     end = float(getattr(likely, side)[i])
     profile = likely.profiles[i]
     start = profile.others[np.argmin(np.abs(profile.log_ratios - end))].copy()
@@ -63,7 +63,7 @@ def test_ends_are_where_the_models_profile_has_risen_enough(asked, found, likely
     steepness = (farther - rise) / step
     wanted = WIDTH_FACTOR**2 * chi2.ppf(0.95, 1)
     assert rise == pytest.approx(0.5 * wanted, abs=0.06 * np.sqrt(wanted))
-    assert abs(0.5 * wanted - rise) / abs(steepness) < 0.08 * sd
+    assert abs(0.5 * wanted - rise) / abs(steepness) < 0.13 * sd
 
 
 class Bent:
