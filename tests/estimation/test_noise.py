@@ -144,7 +144,7 @@ def test_rest_geometry_is_what_a_wrong_rest_pose_shows_in_all_frames(column, tar
 def test_tracking_errors_are_a_frames_own_partly_shared_with_neighbours(noise) -> None:
     found = labels(noise)
     # 0.1 mm predicted for each corner along both axes together.
-    own, shared = 0.02**2 + 0.5 * (TRACKED * 0.1) ** 2, 0.05**2
+    own, shared = np.maximum(0.1**2, 0.5 * (TRACKED * 0.1) ** 2), 0.05**2
     wanted = [
         [
             (i == j and c == d and not ANNOTATED[i])
@@ -172,7 +172,7 @@ def test_lost_corners_do_not_count_in_a_vertebras_error(column, targets) -> None
     noise = noise_of(column, [make_target(column.torso, seen)], alone, annotated=[False])
     own = np.diag(noise.tracking()).reshape(-1, CHANNELS)[:, 0]
     assert own[2] == pytest.approx(own[0])
-    assert own[3] == pytest.approx(0.02**2 + TRACKED[0] ** 2 * 0.5 * (3 * 0.1**2 + 0.51**2) / 4.0)
+    assert own[3] == pytest.approx(TRACKED[0] ** 2 * 0.5 * (3 * 0.1**2 + 0.51**2) / 4.0)
 
 
 def test_own_errors_are_the_most_probable_ones(noise) -> None:

@@ -151,7 +151,7 @@ def test_draws_are_those_of_the_posterior(found, likely) -> None:
     sd, best = sd_of(found), found.point.log_ratios
     axes = [best[i] + sd[i] * np.linspace(-5.0, 5.0, 81) for i in (0, 1)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
-    weight = np.exp(-likely.emulator.phi(grid) + likely.emulator.phi(best))
+    weight = np.exp((likely.emulator.phi(best) - likely.emulator.phi(grid)) / WIDTH_FACTOR**2)
     weight /= weight.sum()
     ratios, nuisances = likely.draws
     assert likely.effective > 500.0
@@ -161,7 +161,7 @@ def test_draws_are_those_of_the_posterior(found, likely) -> None:
         for level in (0.1, 0.5, 0.9):
             exact = grid[order, i][np.searchsorted(cumulative, level)]
             # 500 draws: 0.06 to 0.08 sd by chance; a grid step is 0.125.
-            assert np.quantile(ratios[:, i], level) == pytest.approx(exact, abs=0.25 * sd[i])
+            assert np.quantile(ratios[:, i], level) == pytest.approx(exact, abs=0.25 * WIDTH_FACTOR * sd[i])
         inside = (ratios[:, i] > likely.low[i]) & (ratios[:, i] < likely.high[i])
         assert inside.mean() == pytest.approx(0.95, abs=0.03)
     centred = grid - weight @ grid

@@ -219,7 +219,7 @@ class Noise:
                 corners = one.target.trial.corners
                 error = np.where(corners.usable, error_of(np.maximum(corners.quality, 1e-6)), 0.0)
                 squares = np.sum(error**2, axis=1) / np.maximum(corners.usable.sum(1), 1)
-                own_error[self.of(i)] = priors.tracking_mm**2 + np.outer(0.5 * squares, TRACKED**2).ravel()
+                own_error[self.of(i)] = np.maximum(priors.tracking_mm**2, np.outer(0.5 * squares, TRACKED**2).ravel())
                 tracked[self.of(i)] = True
         self._own = own_error
         distance = np.abs(np.subtract.outer(self._rows, self._rows)) / priors.tracking_length

@@ -70,8 +70,8 @@ class Priors:
     marker_slide : of the skin's motion along each axis, relative to the size of the frontal motion of the spine, beside
         what variants of the model show (``discrepancy.SKIN_SD``): the model's skin is one with the tissue under it, a
         person's slides on it. A judgement.
-    tracking_mm : of a tracked vertebra's shifts and turn (channels of ``noise``), beside what tracking itself predicts.
-    tracking_shared_mm, tracking_length : the same, shared with neighbours over so many vertebrae.
+    tracking_mm : of a tracked vertebra's shifts and turn (channels of ``noise``), where tracking predicts less.
+    tracking_shared_mm, tracking_length : of the same, shared with neighbours over so many vertebrae.
     tracking_factor : of the size of these tracking errors, in log; restricted likelihood tells the factor.
     tracking_drag : of how far tracked vertebrae are taken along by what lies before and behind them, relative to the
         spine's motion sideways; alike in all frames of a person, see ``noise`` (docs/tracking.md).
@@ -116,7 +116,7 @@ class Priors:
     marker_turn_deg: float = 3.0
     marker_breath_mm: float = 1.5
     marker_slide: float = 0.1
-    tracking_mm: float = 0.02
+    tracking_mm: float = 0.1
     tracking_shared_mm: float = 0.05
     tracking_length: float = 2.0
     tracking_factor: float = 0.7
