@@ -348,9 +348,13 @@ def _draws(emulator: Emulator, candidates: Floats, density: Floats) -> tuple[tup
     log_weight = -emulator.phi(candidates) / WIDTH_FACTOR**2 - density
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
-    # Systematic resampling: one uniform number, evenly spaced places on the cumulative weight.
+    # Systematic resampling: one uniform number, evenly spaced places on the cumulative weight along the direction in
+    # which candidates spread most; chance leaves each place its share of that direction. Mixed again at the end.
+    centred = candidates - candidates.mean(axis=0)
+    order = np.argsort(centred @ np.linalg.svd(centred, full_matrices=False)[2][0], kind="stable")
     places = (np.arange(DRAWS) + random.uniform()) / DRAWS
-    chosen = candidates[np.minimum(np.searchsorted(np.cumsum(weight), places), len(candidates) - 1)]
+    chosen = order[np.minimum(np.searchsorted(np.cumsum(weight[order]), places), len(candidates) - 1)]
+    chosen = candidates[random.permutation(chosen)]
     nuisances = []
     for where in chosen:
         middle, spread = emulator.nuisances(where)
