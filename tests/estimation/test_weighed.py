@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import kstest, multivariate_normal
 
 from spinestiff.estimation import mode
+from spinestiff.estimation.noise import TRACKED
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS
@@ -210,7 +211,8 @@ def test_a_grossly_wrong_vertebra_is_inflated_and_hardly_moves_the_estimate(colu
 def test_the_size_of_tracking_errors_is_found_from_the_fits_residuals(column, factor) -> None:
     """Corners with errors of ``factor`` times what their quality says."""
     priors = Priors(tracking_mm=0.05, tracking_shared_mm=0.0)
-    size = np.sqrt(0.05**2 + 0.5 * 0.1**2)
+    # Alike in all channels, which are told to differ: the mean of their precisions counts.
+    size = 0.1 * np.sqrt(0.5 / np.mean(TRACKED**-2))
     data = [column.trials(tracking=factor * size, seed=seed) for seed in range(4)]
     found = [column.searched(column.weighed(trials, priors)).weights.tracking_factor for trials in data]
     # About 40 free channels in each.

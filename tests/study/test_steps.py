@@ -15,6 +15,7 @@ from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.regions import torso_ratios
 from spinestiff.errors import EquilibriumError, FitError, SubjectError
+from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import region_rise
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS
@@ -269,7 +270,8 @@ def test_the_reactions_balance_the_push(finished):
     assert reactions.eq2_shoulder + reactions.eq1_pelvis == pytest.approx(22.5)
     push = open_visit(finished.folder).subject.push("main")
     assert reactions.eq1_pelvis == pytest.approx(22.5 * push.d31_mm / push.d21_mm)
-    assert reactions.shoulder + reactions.pelvis == pytest.approx(22.5, rel=0.05)
+    # Of the force as the fit has it, within the standard deviation of a gauge's zero.
+    assert reactions.shoulder + reactions.pelvis == pytest.approx(22.5, abs=Priors().force_offset_n)
     # About the pelvis, whose moment Eqs. 1-2 leave out; lever arms are those at rest.
     shared = reactions.shoulder + 1000.0 * reactions.pelvis_moment_nm / push.d21_mm
     assert shared == pytest.approx(reactions.eq2_shoulder, rel=0.1)
