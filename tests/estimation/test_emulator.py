@@ -68,7 +68,7 @@ def test_phi_is_the_models_where_the_model_was_solved(places, found, emulator) -
         solved = 0.5 * float(model.values @ model.values)
         assert emulator.phi(place.point.log_ratios)[0] == pytest.approx(solved, abs=0.08)
         assert np.allclose(emulator.nuisances(place.point.log_ratios)[0], model.nuisances, atol=0.05)
-    assert emulator.phi(found.point.log_ratios)[0] == pytest.approx(phi(found.point, found.weights), abs=3e-2)
+    assert emulator.phi(found.point.log_ratios)[0] == pytest.approx(phi(found.point, found.weights), abs=1e-2)
 
 
 def test_phi_and_nuisances_between_places_against_the_model(asked, found, emulator) -> None:
@@ -124,7 +124,7 @@ def test_places_of_a_rougher_model_tell_the_shape(column, noisy, found, places) 
     rough = likely_ratios(asked, there, [Place(*place) for place in there.visited], other.limits)[1]
     estimate = [Place(found.point, found.slope)]
     own, both = Emulator(estimate, found.weights), Emulator(estimate, found.weights, rough=rough)
-    assert both.phi(found.point.log_ratios)[0] == pytest.approx(phi(found.point, found.weights), abs=3e-2)
+    assert both.phi(found.point.log_ratios)[0] == pytest.approx(phi(found.point, found.weights), abs=1e-2)
     where = np.array([place.point.log_ratios for place in places[1:]])
     models = [reduced(place.point, place.slope, found.weights) for place in places[1:]]
     wanted = np.array([0.5 * float(model.values @ model.values) for model in models])
