@@ -2,32 +2,20 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from programs import benchmark
 from spinestiff.anatomy.template import template_torso
 from spinestiff.estimation.discrepancy import MIRROR
 from spinestiff.mechanics.contact import solve_with_contact
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.supports import three_point_supports
 
-FOLDER = Path(__file__).parents[2] / "benchmarks"
-
-
-def _load(name: str):
-    spec = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-pairs = _load("discrepancy_pairs")
-discrepancy = _load("discrepancy")
+pairs = benchmark("discrepancy_pairs")
+discrepancy = benchmark("discrepancy")
 
 
 @pytest.fixture(scope="module")

@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-FOLDER = Path(__file__).parents[2] / "benchmarks"
+from programs import benchmark
+
 COLUMN = np.array([[-15.0, 10.0], [15.0, 10.0], [15.0, -10.0], [-15.0, -10.0]]) + 25.0 * np.arange(17)[
     :, None, None
 ] * np.array([0.0, 1.0])
 
 
-def _load(name: str):
-    spec = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-subjects = _load("judgement_subjects")
-channels = _load("tracking_drag").channels
+subjects = benchmark("judgement_subjects")
+channels = benchmark("tracking_drag").channels
 
 
 def test_tracking_errors_have_the_sizes_of_the_trackers_channels_and_are_bodies_motions() -> None:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.optimize import brentq, minimize_scalar
 
+from programs import benchmark
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -20,10 +17,7 @@ from spinestiff.verification.blocks import holds
 from spinestiff.verification.equilibria import toy_load, toy_supports
 from spinestiff.verification.models import make_torso, toy_torso
 
-FILE = Path(__file__).parents[2] / "benchmarks" / "multiplicity.py"
-SPEC = importlib.util.spec_from_file_location("multiplicity", FILE)
-multiplicity = sys.modules["multiplicity"] = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(multiplicity)
+multiplicity = benchmark("multiplicity")
 BranchEnd, apart, equilibria = multiplicity.BranchEnd, multiplicity.apart, multiplicity.equilibria
 follow_load, least_eigenvalue = multiplicity.follow_load, multiplicity.least_eigenvalue
 

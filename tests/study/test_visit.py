@@ -56,6 +56,11 @@ def test_impossible_priors_are_refused_before_any_step(subject, priors, words):
             {"population": "everyone"},
             r"subject\.json: population: unknown population 'everyone'; known are koutras2025$",
         ),
+        (
+            {"population": "koutras2025", "parameters": ["lateral_bending@lumbar", "tissue"]},
+            r"population 'koutras2025' is of the lateral bending of the whole spine; the ratios to fit leave 11 of 17 "
+            r"levels at their default; estimate the whole spine's bending, or ask for no population$",
+        ),
     ],
 )
 def test_impossible_parameters_are_refused_before_any_step(subject, content, words):

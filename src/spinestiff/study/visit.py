@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from spinestiff.anatomy.files import read_torso
-from spinestiff.anatomy.regions import check_parameters
-from spinestiff.anatomy.template import MESHES
+from spinestiff.anatomy.regions import check_parameters, parameter_groups
+from spinestiff.anatomy.template import MESHES, template_torso
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.errors import SubjectError
+from spinestiff.errors import FitError, SubjectError
 from spinestiff.estimation.fitted import METHODS
-from spinestiff.estimation.ratio_priors import POPULATIONS
+from spinestiff.estimation.ratio_priors import POPULATIONS, ratio_prior
 from spinestiff.imaging.features import ORIENTATIONS, Orientation
 from spinestiff.study.trials import PushSet, known_of, push_set, rig_of
 from spinestiff.study.truth import read_truth
@@ -111,7 +111,18 @@ def open_visit(folder: str | Path, settings: Settings | None = None, truth: Path
         raise SubjectError(
             f"population '{visit.population}' with the paper's method, which knows no priors; leave one of them out"
         )
+    if visit.population is not None:
+        _check_prior(visit)
     return visit
+
+
+def _check_prior(visit: Visit) -> None:
+    """Whether the population has a prior for these ratios; the template's joints are every torso's."""
+    template = template_torso(visit.subject.record.height_cm, "coarse")
+    try:
+        ratio_prior(parameter_groups(template, visit.parameters), template.joints.kinds, 0.0, visit.population)
+    except FitError as error:
+        raise SubjectError(f"{error}; estimate the whole spine's bending, or ask for no population") from None
 
 
 def load_start(visit: Visit, orientation: Orientation, method: str) -> PushSet | None:

@@ -4,6 +4,17 @@ from __future__ import annotations
 
 from typing import Final
 
+
+def _coordinates(of: str) -> dict[str, dict[str, str]]:
+    """Of a file with points in space."""
+    return {
+        f"{of}.unit": {"title": "Unit of the file's coordinates"},
+        f"{of}.axes.left": {"title": "Axis that runs to the patient's left"},
+        f"{of}.axes.up": {"title": "Axis that runs up"},
+        f"{of}.axes.front": {"title": "Axis that runs to the front"},
+    }
+
+
 WORDS: Final[dict[str, dict[str, str]]] = {
     "id": {"title": "Subject", "help": "A name that is no person's: letters, digits, '.', '_' or '-'."},
     "age": {"title": "Age", "unit": "years", "help": "When the radiographs were taken."},
@@ -59,10 +70,7 @@ WORDS: Final[dict[str, dict[str, str]]] = {
         "title": "Markers on the skin",
         "help": "Seen by cameras or a surface scanner in each frame.",
     },
-    "pushes.markers.unit": {"title": "Unit of the table's coordinates"},
-    "pushes.markers.axes.left": {"title": "Axis that runs to the patient's left"},
-    "pushes.markers.axes.up": {"title": "Axis that runs up"},
-    "pushes.markers.axes.front": {"title": "Axis that runs to the front"},
+    **_coordinates("pushes.markers"),
     "pushes.markers.side": {"title": "Side of the trunk that they lie on"},
     "pushes.markers.shown": {
         "title": "Where the radiograph without force shows them",
@@ -90,10 +98,7 @@ WORDS: Final[dict[str, dict[str, str]]] = {
         "help": "Of the standing patient's trunk, by a surface scanner; open, in parts or with holes, as it comes. It "
         "shapes the skin of the model.",
     },
-    "skin_scan.unit": {"title": "Unit of the file's coordinates"},
-    "skin_scan.axes.left": {"title": "Axis that runs to the patient's left"},
-    "skin_scan.axes.up": {"title": "Axis that runs up"},
-    "skin_scan.axes.front": {"title": "Axis that runs to the front"},
+    **_coordinates("skin_scan"),
     "population": {
         "title": "Whose ratios are held as a prior",
         "help": "koutras2025: bending of seven adolescents with scoliosis, for estimates of the whole spine's bending.",
