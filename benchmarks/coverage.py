@@ -85,8 +85,8 @@ class Scenario:
 
 
 SCENARIOS = {
-    "coarse pair, three pushes": Scenario("three pushes", 2300, "coarse", 20000, 460),
-    "coarse pair, the paper's acquisition": Scenario("paper", 2300, "coarse", 20000, 460),
+    "coarse pair, three pushes": Scenario("three pushes", 2300, "coarse", 21000, 460),
+    "coarse pair, the paper's acquisition": Scenario("paper", 2300, "coarse", 21000, 460),
     "default chain, three pushes": Scenario("three pushes", 15000, "fine", 40000, 140),
     "rendered, three pushes": Scenario("three pushes", 15000, "fine", 60000, 45, rendered=True),
     "settings, three pushes": Scenario("three pushes", 2300, "coarse", 0, 230),
@@ -223,12 +223,12 @@ def told(fit: StiffnessFit, truth: Mapping[str, float]) -> dict[str, Any]:
 
 
 def risen(profile: Profile, at: float) -> float:
-    """A profile's rise at a log ratio; beyond its ends, outside any 95 % interval, as a parabola through them."""
-    where, rise = profile.log_ratios, profile.rise
+    """A profile's rise at a log ratio, as a parabola between its places, and beyond its ends, outside any interval."""
+    where, root = profile.log_ratios, np.sqrt(np.maximum(profile.rise, 0.0))
     if where[0] <= at <= where[-1]:
-        return float(np.interp(at, where, rise))
-    end, least = (0 if at < where[0] else -1), where[int(np.argmin(rise))]
-    return float(rise[end] * ((at - least) / (where[end] - least)) ** 2)
+        return float(np.interp(at, where, root) ** 2)
+    end, least = (0 if at < where[0] else -1), where[int(np.argmin(root))]
+    return float((root[end] * (at - least) / (where[end] - least)) ** 2)
 
 
 def summarised(scenario: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -252,7 +252,8 @@ def summarised(scenario: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         widths = np.array([np.sqrt(row["high"][i] / row["low"][i]) for row in found])
         is_open = np.array([row["open"][i] for row in found], dtype=bool)
         third = np.searchsorted(np.quantile(truth, (1 / 3, 2 / 3)), truth)
-        entry["coverage95"][name] = _share(_inside(z, 0.95))[0]
+        inside = {level: _inside(z, level) for level in LEVELS} | {0.95: np.array([row["inside"][i] for row in found])}
+        entry["coverage95"][name] = _share(inside[0.95])[0]
         entry["median_factor"][name] = round(float(np.median(widths)), 3)
         entry["bias_sd"][name] = round(float(np.mean(np.clip(z, *FAR))), 3)
         parts = {"all": np.ones(len(z), dtype=bool), "closed": ~is_open, "open": is_open}
@@ -260,7 +261,7 @@ def summarised(scenario: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         entry[name] = {
             part: {
                 "subjects": int(mask.sum()),
-                **{f"{level:.1%}": _share(_inside(z[mask], level)) for level in LEVELS},
+                **{f"{level:.1%}": _share(inside[level][mask]) for level in LEVELS},
                 "bias_sd": round(float(np.mean(np.clip(z[mask], *FAR))), 3),
                 "median_z": round(float(np.median(z[mask])), 3),
                 "sd_of_z": round(float(np.std(np.clip(z[mask], *FAR))), 3),
@@ -357,6 +358,7 @@ def _percent(share: list[float]) -> str:
 def read_logs(paths: Sequence[Path]) -> list[dict[str, Any]]:
     """All lines of some logs, with z and joint rises in units of the present width factor; ends are as they were.
 
+    ``inside`` says which 95 % intervals hold the truth: by their ends, or by z where they had another width factor.
     A profile rises no more than phi itself does where the truth is, so that what was solved there is a bound of z:
     beyond an interval's ends the profile is extrapolated.
     """
@@ -370,6 +372,8 @@ def read_logs(paths: Sequence[Path]) -> list[dict[str, Any]]:
             solved = row.get("joint_solved")
             most = np.inf if solved is None else np.sqrt(max(solved, 0.0))
             row["z"] = [float(np.clip(before * z, -most, most)) for z in row["z"]]
+            ends = [low <= row["ratios"][name] <= high for name, low, high in zip(NAMES, row["low"], row["high"])]
+            row["inside"] = ends if before == 1.0 else _inside(np.array(row["z"]), 0.95).tolist()
     return rows
 
 

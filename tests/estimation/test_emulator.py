@@ -68,7 +68,7 @@ def test_phi_is_the_models_where_the_model_was_solved(places, found, emulator) -
         solved = 0.5 * float(model.values @ model.values)
         assert emulator.phi(place.point.log_ratios)[0] == pytest.approx(solved, abs=0.08)
         assert np.allclose(emulator.nuisances(place.point.log_ratios)[0], model.nuisances, atol=0.05)
-    assert emulator.phi(found.point.log_ratios)[0] == pytest.approx(phi(found.point, found.weights), abs=1e-2)
+    assert emulator.phi(found.point.log_ratios)[0] == pytest.approx(phi(found.point, found.weights), abs=2e-2)
 
 
 def test_phi_and_nuisances_between_places_against_the_model(asked, found, emulator) -> None:

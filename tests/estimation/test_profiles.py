@@ -220,11 +220,29 @@ def test_a_profile_that_hardly_rises_is_followed_to_the_bounds(found, likely) ->
     """Bounds 60 standard deviations off, beyond which nothing is known: no profile ends in between."""
     limits = (-60.0 * float(sd_of(found).max()), 60.0 * float(sd_of(found).max()))
     emulator = SimpleNamespace(phi=lambda where: 1e-4 * np.sum(np.atleast_2d(where) ** 2, axis=1))
-    tracer = _Tracer(emulator, np.zeros(2), np.diag(sd_of(found) ** 2), limits)
+    tracer = _Tracer(emulator, np.zeros(2), np.diag(sd_of(found) ** 2), limits, np.zeros((1, 2)))
     for i in range(2):
         profile = tracer.profile(i, 1.92)
         assert (profile.log_ratios[0], profile.log_ratios[-1]) == limits
         assert tracer.end(profile, i, 1.0, 1.92)[1]
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_an_interval_holds_a_valley_beside_the_estimates(sign) -> None:
+    """Of two normal valleys the other, 1 higher, is 5 and 6 standard deviations off: both belong to the interval."""
+
+    def height(where):
+        own = np.sum((np.atleast_2d(where) / [0.2, 0.5]) ** 2, axis=1)
+        beside = 2.0 + np.sum(((np.atleast_2d(where) - [sign, 3.0]) / [0.3, 0.5]) ** 2, axis=1)
+        return -np.logaddexp(-0.5 * own, -0.5 * beside)
+
+    scouts = np.stack(np.meshgrid(np.linspace(-2.0, 2.0, 81), np.linspace(-4.0, 4.0, 41)), -1).reshape(-1, 2)
+    tracer = _Tracer(SimpleNamespace(phi=height), np.zeros(2), np.diag([0.04, 0.25]), (-6.0, 6.0), scouts)
+    profile = tracer.profile(0, 1.92)
+    assert np.interp(sign, profile.log_ratios, profile.rise) == pytest.approx(1.0, abs=0.1)
+    (near, _), (far, _) = (tracer.end(profile, 0, side, 1.92) for side in (-sign, sign))
+    assert near[0] == pytest.approx(-sign * 0.2 * np.sqrt(2.0 * 1.92), abs=0.01)
+    assert far == pytest.approx([sign * (1.0 + 0.3 * np.sqrt(2.0 * 0.92)), 3.0], abs=0.01)
 
 
 def test_one_ratio_alone_has_an_interval_and_no_region(column, noisy) -> None:

@@ -34,6 +34,9 @@ NEAR, FARTHEST_STEP, SAME = 0.1, 1.2, 1e-3
 MOST_AGAIN, SHRINKING = 3, 0.7
 # Steps of a profile, in standard deviations; each is so much longer than the last one, so that the bounds are reached.
 STEP, LONGER = 0.35, 1.05
+# A profile goes over to another valley where a candidate within so many standard deviations of the given ratio, and as
+# many of the others' from its own place, is no higher than the valley it is in by so much.
+BESIDE, APART, RIVAL = 0.25, 2.0, 1.0
 # A profile that rises by less than this anywhere inside the bounds is flat.
 FLAT = 0.5
 # Another minimum is one that a ridge of this height parts from the estimate.
@@ -107,14 +110,13 @@ def likely_ratios(
     candidates, density = _candidates(fit.point.log_ratios, covariance, limits)
     for solved in range(MOST_ROUNDS + 1):
         emulator = Emulator(places, fit.weights, rough=rough)
-        tracer = _Tracer(emulator, fit.point.log_ratios, covariance, limits)
+        tracer = _Tracer(emulator, fit.point.log_ratios, covariance, limits, candidates)
         profiles = [tracer.profile(i, rise) for i in range(len(precision))]
         ends = [tracer.end(profile, i, sign, rise) for i, profile in enumerate(profiles) for sign in (-1.0, 1.0)]
         wanted = [where for where, _ in ends]
-        heights = emulator.phi(candidates)
-        if heights.min() < emulator.phi(fit.point.log_ratios)[0] - CLOSE_ENOUGH:
+        if tracer.heights.min() < -CLOSE_ENOUGH:
             # Lower than the estimate: a hole between places, which would draw the draws.
-            wanted.append(candidates[int(np.argmin(heights))])
+            wanted.append(candidates[int(np.argmin(tracer.heights))])
         if solved == MOST_ROUNDS:
             settled = False
             break
@@ -223,18 +225,28 @@ def solved_place(
 
 
 class _Tracer:
-    """Profiles on an emulator, followed outward from the estimate."""
+    """Profiles on an emulator, followed outward from the estimate.
 
-    def __init__(self, emulator: Emulator, best: Floats, covariance: Floats, limits: tuple[float, float]) -> None:
+    Parameters
+    ----------
+    scouts : (S, P) log ratios inside the limits, which show valleys beside the one that is followed.
+    """
+
+    def __init__(
+        self, emulator: Emulator, best: Floats, covariance: Floats, limits: tuple[float, float], scouts: Floats
+    ) -> None:
         self._emulator, self._best, self._covariance, self._limits = emulator, best, covariance, limits
         self._least = float(emulator.phi(best)[0])
         self._sd = np.sqrt(np.diag(covariance))
+        self._scouts, self.heights = scouts, emulator.phi(scouts) - self._least
 
     def profile(self, i: int, rise: float) -> Profile:
-        """Outward to both sides until phi has risen by twice ``rise`` or the bounds are reached."""
+        """Outward until phi has risen by twice ``rise``, with no scout inside any farther, or to the bounds."""
         found = [(self._best, 0.0)]
+        inside = self._scouts[self.heights <= rise, i]
         for sign in (-1.0, 1.0):
             at, before, step = self._best, 0.0, STEP * self._sd[i]
+            farthest = float(np.max(sign * inside, initial=-np.inf))
             while True:
                 value = float(np.clip(at[i] + sign * step, *self._limits))
                 if value == at[i]:
@@ -242,7 +254,7 @@ class _Tracer:
                 step *= LONGER
                 at, height = self._lowest(i, value, at)
                 found.append((at, height))
-                if height > 2.0 * rise and height > before:
+                if height > 2.0 * rise and height > before and sign * value > farthest:
                     break
                 before = height
         found.sort(key=lambda one: float(one[0][i]))
@@ -253,32 +265,44 @@ class _Tracer:
         """All log ratios at an end of ratio i's interval, and whether it is the fit's bound."""
         own = profile.log_ratios
         order = np.argsort(sign * own)
-        outside = [k for k in order[::-1] if profile.rise[k] <= rise]
-        last = outside[0]  # the outermost place inside: several minima belong to one interval
-        beyond = [k for k in order if sign * own[k] > sign * own[last]]
-        if not beyond:
-            return profile.others[last], True
+        # The outermost place inside: several minima belong to one interval.
+        last = next(k for k in order[::-1] if profile.rise[k] <= rise)
         start = profile.others[last]
 
         def over(value: float) -> float:
             return self._lowest(i, value, start)[1] - rise
 
-        root = brentq(over, own[last], own[beyond[0]], xtol=1e-3 * self._sd[i])
-        return self._lowest(i, float(root), start)[0], False
+        for beyond in order[sign * own[order] > sign * own[last]]:
+            if over(own[beyond]) > 0.0:
+                root = brentq(over, start[i], own[beyond], xtol=1e-3 * self._sd[i])
+                return self._lowest(i, float(root), start)[0], False
+            start = self._lowest(i, own[beyond], start)[0]
+        return start, True
 
     def _lowest(self, i: int, value: float, near: Floats) -> tuple[Floats, float]:
-        """The least phi with log ratio i given, from the others of ``near``."""
+        """Place and height of the least phi with log ratio i given: from ``near`` on, or in a valley that scouts show."""
         others = [j for j in range(len(near)) if j != i]
         start = near.copy()
-        if others:
-            follow = self._covariance[others, i] / self._covariance[i, i]
-            start[others] = np.clip(start[others] + follow * (value - near[i]), *self._limits)
         start[i] = value
         if not others:
             return start, float(self._emulator.phi(start)[0]) - self._least
-        scale = np.sqrt(
-            np.maximum(self._sd[others] ** 2 - self._covariance[others, i] ** 2 / self._covariance[i, i], 1e-8)
-        )
+        follow = self._covariance[others, i] / self._covariance[i, i]
+        start[others] = np.clip(start[others] + follow * (value - near[i]), *self._limits)
+        scale = np.sqrt(np.maximum(self._sd[others] ** 2 - follow * self._covariance[others, i], 1e-8))
+        found, height = self._downhill(start, others, scale)
+        beside = np.abs(self._scouts[:, i] - value) < BESIDE * self._sd[i]
+        apart = np.abs((self._scouts[:, others] - found[others]) / scale).max(axis=1)
+        rivals = np.flatnonzero(beside & (apart > APART) & (self.heights < height + RIVAL))
+        if len(rivals):
+            start = self._scouts[rivals[np.argmin(self.heights[rivals])]].copy()
+            start[i] = value
+            other, lower = self._downhill(start, others, scale)
+            if lower < height:
+                return other, lower
+        return found, height
+
+    def _downhill(self, start: Floats, others: list[int], scale: Floats) -> tuple[Floats, float]:
+        """Place and height of the next least phi over some of the log ratios."""
 
         def height(x: Floats) -> tuple[float, Floats]:
             where = np.tile(start, (1 + 2 * len(others), 1))
@@ -291,8 +315,9 @@ class _Tracer:
 
         bounds = [((self._limits[0] - start[j]) / s, (self._limits[1] - start[j]) / s) for j, s in zip(others, scale)]
         found = minimize(height, np.zeros(len(others)), jac=True, method="L-BFGS-B", bounds=bounds)
-        start[others] = np.clip(start[others] + scale * found.x, *self._limits)
-        return start, float(found.fun) - self._least
+        place = start.copy()
+        place[others] = np.clip(start[others] + scale * found.x, *self._limits)
+        return place, float(found.fun) - self._least
 
 
 def profile_kind(
