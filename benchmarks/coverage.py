@@ -85,8 +85,8 @@ class Scenario:
 
 
 SCENARIOS = {
-    "coarse pair, three pushes": Scenario("three pushes", 2300, "coarse", 21000, 460),
-    "coarse pair, the paper's acquisition": Scenario("paper", 2300, "coarse", 21000, 460),
+    "coarse pair, three pushes": Scenario("three pushes", 2300, "coarse", 22000, 460),
+    "coarse pair, the paper's acquisition": Scenario("paper", 2300, "coarse", 22000, 460),
     "default chain, three pushes": Scenario("three pushes", 15000, "fine", 40000, 140),
     "rendered, three pushes": Scenario("three pushes", 15000, "fine", 60000, 45, rendered=True),
     "settings, three pushes": Scenario("three pushes", 2300, "coarse", 0, 230),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -306,3 +307,23 @@ def test_eqs_8_10_on_the_template_torso() -> None:
     adjoint = trial_set.gradient(point)
     assert np.abs(adjoint).min() > 1.0
     assert np.allclose(adjoint, forward, rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "end"), [((1.0, 2.0, 3.0), "third"), ((1.0, 2.0, 1.5), "second"), ((1.0, 0.5), "first")]
+)
+def test_a_search_goes_on_from_a_likelier_place_as_long_as_that_gains(monkeypatch, evidence, end) -> None:
+    """Profiles always know of a likelier place here; what the search from there finds counts by its evidence."""
+    names, starts = ("first", "second", "third"), []
+    told = [SimpleNamespace(name=name, status=FitStatus.CONVERGED) for name in names]
+
+    def searched(asked, start, *others):
+        starts.append(start)
+        return told[len(starts)]
+
+    monkeypatch.setattr(fitting, "search", searched)
+    monkeypatch.setattr(fitting, "_likely", lambda asked, found, *others: (SimpleNamespace(likelier=found.name), ()))
+    monkeypatch.setattr(fitting, "_evidence", lambda asked, found: evidence[names.index(found.name)])
+    found, likely, _ = fitting._likeliest(None, told[0], (-1.0, 1.0), "intervals", (), 80, 1e-3)
+    assert (found.name, likely.likelier) == (end, end)
+    assert starts == list(names[: len(evidence) - 1])

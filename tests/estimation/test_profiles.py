@@ -14,6 +14,7 @@ from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import (
     WIDTH_FACTOR,
     Profile,
+    _likelier,
     _solve_ends,
     _Tracer,
     likely_ratios,
@@ -243,6 +244,13 @@ def test_an_interval_holds_a_valley_beside_the_estimates(sign) -> None:
     (near, _), (far, _) = (tracer.end(profile, 0, side, 1.92) for side in (-sign, sign))
     assert near[0] == pytest.approx(-sign * 0.2 * np.sqrt(2.0 * 1.92), abs=0.01)
     assert far == pytest.approx([sign * (1.0 + 0.3 * np.sqrt(2.0 * 0.92)), 3.0], abs=0.01)
+
+
+def test_a_likelier_place_is_one_that_phi_itself_says_is(found, likely, places) -> None:
+    assert likely.likelier is None
+    assert _likelier(places, found.weights) is None
+    worst = max(places, key=lambda place: phi(place.point, found.weights))
+    assert _likelier([worst, *places], found.weights) is places[0].point
 
 
 def test_one_ratio_alone_has_an_interval_and_no_region(column, noisy) -> None:

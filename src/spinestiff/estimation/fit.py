@@ -42,6 +42,8 @@ WORST_CONDITION = 1e12
 LEAST_PRECISION = 1e-6
 # Share by which the corners' error may differ where an estimate is solved again: digits of a stored one.
 SAME_RMSE = 0.01
+# Searches from places that are likelier than the end of the one before.
+MOST_SEARCHES = 2
 Extent = Literal["estimate", "intervals", "everything"]
 
 
@@ -114,9 +116,11 @@ def fit_stiffness(
     if method == "weighed":
         nuisances = np.array([(start_nuisances or {}).get(name, 0.0) for name in asked.unknowns.names])
         found = _searched(asked, first, nuisances, default, limits, max_iterations, close_sd)
+        places = _rough_places(asked, rough)
+        found, likely, known = _likeliest(asked, found, limits, extent, places, max_iterations, close_sd)
         point, status = found.point.evaluation, found.status
         covariance = _covariance(found)
-        weighed = _told(asked, found, limits, extent, _rough_places(asked, rough))
+        weighed = _told(asked, found, limits, extent, places, likely, known)
     else:
         point = default if default is not None and not first.any() else _first_point(trial_set, first, default)
         trial_set.note(point.log_ratios, point.loss, point, True)
@@ -287,26 +291,59 @@ def _rough_places(asked: WeighedProblem, rough: StiffnessFit | None) -> tuple[Pl
     return places if places and places[0].slope.nuisances.shape == shape else ()
 
 
+def _likeliest(
+    asked: WeighedProblem,
+    found: WeighedFit,
+    limits: tuple[float, float],
+    extent: Extent,
+    rough: tuple[Place, ...],
+    max_iterations: int,
+    close_sd: float,
+) -> tuple[WeighedFit, Likely | None, tuple[Place, ...]]:
+    """The search's end with its profiles, or that of another search from a place that they found to be likelier."""
+    likely, known = _likely(asked, found, limits, extent, rough)
+    for _ in range(MOST_SEARCHES):
+        if likely is None or likely.likelier is None:
+            break
+        other = search(asked, likely.likelier, limits, max_iterations, close_sd)
+        # Each has a covariance of its own, so that phi alone does not tell which is the likelier.
+        if not other.status.usable or _evidence(asked, other) <= _evidence(asked, found):
+            break
+        found = other
+        likely, known = _likely(asked, found, limits, extent, rough)
+    return found, likely, known
+
+
+def _evidence(asked: WeighedProblem, found: WeighedFit) -> float:
+    return asked.log_likelihood(found.point, found.slope, found.weights)
+
+
+def _likely(
+    asked: WeighedProblem, found: WeighedFit, limits: tuple[float, float], extent: Extent, rough: tuple[Place, ...]
+) -> tuple[Likely | None, tuple[Place, ...]]:
+    """Intervals and draws, where they are asked for, and the places that they come from."""
+    if extent == "estimate" or not found.status.usable:
+        return None, ()
+    places = [Place(*place) for place in found.visited]
+    if len(found.point.log_ratios) > MOST_PROFILED:
+        return linear_ratios(found, places, limits), ()
+    return likely_ratios(asked, found, places, limits, rough)
+
+
 def _told(
     asked: WeighedProblem,
     found: WeighedFit,
     limits: tuple[float, float],
     extent: Extent,
     rough: tuple[Place, ...],
+    likely: Likely | None,
+    known: tuple[Place, ...],
 ) -> Weighed:
-    likely: Likely | None = None
     budget: Budget | None = None
     changes: tuple[PriorChange, ...] = ()
-    known: tuple[Place, ...] = ()
-    if extent != "estimate" and found.status.usable:
-        places = [Place(*place) for place in found.visited]
-        if len(found.point.log_ratios) > MOST_PROFILED:
-            likely = linear_ratios(found, places, limits)
-        else:
-            likely, known = likely_ratios(asked, found, places, limits, rough)
-        if extent == "everything":
-            budget = variance_budget(asked, found)
-            changes = prior_changes(asked, found, known, limits, rough) if known else ()
+    if extent == "everything" and likely is not None:
+        budget = variance_budget(asked, found)
+        changes = prior_changes(asked, found, known, limits, rough) if known else ()
     return Weighed(
         _nuisances(asked, found),
         found.point.evaluation.acts,
@@ -321,7 +358,7 @@ def _told(
         repeated_sds(asked, found),
         repeated_sds(asked, found, annotation_alone=True),
         best_known(found.point.log_ratios, _data_precision(asked, found)),
-        asked.log_likelihood(found.point, found.slope, found.weights),
+        _evidence(asked, found),
         known,
     )
 

@@ -18,7 +18,7 @@ from skimage.measure import find_contours
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.emulator import FAR_AND_HIGH, FARTHEST_NUISANCES, HIGH, Emulator, Place
-from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, phi, reduced
+from spinestiff.estimation.weighed import WeighedFit, WeighedPoint, WeighedProblem, Weights, phi, reduced
 
 CONFIDENCE = 0.95
 WIDTH_FACTOR = 1.1
@@ -32,8 +32,9 @@ NEAR, FARTHEST_STEP, SAME = 0.1, 1.2, 1e-3
 # Nuisances that the emulator has so wrong that the place would tell it nothing are solved for again, so many times; by
 # half as much where they are not as near as this share of how near they were.
 MOST_AGAIN, SHRINKING = 3, 0.7
-# Steps of a profile, in standard deviations; each is so much longer than the last one, so that the bounds are reached.
-STEP, LONGER = 0.35, 1.05
+# Steps of a profile, in standard deviations and at most in log ratio; each is so much longer than the last one, so that
+# the bounds are reached.
+STEP, LONGEST, LONGER = 0.35, 0.5, 1.05
 # A profile goes over to another valley where a candidate within so many standard deviations of the given ratio, and as
 # many of the others' from its own place, is no higher than the valley it is in by so much.
 BESIDE, APART, RIVAL = 0.25, 2.0, 1.0
@@ -72,6 +73,7 @@ class Likely(ShortRepr):
     draws : (D, P) log ratios and (D, M) nuisances, equally probable. effective : independent draws they are worth.
     emulator : of phi.
     settled : emulator and model agreed at the ends in the end, and the model has an equilibrium at each.
+    likelier : the likeliest place that was solved, if it is likelier than the estimate by more than ``CLOSE_ENOUGH``.
     """
 
     low: Floats
@@ -85,6 +87,7 @@ class Likely(ShortRepr):
     effective: float
     emulator: Emulator
     settled: bool = True
+    likelier: WeighedPoint | None = None
 
 
 def likely_ratios(
@@ -133,8 +136,30 @@ def likely_ratios(
     draws, effective = _draws(emulator, candidates, density)
     region = _region(emulator, fit.point.log_ratios, low, high) if len(precision) == 2 else None
     open_low, open_high = opens
-    likely = Likely(low, high, open_low, open_high, kinds, tuple(profiles), region, draws, effective, emulator, settled)
-    return likely, tuple(places)
+    return (
+        Likely(
+            low=low,
+            high=high,
+            open_low=open_low,
+            open_high=open_high,
+            kinds=kinds,
+            profiles=tuple(profiles),
+            region=region,
+            draws=draws,
+            effective=effective,
+            emulator=emulator,
+            settled=settled,
+            likelier=_likelier(places, fit.weights),
+        ),
+        tuple(places),
+    )
+
+
+def _likelier(places: Sequence[Place], weights: Weights) -> WeighedPoint | None:
+    """Of places, the estimate first, the likeliest as solved, if it is likelier than the estimate."""
+    heights = [phi(place.point, weights) for place in places]
+    least = int(np.argmin(heights))
+    return places[least].point if heights[least] < heights[0] - CLOSE_ENOUGH else None
 
 
 def region_rise(count: int) -> float:
@@ -245,7 +270,7 @@ class _Tracer:
         found = [(self._best, 0.0)]
         inside = self._scouts[self.heights <= rise, i]
         for sign in (-1.0, 1.0):
-            at, before, step = self._best, 0.0, STEP * self._sd[i]
+            at, before, step = self._best, 0.0, min(STEP * self._sd[i], LONGEST)
             farthest = float(np.max(sign * inside, initial=-np.inf))
             while True:
                 value = float(np.clip(at[i] + sign * step, *self._limits))
@@ -280,7 +305,7 @@ class _Tracer:
         return start, True
 
     def _lowest(self, i: int, value: float, near: Floats) -> tuple[Floats, float]:
-        """Place and height of the least phi with log ratio i given: from ``near`` on, or in a valley that scouts show."""
+        """Place and height of the least phi with log ratio i given, from ``near`` or in a valley that scouts show."""
         others = [j for j in range(len(near)) if j != i]
         start = near.copy()
         start[i] = value
