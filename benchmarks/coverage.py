@@ -85,8 +85,8 @@ class Scenario:
 
 
 SCENARIOS = {
-    "coarse pair, three pushes": Scenario("three pushes", 2300, "coarse", 22000, 460),
-    "coarse pair, the paper's acquisition": Scenario("paper", 2300, "coarse", 22000, 460),
+    "coarse pair, three pushes": Scenario("three pushes", 2300, "coarse", 23000, 460),
+    "coarse pair, the paper's acquisition": Scenario("paper", 2300, "coarse", 23000, 460),
     "default chain, three pushes": Scenario("three pushes", 15000, "fine", 40000, 140),
     "rendered, three pushes": Scenario("three pushes", 15000, "fine", 60000, 45, rendered=True),
     "settings, three pushes": Scenario("three pushes", 2300, "coarse", 0, 230),
@@ -223,8 +223,8 @@ def told(fit: StiffnessFit, truth: Mapping[str, float]) -> dict[str, Any]:
 
 
 def risen(profile: Profile, at: float) -> float:
-    """A profile's rise at a log ratio, as a parabola between its places, and beyond its ends, outside any interval."""
-    where, root = profile.log_ratios, np.sqrt(np.maximum(profile.rise, 0.0))
+    """A profile's rise over its least, as a parabola between its places and beyond its ends, outside any interval."""
+    where, root = profile.log_ratios, np.sqrt(profile.rise - profile.rise.min())
     if where[0] <= at <= where[-1]:
         return float(np.interp(at, where, root) ** 2)
     end, least = (0 if at < where[0] else -1), where[int(np.argmin(root))]

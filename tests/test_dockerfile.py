@@ -35,6 +35,15 @@ def copied() -> list[str]:
     return [word for words in of("COPY") if not words.startswith("--from=") for word in words.split()[:-1]]
 
 
+def offered(command: str) -> list[list[str]]:
+    """Words of the program in the calls of ``docker run`` that the header and the documents show."""
+    header = re.sub(r"\s*\\\n#\s*", " ", TEXT)
+    calls = re.findall(rf"docker run .* spinestiff ({command}\b.*)", header)
+    page = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
+    assert calls == re.findall(rf"docker run .* spinestiff ({command}\b.*)", page)
+    return [call.split() for call in calls]
+
+
 def test_it_holds_only_known_steps() -> None:
     assert {name for name, _ in steps()} == {
         "FROM",
@@ -124,3 +133,19 @@ def test_the_wheel_has_the_program_and_all_it_reads(installed: Path, tmp_path: P
     refused = run("cohort", "study", "results")
     assert refused.returncode == 2
     assert refused.stderr.startswith("spinestiff: ") and refused.stderr.count("\n") == 1
+
+    # The workbench as the recipe's header starts it, on any port that is free.
+    (tmp_path / "secret.txt").write_text("s" * 40, encoding="utf-8")
+    for words in offered("serve"):
+        words = [re.sub(r"^\d{4,5}$", "0", word) for word in words]
+        env = {**os.environ, **home, "PYTHONPATH": str(installed)}
+        running = subprocess.Popen(
+            [sys.executable, "-c", code, *words], cwd=tmp_path, env=env, stdout=subprocess.PIPE, text=True
+        )
+        try:
+            address = running.stdout.readline()
+            assert re.match(r"serve: https?://", address), address
+        finally:
+            running.kill()
+            running.communicate()
+    assert len(offered("serve")) == 2 and len(offered("cohort")) == 1

@@ -19,6 +19,7 @@ from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS
+from spinestiff.estimation.weighed import WeighedPoint
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -309,21 +310,10 @@ def test_eqs_8_10_on_the_template_torso() -> None:
     assert np.allclose(adjoint, forward, rtol=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("evidence", "end"), [((1.0, 2.0, 3.0), "third"), ((1.0, 2.0, 1.5), "second"), ((1.0, 0.5), "first")]
-)
-def test_a_search_goes_on_from_a_likelier_place_as_long_as_that_gains(monkeypatch, evidence, end) -> None:
-    """Profiles always know of a likelier place here; what the search from there finds counts by its evidence."""
-    names, starts = ("first", "second", "third"), []
-    told = [SimpleNamespace(name=name, status=FitStatus.CONVERGED) for name in names]
-
-    def searched(asked, start, *others):
-        starts.append(start)
-        return told[len(starts)]
-
-    monkeypatch.setattr(fitting, "search", searched)
-    monkeypatch.setattr(fitting, "_likely", lambda asked, found, *others: (SimpleNamespace(likelier=found.name), ()))
-    monkeypatch.setattr(fitting, "_evidence", lambda asked, found: evidence[names.index(found.name)])
-    found, likely, _ = fitting._likeliest(None, told[0], (-1.0, 1.0), "intervals", (), 80, 1e-3)
-    assert (found.name, likely.likelier) == (end, end)
-    assert starts == list(names[: len(evidence) - 1])
+def test_a_place_as_likely_as_the_estimate_is_told() -> None:
+    where = WeighedPoint(np.zeros(1), SimpleNamespace(log_ratios=np.log([0.5, 0.02])), np.zeros(1))
+    likely = SimpleNamespace(settled=True, likelier=where)
+    (warning,) = fitting._unsettled(likely, ("lateral_bending", "tissue"))
+    assert warning.startswith("lateral_bending 0.5, tissue 0.02 explains the radiographs about as well")
+    likely.likelier = None
+    assert fitting._unsettled(likely, ("lateral_bending", "tissue")) == []

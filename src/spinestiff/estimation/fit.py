@@ -42,8 +42,6 @@ WORST_CONDITION = 1e12
 LEAST_PRECISION = 1e-6
 # Share by which the corners' error may differ where an estimate is solved again: digits of a stored one.
 SAME_RMSE = 0.01
-# Searches from places that are likelier than the end of the one before.
-MOST_SEARCHES = 2
 Extent = Literal["estimate", "intervals", "everything"]
 
 
@@ -117,7 +115,7 @@ def fit_stiffness(
         nuisances = np.array([(start_nuisances or {}).get(name, 0.0) for name in asked.unknowns.names])
         found = _searched(asked, first, nuisances, default, limits, max_iterations, close_sd)
         places = _rough_places(asked, rough)
-        found, likely, known = _likeliest(asked, found, limits, extent, places, max_iterations, close_sd)
+        likely, known = _likely(asked, found, limits, extent, places)
         point, status = found.point.evaluation, found.status
         covariance = _covariance(found)
         weighed = _told(asked, found, limits, extent, places, likely, known)
@@ -153,7 +151,7 @@ def fit_stiffness(
         method=method,
         orientation=orientation,
         bounds=(float(bounds[0]), float(bounds[1])),
-        warnings=(*_warnings(trial_set, default, point), *_open_ends(opens, bounds), *_unsettled(likely)),
+        warnings=(*_warnings(trial_set, default, point), *_open_ends(opens, bounds), *_unsettled(likely, names)),
         weighed=weighed,
     )
 
@@ -291,33 +289,6 @@ def _rough_places(asked: WeighedProblem, rough: StiffnessFit | None) -> tuple[Pl
     return places if places and places[0].slope.nuisances.shape == shape else ()
 
 
-def _likeliest(
-    asked: WeighedProblem,
-    found: WeighedFit,
-    limits: tuple[float, float],
-    extent: Extent,
-    rough: tuple[Place, ...],
-    max_iterations: int,
-    close_sd: float,
-) -> tuple[WeighedFit, Likely | None, tuple[Place, ...]]:
-    """The search's end with its profiles, or that of another search from a place that they found to be likelier."""
-    likely, known = _likely(asked, found, limits, extent, rough)
-    for _ in range(MOST_SEARCHES):
-        if likely is None or likely.likelier is None:
-            break
-        other = search(asked, likely.likelier, limits, max_iterations, close_sd)
-        # Each has a covariance of its own, so that phi alone does not tell which is the likelier.
-        if not other.status.usable or _evidence(asked, other) <= _evidence(asked, found):
-            break
-        found = other
-        likely, known = _likely(asked, found, limits, extent, rough)
-    return found, likely, known
-
-
-def _evidence(asked: WeighedProblem, found: WeighedFit) -> float:
-    return asked.log_likelihood(found.point, found.slope, found.weights)
-
-
 def _likely(
     asked: WeighedProblem, found: WeighedFit, limits: tuple[float, float], extent: Extent, rough: tuple[Place, ...]
 ) -> tuple[Likely | None, tuple[Place, ...]]:
@@ -358,7 +329,7 @@ def _told(
         repeated_sds(asked, found),
         repeated_sds(asked, found, annotation_alone=True),
         best_known(found.point.log_ratios, _data_precision(asked, found)),
-        _evidence(asked, found),
+        asked.log_likelihood(found.point, found.slope, found.weights),
         known,
     )
 
@@ -483,10 +454,19 @@ def _warnings(trial_set: TrialSet, default: Evaluation | None, point: Evaluation
     return tuple(found)
 
 
-def _unsettled(likely: Likely | None) -> list[str]:
-    if likely is None or likely.settled:
+def _unsettled(likely: Likely | None, names: Sequence[str]) -> list[str]:
+    if likely is None:
         return []
-    return ["an end of the intervals is interpolated between places where the model was solved, and less certain"]
+    found = []
+    if not likely.settled:
+        found.append(
+            "an end of the intervals is interpolated between places where the model was solved, and less certain"
+        )
+    if likely.likelier is not None:
+        ratios = np.exp(likely.likelier.log_ratios)
+        where = ", ".join(f"{name} {ratio:.2g}" for name, ratio in zip(names, ratios))
+        found.append(f"{where} explains the radiographs about as well as the estimate; the interval tells more than it")
+    return found
 
 
 def _open_ends(opens: Mapping[str, tuple[bool, bool]], bounds: tuple[float, float]) -> list[str]:

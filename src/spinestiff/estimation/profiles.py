@@ -21,22 +21,22 @@ from spinestiff.estimation.emulator import FAR_AND_HIGH, FARTHEST_NUISANCES, HIG
 from spinestiff.estimation.weighed import WeighedFit, WeighedPoint, WeighedProblem, Weights, phi, reduced
 
 CONFIDENCE = 0.95
-WIDTH_FACTOR = 1.1
+WIDTH_FACTOR = 1.05
 # Ends agree once the emulator's phi and the model's differ by less than this there.
 CLOSE_ENOUGH = 0.1
 MOST_ROUNDS = 8
 # A place as near as this to a solved one, in the estimate's standard deviations, is not solved, since the emulator
-# knows phi and its slope next to it; one farther than this from all of them, in log ratio, is approached first. None is
-# solved twice, give or take ``SAME``.
-NEAR, FARTHEST_STEP, SAME = 0.1, 1.2, 1e-3
+# knows phi and its slope next to it, unless that is farther in log ratio than ``NEAR_LOG``; one farther than
+# ``FARTHEST_STEP`` from all of them is approached first. None is solved twice, give or take ``SAME``.
+NEAR, NEAR_LOG, FARTHEST_STEP, SAME = 0.1, 0.15, 1.2, 1e-3
 # Nuisances that the emulator has so wrong that the place would tell it nothing are solved for again, so many times; by
 # half as much where they are not as near as this share of how near they were.
 MOST_AGAIN, SHRINKING = 3, 0.7
 # Steps of a profile, in standard deviations and at most in log ratio; each is so much longer than the last one, so that
 # the bounds are reached.
 STEP, LONGEST, LONGER = 0.35, 0.5, 1.05
-# A profile goes over to another valley where a candidate within so many standard deviations of the given ratio, and as
-# many of the others' from its own place, is no higher than the valley it is in by so much.
+# A profile goes over to another valley where a candidate or a solved place within so many standard deviations of the
+# given ratio, and as many of the others' from its own place, is no higher than the valley it is in by so much.
 BESIDE, APART, RIVAL = 0.25, 2.0, 1.0
 # A profile that rises by less than this anywhere inside the bounds is flat.
 FLAT = 0.5
@@ -113,13 +113,15 @@ def likely_ratios(
     candidates, density = _candidates(fit.point.log_ratios, covariance, limits)
     for solved in range(MOST_ROUNDS + 1):
         emulator = Emulator(places, fit.weights, rough=rough)
-        tracer = _Tracer(emulator, fit.point.log_ratios, covariance, limits, candidates)
+        scouts = np.vstack([candidates, *(place.point.log_ratios for place in places)])
+        tracer = _Tracer(emulator, fit.point.log_ratios, covariance, limits, scouts)
         profiles = [tracer.profile(i, rise) for i in range(len(precision))]
         ends = [tracer.end(profile, i, sign, rise) for i, profile in enumerate(profiles) for sign in (-1.0, 1.0)]
         wanted = [where for where, _ in ends]
-        if tracer.heights.min() < -CLOSE_ENOUGH:
+        heights = tracer.heights[: len(candidates)]
+        if heights.min() < -CLOSE_ENOUGH:
             # Lower than the estimate: a hole between places, which would draw the draws.
-            wanted.append(candidates[int(np.argmin(tracer.heights))])
+            wanted.append(candidates[int(np.argmin(heights))])
         if solved == MOST_ROUNDS:
             settled = False
             break
@@ -199,7 +201,8 @@ def _solve_ends(
     for k, end in enumerate(ends):
         apart = np.array(solved) - end
         nearest = int(np.argmin(np.abs(apart).max(axis=1)))
-        if np.einsum("ki,ij,kj->k", apart, precision, apart).min() < NEAR**2:
+        near = np.einsum("ki,ij,kj->k", apart, precision, apart) < NEAR**2
+        if (near & (np.abs(apart).max(axis=1) < NEAR_LOG)).any():
             continue
         # Solved before, too far from its most probable nuisances to tell anything.
         if min(np.abs(place.point.log_ratios - end).max() for place in places) < SAME:
@@ -268,27 +271,31 @@ class _Tracer:
     def profile(self, i: int, rise: float) -> Profile:
         """Outward until phi has risen by twice ``rise``, with no scout inside any farther, or to the bounds."""
         found = [(self._best, 0.0)]
-        inside = self._scouts[self.heights <= rise, i]
+        inside = self._scouts[self.heights <= rise]
         for sign in (-1.0, 1.0):
             at, before, step = self._best, 0.0, min(STEP * self._sd[i], LONGEST)
-            farthest = float(np.max(sign * inside, initial=-np.inf))
+            farthest = float(np.max(sign * inside[:, i], initial=-np.inf))
             while True:
                 value = float(np.clip(at[i] + sign * step, *self._limits))
                 if value == at[i]:
                     break
-                step *= LONGER
+                step = min(LONGER * step, LONGEST)
                 at, height = self._lowest(i, value, at)
                 found.append((at, height))
                 if height > 2.0 * rise and height > before and sign * value > farthest:
                     break
                 before = height
+            if farthest > max(sign * place[i] for place, height in found if height <= rise):
+                # Between two steps, in a valley of its own.
+                scout = inside[int(np.argmax(sign * inside[:, i]))]
+                found.append(self._lowest(i, float(scout[i]), scout))
         found.sort(key=lambda one: float(one[0][i]))
         others = np.array([where for where, _ in found])
         return Profile(others[:, i], others, np.array([height for _, height in found]))
 
     def end(self, profile: Profile, i: int, sign: float, rise: float) -> tuple[Floats, bool]:
         """All log ratios at an end of ratio i's interval, and whether it is the fit's bound."""
-        own = profile.log_ratios
+        own, bound = profile.log_ratios, self._limits[int(sign > 0.0)]
         order = np.argsort(sign * own)
         # The outermost place inside: several minima belong to one interval.
         last = next(k for k in order[::-1] if profile.rise[k] <= rise)
@@ -297,11 +304,11 @@ class _Tracer:
         def over(value: float) -> float:
             return self._lowest(i, value, start)[1] - rise
 
-        for beyond in order[sign * own[order] > sign * own[last]]:
-            if over(own[beyond]) > 0.0:
-                root = brentq(over, start[i], own[beyond], xtol=1e-3 * self._sd[i])
+        for value in [*own[order[sign * own[order] > sign * own[last]]], bound]:
+            if value != start[i] and over(value) > 0.0:
+                root = brentq(over, start[i], value, xtol=1e-3 * self._sd[i])
                 return self._lowest(i, float(root), start)[0], False
-            start = self._lowest(i, own[beyond], start)[0]
+            start = self._lowest(i, value, start)[0]
         return start, True
 
     def _lowest(self, i: int, value: float, near: Floats) -> tuple[Floats, float]:

@@ -9,7 +9,7 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 
-from spinestiff.subject.assessment_outcome import Assessment
+from spinestiff.subject.assessment_outcome import Assessment, CobbChangeRecord
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcome_parts import Quantity
 
@@ -22,7 +22,9 @@ PREDICTORS = (
     "rest", "default", "fit", "forecast", "fitted_supports", "extrapolation", "single_ratio", "truth",
 )  # fmt: skip
 SEEN = ("measured", "default", "fit", "truth")
-"""Whose change of tilt is told, as far as an assessment has it."""
+"""Whose change of the Cobb angle is told, as far as an assessment has it."""
+FORMS = {"tilt": "tilt_levels", "fixed_levels": "levels", "signed": "signed_levels"}
+"""Forms of that change (``curves.tilts.CobbChange``), and what names the vertebrae between which it is."""
 
 
 def estimate_csv(estimate: Estimate) -> str:
@@ -36,14 +38,31 @@ def estimate_csv(estimate: Estimate) -> str:
 
 
 def assessment_csv(assessment: Assessment) -> str:
-    """Corner RMSE by predictor, mm, and change of tilt, degrees."""
-    columns = ("push", "frame", "force_n", *(f"rmse_mm_{name}" for name in PREDICTORS))
+    """Corner RMSE by predictor, mm, and change of the Cobb angle in its three forms, degrees, with levels and sd."""
+    columns = ["push", "frame", "force_n", *(f"rmse_mm_{name}" for name in PREDICTORS)]
+    columns += [column for name in SEEN for form in FORMS for column in _change_columns(form, name)]
     rows = []
     for frame in assessment.frames:
-        tilts = [getattr(frame.cobb_change_deg.get(name), "tilt", None) for name in SEEN]
         errors = [frame.rmse_mm.get(name) for name in PREDICTORS]
-        rows.append([frame.push, frame.frame, frame.force_n, *errors, *tilts])
-    return _text((*columns, *(f"tilt_change_deg_{name}" for name in SEEN)), rows)
+        changes = [cell for name in SEEN for cell in _change_cells(frame.cobb_change_deg.get(name))]
+        rows.append([frame.push, frame.frame, frame.force_n, *errors, *changes])
+    return _text(columns, rows)
+
+
+def _change_columns(form: str, name: str) -> tuple[str, str, str]:
+    return f"{form}_change_deg_{name}", f"{form}_change_sd_deg_{name}", f"{form}_change_of_{name}"
+
+
+def _change_cells(change: CobbChangeRecord | None) -> list[object]:
+    """Of each form value, standard deviation and levels; a model's has no deviation."""
+    if change is None:
+        return [None] * (3 * len(FORMS))
+    sds = dict(zip(("signed", "fixed_levels", "tilt"), change.sds or ()))
+    cells: list[object] = []
+    for form, levels in FORMS.items():
+        between = getattr(change, levels)
+        cells += [getattr(change, form), sds.get(form), between if isinstance(between, str) else "–".join(between)]
+    return cells
 
 
 def _interval(found: Quantity) -> list[object]:
