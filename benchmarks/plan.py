@@ -48,7 +48,7 @@ NAMES = ("lateral_bending", "tissue")
 START = {"lateral_bending": 0.07, "tissue": 0.04}
 # Standard deviation of the true ratios' logs about START: Table 4's bending, and its tissue.
 SPREAD = {"lateral_bending": 1.3, "tissue": 0.9}
-FIRST, NODES, FRAMES = 8000, 3000, 3
+FIRST, NODES, FRAMES = 8000, 2300, 3
 PAPER = {
     "main": PlacedPush(
         8.0, ((0.0, "unused"), (1 / 3, "training"), (2 / 3, "training"), (1.0, "training")), force_n=COMFORT_N

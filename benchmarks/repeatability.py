@@ -37,7 +37,7 @@ from spinestiff.subject.outcome_parts import Quantity
 RESULTS = Path(__file__).parent / "results" / "repeatability.json"
 NAMES = ("lateral_bending", "tissue")
 START = {"lateral_bending": 0.07, "tissue": 0.04}
-FIRST, NODES = 7000, 3000
+FIRST, NODES = 7000, 2300
 
 
 def run_one(seed: int, visit: int, annotator: int) -> dict[str, Any]:

@@ -115,7 +115,9 @@ def make_subject(out: Path, sources: Sequence[Path], asked: Asked) -> None:
     files = [[one.path for one in push.files] for push in sorting.pushes]
     work = _Work(data, files, [tuple(one.name for one in push.files) for push in sorting.pushes])
     _ask_and_log(work, asked, notes, lambda: making.name_pushes(data, sorting))
-    making.make_folder(out, data, sorting)
+    with progress() as say:
+        say("init: copying the radiographs")
+        making.make_folder(out, data, sorting)
     _finish(out, work, notes)
 
 
@@ -197,7 +199,9 @@ def _read_log(work: _Work, number: int, path: Path, offset: str | None, asked: A
         raise SubjectError(f"--log {path}: the forces of push {push['id']} are known already; leave out either")
     seconds = None if offset is None else _seconds(offset)
     log, words = _log(path, asked)
-    logged = put_beside(log, work.files[number], push["id"], seconds)
+    with progress() as say:
+        say(f"init: the log of push {push['id']} beside the motion in its frames")
+        logged = put_beside(log, work.files[number], push["id"], seconds)
     if not logged.placed and asked.may_ask:
         logged = _ask_offset(logged, push["id"])
     work.logged[number] = logged

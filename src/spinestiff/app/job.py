@@ -1,4 +1,7 @@
-"""A command as a job of the workbench: as in a terminal, but it ends when the process that watches over it ends."""
+"""A command as a job of the workbench: as in a terminal, but it ends when the process that watches over it ends.
+
+The first line of its input is the subject's folder, "." among its arguments; it starts elsewhere (``job_process``).
+"""
 
 from __future__ import annotations
 
@@ -19,8 +22,18 @@ def _end_with_watcher() -> None:
     os._exit(ORPHANED)
 
 
+def _folder() -> str:
+    """The first line of the input, and no byte more."""
+    line = b""
+    while (byte := os.read(0, 1)) not in (b"", b"\n"):
+        line += byte
+    return os.fsdecode(line)
+
+
 def main() -> None:
     """Run the command that the arguments name."""
+    folder = _folder()
+    sys.argv[1:] = [folder if argument == "." else argument for argument in sys.argv[1:]]
     threading.Thread(target=_end_with_watcher, daemon=True).start()
     from spinestiff.app.start import main as run
 

@@ -59,7 +59,7 @@ class Processes:
             place.target.mkdir(parents=True, exist_ok=True)
             with place.log.open("wb") as log:
                 process = subprocess.Popen(
-                    [sys.executable, "-m", "spinestiff.cohort.worker"],
+                    [sys.executable, "-P", "-m", "spinestiff.cohort.worker"],
                     stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, env=self._environment,
                     # Ctrl-C is for this process, which ends the others.
                     start_new_session=True,

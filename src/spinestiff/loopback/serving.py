@@ -19,13 +19,19 @@ from spinestiff.loopback.guard import Guard
 LOOPBACK = "127.0.0.1"
 HEAD_S = 15.0
 """Seconds in which the head of a request has to arrive."""
+UNREAD_S = 60.0
+"""Seconds in which some of an answer has to be read."""
 MOST_CONNECTIONS = 100
 
 
 class PatientProtocol(H11Protocol):
-    """HTTP/1.1 that waits ``HEAD_S`` for the head of a request, however slowly it trickles in, and no longer."""
+    """HTTP/1.1 that waits ``HEAD_S`` for the head of a request, however slowly it trickles in, and no longer.
+
+    Who reads nothing of an answer for ``UNREAD_S`` is let go, too: a connection is one of ``MOST_CONNECTIONS``.
+    """
 
     _timer: asyncio.TimerHandle | None = None
+    _unread: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin to wait."""
@@ -48,7 +54,24 @@ class PatientProtocol(H11Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Wait no longer."""
         self._stop()
+        self._is_read()
         super().connection_lost(exc)
+
+    def pause_writing(self) -> None:
+        """What was sent last waits to be read."""
+        super().pause_writing()
+        self._is_read()
+        self._unread = self.loop.call_later(UNREAD_S, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        """It was read."""
+        self._is_read()
+        super().resume_writing()
+
+    def _is_read(self) -> None:
+        if self._unread is not None:
+            self._unread.cancel()
+            self._unread = None
 
     def _wait(self) -> None:
         self._timer = self.loop.call_later(HEAD_S, self.transport.close)

@@ -2,6 +2,9 @@
 
 It is no child of the server, so that it goes on when that ends. The command's input stays open as long as this process
 lives; where it dies, however, the command reads the end of it and ends, too (``app.job``).
+
+A subject's folder may come from somebody else. Nothing in it is imported, nor read as settings of libraries, as Python,
+Matplotlib and Numba do with the folder that they are started in: the command starts in an empty one.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -21,7 +25,7 @@ from typing import Any
 from spinestiff.errors import SubjectError
 from spinestiff.workbench.job_table import JobTable, State
 
-COMMAND = (sys.executable, "-m", "spinestiff.app.job")
+COMMAND = (sys.executable, "-P", "-m", "spinestiff.app.job")
 BEAT_S = 0.4
 GRACE_S = 3.0
 LARGEST_LOG = 4 * 2**20
@@ -35,7 +39,7 @@ def start_job(table: Path, job: str, folder: Path, arguments: list[str], log: Pa
     if os.name == "nt":
         flags = {"creationflags": 0x00000208}  # CREATE_NEW_PROCESS_GROUP | DETACHED_PROCESS
     process = subprocess.Popen(
-        [sys.executable, "-m", "spinestiff.workbench.job_process"],
+        [sys.executable, "-P", "-m", "spinestiff.workbench.job_process"],
         stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=table.parent, **flags,
     )  # fmt: skip
     assert process.stdin is not None
@@ -48,13 +52,24 @@ def start_job(table: Path, job: str, folder: Path, arguments: list[str], log: Pa
 def run_job(
     table: JobTable, job: str, folder: Path, arguments: list[str], log: Path, command: tuple[str, ...] = COMMAND
 ) -> State:
-    """Run a command in a subject's folder to its end, or until the table says to cancel it."""
+    """Run a command on a subject's folder, the first line of its input, to its end or until the table cancels it."""
+    with tempfile.TemporaryDirectory(prefix="spinestiff-", ignore_cleanup_errors=True) as empty:
+        return _run_job(table, job, folder, arguments, log, command, empty)
+
+
+def _run_job(
+    table: JobTable, job: str, folder: Path, arguments: list[str], log: Path, command: tuple[str, ...], empty: str
+) -> State:
     environment = {**os.environ, "PYTHONUNBUFFERED": "1", "NO_COLOR": "1", "COLUMNS": "110", "TERM": "dumb"}
     process = subprocess.Popen(
         [*command, *arguments],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=folder, env=environment,
-        start_new_session=os.name != "nt",
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=empty,
+        env={**environment, "PYTHONSAFEPATH": "1"}, start_new_session=os.name != "nt",
     )  # fmt: skip
+    assert process.stdin is not None
+    with contextlib.suppress(OSError):  # it ended at once
+        process.stdin.write(os.fsencode(folder.absolute()) + b"\n")
+        process.stdin.flush()
     reader = threading.Thread(target=_keep_log, args=(process, folder, log), daemon=True)
     reader.start()
     try:

@@ -42,7 +42,7 @@ class Root:
 
     def key_of(self, name: str) -> str:
         """The key of a subject's folder, the same at every start."""
-        return hmac.new(self.secret, name.encode(), hashlib.sha256).hexdigest()[:16]
+        return hmac.new(self.secret, os.fsencode(name), hashlib.sha256).hexdigest()[:16]
 
     def subjects(self) -> Iterator[tuple[str, Path]]:
         """Key and folder of each subject, in the order of names; links are no subjects, wherever they lead."""
@@ -58,7 +58,7 @@ class Root:
     def subject(self, key: str) -> Path:
         """The folder of a subject. Raises NotThere."""
         for found, folder in self.subjects():
-            if hmac.compare_digest(found, key):
+            if hmac.compare_digest(found.encode(), key.encode()):
                 return folder
         raise NotThere("this subject is not there, or no longer; go back to all subjects")
 
@@ -94,6 +94,13 @@ def open_root(path: Path, read_only: bool = False) -> Root:
         secret = place.read_bytes() if place.is_file() else b""
     except OSError as problem:
         raise SubjectError(f"{place}: can't be read ({trouble(problem)})") from None
+    try:
+        if not read_only:
+            # Uploads and parcels lie there: nobody else's to read.
+            place.parent.mkdir(exist_ok=True)
+            place.parent.chmod(0o700)
+    except OSError as problem:
+        raise SubjectError(f"{place.parent}: can't be written ({trouble(problem)})") from None
     if len(secret) != 32:
         secret = secrets.token_bytes(32)
         if not read_only:

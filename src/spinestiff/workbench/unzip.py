@@ -6,6 +6,7 @@ import io
 import os
 import shutil
 import zipfile
+import zlib
 from pathlib import Path
 
 from spinestiff.errors import SubjectError
@@ -21,6 +22,9 @@ LARGEST_LIST = 256 * MOST_FILES
 """Bytes of the list of entries (the central directory), which is read whole before an entry can be counted: 46 an entry
 and its name."""
 _PIECE = 2**20
+# Of other methods all that was read is unpacked at once, however large it becomes.
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError)
 
 
 class _Bounded(io.BufferedReader):
@@ -46,18 +50,16 @@ def unzip(archive: Path, target: Path, most_bytes: int) -> int:
 
     Raises
     ------
-    SubjectError : no zip file, damaged or encrypted; too many files, or too large.
+    SubjectError : no zip file, damaged or encrypted, packed by a method that is not read; too many files, or too large.
     """
     try:
-        written = _unzip(archive, target, most_bytes)
-    except SubjectError:
+        return _unzip(archive, target, most_bytes)
+    except BaseException as problem:
         shutil.rmtree(target, ignore_errors=True)
-        raise
-    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError, OSError) as problem:
-        shutil.rmtree(target, ignore_errors=True)
+        if not isinstance(problem, _DAMAGED):
+            raise
         what = "is encrypted" if isinstance(problem, RuntimeError) else "is damaged, or no zip file"
         raise SubjectError(f"a zip file of the upload {what}; unpack it yourself and upload the folder") from None
-    return written
 
 
 def _unzip(archive: Path, target: Path, most_bytes: int) -> int:
@@ -69,6 +71,10 @@ def _unzip(archive: Path, target: Path, most_bytes: int) -> int:
         if len(entries) > MOST_FILES:
             raise SubjectError(f"a zip file of the upload holds more than {MOST_FILES} files; upload a part of it")
         for entry in entries:
+            if entry.compress_type not in _METHODS:
+                raise SubjectError(
+                    "a zip file of the upload is packed by an unusual method; unpack it yourself and upload the folder"
+                )
             name = harmless(entry.filename, taken)
             taken.add(name.casefold())
             place = target / name

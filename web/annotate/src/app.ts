@@ -477,4 +477,4 @@ export class App {
 }
 
 export const words = (error: unknown): string =>
-  error instanceof api.Refused ? error.message : "The server does not answer. Is spinestiff annotate still running?";
+  error instanceof api.Refused ? error.message : "The server does not answer. Is it still running?";

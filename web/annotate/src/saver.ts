@@ -55,7 +55,7 @@ export class Saver {
         this.stopped = error.status === 409 || error.status === 403;
         this.say("failed", `Not saved: ${error.message}`);
       } else {
-        this.say("failed", "Not saved: the server does not answer. Is spinestiff annotate still running?");
+        this.say("failed", "Not saved: the server does not answer. Is it still running?");
       }
       if (!(error instanceof Refused) || error.status >= 500) this.later(RETRY_MS);
     } finally {
