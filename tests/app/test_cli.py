@@ -314,9 +314,9 @@ def test_parameters_and_population_reach_the_fit(spinestiff, subject, finished, 
         return finished.fit
 
     monkeypatch.setattr(steps, "fit_from_coarse", fit)
-    chosen = ("--parameters", "lateral_bending@T11-L1, tissue", "--population", "koutras2025")
+    chosen = ("--parameters", "lateral_bending@thoracic, lateral_bending@lumbar", "--population", "koutras2025")
     assert spinestiff("estimate", subject, *chosen).status == 0
-    assert asked == [(("lateral_bending@T11-L1", "tissue"), "koutras2025")]
+    assert asked == [(("lateral_bending@thoracic", "lateral_bending@lumbar"), "koutras2025")]
     result = spinestiff("estimate", subject, "--parameters", "lateral_bending@neck")
     assert result.status == 2
     assert result.err.startswith("spinestiff: unknown part 'neck' in 'lateral_bending@neck'; wanted one of thoracic")

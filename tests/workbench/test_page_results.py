@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from bench_page import chosen, click, go, load, text
+from bench_page import chosen, click, fill, go, load, text
 from chromium import browser
 from spinestiff.files import read_json
 
@@ -53,6 +53,7 @@ def test_from_a_run_to_its_report_and_the_next_push(tab, finished, serve, tmp_pa
         assert tab.run("document.title") == "spinestiff workbench"
 
         go(tab, f"/subject/{key}/run")
+        fill(tab, "#o-plan-exposures", "2")
         to_its_end(tab, "#start-plan", 240.0)
         go(tab, f"/subject/{key}/results")
         click(tab, "[role=tab][data-name='']")
