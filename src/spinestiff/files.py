@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
-from spinestiff.errors import SpinestiffError, SubjectError
+from spinestiff.errors import ChangedElsewhere, SpinestiffError, SubjectError
 from spinestiff.words import counted
 
 LARGEST_JSON = 10 * 2**20
@@ -288,6 +288,25 @@ def file_digest(path: Path) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise SubjectError(f"{path}: can't be read ({error.strerror})") from None
+
+
+def copy_known(source: Path, place: Path, sha256: str, name: str) -> None:
+    """Copy a file that has been read, and has to be the same still.
+
+    Parameters
+    ----------
+    sha256 : of the file that was read. name : of the file in messages.
+
+    Raises
+    ------
+    ChangedElsewhere : it is another file by now; there is no copy then.
+    SubjectError : it is no regular file. OSError : it can't be read, or the copy can't be written.
+    """
+    regular_file(source, SubjectError, name=name)
+    shutil.copyfile(source, place)
+    if file_digest(place) != sha256:
+        place.unlink()
+        raise ChangedElsewhere(f"{name}: was changed after it was looked at; look at it again")
 
 
 def regular_file(

@@ -126,8 +126,25 @@ def test_vtp_entities_are_never_expanded(tmp_path):
 
 def test_a_packed_vtp_block_that_unpacks_to_more_than_it_says_is_refused(tmp_path, meshes, monkeypatch):
     content = meshes.vtp(np.zeros((60_000, 3)), FACES, form="binary", packed=True, block=800_000)
-    monkeypatch.setattr(reading, "MOST_BYTES", 500_000)
+    monkeypatch.setattr(reading, "MOST_VTP_BYTES", 500_000)
     assert "larger than allowed" in refusal(tmp_path, "bone.vtp", content)
+
+
+@pytest.mark.parametrize("options", VTP_FORMS, ids=lambda o: "-".join(map(str, o.values())))
+def test_the_arrays_of_a_vtp_file_share_one_limit(tmp_path, meshes, monkeypatch, options):
+    numbers = VERTICES.size + FACES.size + len(FACES)
+    content = meshes.vtp(VERTICES, FACES, **options)
+    monkeypatch.setattr(reading, "MOST_VTP_BYTES", 8 * numbers)
+    assert len(read(tmp_path, "bone.vtp", content)[1]) == len(FACES)
+    monkeypatch.setattr(reading, "MOST_VTP_BYTES", 8 * numbers - 1)
+    assert "larger than allowed" in refusal(tmp_path, "bone.vtp", content)
+
+
+def test_of_a_vtp_file_only_corners_and_points_are_read(tmp_path, meshes):
+    """Other arrays of its cells may hold anything."""
+    content = meshes.vtp(VERTICES, FACES)
+    more = b'<DataArray type="Int32" Name="more">no number</DataArray>'
+    assert len(read(tmp_path, "bone.vtp", content.replace(b"<Polys>", b"<Polys>" + 3 * more))[1]) == len(FACES)
 
 
 def test_other_packers_are_named(tmp_path, meshes):

@@ -14,6 +14,7 @@ import time
 import tracemalloc
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 from urllib.parse import quote
 
 import pytest
@@ -26,11 +27,12 @@ from spinestiff.errors import NotThere, OptionError, SubjectError
 from spinestiff.files import parse_json
 from spinestiff.loopback import guard, serving
 from spinestiff.loopback.guard import LARGEST_BODY, PROXY_HEADER, TOKEN_HEADER
+from spinestiff.workbench import rooms
 from spinestiff.workbench import unzip as unzipping
 from spinestiff.workbench.door import access_of, check_host
 from spinestiff.workbench.job_process import COMMAND, run_job
-from spinestiff.workbench.names import harmless
-from spinestiff.workbench.rooms import OWN, open_root
+from spinestiff.workbench.names import Names, harmless
+from spinestiff.workbench.rooms import OWN, SPARE_BYTES, open_root
 from spinestiff.workbench.server import application
 from spinestiff.workbench.unzip import unzip
 from spinestiff.workbench.verbs import VERBS, command_of
@@ -110,6 +112,21 @@ def test_names_of_files_are_no_paths(served, name):
     place = served.bench.uploads.place(key)
     inside = [one for one in served.bench.root.path.parent.rglob("*") if one.is_file() and one.read_bytes() == b"x"]
     assert len(inside) == 1 and inside[0].resolve().is_relative_to(place / "files")
+
+
+def test_a_name_that_comes_thousands_of_times_is_counted_on(monkeypatch):
+    class Counted(set):
+        asked = 0
+
+        def __contains__(self, name):
+            Counted.asked += 1
+            return super().__contains__(name)
+
+    names = Names(["a.dcm", "A-3.dcm"])
+    names._taken = Counted(names._taken)
+    found = [names.new(name) for name in 500 * ["a.dcm", "A.DCM"]]
+    assert found[:3] == ["a-2.dcm", "A-4.DCM", "a-5.dcm"] and len({one.casefold() for one in found}) == 1000
+    assert Counted.asked < 4000
 
 
 def test_keys_and_tickets_are_no_paths(served):
@@ -196,6 +213,30 @@ def test_a_zip_bomb_is_refused_and_leaves_nothing(served, tmp_path):
     status, body = served.json("POST", "/api/look", {"origin": "upload", "key": key})
     assert status == 422 and "more than radiographs do" in body["error"]
     assert not (served.bench.uploads.place(key) / "unpacked" / "0").exists()
+
+
+def test_zip_files_share_one_limit_however_late_they_come(root, serve):
+    archive = packed([("a", os.urandom(3 * 2**20))])
+    with serve(root, upload_bytes=11 * 2**20) as served:
+        key = served.upload({"a.zip": archive})
+        uploads = served.bench.uploads
+        uploads.whole(key)
+        uploads.announce(key, [("b.zip", len(archive))])
+        for at in range(0, len(archive), 2**20):
+            uploads.piece(key, 1, at, archive[at : at + 2**20])
+        with pytest.raises(SubjectError, match="becomes larger than 1 MB"):
+            uploads.whole(key)
+        assert not (uploads.place(key) / "unpacked" / "1").exists()
+
+
+def test_a_zip_file_leaves_room_on_the_disk(served, monkeypatch):
+    key = served.upload({"a.zip": packed([("a", os.urandom(3 * 2**20))])})
+    free = SPARE_BYTES + 2 * 2**20
+    monkeypatch.setattr(rooms.shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
+    with pytest.raises(SubjectError, match=r"becomes larger than 2 MB when it is unpacked, .* or there is room for"):
+        served.bench.uploads.whole(key)
+    free += 2**20
+    assert len(served.bench.uploads.whole(key)) == 2
 
 
 def test_a_zip_file_is_not_believed(tmp_path, monkeypatch):

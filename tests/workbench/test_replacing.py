@@ -11,14 +11,14 @@ from hospital import export
 from spinestiff.annotate.draft import Draft, DraftImage
 from spinestiff.annotate.session import AnnotationSession
 from spinestiff.errors import ChangedElsewhere, SubjectError
-from spinestiff.files import read_json, write_json
+from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.folder import read_subject, write_annotation
 from spinestiff.subject.intake.adding import read_standing
 from spinestiff.subject.intake.collecting import collect
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.run_record import record_step, step_record
-from spinestiff.workbench import replacing
+from spinestiff.workbench import replacing, trash
 from spinestiff.workbench.trash import Trash
 from unannotated import drawn
 
@@ -174,14 +174,32 @@ def test_what_can_not_take_the_place_is_refused_and_changes_nothing(served, girl
             raise OSError(28, "No space left on device")
         write_json(path, data)
 
+    source = tmp_path / "new" / "I9"
     monkeypatch.setattr(replacing, "write_json", full)
     with pytest.raises(SubjectError, match=r"the disk is full.*nothing was changed"):
-        served.bench.trash.replace(girl, "rest/frontal", tmp_path / "new" / "I9")
+        served.bench.trash.replace(girl, "rest/frontal", source, file_digest(source))
     assert content_of(girl) == before and served.good("GET", "/api/trash")["trash"] == []
     (girl / "rest" / "lateral.dcm").unlink()
     standing = read_standing(girl)
     with pytest.raises(SubjectError, match=r"has no rest/lateral\.dcm that could be replaced"):
         replacing.choose(standing, (), "rest/lateral", None)
+
+
+def test_only_the_file_that_was_looked_at_takes_the_place(served, girl, tmp_path, monkeypatch):
+    asked, _ = wish(served, tmp_path)
+    served.good("POST", "/api/look", asked)
+    gone, before = replaced(served, asked), content_of(girl)
+    asked, content = wish(served, tmp_path, "I8")
+    served.good("POST", "/api/look", asked)
+    other = content[:-2] + bytes(byte ^ 1 for byte in content[-2:])
+    (served.bench.uploads.place(asked["key"]) / "files" / "I8").write_bytes(other)
+    status, said = served.json("POST", f"/api/subjects/{served.key()}/rest", asked)
+    assert status == 409 and said["error"] == "the radiograph: was changed after it was looked at; look at it again"
+    # And from the trash, between the look at its patient and the exchange.
+    place = served.bench.trash.folder / gone / "frontal.dcm"
+    monkeypatch.setattr(trash, "check_patient", lambda *_: place.write_bytes(other))
+    assert served.json("POST", f"/api/trash/{gone}/restore", {})[0] == 409
+    assert content_of(girl) == before and len(served.good("GET", "/api/trash")["trash"]) == 1
 
 
 def test_the_radiographs_that_stay_say_whose_the_new_one_must_be(root, tmp_path):

@@ -18,11 +18,13 @@ import pytest
 from asking import wait_for
 from hospital import disc, export, gauged
 from spinestiff.annotate.draft import DraftImage
-from spinestiff.files import read_json
+from spinestiff.files import read_json, write_json
 from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.folder import read_subject, read_unannotated, write_annotation
+from spinestiff.workbench import parcel
 from spinestiff.workbench.job_process import start_job
 from spinestiff.workbench.job_table import LOST_S, JobTable
+from spinestiff.workbench.parcel import nameless_parcel
 from spinestiff.workbench.rooms import open_root
 from spinestiff.workbench.unzip import unzip
 from unannotated import CANARY, drawn
@@ -333,7 +335,44 @@ def test_everything_and_nothing_of_the_patient_as_zip_files(served, root, tmp_pa
     old = pydicom.dcmread(root / "girl" / first.pushes[0].frames)
     new = pydicom.dcmread(tmp_path / "bare" / subject.pushes[0].frames)
     assert (new.pixel_array == old.pixel_array).all() and new.PatientIdentityRemoved == "YES"
-    assert list(served.bench.parcels.iterdir()) == []
+    assert list(served.bench.parcels.folder.iterdir()) == []
+
+
+def test_a_zip_file_without_names_says_nothing_of_pushes_that_are_gone(served, root, tmp_path):
+    annotated(root / "girl")
+    annotation = read_json(root / "girl" / "annotation.json")
+    marks = annotation["images"]["push/a"]
+    images = ("push/Jane", "push/Jane/1", "push/a/1", "push/a/0/Jane", "push/a/Jane")
+    annotation["images"] |= dict.fromkeys(images, marks | {"supports": {}})
+    write_json(root / "girl" / "annotation.json", annotation)
+    place = nameless_parcel(root / "girl", tmp_path / "parcels", True)
+    with zipfile.ZipFile(place) as zipped:
+        left = json.loads(zipped.read("annotation.json"))["images"]
+        assert not any(b"Jane" in zipped.read(name) for name in zipped.namelist())
+    assert set(left) == {"rest/frontal", "rest/lateral", "push/push-1", "push/push-1/1"}
+
+
+def test_zip_files_that_nobody_fetches_do_not_stay(served, root, serve, monkeypatch):
+    def pack():
+        return served.good("POST", f"/api/subjects/{served.key()}/zip", {"nameless": False})["ticket"]
+
+    parcels = served.bench.parcels.folder
+    pack()
+    (late,) = parcels.iterdir()
+    os.utime(late, (time.time() - parcel.PARCEL_S - 1,) * 2)
+    pack()
+    assert not late.exists() and len(list(parcels.iterdir())) == 1
+    monkeypatch.setattr(parcel, "MOST_PARCELS", 3)
+    tickets = [pack() for _ in range(5)]
+    assert len(list(parcels.iterdir())) == 3
+    assert [served.ask("GET", f"/parcel/{one}")[0] for one in tickets] == [404, 404, 200, 200, 200]
+    with monkeypatch.context() as patch:
+        patch.setattr(parcel, "room_bytes", lambda _: 1000)
+        status, said = served.json("POST", f"/api/subjects/{served.key()}/zip", {"nameless": False})
+        assert status == 422 and "no room on the disk" in said["error"] and not list(parcels.iterdir())
+    pack()
+    with serve(root, read_only=True):
+        assert not parcels.exists()
 
 
 def content_of(folder):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 from spinestiff.errors import InUseError
 from spinestiff.workbench.jobs import Jobs
 from spinestiff.workbench.newcomer import Sources
+from spinestiff.workbench.parcel import Parcels
 from spinestiff.workbench.results import Tickets
 from spinestiff.workbench.rooms import Root, open_root
 from spinestiff.workbench.trash import Trash
@@ -25,12 +25,8 @@ class Bench:
     sources: Sources
     trash: Trash
     tickets: Tickets
+    parcels: Parcels
     read_only: bool = False
-
-    @property
-    def parcels(self) -> Path:
-        """Where zip files wait to be fetched."""
-        return self.root.own / "parcels"
 
     def refuse_busy(self, key: str) -> None:
         """Raise InUseError where a subject has a job that has not ended."""
@@ -64,9 +60,10 @@ def open_bench(
         Sources(root, tuple(one.resolve() for one in sources)),
         Trash(root),
         Tickets(),
+        Parcels(root.own / "parcels"),
         read_only,
     )
+    bench.parcels.clear()
     if not read_only:
-        shutil.rmtree(bench.parcels, ignore_errors=True)
         bench.jobs.table.make()
     return bench

@@ -211,7 +211,7 @@ def add_intake(app: FastAPI, bench: Bench) -> None:
             raise SubjectError("the request: wanted replaces, the radiograph at rest that is replaced")
         bench.refuse_busy(key)
         one = chosen_instead(exports.standing(key), exports.of(asked), asked.wish, asked.replaces)
-        return {"trash": bench.trash.replace(folder, asked.replaces, one.path)}
+        return {"trash": bench.trash.replace(folder, asked.replaces, one.path, one.scan.sha256)}
 
     @app.post("/api/subjects/{key}/views")
     def extend_views(key: str, body: Body) -> dict[str, Any]:

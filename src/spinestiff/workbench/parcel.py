@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
+import shutil
+import threading
+import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from spinestiff.errors import RadiographError, SubjectError
-from spinestiff.files import json_text, read_json, regular_files
+from spinestiff.files import json_text, read_json, regular_files, trouble
 from spinestiff.imaging.deidentification.deidentify import deidentify
 from spinestiff.imaging.deidentification.pseudonyms import Key, random_key
 from spinestiff.subject.folder import MOST_INPUT_BYTES, read_annotation, read_unannotated
-from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE
+from spinestiff.subject.records import ANNOTATION_FILE, REST_IMAGES, SUBJECT_FILE
+from spinestiff.workbench.rooms import room_bytes
 
+PARCEL_S, MOST_PARCELS = 600.0, 10
+"""How many seconds a zip file waits to be fetched, and how many wait at once; of more, the oldest go."""
 LEFT_OUT = {
     "torso": "a torso of the subject's own bones",
     "skin_scan": "a scan of the skin",
@@ -25,9 +33,42 @@ README = "README.txt"
 _PERSONAL = frozenset({"id", "pushes", "torso", "skin_scan", "schema_version"})
 
 
+class Parcels:
+    """Zip files that wait to be fetched.
+
+    Parameters
+    ----------
+    folder : in which they lie.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._lock = threading.Lock()
+
+    def pack(self, parcel: Callable[[Path], Path]) -> Path:
+        """What ``parcel`` makes in the folder, one at a time; zip files that nobody fetched are removed first."""
+        with self._lock:
+            there = sorted((one.stat().st_mtime, one) for one in self.folder.glob("*.zip"))
+            late = time.time() - PARCEL_S
+            for number, (made, one) in enumerate(there):
+                if made <= late or number <= len(there) - MOST_PARCELS:
+                    with suppress(OSError):  # some systems keep a file that is being sent
+                        one.unlink()
+            return parcel(self.folder)
+
+    def clear(self) -> None:
+        """Remove all: nobody has a ticket for them."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
 def whole_parcel(folder: Path, place: Path) -> Path:
-    """All files of a subject, but hidden ones and links, as a zip file in a folder; returns its path."""
-    return _zipped(place, ((path.relative_to(folder).as_posix(), path) for path in _files(folder)))
+    """All files of a subject, but hidden ones and links, as a zip file in a folder; returns its path.
+
+    Raises
+    ------
+    SubjectError : there is no room for it, or it can't be written.
+    """
+    return _zipped(place, [(path.relative_to(folder).as_posix(), path) for path in _files(folder)])
 
 
 def _files(folder: Path) -> Iterator[Path]:
@@ -50,7 +91,8 @@ def nameless_parcel(folder: Path, place: Path, burned_in_ok: bool) -> Path:
 
     Raises
     ------
-    RadiographError, SubjectError : a radiograph that can't be freed of its patient; nothing is written then.
+    RadiographError, SubjectError : a radiograph that can't be freed of its patient, or as ``whole_parcel``; nothing is
+        written then.
     """
     subject = read_unannotated(folder)
     key, values = random_key(), read_json(folder / SUBJECT_FILE)
@@ -81,12 +123,12 @@ def nameless_parcel(folder: Path, place: Path, burned_in_ok: bool) -> Path:
     kept = {name: value for name, value in values.items() if name not in _PERSONAL and name not in LEFT_OUT}
     record = {**kept, "schema_version": values["schema_version"], "id": "subject", "pushes": pushes}
     if scale := (record.get("xray") or {}).get("scale"):
-        record["xray"] = {**record["xray"], "scale": {_renamed(image, names): one for image, one in scale.items()}}
+        record["xray"] = {**record["xray"], "scale": _renamed(scale, names)}
     content[SUBJECT_FILE] = json_text(record).encode()
     if (folder / ANNOTATION_FILE).is_file():
         read_annotation(folder / ANNOTATION_FILE)
         annotation = read_json(folder / ANNOTATION_FILE)
-        marked = {_renamed(image, names): marks for image, marks in annotation["images"].items()}
+        marked = _renamed(annotation["images"], names)
         content[ANNOTATION_FILE] = json_text({**annotation, "images": marked}).encode()
     lines = [
         "Made by spinestiff: radiographs without their patients, values and annotation under new names.",
@@ -118,20 +160,30 @@ def _freed(path: Path, folder: Path, key: Key, burned_in_ok: bool, name: str) ->
         raise RadiographError(f"{name}: {problem}") from None
 
 
-def _renamed(image: str, names: dict[str, str]) -> str:
-    parts = image.split("/")
-    if parts[0] != "push" or len(parts) < 2:
+def _renamed(images: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
+    """What is said of images under their new names; one of a push, or view, that is no longer there is left out."""
+    return {new: one for image, one in images.items() if (new := _new_name(image, names)) is not None}
+
+
+def _new_name(image: str, names: Mapping[str, str]) -> str | None:
+    if image in REST_IMAGES:
         return image
-    new = ["push", names.get(parts[1], parts[1]), *parts[2:]]
-    if len(parts) == 4:
-        new[3] = names.get(f"{parts[1]}/{parts[3]}", parts[3])
-    return "/".join(new)
+    found = re.fullmatch(r"push/([^/]+)(?:/([0-9]+)(?:/([^/]+))?)?", image)
+    if found is None:
+        return None
+    push, frame, view = found.groups()
+    new = [names.get(push), *([frame] if frame else []), *([names.get(f"{push}/{view}")] if view else [])]
+    known = [part for part in new if part is not None]
+    return "/".join(("push", *known)) if len(known) == len(new) else None
 
 
-def _zipped(place: Path, content: Any) -> Path:
-    place.mkdir(parents=True, exist_ok=True)
+def _zipped(place: Path, content: Sequence[tuple[str, bytes | Path]]) -> Path:
     target = place / f"{secrets.token_hex(8)}.zip"
     try:
+        place.mkdir(parents=True, exist_ok=True)
+        size = sum(len(what) if isinstance(what, bytes) else what.stat().st_size for _, what in content)
+        if room_bytes(place) < size:
+            raise SubjectError(f"there is no room on the disk for a zip file of {size / 2**20:.0f} MB")
         with zipfile.ZipFile(target, "x", zipfile.ZIP_DEFLATED, compresslevel=3) as zipped:
             for name, what in content:
                 if isinstance(what, bytes):
@@ -139,7 +191,9 @@ def _zipped(place: Path, content: Any) -> Path:
                     zipped.writestr(zipfile.ZipInfo(name), what, zipfile.ZIP_DEFLATED)
                 else:
                     zipped.write(what, name)
-    except BaseException:
+    except BaseException as problem:
         target.unlink(missing_ok=True)
+        if isinstance(problem, OSError):
+            raise SubjectError(f"the zip file can't be made ({trouble(problem)})") from None
         raise
     return target

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import secrets
-import shutil
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from typing import Any
 
 from spinestiff.annotate.draft import DRAFT_FILE
 from spinestiff.errors import SubjectError
-from spinestiff.files import parse_json, read_text, trouble, write_json, write_text
+from spinestiff.files import copy_known, parse_json, read_text, trouble, write_json, write_text
 from spinestiff.imaging.dicom.export import Exported
 from spinestiff.subject.gaps import check_open_record
 from spinestiff.subject.intake.adding import Standing, check_patient
@@ -163,19 +162,21 @@ def marks_of(folder: Path, image: str) -> Marks:
     return _parted(_contents(_texts(folder)), image)[1]
 
 
-def exchange(folder: Path, image: str, source: Path, marks: Marks, keep: Callable[[Marks], Path]) -> None:
+def exchange(folder: Path, image: str, source: Path, sha256: str, marks: Marks, keep: Callable[[Marks], Path]) -> None:
     """Put a copy of a file in the place of a rest radiograph, with what was marked in it: all of it, or nothing.
 
     While the pictures change places nothing is marked in either, so that at no time marks of one belong to the other.
 
     Parameters
     ----------
+    sha256 : of the file that was looked at, which the copy has to be.
     keep : called before anything changes, unless there is no picture: takes down what is marked in it, and returns
         where it goes, a path that is not there yet, on the same file system.
 
     Raises
     ------
     InUseError : a run is at work on the subject.
+    ChangedElsewhere : the file is no longer what was looked at.
     SubjectError : a file that can't be read or written, or is a link; a known length that the schema does not allow.
     """
     target = folder / REST_IMAGES[image]
@@ -191,7 +192,7 @@ def exchange(folder: Path, image: str, source: Path, marks: Marks, keep: Callabl
         place: Path | None = None
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source, draft)
+            copy_known(source, draft, sha256, "the radiograph")
             if there:
                 place = keep(gone)
             _write(folder, before, bare)

@@ -11,11 +11,8 @@ from fastapi.responses import FileResponse
 from spinestiff.errors import NotThere
 from spinestiff.loopback.asking import Body, Sent, sent
 from spinestiff.workbench.bench import Bench
-from spinestiff.workbench.parcel import nameless_parcel, whole_parcel
+from spinestiff.workbench.parcel import PARCEL_S, nameless_parcel, whole_parcel
 from spinestiff.workbench.results import TYPES, result_file, results_record
-
-ZIP_S = 600.0
-"""Seconds in which a zip file has to be fetched."""
 
 
 class Pack(Sent):
@@ -45,10 +42,10 @@ def add_results(app: FastAPI, bench: Bench) -> None:
     def pack(key: str, body: Body) -> dict[str, Any]:
         asked, folder = sent(body, Pack), bench.root.subject(key)
         if asked.nameless:
-            place = nameless_parcel(folder, bench.parcels, asked.burned_in_ok)
+            place = bench.parcels.pack(lambda place: nameless_parcel(folder, place, asked.burned_in_ok))
         else:
-            place = whole_parcel(folder, bench.parcels)
-        return {"ticket": bench.tickets.issue(place, ZIP_S), "bytes": place.stat().st_size}
+            place = bench.parcels.pack(lambda place: whole_parcel(folder, place))
+        return {"ticket": bench.tickets.issue(place, PARCEL_S), "bytes": place.stat().st_size}
 
     @app.get("/parcel/{ticket}")
     def fetch(ticket: str, after: BackgroundTasks) -> Response:

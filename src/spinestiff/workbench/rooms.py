@@ -7,6 +7,7 @@ import hmac
 import os
 import re
 import secrets
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +22,13 @@ OWN = ".workbench"
 KEY = r"[0-9a-f]{16}"
 """Of subjects, uploads, jobs and what lies in the trash."""
 MOST_SUBJECTS = 2000
+SPARE_BYTES = 500 * 2**20
+"""Of the disk, that uploads and zip files leave free."""
+
+
+def room_bytes(folder: Path) -> int:
+    """What may still be written where a folder lies; below 0 where less than ``SPARE_BYTES`` is free."""
+    return shutil.disk_usage(folder).free - SPARE_BYTES
 
 
 @dataclass(frozen=True)

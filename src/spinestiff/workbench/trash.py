@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from spinestiff.errors import NotThere, RadiographError, SpinestiffError, SubjectError
-from spinestiff.files import listed, read_json, trouble, write_json
+from spinestiff.files import file_digest, listed, read_json, trouble, write_json
 from spinestiff.imaging.dicom.export import read_exported
 from spinestiff.subject.intake.adding import check_patient, read_standing
 from spinestiff.subject.lock import sole_run
@@ -58,8 +58,12 @@ class Trash:
                 raise SubjectError(f"the subject can't be removed ({trouble(problem)})") from None
             return key
 
-    def replace(self, folder: Path, image: str, source: Path, marks: Marks | None = None) -> str | None:
+    def replace(self, folder: Path, image: str, source: Path, sha256: str, marks: Marks | None = None) -> str | None:
         """Put a copy of a file in the place of a subject's rest radiograph, with what was marked in it.
+
+        Parameters
+        ----------
+        sha256 : of the file that was looked at.
 
         Returns
         -------
@@ -77,7 +81,7 @@ class Trash:
             return place / Path(REST_IMAGES[image]).name
 
         try:
-            exchange(folder, image, source, marks or Marks(), keep)
+            exchange(folder, image, source, sha256, marks or Marks(), keep)
         except BaseException:
             shutil.rmtree(place, ignore_errors=True)
             raise
@@ -123,8 +127,8 @@ class Trash:
         if not (folder / SUBJECT_FILE).is_file() or folder.is_symlink():
             raise SubjectError(f"the subject {replaced.subject} is not there, or no longer; put it back first")
         file = place / Path(REST_IMAGES[replaced.image]).name
-        _check_whose(folder, replaced.image, file)
-        gone = self.replace(folder, replaced.image, file, replaced.marks)
+        digest = _checked(folder, replaced.image, file)
+        gone = self.replace(folder, replaced.image, file, digest, replaced.marks)
         shutil.rmtree(place)
         return self.root.key_of(replaced.subject), gone
 
@@ -169,11 +173,12 @@ class Trash:
         return found
 
 
-def _check_whose(folder: Path, image: str, file: Path) -> None:
-    """Raise SubjectError where a radiograph tells of another patient than those of a subject that stay."""
+def _checked(folder: Path, image: str, file: Path) -> str:
+    """A radiograph's SHA-256. Raises SubjectError where it tells of another patient than those that stay."""
     standing = read_standing(folder)
     try:
         one = read_exported(file, file.name, file.parent)
     except RadiographError:
-        return  # as when it was replaced: whatever it is, it was the subject's
+        return file_digest(file)  # as when it was replaced: whatever it is, it was the subject's
     check_patient([other for other in standing.files if standing.images[other.name] != image], [one])
+    return one.scan.sha256

@@ -12,7 +12,7 @@ from pathlib import Path
 from spinestiff.errors import SubjectError
 from spinestiff.subject.folder import MOST_INPUT_BYTES
 from spinestiff.subject.intake.collecting import MOST_FILES
-from spinestiff.workbench.names import harmless
+from spinestiff.workbench.names import Names
 
 MOST_TIMES = 100
 """How many times larger than packed a zip file may become; radiographs shrink to a third at best."""
@@ -65,7 +65,7 @@ def unzip(archive: Path, target: Path, most_bytes: int) -> int:
 def _unzip(archive: Path, target: Path, most_bytes: int) -> int:
     packed = archive.stat().st_size
     limit = min(most_bytes, max(MOST_TIMES * packed, SPARED_BYTES))
-    written, taken = 0, set[str]()
+    written, names = 0, Names()
     with _Bounded(io.FileIO(archive)) as packed_file, zipfile.ZipFile(packed_file) as zipped:
         entries = [entry for entry in zipped.infolist() if not entry.is_dir() and not _is_link(entry)]
         if len(entries) > MOST_FILES:
@@ -75,9 +75,7 @@ def _unzip(archive: Path, target: Path, most_bytes: int) -> int:
                 raise SubjectError(
                     "a zip file of the upload is packed by an unusual method; unpack it yourself and upload the folder"
                 )
-            name = harmless(entry.filename, taken)
-            taken.add(name.casefold())
-            place = target / name
+            place = target / names.new(entry.filename)
             place.parent.mkdir(parents=True, exist_ok=True)
             size = 0
             with zipped.open(entry) as source, place.open("xb") as file:
@@ -87,7 +85,7 @@ def _unzip(archive: Path, target: Path, most_bytes: int) -> int:
                     if written > limit:
                         raise SubjectError(
                             f"a zip file of the upload becomes larger than {limit // 2**20} MB when it is unpacked, "
-                            "more than radiographs do; unpack it yourself and upload the folder"
+                            "more than radiographs do or there is room for; unpack it yourself and upload the folder"
                         )
                     if size > MOST_INPUT_BYTES:
                         raise SubjectError(

@@ -15,14 +15,12 @@ from spinestiff.files import read_json, write_json
 from spinestiff.subject.folder import MOST_INPUT_BYTES
 from spinestiff.subject.intake.collecting import MOST_FILES
 from spinestiff.words import counted
-from spinestiff.workbench.names import harmless
-from spinestiff.workbench.rooms import KEY, Root
+from spinestiff.workbench.names import Names
+from spinestiff.workbench.rooms import KEY, Root, room_bytes
 from spinestiff.workbench.unzip import unzip
 
 LARGEST_PIECE = 2 * 2**20
 MOST_UPLOADS = 20
-SPARE_BYTES = 500 * 2**20
-"""Of the disk, that an upload leaves free."""
 FILES, UNPACKED = "files", "unpacked"
 
 
@@ -66,14 +64,12 @@ class Uploads:
         """
         with self._lock:
             listed = list(self._list(name))
-            taken = {one["path"].casefold() for one in listed}
+            names = Names(one["path"] for one in listed)
             for given, size in files:
                 if size > MOST_INPUT_BYTES and not given.lower().endswith(".zip"):
                     most = f"{MOST_INPUT_BYTES // 2**20} MB"
                     raise SubjectError(f"{given[-60:]}: {size // 2**20} MB; radiographs of at most {most} are read")
-                path = harmless(given, taken)
-                taken.add(path.casefold())
-                listed.append({"path": path, "size": size})
+                listed.append({"path": names.new(given), "size": size})
             total = sum(one["size"] for one in listed)
             if len(listed) > MOST_FILES:
                 raise SubjectError(f"{counted(len(listed), 'file')}; at most {MOST_FILES} in one upload")
@@ -81,7 +77,7 @@ class Uploads:
                 raise SubjectError(
                     f"{total / 2**30:.1f} GB; at most {self.most_bytes / 2**30:g} GB in one upload (--upload-limit)"
                 )
-            if shutil.disk_usage(self.folder).free < total + SPARE_BYTES:
+            if room_bytes(self.folder) < total:
                 raise SubjectError(f"there is no room on the disk for {total / 2**20:.0f} MB")
             self._put(name, listed)
             return [{**one, "come": self._come(name, number)} for number, one in enumerate(listed)]
@@ -125,11 +121,16 @@ class Uploads:
             for number, one in enumerate(listed):
                 if self._come(name, number) != one["size"]:
                     raise SubjectError(f"{one['path']} has not come whole; upload it again")
-            room = self.most_bytes - sum(one["size"] for one in listed)
-            for number, one in enumerate(listed):
-                target = place / UNPACKED / str(number)
-                if one["path"].lower().endswith(".zip") and not target.is_dir():
-                    room -= unzip(self._file(name, number), target, max(room, 0))
+            packed = {
+                number: target
+                for number, one in enumerate(listed)
+                if one["path"].lower().endswith(".zip") and not (target := place / UNPACKED / str(number)).is_dir()
+            }
+            if packed:
+                room = self.most_bytes - sum(one["size"] for one in listed) - _bytes_in(place / UNPACKED)
+                for number, target in packed.items():
+                    most = min(room, room_bytes(self.folder))
+                    room -= unzip(self._file(name, number), target, max(most, 0))
             return [one for one in (place / FILES, place / UNPACKED) if one.is_dir() and any(one.iterdir())]
 
     def discard(self, name: str) -> None:
@@ -153,3 +154,7 @@ class Uploads:
     def _come(self, name: str, number: int) -> int:
         place = self._file(name, number)
         return place.stat().st_size if place.is_file() else 0
+
+
+def _bytes_in(folder: Path) -> int:
+    return sum(one.stat().st_size for one in folder.rglob("*") if one.is_file())

@@ -155,6 +155,23 @@ def test_refused_additions_change_nothing(girl, tmp_path, monkeypatch):
     assert not (girl / "rest" / "lateral.dcm").exists() and not list(girl.glob(".adding*"))
 
 
+def test_only_files_that_were_looked_at_are_copied(girl, tmp_path):
+    """Whoever may write where radiographs come from puts no other file into a subject after they were looked at."""
+    before, source = content_of(girl), tmp_path / "disc" / "I2"
+    found = collect([export(source, "lateral", time="103000")])[0]
+    standing = adding.read_standing(girl)
+    addition = adding.sort_addition(standing, found)
+    data, _ = adding.added_data(standing, addition, {})
+    sorting = sort_files([*standing.files, *found])
+    source.write_bytes(export(tmp_path / "other", "lateral", patient="P2").read_bytes())
+    with pytest.raises(ChangedElsewhere, match=r"^I2: was changed after it was looked at; look at it again$"):
+        adding.write_addition(standing, data, addition)
+    assert content_of(girl) == before
+    with pytest.raises(ChangedElsewhere, match=r"^I2: was changed after it was looked at"):
+        making.make_folder(tmp_path / "boy", making.subject_data("boy", sorting), sorting)
+    assert {path.name for path in tmp_path.iterdir()} == {"girl", "disc", "other"}
+
+
 def test_a_view_from_another_side(girl, tmp_path):
     found = [collect([export(tmp_path / f"I{i}", "lateral", time=f"10300{i}")])[0][0] for i in range(2)]
     standing = adding.read_standing(girl)

@@ -15,6 +15,7 @@ from spinestiff.files import regular_file
 
 SUFFIXES = (".stl", ".obj", ".ply", ".vtp")
 MOST_BYTES = 200_000_000
+MOST_VTP_BYTES = 2 * MOST_BYTES  # of a VTP file's numbers once they are read: 8 each, more than most files hold
 MOST_FACES = 2_000_000
 _ASCII = bytes(range(128)) + b"?" * 128
 FARTHEST = 1e7  # of a coordinate, in any unit: beyond it, distances are lost in rounding
@@ -57,7 +58,7 @@ def read_surface(path: Path) -> Surface:
 def _parsed(path: Path, kind: str, content: bytes) -> Surface:
     if kind == ".vtp":
         try:
-            return read_vtp(content, MOST_BYTES)
+            return read_vtp(content, MOST_VTP_BYTES)
         except VtpError as error:
             raise TorsoError(f"{path.name} can't be read as VTP: {error}") from None
     import trimesh

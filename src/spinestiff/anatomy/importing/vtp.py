@@ -30,7 +30,7 @@ def read_vtp(content: bytes, most_bytes: int) -> tuple[Floats, Ints]:
 
     Raises
     ------
-    VtpError : damaged, of another kind, or an array would be larger than ``most_bytes``.
+    VtpError : damaged, of another kind, or the numbers that are read would take more than ``most_bytes``, 8 each.
     """
     content, appended = _split(content)
     if b"<!DOCTYPE" in content or b"<!ENTITY" in content or b"\0" in content or b"encoding='utf-16" in content.lower():
@@ -57,12 +57,13 @@ def read_vtp(content: bytes, most_bytes: int) -> tuple[Floats, Ints]:
             raise VtpError(f"{len(flat)} coordinates, no multiple of three")
         vertices.append(flat.reshape(-1, 3))
         for kind, triangles in (("Polys", _fans), ("Strips", _unrolled)):
-            cells = {array.get("Name"): reader.read(array) for array in piece.findall(f"{kind}/DataArray")}
-            if not len(cells.get("offsets", ())):
+            ends, corners = (piece.find(f"{kind}/DataArray[@Name='{name}']") for name in ("offsets", "connectivity"))
+            offsets = np.zeros(0, dtype=np.int64) if ends is None else reader.read(ends).astype(np.int64)
+            if not len(offsets):
                 continue
-            if "connectivity" not in cells:
+            if corners is None:
                 raise VtpError(f"{kind} without connectivity")
-            faces.append(triangles(cells["connectivity"].astype(np.int64), cells["offsets"].astype(np.int64)) + before)
+            faces.append(triangles(reader.read(corners).astype(np.int64), offsets) + before)
     if not faces:
         raise VtpError("no polygons")
     return np.vstack(vertices), np.vstack(faces)
@@ -109,7 +110,8 @@ def _starts(connectivity: Ints, offsets: Ints) -> Ints:
 
 
 class _Arrays:
-    # Decodes DataArray elements as the file's header says.
+    # Decodes DataArray elements as the file's header says. All share ``left``: how many bytes their numbers may still
+    # take, each 8 once it is read.
 
     def __init__(self, root: ElementTree.Element, appended: tuple[bytes, bool], most_bytes: int) -> None:
         order = {"LittleEndian": "<", "BigEndian": ">"}.get(root.get("byte_order", "LittleEndian"))
@@ -121,23 +123,30 @@ class _Arrays:
             raise VtpError(f"packed by {compressor[:40]}; write it uncompressed or with zlib")
         self.order, self.header, self.packed = order, np.dtype(order + header), bool(compressor)
         self.appended, self.encoded = appended
-        self.most_bytes = most_bytes
+        self.left = most_bytes
 
     def read(self, array: ElementTree.Element) -> Any:
+        numbers = self._read(array)
+        self.left -= 8 * len(numbers)
+        return numbers
+
+    def _read(self, array: ElementTree.Element) -> Any:
         kind = _TYPES.get(array.get("type", ""))
         if kind is None:
             raise VtpError(f"unknown number type {array.get('type', '')[:20]!r}")
         form = array.get("format", "ascii")
         if form == "ascii":
-            words = (array.text or "").split()
-            if 8 * len(words) > self.most_bytes:
+            words = (array.text or "").split(maxsplit=self.left // 8)
+            if 8 * len(words) > self.left:
                 raise VtpError("larger than allowed")
             try:
                 return np.array([float(word) for word in words])
             except ValueError:
                 raise VtpError("its ASCII data holds something that is no number") from None
+        dtype = np.dtype(self.order + kind)
+        most_bytes = self.left // 8 * dtype.itemsize
         if form == "binary":
-            data = self._base64((array.text or "").strip().encode("ascii", "replace"))
+            data = self._base64((array.text or "").strip().encode("ascii", "replace"), most_bytes)
         elif form == "appended":
             try:
                 offset = int(array.get("offset", "0"))
@@ -146,10 +155,9 @@ class _Arrays:
             if not 0 <= offset <= len(self.appended):
                 raise VtpError("an offset leads out of the file")
             rest = memoryview(self.appended)[offset:]
-            data = self._base64(bytes(rest)) if self.encoded else self._raw(rest)
+            data = self._base64(bytes(rest), most_bytes) if self.encoded else self._raw(rest, most_bytes)
         else:
             raise VtpError(f"unknown data format {form[:20]!r}")
-        dtype = np.dtype(self.order + kind)
         if len(data) % dtype.itemsize:
             raise VtpError("an array ends inside a number")
         return np.frombuffer(data, dtype)
@@ -159,35 +167,37 @@ class _Arrays:
             raise VtpError("an array ends inside its header")
         return [int(v) for v in np.frombuffer(data, self.header, count)]
 
-    def _base64(self, text: bytes) -> bytes:
+    def _base64(self, text: bytes, most_bytes: int) -> bytes:
         # The header may be encoded by itself (always where data is packed) or together with the data.
         size = self.header.itemsize
         if self.packed:
             blocks = self._numbers(_decoded(text[: _encoded_length(size)]), 1)[0]
-            if not 0 <= blocks <= self.most_bytes // 1024 + 1:
+            if not 0 <= blocks <= most_bytes // 1024 + 1:
                 raise VtpError("larger than allowed")
             length = _encoded_length((3 + blocks) * size)
-            return self._raw(memoryview(_decoded(text[:length]) + _decoded(text[length:], loose=True)))
+            return self._raw(memoryview(_decoded(text[:length]) + _decoded(text[length:], loose=True)), most_bytes)
         alone = _encoded_length(size)
         if text[:alone].endswith(b"="):
-            return self._raw(memoryview(_decoded(text[:alone]) + _decoded(text[alone:], loose=True)))
-        return self._raw(memoryview(_decoded(text, loose=True)))
+            return self._raw(memoryview(_decoded(text[:alone]) + _decoded(text[alone:], loose=True)), most_bytes)
+        return self._raw(memoryview(_decoded(text, loose=True)), most_bytes)
 
-    def _raw(self, data: memoryview) -> bytes:
+    def _raw(self, data: memoryview, most_bytes: int) -> bytes:
         size = self.header.itemsize
         if not self.packed:
             length = self._numbers(data, 1)[0]
             if length > len(data) - size:
                 raise VtpError("an array is cut short")
+            if length > most_bytes:
+                raise VtpError("larger than allowed")
             return bytes(data[size : size + length])
         blocks = self._numbers(data, 1)[0]
         if not blocks:
             return b""
-        if blocks > self.most_bytes // 1024 + 1:
+        if blocks > most_bytes // 1024 + 1:
             raise VtpError("larger than allowed")
         _, block, last, *packed = self._numbers(data, 3 + blocks)
         whole = (blocks - 1) * block + (last or block)
-        if whole > self.most_bytes:
+        if whole > most_bytes:
             raise VtpError("larger than allowed")
         at, parts = (3 + blocks) * size, []
         for i, length in enumerate(packed):

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from spinestiff.errors import OptionError, SubjectError
-from spinestiff.files import read_json, trouble, whole_folder, write_json
+from spinestiff.files import copy_known, read_json, trouble, whole_folder, write_json
 from spinestiff.imaging.dicom.export import Exported
 from spinestiff.subject.gaps import PERSON, PUSH, check_open_record, gaps_of
 from spinestiff.subject.intake.sorting import PushFiles, Sorting
@@ -179,10 +178,10 @@ def copy_frames(files: Sequence[Exported], place: Path) -> None:
 
 
 def copy_file(one: Exported, place: Path) -> None:
-    """Copy a radiograph. Raises SubjectError where it can't be read or written."""
+    """Copy a radiograph. Raises SubjectError where it can't be read or written, or is no longer what was looked at."""
     place.parent.mkdir(parents=True, exist_ok=True)
     try:
-        shutil.copyfile(one.path, place)
+        copy_known(one.path, place, one.scan.sha256, one.name)
     except OSError as problem:
         raise SubjectError(f"{one.name}: can't be copied ({trouble(problem)})") from None
 
