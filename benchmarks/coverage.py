@@ -65,6 +65,8 @@ ROOT = Path(__file__).parent.parent
 NAMES = ("lateral_bending", "tissue")
 START = {"lateral_bending": 0.07, "tissue": 0.04}
 LEVELS = (0.68, 0.95, 0.999)
+# Width factors for which is said how often intervals would hold each ratio, and the joint region both.
+FACTORS = (1.0, 1.05, 1.1)
 FAR = (-5.0, 5.0)  # z beyond counts as these where they are averaged
 FLAGGED = 1e-3  # p-value below which a result is called doubtful
 
@@ -277,6 +279,15 @@ def summarised(scenario: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     entry["joint_solved"] = {
         f"{level:.1%}": _share(np.array([one is not None and one < chi2.ppf(level, 2) for one in solved]))
         for level in LEVELS
+    }
+    entry["coverage95_by_width_factor"] = {
+        f"{factor:g}": [
+            *(_share(_inside(z * WIDTH_FACTOR / factor, 0.95))[0] for z in np.array([row["z"] for row in found]).T),
+            _share(
+                np.array([one is not None and one * (WIDTH_FACTOR / factor) ** 2 < chi2.ppf(0.95, 2) for one in solved])
+            )[0],
+        ]
+        for factor in FACTORS
     }
     entry["outside_999"] = int(sum(one is None or one >= chi2.ppf(0.999, 2) for one in solved))
     # Where the truth is the more likely one the search ended in another minimum, or on another equilibrium.

@@ -465,7 +465,9 @@ def _unsettled(likely: Likely | None, names: Sequence[str]) -> list[str]:
     if likely.likelier is not None:
         ratios = np.exp(likely.likelier.log_ratios)
         where = ", ".join(f"{name} {ratio:.2g}" for name, ratio in zip(names, ratios))
-        found.append(f"{where} explains the radiographs about as well as the estimate; the interval tells more than it")
+        found.append(
+            f"{where} explains the radiographs about as well as the estimate; take the interval, not the number"
+        )
     return found
 
 
