@@ -17,12 +17,13 @@ from spinestiff.study.visit import open_visit
 
 OF_A_VISIT = ("rest", "force_and_curve", "tilt_by_level", "joint_region", "profiles", "variance_budget", "supports")
 NOT_YET = {"sensitivity": "sensitivity", "plan": "plan"}
-OF_OTHERS = ("torso", "skin_scan", "problem", "equilibrium", "fit", "cobb", "held_out")
+OF_OTHERS = ("torso", "skin_scan", "problem", "equilibrium", "fit", "cobb", "held_out", "first_page")
+ELSEWHERE = ("views_and_markers",)  # tests/study/report/test_beside.py, with a push that has both
 
 
 def test_every_picture_is_looked_at_here() -> None:
     drawn = {name for name, one in vars(plot).items() if inspect.isfunction(one) and one.__module__ == plot.__name__}
-    assert {name for name in drawn if name[0] != "_"} == {*OF_A_VISIT, *NOT_YET, *OF_OTHERS}
+    assert {name for name in drawn if name[0] != "_"} == {*OF_A_VISIT, *NOT_YET, *OF_OTHERS, *ELSEWHERE}
     tree = ast.parse(Path(plot.__file__).read_text(encoding="utf-8"))
     assert all(
         "Figure" in ast.unparse(one.returns) for one in tree.body if hasattr(one, "returns") and one.name[0] != "_"
@@ -42,6 +43,10 @@ def test_pictures_of_a_finished_visit(finished) -> None:
     for name in OF_A_VISIT:
         seen(getattr(plot, name)(visit))
     assert [len(seen(figure).axes) for figure in plot.held_out(visit)] == [3, 3]
+    # At rest, pushed and predicted: the measured corners beside the simulated ones in the last alone.
+    outlines = [len(seen(figure).axes[0].patches) + len(figure.axes[0].lines) for figure in plot.first_page(visit)]
+    assert len(outlines) == 3 and outlines[2] > outlines[1]
+    assert plot.views_and_markers(visit) == ()
     seen(plot.rest(visit, "lateral"))
     seen(plot.torso(visit.torso()))
     seen(plot.skin_scan(visit.torso(), np.array([[0.0, 100.0, 80.0], [50.0, 200.0, -60.0]])))

@@ -101,6 +101,39 @@ def held_out(visit: Visit) -> tuple[Figure, ...]:
     return tuple(frame_picture(visit, predictions, p, films[p.item.push])[1] for p in frames)
 
 
+def first_page(visit: Visit) -> tuple[Figure, ...]:
+    """The spine before the push that tells most, pushed, and as the estimate has it: a report's first page.
+
+    None where the Cobb angle was not seen both with and without force.
+
+    Raises
+    ------
+    SubjectError : the visit has not been assessed.
+    """
+    from spinestiff.study.report.clinician_picture import moments
+    from spinestiff.study.steps import stored_predictions
+    from spinestiff.subject.assessment_outcome import Assessment
+    from spinestiff.subject.folder import read_push
+    from spinestiff.subject.run_record import read_outcome
+
+    assessment, predictions = read_outcome(visit.subject, Assessment), stored_predictions(visit)
+    films = {push.id: read_push(visit.subject, push) for push in visit.subject.pushes}
+    return tuple(figure for _, figure, _, _ in moments(visit, predictions, films, assessment))
+
+
+def views_and_markers(visit: Visit) -> tuple[Figure, ...]:
+    """Further views of pushes and motion of skin markers, measured and simulated; none where a push has neither.
+
+    Raises
+    ------
+    SubjectError : the visit has not been assessed.
+    """
+    from spinestiff.study.report.beside import beside_pictures, pixels_in
+    from spinestiff.study.steps import stored_predictions
+
+    return tuple(figure for _, figure, _, _ in beside_pictures(stored_predictions(visit), pixels_in(visit)))
+
+
 def force_and_curve(visit: Visit) -> Figure:
     """Change of the Cobb angle against force, measured and simulated; a panel a push.
 

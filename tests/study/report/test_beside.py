@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from spinestiff import plot
 from spinestiff.imaging.projection import lateral_view
 from spinestiff.study.predictions import Prediction, Predictions, Solved, predictions_of
 from spinestiff.study.report.beside import MarkerMotion, beside_pictures, beside_rows, draw_markers, pedicles_in
@@ -52,6 +53,16 @@ def test_a_view_and_markers_are_drawn(beside: Predictions) -> None:
     assert apart[0] > 1.5 * apart[1] > 0.0 and apart[2] < 0.05
     words = [text.get_text() for text in drawn.legends[0].get_texts()]
     assert words == ["measured", "simulated", "pedicles, measured", "pedicles, simulated"]
+
+
+def test_the_same_are_drawn_by_a_function(beside: Predictions, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("spinestiff.study.steps.stored_predictions", lambda visit: beside)
+    monkeypatch.setattr(
+        "spinestiff.study.report.beside.pixels_in", lambda visit: lambda *_: np.zeros(lateral_view().shape)
+    )
+    view, markers = plot.views_and_markers(None)  # type: ignore[arg-type]
+    assert [len(axis.lines) > 0 for figure in (view, markers) for axis in figure.axes] == [True] * 5
+    assert [axis.get_xlabel() for axis in markers.axes] == ["mm to the patient’s left", "mm to the front"]
 
 
 def test_frames_held_out_are_drawn_beside_that_with_the_largest_force(beside: Predictions) -> None:
