@@ -101,7 +101,7 @@ def placed(proposed: Sequence[PlannedPush]) -> dict[str, PlacedPush]:
     for push in proposed:
         forces.setdefault((push.side, push.level), []).append(push.force_n)
     return {
-        f"{side} {level:g}": PlacedPush(
+        f"{side}-{level:g}": PlacedPush(
             level,
             ((0.0, "unused"), *((force / max(own), "training") for force in sorted(own))),
             side,

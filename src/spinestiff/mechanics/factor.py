@@ -106,16 +106,18 @@ def symmetric_product(indptr: Ints, indices: Ints, lower: Floats, x: Floats) -> 
 
 @numba.njit(cache=True, nogil=True)
 def _symmetric_product(indptr, indices, lower, x):  # type: ignore[no-untyped-def]
-    y = np.zeros_like(x)
+    y, sums = np.zeros_like(x), np.empty(x.shape[1])
     for column in range(len(indptr) - 1):
+        sums[:] = 0.0
+        for p in range(indptr[column], indptr[column + 1]):
+            row, value = indices[p], lower[p]
+            for k in range(x.shape[1]):
+                sums[k] += value * x[row, k]
+            if row != column:
+                for k in range(x.shape[1]):
+                    y[row, k] += value * x[column, k]
         for k in range(x.shape[1]):
-            sum_, own = 0.0, x[column, k]
-            for p in range(indptr[column], indptr[column + 1]):
-                row = indices[p]
-                sum_ += lower[p] * x[row, k]
-                if row != column:
-                    y[row, k] += lower[p] * own
-            y[column, k] += sum_
+            y[column, k] += sums[k]
     return y
 
 
