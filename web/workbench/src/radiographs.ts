@@ -15,7 +15,7 @@ export async function radiographs(key: string): Promise<Room> {
     const { files, rest } = await api.radiographs(key);
     for (const file of files) if (rest.includes(file.image)) there.dataset[viewOf(file.image)] = file.version;
     there.replaceChildren(files.length ? h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Radiographs of the subject" },
-      h("table", {}, h("thead", {}, h("tr", {}, ...["Picture", "File", "Frames", "What it is", ...(state.readOnly ? [] : [""])].map((name) => h("th", { scope: "col" }, name)))),
+      h("table", {}, h("thead", {}, h("tr", {}, ...["Picture", "File", "Frames", "What it is", ...(state.readOnly ? [] : ["Other file"])].map((name) => h("th", { scope: "col" }, name)))),
         h("tbody", {}, ...files.map((file) => h("tr", {}, h("td", {}, thumbnail(`${key} ${file.image} ${file.version}`, () => api.picture(key, file.image), file.use)),
           h("td", { class: "path" }, file.name), h("td", {}, String(file.frames)), h("td", {}, file.use), state.readOnly ? null : h("td", {}, rest.includes(file.image) ? exchange(file.image) : null)))))) : h("p", { class: "soft" }, "There are no radiographs yet."));
     return rest;
