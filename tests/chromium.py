@@ -138,6 +138,12 @@ class Tab:
             held = {"button": "left", "buttons": 1, "clickCount": 1}
             self.call("Input.dispatchMouseEvent", type=f"mouse{kind}", x=place[0], y=place[1], **held)
 
+    def drop(self, place: tuple[float, float], paths: list[Path]) -> None:
+        """Let go of files and folders, as a file manager's, at a place of the window."""
+        data = {"items": [], "files": [str(path) for path in paths], "dragOperationsMask": 1}
+        for kind in ("dragEnter", "dragOver", "drop"):
+            self.call("Input.dispatchDragEvent", type=kind, x=place[0], y=place[1], data=data)
+
     def wheel(self, place: tuple[float, float], down: float) -> None:
         """Turn the wheel over a place of the window."""
         self.call("Input.dispatchMouseEvent", type="mouseWheel", x=place[0], y=place[1], deltaX=0.0, deltaY=down)

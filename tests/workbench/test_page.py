@@ -204,3 +204,20 @@ def test_an_export_in_a_folder_on_this_machine(tab, root, serve, tmp_path):
         click(tab, "#source + *, label + button")
         tab.until("!!document.querySelector('#make')")
         assert "7 other files are left out" in text(tab)
+
+
+def test_folders_that_are_dropped_come_whole(tab, root, served, tmp_path):
+    """A browser gives a folder's entries a hundred at a time, and a file without a folder as well."""
+    disc(tmp_path / "CD" / "one")
+    for number in range(230):
+        (tmp_path / "CD" / f"NOTE{number:03d}.TXT").write_text("x")
+    (tmp_path / "alone.txt").write_text("x")
+    load(tab, served.address)
+    go(tab, "/new")
+    box = tab.run("(r => [r.x + r.width / 2, r.y + 20])(document.querySelector('.drop').getBoundingClientRect())")
+    tab.drop(tuple(box), [tmp_path / "CD", tmp_path / "alone.txt"])
+    tab.until("!!document.querySelector('#make')", 60)
+    assert "238 other files are left out" in text(tab)
+    assert tab.run("[...document.querySelectorAll('details li')].at(-1).textContent") == "and 38 more"
+    assert tab.run("'over' in document.querySelector('.drop').dataset") is False
+    assert tab.complaints == []

@@ -48,7 +48,7 @@ def test_an_export_becomes_a_subject(served, tmp_path):
     assert [(one["use"], one["frames"]) for one in look["files"]] == [
         ("rest, frontal", 1), ("rest, lateral", 1), ("push 1", 3), ("push 2", 2),
     ]  # fmt: skip
-    assert len(look["left_out"]) == 7 and look["studies"][0]["label"] == "A1"
+    assert len(look["left_out"]) == look["left_out_in_all"] == 7 and look["studies"][0]["label"] == "A1"
     made = {"origin": "upload", "key": upload, "name": "boy-04", "person": {"age": 14.5}}
     key = served.good("POST", "/api/subjects", made)["key"]
     card = served.good("GET", f"/api/subjects/{key}")

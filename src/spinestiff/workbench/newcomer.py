@@ -120,6 +120,7 @@ def look_record(
         "studies": [{"label": one.label, "words": one.words} for one in studies(export.found)],
         "files": rows,
         "left_out": [{"name": one.name, "why": one.why} for one in export.refused[:MOST_LEFT_OUT]],
+        "left_out_in_all": len(export.refused),
         "told": {},
         "notes": [],
     }

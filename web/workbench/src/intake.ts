@@ -119,8 +119,9 @@ function found(purpose: Purpose, asked: api.Asked, look: api.Look, again: Again,
   if (look.files.length) box.append(sorted(purpose, asked, look, again));
   if (look.files.length || asked.origin === "none") box.append(...purpose.end(asked, look, again, used).filter((one) => one !== null));
   if (look.left_out.length) {
-    box.append(h("details", {}, h("summary", {}, `${look.left_out.length} other files are left out`),
-      h("ul", {}, ...look.left_out.map(({ name, why }) => h("li", {}, `${name}: ${why}`)))));
+    box.append(h("details", {}, h("summary", {}, `${look.left_out_in_all} other files are left out`),
+      h("ul", {}, ...look.left_out.map(({ name, why }) => h("li", {}, `${name}: ${why}`)),
+        look.left_out_in_all > look.left_out.length ? h("li", {}, `and ${look.left_out_in_all - look.left_out.length} more`) : null)));
   }
   return box;
 }
