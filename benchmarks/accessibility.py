@@ -109,6 +109,9 @@ def main() -> None:
         return
     if asked.subject is None or not asked.axe.is_file():
         parser.error("wanted a subject folder, and axe-core (npm ci in web/workbench, or --axe FILE)")
+    for name in ("report.html", "view.html"):
+        if not (asked.subject / "results" / name).is_file():
+            parser.error(f"{asked.subject}: no results/{name}; wanted a subject whose steps have run (spinestiff run)")
     found = measured(asked.subject, asked.axe)
     print(json.dumps(found if not asked.write else {k: v for k, v in found.items() if k != "rows"}, indent=1))
     if asked.write:
