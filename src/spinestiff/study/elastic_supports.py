@@ -28,7 +28,7 @@ FARTHEST_OBLIQUITY_DEG, FARTHEST_SHOULDER_MM = 20.0, 50.0  # that may be asked f
 BELT_ARM_MM = 100.0  # from the pelvis' origin to each of the belt's two springs; only their moment matters
 STILL = 1e5  # N/mm, of a pad that is to be at a place: 40 N move it by 0.4 um
 UNCHANGED = 1e-4  # of a stiffness, between rounds; a soft torso under a large push gives tens of times as much
-STEPS = (1 / 3, 2 / 3, 1.0)  # of a push, the first time: soft torsos take several times as many iterations at once
+STEPS = (0.0, 1 / 3, 2 / 3, 1.0)  # of push and places, the first time
 MAX_ROUNDS = 20
 
 
@@ -169,7 +169,7 @@ class _Places:
         give: SyntheticSupports,
     ) -> None:
         self.torso, self.side, self.pushes, self.ratios = torso, side, pushes, ratios
-        self.last: list[TorsoState | None] = [None for _ in pushes]  # where the next solve of a push starts
+        self.last: list[TorsoState | None] = [None for _ in pushes]  # where belt and pad start, left by both
         # A push bends the torso like a beam on two supports: above the pelvis it leans the way of the push.
         self.turn = -PUSH_DIRECTION[side] * math.radians(give.obliquity_deg)
         self.slide = PUSH_DIRECTION[side] * give.shoulder_mm
@@ -177,27 +177,32 @@ class _Places:
         self.hinge = EquilibriumProblem(torso, elastic_supports(torso, side, SupportStiffness(0.0, PAD)))
 
     def both(self, push: int) -> tuple[float, float]:
-        """Belt, N mm/rad, and pad, N/mm, with pelvis and shoulder both where they are to be."""
-        found = self._solve(push, SupportStiffness(None, STILL if self.slide else PAD), self.slide)
+        """Belt, N mm/rad, and pad, N/mm, with pelvis and shoulder both where they are to be.
+
+        Push and places grow together, each step from the last one's tangent: three quarters of the work of placing the
+        supports first.
+        """
+        supports = elastic_supports(self.torso, self.side, SupportStiffness(None, STILL if self.slide else PAD))
+        held, start = self.level.with_supports(supports), None
+        for share in STEPS:
+            placed = held.with_place(SupportPlace(share * self.turn, share * self.slide))
+            found, start = placed.solve_linearised(self.pushes[push].scaled(share), self.ratios, start)
+        self.last[push] = found.state
         return self._belt_of(found), self._pad_of(found)
 
     def belt(self, push: int, pad: float) -> float:
         """N mm/rad, with the pelvis where it is to be and the shoulder on a pad of this stiffness, N/mm."""
-        return self._belt_of(self._solve(push, SupportStiffness(None, pad), 0.0))
+        supports = elastic_supports(self.torso, self.side, SupportStiffness(None, pad))
+        return self._belt_of(self._solve(push, self.level.with_supports(supports).with_place(SupportPlace(self.turn))))
 
     def pad(self, push: int, belt: float) -> float:
         """N/mm, with the shoulder where it is to be and the pelvis in a belt of this stiffness, N mm/rad."""
-        return self._pad_of(self._solve(push, SupportStiffness(belt, STILL), self.slide))
+        supports = elastic_supports(self.torso, self.side, SupportStiffness(belt, STILL))
+        return self._pad_of(self._solve(push, self.hinge.with_supports(shifted_shoulder(supports, self.slide))))
 
-    def _solve(self, push: int, stiffness: SupportStiffness, slide: float) -> Equilibrium:
-        supports = elastic_supports(self.torso, self.side, stiffness)
-        if stiffness.belt is None:
-            held = self.level.with_supports(supports).with_place(SupportPlace(self.turn, slide))
-        else:
-            held = self.hinge.with_supports(shifted_shoulder(supports, slide))
-        for share in STEPS if self.last[push] is None else (1.0,):
-            found = held.solve(self.pushes[push].scaled(share), self.ratios, self.last[push]).require()
-            self.last[push] = found.state
+    def _solve(self, push: int, held: EquilibriumProblem) -> Equilibrium:
+        found = held.solve(self.pushes[push], self.ratios, self.last[push]).require()
+        self.last[push] = found.state
         return found
 
     def _belt_of(self, found: Equilibrium) -> float:
