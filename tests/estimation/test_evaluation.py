@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.points import PointsOnBones
+from spinestiff.anatomy.rotation import log_so3
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.evaluation import acted, compliance_step, log_step
 from spinestiff.estimation.unknowns import ACTS, LAMBDA_SHARE
@@ -107,6 +108,18 @@ def test_an_equilibrium_starts_on_the_last_tangent(column, clean, monkeypatch) -
     warm = trial_set.solve(ahead, near, slope)
     assert tuple(starts) == slope.tangents
     assert np.allclose(warm.values, plain.values, atol=1e-7)
+
+
+@pytest.mark.parametrize("linearised", [False, True])
+def test_a_torso_that_folds_under_a_push_is_no_equilibrium(column, linearised, monkeypatch) -> None:
+    trial_set = column.trial_set(column.trials(forces=(200.0,))[1:])
+    soft = np.log([0.01, 0.01])
+    with pytest.raises(EquilibriumError, match="gives way under this load"):
+        trial_set.solve(soft, linearised=linearised)
+    # Nothing else is wrong: left to itself, the column comes to rest bent over by more than a right angle.
+    monkeypatch.setattr("spinestiff.estimation.evaluation.FOLDED", np.inf)
+    state = trial_set.solve(soft, linearised=linearised).equilibria[0].state
+    assert np.linalg.norm(log_so3(state.bone_rotations), axis=1).max() > np.pi / 2
 
 
 def test_compliance_steps_are_exact_for_a_spring_and_first_order_in_the_log() -> None:

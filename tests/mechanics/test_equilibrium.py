@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.rotation import exp_so3
+from spinestiff.anatomy.rotation import exp_so3, log_so3
 from spinestiff.anatomy.state import TorsoState, retract
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, stiffness_ratios
 from spinestiff.errors import EquilibriumError, TorsoError
@@ -306,6 +306,22 @@ def test_an_observer_can_cancel_and_the_last_good_state_is_kept(problem, soft):
     assert np.isfinite(found.energy)
     assert found.energy < problem.solve(toy_load(20.0), soft, observer=lambda step: True).energy
     assert problem.solve(toy_load(20.0), soft, start=found.state).converged
+
+
+def test_a_torso_that_gives_way_is_left_where_a_bone_has_turned_too_far():
+    problem, weight = _column(1.5)
+    lean = np.zeros(problem.torso.rest_pose.dofs)
+    lean[11] = 0.01
+    leaning = retract(problem.torso.rest_pose, lean)
+    toppled = problem.solve(weight, start=leaning)
+    assert toppled.converged
+    turn = np.linalg.norm(log_so3(toppled.state.bone_rotations[1]))
+    folded = problem.solve(weight, start=leaning, largest_turn=0.9 * turn)
+    assert folded.status is SolveStatus.FOLDED
+    assert folded.iterations < toppled.iterations
+    assert problem.solve(weight, start=leaning, largest_turn=1.1 * turn).converged
+    with pytest.raises(EquilibriumError, match="gives way under this load"):
+        problem.solve_linearised(weight, start=leaning, largest_turn=0.9 * turn)
 
 
 def test_a_linearisation_near_by_saves_factorisations(problem, soft):

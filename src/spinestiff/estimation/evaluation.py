@@ -7,6 +7,7 @@ the model in log xi would overshoot by a factor of e^7; in p it is exact for a s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -27,6 +28,10 @@ from spinestiff.parallel import in_parallel
 
 if TYPE_CHECKING:
     from spinestiff.mechanics.sensitivity import Linearisation
+
+# No person folds under a push. A torso whose bones turn farther than this from their place at rest, rad, has given way:
+# the way to where it comes to rest is long, and tells nothing of the person.
+FOLDED = math.radians(90.0)
 
 
 def compliance_step(change: Floats) -> Floats:
@@ -186,8 +191,8 @@ class TrialSet:
             problem, load, ratios = self._asked(i, log_ratios, acts[i])
             try:
                 if linearised:
-                    return problem.solve_linearised(load, ratios, start=start)
-                return problem.solve(load, ratios, start=start), None
+                    return problem.solve_linearised(load, ratios, start=start, largest_turn=FOLDED)
+                return problem.solve(load, ratios, start=start, largest_turn=FOLDED), None
             except EquilibriumError as error:
                 return error
 

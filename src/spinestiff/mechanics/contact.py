@@ -102,9 +102,10 @@ class OneSidedProblem(EquilibriumProblem):
         ratios: StiffnessRatios | None = None,
         start: TorsoState | Linearisation | None = None,
         observer: OnNewtonStep | None = None,
+        largest_turn: float = np.inf,
     ) -> tuple[Equilibrium, Linearisation]:
         """``solve`` and ``linearise``. Raises EquilibriumError where no equilibrium was found."""
-        found = self.solve(load, ratios, start, observer).require()
+        found = self.solve(load, ratios, start, observer, largest_turn=largest_turn).require()
         return found, self.linearise(found, load, ratios)
 
     def _solved(self, run: Run, load: LoadCase, start: TorsoState | Linearisation | None) -> Equilibrium:

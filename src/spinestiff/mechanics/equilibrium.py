@@ -36,6 +36,7 @@ class EquilibriumProblem(System):
         observer: OnNewtonStep | None = None,
         max_iterations: int = MAX_ITERATIONS,
         tolerance: float | None = None,
+        largest_turn: float = np.inf,
     ) -> Equilibrium:
         """The state of least energy under ``load`` (Eq. 4), from ``start`` or the rest pose.
 
@@ -45,6 +46,7 @@ class EquilibriumProblem(System):
         observer : sees every iteration; a true answer cancels.
         max_iterations : of each attempt.
         tolerance : residual to reach, N; default: 1e-10 of the load or 1e-8 N, the larger.
+        largest_turn : rad, of a bone from its place at rest; where one turns farther the solve ends as ``FOLDED``.
 
         Held degrees of freedom stay where the start has them, so that bones can be moved to where they are wanted; with
         a ``place`` (``with_place``) the pelvis is turned to it first, and the start with it.
@@ -57,7 +59,7 @@ class EquilibriumProblem(System):
         EquilibriumError : a part of the torso can move freely (``mechanics.mechanisms``), the start belongs to another
             torso, or the tolerance is not a finite one above 0.
         """
-        run = Run(self, ratios, observer, max_iterations, tolerance)
+        run = Run(self, ratios, observer, max_iterations, tolerance, largest_turn=largest_turn)
         return self._solved(run, load, start)
 
     def solve_linearised(
@@ -66,6 +68,7 @@ class EquilibriumProblem(System):
         ratios: StiffnessRatios | None = None,
         start: TorsoState | Linearisation | None = None,
         observer: OnNewtonStep | None = None,
+        largest_turn: float = np.inf,
     ) -> tuple[Equilibrium, Linearisation]:
         """``solve`` and ``linearise`` at once: one factorisation fewer, or what tells that it can be spared.
 
@@ -73,7 +76,7 @@ class EquilibriumProblem(System):
         ------
         EquilibriumError : no equilibrium was found.
         """
-        run = Run(self, ratios, observer, MAX_ITERATIONS, None, always_factorise=True)
+        run = Run(self, ratios, observer, MAX_ITERATIONS, None, always_factorise=True, largest_turn=largest_turn)
         found = self._solved(run, load, start).require()
         return found, Linearisation(self, found, load, ratios, run.tangent)
 

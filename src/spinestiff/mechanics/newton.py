@@ -20,6 +20,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import eigvalsh_tridiagonal
 
+from spinestiff.anatomy.rotation import log_so3
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import StiffnessRatios
 from spinestiff.arrays import Floats
@@ -52,6 +53,7 @@ class Run:
     """One solve: its attempts share the observer and the count of what they cost.
 
     ``always_factorise``: the tangent at an equilibrium is factorised in any case, since it is wanted (``tangent``).
+    ``largest_turn``: rad; the solve ends where a bone has turned farther from its place at rest.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class Run:
         max_iterations: int,
         tolerance: float | None,
         always_factorise: bool = False,
+        largest_turn: float = np.inf,
     ) -> None:
         self.system = system
         self.potential = system.potential
@@ -75,12 +78,13 @@ class Run:
             raise EquilibriumError(f"tolerance {tolerance} N; wanted a finite residual above 0")
         self._tolerance = tolerance
         self._observer = observer
-        self._cancelled = False
+        self._end: SolveStatus | None = None  # of the whole solve, whatever else could be tried
         self._always_factorise = always_factorise
+        self._largest_turn = largest_turn
         system.require_held(self.stiffness)
 
     def wants_more(self, found: Equilibrium) -> bool:
-        return found.status is not SolveStatus.CONVERGED and not self._cancelled
+        return found.status is not SolveStatus.CONVERGED and self._end is None
 
     def newton(self, load: LoadCase, state: TorsoState, factor: FrameFactor | None = None) -> Equilibrium:
         """Mixed and chord steps."""
@@ -113,8 +117,8 @@ class Run:
             if there is None:
                 return at.ended(SolveStatus.STALLED, iteration)
             predicted = None if lower else springs.extended(at.state, step * at.frame.to_world(y))
-            if self._note(iteration, at, step, fresh, projected):
-                return there.ended(SolveStatus.CANCELLED)
+            if end := self._note(iteration, at, step, fresh, projected):
+                return there.ended(end)
             far = fresh and there.residual > NEAR * max(load.size, at.residual)
             if step < 1.0 or projected or far or factor.factor.iterative:
                 factor = None
@@ -154,8 +158,8 @@ class Run:
             if found is None:
                 return at.ended(SolveStatus.STALLED, iteration)
             step, there = found
-            if self._note(iteration, at, step, True, projected):
-                return there.ended(SolveStatus.CANCELLED)
+            if end := self._note(iteration, at, step, True, projected):
+                return there.ended(end)
             at = there
         return at.ended(SolveStatus.ITERATION_LIMIT, self.max_iterations)
 
@@ -269,10 +273,13 @@ class Run:
             p = z + beta * p
         return float(eigvalsh_tridiagonal(diagonal, off).min())
 
-    def _note(self, iteration: int, at: Point, step: float, factorised: bool, projected: bool) -> bool:
+    def _note(self, iteration: int, at: Point, step: float, factorised: bool, projected: bool) -> SolveStatus | None:
         self.history.append(NewtonStep(iteration, at.residual, at.energy, at.smallest_j, step, factorised, projected))
-        self._cancelled |= bool(self._observer and self._observer(self.history[-1]))
-        return self._cancelled
+        if self._observer and self._observer(self.history[-1]):
+            self._end = SolveStatus.CANCELLED
+        elif self._end is None and np.isfinite(self._largest_turn) and at.turn > self._largest_turn:
+            self._end = SolveStatus.FOLDED
+        return self._end
 
 
 class Point:
@@ -308,11 +315,18 @@ class Point:
         """The gradient per relative coordinate."""
         return self.frame.pull(self.gradient)
 
+    @property
+    def turn(self) -> float:
+        """rad, the largest turn of a bone from its place at rest."""
+        rest = self._run.system.torso.rest_pose.bone_rotations
+        turns = log_so3(self.state.bone_rotations @ np.swapaxes(rest, 1, 2))
+        return float(np.linalg.norm(turns, axis=1).max())
+
     def ended(self, status: SolveStatus, iteration: int | None = None) -> Equilibrium:
         """The result with this as its last state."""
         run = self._run
-        if iteration is not None and run._note(iteration, self, 0.0, False, False):
-            status = status if status is SolveStatus.CONVERGED else SolveStatus.CANCELLED
+        if iteration is not None and (end := run._note(iteration, self, 0.0, False, False)):
+            status = status if status is SolveStatus.CONVERGED and end is SolveStatus.CANCELLED else end
         full = self.full if self.smallest_j > 0.0 else np.zeros(run.potential.dofs)
         reactions = run.system.reactions(self.state, full)
         return Equilibrium(
