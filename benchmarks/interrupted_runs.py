@@ -42,6 +42,13 @@ LIMIT_BYTES = 200_000
 UNREAD = {"reader gone": '(sleep 1; "$@") | true', "closed": '"$@" >&-', "device full": '"$@" > /dev/full'}
 
 
+def small_subject(folder: Path) -> None:
+    """A synthetic subject whose run takes half a minute."""
+    recipe = Recipe(seed=3, force_n=30.0, ratios=(0.2, 0.05), shape=(512, 512), mesh="coarse",
+                    acquisition=Acquisition(samples=1))  # fmt: skip
+    synthesise(folder, recipe)
+
+
 def spinestiff(*arguments: str | Path, before: Callable[[], None] | None = None) -> subprocess.Popen[str]:
     """The program as a process of its own, started."""
     return subprocess.Popen(
@@ -171,9 +178,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         place = Path(temporary)
         sound = place / "sound"
-        recipe = Recipe(seed=3, force_n=30.0, ratios=(0.2, 0.05), shape=(512, 512), mesh="coarse",
-                        acquisition=Acquisition(samples=1))  # fmt: skip
-        synthesise(sound, recipe)
+        small_subject(sound)
         began = time.perf_counter()
         undisturbed = ended(spinestiff("run", sound))
         found = {
