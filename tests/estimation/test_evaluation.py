@@ -100,9 +100,9 @@ def test_an_equilibrium_starts_on_the_last_tangent(column, clean, monkeypatch) -
     slope, ahead = trial_set.slope(near), np.log([0.31, 0.42])
     plain, starts, real = trial_set.solve(ahead, near), [], column.problem.solve
 
-    def solve(load, ratios, start):
+    def solve(load, ratios, start, **limits):
         starts.append(start)
-        return real(load, ratios, start)
+        return real(load, ratios, start, **limits)
 
     monkeypatch.setattr(column.problem, "solve", solve)
     warm = trial_set.solve(ahead, near, slope)
