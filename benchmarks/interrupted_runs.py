@@ -71,10 +71,11 @@ def untimed(value: Any) -> Any:
 
 
 def results(folder: Path) -> dict[str, str]:
-    """What each file in ``results/`` holds, but for times: a hash of it by name."""
+    """What each file in ``results/`` holds, but for times and logs: a hash of it by name."""
     found = {}
+    logs = folder / "results" / "logs"
     for path in sorted((folder / "results").rglob("*")):
-        if path.is_dir() or path.name == "run.json":
+        if path.is_dir() or path.name == "run.json" or path.parent == logs:
             continue
         content = path.read_bytes()
         if path.suffix == ".json":
@@ -152,11 +153,7 @@ def without_room(sound: Path, place: Path) -> dict[str, Any]:
 def unread(sound: Path) -> dict[str, Any]:
     """Outputs whose reader has left, or that are closed."""
     found = {}
-    for name, line in (
-        ("reader gone", '(sleep 1; "$@") | true'),
-        ("closed", '"$@" >&-'),
-        ("device full", '"$@" > /dev/full'),
-    ):
+    for name, line in UNREAD.items():
         shell = subprocess.run(
             ["bash", "-c", f"set -o pipefail; {line}", "bash", *PROGRAM, "estimate", str(sound)],
             capture_output=True, text=True, check=False,

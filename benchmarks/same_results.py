@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from interrupted_runs import RESULTS, ended, results, small_subject, spinestiff
+from interrupted_runs import RESULTS, ended, results, small_subject, spinestiff, unlike
 
 from spinestiff import __version__
 
@@ -31,20 +31,9 @@ def ran(subject: Path, place: Path, mesh: str, threads: int) -> Path:
     folder = Path(shutil.copytree(subject, place))
     os.environ["SPINESTIFF_THREADS"] = str(threads)
     end = ended(spinestiff("run", folder, "--mesh", mesh))
-    if end["status"] not in (0, 1):  # 1: a result to be doubted, which is one all the same
+    if end["status"]:
         raise SystemExit(f"the run on {threads} threads ended with {end['status']}: {end['said']}")
     return folder
-
-
-def contents(folder: Path) -> dict[str, str]:
-    """A hash of each file of results, but for times and logs."""
-    return {name: digest for name, digest in results(folder).items() if not name.startswith("results/logs/")}
-
-
-def unlike(folder: Path, other: Path) -> list[str]:
-    """Files of results that two folders don't have alike."""
-    one, two = contents(folder), contents(other)
-    return sorted(name for name in one.keys() | two.keys() if one.get(name) != two.get(name))
 
 
 def numbers(folder: Path) -> np.ndarray:
@@ -69,7 +58,7 @@ def main() -> None:
         first = ran(subject, place / "first", asked.mesh, 1)
         found: dict[str, Any] = {
             "date": datetime.date.today().isoformat(), "version": __version__, "mesh": asked.mesh,
-            "files": len(contents(first)), "repeats": 0, "unlike the first": {}, "threads": {},
+            "files": len(results(first)), "repeats": 0, "unlike the first": {}, "threads": {},
         }  # fmt: skip
         for k in range(asked.repeats):
             again = ran(subject, place / f"again{k}", asked.mesh, 1)

@@ -1,4 +1,4 @@
-"""benchmarks/same_results.py: a changed byte is seen, a time is not."""
+"""Results of two runs, held against each other: a changed byte is seen, a time is not."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from programs import benchmark
 
-benchmark("interrupted_runs")
+interrupted_runs = benchmark("interrupted_runs")
 same_results = benchmark("same_results")
 RATIO = {"value": 0.1, "low": 0.05, "high": 0.2}
 
@@ -31,7 +31,7 @@ def test_times_and_logs_are_no_difference(folders):
     (other / "results" / "estimate.json").write_text(
         json.dumps({"ratios": {"tissue": RATIO}, "cost": {"seconds": 2.0}})
     )
-    assert same_results.unlike(one, other) == []
+    assert interrupted_runs.unlike(one, other) == []
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def test_times_and_logs_are_no_difference(folders):
 def test_a_byte_or_a_file_more_is_one(folders, name, content):
     one, other = folders
     (other / "results" / name).write_bytes(content)
-    assert same_results.unlike(one, other) == [f"results/{name}"]
+    assert interrupted_runs.unlike(one, other) == [f"results/{name}"]
 
 
 def test_ratios_and_the_ends_of_their_intervals_are_compared(folders):

@@ -19,7 +19,7 @@ from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS
-from spinestiff.estimation.weighed import WeighedPoint
+from spinestiff.estimation.weighed import WeighedPoint, WeighedProblem
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -173,6 +173,25 @@ def test_failing_equilibria_shorten_steps_and_never_raise(column, brittle) -> No
     assert weighed.status is FitStatus.STALLED
     assert not weighed.status.usable
     assert weighed.likely is None
+
+
+def test_a_start_that_takes_too_long_is_left_for_one_nearer_to_the_default(column, clean, monkeypatch) -> None:
+    real, asked_for = WeighedProblem.solve, []
+
+    def solve(self, log_ratios, *args, most_factorisations=np.inf, **kwargs):
+        asked_for.append((np.exp(log_ratios), most_factorisations))
+        if len(asked_for) < 3:
+            raise EquilibriumError("not converged within the iteration limit")
+        return real(self, log_ratios, *args, **kwargs)
+
+    monkeypatch.setattr(WeighedProblem, "solve", solve)
+    start = {"lateral_bending": 0.02, "tissue": 0.02}
+    fit = fit_stiffness(column.problem, clean, start=start, bounds=BOUNDS, extent="estimate")
+    assert [ratios[0] for ratios, _ in asked_for[:3]] == pytest.approx([0.02, 0.02**0.75, 0.02**0.5])
+    assert np.isfinite([most for _, most in asked_for[:3]]).all()
+    assert fit.status is FitStatus.CONVERGED
+    assert np.isnan(fit.history[0].loss)
+    assert not fit.history[0].accepted
 
 
 def test_no_equilibrium_at_the_start_is_one_clear_error(column, clean, brittle) -> None:

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, multivariate_normal
 
+from spinestiff.errors import EquilibriumError
 from spinestiff.estimation import mode
 from spinestiff.estimation.noise import TRACKED
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS
-from spinestiff.estimation.weighed import WeighedPoint, phi, reduced
+from spinestiff.estimation.weighed import WeighedFit, WeighedPoint, phi, reduced
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.mechanics.places import SupportPlace
 
@@ -283,6 +284,54 @@ def test_a_search_among_failing_equilibria_stalls(column, noisy, brittle) -> Non
     ended = own.searched(own.weighed(column.trials({"lateral_bending": 0.2, "tissue": 0.2})))
     assert ended.status is FitStatus.STALLED
     assert np.exp(logs(ended))[0] >= 0.37
+
+
+@pytest.fixture
+def jumping(column, asked, found, monkeypatch):
+    """Where any step from beside the minimum goes, phi is larger by 1: as where a crease appears."""
+
+    def solve(*args, real=asked.solve, **kwargs):
+        point = real(*args, **kwargs)
+        return replace(point, values=point.values + 0.5 * np.sign(point.values))
+
+    def begun(sds: float) -> WeighedFit:
+        start = asked.solve(logs(found) + sds * sd_of(found) * [1.0, 0.0], found.point.nuisances, found.point)
+        monkeypatch.setattr(asked, "solve", solve)
+        return mode.search(asked, start, column.limits, 50)
+
+    return begun
+
+
+def test_a_search_beside_a_jump_settles_where_little_is_left_to_gain(jumping) -> None:
+    ended = jumping(0.02)
+    assert ended.status is FitStatus.CONVERGED
+    assert 0.0 < ended.short < 0.1
+    assert len(ended.visited) == 1
+
+
+def test_a_search_beside_a_jump_stalls_where_much_is_left_to_gain(jumping) -> None:
+    ended = jumping(1.0)
+    assert ended.status is FitStatus.STALLED
+    assert ended.short > 0.1
+
+
+def test_a_place_without_equilibrium_is_not_tried_again(column, asked, monkeypatch) -> None:
+    """The emulator leads to it after a step was refused; the search goes on with a shorter one."""
+    nowhere, tried = np.log([0.011, 0.012]), []
+
+    def solve(log_ratios, *args, real=asked.solve, **kwargs):
+        tried.append(tuple(log_ratios))
+        if np.array_equal(log_ratios, nowhere):
+            raise EquilibriumError("it folds")
+        point = real(log_ratios, *args, **kwargs)
+        # The first step is refused.
+        return replace(point, values=10.0 * point.values) if len(tried) == 2 else point
+
+    monkeypatch.setattr(asked, "solve", solve)
+    monkeypatch.setattr(mode, "_guided", lambda places, weights, limits: (nowhere, places[0].point.nuisances))
+    ended = column.searched(asked)
+    assert tried.count(tuple(nowhere)) == 1
+    assert ended.status is FitStatus.CONVERGED
 
 
 def test_a_ratio_outside_the_limits_ends_at_them(column, clean) -> None:

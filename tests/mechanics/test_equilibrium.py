@@ -324,6 +324,22 @@ def test_a_torso_that_gives_way_is_left_where_a_bone_has_turned_too_far():
         problem.solve_linearised(weight, start=leaning, largest_turn=0.9 * turn)
 
 
+def test_a_solve_ends_after_as_many_factorisations_as_it_may_take():
+    problem, weight = _column(1.5)
+    lean = np.zeros(problem.torso.rest_pose.dofs)
+    lean[11] = 0.01
+    leaning = retract(problem.torso.rest_pose, lean)
+    needed = problem.solve(weight, start=leaning).factorisations
+    assert needed > 4
+    given_up = problem.solve(weight, start=leaning, most_factorisations=needed - 3)
+    assert given_up.status is SolveStatus.ITERATION_LIMIT
+    assert given_up.factorisations < needed
+    with pytest.raises(EquilibriumError, match="not converged"):
+        problem.solve_linearised(weight, start=leaning, most_factorisations=needed - 3)
+    # What has come to rest by the last of them is at rest.
+    assert problem.solve(weight, start=leaning, most_factorisations=needed).converged
+
+
 def test_a_linearisation_near_by_saves_factorisations(problem, soft):
     load = toy_load()
     near = problem.linearise(problem.solve(load, soft), load, soft)

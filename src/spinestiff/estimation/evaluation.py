@@ -166,6 +166,7 @@ class TrialSet:
         acts: Floats | None = None,
         starts: Sequence[TorsoState] | None = None,
         linearised: bool = False,
+        most_factorisations: float = np.inf,
     ) -> Evaluation:
         """Equilibria of all trials, each from its last one and on its factor.
 
@@ -174,10 +175,11 @@ class TrialSet:
         acts : (T, len(ACTS)) of what is not quite known; default none.
         starts : states where nothing is near.
         linearised : ``slope`` of what is found comes next; the tangents that tell that it is stable are kept for it.
+        most_factorisations : of a trial; one that needs more is given up.
 
         Raises
         ------
-        EquilibriumError : a trial has none.
+        EquilibriumError : a trial has none, or none was found with so many factorisations.
         """
         acts = np.zeros((len(self.trials), len(ACTS))) if acts is None else acts
         self._tangents = None
@@ -191,8 +193,13 @@ class TrialSet:
             problem, load, ratios = self._asked(i, log_ratios, acts[i])
             try:
                 if linearised:
-                    return problem.solve_linearised(load, ratios, start=start, largest_turn=FOLDED)
-                return problem.solve(load, ratios, start=start, largest_turn=FOLDED), None
+                    return problem.solve_linearised(
+                        load, ratios, start, largest_turn=FOLDED, most_factorisations=most_factorisations
+                    )
+                equilibrium = problem.solve(
+                    load, ratios, start, largest_turn=FOLDED, most_factorisations=most_factorisations
+                )
+                return equilibrium, None
             except EquilibriumError as error:
                 return error
 

@@ -23,7 +23,7 @@ from spinestiff.estimation.evaluation import Evaluation, OnFitStep, TrialSet
 from spinestiff.estimation.fitted import METHODS, Method, NuisanceEstimate, StiffnessFit, Weighed
 from spinestiff.estimation.forecast import Forecast, forecast
 from spinestiff.estimation.linear import MOST_PROFILED, best_known, linear_ratios
-from spinestiff.estimation.mode import CLOSE_SD, search
+from spinestiff.estimation.mode import CLOSE_SD, MOST_FACTORISATIONS, NEARLY, search
 from spinestiff.estimation.objective import Trial, residuals, undetermined_vertebrae
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import Likely, likely_ratios, rise_at
@@ -42,6 +42,8 @@ WORST_CONDITION = 1e12
 LEAST_PRECISION = 1e-6
 # Share by which the corners' error may differ where an estimate is solved again: digits of a stored one.
 SAME_RMSE = 0.01
+# Shares of the log ratios to start from, tried in this order.
+NEARER_STARTS = (1.0, 0.75, 0.5, 0.25)
 Extent = Literal["estimate", "intervals", "everything"]
 
 
@@ -110,6 +112,7 @@ def fit_stiffness(
     default = _default_point(trial_set)
     limits = (float(np.log(bounds[0])), float(np.log(bounds[1])))
     weighed: Weighed | None = None
+    found: WeighedFit | None = None
     covariance = np.full((len(names),) * 2, np.nan)
     if method == "weighed":
         nuisances = np.array([(start_nuisances or {}).get(name, 0.0) for name in asked.unknowns.names])
@@ -151,7 +154,7 @@ def fit_stiffness(
         method=method,
         orientation=orientation,
         bounds=(float(bounds[0]), float(bounds[1])),
-        warnings=(*_warnings(trial_set, default, point), *_open_ends(opens, bounds), *_unsettled(likely, names)),
+        warnings=(*_warnings(trial_set, default, point), *_open_ends(opens, bounds), *_unsettled(found, likely, names)),
         weighed=weighed,
     )
 
@@ -260,11 +263,20 @@ def _searched(
     max_iterations: int,
     close_sd: float,
 ) -> WeighedFit:
-    try:
-        start = asked.solve(first, nuisances, None if default is None else asked.at(default))
-    except EquilibriumError as error:
-        raise FitError(f"no equilibrium at the start of the fit, {error}") from None
-    asked.trial_set.note(first, float("nan"), start.evaluation, True)
+    near = None if default is None else asked.at(default)
+    # A start may lie where tissue creases, and take hundreds of factorisations; nearer to the default it does not.
+    for share in NEARER_STARTS if first.any() else ():
+        try:
+            start = asked.solve(share * first, nuisances, near, most_factorisations=MOST_FACTORISATIONS)
+            break
+        except EquilibriumError:
+            asked.trial_set.note(share * first, float("nan"), None, False)
+    else:
+        try:
+            start = asked.solve(first, nuisances, near)
+        except EquilibriumError as error:
+            raise FitError(f"no equilibrium at the start of the fit, {error}") from None
+    asked.trial_set.note(start.log_ratios, float("nan"), start.evaluation, True)
     return search(asked, start, limits, max_iterations, close_sd)
 
 
@@ -454,10 +466,15 @@ def _warnings(trial_set: TrialSet, default: Evaluation | None, point: Evaluation
     return tuple(found)
 
 
-def _unsettled(likely: Likely | None, names: Sequence[str]) -> list[str]:
-    if likely is None:
+def _unsettled(search_end: WeighedFit | None, likely: Likely | None, names: Sequence[str]) -> list[str]:
+    if search_end is None or likely is None:
         return []
     found = []
+    if search_end.short > np.sqrt(2.0 * NEARLY):
+        found.append(
+            "beside the estimate the torso jumps between equilibria, as where soft tissue creases; "
+            f"the estimate is settled to {search_end.short:.1g} standard deviations"
+        )
     if not likely.settled:
         found.append(
             "an end of the intervals is interpolated between places where the model was solved, and less certain"

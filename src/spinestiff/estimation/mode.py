@@ -32,6 +32,13 @@ CLOSE_SD = 1e-3
 # and no less than half of the one before, equilibria that jump by more than that are as near as the search can come.
 SMALL, LEAST_SHARE, MOST_SHARE = 1.0, 0.1, 8.0
 NEARLY, ENOUGH = 1e-3, 6
+# Soft tissue that is pressed together creases, and where a crease appears phi jumps. Where a step that promises less
+# than this (a tenth of an sd) is refused, it is shortened once; if that is refused, too, the search is as near as it
+# can come.
+SETTLED = 5e-3
+# A solve that takes more factorisations is on its way to another equilibrium than the one before; it is given up, and a
+# shorter step is tried. Useful ones took up to 52 (of a step by a factor of 3.5), most one to four.
+MOST_FACTORISATIONS = 60
 # One step changes a ratio by at most these factors: beyond, the linear model says nothing.
 LARGEST_SOFTENING, LARGEST_STIFFENING = 8.0, 8.0
 SHORTEST_STEP = 1.0 / 64.0
@@ -69,17 +76,19 @@ def search(
         weights = problem.weights(point, slope, weights)
         step, nuisances, predicted = gauss_newton_step(point, slope, weights, limits)
         near = near + 1 if 0.5 * promised < predicted < NEARLY else 0
-        promised = predicted
+        promised, short = predicted, float(np.sqrt(2.0 * predicted))
         if predicted < 0.5 * close_sd**2 or near > ENOUGH:
-            return WeighedFit(point, slope, weights, FitStatus.CONVERGED, _pairs(visited))
-        before, refused, share, guiding = phi(point, weights), list[Place](), 1.0, True
+            return WeighedFit(point, slope, weights, FitStatus.CONVERGED, _pairs(visited), short)
+        before, refused, share = phi(point, weights), list[Place](), 1.0
+        nearly = predicted < SETTLED
+        guiding, shortest = not nearly, 0.25 if nearly else SHORTEST_STEP
         moved: WeighedPoint | None = None
         wished = np.concatenate([step, nuisances - point.nuisances])
         if last is not None and predicted < SMALL:
             share = _relaxed(wished, *last, slope, weights)
-        while moved is None and share >= SHORTEST_STEP:
+        while moved is None and share >= shortest:
             if evaluations >= max_evaluations:
-                return WeighedFit(point, slope, weights, FitStatus.ITERATION_LIMIT, _pairs(visited))
+                return WeighedFit(point, slope, weights, FitStatus.ITERATION_LIMIT, _pairs(visited), short)
             # More than the whole step in the log: a compliance can't fall below 0.
             ahead = log_step(share * step) if share <= 1.0 else share * log_step(step)
             target = np.clip(point.log_ratios + ahead, *limits)
@@ -94,11 +103,13 @@ def search(
                 target, wanted = guided
             evaluations += 1
             try:
-                trial = problem.solve(target, wanted, point, slope)
+                trial = problem.solve(target, wanted, point, slope, most_factorisations=MOST_FACTORISATIONS)
                 after = phi(trial, weights)
             except EquilibriumError:
                 problem.trial_set.note(target, float("nan"), None, False)
                 share = 1.0 if share > 1.0 else 0.25 * share
+                # Led to a place without equilibrium, the search would be led there again.
+                guiding = guiding and not refused
                 continue
             # Below rounding of the equilibria a decrease is none.
             if after <= before - 1e-4 * share * predicted or (predicted < 1e-4 and after <= before + 1e-4):
@@ -116,7 +127,8 @@ def search(
                 share *= 0.25
         visited = [*visited, Place(point, slope.light), *refused]
         if moved is None:
-            return WeighedFit(point, slope, weights, FitStatus.STALLED, _pairs(visited))
+            status = FitStatus.CONVERGED if nearly else FitStatus.STALLED
+            return WeighedFit(point, slope, weights, status, _pairs(visited), short)
         point, slope, last = moved, problem.slope(moved), (wished, share)
 
 

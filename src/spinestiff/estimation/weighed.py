@@ -198,8 +198,12 @@ class WeighedProblem:
         near: WeighedPoint | None = None,
         slope: WeighedSlope | None = None,
         starts: Sequence[TorsoState] | None = None,
+        most_factorisations: float = np.inf,
     ) -> WeighedPoint:
-        """All trials in equilibrium, from what is near or from ``starts``; EquilibriumError where one has none."""
+        """All trials in equilibrium, from what is near or from ``starts``.
+
+        EquilibriumError where one has none, or where none is found with ``most_factorisations``.
+        """
         acts = self.unknowns.acts @ nuisances
         found = self.trial_set.solve(
             log_ratios,
@@ -208,6 +212,7 @@ class WeighedProblem:
             acts,
             starts,
             linearised=True,
+            most_factorisations=most_factorisations,
         )
         further = tuple(
             sight_residuals(self.trial_set.problems[trial].torso, target, found.equilibria[trial].state)
@@ -465,10 +470,17 @@ def reduced(point: WeighedPoint, slope: WeighedSlope, weights: Weights) -> Reduc
 
 @dataclass(frozen=True, repr=False)
 class WeighedFit(ShortRepr):
-    """Where the search (``mode``) ended; ``visited``: the places on the way there, in their order."""
+    """Where the search (``mode``) ended.
+
+    Attributes
+    ----------
+    visited : the places on the way there, in their order.
+    short : by how many standard deviations the last step, which was not taken, would have gone on.
+    """
 
     point: WeighedPoint
     slope: WeighedSlope
     weights: Weights
     status: FitStatus
     visited: tuple[tuple[WeighedPoint, WeighedSlope], ...]
+    short: float = 0.0

@@ -103,9 +103,12 @@ class OneSidedProblem(EquilibriumProblem):
         start: TorsoState | Linearisation | None = None,
         observer: OnNewtonStep | None = None,
         largest_turn: float = np.inf,
+        most_factorisations: float = np.inf,
     ) -> tuple[Equilibrium, Linearisation]:
         """``solve`` and ``linearise``. Raises EquilibriumError where no equilibrium was found."""
-        found = self.solve(load, ratios, start, observer, largest_turn=largest_turn).require()
+        found = self.solve(
+            load, ratios, start, observer, largest_turn=largest_turn, most_factorisations=most_factorisations
+        ).require()
         return found, self.linearise(found, load, ratios)
 
     def _solved(self, run: Run, load: LoadCase, start: TorsoState | Linearisation | None) -> Equilibrium:

@@ -37,6 +37,7 @@ class EquilibriumProblem(System):
         max_iterations: int = MAX_ITERATIONS,
         tolerance: float | None = None,
         largest_turn: float = np.inf,
+        most_factorisations: float = np.inf,
     ) -> Equilibrium:
         """The state of least energy under ``load`` (Eq. 4), from ``start`` or the rest pose.
 
@@ -47,6 +48,7 @@ class EquilibriumProblem(System):
         max_iterations : of each attempt.
         tolerance : residual to reach, N; default: 1e-10 of the load or 1e-8 N, the larger.
         largest_turn : rad, of a bone from its place at rest; where one turns farther the solve ends as ``FOLDED``.
+        most_factorisations : of all attempts together; after so many the solve ends as ``ITERATION_LIMIT``.
 
         Held degrees of freedom stay where the start has them, so that bones can be moved to where they are wanted; with
         a ``place`` (``with_place``) the pelvis is turned to it first, and the start with it.
@@ -59,7 +61,7 @@ class EquilibriumProblem(System):
         EquilibriumError : a part of the torso can move freely (``mechanics.mechanisms``), the start belongs to another
             torso, or the tolerance is not a finite one above 0.
         """
-        run = Run(self, ratios, observer, max_iterations, tolerance, largest_turn=largest_turn)
+        run = Run(self, ratios, observer, max_iterations, tolerance, False, largest_turn, most_factorisations)
         return self._solved(run, load, start)
 
     def solve_linearised(
@@ -69,6 +71,7 @@ class EquilibriumProblem(System):
         start: TorsoState | Linearisation | None = None,
         observer: OnNewtonStep | None = None,
         largest_turn: float = np.inf,
+        most_factorisations: float = np.inf,
     ) -> tuple[Equilibrium, Linearisation]:
         """``solve`` and ``linearise`` at once: one factorisation fewer, or what tells that it can be spared.
 
@@ -76,7 +79,7 @@ class EquilibriumProblem(System):
         ------
         EquilibriumError : no equilibrium was found.
         """
-        run = Run(self, ratios, observer, MAX_ITERATIONS, None, always_factorise=True, largest_turn=largest_turn)
+        run = Run(self, ratios, observer, MAX_ITERATIONS, None, True, largest_turn, most_factorisations)
         found = self._solved(run, load, start).require()
         return found, Linearisation(self, found, load, ratios, run.tangent)
 

@@ -54,6 +54,7 @@ class Run:
 
     ``always_factorise``: the tangent at an equilibrium is factorised in any case, since it is wanted (``tangent``).
     ``largest_turn``: rad; the solve ends where a bone has turned farther from its place at rest.
+    ``most_factorisations``: of all attempts, after which the solve ends.
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class Run:
         tolerance: float | None,
         always_factorise: bool = False,
         largest_turn: float = np.inf,
+        most_factorisations: float = np.inf,
     ) -> None:
         self.system = system
         self.potential = system.potential
@@ -81,6 +83,7 @@ class Run:
         self._end: SolveStatus | None = None  # of the whole solve, whatever else could be tried
         self._always_factorise = always_factorise
         self._largest_turn = largest_turn
+        self._most_factorisations = most_factorisations
         system.require_held(self.stiffness)
 
     def wants_more(self, found: Equilibrium) -> bool:
@@ -279,6 +282,8 @@ class Run:
             self._end = SolveStatus.CANCELLED
         elif self._end is None and np.isfinite(self._largest_turn) and at.turn > self._largest_turn:
             self._end = SolveStatus.FOLDED
+        elif self._end is None and self.factorisations > self._most_factorisations:
+            self._end = SolveStatus.ITERATION_LIMIT
         return self._end
 
 
@@ -326,7 +331,7 @@ class Point:
         """The result with this as its last state."""
         run = self._run
         if iteration is not None and (end := run._note(iteration, self, 0.0, False, False)):
-            status = status if status is SolveStatus.CONVERGED and end is SolveStatus.CANCELLED else end
+            status = status if status is SolveStatus.CONVERGED and end is not SolveStatus.FOLDED else end
         full = self.full if self.smallest_j > 0.0 else np.zeros(run.potential.dofs)
         reactions = run.system.reactions(self.state, full)
         return Equilibrium(

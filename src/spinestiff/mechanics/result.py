@@ -34,7 +34,7 @@ class SolveStatus(enum.Enum):
     )
     SADDLE = "force balance without stability: the state is no energy minimum; start from a state a little to its side"
     FOLDED = (
-        "a bone turned by more than was to be expected, so that the torso gives way under this load; "
+        "a bone turned farther than it may, so that the torso gives way under this load; "
         "reduce the force or raise the ratios"
     )
     CANCELLED = "cancelled before an equilibrium was reached; the state is the last good one, to go on from"
