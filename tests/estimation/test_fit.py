@@ -332,7 +332,17 @@ def test_eqs_8_10_on_the_template_torso() -> None:
 def test_a_place_as_likely_as_the_estimate_is_told() -> None:
     where = WeighedPoint(np.zeros(1), SimpleNamespace(log_ratios=np.log([0.5, 0.02])), np.zeros(1))
     likely = SimpleNamespace(settled=True, likelier=where)
-    (warning,) = fitting._unsettled(likely, ("lateral_bending", "tissue"))
+    ended = SimpleNamespace(short=0.0)
+    (warning,) = fitting._unsettled(ended, likely, ("lateral_bending", "tissue"))
     assert warning.startswith("lateral_bending 0.5, tissue 0.02 explains the radiographs about as well")
     likely.likelier = None
-    assert fitting._unsettled(likely, ("lateral_bending", "tissue")) == []
+    assert fitting._unsettled(ended, likely, ("lateral_bending", "tissue")) == []
+
+
+def test_an_estimate_beside_a_jump_is_told_with_how_near_it_is() -> None:
+    likely = SimpleNamespace(settled=True, likelier=None)
+    (warning,) = fitting._unsettled(SimpleNamespace(short=0.09), likely, ("tissue",))
+    assert "jumps between equilibria" in warning
+    assert warning.endswith("settled to 0.09 standard deviations")
+    assert not fitting._unsettled(SimpleNamespace(short=0.03), likely, ("tissue",))
+    assert not fitting._unsettled(None, None, ("tissue",))

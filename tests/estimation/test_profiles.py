@@ -75,7 +75,7 @@ class Bent:
         self.solved: list[float] = []
         self.trial_set = SimpleNamespace(note=lambda *of: None)
 
-    def solve(self, log_ratios, nuisances, near=None, slope=None):
+    def solve(self, log_ratios, nuisances, near=None, slope=None, **limits):
         self.solved.append(float(nuisances[0]))
         return WeighedPoint(
             np.array(nuisances), SimpleNamespace(log_ratios=log_ratios), 5.0 * np.arctan(2.0 * (nuisances - 1.0))

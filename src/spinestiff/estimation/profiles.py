@@ -24,6 +24,8 @@ CONFIDENCE = 0.95
 WIDTH_FACTOR = 1.05
 # Ends agree once the emulator's phi and the model's differ by less than this there.
 CLOSE_ENOUGH = 0.1
+# A place that takes more is given up as one without equilibrium; useful ones took up to 52.
+MOST_FACTORISATIONS = 100
 MOST_ROUNDS = 8
 # A place as near as this to a solved one, in the estimate's standard deviations, is not solved, since the emulator
 # knows phi and its slope next to it, unless that is farther in log ratio than ``NEAR_LOG``; one farther than
@@ -238,7 +240,7 @@ def solved_place(
     matters = phi(fit.point, fit.weights) + HIGH
     point, slope, share, before = fit.point, fit.slope, 1.0, float("inf")
     for _ in range(1 + MOST_AGAIN):
-        point = problem.solve(log_ratios, nuisances, point, slope)
+        point = problem.solve(log_ratios, nuisances, point, slope, most_factorisations=MOST_FACTORISATIONS)
         slope = problem.slope(point)
         problem.trial_set.note(log_ratios, phi(point, fit.weights), point.evaluation, False)
         model = reduced(point, slope, fit.weights)

@@ -402,6 +402,7 @@ class _OneByOne(TrialSet):
         acts: Floats | None = None,
         starts: Sequence[TorsoState] | None = None,
         linearised: bool = True,
+        most_factorisations: float = np.inf,
     ) -> Evaluation:
         """As that of all at once; from ``starts``, else from rest."""
         assert near is None
@@ -413,7 +414,13 @@ class _OneByOne(TrialSet):
             # A set of its own, which keeps its last tangent, ends with this call.
             alone = TrialSet([self.problems[i]], [self.trials[i]], self.groups, self._orientation, None)
             start = None if starts is None else starts[i : i + 1]
-            found = alone.solve(log_ratios, acts=acts[i : i + 1], starts=start, linearised=True)
+            found = alone.solve(
+                log_ratios,
+                acts=acts[i : i + 1],
+                starts=start,
+                linearised=True,
+                most_factorisations=most_factorisations,
+            )
             return found, replace(alone.slope(found, with_acts=True), tangents=())
 
         self._last = None
