@@ -96,6 +96,29 @@ def test_nuisances_that_swing_are_brought_to_rest() -> None:
     assert height == pytest.approx(0.5 * float(model.values @ model.values))
 
 
+@pytest.mark.parametrize(("second", "starts_from"), [(0.25, "second"), (0.1, "estimate"), (2.0, "estimate")])
+def test_an_end_is_solved_from_a_place_that_is_much_nearer_than_the_estimate(second, starts_from, monkeypatch) -> None:
+    bent, starts = Bent(), []
+    start, there = bent.solve(np.zeros(1), np.ones(1)), bent.solve(np.array([second]), np.ones(1))
+    fit = WeighedFit(start, bent.slope(start), Weights(np.eye(1), 1.0, np.ones(1)), FitStatus.CONVERGED, ())
+    places = [Place(point, bent.slope(point)) for point in (start, there)]
+    emulator = SimpleNamespace(
+        log_ratios=np.array([place.point.log_ratios for place in places]),
+        nuisances=lambda where: (np.ones(1), np.eye(1)),
+        phi=lambda where: np.zeros(1),
+    )
+
+    def solve(log_ratios, nuisances, near, slope, real=bent.solve, **limits):
+        starts.append((near, slope))
+        return real(log_ratios, nuisances)
+
+    monkeypatch.setattr(bent, "solve", solve)
+    _solve_ends(bent, fit, emulator, places, [np.array([0.4])], np.eye(1))
+    near, slope = starts[0]
+    assert near is (there if starts_from == "second" else start)
+    assert (slope is None) == (starts_from == "second")
+
+
 def test_no_place_is_solved_twice() -> None:
     """An end at a place that was solved and that the emulator had no use for."""
     bent = Bent()

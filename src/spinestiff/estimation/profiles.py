@@ -214,7 +214,8 @@ def _solve_ends(
         wrong |= farther > 1.0
         solved.append(where)
         try:
-            place, height = solved_place(problem, fit, where, emulator.nuisances(where)[0])
+            near_by = _much_nearer(places, where, precision)
+            place, height = solved_place(problem, fit, where, emulator.nuisances(where)[0], near_by)
         except EquilibriumError:
             problem.trial_set.note(where, float("nan"), None, False)
             unsolved.append(k)
@@ -224,24 +225,37 @@ def _solve_ends(
     return wrong, unsolved
 
 
+def _much_nearer(places: Sequence[Place], where: Floats, precision: Floats) -> WeighedPoint | None:
+    """Of solved places, the estimate first, the nearest one, if the estimate is more than twice as far off."""
+    apart = np.array([place.point.log_ratios for place in places]) - where
+    squared = np.einsum("ki,ij,kj->k", apart, precision, apart)
+    nearest = int(np.argmin(squared))
+    return places[nearest].point if squared[nearest] < 0.25 * squared[0] else None
+
+
 def solved_place(
-    problem: WeighedProblem, fit: WeighedFit, log_ratios: Floats, nuisances: Floats
+    problem: WeighedProblem,
+    fit: WeighedFit,
+    log_ratios: Floats,
+    nuisances: Floats,
+    near: WeighedPoint | None = None,
 ) -> tuple[Place, float]:
     """The model solved at log ratios (P,), at nuisances near the most probable ones there, and phi at those.
 
     Parameters
     ----------
-    nuisances : (M,) to begin with.
+    nuisances : (M,) to begin with. near : a place to start from; None: the estimate, on its tangents.
 
     Raises
     ------
     EquilibriumError : it has no equilibrium there.
     """
     matters = phi(fit.point, fit.weights) + HIGH
-    point, slope, share, before = fit.point, fit.slope, 1.0, float("inf")
+    point, tangents = (fit.point, fit.slope) if near is None else (near, None)
+    share, before = 1.0, float("inf")
     for _ in range(1 + MOST_AGAIN):
-        point = problem.solve(log_ratios, nuisances, point, slope, most_factorisations=MOST_FACTORISATIONS)
-        slope = problem.slope(point)
+        point = problem.solve(log_ratios, nuisances, point, tangents, most_factorisations=MOST_FACTORISATIONS)
+        slope = tangents = problem.slope(point)
         problem.trial_set.note(log_ratios, phi(point, fit.weights), point.evaluation, False)
         model = reduced(point, slope, fit.weights)
         height = 0.5 * float(model.values @ model.values)
