@@ -18,6 +18,7 @@ from spinestiff.estimation.fit import fit_stiffness, likelihood_rise
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.estimation.status import FitStatus
+from spinestiff.estimation.told import unsettled_warnings
 from spinestiff.estimation.unknowns import ACTS
 from spinestiff.estimation.weighed import WeighedPoint, WeighedProblem
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
@@ -333,16 +334,16 @@ def test_a_place_as_likely_as_the_estimate_is_told() -> None:
     where = WeighedPoint(np.zeros(1), SimpleNamespace(log_ratios=np.log([0.5, 0.02])), np.zeros(1))
     likely = SimpleNamespace(settled=True, likelier=where)
     ended = SimpleNamespace(short=0.0)
-    (warning,) = fitting._unsettled(ended, likely, ("lateral_bending", "tissue"))
+    (warning,) = unsettled_warnings(ended, likely, ("lateral_bending", "tissue"))
     assert warning.startswith("lateral_bending 0.5, tissue 0.02 explains the radiographs about as well")
     likely.likelier = None
-    assert fitting._unsettled(ended, likely, ("lateral_bending", "tissue")) == []
+    assert unsettled_warnings(ended, likely, ("lateral_bending", "tissue")) == []
 
 
 def test_an_estimate_beside_a_jump_is_told_with_how_near_it_is() -> None:
     likely = SimpleNamespace(settled=True, likelier=None)
-    (warning,) = fitting._unsettled(SimpleNamespace(short=0.09), likely, ("tissue",))
+    (warning,) = unsettled_warnings(SimpleNamespace(short=0.09), likely, ("tissue",))
     assert "jumps between equilibria" in warning
     assert warning.endswith("settled to 0.09 standard deviations")
-    assert not fitting._unsettled(SimpleNamespace(short=0.03), likely, ("tissue",))
-    assert not fitting._unsettled(None, None, ("tissue",))
+    assert not unsettled_warnings(SimpleNamespace(short=0.03), likely, ("tissue",))
+    assert not unsettled_warnings(None, None, ("tissue",))

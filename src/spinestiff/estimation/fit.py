@@ -17,29 +17,31 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, ParameterGroup
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError, FitError
-from spinestiff.estimation.budget import Budget, PriorChange, prior_changes, repeated_sds, variance_budget
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import Evaluation, OnFitStep, TrialSet
-from spinestiff.estimation.fitted import METHODS, Method, NuisanceEstimate, StiffnessFit, Weighed
+from spinestiff.estimation.fitted import METHODS, Method, StiffnessFit, Weighed
 from spinestiff.estimation.forecast import Forecast, forecast
-from spinestiff.estimation.linear import MOST_PROFILED, best_known, linear_ratios
-from spinestiff.estimation.mode import CLOSE_SD, MOST_FACTORISATIONS, NEARLY, search
-from spinestiff.estimation.objective import Trial, residuals, undetermined_vertebrae
+from spinestiff.estimation.linear import MOST_PROFILED, linear_ratios
+from spinestiff.estimation.mode import CLOSE_SD, MOST_FACTORISATIONS, search
+from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import Likely, likely_ratios, rise_at
 from spinestiff.estimation.ratio_priors import ratio_prior
 from spinestiff.estimation.search import lbfgsb
 from spinestiff.estimation.status import FitStatus
-from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, reduced
+from spinestiff.estimation.told import (
+    open_end_warnings,
+    ratio_covariance,
+    told,
+    trial_warnings,
+    unsettled_warnings,
+)
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem
 from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 
 # An interval that covers more of the bounds (in log) than this says that the data can't tell.
 WIDEST_INTERVAL = 0.9
-# Of the ratios' precision: beyond, what parts two combinations of ratios is rounding.
-WORST_CONDITION = 1e12
-# Of a log ratio that the data say nothing of.
-LEAST_PRECISION = 1e-6
 # Share by which the corners' error may differ where an estimate is solved again: digits of a stored one.
 SAME_RMSE = 0.01
 # Shares of the log ratios to start from, tried in this order.
@@ -120,8 +122,8 @@ def fit_stiffness(
         places = _rough_places(asked, rough)
         likely, known = _likely(asked, found, limits, extent, places)
         point, status = found.point.evaluation, found.status
-        covariance = _covariance(found)
-        weighed = _told(asked, found, limits, extent, places, likely, known)
+        covariance = ratio_covariance(found)
+        weighed = told(asked, found, likely, known, limits, places, extent == "everything")
     else:
         point = default if default is not None and not first.any() else _first_point(trial_set, first, default)
         trial_set.note(point.log_ratios, point.loss, point, True)
@@ -154,7 +156,11 @@ def fit_stiffness(
         method=method,
         orientation=orientation,
         bounds=(float(bounds[0]), float(bounds[1])),
-        warnings=(*_warnings(trial_set, default, point), *_open_ends(opens, bounds), *_unsettled(found, likely, names)),
+        warnings=(
+            *trial_warnings(trial_set, default, point),
+            *open_end_warnings(opens, bounds),
+            *unsettled_warnings(found, likely, names),
+        ),
         weighed=weighed,
     )
 
@@ -280,18 +286,6 @@ def _searched(
     return search(asked, start, limits, max_iterations, close_sd)
 
 
-def _precision(found: WeighedFit) -> Floats:
-    model = reduced(found.point, found.slope, found.weights)
-    return np.asarray(model.ratios.T @ model.ratios)
-
-
-def _covariance(found: WeighedFit) -> Floats:
-    precision = _precision(found)
-    if not np.linalg.cond(precision) < WORST_CONDITION:
-        return np.full(precision.shape, np.inf)
-    return np.asarray(np.linalg.inv(precision))
-
-
 def _rough_places(asked: WeighedProblem, rough: StiffnessFit | None) -> tuple[Place, ...]:
     """The rough fit's places, if it is of the ratios asked for and of as many residuals and nuisances."""
     if rough is None or rough.weighed is None or rough.names != tuple(group.name for group in asked.trial_set.groups):
@@ -311,84 +305,6 @@ def _likely(
     if len(found.point.log_ratios) > MOST_PROFILED:
         return linear_ratios(found, places, limits), ()
     return likely_ratios(asked, found, places, limits, rough)
-
-
-def _told(
-    asked: WeighedProblem,
-    found: WeighedFit,
-    limits: tuple[float, float],
-    extent: Extent,
-    rough: tuple[Place, ...],
-    likely: Likely | None,
-    known: tuple[Place, ...],
-) -> Weighed:
-    budget: Budget | None = None
-    changes: tuple[PriorChange, ...] = ()
-    if extent == "everything" and likely is not None:
-        budget = variance_budget(asked, found)
-        changes = prior_changes(asked, found, known, limits, rough) if known else ()
-    return Weighed(
-        _nuisances(asked, found),
-        found.point.evaluation.acts,
-        asked.p_value(found.point, found.slope),
-        found.weights.tracking_factor,
-        _outlying(asked, found),
-        likely,
-        budget,
-        changes,
-        asked.ratio_prior.texts,
-        _data_sd(asked, found),
-        repeated_sds(asked, found),
-        repeated_sds(asked, found, annotation_alone=True),
-        best_known(found.point.log_ratios, _data_precision(asked, found)),
-        asked.log_likelihood(found.point, found.slope, found.weights),
-        known,
-    )
-
-
-def _data_precision(asked: WeighedProblem, found: WeighedFit) -> Floats:
-    """Without what is held of the ratios themselves."""
-    rows = asked.ratio_prior.rows
-    return np.asarray(_precision(found) - rows.T @ rows)
-
-
-def _data_sd(asked: WeighedProblem, found: WeighedFit) -> Floats:
-    precision = _data_precision(asked, found)
-    return np.asarray(np.sqrt(np.diag(np.linalg.inv(precision + LEAST_PRECISION * np.eye(len(precision))))))
-
-
-def _nuisances(asked: WeighedProblem, found: WeighedFit) -> tuple[NuisanceEstimate, ...]:
-    columns = found.weights.whiten(np.column_stack([found.slope.nuisances, found.slope.ratios]))
-    m, p = len(asked.unknowns), columns.shape[1] - len(asked.unknowns)
-    # A direction of the ratios without information must not stop the rest.
-    precision = columns.T @ columns + np.diag(np.r_[np.ones(m), np.full(p, 1e-9)])
-    sds = np.sqrt(np.diag(np.linalg.inv(precision))[:m])
-    result = []
-    for unknown, value, sd in zip(asked.unknowns.each, found.point.nuisances, sds):
-        size = max(unknown.sizes, key=abs)
-        result.append(
-            NuisanceEstimate(
-                unknown.name,
-                unknown.group,
-                unknown.act,
-                float(value),
-                float(value * size),
-                float(sd * abs(size)),
-                float(abs(size)),
-            )
-        )
-    return tuple(result)
-
-
-def _outlying(asked: WeighedProblem, found: WeighedFit) -> tuple[tuple[str, str, float], ...]:
-    result = []
-    for i in range(asked.trials):
-        target, channels = asked.noise.seen[i].target, asked.noise.channels[i]
-        inflation = found.weights.inflation[asked.noise.of(i)].reshape(len(channels.rows), -1)[:, 0]
-        for name, factor in zip(target.trial.corners.vertebrae, inflation):
-            if factor > 1.0:
-                result.append((target.trial.label or f"trial {i + 1}", name, float(np.sqrt(factor))))
-    return tuple(result)
 
 
 def _ends(
@@ -450,48 +366,3 @@ def _first_point(trial_set: TrialSet, first: Floats, default: Evaluation | None)
         return trial_set.solve(first, default)
     except EquilibriumError as error:
         raise FitError(f"no equilibrium at the start of the fit, {error}") from None
-
-
-def _warnings(trial_set: TrialSet, default: Evaluation | None, point: Evaluation) -> tuple[str, ...]:
-    found = []
-    for i, (problem, target) in enumerate(zip(trial_set.problems, trial_set.targets)):
-        name = trial_set.trials[i].label or f"trial {i + 1}"
-        rest = residuals(problem.torso, target, problem.torso.rest_pose).values
-        measured, simulated = -rest, (default or point).residuals[i].values - rest
-        if measured @ simulated < 0.0:
-            found.append(f"{name}: the spine moved against the push; check the side of the push and of the picture")
-        square = undetermined_vertebrae(problem.torso, target)
-        if square:
-            found.append(f"{name}: orientation by covariance means little for {', '.join(square)} (near-square box)")
-    return tuple(found)
-
-
-def _unsettled(search_end: WeighedFit | None, likely: Likely | None, names: Sequence[str]) -> list[str]:
-    if search_end is None or likely is None:
-        return []
-    found = []
-    if search_end.short > np.sqrt(2.0 * NEARLY):
-        found.append(
-            "beside the estimate the torso jumps between equilibria, as where soft tissue creases; "
-            f"the estimate is settled to {search_end.short:.1g} standard deviations"
-        )
-    if not likely.settled:
-        found.append(
-            "an end of the intervals is interpolated between places where the model was solved, and less certain"
-        )
-    if likely.likelier is not None:
-        ratios = np.exp(likely.likelier.log_ratios)
-        where = ", ".join(f"{name} {ratio:.2g}" for name, ratio in zip(names, ratios))
-        found.append(
-            f"{where} explains the radiographs about as well as the estimate; take the interval, not the number"
-        )
-    return found
-
-
-def _open_ends(opens: Mapping[str, tuple[bool, bool]], bounds: tuple[float, float]) -> list[str]:
-    found = []
-    for name, ends in opens.items():
-        sides = [f"{side} {bound:g}" for side, bound, is_open in zip(("below", "above"), bounds, ends) if is_open]
-        if sides:
-            found.append(f"{name}: the radiographs also allow ratios {' and '.join(sides)}, the bounds of the fit")
-    return found

@@ -1,0 +1,169 @@
+"""What a fit tells beside its ratios: what else it found, how well it knows it, and what to be careful of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from spinestiff.arrays import Floats
+from spinestiff.estimation.budget import Budget, PriorChange, prior_changes, repeated_sds, variance_budget
+from spinestiff.estimation.emulator import Place
+from spinestiff.estimation.evaluation import Evaluation, TrialSet
+from spinestiff.estimation.fitted import NuisanceEstimate, Weighed
+from spinestiff.estimation.linear import best_known
+from spinestiff.estimation.mode import NEARLY
+from spinestiff.estimation.objective import residuals, undetermined_vertebrae
+from spinestiff.estimation.profiles import Likely
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, reduced
+
+# Of the ratios' precision: beyond, what parts two combinations of ratios is rounding.
+WORST_CONDITION = 1e12
+# Of a log ratio that the data say nothing of.
+LEAST_PRECISION = 1e-6
+
+
+def told(
+    asked: WeighedProblem,
+    found: WeighedFit,
+    likely: Likely | None,
+    known: tuple[Place, ...],
+    limits: tuple[float, float],
+    rough: tuple[Place, ...],
+    everything: bool,
+) -> Weighed:
+    """All that a weighed fit found beside its ratios.
+
+    Parameters
+    ----------
+    likely, known : intervals, and the places that they come from. limits : of the log ratios.
+    rough : places that are known on a coarser mesh. everything : with variance budget and other priors.
+    """
+    budget: Budget | None = None
+    changes: tuple[PriorChange, ...] = ()
+    if everything and likely is not None:
+        budget = variance_budget(asked, found)
+        changes = prior_changes(asked, found, known, limits, rough) if known else ()
+    return Weighed(
+        _nuisances(asked, found),
+        found.point.evaluation.acts,
+        asked.p_value(found.point, found.slope),
+        found.weights.tracking_factor,
+        _outlying(asked, found),
+        likely,
+        budget,
+        changes,
+        asked.ratio_prior.texts,
+        _data_sd(asked, found),
+        repeated_sds(asked, found),
+        repeated_sds(asked, found, annotation_alone=True),
+        best_known(found.point.log_ratios, _data_precision(asked, found)),
+        asked.log_likelihood(found.point, found.slope, found.weights),
+        known,
+    )
+
+
+def ratio_covariance(found: WeighedFit) -> Floats:
+    """(P, P) of the log ratios, to first order; infinite where the data can't part them."""
+    precision = _precision(found)
+    if not np.linalg.cond(precision) < WORST_CONDITION:
+        return np.full(precision.shape, np.inf)
+    return np.asarray(np.linalg.inv(precision))
+
+
+def trial_warnings(trial_set: TrialSet, default: Evaluation | None, point: Evaluation) -> list[str]:
+    """What is odd about single trials."""
+    found = []
+    for i, (problem, target) in enumerate(zip(trial_set.problems, trial_set.targets)):
+        name = trial_set.trials[i].label or f"trial {i + 1}"
+        rest = residuals(problem.torso, target, problem.torso.rest_pose).values
+        measured, simulated = -rest, (default or point).residuals[i].values - rest
+        if measured @ simulated < 0.0:
+            found.append(f"{name}: the spine moved against the push; check the side of the push and of the picture")
+        square = undetermined_vertebrae(problem.torso, target)
+        if square:
+            found.append(f"{name}: orientation by covariance means little for {', '.join(square)} (near-square box)")
+    return found
+
+
+def open_end_warnings(opens: Mapping[str, tuple[bool, bool]], bounds: tuple[float, float]) -> list[str]:
+    """Intervals that reach the fit's bounds."""
+    found = []
+    for name, ends in opens.items():
+        sides = [f"{side} {bound:g}" for side, bound, is_open in zip(("below", "above"), bounds, ends) if is_open]
+        if sides:
+            found.append(f"{name}: the radiographs also allow ratios {' and '.join(sides)}, the bounds of the fit")
+    return found
+
+
+def unsettled_warnings(search_end: WeighedFit | None, likely: Likely | None, names: Sequence[str]) -> list[str]:
+    """Where search and intervals could not come as near as they should."""
+    if search_end is None or likely is None:
+        return []
+    found = []
+    if search_end.short > np.sqrt(2.0 * NEARLY):
+        found.append(
+            "beside the estimate the torso jumps between equilibria, as where soft tissue creases; "
+            f"the estimate is settled to {search_end.short:.1g} standard deviations"
+        )
+    if not likely.settled:
+        found.append(
+            "an end of the intervals is interpolated between places where the model was solved, and less certain"
+        )
+    if likely.likelier is not None:
+        ratios = np.exp(likely.likelier.log_ratios)
+        where = ", ".join(f"{name} {ratio:.2g}" for name, ratio in zip(names, ratios))
+        found.append(
+            f"{where} explains the radiographs about as well as the estimate; take the interval, not the number"
+        )
+    return found
+
+
+def _nuisances(asked: WeighedProblem, found: WeighedFit) -> tuple[NuisanceEstimate, ...]:
+    columns = found.weights.whiten(np.column_stack([found.slope.nuisances, found.slope.ratios]))
+    m, p = len(asked.unknowns), columns.shape[1] - len(asked.unknowns)
+    # A direction of the ratios without information must not stop the rest.
+    precision = columns.T @ columns + np.diag(np.r_[np.ones(m), np.full(p, 1e-9)])
+    sds = np.sqrt(np.diag(np.linalg.inv(precision))[:m])
+    result = []
+    for unknown, value, sd in zip(asked.unknowns.each, found.point.nuisances, sds):
+        size = max(unknown.sizes, key=abs)
+        result.append(
+            NuisanceEstimate(
+                unknown.name,
+                unknown.group,
+                unknown.act,
+                float(value),
+                float(value * size),
+                float(sd * abs(size)),
+                float(abs(size)),
+            )
+        )
+    return tuple(result)
+
+
+def _outlying(asked: WeighedProblem, found: WeighedFit) -> tuple[tuple[str, str, float], ...]:
+    result = []
+    for i in range(asked.trials):
+        target, channels = asked.noise.seen[i].target, asked.noise.channels[i]
+        inflation = found.weights.inflation[asked.noise.of(i)].reshape(len(channels.rows), -1)[:, 0]
+        for name, factor in zip(target.trial.corners.vertebrae, inflation):
+            if factor > 1.0:
+                result.append((target.trial.label or f"trial {i + 1}", name, float(np.sqrt(factor))))
+    return tuple(result)
+
+
+def _data_sd(asked: WeighedProblem, found: WeighedFit) -> Floats:
+    precision = _data_precision(asked, found)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(precision + LEAST_PRECISION * np.eye(len(precision))))))
+
+
+def _data_precision(asked: WeighedProblem, found: WeighedFit) -> Floats:
+    """Without what is held of the ratios themselves."""
+    rows = asked.ratio_prior.rows
+    return np.asarray(_precision(found) - rows.T @ rows)
+
+
+def _precision(found: WeighedFit) -> Floats:
+    model = reduced(found.point, found.slope, found.weights)
+    return np.asarray(model.ratios.T @ model.ratios)
