@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.emulator import FARTHEST_NUISANCES, Place
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import (
@@ -113,10 +114,30 @@ def test_an_end_is_solved_from_a_place_that_is_much_nearer_than_the_estimate(sec
         return real(log_ratios, nuisances)
 
     monkeypatch.setattr(bent, "solve", solve)
-    _solve_ends(bent, fit, emulator, places, [np.array([0.4])], np.eye(1))
+    _solve_ends(bent, fit, emulator, places, [np.array([0.4])], np.eye(1), [])
     near, slope = starts[0]
     assert near is (there if starts_from == "second" else start)
     assert (slope is None) == (starts_from == "second")
+
+
+def test_nothing_is_looked_for_beside_a_place_without_equilibrium(monkeypatch) -> None:
+    bent, tried, failed = Bent(), [], []
+    start = bent.solve(np.zeros(1), np.ones(1))
+    fit = WeighedFit(start, bent.slope(start), Weights(np.eye(1), 1.0, np.ones(1)), FitStatus.CONVERGED, ())
+    places = [Place(start, bent.slope(start))]
+    emulator = SimpleNamespace(
+        log_ratios=np.zeros((1, 1)), nuisances=lambda where: (np.ones(1), np.eye(1)), phi=lambda where: np.zeros(1)
+    )
+
+    def solve(log_ratios, *args, **limits):
+        tried.append(float(log_ratios[0]))
+        raise EquilibriumError("it folds")
+
+    monkeypatch.setattr(bent, "solve", solve)
+    for end in (0.7, 0.8, -0.7):
+        assert _solve_ends(bent, fit, emulator, places, [np.array([end])], np.eye(1), failed) == (False, [0])
+    assert tried == [0.7, -0.7]
+    assert len(places) == 1
 
 
 def test_no_place_is_solved_twice() -> None:
@@ -129,9 +150,9 @@ def test_no_place_is_solved_twice() -> None:
         log_ratios=np.zeros((1, 1)), nuisances=lambda where: (np.ones(1), np.eye(1)), phi=lambda where: np.zeros(1)
     )
     before = len(bent.solved)
-    _solve_ends(bent, fit, emulator, places, [np.array([0.3])], np.eye(1))
+    _solve_ends(bent, fit, emulator, places, [np.array([0.3])], np.eye(1), [])
     assert len(bent.solved) == before
-    _solve_ends(bent, fit, emulator, places, [np.array([0.4])], np.eye(1))
+    _solve_ends(bent, fit, emulator, places, [np.array([0.4])], np.eye(1), [])
     assert len(bent.solved) > before
 
 

@@ -31,6 +31,8 @@ MOST_ROUNDS = 8
 # knows phi and its slope next to it, unless that is farther in log ratio than ``NEAR_LOG``; one farther than
 # ``FARTHEST_STEP`` from all of them is approached first. None is solved twice, give or take ``SAME``.
 NEAR, NEAR_LOG, FARTHEST_STEP, SAME = 0.1, 0.15, 1.2, 1e-3
+# So many standard deviations around a place without equilibrium none is looked for again.
+HOPELESS = 0.5
 # Nuisances that the emulator has so wrong that the place would tell it nothing are solved for again, so many times; by
 # half as much where they are not as near as this share of how near they were.
 MOST_AGAIN, SHRINKING = 3, 0.7
@@ -113,6 +115,7 @@ def likely_ratios(
     covariance = np.asarray(np.linalg.inv(precision + np.eye(len(precision)) / (limits[1] - limits[0]) ** 2), float)
     rise = 0.5 * region_rise(1)
     candidates, density = _candidates(fit.point.log_ratios, covariance, limits)
+    failed: list[Floats] = []
     for solved in range(MOST_ROUNDS + 1):
         emulator = Emulator(places, fit.weights, rough=rough)
         scouts = np.vstack([candidates, *(place.point.log_ratios for place in places)])
@@ -127,7 +130,7 @@ def likely_ratios(
         if solved == MOST_ROUNDS:
             settled = False
             break
-        wrong, unsolved = _solve_ends(problem, fit, emulator, places, wanted, np.linalg.inv(covariance))
+        wrong, unsolved = _solve_ends(problem, fit, emulator, places, wanted, np.linalg.inv(covariance), failed)
         if not wrong:
             settled = not any(k < len(ends) for k in unsolved)
             break
@@ -196,8 +199,12 @@ def _solve_ends(
     places: list[Place],
     ends: list[Floats],
     precision: Floats,
+    failed: list[Floats],
 ) -> tuple[bool, list[int]]:
-    """Solve the model at those ends where the emulator may be wrong: whether it was, and which have no equilibrium."""
+    """Solve the model at those ends where the emulator may be wrong: whether it was, and which have no equilibrium.
+
+    ``places`` and ``failed``, log ratios without equilibrium, are added to.
+    """
     wrong, unsolved = False, []
     solved = list(emulator.log_ratios)
     for k, end in enumerate(ends):
@@ -212,6 +219,9 @@ def _solve_ends(
         farther = np.abs(apart[nearest]).max() / FARTHEST_STEP
         where = end if farther <= 1.0 else end + apart[nearest] * (1.0 - 1.0 / farther)
         wrong |= farther > 1.0
+        if any((where - other) @ precision @ (where - other) < HOPELESS**2 for other in failed):
+            unsolved.append(k)
+            continue
         solved.append(where)
         try:
             near_by = _much_nearer(places, where, precision)
@@ -219,6 +229,7 @@ def _solve_ends(
         except EquilibriumError:
             problem.trial_set.note(where, float("nan"), None, False)
             unsolved.append(k)
+            failed.append(where)
             continue
         wrong |= abs(height - float(emulator.phi(where)[0])) > CLOSE_ENOUGH
         places.append(place)
