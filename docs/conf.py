@@ -30,7 +30,7 @@ exclude_patterns = ["**.ipynb_checkpoints"]
 # Pages are Markdown that code hosts show, too; headings of up to four levels can be linked to.
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
-# The notebook is stored without outputs and run by each build; a cell that fails ends the build.
+# Notebooks are stored without outputs and run by each build; a cell that fails ends the build.
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300

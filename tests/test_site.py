@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The built site; the notebook is run on the way."""
+    """The built site; the notebooks are run on the way."""
     folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-d", str(folder / "doctrees")]
     one = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "SPINESTIFF_THREADS": "1"}
@@ -101,10 +101,14 @@ def test_equations_are_drawn_by_the_browser(site: Path) -> None:
     assert (site / "_static" / "STIXTwoMath-Regular.ttf").stat().st_size > 100_000
 
 
-def test_the_notebook_has_been_run(site: Path) -> None:
-    text = (site / "notebooks" / "push_a_torso.html").read_text(encoding="utf-8")
-    assert text.count("<img") >= 3
-    assert "by the derivative" in text
+@pytest.mark.parametrize(
+    ("name", "said", "pictures"),
+    [("push_a_torso", "by the derivative", 3), ("estimate_stiffness", "three pushes 0.", 2)],
+)
+def test_notebooks_have_been_run(site: Path, name: str, said: str, pictures: int) -> None:
+    text = (site / "notebooks" / f"{name}.html").read_text(encoding="utf-8")
+    assert text.count("<img") >= pictures
+    assert said in text
 
 
 def test_no_page_asks_another_host(site: Path) -> None:
