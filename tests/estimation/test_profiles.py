@@ -91,7 +91,8 @@ def test_nuisances_that_swing_are_brought_to_rest() -> None:
     bent = Bent()
     start = bent.solve(np.zeros(1), np.ones(1))
     fit = WeighedFit(start, bent.slope(start), Weights(np.eye(1), 1.0, np.ones(1)), FitStatus.CONVERGED, ())
-    place, height = solved_place(bent, fit, np.array([0.3]), np.zeros(1))
+    place, height, found = solved_place(bent, fit, np.array([0.3]), np.zeros(1))
+    assert found
     model = reduced(place.point, place.slope, fit.weights)
     assert abs(model.nuisances[0] - place.point.nuisances[0]) < FARTHEST_NUISANCES
     assert height == pytest.approx(0.5 * float(model.values @ model.values))
@@ -138,6 +139,24 @@ def test_nothing_is_looked_for_beside_a_place_without_equilibrium(monkeypatch) -
         assert _solve_ends(bent, fit, emulator, places, [np.array([end])], np.eye(1), failed) == (False, [0])
     assert tried == [0.7, -0.7]
     assert len(places) == 1
+
+
+def test_nothing_is_looked_for_beside_a_place_whose_nuisances_were_not_found(monkeypatch) -> None:
+    bent, failed = Bent(), []
+    start = bent.solve(np.zeros(1), np.ones(1))
+    fit = WeighedFit(start, bent.slope(start), Weights(np.eye(1), 1.0, np.ones(1)), FitStatus.CONVERGED, ())
+    places = [Place(start, bent.slope(start))]
+    emulator = SimpleNamespace(
+        log_ratios=np.zeros((1, 1)), nuisances=lambda where: (np.zeros(1), np.eye(1)), phi=lambda where: np.zeros(1)
+    )
+    monkeypatch.setattr("spinestiff.estimation.profiles.MOST_AGAIN", 0)
+    solved = []
+    for end in (0.7, 0.8, 0.75):
+        before = len(bent.solved)
+        assert _solve_ends(bent, fit, emulator, places, [np.array([end])], np.eye(1), failed) == (False, [0])
+        solved.append(len(bent.solved) - before)
+    assert solved == [1, 1, 0]  # a second try
+    assert len(places) == 3
 
 
 def test_no_place_is_solved_twice() -> None:

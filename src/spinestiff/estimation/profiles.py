@@ -31,7 +31,8 @@ MOST_ROUNDS = 8
 # knows phi and its slope next to it, unless that is farther in log ratio than ``NEAR_LOG``; one farther than
 # ``FARTHEST_STEP`` from all of them is approached first. None is solved twice, give or take ``SAME``.
 NEAR, NEAR_LOG, FARTHEST_STEP, SAME = 0.1, 0.15, 1.2, 1e-3
-# So many standard deviations around a place without equilibrium none is looked for again.
+# So many standard deviations around a place without equilibrium nothing is tried again; around one whose most probable
+# nuisances were not found once more, from where the emulator has them then.
 HOPELESS = 0.5
 # Nuisances that the emulator has so wrong that the place would tell it nothing are solved for again, so many times; by
 # half as much where they are not as near as this share of how near they were.
@@ -201,9 +202,10 @@ def _solve_ends(
     precision: Floats,
     failed: list[Floats],
 ) -> tuple[bool, list[int]]:
-    """Solve the model at those ends where the emulator may be wrong: whether it was, and which have no equilibrium.
+    """Solve the model at those ends where the emulator may be wrong: whether it was, and which could not be solved.
 
-    ``places`` and ``failed``, log ratios without equilibrium, are added to.
+    ``places`` and ``failed``, log ratios where the most probable nuisances were not found, and
+    twice those without equilibrium, are added to.
     """
     wrong, unsolved = False, []
     solved = list(emulator.log_ratios)
@@ -219,20 +221,24 @@ def _solve_ends(
         farther = np.abs(apart[nearest]).max() / FARTHEST_STEP
         where = end if farther <= 1.0 else end + apart[nearest] * (1.0 - 1.0 / farther)
         wrong |= farther > 1.0
-        if any((where - other) @ precision @ (where - other) < HOPELESS**2 for other in failed):
+        if sum((where - other) @ precision @ (where - other) < HOPELESS**2 for other in failed) > 1:
             unsolved.append(k)
             continue
         solved.append(where)
         try:
             near_by = _much_nearer(places, where, precision)
-            place, height = solved_place(problem, fit, where, emulator.nuisances(where)[0], near_by)
+            place, height, found = solved_place(problem, fit, where, emulator.nuisances(where)[0], near_by)
         except EquilibriumError:
             problem.trial_set.note(where, float("nan"), None, False)
             unsolved.append(k)
-            failed.append(where)
+            failed += [where, where]
             continue
-        wrong |= abs(height - float(emulator.phi(where)[0])) > CLOSE_ENOUGH
         places.append(place)
+        if found:
+            wrong |= abs(height - float(emulator.phi(where)[0])) > CLOSE_ENOUGH
+        else:  # the emulator has no use for it
+            unsolved.append(k)
+            failed.append(where)
     return wrong, unsolved
 
 
@@ -250,8 +256,8 @@ def solved_place(
     log_ratios: Floats,
     nuisances: Floats,
     near: WeighedPoint | None = None,
-) -> tuple[Place, float]:
-    """The model solved at log ratios (P,), at nuisances near the most probable ones there, and phi at those.
+) -> tuple[Place, float, bool]:
+    """The model solved at log ratios (P,), phi at the most probable nuisances there, and whether those were found.
 
     Parameters
     ----------
@@ -271,12 +277,13 @@ def solved_place(
         model = reduced(point, slope, fit.weights)
         height = 0.5 * float(model.values @ model.values)
         far = np.abs(model.nuisances - point.nuisances).max(initial=0.0)
-        if far <= (FAR_AND_HIGH if height > matters else FARTHEST_NUISANCES):
+        found = far <= (FAR_AND_HIGH if height > matters else FARTHEST_NUISANCES)
+        if found:
             break
         if far > SHRINKING * before:
             share *= 0.5
         nuisances, before = point.nuisances + share * (model.nuisances - point.nuisances), far
-    return Place(point, slope.light), height
+    return Place(point, slope.light), height, bool(found)
 
 
 class _Tracer:
