@@ -69,6 +69,7 @@ def outcome(number: int = 1, size: float = 10.0, name: str = "", **changed: obje
         "training_mm": {"default": size, "fit": 0.2 * size},
         "gradient": {key: 100.0 * (rank + 1) for rank, key in enumerate(SIX)},
         "force_percent": {"lateral_bending": 8.0, "tissue": 11.0},
+        "missing": (),
         "frames": tuple(frame(push, size) for push in ("main", "other-rib", "other-side")),
         "seconds": {"make": 50.0, "estimate": 90.0},
     }

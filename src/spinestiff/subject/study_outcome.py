@@ -49,7 +49,7 @@ class SubjectOutcome(Outcome):
         radiograph, with the estimator's torso at rest beside it.
     training_mm : corner RMSE of "default" and "fit" in the training frames.
     gradient : Table 3's, by parameter, at the default.
-    force_percent : Table 7's, by ratio.
+    force_percent : Table 7's, by ratio. missing : what of the tables could not be found, a line each with its reason.
     frames : held out.
     seconds : by step; without "make" where an earlier run had made the subject.
     """
@@ -76,6 +76,7 @@ class SubjectOutcome(Outcome):
     training_mm: dict[str, float | None]
     gradient: dict[str, float]
     force_percent: dict[str, float]
+    missing: tuple[str, ...]
     frames: tuple[FrameOutcome, ...]
     seconds: dict[str, float]
 

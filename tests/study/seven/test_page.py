@@ -50,6 +50,12 @@ def test_an_unfinished_study_says_so_and_holds_what_is_there():
     assert page([None] * 7).count("## ") == 1
 
 
+def test_what_could_not_be_found_stands_below_the_tables():
+    text = page([outcome(1, force_percent={}, missing=("Table 7: no refit with +10 % of force (stalled)",))])
+    assert "### What could not be found\n\n- subject-1: Table 7: no refit with +10 % of force (stalled).\n" in text
+    assert "What could not be found" not in page([outcome(1)])
+
+
 def test_goals_stand_beside_each_other_with_their_verdicts():
     text = page([outcome(1, initial_mm=3.0)], [outcome(2)])
     row = next(line for line in text.splitlines() if line.startswith("| geometry's RMSE"))

@@ -81,6 +81,9 @@ def page_text(
             if rows:
                 parts += ["Rows whose averages over these subjects differ by more than a tenth:"]
                 parts.append("\n".join(f"- {row}" for row in rows))
+        missing = [f"- {one.name}: {line}." for one in there for line in one.missing]
+        if missing:
+            parts += ["### What could not be found", "\n".join(missing)]
         parts += ["## Figures"]
         parts += [f"Fig. {one.number}. {one.words}.\n\n![{one.words}]({one.path})" for one in pictures]
     for title, outcomes in (("The seven", there), ("The others", further)):

@@ -16,7 +16,7 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.stiffness import DEFAULT_YOUNG_MPA, stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.curves.tilts import cobb_angle, tilts
-from spinestiff.errors import EquilibriumError, SpinestiffError, SubjectError
+from spinestiff.errors import EquilibriumError, FitError, SpinestiffError, SubjectError
 from spinestiff.files import json_text, read_json, read_text, whole_folder, write_json
 from spinestiff.imaging.features import rmse, silhouette_shares, state_features, target_features
 from spinestiff.imaging.projection import frontal_view
@@ -190,6 +190,7 @@ def _outcome(
     say("tables: gradient of the paper's objective")
     coarse = replace(visit, settings=replace(settings, mesh="coarse"))
     tissue = estimate.plain["tissue_young"]
+    changes, missing = force_changes(coarse, say)
     return SubjectOutcome(
         program=program(),
         settings=settings_digest(participant, settings),
@@ -212,7 +213,8 @@ def _outcome(
         rest_cobb_deg=_rest_cobb(visit),
         training_mm={"default": estimate.training_rmse_mm.default, "fit": estimate.training_rmse_mm.fit},
         gradient=default_gradients(basis_of(coarse).pushes("paper")),
-        force_percent=force_changes(coarse, say),
+        force_percent=changes,
+        missing=missing,
         frames=tuple(_frame(predictions, frame, recipe) for frame in assessment.frames),
         seconds=dict(seconds),
     )
@@ -230,18 +232,36 @@ def _rest_cobb(visit: Visit) -> tuple[float, float]:
     return round(cobb_angle(seen).degrees, 2), round(cobb_angle(made).degrees, 2)
 
 
-def force_changes(visit: Visit, say: Observer) -> dict[str, float]:
-    """Ratio -> mean change, in percent, of the weighed estimate for 10 % of force (Table 7), on the visit's mesh."""
+def force_changes(visit: Visit, say: Observer) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Ratio -> mean change, in percent, of the weighed estimate for 10 % of force (Table 7), on the visit's mesh.
+
+    A sign of which no refit is found does not count, with a line that tells why; without the refit that the others
+    are compared with there are no changes.
+    """
     basis = basis_of(visit)
-    say("tables: refit with the forces as they are")
-    there = basis.refit(basis.pushes()).ratios.as_dict()
-    changes: dict[str, list[float]] = {name: [] for name in there}
-    for sign in SIGNS:
-        say(f"tables: refit with {sign * 100 * FORCE:+.0f} % of force")
-        changed = pushes_on(with_force(visit, 1.0 + sign * FORCE), basis.torso, basis.estimate.orientation, "weighed")
-        for name, value in basis.refit(changed, there).ratios.as_dict().items():
-            changes[name].append(100.0 * abs(value / there[name] - 1.0))
-    return {name: round(float(np.mean(found)), 2) for name, found in changes.items()}
+
+    def refit(force: float, start: Mapping[str, float] | None) -> dict[str, float]:
+        pushes = pushes_on(with_force(visit, force), basis.torso, basis.estimate.orientation, "weighed")
+        return basis.refit(pushes, start).ratios.as_dict()
+
+    there: dict[str, float] | None = None
+    changes: dict[str, list[float]] = {}
+    missing: list[str] = []
+    for sign in (0, *SIGNS):
+        what = "the forces as they are" if sign == 0 else f"{sign * 100 * FORCE:+.0f} % of force"
+        say(f"tables: refit with {what}")
+        try:
+            found = refit(1.0 + sign * FORCE, there)
+        except FitError as error:
+            missing.append(f"Table 7: no refit with {what} ({error})")
+            if there is None:
+                break
+            continue
+        there = there or found
+        if sign:
+            for name, value in found.items():
+                changes.setdefault(name, []).append(100.0 * abs(value / there[name] - 1.0))
+    return {name: round(float(np.mean(values)), 2) for name, values in changes.items()}, tuple(missing)
 
 
 def _frame(predictions: Predictions, held_out: HeldOutFrame, recipe: Recipe) -> FrameOutcome:
