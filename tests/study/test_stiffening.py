@@ -13,7 +13,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.joints import joint_pose
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.study.stiffening import Stiffening, solved_with
+from spinestiff.study.stiffening import Stiffening, disc_bending, solved_with
 
 LAW = Stiffening(0.4, 2.0)
 
@@ -72,3 +72,19 @@ def test_what_no_ratio_makes_equal_is_told(torso, wanted):
 def test_other_laws_are_refused(low, theta):
     with pytest.raises(SubjectError, match=r"wanted 0\.05 to 1 and 0\.5 to 45"):
         Stiffening(low, theta)
+
+
+def test_discs_are_stiffer_by_moment_than_by_energy_and_linear_ones_are_neither(torso, wanted):
+    body, law = LAW.applied(torso)
+    problem = EquilibriumProblem(body, three_point_supports(torso, "right", "level"), laws=(law,))
+    state = problem.solve(rib_push(torso, "right", 7.0, 40.0), wanted).require().state
+    found = disc_bending(body, law, torso, state, wanted)
+    turns = joint_pose(torso.joints, state).rotation[[kind in INTERVERTEBRAL for kind in torso.joints.kinds], 2]
+    k = torso.joints.stiffness[[kind in INTERVERTEBRAL for kind in torso.joints.kinds], 5]
+    # 0.3 k (0.4 + (theta / 2 degrees)^2) theta beside k theta.
+    stiffer = (turns / np.deg2rad(2.0)) ** 2
+    assert found["moment"] == pytest.approx(0.3 * (0.4 + (k * stiffer * turns**2).sum() / (k * turns**2).sum()))
+    assert found["energy"] == pytest.approx(0.3 * (0.4 + 0.5 * (k * stiffer * turns**2).sum() / (k * turns**2).sum()))
+    straight = Stiffening(1.0, 45.0)
+    body, law = straight.applied(torso)
+    assert disc_bending(body, law, torso, state, wanted) == pytest.approx({"energy": 0.3, "moment": 0.3}, rel=0.01)

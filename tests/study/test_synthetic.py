@@ -183,6 +183,9 @@ def test_stiffening_discs_turn_less_and_less_with_force_and_are_in_the_truth(tin
         bent[name] = [abs(frame["cobb_change_deg"]["tilt"]) for frame in truths[name]["pushes"]["main"]]
     assert truths["stiffening"]["recipe"]["stiffening"] == {"low": 0.2, "theta_deg": 0.5}
     assert truths["stiffening"]["ratios"] == truths["linear"]["ratios"]
+    discs = truths["stiffening"]["disc_bending"]
+    assert 0.3 < discs["energy"] < discs["moment"] < 2.0 * discs["energy"]
+    assert "disc_bending" not in truths["linear"]
     # The tissue, which stays as it is, hides a part of it.
     later, sooner = bent["stiffening"][2] / bent["stiffening"][1], bent["linear"][2] / bent["linear"][1]
     assert later < 0.8 * sooner

@@ -8,7 +8,7 @@ import numpy as np
 
 from spinestiff.anatomy.names import INTERVERTEBRAL
 from spinestiff.anatomy.state import TorsoState
-from spinestiff.anatomy.stiffness import StiffnessRatios
+from spinestiff.anatomy.stiffness import INTERVERTEBRAL_BENDING, StiffnessRatios, parameter_group
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -85,6 +85,32 @@ def solved_with(
             return tried
         tried = tried.with_values(tried.values * np.exp(-left))
     raise EquilibriumError(f"no ratios at which stiffening joints store as much as linear ones at {wanted.as_dict()}")
+
+
+def disc_bending(
+    torso: TorsoModel, law: NeutralZone, linear: TorsoModel, state: TorsoState, ratios: StiffnessRatios
+) -> dict[str, float]:
+    """What lateral bending of the discs alone is in a state, over linear discs of default stiffness, in two measures.
+
+    "energy": what they store, over what the linear ones store in the same state. "moment": the sum of
+    moment times turn, over that of the linear ones. Where the moment grows with the cube of the turn this is twice the
+    first.
+
+    Parameters
+    ----------
+    torso, law : the body with stiffening joints. linear : with linear joints of default
+        stiffness. ratios : of ``torso``.
+    """
+    discs = parameter_group(INTERVERTEBRAL_BENDING, torso.joints.kinds).joints
+    pose = joint_pose(torso.joints, state)
+    strains = np.hstack([pose.translation, pose.rotation])
+    stiffness = ratios.scale_joints(torso.joints.stiffness)
+    quadratic, quartic = 0.5 * strains**2 * stiffness, law.entries(state, stiffness)
+    standard = (0.5 * strains**2 * linear.joints.stiffness)[discs].sum()
+    return {
+        "energy": float((quadratic + quartic)[discs].sum() / standard),
+        "moment": float((quadratic + 2.0 * quartic)[discs].sum() / standard),
+    }
 
 
 def _stored(

@@ -54,7 +54,7 @@ from spinestiff.study.elastic_supports import (
 )
 from spinestiff.study.recipe import Recipe, SyntheticPush
 from spinestiff.study.spines import VertebraPoses, curved_spine, real_spine
-from spinestiff.study.stiffening import solved_with
+from spinestiff.study.stiffening import disc_bending, solved_with
 from spinestiff.study.synthetic_markers import spread_markers, view_of_markers
 from spinestiff.subject.annotation_record import Annotation, ImageAnnotation
 from spinestiff.subject.folder import write_annotation, write_subject
@@ -143,12 +143,16 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
         return states[1:]
 
     states = in_parallel(pushed, recipe.pushes)
+    discs: dict[str, float] | None = None
+    if recipe.stiffening is not None:
+        largest_frame = states[0][int(np.argmax(recipe.pushes[0].shares))]
+        discs = disc_bending(body, law, torso, largest_frame, solved)
     say("rendering the rest radiographs")
     maker.rest_images()
     for push, own in zip(recipe.pushes, states):
         say(f"push '{push.id}': rendering {len(push.shares)} radiographs")
         maker.push(push, own, problems[maker.side_of(push)].supports)
-    return maker.finish({"lateral_bending": bending, "tissue": tissue}, give, stiffness)
+    return maker.finish({"lateral_bending": bending, "tissue": tissue}, give, stiffness, discs)
 
 
 def truth_path(folder: str | Path) -> Path:
@@ -304,7 +308,13 @@ class _Acquisition:
         there = pedicle_centres(self.torso) + outwards * self.random.normal(0.0, PERSON_PEDICLE_SD, 3)
         return np.asarray(there + self.random.normal(0.0, OWN_PEDICLE_SD, there.shape))
 
-    def finish(self, ratios: dict[str, float], give: SyntheticSupports, stiffness: SupportStiffness) -> Path:
+    def finish(
+        self,
+        ratios: dict[str, float],
+        give: SyntheticSupports,
+        stiffness: SupportStiffness,
+        discs: dict[str, float] | None,
+    ) -> Path:
         recipe = self.recipe
         record = SubjectRecord(
             schema_version=1,
@@ -328,6 +338,7 @@ class _Acquisition:
                     "belt_n_mm_per_rad": stiffness.belt,
                     "shoulder_n_per_mm": stiffness.shoulder,
                 },
+                **({} if discs is None else {"disc_bending": discs}),
                 "rest_cobb_deg": self.rest_cobb.degrees,
                 "vertebrae": list(VERTEBRAE),
                 "pushes": self.truth,
