@@ -201,6 +201,16 @@ def test_a_third_ratio_pays_only_if_everything_says_so(left_out, aic, at_a_bound
     assert any("tissue_mu ends within 5 % of a bound" in line for line in lines) == bool(at_a_bound)
 
 
+def test_pushes_and_frames_left_out_are_named() -> None:
+    two, three = score(("lateral_bending", "tissue"), 1.0, 100.0), score(THREE, 2.0, 100.0)
+    for left_out, words in (
+        ("push", "training pushes left out: 1.00 mm"),
+        ("frame", "training frames left out: 1.00 mm"),
+    ):
+        found = study(two, three).model_copy(update={"left_out": left_out})
+        assert any(line.startswith(words) for line in parameter_lines(found))
+
+
 def test_what_is_known_of_lambda_is_told() -> None:
     two = score(("lateral_bending", "tissue"), 1.0, 100.0)
     for sd, words in ((0.98, "next to nothing of lambda"), (0.5, "tell some of it")):

@@ -10,6 +10,7 @@ import pytest
 
 from results import altered
 from spinestiff.anatomy.regions import torso_ratios
+from spinestiff.anatomy.stiffness import RATIO_BOUNDS
 from spinestiff.errors import FitError, SubjectError
 from spinestiff.files import read_json
 from spinestiff.study.refits import basis_of
@@ -316,6 +317,20 @@ def test_one_of_the_papers_refits_begins_elsewhere(finished, monkeypatch) -> Non
     same = ("paper", tuple(there.items()))
     elsewhere = ("paper", ((BENDING, pytest.approx(0.12)), ("tissue", pytest.approx(0.014))))
     assert starts == [same, elsewhere, same, same]
+
+
+def test_a_refit_that_begins_elsewhere_stays_inside_the_bounds(finished, monkeypatch) -> None:
+    def noted(pushes, names, start, method):
+        starts.append(tuple(start.values()))
+        raise FitError("not fitted")
+
+    starts: list[tuple[float, ...]] = []
+    monkeypatch.setattr("spinestiff.study.sensitivity.fit_pushes", noted)
+    low, high = RATIO_BOUNDS
+    case = next(c for c in paper_cases(basis_of(open_visit(finished.folder, COARSE))) if c.by == "other ratios")
+    with pytest.raises(FitError, match="not fitted"):
+        case.fit({BENDING: 0.9 * high, "tissue": 1.1 * low})
+    assert starts == [(high, low)]
 
 
 def refit(series, what, by, **percent):

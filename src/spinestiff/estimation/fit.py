@@ -348,7 +348,9 @@ def _start(names: Sequence[str], start: Mapping[str, float] | None, bounds: tupl
         if name not in names:
             raise FitError(f"start names '{name}', which is not fitted; fitted are {', '.join(names)}")
     if not ((values >= bounds[0]) & (values <= bounds[1])).all():
-        raise FitError(f"start {values.tolist()} lies outside the bounds {bounds[0]}..{bounds[1]}")
+        raise FitError(
+            f"start {', '.join(f'{value:.4g}' for value in values)} lies outside the bounds {bounds[0]}..{bounds[1]}"
+        )
     return np.asarray(np.log(values))
 
 

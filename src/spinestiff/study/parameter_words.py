@@ -16,6 +16,7 @@ TITLES: Mapping[str, str] = {
     "tissue_mu": "Lamé's μ",
     "tissue_lambda": "Lamé's λ",
 }
+LEFT_OUT = {"push": "training pushes", "frame": "training frames", "nothing": "nothing"}
 # Of Akaike's criterion: models closer than that are about as good (Burnham and Anderson 2002).
 CLOSE = 2.0
 # Of an error that counts as less.
@@ -74,7 +75,7 @@ def _compared(two: ModelScore, three: ModelScore, left_out: str) -> list[str]:
         )
     for what, a, b in (
         ("training frames", two.training_rmse_mm, three.training_rmse_mm),
-        (f"training {left_out}s left out", two.left_out_rmse_mm, three.left_out_rmse_mm),
+        (f"{LEFT_OUT[left_out]} left out", two.left_out_rmse_mm, three.left_out_rmse_mm),
         ("frames held out", two.held_out_rmse_mm, three.held_out_rmse_mm),
     ):
         if a is not None and b is not None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from spinestiff.anatomy.regions import AT
 from spinestiff.anatomy.rotation import exp_so3
-from spinestiff.anatomy.stiffness import TISSUE_PARAMETERS
+from spinestiff.anatomy.stiffness import RATIO_BOUNDS, TISSUE_PARAMETERS
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError
@@ -274,7 +274,7 @@ def paper_cases(basis: Basis) -> Iterator[Case]:
 
     def fit(names: tuple[str, ...], factor: float, apart: Sequence[float], start: Ratios | None) -> StiffnessFit:
         pushes = pushes_on(with_force(visit, factor), basis.torso, estimate.orientation, "paper")
-        begun = [(start or usual)[name] * share for name, share in zip(names, apart)]
+        begun = [float(np.clip((start or usual)[name] * share, *RATIO_BOUNDS)) for name, share in zip(names, apart)]
         return converged(fit_pushes(pushes, names, dict(zip(names, begun)), "paper"))
 
     for series, names in PAPER_SERIES.items():

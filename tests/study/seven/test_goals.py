@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from spinestiff.study.seven.goals import cobb_errors, coverage, errors_of, frames_of, goals, motions, places
+from spinestiff.study.seven.goals import cobb_errors, coverage, errors_of, frames_of, goals, medians, motions, places
 from study_outcomes import frame, outcome
 
 SEVEN = [outcome(number, size=8.0 + number + 5.0 * (number == 7)) for number in range(1, 8)]
@@ -58,6 +58,16 @@ def test_the_forecast_has_to_be_below_at_each_place_by_itself():
     found = met([outcome(frames=(frame("main"), frame("other-rib"), worse))])
     assert found["median RMSE at the other side, forecast against tracking extrapolated by force"] is False
     assert found["median RMSE at another rib, forecast against tracking extrapolated by force"] is True
+
+
+def test_a_frame_that_one_of_two_misses_counts_for_neither():
+    hard = frame("other-side")
+    hard = hard.model_copy(update={"motion_mm": {"fit": 50.0}})
+    found = {goal.name: goal for goal in goals([outcome(1), outcome(2, frames=(frame("main"), hard))])}
+    goal = found["median RMSE of the motion at the other side, estimate against a single ratio"]
+    alone = next(one for one in goals([outcome(1)]) if one.name == goal.name)
+    assert goal == alone and goal.met
+    assert medians(motions, [hard], "fit", "single_ratio") == (None, None)
 
 
 def test_nothing_is_judged_by_nothing():

@@ -56,6 +56,13 @@ def test_what_could_not_be_found_stands_below_the_tables():
     assert "What could not be found" not in page([outcome(1)])
 
 
+def test_predictors_without_a_prediction_are_named():
+    one = outcome(1)
+    side = one.frames[-1].model_copy(update={"rmse_mm": {**one.frames[-1].rmse_mm, "single_ratio": None}})
+    text = page([one.model_copy(update={"frames": (*one.frames[:-1], side)})])
+    assert "- subject-1: Held-out frames: a single ratio predicts nothing for the other side.\n" in text
+
+
 def test_goals_stand_beside_each_other_with_their_verdicts():
     text = page([outcome(1, initial_mm=3.0)], [outcome(2)])
     row = next(line for line in text.splitlines() if line.startswith("| geometry's RMSE"))

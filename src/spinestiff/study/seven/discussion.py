@@ -17,6 +17,7 @@ from spinestiff.study.seven.goals import (
     frames_of,
     mean,
     median,
+    medians,
     motions,
     places,
 )
@@ -258,6 +259,8 @@ def points_of_conclusions(outcomes: Sequence[SubjectOutcome]) -> list[str]:
     inside = [one.inside for one in outcomes if one.inside is not None]
     covered = coverage(outcomes)
     generalises = None if fit is None or training is None else fit < TIMES_TRAINING * training
+    at_rib, at_side = (medians(motions, frames, "fit", "single_ratio", "truth") for frames in (rib, side))
+    forecast_rib, forecast_side = (medians(places, frames, "forecast", "extrapolation") for frames in (rib, side))
     asked, used = len(PUSHES) * len(outcomes), sum(len(one.frames) for one in outcomes)
     return [
         "**Personal stiffness is far below the literature's.** By construction of the truths, see above; synthetic "
@@ -273,24 +276,22 @@ def points_of_conclusions(outcomes: Sequence[SubjectOutcome]) -> list[str]:
         + judged("these two are the largest", top),
         "**Tissue has to be modelled, and with more care than the spine.** One ratio for everything misses the "
         "motion at "
-        f"another rib by {_say(median(motions(rib, 'single_ratio')), 2, ' mm')} (median; two ratios: "
-        f"{_say(median(motions(rib, 'fit')), 2, ' mm')}) and from the other side by "
-        f"{_say(median(motions(side, 'single_ratio')), 2, ' mm')} "
-        f"({_say(median(motions(side, 'fit')), 2, ' mm')}). Which "
-        "ratio is known less is another matter: 95 % intervals reach a factor of "
+        f"another rib by {_say(at_rib[1], 2, ' mm')} (median of the subjects that have both; two ratios: "
+        f"{_say(at_rib[0], 2, ' mm')}, the true ones: {_say(at_rib[2], 2, ' mm')}) and from the other side by "
+        f"{_say(at_side[1], 2, ' mm')} ({_say(at_side[0], 2, ' mm')}, {_say(at_side[2], 2, ' mm')}). What the true "
+        "ratios miss is due to all else that the estimate does not know. Which ratio is known less is another "
+        "matter: 95 % intervals reach a factor of "
         f"{_say(widths['lateral_bending'], 1)} either way for bending and {_say(widths['tissue'], 1)} for tissue "
         "(median of those with two ends). "
-        + judged(
-            "two ratios miss both motions by less than one (medians)", _below(motions, "fit", "single_ratio", rib, side)
-        ),
+        + judged("two ratios miss both motions by less than one (medians)", _below(at_rib[:2], at_side[:2])),
         f"**Errors below {RMSE_MM} mm on a pose not trained on.** {_say(fit, 2, ' mm')}. "
         + judged(f"at most {RMSE_MM} mm in the mean", None if fit is None else fit <= RMSE_MM),
         "**Force and inverse modelling are key.** Tracked corners extrapolated by force alone, without a model, "
         "miss the "
-        f"frame at another rib by {_say(median(places(rib, 'extrapolation')), 2, ' mm')} and the other side by "
-        f"{_say(median(places(side, 'extrapolation')), 2, ' mm')} (median); the forecast by "
-        f"{_say(median(places(rib, 'forecast')), 2, ' mm')} and {_say(median(places(side, 'forecast')), 2, ' mm')}. "
-        + judged("the forecast misses both by less (medians)", _below(places, "forecast", "extrapolation", rib, side)),
+        f"frame at another rib by {_say(forecast_rib[1], 2, ' mm')} and the other side by "
+        f"{_say(forecast_side[1], 2, ' mm')} (median); the forecast by "
+        f"{_say(forecast_rib[0], 2, ' mm')} and {_say(forecast_side[0], 2, ' mm')}. "
+        + judged("the forecast misses both by less (medians)", _below(forecast_rib, forecast_side)),
         "**The procedure suits a clinic.** Synthetic subjects say nothing about that. What they can say is whether "
         "supports which give end a measurement: belt and pad are made to give by up to 4° and 4 mm, and "
         f"{used} of {asked} held-out frames could be used.",
@@ -307,13 +308,7 @@ def _less(frames: Sequence[FrameOutcome]) -> bool | None:
     return None if default is None or fit is None else fit < default
 
 
-def _below(
-    errors: Callable[[Sequence[FrameOutcome], str], list[float]],
-    ours: str,
-    others: str,
-    *groups: Sequence[FrameOutcome],
-) -> bool | None:
-    """Whether the median error of a predictor is below another's in every group."""
-    found = [(median(errors(frames, ours)), median(errors(frames, others))) for frames in groups]
-    known = [(one, other) for one, other in found if one is not None and other is not None]
-    return all(one < other for one, other in known) if len(known) == len(found) else None
+def _below(*pairs: Sequence[float | None]) -> bool | None:
+    """Whether the first of every pair is the smaller one."""
+    known = [(one, other) for one, other in pairs if one is not None and other is not None]
+    return all(one < other for one, other in known) if len(known) == len(pairs) else None

@@ -68,6 +68,21 @@ def mean(values: Sequence[float]) -> float | None:
     return float(np.mean(values)) if len(values) else None
 
 
+Errors = Callable[[Sequence[FrameOutcome], str], list[float]]
+
+
+def medians(errors: Errors, frames: Sequence[FrameOutcome], *predictors: str) -> tuple[float | None, ...]:
+    """Each predictor's median error, over the frames that all of them have: a frame that one misses is no one's gain.
+
+    Parameters
+    ----------
+    errors : ``places`` or ``motions``.
+    """
+    found = [[errors([frame], name) for name in predictors] for frame in frames]
+    common = [values for values in found if all(values)]
+    return tuple(median([one[0] for one in column]) for column in zip(*common)) or (None,) * len(predictors)
+
+
 def coverage(outcomes: Sequence[SubjectOutcome]) -> float | None:
     """Share of held-out corner coordinates inside their 95 % intervals, mean over all held-out frames."""
     return mean([frame.inside95 for one in outcomes for frame in one.frames if frame.inside95 is not None])
@@ -96,9 +111,9 @@ def goals(outcomes: Sequence[SubjectOutcome]) -> tuple[Goal, ...]:
         frames = frames_of(outcomes, push)
         found += [
             _below(f"median RMSE at {PUSHES[push]}, forecast against tracking extrapolated by force",
-                   median(places(frames, "forecast")), median(places(frames, "extrapolation"))),
+                   *medians(places, frames, "forecast", "extrapolation")),
             _below(f"median RMSE of the motion at {PUSHES[push]}, estimate against a single ratio",
-                   median(motions(frames, "fit")), median(motions(frames, "single_ratio"))),
+                   *medians(motions, frames, "fit", "single_ratio")),
         ]  # fmt: skip
     return tuple(found)
 

@@ -81,7 +81,7 @@ def page_text(
             if rows:
                 parts += ["Rows whose averages over these subjects differ by more than a tenth:"]
                 parts.append("\n".join(f"- {row}" for row in rows))
-        missing = [f"- {one.name}: {line}." for one in there for line in one.missing]
+        missing = [f"- {one.name}: {line}." for one in there for line in (*_unpredicted(one), *one.missing)]
         if missing:
             parts += ["### What could not be found", "\n".join(missing)]
         parts += ["## Figures"]
@@ -138,7 +138,8 @@ those of the paper's tables (sizes in Tables 2, 3 and 6), over the subjects that
 HELD_OUT_ABOUT = """Corner RMSE, mm, median (largest). "Place" is where a corner is, "motion" how far it went since
 the unloaded frame: the geometry's error is in the first alone. "Forecast" is the estimate with the errors that the
 training frames and the unloaded frame show; extrapolated tracking starts at the unloaded frame, too, and so is to be
-compared with it. "A single ratio" scales all stiffnesses alike, fitted in the same way. Tracking reversed for a push
+compared with it. "A single ratio" scales all stiffnesses alike, fitted in the same way. Each line is of the subjects
+that have it; goals compare two of them over the subjects that have both. Tracking reversed for a push
 from the other side is a hard rival here: a synthetic body's halves mirror each other, and where the curve is mild
 and the answer in proportion to the force, it moves to the other side just as far. People's halves do not."""
 
@@ -178,6 +179,16 @@ def _goals(first: Sequence[SubjectOutcome], further: Sequence[SubjectOutcome]) -
             cells.append(f"{goal.wanted}: {goal.found}{verdict}")
         rows.append(cells)
     return _table(["goal", *(name for name, _ in groups)], rows)
+
+
+def _unpredicted(one: SubjectOutcome) -> list[str]:
+    """Predictors that have nothing to say of held-out frames, with the frames."""
+    found = []
+    for name, words in PREDICTORS.items():
+        lacking = [where for push, where in PUSHES.items() for f in frames_of([one], push) if not places([f], name)]
+        if lacking:
+            found.append(f"Held-out frames: {words} predicts nothing for {', '.join(lacking)}")
+    return found
 
 
 def _spread(values: Sequence[float]) -> str:
