@@ -204,11 +204,11 @@ def make_subject(
             for side in dict.fromkeys(sides.values()):
                 here = [push for push in sites if sides[push] == side]
                 springs = support_stiffness(torso, side, [load(push, 1.0) for push in here], stiffness, own.give)
-                held = elastic_supports(torso, side, springs)
+                problem = EquilibriumProblem(torso, elastic_supports(torso, side, springs), laws=laws)
                 for push in here:
                     shares, frames = [share for share, _ in pushes[push].frames], own_frames[push]
                     problems = [
-                        EquilibriumProblem(torso, frame.moved(held, torso) if share else held, laws=laws)
+                        problem.with_supports(frame.moved(problem.supports, torso)) if share else problem
                         for share, frame in zip(shares, frames, strict=True)
                     ]
                     loads = [load(push, share, frame.breath_mm) for share, frame in zip(shares, frames, strict=True)]

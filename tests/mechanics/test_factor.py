@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from spinestiff.errors import EquilibriumError
-from spinestiff.mechanics.factor import Analysis, default_backend
+from spinestiff.mechanics.factor import Analysis, Factor, default_backend
 
 BACKENDS = sorted({default_backend(), "superlu"})
 
@@ -35,6 +35,41 @@ def test_solves_one_and_many_right_hand_sides(backend):
     assert factor.solve(rhs[:, 1]) == pytest.approx(np.linalg.solve(full, rhs[:, 1]), rel=1e-12)
     assert factor.multiply(rhs) == pytest.approx(full @ rhs, rel=1e-13)
     assert (factor.solve(np.zeros(25)) == 0.0).all()
+
+
+def test_each_column_is_refined_by_its_own_size():
+    """A small right-hand side beside a large one is solved as well as alone."""
+    full = _matrix(6.0)
+    rhs = np.random.default_rng(2).normal(size=(25, 2)) * [1e9, 1.0]
+
+    class Rough:
+        """Good to four digits where little is asked."""
+
+        positive_definite = True
+
+        def solve(self, b):
+            return np.linalg.solve(full, b) * np.where(np.abs(b).max(axis=0) < 1e3, 1.0001, 1.0)
+
+    lower = sp.csc_array(np.tril(full))
+    both = Factor(lower, Rough(), np.ones(25)).solve(rhs)
+    assert both == pytest.approx(np.linalg.solve(full, rhs), rel=1e-10)
+
+
+def test_a_column_that_has_no_solution_is_an_error_beside_large_ones_that_have():
+    full = np.diag([1.0, 1.0, 1e-30])
+
+    class Deaf:
+        """Leaves the last unknown out."""
+
+        positive_definite = True
+
+        def solve(self, b):
+            return b * np.array([1.0, 1.0, 0.0]).reshape(-1, *[1] * (b.ndim - 1))
+
+    lower = sp.csc_array(np.tril(full))
+    rhs = np.array([[1e12, 0.0], [0.0, 0.0], [0.0, 1.0]])
+    with pytest.raises(EquilibriumError, match=r"singular \(relative residual 1.0e\+00\)"):
+        Factor(lower, Deaf(), np.ones(3)).solve(rhs)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

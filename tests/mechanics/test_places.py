@@ -99,6 +99,9 @@ def test_eq6_place_derivative_of_the_whole_torso_against_differences_of_solves(w
         ends = [problem.with_place(at).solve(load, ratios, start=tangent).require().state for at in places]
         wanted = (motion(found.state, ends[1]) - motion(found.state, ends[0])) / (2.0 * step)
         assert np.abs(forward[:, i] - wanted).max() < 1e-5 * np.abs(wanted).max()
+    together = tangent.forward(ratios.groups, (load,), place=True)
+    for columns, apart in ((together[:, -2:], forward), (together[:, -3], tangent.load_derivative(load))):
+        np.testing.assert_allclose(columns, apart, rtol=1e-9, atol=1e-9 * np.abs(apart).max())
     goal = np.random.default_rng(1).normal(size=len(forward))
     assert tangent.place_adjoint(goal) == pytest.approx(goal @ forward, rel=1e-9)
 

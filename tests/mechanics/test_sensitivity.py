@@ -81,6 +81,14 @@ def test_raising_every_stiffness_is_lowering_the_load(case):
     assert np.abs(by_load).max() > 0.1
 
 
+def test_all_columns_of_one_solve_are_those_of_each(case):
+    _, load, ratios, _, tangent = case
+    changes = (load, load.scaled(-0.3))
+    together = tangent.forward(ratios.groups, changes)
+    apart = [tangent.forward(ratios.groups), *(tangent.load_derivative(change)[:, None] for change in changes)]
+    np.testing.assert_allclose(together, np.hstack(apart), rtol=1e-9, atol=1e-12 * np.abs(together).max())
+
+
 def test_held_degrees_of_freedom_do_not_move(case):
     problem, load, ratios, _, tangent = case
     assert (tangent.forward(ratios.groups)[problem.held] == 0.0).all()

@@ -24,6 +24,7 @@ from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import Equilibrium, EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.places import shoulder_force
+from spinestiff.mechanics.terms import Term
 from spinestiff.parallel import in_parallel
 
 if TYPE_CHECKING:
@@ -224,14 +225,12 @@ class TrialSet:
 
     def slope(self, point: Evaluation, with_acts: bool = False) -> Slope:
         """Forward sensitivities (Eq. 6) at a point, of ratios and, ``with_acts``, of what is not quite known."""
-        count = len(self.groups)
 
         def of_trial(i: int) -> tuple[Linearisation, Floats, Floats]:
             linearisation = self._linearised(point, i)
             if not with_acts:
                 return linearisation, linearisation.forward(self.groups), np.empty(0)
-            both = linearisation.forward((*self.groups, *self._scaled))
-            return linearisation, both[:, :count], self._acted(i, linearisation, point.acts[i], both[:, count:])
+            return linearisation, *self._moved(i, linearisation, point.acts[i])
 
         self._count_linearised(point)
         tangents, moves, acted = zip(*in_parallel(of_trial, range(len(self.trials))))
@@ -276,15 +275,18 @@ class TrialSet:
         problem, load, ratios = self._asked(i, point.log_ratios, point.acts[i])
         return problem.linearise(point.equilibria[i], load, ratios)
 
-    def _acted(self, i: int, linearisation: Linearisation, acts: Floats, scaled: Floats) -> Floats:
-        columns = scaled @ POWERS
+    def _moved(self, i: int, linearisation: Linearisation, acts: Floats) -> tuple[Floats, Floats]:
+        """(dofs, P) a trial's state in log ratio, and (dofs, len(ACTS)) in its acts."""
+        problem, groups = linearisation.system, (*self.groups, *self._scaled)
         # The force acts by its log on the load alone, which it scales.
-        changes = (self._changes[i][0].scaled(float(np.exp(acts[0]))), *self._changes[i][1:])
-        columns[:, : len(LOADING)] = linearisation.load_derivatives(changes)
-        problem = linearisation.system
+        changes: list[Term] = [self._changes[i][0].scaled(float(np.exp(acts[0]))), *self._changes[i][1:]]
+        turns = bool(problem.supports.held[problem.torso.bone("pelvis")].all())
+        if not turns:
+            changes.append(shoulder_force(problem.supports))
+        columns = linearisation.forward(groups, changes, place=turns)
+        moves, scaled, rest = np.split(columns, [len(self.groups), len(groups)], axis=1)
+        acted = scaled @ POWERS
+        acted[:, : len(LOADING)] = rest[:, : len(LOADING)]
         places = [ACTS.index(name) for name in PLACING]
-        if problem.supports.held[problem.torso.bone("pelvis")].all():
-            columns[:, places] = linearisation.place_derivative()
-        else:
-            columns[:, places[1]] = linearisation.load_derivative(shoulder_force(problem.supports))
-        return columns
+        acted[:, places if turns else places[1:]] = rest[:, len(LOADING) :]
+        return moves, acted

@@ -63,29 +63,34 @@ class Factor:
         return (self._product((x.T / self._scale).T).T / self._scale).T
 
     def solve(self, rhs: Floats, tolerance: float = 1e-12) -> Floats:
-        """Solution for (n,) or (n, k), refined until its residual is below ``tolerance`` of ``rhs``, scaled.
+        """Solution for (n,) or (n, k), refined until each column's residual is below ``tolerance`` of it, scaled.
 
         Raises
         ------
-        EquilibriumError : the residual stays above 1e-8 (or ``tolerance``, if that is larger) and above rounding: the
+        EquilibriumError : a residual stays above 1e-8 (or ``tolerance``, if that is larger) and above rounding: the
             matrix is singular to working precision (a bone without support, a mechanism).
         """
         b = (rhs.T * self._scale).T
-        size, error = float(np.abs(b).max(initial=0.0)), np.inf
+        size = np.abs(b).max(axis=0, initial=0.0)
+        error = np.full_like(size, np.inf)
         best = x = self._backend.solve(b)
         for _ in range(4):
             residual = b - self._product(x)
-            found = float(np.abs(residual).max(initial=0.0))
-            if not found < error:
+            found = np.abs(residual).max(axis=0, initial=0.0)
+            better = found < error
+            if not better.any():
                 break
-            best, error = x, found
-            if error <= tolerance * size:
+            best, error = np.where(better, x, best), np.where(better, found, error)
+            if (error <= tolerance * size).all():
                 break
             x = x + self._backend.solve(residual)
-        rounding = 16.0 * EPSILON * self._largest * float(np.abs(best).max(initial=0.0))
-        if not error <= max(RESIDUAL_LIMIT, tolerance) * size and not error <= rounding <= LARGEST_ROUNDING * size:
+        rounding = 16.0 * EPSILON * self._largest * np.abs(best).max(axis=0, initial=0.0)
+        solved = error <= max(RESIDUAL_LIMIT, tolerance) * size
+        solved |= (error <= rounding) & (rounding <= LARGEST_ROUNDING * size)
+        if not solved.all():
+            relative = np.divide(error, size, out=np.zeros_like(error), where=~solved)
             raise EquilibriumError(
-                f"the stiffness matrix is singular (relative residual {error / size:.1e}): "
+                f"the stiffness matrix is singular (relative residual {relative.max():.1e}): "
                 "a part is held by nothing, or a stiffness is zero"
             )
         return (best.T * self._scale).T

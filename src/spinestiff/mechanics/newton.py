@@ -30,7 +30,7 @@ from spinestiff.mechanics.factor import Factor, symmetric_product
 from spinestiff.mechanics.kinematics import Frame, FrameFactor
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.result import Equilibrium, NewtonStep, OnNewtonStep, SolveStatus
-from spinestiff.mechanics.system import System
+from spinestiff.mechanics.system import Factorised, System
 from spinestiff.mechanics.terms import PredictedSprings
 
 LARGEST_TURN = 0.5  # rad in one step
@@ -74,7 +74,7 @@ class Run:
         self.max_iterations = max_iterations
         self.factorisations = 0
         self.history: list[NewtonStep] = []
-        self.tangent: Factor | None = None  # at the equilibrium, once it was factorised there
+        self.tangent: Factorised | None = None  # at the equilibrium, once it was factorised there
         self._projection = 1.0  # how much of the projection the next indefinite tangent gets
         if tolerance is not None and not 0.0 < tolerance < np.inf:
             raise EquilibriumError(f"tolerance {tolerance} N; wanted a finite residual above 0")
@@ -233,10 +233,10 @@ class Run:
             pass  # its own factor has to tell
         try:
             self.factorisations += 1
-            self.tangent = self.system.factorise(at.state, self.stiffness, at.terms)
+            self.tangent = self.system.tangent(at.state, self.stiffness, at.terms)
         except EquilibriumError:
             return SolveStatus.SADDLE
-        return SolveStatus.CONVERGED if self.tangent.positive_definite else SolveStatus.SADDLE
+        return SolveStatus.CONVERGED if self.tangent.factor.positive_definite else SolveStatus.SADDLE
 
     def _least_ritz(self, at: Point, factor: FrameFactor) -> float:
         """Smallest Ritz value of K0^-1 K: about its smallest eigenvalue, which is above 0 where K is as K0 is.

@@ -20,12 +20,12 @@ from spinestiff.anatomy.state import TorsoState, state_digest
 from spinestiff.anatomy.stiffness import ParameterGroup, StiffnessRatios
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
-from spinestiff.mechanics.factor import Factor, symmetric_product
+from spinestiff.mechanics.factor import symmetric_product
 from spinestiff.mechanics.kinematics import FrameFactor
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.places import held_pelvis, shoulder_force
 from spinestiff.mechanics.result import Equilibrium
-from spinestiff.mechanics.system import System
+from spinestiff.mechanics.system import Factorised, System
 from spinestiff.mechanics.terms import Term
 
 # Above this relative residual a derivative is as wrong as the state (measured: error ~ residual).
@@ -36,7 +36,7 @@ LINEAR_RESIDUAL = 1e-10
 class Linearisation:
     """The factorised true tangent at one converged equilibrium.
 
-    ``tangent``: its factor, if the caller has just made it (``EquilibriumProblem.solve_linearised``).
+    ``tangent``: it, if the caller has just made it (``EquilibriumProblem.solve_linearised``).
 
     Raises
     ------
@@ -50,14 +50,14 @@ class Linearisation:
         equilibrium: Equilibrium,
         load: LoadCase,
         ratios: StiffnessRatios | None,
-        tangent: Factor | None = None,
+        tangent: Factorised | None = None,
     ) -> None:
         equilibrium.require()
         self._system = system
         self._state = equilibrium.state
         self._digest = state_digest(equilibrium.state)
         self._stiffness = system.potential.stiffness(ratios)
-        self._terms = terms = system.all_terms(load)
+        terms = system.all_terms(load)
         gradient = system.potential.gradient(self._state, self._stiffness, terms)
         residual = system.residual_norm(system.free(gradient))
         if residual > max(LARGEST_RELATIVE_RESIDUAL * load.size, system.tolerance(load)):
@@ -65,7 +65,7 @@ class Linearisation:
                 f"no derivative at a residual of {residual:.1e} N under {load.size:.0f} N: "
                 "the state, load and ratios do not belong together"
             )
-        self._factor = tangent or system.factorise(self._state, self._stiffness, terms)
+        self._hessian, self._factor = tangent or system.tangent(self._state, self._stiffness, terms)
         if not self._factor.positive_definite:
             raise EquilibriumError("no derivative at a state that is no energy minimum (indefinite tangent)")
 
@@ -86,9 +86,29 @@ class Linearisation:
         """K^-1 rhs, (dofs,) or (dofs, k); rows of held DoFs are zero."""
         return self._factor.solve(self._system.free(rhs), LINEAR_RESIDUAL)
 
-    def forward(self, groups: Sequence[ParameterGroup]) -> Floats:
-        """(dofs, P) d x / d log ratio of each group (Eq. 6)."""
-        return -self.solve(self._ratio_gradients(groups))
+    def forward(
+        self, groups: Sequence[ParameterGroup] = (), changes: Sequence[Term] = (), place: bool = False
+    ) -> Floats:
+        """(dofs, P + n + 2) d x / d each of several parameters (Eq. 6); one solve for all of them.
+
+        Parameters
+        ----------
+        groups : P, by the log ratio of each.
+        changes : n, by s for a load that grows as load + s * change.
+        place : by obliquity, rad, and shoulder, mm, of ``mechanics.places.SupportPlace``, the last two columns.
+
+        Raises
+        ------
+        EquilibriumError : ``place`` of a pelvis that is free to turn.
+        """
+        potential = self._system.potential
+        gradients = [potential.ratio_gradients(self._state, self._stiffness, groups)] if groups else []
+        gradients += [potential.term_gradient(change, self._state)[:, None] for change in changes]
+        gradients += [one[:, None] for one in self._place_gradients()] if place else []
+        columns = -self.solve(np.hstack(gradients))
+        if place:
+            columns[held_pelvis(self._system.torso, self._system.supports), -2] = 1.0
+        return columns
 
     def adjoint(self, gradient: Floats, groups: Sequence[ParameterGroup]) -> Floats:
         """(P,) d L / d log ratio for ``gradient`` = dL/dx, (dofs,) (Eq. 7). One solve for any number of groups."""
@@ -99,11 +119,6 @@ class Linearisation:
         """(dofs,) d x / d s for a load that grows as load + s * ``change``."""
         return -self.solve(self._system.potential.term_gradient(change, self._state))
 
-    def load_derivatives(self, changes: Sequence[Term]) -> Floats:
-        """(dofs, n) the same for each of several changes; one solve."""
-        gradients = [self._system.potential.term_gradient(change, self._state) for change in changes]
-        return -self.solve(np.stack(gradients, axis=1))
-
     def place_derivative(self) -> Floats:
         """(dofs, 2) d x / d (obliquity rad, shoulder mm) of ``mechanics.places.SupportPlace`` (Eq. 6).
 
@@ -111,10 +126,7 @@ class Linearisation:
         ------
         EquilibriumError : the pelvis is free to turn.
         """
-        turned, pushed = self._place_gradients()
-        columns = -self.solve(np.stack([turned, pushed], axis=1))
-        columns[held_pelvis(self._system.torso, self._system.supports), 0] = 1.0
-        return columns
+        return self.forward(place=True)
 
     def place_adjoint(self, gradient: Floats) -> Floats:
         """(2,) d L / d (obliquity rad, shoulder mm) for ``gradient`` = dL/dx, (dofs,) (Eq. 7)."""
@@ -129,13 +141,9 @@ class Linearisation:
         unit = np.zeros(system.potential.dofs)
         unit[held_pelvis(system.torso, system.supports)] = 1.0
         pattern = system.potential.pattern
-        values = system.potential.hessian(self._state, self._stiffness, self._terms)
-        turned = symmetric_product(pattern.indptr, pattern.indices, values, unit)
+        turned = symmetric_product(pattern.indptr, pattern.indices, self._hessian, unit)
         return turned, system.potential.term_gradient(shoulder_force(system.supports), self._state)
 
     def belongs_to(self, state: TorsoState) -> bool:
         """Whether this is the linearisation at ``state``."""
         return state_digest(state) == self._digest
-
-    def _ratio_gradients(self, groups: Sequence[ParameterGroup]) -> Floats:
-        return self._system.potential.ratio_gradients(self._state, self._stiffness, groups)

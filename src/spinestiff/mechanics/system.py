@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Sequence
-from typing import ClassVar, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -28,6 +28,16 @@ from spinestiff.mechanics.terms import Term
 
 RELATIVE_TOLERANCE = 1e-10
 ABSOLUTE_TOLERANCE = 1e-8  # N
+
+
+class Factorised(NamedTuple):
+    """The tangent stiffness of a state: its ``hessian``, values in the potential's pattern, and ``factor``.
+
+    The Hessian has the rows of held degrees of freedom, which are the identity in what is factorised.
+    """
+
+    hessian: Floats
+    factor: Factor
 
 
 class System(ShortRepr):
@@ -148,6 +158,11 @@ class System(ShortRepr):
     ) -> Factor:
         """The tangent stiffness with held DoFs replaced by the identity, factorised."""
         return self.numeric_factor(self.potential.hessian(state, stiffness, terms, project))
+
+    def tangent(self, state: TorsoState, stiffness: Stiffness, terms: Sequence[Term]) -> Factorised:
+        """The same with the Hessian that it is made of."""
+        hessian = self.potential.hessian(state, stiffness, terms)
+        return Factorised(hessian, self.numeric_factor(hessian))
 
     def numeric_factor(self, values: Floats) -> Factor:
         """Factor of a Hessian's values (in the potential's pattern) with held DoFs replaced by the identity."""

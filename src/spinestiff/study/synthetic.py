@@ -136,6 +136,9 @@ def synthesise(folder: str | Path, recipe: Recipe, observer: Observer | None = N
         states = [torso.rest_pose]
         for share in push.shares:
             force = share * recipe.force_n
+            if not force:  # at rest nothing is strained
+                states.append(torso.rest_pose)
+                continue
             say(f"push '{push.id}': equilibrium at {force:.0f} N")
             at = maker.side_of(push)
             found = problems[at].solve(rib_push(torso, at, push.level, force), solved, states[-1])
