@@ -1,10 +1,11 @@
 """What the weighed fit costs, and whether it ends at one place from everywhere: many starts, one subject.
 
-The subject is the coarse template under one push at rib level 8 from the right, 40 and 60 N, with an unloaded frame;
-corners are simulated with errors of annotation, tracking, gauge and supports. Starts are log-uniform over the ratios
-that subjects have. ``python benchmarks/estimator_work.py [--starts N] [--write]`` prints evaluations, factorisations
-(apart those of the start's own equilibria, which are solved from rest) and CPU time of each fit, how far phi (by the
-best fit's weights) and the ratios (in standard deviations) lie apart, and what intervals and budget cost on top.
+The subject is the template on the synthetic subjects' own mesh under one push at rib level 8 from the right, 40 and
+60 N, with an unloaded frame; corners are simulated with errors of annotation, tracking, gauge and supports. It is
+fitted on the coarse or on the fine template. Starts are log-uniform over the ratios that subjects have. ``python
+benchmarks/estimator_work.py [--starts N] [--mesh coarse] [--write]`` prints evaluations, factorisations (apart those of
+the start's own equilibria, which are solved from rest) and CPU time of each fit, how far phi (by the best fit's
+weights) and the ratios (in standard deviations) lie apart, and what intervals and budget cost on top.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, stiffness_ratios
-from spinestiff.anatomy.template import template_torso
+from spinestiff.anatomy.template import MESHES, OWN_MESH, template_torso
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.budget import prior_changes, variance_budget
 from spinestiff.estimation.emulator import Place
@@ -47,10 +48,10 @@ LIMITS = (float(np.log(RATIO_BOUNDS[0])), float(np.log(RATIO_BOUNDS[1])))
 MOST_EVALUATIONS = 80
 
 
-def subject(seed: int) -> WeighedProblem:
-    """The simulated subject, ready to be fitted."""
-    torso = template_torso(157.0, "coarse")
-    problem = EquilibriumProblem(torso, three_point_supports(torso, "right"))
+def subject(seed: int, mesh: str) -> WeighedProblem:
+    """The simulated subject, ready to be fitted on a mesh."""
+    torso, model = template_torso(157.0, OWN_MESH), template_torso(157.0, mesh)
+    problem, fitted = (EquilibriumProblem(of, three_point_supports(of, "right")) for of in (torso, model))
     view, random, truth = frontal_view(), np.random.default_rng(seed), stiffness_ratios(TRUTH)
     shares = silhouette_shares(torso, view, torso.rest_pose)
     common = ANNOTATION_MM * random.normal(size=(len(torso.vertebrae), 4, 2))
@@ -67,10 +68,10 @@ def subject(seed: int) -> WeighedProblem:
         share = force / max(FORCES)
         placed = problem.with_place(SupportPlace(share * OBLIQUITY, share * SHOULDER_MM))
         state = placed.solve(rib_push(torso, "right", LEVEL, GAUGE * force), truth).require().state
-        load = rib_push(torso, "right", LEVEL, force)
+        load = rib_push(model, "right", LEVEL, force)
         trials.append(Trial(load, seen(state, TRACKING_MM), view, f"{force:g} N", "push"))
-    trial_set = TrialSet([problem] * len(trials), trials, truth.groups, "procrustes", None)
-    return WeighedProblem(trial_set, [(problem, still)], "procrustes", Priors(), None, False)
+    trial_set = TrialSet([fitted] * len(trials), trials, truth.groups, "procrustes", None)
+    return WeighedProblem(trial_set, [(fitted, still)], "procrustes", Priors(), None, False)
 
 
 def fitted(problem: WeighedProblem, ratios: list[float]) -> tuple[WeighedFit | None, dict[str, object]]:
@@ -96,9 +97,9 @@ def fitted(problem: WeighedProblem, ratios: list[float]) -> tuple[WeighedFit | N
     }
 
 
-def campaign(starts: int, seed: int) -> dict[str, object]:
+def campaign(starts: int, seed: int, mesh: str) -> dict[str, object]:
     """All fits, compared with the first of the least phi, and the uncertainty's work there."""
-    problem, random = subject(seed), np.random.default_rng(seed + 1)
+    problem, random = subject(seed, mesh), np.random.default_rng(seed + 1)
     fits, records = [], []
     for _ in range(starts):
         ratios = [float(np.exp(random.uniform(*np.log(ends)))) for ends in STARTS]
@@ -133,6 +134,7 @@ def campaign(starts: int, seed: int) -> dict[str, object]:
     return {
         "date": datetime.date.today().isoformat(),
         "load_average": [round(value, 1) for value in os.getloadavg()],
+        "mesh": mesh,
         "truth": TRUTH,
         "estimate": dict(zip(names, np.exp(best.point.log_ratios).round(5).tolist())),
         "sd_of_log": dict(zip(names, sd.round(4).tolist())),
@@ -154,12 +156,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--starts", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--write", action="store_true", help="to results/estimator_work.json")
+    parser.add_argument("--mesh", choices=MESHES, default="coarse", help="that the subject is fitted on")
+    parser.add_argument("--write", action="store_true", help="to results/estimator_work.json, _fine.json")
     options = parser.parse_args()
-    result = campaign(options.starts, options.seed)
+    result = campaign(options.starts, options.seed, options.mesh)
     print(json.dumps({key: value for key, value in result.items() if key != "fits"}, indent=1))
     if options.write:
-        path = Path(__file__).parent / "results" / "estimator_work.json"
+        end = "" if options.mesh == "coarse" else f"_{options.mesh}"
+        path = Path(__file__).parent / "results" / f"estimator_work{end}.json"
         path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 

@@ -5,9 +5,8 @@ goes to the log, and a run that was stopped goes on from it.
 
 Spines are those that ``benchmarks/personalisation.py`` takes, at its body heights (139 to 180 cm). Curves are all kinds
 of ``study.spines.CURVES`` at ``CURVED``. Each torso is made by ``personalise.shape.place_vertebrae`` from the coarse
-and the fine template and, every so manyth (``EVERY_OWN``), from the synthetic subjects' own. Told of each: whether the
-tissue mesh was kept or built anew and why, its quality, how far the vertebrae are from where they were wanted, and CPU
-seconds.
+and the fine template and from the synthetic subjects' own. Told of each: whether the tissue mesh was kept or built anew
+and why, its quality, how far the vertebrae are from where they were wanted, and CPU seconds.
 """
 
 from __future__ import annotations
@@ -35,7 +34,6 @@ from spinestiff.study.spines import CURVES, curved_spine, real_spine
 # Cobb angle and body height of each kind of curve.
 CURVED = ((80.0, 140.0), (-80.0, 175.0))
 HEIGHTS_CM = (139.0, 180.0)
-EVERY_OWN = 9
 
 # Mesh, kind ("spine" or a curve's), id of the spine or Cobb angle, body height.
 Task = tuple[str, str, str, float]
@@ -59,8 +57,7 @@ def tasks(table: Path, meshes: Sequence[str]) -> tuple[list[Task], dict[str, str
             skipped[spine] = str(error).removeprefix(f"{table}: ")
             continue
         shapes.append(("spine", spine, height))
-    made = [(mesh, *shape) for mesh in meshes for shape in (shapes[::EVERY_OWN] if mesh == OWN_MESH else shapes)]
-    return made, skipped
+    return [(mesh, *shape) for mesh in meshes for shape in shapes], skipped
 
 
 def made(table: Path, task: Task) -> dict[str, Any]:
