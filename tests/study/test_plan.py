@@ -172,6 +172,7 @@ def test_where_nothing_pays_no_radiograph_is_asked_for(plan) -> None:
     narrow = plan.model_copy(update={"sequence": steps})
     assert pays(narrow) == ()
     assert any("no further radiograph pays" in line for line in plan_lines(narrow))
+    assert any("116 ± 25 N" in line for line in plan_lines(narrow))
     assert not any("best next" in line for line in plan_lines(narrow))
     sheet = protocol_page(narrow, "anna")
     assert "No further radiograph pays" in sheet

@@ -66,9 +66,15 @@ def plan_lines(plan: Plan) -> list[str]:
         own = plan.estimated.get(RATIO_OF.get(plan.target, ""))
         beside = "" if own is None else f"; the estimate's own interval: {width(plan, own)}"
         found.append(f"{what}: now {width(plan, now)} (95 %, to first order, as all that is expected here{beside})")
+    mean, sd = DISCOMFORT_N
+    always = [
+        f"forces up to {plan.limit_n:g} N; women called a push at the chest uncomfortable at {mean:g} ± {sd:g} N "
+        "(adults, n = 16)",
+        *(f"note: {note}" for note in plan.notes),
+    ]
     worth = pays(plan)
     if not worth:
-        return [*found, NONE_PAYS, *(f"note: {note}" for note in plan.notes)]
+        return [*found, NONE_PAYS, *always]
     best, last = plan.sequence[0].push, worth[-1]
     found.append(f"best next: {taken_words(best)}, expected {width(plan, size_of(best))}")
     other = other_view(plan, best)
@@ -85,9 +91,4 @@ def plan_lines(plan: Plan) -> list[str]:
     if plan.taped is not None:
         with_what = "with the best push" if now is None else "and no further push"
         found.append(f"with a tape around the trunk {with_what}: {width(plan, plan.taped)}")
-    mean, sd = DISCOMFORT_N
-    found.append(
-        f"forces up to {plan.limit_n:g} N; women called a push at the chest uncomfortable at {mean:g} ± {sd:g} N "
-        "(adults, n = 16)"
-    )
-    return [*found, *(f"note: {note}" for note in plan.notes)]
+    return [*found, *always]
