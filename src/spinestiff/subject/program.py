@@ -37,6 +37,7 @@ TOLD = (
     "study/plan_words.py",
     "study/report",
     "study/sensitivity_words.py",
+    "study/seven/account.py",
     "study/seven/discussion.py",
     "study/seven/goals.py",
     "study/seven/page.py",
