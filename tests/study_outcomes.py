@@ -13,7 +13,7 @@ PREDICTORS = {
     "fit": 0.2,
     "forecast": 0.05,
     "fitted_supports": 0.19,
-    "extrapolation": 0.1,
+    "extrapolation": 0.25,
     "single_ratio": 0.3,
     "truth": 0.18,
 }

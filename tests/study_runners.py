@@ -8,7 +8,7 @@ from spinestiff.errors import EquilibriumError
 from spinestiff.files import write_json
 from spinestiff.parallel import threads
 from spinestiff.study.seven.subject import result_file, settings_digest
-from spinestiff.subject.program import program
+from spinestiff.subject.program import program_of_numbers
 from study_outcomes import outcome
 
 
@@ -18,7 +18,9 @@ def made(folder, participant, settings, say):
     if participant.name == "subject-2":
         raise EquilibriumError("no equilibrium")
     found = outcome(int(participant.name[-1]), age=float(threads()))
-    found = found.model_copy(update={"program": program(), "settings": settings_digest(participant, settings)})
+    found = found.model_copy(
+        update={"program": program_of_numbers(), "settings": settings_digest(participant, settings)}
+    )
     write_json(result_file(folder, participant), found.model_dump(mode="json"))
     return found
 

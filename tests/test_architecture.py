@@ -213,6 +213,48 @@ def test_no_result_comes_from_a_room_whose_sources_do_not_count() -> None:
     assert not wrong, "\n".join(wrong)
 
 
+def test_numbers_take_nothing_but_words_from_what_only_tells_them() -> None:
+    """So that an edited sentence or page can change no number, and has no result made again."""
+    from spinestiff.subject.program import ABOVE, TOLD
+
+    def lies_in(path: Path, places: tuple[str, ...]) -> bool:
+        inside = path.relative_to(SOURCE)
+        return any(one.as_posix() in places for one in (inside, *inside.parents))
+
+    assert all((SOURCE / name).exists() for name in TOLD)
+    told = {name for name, path in NAMES.items() if lies_in(path, TOLD)}
+    wrong, words = [], 0
+    for path in MODULES:
+        if lies_in(path, (*ABOVE, *TOLD)):
+            continue
+        for node in ast.walk(tree_of(path)):
+            if not isinstance(node, ast.ImportFrom):
+                continue
+            wrong += [
+                f"{ids(path)}:{node.lineno} takes {node.module}.{one.name}"
+                for one in node.names
+                if f"{node.module}.{one.name}" in told
+            ]
+            if node.module not in told:
+                continue
+            # The steps write pages and pictures, too, which no later step reads.
+            if path == SOURCE / "study" / "steps.py" and lies_in(NAMES[node.module], ("study/report",)):
+                continue
+            made = {
+                one.name: ast.unparse(one.returns)
+                for one in tree_of(NAMES[node.module]).body
+                if isinstance(one, ast.FunctionDef) and one.returns is not None
+            }
+            words += len(node.names)
+            wrong += [
+                f"{ids(path)}:{node.lineno} takes {one.name} from {node.module}"
+                for one in node.names
+                if made.get(one.name) not in ("str", "list[str]")
+            ]
+    assert words > 20
+    assert not wrong, "\n".join(wrong)
+
+
 def test_only_the_version_is_imported_from_the_top() -> None:
     wrong = [
         f"{ids(path)}:{node.lineno}"

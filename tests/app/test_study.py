@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -15,11 +16,11 @@ from spinestiff.app.volume import Volume, speaking
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
 from spinestiff.study.seven.participants import seven
-from spinestiff.study.seven.subject import result_file, settings_digest
+from spinestiff.study.seven.subject import known_outcome, result_file, settings_digest, stored_outcome
 from spinestiff.study.synthetic import truth_path
 from spinestiff.study.visit import Settings
 from spinestiff.subject.lock import sole_run
-from spinestiff.subject.program import program
+from spinestiff.subject.program import program_of_numbers
 from study_outcomes import outcome
 
 SETTINGS = Settings(mesh="coarse")
@@ -29,7 +30,7 @@ SETTINGS = Settings(mesh="coarse")
 def told(tmp_path):
     """A folder with what was found of the first of the seven, without the subject."""
     first = seven()[0]
-    found = outcome(1, program=program(), settings=settings_digest(first, SETTINGS), mesh="coarse")
+    found = outcome(1, program=program_of_numbers(), settings=settings_digest(first, SETTINGS), mesh="coarse")
     write_json(result_file(tmp_path, first), found.model_dump(mode="json"))
     return tmp_path
 
@@ -76,7 +77,8 @@ def test_the_page_and_tables_of_what_is_there(spinestiff, study, tmp_path):
     for number in (2, 4):
         assert f"(images/study-figure-{number}.png)" in text
         assert (page.parent / "images" / f"study-figure-{number}.png").stat().st_size > 10_000
-    assert "figure-5" not in text
+    assert "Fig. 2. Tracked corners under rising force (# 1)." in text and "default, estimate (# 1)." in text
+    assert "figure-5" not in text and "could not be drawn" not in text
 
 
 def test_json_is_a_list_of_errors_by_subject(spinestiff, study):
@@ -107,8 +109,46 @@ def test_what_was_found_with_other_settings_does_not_count(spinestiff, told):
     refused(told / "mistyped", "coarse")
     assert not (told / "mistyped").exists()
     path = result_file(told, seven()[0])
-    write_json(path, {**read_json(path), "program": "0.0.0"})
+    write_json(path, {**read_json(path), "settings": "others"})
     refused(told, "coarse")
+
+
+STORED = Path(__file__).parents[2] / "benchmarks" / "results" / "study"
+
+
+def test_stored_outcomes_of_another_program_are_enough_for_page_and_json(spinestiff, tmp_path):
+    """As they are kept: of a program whose hash was of all sources, without a day, without the subjects' folders."""
+    folder, page = tmp_path / "seven", tmp_path / "docs" / "study.md"
+    shutil.copytree(STORED, folder)
+    kept = page.parent / "images" / "study-figure-5.png"
+    kept.parent.mkdir(parents=True)
+    kept.write_bytes(b"of an earlier page")
+    shown = spinestiff("study", "seven", folder, "--page-only", "--page", page, "--json")
+    assert shown.status == 0, shown.err
+    found = json.loads(shown.out)
+    assert [one["subject"] for one in found] == [one.name for one in seven()]
+    stored = read_json(folder / "subject-3.json")
+    (main,) = [frame for frame in stored["frames"] if frame["push"] == "main"]
+    assert found[2]["rmse_mm"] == {name: main["rmse_mm"][name] for name in ("default", "fit")}
+    for number in range(1, 8):
+        assert f"warning: subject-{number} is in no picture: " in shown.err
+    text = page.read_text(encoding="utf-8")
+    assert "**7 of the 7 subjects**" in text
+    assert f"by program `{stored['program']}` (7 subjects; day not noted)" in text
+    assert stored["program"] in shown.err and f"written by program `{program_of_numbers()}`" in text
+    # No picture is drawn; one that was there stays and is told as such.
+    assert re.findall(r"\((images/.*?)\)", text) == ["images/study-figure-5.png"]
+    assert kept.read_bytes() == b"of an earlier page"
+    assert "7 subjects could not be drawn" in text and "Fig. 5: of an earlier page" in text
+
+
+def test_a_run_finds_anew_what_another_program_found(told):
+    first = seven()[0]
+    assert known_outcome(told, first, SETTINGS) == stored_outcome(told, first, SETTINGS) is not None
+    path = result_file(told, first)
+    write_json(path, {**read_json(path), "program": "0.1.0+another"})
+    assert known_outcome(told, first, SETTINGS) is None
+    assert stored_outcome(told, first, SETTINGS).program == "0.1.0+another"
 
 
 def test_a_study_at_work_is_left_alone(spinestiff, told):

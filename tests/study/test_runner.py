@@ -14,7 +14,7 @@ from spinestiff.study.runner import ALL_STEPS, STEPS, Step, run_steps
 from spinestiff.study.visit import Settings, open_visit
 from spinestiff.subject.folder import read_subject
 from spinestiff.subject.outcome_parts import OUTCOME_VERSION
-from spinestiff.subject.program import program
+from spinestiff.subject.program import program, program_of_numbers
 from spinestiff.subject.run_record import input_digest, record_step, step_record
 
 UP_TO_DATE = [f"{step}: up to date" for step in STEPS]
@@ -73,7 +73,9 @@ def dry():
 def test_the_record_of_a_run(finished):
     run = read_json(finished.folder / "results" / "run.json")
     assert run["version"] == __version__
-    assert {step["program"] for step in run["steps"].values()} == {program()}
+    pages = {"report", "view"}
+    assert {step["program"] for name, step in run["steps"].items() if name not in pages} == {program_of_numbers()}
+    assert {run["steps"][name]["program"] for name in pages} == {program()}
     # The report writes the view as well.
     assert set(run["steps"]) == {*STEPS, "view"}
     of_subject = {f"subject.json: {part}" for part in ("X-ray geometry", "frames")}
@@ -243,11 +245,21 @@ def test_age_and_sex_shape_the_torso_where_the_mass_is_known(subject, dry):
 
 
 def test_changed_code_has_all_redone_and_says_why(subject, dry, monkeypatch):
-    monkeypatch.setattr("spinestiff.subject.run_record.program", lambda: "0.1.0+another")
+    for name in ("program", "program_of_numbers"):
+        monkeypatch.setattr(f"spinestiff.study.runner.{name}", lambda: "0.1.0+another")
     lines = []
     assert dry(opened(subject), observer=lines.append) == list(STEPS)
-    assert lines[0] == f"track: was made by spinestiff {program()}, this is 0.1.0+another; made again"
+    assert lines[0] == f"track: was made by spinestiff {program_of_numbers()}, this is 0.1.0+another; made again"
     assert dry(opened(subject)) == []
+
+
+def test_changed_sentences_and_pages_have_only_pages_and_pictures_redone(subject, dry, monkeypatch):
+    wanted = tuple(ALL_STEPS)
+    dry(opened(subject), wanted)
+    assert dry(opened(subject), wanted) == []
+    monkeypatch.setattr("spinestiff.study.runner.program", lambda: "0.1.0+another")
+    # The report writes the view as well.
+    assert dry(opened(subject), wanted) == ["frames", "sensitivity", "report"]
 
 
 def test_frames_follow_the_roles(subject, dry):

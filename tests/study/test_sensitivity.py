@@ -255,7 +255,9 @@ def test_refits_by_other_sources_of_the_same_version_are_not_gone_on_with(visit,
 
     cases = [Case("weighed", "nothing", "", fit, {}), Case("weighed", "force", "+10 %", stopped, {})]
     for sources in ("these", "these", "others"):
-        monkeypatch.setattr("spinestiff.study.sensitivity.program", lambda sources=sources: f"0.1.0+{sources}")
+        monkeypatch.setattr(
+            "spinestiff.study.sensitivity.program_of_numbers", lambda sources=sources: f"0.1.0+{sources}"
+        )
         with pytest.raises(KeyboardInterrupt):
             sensitivity_study(visit, say, lambda basis: cases)
     assert len(made) == 2

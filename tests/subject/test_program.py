@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import spinestiff
-from spinestiff.subject.program import ABOVE, program, sources_digest
+from spinestiff.subject.program import ABOVE, TOLD, program, program_of_numbers, sources_digest
 
 
 @pytest.fixture
@@ -19,6 +19,10 @@ def package(tmp_path: Path) -> Path:
         "anatomy/data/torso.npz",
         "app/cli.py",
         "anatomy/__pycache__/a.pyc",
+        "study/assessment.py",
+        "study/wording.py",
+        "study/report/page.py",
+        "study/report/report.html.j2",
     ):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("1")
@@ -35,6 +39,8 @@ def package(tmp_path: Path) -> Path:
         ("app/cli.py", False),
         ("anatomy/__pycache__/a.pyc", False),
         ("anatomy/.torso.py.swp", False),
+        ("study/wording.py", True),
+        ("study/report/report.html.j2", True),
     ],
 )
 def test_code_and_data_that_results_come_from_count(package: Path, name: str, counts: bool) -> None:
@@ -42,6 +48,25 @@ def test_code_and_data_that_results_come_from_count(package: Path, name: str, co
     assert sources_digest(package) == before
     (package / name).write_text("2")
     assert (sources_digest(package) != before) == counts
+
+
+@pytest.mark.parametrize(
+    ("name", "counts"),
+    [
+        ("anatomy/torso.py", True),
+        ("anatomy/data/torso.npz", True),
+        ("study/assessment.py", True),
+        ("study/wording.py", False),
+        ("study/report/page.py", False),
+        ("study/report/report.html.j2", False),
+        ("app/cli.py", False),
+    ],
+)
+def test_sentences_and_pages_do_not_count_for_numbers(package: Path, name: str, counts: bool) -> None:
+    without = (*ABOVE, *TOLD)
+    before = sources_digest(package, without)
+    (package / name).write_text("2")
+    assert (sources_digest(package, without) != before) == counts
 
 
 def test_a_file_by_another_name_counts(package: Path) -> None:
@@ -56,3 +81,4 @@ def test_the_program_is_its_version_and_sources() -> None:
     folder = Path(spinestiff.__file__).parent
     assert sources_digest(folder).startswith(digest) and len(digest) == 12
     assert {path.name for path in folder.iterdir()} >= set(ABOVE)
+    assert program_of_numbers() == f"{version}+{sources_digest(folder, (*ABOVE, *TOLD))[:12]}" != program()

@@ -15,6 +15,7 @@ from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.assessment_outcome import Comparison
 from spinestiff.subject.folder import Subject, read_subject
 from spinestiff.subject.outcomes import FrameProposals, Tracked
+from spinestiff.subject.program import program
 from spinestiff.subject.records import SubjectRecord
 from spinestiff.subject.run_record import (
     PARTS,
@@ -77,8 +78,8 @@ def test_a_step_is_current_until_something_changes(bare):
     assert (written["settings"], written["seconds"]) == (settings, 1.5)
 
     assert step_record(bare, ["a.dcm"], {"method": "paper"}).digest != record.digest
-    assert step_digest({"a": "1", "b": "2"}, settings) == step_digest({"b": "2", "a": "1"}, settings)
-    assert step_digest({"a": "1", "b": "3"}, settings) != step_digest({"b": "2", "a": "1"}, settings)
+    assert step_digest({"a": "1", "b": "2"}, settings, "1") == step_digest({"b": "2", "a": "1"}, settings, "1")
+    assert step_digest({"a": "1", "b": "3"}, settings, "1") != step_digest({"b": "2", "a": "1"}, settings, "1")
     write_json(output, {"value": 2})
     assert not is_current(bare, "estimate", record)
     assert changed_outputs(bare, "estimate") == ("results/estimate.json",)
@@ -149,10 +150,10 @@ def test_a_damaged_record_only_means_redoing(bare, text):
     assert is_current(bare, "track", StepRecord(digest="11"))
 
 
-def test_the_version_is_part_of_the_digest(monkeypatch):
-    before = step_digest({}, {})
-    monkeypatch.setattr("spinestiff.subject.run_record.program", lambda: "another")
-    assert step_digest({}, {}) != before
+def test_the_program_is_part_of_the_digest(bare):
+    assert step_digest({}, {}, "1") != step_digest({}, {}, "2")
+    assert step_record(bare, [], {}, "another").program == "another"
+    assert step_record(bare, [], {}).program == program()
 
 
 CHANGES = {

@@ -48,7 +48,10 @@ def seven(
         Path | None, typer.Option(help="Where the page goes, pictures beside it in images/; default DIR/study.md.")
     ] = None,
     page_only: Annotated[
-        bool, typer.Option("--page-only", help="Write the page from what is there, run nothing.")
+        bool,
+        typer.Option(
+            "--page-only", help="Write the page from the outcomes that are there, whichever program's; run nothing."
+        ),
     ] = False,
     json: Annotated[bool, typer.Option("--json", help="Print errors by subject as a JSON list.")] = False,
 ) -> None:
@@ -58,14 +61,16 @@ def seven(
     from spinestiff.files import trouble
     from spinestiff.parallel import threads
     from spinestiff.study.report.seven_page import check_page, write_page
+    from spinestiff.study.seven.account import found_by, time_goal
     from spinestiff.study.seven.campaign import run_study
     from spinestiff.study.seven.goals import errors_of, goals
     from spinestiff.study.seven.participants import others as thirty
     from spinestiff.study.seven.participants import seven as those_seven
-    from spinestiff.study.seven.subject import known_outcome, study_subject, usable_folder
+    from spinestiff.study.seven.subject import stored_outcome, study_subject, usable_folder
     from spinestiff.study.seven.tables import paper_tables
     from spinestiff.study.visit import Settings
     from spinestiff.subject.lock import sole_run
+    from spinestiff.subject.program import program_of_numbers
 
     settings = Settings(mesh=mesh)
     place = page or folder / "study.md"
@@ -82,22 +87,25 @@ def seven(
             raise SubjectError(f"{folder}: can't be written ({trouble(problem)})") from None
         with sole_run(folder), live([one.name for one in wanted]) as on_line:
             failures = run_study(folder, wanted, settings, on_line, workers or threads(), way).failures
-    first = [known_outcome(folder, one, settings) for one in those_seven()]
-    further = [found for one in thirty() if (found := known_outcome(folder, one, settings)) is not None]
+    first = [stored_outcome(folder, one, settings) for one in those_seven()]
+    further = [found for one in thirty() if (found := stored_outcome(folder, one, settings)) is not None]
     there = further if others else [found for found in first if found is not None]
     if page_only and not further and not any(first):
         raise SubjectError(
-            f"{folder}: has no outcome of a study with --mesh {mesh} by this version and these sources; wanted the "
-            "folder of a run of spinestiff study seven, nothing was written"
+            f"{folder}: has no outcome of a study with --mesh {mesh} and these subjects; wanted the folder of a run of "
+            "spinestiff study seven, nothing was written"
         )
-    written = write_page(folder, place, first, further, settings)
+    written = write_page(folder, place, first, further, settings, lambda line: typer.echo(f"warning: {line}", err=True))
+    # Beside JSON, not in it.
+    typer.echo(found_by(there, program_of_numbers()), err=json)
     if json:
         tables.show_json([errors_of(found) for found in there])
     else:
         if not others:
             for table in paper_tables(first):
                 tables.show(tables.paper_table(table), WIDE)
-        tables.show(tables.goals_table(goals(there), f"Goals, {len(there)} of {len(wanted)} subjects"))
+        judged = goals(there) if others else (*goals(there), time_goal(there))
+        tables.show(tables.goals_table(judged, f"Goals, {len(there)} of {len(wanted)} subjects"))
         typer.echo(f"page: {written}")
     if failures:
         name, cause = next(iter(failures.items()))

@@ -15,7 +15,7 @@ from spinestiff.cohort.hierarchy import hierarchy
 from spinestiff.cohort.row import Row
 from spinestiff.cohort.statistics import Shrunken, StiffnessStatistics, counted_rows
 from spinestiff.study.report.figures import FIT, MEASURED, STYLE, plain_ticks
-from spinestiff.study.wording import HALF_WIDTH_95
+from spinestiff.subject.outcome_parts import HALF_WIDTH_95
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

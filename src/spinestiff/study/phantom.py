@@ -36,7 +36,8 @@ from spinestiff.mechanics.supports import Supports
 from spinestiff.mechanics.terms import PointSprings
 from spinestiff.study.judgement import LIMITS
 from spinestiff.study.refits import converged
-from spinestiff.study.wording import HALF_WIDTH_95, fixed, number
+from spinestiff.study.wording import fixed, number
+from spinestiff.subject.outcome_parts import HALF_WIDTH_95
 from spinestiff.subject.phantom_record import CORNERS_FILE, PHANTOM_FILE, FrameRecord, JointRecord, PhantomRecord
 from spinestiff.subject.record_reading import read_record
 

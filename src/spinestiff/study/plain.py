@@ -9,9 +9,8 @@ import numpy as np
 from spinestiff.anatomy.stiffness import NMM_PER_NM, ParameterGroup, StiffnessRatios
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
-from spinestiff.study.wording import HALF_WIDTH_95
 from spinestiff.subject.estimate_outcome import PlainStiffness, RatioEstimate
-from spinestiff.subject.outcome_parts import Quantity
+from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Quantity
 
 
 def plain_stiffness(

@@ -22,6 +22,7 @@ from spinestiff.observer import Observer, heard
 from spinestiff.study import steps as step_functions
 from spinestiff.study.summary import ASSESSMENT_FILE, ESTIMATE_FILE
 from spinestiff.study.visit import Visit
+from spinestiff.subject.program import program, program_of_numbers
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
 from spinestiff.subject.run_record import (
     StepRecord,
@@ -72,6 +73,7 @@ class Step:
     results : of earlier steps, by file name. outputs : file names.
     also : steps whose outputs it shows if they are up to date, and does without otherwise.
     settings : what of the visit's settings it follows.
+    tells : it makes pages or pictures, too, so that it is redone when what they are made by changed.
     """
 
     run: Callable[[Visit, Observer], None]
@@ -81,6 +83,12 @@ class Step:
     outputs: Callable[[Visit], tuple[str, ...]]
     settings: Callable[[Visit], dict[str, Any]] = lambda visit: {}
     also: tuple[str, ...] = ()
+    tells: bool = False
+
+    def record(self, visit: Visit) -> StepRecord:
+        """How it would come about now. Raises SubjectError if an input can't be read."""
+        made_by = program() if self.tells else program_of_numbers()
+        return step_record(visit.subject, self.inputs(visit), self.settings(visit), made_by)
 
     def inputs(self, visit: Visit) -> list[str]:
         """Names of all inputs, relative to the subject folder."""
@@ -116,6 +124,7 @@ ALL_STEPS: Mapping[str, Step] = {
         ("push",),
         ("tracked.json",),
         lambda visit: ("frames.json", "frames.png"),
+        tells=True,
     ),
     "response": Step(
         step_functions.response_step,
@@ -165,6 +174,7 @@ ALL_STEPS: Mapping[str, Step] = {
         ("tracked.json", *SHAPE, "estimate.json"),
         lambda visit: ("sensitivity.json", "sensitivity.png"),
         _mesh,
+        tells=True,
     ),
     "assess": Step(
         step_functions.assess_step,
@@ -187,6 +197,7 @@ ALL_STEPS: Mapping[str, Step] = {
         lambda visit: ("report.html", "view.html"),
         _truth,
         also=("sensitivity", "plan"),
+        tells=True,
     ),
     "view": Step(
         step_functions.view_step,
@@ -194,6 +205,7 @@ ALL_STEPS: Mapping[str, Step] = {
         (),
         ("tracked.json", *SHAPE, "estimate.json", "predictions.npz"),
         lambda visit: ("view.html",),
+        tells=True,
     ),
 }
 """Every step, in the order in which they run."""
@@ -234,7 +246,7 @@ def run_steps(
             continue
         for result in step.results:
             _refuse_stale(visit, result)
-        record = step_record(visit.subject, step.inputs(visit), step.settings(visit))
+        record = step.record(visit)
         if not force and is_current(visit.subject, name, _as_compared(visit, name, record)):
             say(f"{name}: up to date")
             continue
@@ -246,7 +258,7 @@ def run_steps(
             say(f"{name}: {changed} is not as it was written; made again")
         # The report writes the view on its way.
         view = known["view"]
-        along = step_record(visit.subject, view.inputs(visit), view.settings(visit)) if name == "report" else None
+        along = view.record(visit) if name == "report" else None
         with logged_step(name):
             began = time.perf_counter()
             step.run(visit, lambda line, name=name: say(f"{name}: {line}"))  # type: ignore[misc]
@@ -278,7 +290,9 @@ def _as_compared(visit: Visit, name: str, record: StepRecord) -> StepRecord:
     if visit.truth is not None or last is None or "truth" not in record.settings:
         return record
     settings = {**record.settings, "truth": last.settings.get("truth")}
-    return record.model_copy(update={"settings": settings, "digest": step_digest(record.inputs, settings)})
+    return record.model_copy(
+        update={"settings": settings, "digest": step_digest(record.inputs, settings, record.program)}
+    )
 
 
 def _refuse_stale(visit: Visit, result: str) -> None:

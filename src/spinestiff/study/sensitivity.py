@@ -28,7 +28,7 @@ from spinestiff.study.refits import Basis, basis_of, converged
 from spinestiff.study.trials import fit_pushes
 from spinestiff.study.visit import Visit, has_start, pushes_on, torso_on
 from spinestiff.subject.geometry_outcome import GeometryRecord
-from spinestiff.subject.program import program
+from spinestiff.subject.program import program_of_numbers
 from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import read_outcome, recorded_steps, write_outcome
 from spinestiff.subject.sensitivity_outcome import Change, Refit, Sensitivity, Series
@@ -110,7 +110,9 @@ def _shown(case: Case) -> str:
 def _digest(visit: Visit) -> str:
     """Of the estimate, the mesh and the program: refits of another estimate, or by other code, are none of this one."""
     made = recorded_steps(visit.subject)["estimate"]
-    return hashlib.sha256(json_text([made.digest, made.outputs, visit.settings.mesh, program()]).encode()).hexdigest()
+    return hashlib.sha256(
+        json_text([made.digest, made.outputs, visit.settings.mesh, program_of_numbers()]).encode()
+    ).hexdigest()
 
 
 def _earlier(visit: Visit, digest: str) -> tuple[Refit, ...]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from spinestiff.anatomy.regions import AT
 from spinestiff.subject.assessment_outcome import HeldOutFrame
 from spinestiff.subject.estimate_outcome import BudgetRecord, CombinationRecord, Estimate
-from spinestiff.subject.outcome_parts import Determination, Quantity
+from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Determination, Quantity
 from spinestiff.subject.outcomes import AngleResponse, Flexibility, PushResponse, Responses
 
 MISSING = "not available"
@@ -20,7 +20,6 @@ SURE = 0.05
 
 OFF_LINE = 2.0
 """Scatter about a straight line, in errors, that is worth a word."""
-HALF_WIDTH_95 = 1.96
 LEAST_EXPONENT = 0.1
 """Of a ratio in a combination that is worth its name."""
 

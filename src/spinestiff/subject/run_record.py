@@ -116,16 +116,28 @@ def input_digest(subject: Subject, name: str) -> str:
     return file_digest(subject.folder / name)
 
 
-def step_digest(inputs: Mapping[str, str], settings: Mapping[str, Any]) -> str:
-    """One hash of all that a step depends on: its inputs' hashes, its settings and this program."""
-    parts = {"inputs": dict(inputs), "settings": dict(settings), "version": program()}
+def step_digest(inputs: Mapping[str, str], settings: Mapping[str, Any], made_by: str) -> str:
+    """One hash of all that a step depends on: its inputs' hashes, its settings and the program that does it."""
+    parts = {"inputs": dict(inputs), "settings": dict(settings), "version": made_by}
     return hashlib.sha256(json_text(parts).encode()).hexdigest()
 
 
-def step_record(subject: Subject, inputs: Iterable[str], settings: Mapping[str, Any]) -> StepRecord:
-    """The record of a step that is about to run. Raises SubjectError if an input can't be read."""
-    hashes = {name: input_digest(subject, name) for name in sorted(inputs)}
-    return StepRecord(digest=step_digest(hashes, settings), inputs=hashes, settings=dict(settings), program=program())
+def step_record(
+    subject: Subject, inputs: Iterable[str], settings: Mapping[str, Any], made_by: str | None = None
+) -> StepRecord:
+    """The record of a step that is about to run.
+
+    Parameters
+    ----------
+    made_by : the program that does it; None: ``subject.program.program``, of a step that makes pages or pictures.
+
+    Raises
+    ------
+    SubjectError : an input can't be read.
+    """
+    hashes, made_by = {name: input_digest(subject, name) for name in sorted(inputs)}, made_by or program()
+    digest = step_digest(hashes, settings, made_by)
+    return StepRecord(digest=digest, inputs=hashes, settings=dict(settings), program=made_by)
 
 
 def record_step(subject: Subject, step: str, record: StepRecord, outputs: Iterable[Path], seconds: float = 0.0) -> None:

@@ -37,8 +37,9 @@ class SubjectOutcome(Outcome):
 
     Attributes
     ----------
-    program : that found it (``subject.program``). settings : digest of recipe and settings, so that what is there need
-        not be redone.
+    program : that found it (``subject.program_of_numbers``). settings : digest of recipe and settings, so that what is
+        there need not be redone.
+    date : on which it was found, YYYY-MM-DD (UTC); None: by a program that did not note it.
     mesh : of the estimate.
     name, age, sex, height_cm, curve, force_n : as made, the force above 0 towards left curvature.
     cobb_deg : truth at rest. change_deg : of the largest force, signed.
@@ -48,14 +49,16 @@ class SubjectOutcome(Outcome):
     initial_mm : corner RMSE in the unloaded frame of the main push. rest_cobb_deg : measured in the frontal rest
         radiograph, with the estimator's torso at rest beside it.
     training_mm : corner RMSE of "default" and "fit" in the training frames.
-    gradient : Table 3's, by parameter, at the default.
-    force_percent : Table 7's, by ratio. missing : what of the tables could not be found, a line each with its reason.
+    gradient : Table 3's, by parameter, at the default, on the coarse mesh.
+    force_percent : Table 7's, by ratio, on the coarse mesh.
+    missing : what of the tables could not be found, a line each with its reason.
     frames : held out.
     seconds : by step; without "make" where an earlier run had made the subject.
     """
 
     program: str
     settings: str
+    date: str | None = None
     mesh: Literal["coarse", "fine"]
     name: str
     age: float

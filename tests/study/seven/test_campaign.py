@@ -15,7 +15,7 @@ from spinestiff.study.seven.campaign import AGAIN, ENDED, run_study
 from spinestiff.study.seven.participants import seven
 from spinestiff.study.seven.subject import result_file
 from spinestiff.study.visit import Settings
-from spinestiff.subject.program import program
+from spinestiff.subject.program import program_of_numbers
 from study_runners import made, one_killed, unforeseen
 
 SETTINGS = Settings(mesh="coarse")
@@ -57,7 +57,7 @@ def test_what_is_there_is_not_made_again(tmp_path):
 def test_what_was_made_otherwise_is_made_again(tmp_path):
     run(tmp_path, 1)
     path = result_file(tmp_path, FIRST[0])
-    path.write_text(path.read_text().replace(program(), "0.0.1+another"))
+    path.write_text(path.read_text().replace(program_of_numbers(), "0.0.1+another"))
     result_file(tmp_path, FIRST[2]).write_text("{")
     _, lines = run(tmp_path, 1)
     assert ("subject-1", "making") in lines and ("subject-3", "making") in lines
@@ -69,9 +69,9 @@ def test_what_was_made_otherwise_is_made_again(tmp_path):
 
 def test_what_other_sources_of_the_same_version_made_is_made_again(tmp_path, monkeypatch):
     run(tmp_path, 1)
-    version = program().partition("+")[0]
+    version = program_of_numbers().partition("+")[0]
     for module in ("spinestiff.study.seven.subject", "study_runners"):
-        monkeypatch.setattr(f"{module}.program", lambda: f"{version}+another")
+        monkeypatch.setattr(f"{module}.program_of_numbers", lambda: f"{version}+another")
     found, lines = run(tmp_path, 1)
     assert ("subject-1", "making") in lines and ("subject-3", "making") in lines
     assert found.outcomes["subject-1"].program == f"{version}+another"

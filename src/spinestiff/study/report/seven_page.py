@@ -9,29 +9,39 @@ from pathlib import Path
 
 import numpy as np
 
-from spinestiff import __version__
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
-from spinestiff.errors import SubjectError
+from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.files import write_bytes, write_text
 from spinestiff.imaging.features import silhouette_shares, state_features, target_features, vertebra_rows
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.synthetic.path_length import path_length
 from spinestiff.imaging.synthetic.rendering import coarser
+from spinestiff.observer import Observer
 from spinestiff.personalise.pose import align_view
 from spinestiff.study.predictions import Predictions
 from spinestiff.study.report.figures import as_png
 from spinestiff.study.report.seven_pictures import Shot, draw_models, draw_sequence
-from spinestiff.study.seven.page import Picture, page_text
+from spinestiff.study.seven.page import Picture, Pictures, page_text
+from spinestiff.study.seven.paper import SUBJECTS
 from spinestiff.study.seven.participants import MAIN, STEPS
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.visit import Settings, Visit, open_visit
+from spinestiff.study.wording import listed
 from spinestiff.subject.folder import image_corners, read_push, read_rest
+from spinestiff.subject.program import program_of_numbers
 from spinestiff.subject.study_outcome import SubjectOutcome
 
-FIRST_FIGURE = 4  # subjects in Fig. 4; the others are in Fig. 5
+_MODELS = "Models over radiographs and corners: at rest, default, estimate"
+SEQUENCE_FIGURE = "2"
+FIGURES = {
+    SEQUENCE_FIGURE: (range(1, len(SUBJECTS) + 1), "Tracked corners under rising force"),
+    "4": (range(1, 5), _MODELS),
+    "5": (range(5, len(SUBJECTS) + 1), _MODELS),
+}
+"""Subjects by number and words of each figure, by the paper's number; Fig. 2 shows the first of them that is there."""
 SHADOW_STEP, BONE_MM = 4, 25.0  # pixels of a shadow's pixel; path length that is drawn as solid
 LEFT_OUT = ("humerus", "clavicle", "scapula", "sternum")
 SEQUENCE = (0.0, 0.5, 1.0)  # shares of a push in Fig. 2
@@ -44,45 +54,54 @@ def check_page(page: Path) -> None:
 
 
 def write_page(
-    folder: Path, page: Path, first: Sequence[SubjectOutcome | None], further: Sequence[SubjectOutcome], asked: Settings
+    folder: Path,
+    page: Path,
+    first: Sequence[SubjectOutcome | None],
+    further: Sequence[SubjectOutcome],
+    asked: Settings,
+    say: Observer,
 ) -> Path:
-    """Write the page, and its pictures into ``images`` beside it; pictures of the subjects that there are.
+    """Write the page, and its pictures into ``images`` beside it.
+
+    The page needs the outcomes alone. A subject whose folder is not there, or not as its run left it, is in no picture;
+    a picture in which nobody would be stays as an earlier page left it. The page says both.
 
     Parameters
     ----------
     folder : of the study. first : the seven, None where there is no outcome. further : the others that there are.
+    say : is told why a subject could not be drawn.
 
     Raises
     ------
-    SubjectError : a subject's folder is not as its outcome has it, or something can't be written.
+    SubjectError : something can't be written.
     """
-    pictures, images = list[Picture](), page.parent / "images"
-    there = [one for one in first if one is not None]
-    if there:
-        visits = [open_visit(folder / one.name, asked) for one in there]
-        found = [_shots(visit) for visit in visits]
-        figures = [
-            ("study-figure-2", draw_sequence(found[0][0]), f"Tracked corners of {there[0].name} under rising force")
-        ]
-        numbered = [
-            (number, shots)
-            for number, one in enumerate(first)
-            if one is not None
-            for shots in [found[there.index(one)][1]]
-        ]
-        for name, rows in (
-            ("study-figure-4", [row for row in numbered if row[0] < FIRST_FIGURE]),
-            ("study-figure-5", [row for row in numbered if row[0] >= FIRST_FIGURE]),
-        ):
-            if rows:
-                drawn = draw_models([(f"# {number + 1}", shots) for number, shots in rows])
-                figures.append((name, drawn, "Models over radiographs and corners: at rest, default, estimate"))
-        for name, figure, words in figures:
-            write_bytes(images / f"{name}.png", as_png(figure))
-            number = name.rpartition("-")[2]
-            pictures.append(Picture(number, os.path.relpath(images / f"{name}.png", page.parent), words))
+    images, shots, undrawn = page.parent / "images", dict[int, tuple[list[Shot], list[Shot]]](), list[str]()
+    for number, one in enumerate(first, 1):
+        if one is not None:
+            try:
+                shots[number] = _shots(open_visit(folder / one.name, asked))
+            except SpinestiffError as error:
+                undrawn.append(one.name)
+                say(f"{one.name} is in no picture: {error}")
+    shown, kept = list[Picture](), list[str]()
+    for figure, (numbers, words) in FIGURES.items():
+        path = images / f"study-figure-{figure}.png"
+        there = [one for one in numbers if one in shots][: 1 if figure == SEQUENCE_FIGURE else None]
+        if there:
+            if figure == SEQUENCE_FIGURE:
+                drawn = draw_sequence(shots[there[0]][0])
+            else:
+                drawn = draw_models([(f"# {one}", shots[one][1]) for one in there])
+            write_bytes(path, as_png(drawn))
+            words = f"{words} ({listed(f'# {one}' for one in there)})"
+        elif path.is_file() and any(first[one - 1] is not None for one in numbers):
+            kept.append(figure)
+        else:
+            continue
+        shown.append(Picture(figure, os.path.relpath(path, page.parent), words))
+    pictures = Pictures(tuple(shown), tuple(kept), tuple(undrawn))
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    write_text(page, page_text(first, further, pictures, today, __version__, asked.mesh))
+    write_text(page, page_text(first, further, pictures, today, program_of_numbers(), asked.mesh))
     return page
 
 

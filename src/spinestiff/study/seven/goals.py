@@ -19,6 +19,11 @@ from spinestiff.subject.study_outcome import FrameOutcome, SubjectOutcome
 
 RMSE_MM, SHARE, COBB_MEAN_DEG, COBB_WORST_DEG = 3.3, 1 / 3, 2.9, 5.0
 INSIDE = (0.90, 0.99)
+COBB_FORMS = {
+    "fixed_levels": "between fixed levels",
+    "signed": "as signed largest angle (the paper's form, its Table 6)",
+}
+"""Forms of the Cobb angle's change that are judged, in words."""
 PUSHES = {MAIN: "the same rib", OTHER_LEVEL: "another rib", OTHER_SIDE: "the other side"}
 Form = str
 
@@ -83,37 +88,48 @@ def medians(errors: Errors, frames: Sequence[FrameOutcome], *predictors: str) ->
     return tuple(median([one[0] for one in column]) for column in zip(*common)) or (None,) * len(predictors)
 
 
-def coverage(outcomes: Sequence[SubjectOutcome]) -> float | None:
-    """Share of held-out corner coordinates inside their 95 % intervals, mean over all held-out frames."""
-    return mean([frame.inside95 for one in outcomes for frame in one.frames if frame.inside95 is not None])
+def coverage(frames: Sequence[FrameOutcome]) -> float | None:
+    """Share of held-out corner coordinates inside their 95 % intervals, mean over the frames."""
+    return mean([frame.inside95 for frame in frames if frame.inside95 is not None])
 
 
 def goals(outcomes: Sequence[SubjectOutcome]) -> tuple[Goal, ...]:
-    """All of them, for these subjects."""
+    """All but that of time (``account.time_goal``), for these subjects.
+
+    The Cobb angle's goals are judged in two forms, the paper's among them, and the intervals' at each place as well.
+    """
     main = frames_of(outcomes, MAIN)
     fit, default = mean(places(main, "fit")), mean(places(main, "default"))
     share = None if fit is None or not default else fit / default
-    errors = cobb_errors(main, "fit")
-    initial, inside = mean([one.initial_mm for one in outcomes]), coverage(outcomes)
+    initial = mean([one.initial_mm for one in outcomes])
     found = [
         _goal("geometry's RMSE at rest, mean", f"{INITIAL_RMSE_MM} ± {INITIAL_RMSE_SPREAD_MM} mm", initial, " mm", 2,
               lambda v: abs(v - INITIAL_RMSE_MM) <= INITIAL_RMSE_SPREAD_MM),
         _goal("RMSE of the validation frame, mean", f"≤ {RMSE_MM} mm", fit, " mm", 2, lambda v: v <= RMSE_MM),
         _goal("the same over the default's", "≤ 1/3", share, "", 2, lambda v: v <= SHARE),
-        _goal("error of the Cobb angle's change, mean", f"≤ {COBB_MEAN_DEG}°", mean(errors), "°", 1,
-              lambda v: v <= COBB_MEAN_DEG),
-        _goal("the same, worst", f"≤ {COBB_WORST_DEG:g}°", max(errors, default=None), "°", 1,
-              lambda v: v <= COBB_WORST_DEG),
-        _goal("held-out corners inside their 95 % intervals", "90 to 99 %", None if inside is None else 100 * inside,
-              " %", 1, lambda v: INSIDE[0] <= v / 100 <= INSIDE[1]),
     ]  # fmt: skip
+    for form, words in COBB_FORMS.items():
+        errors, name = cobb_errors(main, "fit", form), f"error of the Cobb angle's change {words}"
+        found += [
+            _goal(f"{name}, mean", f"≤ {COBB_MEAN_DEG}°", mean(errors), "°", 1, lambda v: v <= COBB_MEAN_DEG),
+            _goal(f"{name}, worst", f"≤ {COBB_WORST_DEG:g}°", max(errors, default=None), "°", 1,
+                  lambda v: v <= COBB_WORST_DEG),
+        ]  # fmt: skip
+    groups = {"all held-out frames": [frame for one in outcomes for frame in one.frames]}
+    for where, frames in (groups | {words: frames_of(outcomes, push) for push, words in PUSHES.items()}).items():
+        inside = coverage(frames)
+        found.append(
+            _goal(f"corners inside their 95 % intervals, {where}", "90 to 99 %",
+                  None if inside is None else 100 * inside, " %", 1, lambda v: INSIDE[0] <= v / 100 <= INSIDE[1])
+        )  # fmt: skip
     for push in (OTHER_LEVEL, OTHER_SIDE):
         frames = frames_of(outcomes, push)
+        motion = f"median RMSE of the motion at {PUSHES[push]}, estimate against"
         found += [
             _below(f"median RMSE at {PUSHES[push]}, forecast against tracking extrapolated by force",
                    *medians(places, frames, "forecast", "extrapolation")),
-            _below(f"median RMSE of the motion at {PUSHES[push]}, estimate against a single ratio",
-                   *medians(motions, frames, "fit", "single_ratio")),
+            _below(f"{motion} tracking extrapolated by force", *medians(motions, frames, "fit", "extrapolation")),
+            _below(f"{motion} a single ratio", *medians(motions, frames, "fit", "single_ratio")),
         ]  # fmt: skip
     return tuple(found)
 
@@ -121,7 +137,7 @@ def goals(outcomes: Sequence[SubjectOutcome]) -> tuple[Goal, ...]:
 def errors_of(one: SubjectOutcome) -> dict[str, object]:
     """A subject's errors in the validation frame, as JSON; None where there is no such frame.
 
-    The Cobb angle's is that of its change between the end vertebrae of the curve at rest.
+    The Cobb angle's is that of its change between the end vertebrae of the curve at rest, not in the paper's form.
     """
     main = frames_of([one], MAIN)
     errors = {name: mean(cobb_errors(main, name)) for name in ("default", "fit")}

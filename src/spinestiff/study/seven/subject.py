@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import hashlib
 import os
 import shutil
@@ -33,7 +34,7 @@ from spinestiff.study.refits import basis_of
 from spinestiff.study.runner import run_steps
 from spinestiff.study.sensitivity import FORCE, SIGNS, with_force
 from spinestiff.study.seven.geometry_error import GeometryError, steps_with
-from spinestiff.study.seven.participants import HELD_OUT, MAIN, Participant
+from spinestiff.study.seven.participants import HELD_OUT, MAIN, TABLES_MESH, Participant
 from spinestiff.study.spines import curved_spine
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.synthetic import made_by, synthesise, truth_path
@@ -41,7 +42,7 @@ from spinestiff.study.visit import Settings, Visit, open_visit, pushes_on
 from spinestiff.subject.assessment_outcome import Assessment, Comparison, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import image_corners, read_rest
-from spinestiff.subject.program import program
+from spinestiff.subject.program import program_of_numbers
 from spinestiff.subject.records import SUBJECT_FILE
 from spinestiff.subject.run_record import read_outcome, recorded_steps
 from spinestiff.subject.study_outcome import FrameOutcome, SubjectOutcome
@@ -64,8 +65,11 @@ def usable_folder(folder: Path) -> None:
         raise SubjectError(f"{folder}: is a subject folder; a study has subject folders inside, choose another one")
 
 
-def known_outcome(folder: Path, participant: Participant, settings: Settings) -> SubjectOutcome | None:
-    """What an earlier run by this program (``subject.program``) found of this subject with these settings, or None."""
+def stored_outcome(folder: Path, participant: Participant, settings: Settings) -> SubjectOutcome | None:
+    """What an earlier run by whichever program found of this subject with these settings, or None.
+
+    The outcome alone is read, not the subject's folder; it names its program and day, which a page has to tell.
+    """
     path = result_file(folder, participant)
     if not path.is_file():
         return None
@@ -73,7 +77,14 @@ def known_outcome(folder: Path, participant: Participant, settings: Settings) ->
         found = SubjectOutcome.model_validate_json(read_text(path), strict=True)
     except (SpinestiffError, ValueError):
         return None
-    return found if (found.program, found.settings) == (program(), settings_digest(participant, settings)) else None
+    return found if found.settings == settings_digest(participant, settings) else None
+
+
+def known_outcome(folder: Path, participant: Participant, settings: Settings) -> SubjectOutcome | None:
+    """``stored_outcome`` where this program (``subject.program_of_numbers``) would find the same, so that a run need
+    not find it again; else None."""
+    found = stored_outcome(folder, participant, settings)
+    return found if found is not None and found.program == program_of_numbers() else None
 
 
 def settings_digest(participant: Participant, settings: Settings) -> str:
@@ -188,11 +199,12 @@ def _outcome(
     rows = [pushes.torso.vertebrae.index(name) for name in reference.corners.vertebrae]
     largest = int(np.argmax(recipe.pushes[0].shares))
     say("tables: gradient of the paper's objective")
-    coarse = replace(visit, settings=replace(settings, mesh="coarse"))
+    coarse = replace(visit, settings=replace(settings, mesh=TABLES_MESH))
     tissue = estimate.plain["tissue_young"]
     changes, missing = force_changes(coarse, say)
     return SubjectOutcome(
-        program=program(),
+        program=program_of_numbers(),
+        date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         settings=settings_digest(participant, settings),
         mesh=settings.mesh,  # type: ignore[arg-type]
         name=participant.name,

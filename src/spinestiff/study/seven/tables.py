@@ -9,7 +9,7 @@ import numpy as np
 
 from spinestiff.study.parameters import TABLE_3
 from spinestiff.study.seven.paper import SUBJECTS, TABLE_5, TABLE_6, TABLE_7
-from spinestiff.study.seven.participants import MAIN, TISSUE_SCALE
+from spinestiff.study.seven.participants import MAIN, TABLES_MESH, TISSUE_SCALE
 from spinestiff.study.wording import fixed, interval
 from spinestiff.subject.estimate_outcome import RatioEstimate
 from spinestiff.subject.study_outcome import SubjectOutcome
@@ -74,12 +74,12 @@ def _mean(values: Values, absolute: bool) -> float | None:
     return float(np.mean(known)) if known else None
 
 
-def _printed(
-    outcomes: Seven, label: str, whose: str, values: Values, digits: int, absolute: bool = False, sign: bool = False
+def _beside(
+    label: str, printed: Values, ours: Line, digits: int, whose: str = PAPER, absolute: bool = False, sign: bool = False
 ) -> Line:
-    """A line that has a number for every subject, averaged over those whose outcome is there, like ours beside it."""
-    line = _line(label, whose, values, digits, absolute, sign)
-    average = _mean([v for v, one in zip(values, outcomes) if one is not None], absolute)
+    """A line that has a number for every subject, averaged over those for which ours beside it has one, too."""
+    line = _line(label, whose, printed, digits, absolute, sign)
+    average = _mean([v for v, own in zip(printed, ours.values) if own is not None], absolute)
     return replace(line, average=NOTHING if average is None else fixed(average, digits), mean=average)
 
 
@@ -124,8 +124,9 @@ def table_2(outcomes: Seven) -> PaperTable:
             lines.append(_words(label, OURS, [None if one is None else text(one) for one in outcomes]))
         else:
             name, digits, sign, value = numbers[label]
-            lines.append(_printed(outcomes, label, PAPER, [getattr(one, name) for one in SUBJECTS], digits, True, sign))
-            lines.append(_line(label, OURS, _of(outcomes, value), digits, True, sign))
+            ours = _line(label, OURS, _of(outcomes, value), digits, True, sign)
+            printed = [getattr(one, name) for one in SUBJECTS]
+            lines += [_beside(label, printed, ours, digits, absolute=True, sign=sign), ours]
     return PaperTable(2, "Main characteristics of the subjects", _columns(), tuple(lines))
 
 
@@ -133,9 +134,10 @@ def table_3(outcomes: Seven) -> PaperTable:
     """Gradients of the paper's objective."""
     lines = []
     for name, label in GRADIENTS.items():
-        lines.append(_printed(outcomes, label, PAPER, TABLE_3[name], 1, True))
-        lines.append(_line(label, OURS, _of(outcomes, lambda one, name=name: one.gradient[name]), 1, True))  # type: ignore[misc]
-    return PaperTable(3, "Gradient of the objective in six parameters, at the default", _columns(), tuple(lines))
+        ours = _line(label, OURS, _of(outcomes, lambda one, name=name: one.gradient[name]), 1, True)  # type: ignore[misc]
+        lines += [_beside(label, TABLE_3[name], ours, 1, absolute=True), ours]
+    title = f"Gradient of the objective in six parameters, at the default (ours on the {TABLES_MESH} mesh)"
+    return PaperTable(3, title, _columns(), tuple(lines))
 
 
 def table_4(outcomes: Seven) -> PaperTable:
@@ -144,10 +146,10 @@ def table_4(outcomes: Seven) -> PaperTable:
     printed = {"lateral_bending": [one.bending for one in SUBJECTS], "tissue": [one.tissue for one in SUBJECTS]}
     for name, label in RATIOS.items():
         scale = TISSUE_SCALE if name == "tissue" else 1.0
-        lines.append(_printed(outcomes, label, PAPER, printed[name], 2))
-        lines.append(_printed(outcomes, label, TRUTH, [scale * value for value in printed[name]], 3))
         found: list[RatioEstimate | None] = [None if one is None else one.ratios[name] for one in outcomes]
         ours = _line(label, OURS, [None if one is None else one.value for one in found], 3)
+        lines.append(_beside(label, printed[name], ours, 2))
+        lines.append(_beside(label, [scale * value for value in printed[name]], ours, 3, TRUTH))
         lines.append(ours)
         spans = tuple(NOTHING if one is None else interval(one) for one in found)
         lines.append(Line(label, "ours, 95 %", spans, NOTHING))
@@ -161,7 +163,7 @@ def _main(one: SubjectOutcome, predictor: str) -> float | None:
 
 def table_5(outcomes: Seven) -> PaperTable:
     """RMSE."""
-    ours: Mapping[str, Callable[[SubjectOutcome], float | None]] = {
+    found: Mapping[str, Callable[[SubjectOutcome], float | None]] = {
         "Initial pose": lambda one: one.initial_mm,
         "Training poses, default params": lambda one: one.training_mm["default"],
         "Training poses, optimized params": lambda one: one.training_mm["fit"],
@@ -170,7 +172,8 @@ def table_5(outcomes: Seven) -> PaperTable:
     }
     lines = []
     for label, values in TABLE_5.items():
-        lines += [_printed(outcomes, label, PAPER, values, 2), _line(label, OURS, _of(outcomes, ours[label]), 2)]
+        ours = _line(label, OURS, _of(outcomes, found[label]), 2)
+        lines += [_beside(label, values, ours, 2), ours]
     beside = {
         "forecast": "Validation pose, forecast",
         "extrapolation": "Validation pose, tracking extrapolated by force",
@@ -198,13 +201,14 @@ def table_6(outcomes: Seven) -> PaperTable:
     }
     lines = []
     for label, values in TABLE_6.items():
-        lines.append(_printed(outcomes, label, PAPER, values, 0, True, True))
+        ours = []
         if label not in models:
-            lines.append(_line(label, OURS, _of(outcomes, lambda one: one.rest_cobb_deg[0]), 1, True, True))
-            continue
-        for form, words in (("signed", OURS), ("fixed_levels", "ours, fixed levels"), ("tilt", "ours, tilt")):
-            found = _of(outcomes, lambda one, form=form, model=models[label]: _cobb(one, model, form))  # type: ignore[misc]
-            lines.append(_line(label, words, found, 1, True, True))
+            ours.append(_line(label, OURS, _of(outcomes, lambda one: one.rest_cobb_deg[0]), 1, True, True))
+        else:
+            for form, words in (("signed", OURS), ("fixed_levels", "ours, fixed levels"), ("tilt", "ours, tilt")):
+                found = _of(outcomes, lambda one, form=form, model=models[label]: _cobb(one, model, form))  # type: ignore[misc]
+                ours.append(_line(label, words, found, 1, True, True))
+        lines += [_beside(label, values, ours[0], 0, absolute=True, sign=True), *ours]
     return PaperTable(6, "Cobb angle (deg)", _columns(), tuple(lines))
 
 
@@ -212,9 +216,10 @@ def table_7(outcomes: Seven) -> PaperTable:
     """Sensitivity to the force."""
     lines = []
     for name, label in SENSITIVITY.items():
-        lines.append(_printed(outcomes, label, PAPER, TABLE_7[label], 1))
-        lines.append(_line(label, OURS, _of(outcomes, lambda one, name=name: one.force_percent.get(name)), 1))  # type: ignore[misc]
-    return PaperTable(7, "Change of the ratios, %, for 10 % of force", _columns(), tuple(lines))
+        ours = _line(label, OURS, _of(outcomes, lambda one, name=name: one.force_percent.get(name)), 1)  # type: ignore[misc]
+        lines += [_beside(label, TABLE_7[label], ours, 1), ours]
+    title = f"Change of the ratios, %, for 10 % of force (ours on the {TABLES_MESH} mesh)"
+    return PaperTable(7, title, _columns(), tuple(lines))
 
 
 def paper_tables(outcomes: Seven) -> tuple[PaperTable, ...]:
