@@ -105,3 +105,13 @@ def gauged(folder: Path) -> np.ndarray:
             for t, f in zip(times, forces)]  # fmt: skip
     path.write_text("\n".join(["Time (ms);Load (kgf)", *rows]), encoding="utf-8")
     return np.interp(start + np.arange(30) / 4.0, times, forces)
+
+
+def trunk(view: str, shape: tuple[int, int] = SHAPE) -> np.ndarray:
+    """(1, H, W) what a trunk shows, drawn: shoulders, waist and belly, lungs beside a bright band or in one field."""
+    rows, columns = (np.indices(shape) + 0.5) / np.array(shape)[:, None, None] - 0.5
+    width = (0.48 if view == "frontal" else 0.27) * (0.9 + 0.1 * np.cos(4.0 * np.pi * rows))
+    picture = np.sqrt(np.clip(1.0 - (columns / width) ** 2, 0.0, 1.0))
+    for place in (-0.22, 0.22) if view == "frontal" else (0.0,):
+        picture *= 1.0 - 0.6 * np.exp(-(((columns - place) / 0.09) ** 4) - ((rows + 0.1) / 0.2) ** 4)
+    return 4000.0 + 40_000.0 * cv2.GaussianBlur(picture, (0, 0), 1.5)[None]

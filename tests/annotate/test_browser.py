@@ -624,7 +624,7 @@ def test_a_server_that_does_not_answer_is_told_and_tried_again(page):
             f"annotation.change(m => ({{...m, vertebrae: {json.dumps(drawn('rest/frontal').named())}}}), 'filled')"
         )
         page.tab.until("document.getElementById('saved').dataset.state == 'failed'")
-        assert "Not saved: the server does not answer" in page.text("saved")
+        assert "Not saved. The server does not answer" in page.text("saved")
         assert not page.served.session.annotation_path.exists()
     finally:
         page.tab.call("Network.emulateNetworkConditions", offline=False, **offline)

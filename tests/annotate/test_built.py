@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from importlib.resources import files
-from pathlib import Path
 
-SOURCES = Path(__file__).parents[2] / "web" / "annotate"
+from built import WEB, assert_built_from_its_sources, style_sheet
+
 PAGE = files("spinestiff.annotate") / "page"
 
 
@@ -16,17 +15,10 @@ def shipped(name):
 
 
 def test_the_built_page_belongs_to_its_sources():
-    """Whoever changes web/annotate builds it (CONTRIBUTING.md); the hash is that of web/annotate/vite.config.ts."""
-    names = ["index.html", "package.json", "package-lock.json", "tsconfig.json", "vite.config.ts"]
-    names += [f"{folder}/{path.name}" for folder in ("src", "../shared") for path in (SOURCES / folder).iterdir()]
-    digest = hashlib.sha256()
-    for name in sorted(names):
-        digest.update(f"{name}\n".encode() + (SOURCES / name).read_bytes().replace(b"\r\n", b"\n"))
-    assert len(names) > 10
-    (recorded,) = re.findall(r"^sources sha256 ([0-9a-f]{64})$", shipped("annotate.js"), re.MULTILINE)
-    assert recorded == digest.hexdigest(), "run npm ci && npm run build in web/annotate"
-    assert shipped("index.html") == (SOURCES / "index.html").read_text(encoding="utf-8")
-    assert shipped("annotate.css") == (SOURCES / "src" / "annotate.css").read_text(encoding="utf-8")
+    """Whoever changes web/annotate or web/shared builds it (CONTRIBUTING.md)."""
+    assert_built_from_its_sources("annotate", shipped("annotate.js"))
+    assert shipped("index.html") == (WEB / "annotate/index.html").read_text(encoding="utf-8")
+    assert shipped("annotate.css") == style_sheet("annotate")
 
 
 def test_nothing_is_inline_and_nothing_of_another_host():

@@ -68,6 +68,19 @@ def bytes_of(folder):
     return {name: (folder / name).read_bytes() for name in files_of(folder)}
 
 
+def table_of(text):
+    """What the printed table tells of each file, by its name; it is 80 characters wide at most."""
+    _, head, _, *lines = text.partition("subject: ")[0].splitlines()
+    assert max(map(len, lines)) <= 80
+    name, words = slice(head.index("frames")), slice(head.index("becomes"), None)
+    told = []
+    for line in lines:
+        if re.search(r"^(rest, |push |left out)[^:]*: ", line[words]):
+            told.append(("", ""))
+        told[-1] = (told[-1][0] + line[name].rstrip(), f"{told[-1][1]} {line[words].strip()}")
+    return dict(told)
+
+
 def test_a_disc_and_a_table_make_a_subject_that_steps_take(spinestiff, tmp_path, source, table):
     before = bytes_of(source)
     out = tmp_path / "girl"
@@ -95,7 +108,7 @@ def test_a_disc_and_a_table_make_a_subject_that_steps_take(spinestiff, tmp_path,
 
 def test_every_file_is_in_the_table_with_its_reason_and_nobody_is_named(spinestiff, tmp_path, source, table):
     done = spinestiff("init", tmp_path / "girl", source, "--pushes", table, *PERSON)
-    told = {re.split(r" {2,}", line)[0]: line for line in done.out.splitlines()}
+    told = table_of(done.out)
     for name, words in (
         ("DICOM/PA000001/ST000001/SE000003/IM000001", "rest, frontal"),
         ("DICOM/PA000001/ST000001/SE000004/IM000001", "rest, lateral"),
@@ -159,7 +172,7 @@ def test_two_patients_are_refused_and_one_can_be_chosen(spinestiff, tmp_path, so
     assert "P2" not in done.out + done.err
     done = spinestiff("init", out, source, "--study", "B1")
     assert done.status == 0 and len(files_of(out)) == 5
-    assert "another study than asked for" in done.out
+    assert "left out: another study than asked for" in table_of(done.out)["A1 (1 file: 1 frontal; other/I1)"]
 
 
 def test_no_radiograph_of_two_discs_with_the_same_names_is_lost(spinestiff, tmp_path):

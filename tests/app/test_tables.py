@@ -12,11 +12,14 @@ import pytest
 from spinestiff import versions
 from spinestiff.app import doctor, tables
 from spinestiff.mechanics.factor import default_backend
+from spinestiff.study.repeatability import Repeatability, Scatter
+from spinestiff.study.seven.tables import paper_tables
 from spinestiff.subject.assessment_outcome import HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate, PlainStiffness, RatioEstimate
 from spinestiff.subject.outcomes import FrameProposal
 from spinestiff.subject.program import program
 from spinestiff.verification.outcome import Check
+from study_outcomes import outcome
 
 NAN = float("nan")
 RATIOS = {
@@ -45,9 +48,10 @@ ASSESSMENT = {
 
 
 @pytest.fixture
-def printed(capsys):
+def printed(capsys, monkeypatch):
     def show(table, width=120):
-        tables.show(table, width)
+        monkeypatch.setattr(tables, "WIDTH", width)
+        tables.show(table)
         return capsys.readouterr().out
 
     return show
@@ -99,6 +103,13 @@ def test_assessment(printed):
     assert "truth" not in text and "pol." not in text
     whole = {**ASSESSMENT, "rmse_mm": {**ASSESSMENT["rmse_mm"], "truth": 1.5}}
     assert "truth" in printed(tables.assessment_table([HeldOutFrame.model_validate(whole)]))
+
+
+def test_repeatability(printed):
+    scatter = Scatter(0.0123, 0.0101, 0.0456, 5, 0.0111, 1.1, 1.2, 0.5, 0)
+    text = printed(tables.repeatability_table(Repeatability("visits", {"lateral_bending": scatter}, (), ())), 80)
+    assert re.search(r"smallest *\n.*\bchange +expected", text) and "lateral bending" in text
+    assert row_of(text, "lateral bending")[1:] == ["0.012", "0.010 to 0.046", "0.011", "× 1.1", "× 1.2", "0.5"]
 
 
 def test_cobb(printed):
@@ -173,11 +184,51 @@ def test_tables_fit_eighty_characters_without_losing_a_character(printed, push):
         (tables.check_table([Check("A1 " + 9 * "long name ", "independent", 1e-12, 1e-9, True)]), ("1.0e-12", "1e-09")),
     ]
     for table, whole in shown:
-        text = printed(table, tables.WIDTH)
+        text = printed(table, 80)
         assert "…" not in text
-        assert max(len(line.rstrip()) for line in text.splitlines()) <= tables.WIDTH
+        assert max(len(line.rstrip()) for line in text.splitlines()) <= 80
         for words in whole:
             assert words in text, (words, text)
+
+
+def test_the_paper_s_tables_come_in_parts_where_a_line_is_too_short_for_all_subjects(capsys, monkeypatch):
+    """No cell is broken, and each part has the labels of all lines."""
+
+    def parts(table, width):
+        monkeypatch.setattr(tables, "WIDTH", width)
+        tables.show_paper_table(table)
+        text = capsys.readouterr().out
+        assert max(len(line.rstrip()) for line in text.splitlines()) <= width
+        assert "…" not in text
+        return text.split(f"Table {table.number}: ")[1:]
+
+    columns = [f"# {number}" for number in range(1, 8)] + ["average"]
+    several = {2: 2, 4: 3, 6: 2}
+    for table in paper_tables([outcome(number) for number in range(1, 8)]):
+        narrow = parts(table, 80)
+        assert len(narrow) == several.get(table.number, 1)
+        assert [head for part in narrow for head in re.findall(r"# \d|average", part)] == columns
+        for part in narrow:
+            assert [part.count(whose) for whose in ("paper", "ours")] == [
+                sum(line.whose.startswith(whose) for line in table.lines) for whose in ("paper", "ours")
+            ]
+        words = "\n".join(narrow)
+        for line in table.lines:
+            assert all(cell in words for cell in (*line.cells, line.average))
+        assert len(parts(table, 160)) == 1
+
+
+@pytest.mark.parametrize(
+    ("path", "lines"),
+    [
+        ("IM1", ["IM1"]),
+        ("DICOM/PA000001/ST000001/SE000003/IM000001", ["DICOM/PA000001/ST000001/", "SE000003/IM000001"]),
+        ("a" * 30 + "/b", ["a" * 30 + "/", "b"]),
+        ("two words/and a file of a very long name", ["two words/", "and a file of a very long name"]),
+    ],
+)
+def test_a_path_is_broken_behind_its_folders(path, lines):
+    assert tables.broken(path).split("\n") == lines
 
 
 def test_names_from_files_are_no_markup(printed):

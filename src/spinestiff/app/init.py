@@ -40,11 +40,9 @@ from spinestiff.words import counted
 
 SHOWN_ALONE = 3
 """Files of a folder that are left out for one reason: more share a row."""
+LEFT_OUT = "left out"
 WORTH_TELLING_N = 3.0
 """What the prior of a force's offset covers at 95 % (``estimation.priors``)."""
-
-WIDE = 160
-"""Characters of the table of files where nobody looks at it: names are not broken."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +105,7 @@ def make_subject(out: Path, sources: Sequence[Path], asked: Asked) -> None:
     data = making.subject_data(identifier, sorting)
     notes = making.fill(data, asked.given)
     making.name_pushes(data, sorting)
-    tables.show(_table(sorting, [push["id"] for push in data["pushes"]], chosen, refused, others), WIDE)
+    tables.show(_table(sorting, [push["id"] for push in data["pushes"]], chosen, refused, others))
     told, lines = making.person_of(chosen)
     notes += lines
     making.fill(data, Given({key: value for key, value in told.items() if key not in asked.given.person}))
@@ -290,26 +288,27 @@ def _table(
     others: Sequence[Study],
 ) -> Table:
     """Every file, what it becomes and why; ``names`` are those of the pushes."""
-    made = tables.table("Radiographs", "file", "frames", "time s", "becomes", "why", left=("becomes", "why"))
-    for column in made.columns:
-        column.overflow = "fold"
+    made = tables.table("Radiographs", "file", "frames", "time s", "becomes", left=("becomes",))
+
+    def add(name: str, frames: str, time: str, use: str, why: str) -> None:
+        made.add_row(escape(tables.broken(name)), frames, time, escape(f"{use}: {why}"))
+
     becomes = uses_of(sorting, names)
     moments = [one.tags.moment for one in chosen if one.tags.moment is not None]
     for one in sorted(chosen, key=lambda one: (one.name not in becomes, one.tags.moment or 0.0, one.name)):
         time = "" if one.tags.moment is None else f"{one.tags.moment - min(moments):.0f}"
-        use = becomes.get(one.name, "left out")
-        made.add_row(escape(one.name), str(one.frames), time, use, escape(sorting.reasons[one.name]))
+        add(one.name, str(one.frames), time, becomes.get(one.name, LEFT_OUT), sorting.reasons[one.name])
     alike: dict[tuple[str, str], list[Refused]] = {}
     for one_ in refused:
         alike.setdefault((PurePosixPath(one_.name).parent.as_posix(), one_.why), []).append(one_)
     for (folder, why), files in alike.items():
         if len(files) > SHOWN_ALONE:
-            made.add_row(escape(f"{len(files)} files in {folder}"), "", "", "left out", escape(why))
+            add(f"{len(files)} files in {folder}", "", "", LEFT_OUT, why)
         else:
             for left in files:
-                made.add_row(escape(left.name), "", "", "left out", escape(why))
+                add(left.name, "", "", LEFT_OUT, why)
     for study in others:
-        made.add_row(escape(study.words), "", "", "left out", "another study than asked for")
+        add(study.words, "", "", LEFT_OUT, "another study than asked for")
     return made
 
 

@@ -16,8 +16,6 @@ from spinestiff.app.options import offering
 from spinestiff.app.progress import LONGEST_SILENCE_S, beating
 from spinestiff.app.volume import volume
 
-WIDE = 160
-"""Characters of tables with a column a subject, where no terminal sets them."""
 study = typer.Typer(
     name="study", help="Whole studies of synthetic subjects.", no_args_is_help=True, rich_markup_mode=None
 )
@@ -103,7 +101,7 @@ def seven(
     else:
         if not others:
             for table in paper_tables(first):
-                tables.show(tables.paper_table(table), WIDE)
+                tables.show_paper_table(table)
         judged = goals(there) if others else (*goals(there), time_goal(there))
         tables.show(tables.goals_table(judged, f"Goals, {len(there)} of {len(wanted)} subjects"))
         typer.echo(f"page: {written}")

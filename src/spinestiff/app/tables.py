@@ -1,8 +1,9 @@
-"""What commands print: tables for people, 80 characters wide where that is possible, and JSON for programs."""
+"""What commands print: tables for people, in a terminal's width, else 80 characters wide, and JSON for programs."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -24,14 +25,20 @@ if TYPE_CHECKING:
 
 WIDTH = 80
 """Characters of a line where the output is no terminal."""
+LABEL_WIDTH = 20
+"""Characters of a label of the paper's tables before it goes on in another line."""
+NAME_WIDTH = 24
+"""The same of a file's name."""
 
 
-def show(shown: Table, width: int = WIDTH) -> None:
-    """Print a table: in a terminal's width, else in ``width``."""
+def show(shown: Table) -> None:
+    """Print a table: in a terminal's width, else in ``WIDTH``."""
+    _console().print(shown)
+
+
+def _console() -> Console:
     console = Console()
-    if not console.is_terminal:
-        console = Console(width=width)
-    console.print(shown)
+    return console if console.is_terminal else Console(width=WIDTH)
 
 
 def show_json(data: Any) -> None:
@@ -39,14 +46,13 @@ def show_json(data: Any) -> None:
     print(json.dumps(data, indent=1, allow_nan=False))
 
 
-def table(title: str, *columns: str, left: Sequence[str] = (), gap: int = 2, whole: bool = True) -> Table:
-    """An empty table without lines between columns.
+def table(title: str, *columns: str, left: Sequence[str] = (), gap: int = 2) -> Table:
+    """An empty table without lines between columns. Where a line is too short, words are broken, and numbers are not.
 
     Parameters
     ----------
     left : columns that are words, besides the first; numbers stand on the right.
     gap : blanks between columns.
-    whole : numbers are not broken where a line is too short; words and the first column are.
     """
     made = Table(
         title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False,
@@ -56,8 +62,18 @@ def table(title: str, *columns: str, left: Sequence[str] = (), gap: int = 2, who
     for i, column in enumerate(columns):
         head = "\n" * (lines - column.count("\n")) + column
         words = i == 0 or column in left
-        made.add_column(head, justify="left" if words else "right", overflow="fold", no_wrap=whole and not words)
+        made.add_column(head, justify="left" if words else "right", overflow="fold", no_wrap=not words)
     return made
+
+
+def broken(path: str) -> str:
+    """A file's path in lines of ``NAME_WIDTH`` characters, as far as its folders and its name are no longer."""
+    lines = [""]
+    for part in re.findall(r"[^/]*/|[^/]+", path):
+        if lines[-1] and len(lines[-1]) + len(part) > NAME_WIDTH:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(lines)
 
 
 def _number(value: float | None, digits: int = 2) -> str:
@@ -73,11 +89,6 @@ def repeatability_table(found: Repeatability) -> Table:
         factors = (f"× {one.detectable_factor:.3g}", f"× {one.expected_factor:.3g}")
         made.add_row(
             escape(name.replace("_", " ")),
-            f"{one.within_sd_log:.3f}",
-            ends,
-            f"{one.expected_sd_log:.3f}",
-            *factors,
-            f"{one.p_value:.2g}",
             f"{one.within_sd_log:.3f}",
             ends,
             f"{one.expected_sd_log:.3f}",
@@ -176,14 +187,34 @@ def stacked(cell: str) -> str:
     return f"{first}\n({rest.replace(', ', ',' + chr(10))}" if bracket else cell
 
 
-def paper_table(found: PaperTable) -> Table:
-    """A table of the paper, ours beside the paper's lines."""
-    made = table(f"Table {found.number}: {found.title}", "", "", *found.columns, "average", left=("",), whole=False)
-    last = ""
-    for line in found.lines:
-        made.add_row("" if line.label == last else line.label, line.whose, *line.cells, line.average)
-        last = line.label
-    return made
+def show_paper_table(found: PaperTable) -> None:
+    """Print a table of the paper, ours beside the paper's lines: in parts where a line is too short for all subjects,
+    each part with the labels of all lines."""
+    console = _console()
+    unlimited = console.options.update_width(10 * WIDTH)
+    for count in range(1, len(found.columns) + 2):
+        parts = paper_parts(found, count)
+        if all(console.measure(part, options=unlimited).maximum <= console.width for part in parts):
+            break
+    for part in parts:
+        console.print(part)
+
+
+def paper_parts(found: PaperTable, count: int) -> list[Table]:
+    """A table of the paper in ``count`` parts of as many columns each, or fewer in the last."""
+    heads = (*found.columns, "average")
+    size = -(-len(heads) // count)
+    parts = []
+    for first in range(0, len(heads), size):
+        part = slice(first, first + size)
+        made = table(f"Table {found.number}: {found.title}", "", "", *heads[part], left=("",), gap=1)
+        made.columns[0].max_width = LABEL_WIDTH
+        last = ""
+        for line in found.lines:
+            made.add_row("" if line.label == last else line.label, line.whose, *(*line.cells, line.average)[part])
+            last = line.label
+        parts.append(made)
+    return parts
 
 
 def goals_table(found: Sequence[Goal], title: str) -> Table:

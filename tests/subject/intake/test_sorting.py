@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
+from hospital import trunk
 from spinestiff.errors import SubjectError
 from spinestiff.subject.intake.push_table import COLUMNS, pushes_of, read_push_table
 from spinestiff.subject.intake.sorting import sort_files
@@ -76,6 +79,44 @@ def test_a_view_that_nothing_tells_is_left_open(exported):
     assert sorting.reasons["b"] == "2 frames, its view is not told"
     assert sorting.reasons["c"].startswith("2 frames, but lateral")
     assert names(sort_files(found, lateral=found[0]))[1] == "a"
+
+
+def test_what_a_picture_looks_like_counts_where_nothing_states_its_view_and_is_called_a_suggestion(exported):
+    found = [
+        exported("a", pixels=trunk("frontal"), without=BLIND),
+        exported("b", pixels=trunk("lateral"), without=BLIND),
+        exported("c", pixels=trunk("lateral").repeat(2, axis=0), without=BLIND),
+    ]
+    sorting = sort_files(found)
+    assert names(sorting) == ("a", "b", [["c"]])
+    assert re.fullmatch(
+        r"looks like a frontal view: a bright band between two fields that are \d+ % darker; a suggestion, since "
+        "nothing states its view: look at it",
+        sorting.reasons["a"],
+    )
+    assert re.match(r"looks like a lateral view: one field .*; a suggestion, ", sorting.reasons["b"])
+    assert sorting.reasons["c"].startswith("2 frames, its view is not told, but it looks like a lateral view: ")
+
+
+def test_what_is_stated_goes_before_what_a_picture_looks_like(exported):
+    stated = exported("a", "lateral", pixels=trunk("frontal"))
+    assert stated.looks is None
+    blind = exported("b", pixels=trunk("lateral"), without=BLIND)
+    sorting = sort_files([stated, blind])
+    assert names(sorting) == (None, "a", [])
+    assert "nothing tells its view; it looks like a lateral view: " in sorting.reasons["b"]
+    assert names(sort_files([stated, blind], frontal=blind)) == ("b", "a", [])
+
+
+def test_of_several_that_look_alike_none_is_taken(exported):
+    found = [exported(name, pixels=trunk("frontal"), time=time, without=BLIND, SeriesDescription=words)
+             for name, time, words in (("a", "101000", "1"), ("b", "102000", "2"))]  # fmt: skip
+    sorting = sort_files(found)
+    assert names(sorting) == (None, None, [])
+    for reason in sorting.reasons.values():
+        assert re.search(r"; it looks like a frontal view: .*; name it with --frontal or --lateral, or in --p", reason)
+    pushed = exported("c", pixels=trunk("frontal"), without=BLIND, SeriesDescription="push")
+    assert names(sort_files([pushed])) == (None, None, [])
 
 
 def test_single_frames_of_one_series_are_one_push_in_order_of_time(exported):

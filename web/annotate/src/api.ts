@@ -1,8 +1,7 @@
 // What the page asks of its server, always with this start's token. Nothing is asked of anybody else.
-import { ask } from "../../shared/net";
+import { greysIn } from "../../shared/greys";
+import { ask, get, send } from "../../shared/net";
 import type { ImageMarks, Marks, Point, Quad } from "./marks";
-
-export { Refused, takeToken } from "../../shared/net";
 
 export interface ImageInfo { name: string; title: string; kind: "frontal" | "lateral"; forces: (number | null)[]; roles: (string | null)[] }
 export interface Session {
@@ -21,10 +20,8 @@ export interface Tracking { state: "none" | "running" | "done" | "failed"; done:
 
 const query = (values: Record<string, string | number>): string =>
   new URLSearchParams(Object.entries(values).map(([key, value]) => [key, String(value)])).toString();
-const send = async <T>(method: string, path: string, data: unknown): Promise<T> =>
-  (await (await ask(method, path, JSON.stringify(data))).json()) as T;
 
-export const session = async (): Promise<Session> => (await (await ask("GET", "api/session")).json()) as Session;
+export const session = (): Promise<Session> => get("api/session");
 export const save = (marks: Marks, revision: number): Promise<{ revision: number; missing: string[] }> =>
   send("PUT", "api/annotation", { revision, draft: { schema_version: 1, images: marks } });
 export const judge = (image: string, marks: ImageMarks): Promise<Judged> => send("POST", "api/judge", { image, marks });
@@ -32,15 +29,11 @@ export const propose = (
   image: string, frame: number, points: Point[], upper: string, lower: string, kept: Record<string, Quad>,
 ): Promise<{ vertebrae: Record<string, Quad> }> => send("POST", "api/propose", { image, frame, points, upper, lower, kept });
 export const track = (image: string): Promise<Tracking> => send("POST", "api/track", { image });
-export const tracking = async (image: string): Promise<Tracking> =>
-  (await (await ask("GET", `api/track?${query({ image })}`)).json()) as Tracking;
+export const tracking = (image: string): Promise<Tracking> => get(`api/track?${query({ image })}`);
 export const importFile = (name: string, text: string, image: string): Promise<{ marks: Marks; warnings: string[] }> =>
   send("POST", "api/import", { name, text, image });
 export const exportFile = async (form: string): Promise<Blob> => (await ask("GET", `api/export?${query({ form })}`)).blob();
 
 export async function radiograph(image: string, frame: number, [wide, tall]: Point, part?: readonly number[]): Promise<Grey> {
-  const answer = await ask("GET", `api/radiograph?${query({ image, frame, wide, tall, ...(part ? { part: part.join() } : {}) })}`);
-  const about = JSON.parse(answer.headers.get("x-radiograph") ?? "{}") as Omit<Grey, "levels">;
-  // Sent little endian, which is the order of every machine that runs a browser.
-  return { ...about, levels: new Uint16Array(await answer.arrayBuffer()) };
+  return greysIn(await ask("GET", `api/radiograph?${query({ image, frame, wide, tall, ...(part ? { part: part.join() } : {}) })}`));
 }

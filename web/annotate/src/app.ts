@@ -1,4 +1,5 @@
 // The state of the page and everything that can be done to it; the mouse, the keyboard and the panels only ask for it here.
+import { words } from "../../shared/net";
 import * as api from "./api";
 import type { Cobb, ImageInfo, Session, TrackedFrame, Tracking } from "./api";
 import { centre, changed, guessed, History, type ImageMarks, type Marks, moved, NOTHING, type Point, type Quad, removed, renamed, type Selection, selected, type Support, without } from "./marks";
@@ -475,6 +476,3 @@ export class App {
   clearSpine(): void { this.change((marks) => ({ ...marks, spine: [] }), "points along the spine cleared"); }
   forget(name: string): void { this.tracking = without(this.tracking, name); }
 }
-
-export const words = (error: unknown): string =>
-  error instanceof api.Refused ? error.message : "The server does not answer. Is it still running?";

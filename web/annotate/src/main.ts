@@ -1,9 +1,11 @@
 // Starts the page: takes the token, asks for the session, opens the first radiograph that is not complete.
-import * as api from "./api";
+import { need } from "../../shared/dom";
+import { takeToken, words } from "../../shared/net";
 import { theme } from "../../shared/theme";
-import { App, words } from "./app";
+import * as api from "./api";
+import { App } from "./app";
 import * as keys from "./keys";
-import { need, Panel, says } from "./panel";
+import { Panel, says } from "./panel";
 import * as pointer from "./pointer";
 import { Stage } from "./stage";
 
@@ -11,7 +13,7 @@ async function start(): Promise<void> {
   theme(need<HTMLSelectElement>("theme"));
   // Under another address than its own it is a room of the workbench.
   need("back").hidden = location.pathname === "/";
-  api.takeToken();
+  takeToken();
   try {
     const session = await api.session();
     const app = new App(session, new Stage(need<HTMLCanvasElement>("stage")), says);

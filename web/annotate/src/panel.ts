@@ -1,4 +1,5 @@
 // The controls around the radiograph: what they show follows the state, what they do is asked of it.
+import { button, h, need } from "../../shared/dom";
 import * as api from "./api";
 import { type App, type Says, type Tool } from "./app";
 import { KEYS } from "./keys";
@@ -10,12 +11,6 @@ const TOOLS: Record<Tool, [string, string]> = {
   shoulder: ["Shoulder", "Click a point on the shoulder that rests on the wall; it shows whether it moved."],
   pedicle: ["Pedicles", "Click the middle of a pedicle’s shadow; it goes to the nearest vertebra. The other one is guessed, dotted, until you click, choose or drag it, too. Optional."],
 };
-
-export function need<T extends HTMLElement>(id: string): T {
-  const found = document.getElementById(id);
-  if (!found) throw new Error(`the page has no part '${id}'`);
-  return found as T;
-}
 
 function put(id: string, text: string): void {
   const element = need(id);
@@ -38,14 +33,6 @@ export const says: Says = {
   aloud: (text) => put("spoken", text),
   refresh: () => undefined,
 };
-
-function button(text: string, act: () => void): HTMLButtonElement {
-  const made = document.createElement("button");
-  made.type = "button";
-  made.textContent = text;
-  made.addEventListener("click", act);
-  return made;
-}
 
 export class Panel {
   private readonly images = new Map<string, [HTMLButtonElement, HTMLElement, HTMLElement]>();
@@ -83,43 +70,28 @@ export class Panel {
     need("show").addEventListener("change", () => { app.show = need<HTMLInputElement>("show").checked; app.after(); });
     for (const id of ["level", "width"]) need(id).addEventListener("input", () => this.greys());
     need("import").addEventListener("change", () => void this.import());
-    for (const [keys, what] of KEYS) {
-      const dt = document.createElement("dt"), dd = document.createElement("dd");
-      dt.textContent = keys;
-      dd.textContent = what;
-      need("keys").append(dt, dd);
-    }
+    need("keys").append(...KEYS.flatMap(([keys, what]) => [h("dt", {}, keys), h("dd", {}, what)]));
   }
 
   private makeImages(): void {
     for (const image of this.app.session.images) {
-      const item = document.createElement("li"), mark = document.createElement("span"), state = document.createElement("small");
-      const made = button("", () => void this.app.open(image.name));
-      const title = document.createElement("span");
-      title.textContent = image.title;
-      mark.setAttribute("aria-hidden", "true");
-      made.append(mark, title, state);
-      item.append(made);
-      need("images").append(item);
+      const mark = h("span", { "aria-hidden": "true" }), state = h("small"), made = button("", () => void this.app.open(image.name));
+      made.append(mark, h("span", {}, image.title), state);
+      need("images").append(h("li", {}, made));
       this.images.set(image.name, [made, mark, state]);
     }
   }
 
   private makeVertebrae(): void {
     for (const name of this.app.names) {
-      const item = document.createElement("li"), label = document.createElement("label"), box = document.createElement("input");
+      const box = h("input", { type: "checkbox", "aria-label": `${name} visible` });
       const made = button(name, () => {
         this.app.choose("move");
         this.app.select({ kind: "vertebra", name, part: -1 });
         this.app.stage.canvas.focus();
       });
-      box.type = "checkbox";
-      box.setAttribute("aria-label", `${name} visible`);
-      label.title = `${name} visible`;
       box.addEventListener("change", () => this.app.visible(name, box.checked));
-      label.append(box);
-      item.append(label, made);
-      need("vertebrae").append(item);
+      need("vertebrae").append(h("li", {}, h("label", { title: `${name} visible` }, box), made));
       this.vertebrae.set(name, [made, box]);
     }
   }
@@ -130,9 +102,7 @@ export class Panel {
       this.toolKey = key;
       const group = need("tools");
       group.replaceChildren(...app.tools.map((tool) => {
-        const made = button(TOOLS[tool][0], () => { app.choose(tool); app.stage.canvas.focus(); });
-        made.setAttribute("role", "radio");
-        made.dataset["tool"] = tool;
+        const made = button(TOOLS[tool][0], () => { app.choose(tool); app.stage.canvas.focus(); }, { role: "radio", "data-tool": tool });
         made.addEventListener("keydown", (event) => {
           const by = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
           if (!by) return;
@@ -202,15 +172,8 @@ export class Panel {
     const key = [text, rest, judged, ...others].join("\n");
     if (target.dataset["key"] === key) return;
     target.dataset["key"] = key;
-    const figure = document.createElement(cobb ? "b" : "span");
-    figure.textContent = text;
-    target.replaceChildren(figure, rest);
-    const add = (words_: string): void => {
-      const note = document.createElement("span");
-      note.className = "note";
-      note.textContent = words_;
-      target.append(document.createElement("br"), note);
-    };
+    target.replaceChildren(h(cobb ? "b" : "span", {}, text), rest);
+    const add = (words_: string): void => target.append(h("br"), h("span", { class: "note" }, words_));
     others.forEach(add);
     const { vertebrae, pedicles } = this.app.marks;
     if (judged && Object.keys({ ...vertebrae, ...pedicles }).length) add(judged);
@@ -247,15 +210,11 @@ export class Panel {
     target.dataset["key"] = key;
     target.dataset["state"] = app.missing.length ? "open" : "whole";
     if (!app.missing.length) return target.replaceChildren("✓ Everything a fit needs is marked.");
-    const title = document.createElement("b"), list = document.createElement("ul");
-    title.textContent = "Still needed for a fit";
-    for (const line of app.missing) {
-      const item = document.createElement("li"), name = line.slice(0, line.indexOf(":"));
-      const image = app.session.images.find((one) => one.name === name);
-      item.textContent = image ? `${image.title}: ${line.slice(name.length + 2)}` : line;
-      list.append(item);
-    }
-    target.replaceChildren(title, list);
+    const lines = app.missing.map((line) => {
+      const name = line.slice(0, line.indexOf(":")), image = app.session.images.find((one) => one.name === name);
+      return h("li", {}, image ? `${image.title}: ${line.slice(name.length + 2)}` : line);
+    });
+    target.replaceChildren(h("b", {}, "Still needed for a fit"), h("ul", {}, ...lines));
   }
 
   // Level and width of the window as shares of the radiograph's own range.
@@ -286,9 +245,7 @@ export class Panel {
 
   private async export(form: "csv" | "slicer"): Promise<void> {
     await this.app.whileBusy("", async () => {
-      const link = document.createElement("a");
-      link.href = URL.createObjectURL(await api.exportFile(form));
-      link.download = form === "csv" ? "corners.csv" : "corners.mrk.json";
+      const link = h("a", { href: URL.createObjectURL(await api.exportFile(form)), download: form === "csv" ? "corners.csv" : "corners.mrk.json" });
       link.click();
       URL.revokeObjectURL(link.href);
     });

@@ -1,5 +1,6 @@
 // Saves what changed, one request at a time, and keeps trying where the server does not answer.
-import { Refused, save } from "./api";
+import { Refused, words } from "../../shared/net";
+import { save } from "./api";
 import type { Marks } from "./marks";
 
 const PAUSE_MS = 120, RETRY_MS = 2500;
@@ -55,7 +56,7 @@ export class Saver {
         this.stopped = error.status === 409 || error.status === 403;
         this.say("failed", `Not saved: ${error.message}`);
       } else {
-        this.say("failed", "Not saved: the server does not answer. Is it still running?");
+        this.say("failed", `Not saved. ${words(error)}`);
       }
       if (!(error instanceof Refused) || error.status >= 500) this.later(RETRY_MS);
     } finally {

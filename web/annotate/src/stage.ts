@@ -1,4 +1,5 @@
 // The radiograph on a canvas with what is marked on it: zoom, greys, drawing, and what lies under a place.
+import { h } from "../../shared/dom";
 import type { Cobb, Grey, TrackedFrame } from "./api";
 import { centre, type ImageMarks, type Point, type Quad, type Selection, selected } from "./marks";
 
@@ -18,7 +19,7 @@ interface Patch { grey: Grey; picture: HTMLCanvasElement }
 
 export class Stage {
   private readonly context: CanvasRenderingContext2D;
-  private readonly picture = document.createElement("canvas");
+  private readonly picture = h("canvas");
   private grey: Grey | null = null;
   private patches: Patch[] = [];
   /** Called when something else of the radiograph may be in sight. */
@@ -80,7 +81,7 @@ export class Stage {
 
   /** A finer part of the radiograph in sight. */
   patch(grey: Grey): void {
-    const made: Patch = { grey, picture: document.createElement("canvas") };
+    const made: Patch = { grey, picture: h("canvas") };
     this.patches = [...this.patches.slice(1 - MOST_PATCHES), made];
     this.print(made);
     this.redraw();

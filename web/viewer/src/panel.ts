@@ -1,5 +1,6 @@
 // The slider, the choices and the numbers; they work without a picture, too.
 import { Vector3 } from "three";
+import { h } from "../../shared/dom";
 import { isBack, newtons } from "./marks";
 import { bracket, furtherAt, markersAt, planeAt, poseAt, reactionsAt, restPose, type Bracket, type Pose } from "./pose";
 import type { Corner, Frame, Push, Scene, Step } from "./scene";
@@ -90,7 +91,7 @@ export class Panel {
     const forces = [...new Set(this.chosen.frames.map((frame) => frame.force))];
     let labelled = -1;
     const spans = forces.map((force) => {
-      const span = document.createElement("span");
+      const span = h("span");
       // A number only where there is room for it.
       if (labelled < 0 || force - labelled > 0.08 * limit) {
         span.textContent = String(Math.round(force));
@@ -186,7 +187,7 @@ export class Panel {
     facts.push(...this.supportFacts(push));
     facts.push(...this.pelvisFact());
     const list = this.part("facts");
-    list?.replaceChildren(...facts.flatMap(([name, value]) => [element("dt", name), element("dd", value)]));
+    list?.replaceChildren(...facts.flatMap(([name, value]) => [h("dt", {}, name), h("dd", {}, value)]));
     const frames = push.frames;
     const here = frame ? frames.indexOf(frame) : -1;
     this.enable("before", frame ? here > 0 : frames.some((other) => other.force < force));
@@ -265,10 +266,4 @@ function capital(words: string): string {
 function ribWords(bone: string): string {
   const match = /^R(\d+)_([LR])$/.exec(bone);
   return match ? `rib ${match[1]} ${match[2] === "L" ? "left" : "right"}` : bone.replaceAll("_", " ");
-}
-
-function element(tag: string, words: string): HTMLElement {
-  const made = document.createElement(tag);
-  made.textContent = words;
-  return made;
 }

@@ -1,5 +1,6 @@
 // The picture: a scene on a canvas, drawn again only when something changed.
 import { AmbientLight, Box3, DirectionalLight, Scene as Stage3, Vector3, WebGLRenderer } from "three";
+import { h } from "../../shared/dom";
 import { Body } from "./body";
 import { Camera, CAPTIONS, VIEWS, type ViewName } from "./camera";
 import { type Label, Marks } from "./marks";
@@ -189,7 +190,7 @@ export class Stage {
     this.camera.eye.updateMatrixWorld();
     const right = new Vector3().setFromMatrixColumn(this.camera.eye.matrixWorld, 0);
     const gaze = this.camera.eye.getWorldDirection(new Vector3());
-    while (this.spans.length < this.marked.length) this.spans.push(labels.appendChild(document.createElement("span")));
+    while (this.spans.length < this.marked.length) this.spans.push(labels.appendChild(h("span")));
     this.spans.forEach((span, i) => {
       const label = this.marked[i];
       // An arrow seen from its end shows no length; its number would belong to nothing.

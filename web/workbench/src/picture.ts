@@ -1,7 +1,8 @@
 // Small pictures of radiographs: grey values as the server sends them, on a canvas, asked for when they come into sight.
 import { h } from "../../shared/dom";
+import { greysIn } from "../../shared/greys";
 
-interface Grey { levels: Uint16Array; wide: number; tall: number; window: [number, number] }
+interface Grey { levels: Uint16Array; shown: [number, number]; window: [number, number] }
 const SIDE_BY_SIDE = 2, MOST_KEPT = 500;
 const kept = new Map<string, Promise<Grey>>(), waiting: (() => Promise<void>)[] = [];
 let running = 0, held = 0;
@@ -28,12 +29,7 @@ export async function last<T>(what: () => Promise<T>): Promise<T> {
   }
 }
 
-async function read(answer: Response): Promise<Grey> {
-  const about = JSON.parse(answer.headers.get("x-radiograph") ?? "{}") as { shown: [number, number]; window: [number, number] };
-  return { levels: new Uint16Array(await answer.arrayBuffer()), wide: about.shown[0], tall: about.shown[1], window: about.window };
-}
-
-function draw(canvas: HTMLCanvasElement, { levels, wide, tall, window: [low, high] }: Grey): void {
+function draw(canvas: HTMLCanvasElement, { levels, shown: [wide, tall], window: [low, high] }: Grey): void {
   const context = canvas.getContext("2d");
   if (!context) return;
   canvas.width = wide;
@@ -51,7 +47,7 @@ export function thumbnail(key: string, source: () => Promise<Response>, alt: str
   const canvas = h("canvas", { class: "thumb", role: "img", "aria-label": alt, width: 60, height: 80 });
   const show = async (): Promise<void> => {
     if (!canvas.isConnected) return;
-    const asked = kept.get(key) ?? source().then(read);
+    const asked = kept.get(key) ?? source().then((answer) => greysIn<Grey>(answer));
     kept.set(key, asked);
     for (const old of kept.keys()) if (kept.size > MOST_KEPT) kept.delete(old);
     try {

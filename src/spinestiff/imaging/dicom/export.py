@@ -12,6 +12,7 @@ from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.dicom.orientation import BEAMS
 from spinestiff.imaging.dicom.reading import Scan, read_scan
 from spinestiff.imaging.dicom.tags import ExportTags, coded_word, export_tags
+from spinestiff.imaging.shown_view import ShownView, shown_view
 
 EVEN = 1e-3
 """Spread of the grey values over their size below which a picture shows nothing."""
@@ -28,6 +29,7 @@ class Exported:
     scan : what it holds, its pixels dropped.
     tags : what it tells beside its picture.
     view, view_source : "frontal" or "lateral", and what says so; None and "" if nothing does.
+    looks : what its first frame looks like, a suggestion; None where something states the view, or neither is clear.
     """
 
     path: Path
@@ -36,6 +38,7 @@ class Exported:
     tags: ExportTags
     view: str | None
     view_source: str
+    looks: ShownView | None
 
     @property
     def frames(self) -> int:
@@ -73,7 +76,8 @@ def read_exported(path: Path, name: str, within: Path) -> Exported:
     if high - low <= EVEN * max(abs(low), abs(high)):
         raise RadiographError("shows nothing: the whole picture has one grey value")
     view, source = _view(scan, tags)
-    return Exported(path, name, replace(scan, pixels=scan.pixels[:0]), tags, view, source)
+    looks = shown_view(scan.pixels[0]) if view is None else None
+    return Exported(path, name, replace(scan, pixels=scan.pixels[:0]), tags, view, source, looks)
 
 
 def _view(scan: Scan, tags: ExportTags) -> tuple[str | None, str]:

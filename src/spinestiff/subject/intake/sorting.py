@@ -1,4 +1,8 @@
-"""Which radiographs of an export are the rest ones and which the pushes, and why: by view, frames, series and time."""
+"""Which radiographs of an export are the rest ones and which the pushes, and why: by view, frames, series and time.
+
+What a picture looks like is a suggestion (``imaging.shown_view``). It counts only where nothing states a view, for the
+one radiograph that can be at rest by it, and the reason says so.
+"""
 
 from __future__ import annotations
 
@@ -120,6 +124,10 @@ def sort_files(
                 reasons[one.name] = why if one is chosen[view] else _another(one, view, chosen[view])
         else:
             reasons |= {one.name: f"single {view} radiograph, but --{view} names another" for one in mine}
+        alike = [one for one in singles if one.looks is not None and one.looks.view == view and one.tags.use != "push"]
+        if chosen[view] is None and not mine and len(alike) == 1:
+            chosen[view] = alike[0]
+            reasons[alike[0].name] = f"{_looks(alike[0])}; a suggestion, since nothing states its view: look at it"
     for one in left:
         if one.name not in reasons:
             reasons[one.name] = _left_out(one, table is not None)
@@ -174,7 +182,13 @@ def _in_time(files: Sequence[Exported]) -> tuple[Exported, ...]:
 
 
 def _seen(one: Exported) -> str:
-    return f"{one.view} ({one.view_source})" if one.view else "its view is not told"
+    if one.view is not None:
+        return f"{one.view} ({one.view_source})"
+    return "its view is not told" + (f", but it {_looks(one)}" if one.looks else "")
+
+
+def _looks(one: Exported) -> str:
+    return one.looks.words if one.looks else ""
 
 
 def _at_rest(mine: Sequence[Exported], view: str) -> tuple[Exported | None, str]:
@@ -209,7 +223,8 @@ def _left_out(one: Exported, has_table: bool) -> str:
         return f"{counted(one.frames, 'frame')}, but {_seen(one)}; pushes are seen from the front"
     if one.frames > 1 and has_table:
         return f"{counted(one.frames, 'frame')}, {_seen(one)}, but not in the table of pushes"
-    return "nothing tells its view; name it with --frontal or --lateral, or in --pushes"
+    looks = f"; it {_looks(one)}" if one.looks else ""
+    return f"nothing tells its view{looks}; name it with --frontal or --lateral, or in --pushes"
 
 
 def _ordered(push: TablePush) -> PushFiles:

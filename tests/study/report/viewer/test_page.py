@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from dataclasses import replace
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from built import assert_built_from_its_sources
 from spinestiff.anatomy.template import template_torso
 from spinestiff.mechanics.supports import SupportKind
 from spinestiff.study.report.viewer import page
@@ -153,16 +153,8 @@ def test_a_torso_alone_has_no_slider():
 
 
 def test_the_built_script_belongs_to_its_sources():
-    """Whoever changes web/viewer builds it (CONTRIBUTING.md); the hash is that of web/viewer/vite.config.ts."""
-    folder = ROOT / "web" / "viewer"
-    names = ["package.json", "package-lock.json", "tsconfig.json", "vite.config.ts"]
-    names += [f"src/{path.name}" for path in (folder / "src").iterdir()]
-    digest = hashlib.sha256()
-    for name in sorted(names):
-        digest.update(f"{name}\n".encode() + (folder / name).read_bytes().replace(b"\r\n", b"\n"))
-    assert len(names) > 10
-    (recorded,) = re.findall(r"^sources sha256 ([0-9a-f]{64})$", BUILT.read_text(encoding="utf-8"), re.MULTILINE)
-    assert recorded == digest.hexdigest(), "run npm ci && npm run build in web/viewer"
+    """Whoever changes web/viewer or web/shared builds it (CONTRIBUTING.md)."""
+    assert_built_from_its_sources("viewer", BUILT.read_text(encoding="utf-8"))
 
 
 def test_the_built_script_asks_for_nothing():
