@@ -3,24 +3,25 @@
     python benchmarks/coverage.py --scenario NAME... [--logs FOLDER] [--first SEED] [--count N]
     python benchmarks/coverage.py --summary FILE...
     python benchmarks/coverage.py --store [NAME FILE...]
-    python benchmarks/coverage.py --json | --rerun FOLDER
+    python benchmarks/coverage.py --json | --markdown | --rerun FOLDER
 
 The first makes and estimates a scenario's subjects and writes a line each as it goes; a log that exists is gone on
 with, and a second process with other seeds and another folder halves the time. Scenarios given together take turns, so
 that a body of both is meshed once. Logs are kept in benchmarks/results/coverage, where the next machine goes on with
-them. ``--summary`` prints how often the truth lies
-inside, by ratio and jointly, for closed and for open intervals and by tercile of the true ratio, with the standard
-errors of so many subjects; ``--store`` keeps the figures (of the kept logs, or a scenario's of others) in
-benchmarks/results/coverage.json, ``--json`` prints that file, and ``--rerun`` repeats all its scenarios. All of it is
-synthetic. Needs the extra ``[mesh]``: every truth has a tissue mesh of its own.
+them. ``--summary`` prints how often the truth lies inside, by ratio and jointly, for closed and for open intervals, by
+tercile of the true ratio, by curve and by kind of body, with the standard errors of so many subjects
+(``counted_intervals.py``). ``--store`` keeps the figures of the kept logs, or a scenario's of others, in
+benchmarks/results/coverage.json, ``--json`` prints that file, ``--markdown`` prints it as the tables of
+docs/coverage.md, and ``--rerun`` repeats the seeds of the kept logs, each made as its row says. All of it is synthetic.
+Needs the extra ``[mesh]``: every truth has a tissue mesh of its own.
 
-Settings were looked at on the scenarios of seeds below 1000 ("settings"); the others are run once and reported.
+Settings were chosen while the scenarios called "settings" were looked at; the seeds of the others are run once and
+reported. Which seeds a scenario has is told by its rows, and stored as ``seeds``.
 """
 
 from __future__ import annotations
 
 import argparse
-import datetime
 import hashlib
 import json
 import sys
@@ -28,7 +29,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -40,18 +41,16 @@ else:
     raise ImportError("a command, not the package of this name that numba looks for")
 
 import numpy as np
+from counted_intervals import NAMES, markdown, read_logs, show, summarised
 from coverage_rendered import rendered_subject
 from coverage_subjects import Acquisition, Subject, make_subject
-from rich.console import Console
-from rich.table import Table
-from scipy.stats import chi2, norm
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError, SpinestiffError
 from spinestiff.estimation.discrepancy import Mesh
 from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.priors import Priors
-from spinestiff.estimation.profiles import CLOSE_ENOUGH, WIDTH_FACTOR, Profile
+from spinestiff.estimation.profiles import WIDTH_FACTOR, Profile
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess
 from spinestiff.study.forecasts import forecasts
@@ -62,13 +61,7 @@ RESULTS = Path(__file__).parent / "results" / "coverage.json"
 LOGS = RESULTS.with_suffix("")
 DIGITS = 5  # of a log's numbers
 ROOT = Path(__file__).parent.parent
-NAMES = ("lateral_bending", "tissue")
 START = {"lateral_bending": 0.07, "tissue": 0.04}
-LEVELS = (0.68, 0.95, 0.999)
-# Width factors for which is said how often intervals would hold each ratio, and the joint region both.
-FACTORS = (1.0, 1.05, 1.1)
-FAR = (-5.0, 5.0)  # z beyond counts as these where they are averaged
-FLAGGED = 1e-3  # p-value below which a result is called doubtful
 
 
 @dataclass(frozen=True)
@@ -233,172 +226,40 @@ def risen(profile: Profile, at: float) -> float:
     return float((root[end] * (at - least) / (where[end] - least)) ** 2)
 
 
-def summarised(scenario: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """The figures of a campaign; shares come with their standard error."""
-    made = [row for row in rows if "not made" not in row]
-    found = [row for row in made if "z" in row]
-    joint = np.array([row["joint"] for row in found])
-    entry: dict[str, Any] = {
-        "scenario": scenario,
-        "subjects": len(found),
-        "seeds": [len(rows), SCENARIOS[scenario].count if scenario in SCENARIOS else len(rows)],
-        "not_made": len(rows) - len(made),
-        "without_estimate": len(made) - len(found),
-        "coverage95": {},
-        "median_factor": {},
-        "bias_sd": {},
-    }
-    for i, name in enumerate(NAMES):
-        z = np.array([row["z"][i] for row in found])
-        truth = np.array([row["ratios"][name] for row in found])
-        widths = np.array([np.sqrt(row["high"][i] / row["low"][i]) for row in found])
-        is_open = np.array([row["open"][i] for row in found], dtype=bool)
-        third = np.searchsorted(np.quantile(truth, (1 / 3, 2 / 3)), truth)
-        inside = {level: _inside(z, level) for level in LEVELS} | {0.95: np.array([row["inside"][i] for row in found])}
-        entry["coverage95"][name] = _share(inside[0.95])[0]
-        entry["median_factor"][name] = round(float(np.median(widths)), 3)
-        entry["bias_sd"][name] = round(float(np.mean(np.clip(z, *FAR))), 3)
-        parts = {"all": np.ones(len(z), dtype=bool), "closed": ~is_open, "open": is_open}
-        parts |= {f"{word} third": third == k for k, word in enumerate(("lowest", "middle", "highest"))}
-        entry[name] = {
-            part: {
-                "subjects": int(mask.sum()),
-                **{f"{level:.1%}": _share(inside[level][mask]) for level in LEVELS},
-                "bias_sd": round(float(np.mean(np.clip(z[mask], *FAR))), 3),
-                "median_z": round(float(np.median(z[mask])), 3),
-                "sd_of_z": round(float(np.std(np.clip(z[mask], *FAR))), 3),
-                "median_factor": round(float(np.median(widths[mask])), 3),
-            }
-            for part, mask in parts.items()
-            if mask.any()
-        }
-    entry["coverage95"]["joint"] = _share(joint < chi2.ppf(0.95, 2))[0]
-    entry["joint"] = {f"{level:.1%}": _share(joint < chi2.ppf(level, 2)) for level in LEVELS}
-    # Where nothing was solved at the truth the emulator's word counts; without an equilibrium there it is outside.
-    solved = [row.get("joint_solved", row["joint"]) for row in found]
-    entry["joint_solved"] = {
-        f"{level:.1%}": _share(np.array([one is not None and one < chi2.ppf(level, 2) for one in solved]))
-        for level in LEVELS
-    }
-    entry["coverage95_by_width_factor"] = {
-        f"{factor:g}": [
-            *(_share(_inside(z * WIDTH_FACTOR / factor, 0.95))[0] for z in np.array([row["z"] for row in found]).T),
-            _share(
-                np.array([one is not None and one * (WIDTH_FACTOR / factor) ** 2 < chi2.ppf(0.95, 2) for one in solved])
-            )[0],
-        ]
-        for factor in FACTORS
-    }
-    entry["outside_999"] = int(sum(one is None or one >= chi2.ppf(0.999, 2) for one in solved))
-    # Where the truth is the more likely one the search ended in another minimum, or on another equilibrium.
-    entry["better_at_truth"] = int(sum(one is not None and one < -2.0 * CLOSE_ENOUGH for one in solved))
-    entry["flagged"] = int(sum(row["p_value"] < FLAGGED for row in found))
-    frames = [frame for row in found for frame in row.get("held_out", []) if "inside95" in frame]
-    turns = [(f["cobb_error_deg"], f["cobb_sd_deg"]) for f in frames if f["cobb_sd_deg"] is not None]
-    if frames:
-        entry["held_out"] = {
-            "frames": len(frames),
-            "corners95": round(float(np.mean([frame["inside95"] for frame in frames])), 4),
-            "cobb95": _share(np.array([abs(error) < norm.ppf(0.975) * sd for error, sd in turns])),
-            "median_rmse_mm": {
-                "forecast": round(float(np.median([frame["rmse_mm"] for frame in frames])), 3),
-                "fit": round(float(np.median([frame["fit_mm"] for frame in frames])), 3),
-            },
-        }
-    for key in ("evaluations", "factorisations", "cpu_s", "p_value", "tracking_factor", "rmse_mm"):
-        entry[key] = [float(f"{v:.4g}") for v in np.quantile([row[key] for row in found], (0.0, 0.05, 0.5, 0.95, 1.0))]
-    entry["evaluations_max"] = int(max(row["evaluations"] for row in found))
-    entry["code"] = sorted({row.get("code", "") for row in rows})
-    entry["date"] = datetime.date.today().isoformat()
-    return entry
+Wanted = tuple[int, Scenario, Path]  # a seed, how its subject is made, its log
 
 
-def _inside(z: np.ndarray, level: float) -> np.ndarray:
-    return np.asarray(np.abs(z) < norm.ppf(0.5 + 0.5 * level))
-
-
-def _share(inside: np.ndarray) -> list[float]:
-    """A share and its binomial standard error."""
-    if not len(inside):
-        return [float("nan"), float("nan")]
-    share = float(np.mean(inside))
-    return [round(share, 4), round(float(np.sqrt(share * (1.0 - share) / len(inside))), 4)]
-
-
-def show(entry: dict[str, Any]) -> None:
-    """A campaign's figures as tables."""
-    console = Console(width=150)
-    title = f"{entry['scenario']}: {entry['subjects']} subjects, all of them synthetic"
-    table = Table(title=title)
-    for column in (
-        "ratio",
-        "of",
-        "subjects",
-        *(f"{level:.1%}" for level in LEVELS),
-        "mean z",
-        "median",
-        "sd",
-        "factor",
-    ):
-        table.add_column(column)
-    for name in NAMES:
-        for part, found in entry[name].items():
-            shares = [_percent(found[f"{level:.1%}"]) for level in LEVELS]
-            numbers = (f"{found[key]:.2f}" for key in ("bias_sd", "median_z", "sd_of_z", "median_factor"))
-            table.add_row(name, part, str(found["subjects"]), *shares, *numbers)
-    for key, words in (("joint", "joint region"), ("joint_solved", "joint region, solved at the truth")):
-        shares = [_percent(entry[key][f"{level:.1%}"]) for level in LEVELS]
-        table.add_row("both", words, str(entry["subjects"]), *shares, "", "", "", "")
-    console.print(table)
-    console.print(
-        f"{entry['seeds'][0]} of {entry['seeds'][1]} seeds; "
-        f"{entry['not_made']} not made, {entry['without_estimate']} without an estimate, {entry['outside_999']} "
-        f"outside their 99.9 % region, {entry['better_at_truth']} less likely than the truth, "
-        f"{entry['flagged']} flagged (p < {FLAGGED:g})"
-    )
-    if "held_out" in entry:
-        console.print("held-out frames:", entry["held_out"])
-    for key in ("evaluations", "factorisations", "cpu_s", "p_value", "tracking_factor", "rmse_mm"):
-        console.print(f"{key}: {entry[key]} (least, 5 %, median, 95 %, most)")
-
-
-def _percent(share: list[float]) -> str:
-    return f"{100.0 * share[0]:.1f} ± {100.0 * share[1]:.1f}"
-
-
-def read_logs(paths: Sequence[Path]) -> list[dict[str, Any]]:
-    """All lines of some logs, with z and joint rises in units of the present width factor; ends are as they were.
-
-    ``inside`` says which 95 % intervals hold the truth: by their ends, or by z where they had another width factor.
-    A profile rises no more than phi itself does where the truth is, so that what was solved there is a bound of z:
-    beyond an interval's ends the profile is extrapolated.
-    """
-    rows = [json.loads(line) for path in paths for line in path.read_text().splitlines()]
-    for row in rows:
-        before = row.get("width_factor", 1.0) / WIDTH_FACTOR
-        for key in ("joint", "joint_solved"):
-            if row.get(key) is not None:
-                row[key] *= before**2
-        if "z" in row:
-            solved = row.get("joint_solved")
-            most = np.inf if solved is None else np.sqrt(max(solved, 0.0))
-            row["z"] = [float(np.clip(before * z, -most, most)) for z in row["z"]]
-            ends = [low <= row["ratios"][name] <= high for name, low, high in zip(NAMES, row["low"], row["high"])]
-            row["inside"] = ends if before == 1.0 else _inside(np.array(row["z"]), 0.95).tolist()
-    return rows
-
-
-def campaign(names: Sequence[str], first: int | None, count: int | None, folder: Path) -> None:
-    """The subjects that the scenarios' logs in a folder lack."""
-    folder.mkdir(parents=True, exist_ok=True)
-    wanted = []
+def wanted(names: Sequence[str], first: int | None, count: int | None, folder: Path) -> list[Wanted]:
+    """The scenarios' own seeds, or ``count`` from ``first`` on."""
+    found = []
     for name in names:
-        scenario, log = SCENARIOS[name], folder / log_of(name).name
-        known = {row["seed"] for row in read_logs([log])} if log.is_file() else set()
+        scenario = SCENARIOS[name]
         begin = scenario.first if first is None else first
         seeds = range(begin, begin + (count or scenario.count))
-        wanted += [(seed, scenario, log) for seed in seeds if seed not in known]
-    for seed, scenario, log in sorted(wanted, key=lambda one: one[0]):
+        found += [(seed, scenario, folder / log_of(name).name) for seed in seeds]
+    return found
+
+
+def kept(folder: Path) -> list[Wanted]:
+    """What the kept logs hold, each seed made as it was made then."""
+    keys = [field.name for field in fields(Scenario)]
+    return [
+        (row["seed"], Scenario(**{key: row[key] for key in keys}), folder / log_of(name).name)
+        for name in SCENARIOS
+        if log_of(name).is_file()
+        for row in read_logs([log_of(name)])
+    ]
+
+
+def campaign(asked: Sequence[Wanted]) -> None:
+    """The subjects that their logs lack."""
+    logs = {log for *_, log in asked}
+    for log in logs:
+        log.parent.mkdir(parents=True, exist_ok=True)
+    known = {(log, row["seed"]) for log in logs if log.is_file() for row in read_logs([log])}
+    for seed, scenario, log in sorted(asked, key=lambda one: one[0]):
+        if (log, seed) in known:
+            continue
         row = run_one(seed, scenario)
         with log.open("a") as stream:
             stream.write(json.dumps(rounded(row)) + "\n")
@@ -426,6 +287,11 @@ def stored() -> list[dict[str, Any]]:
     return sorted(found, key=lambda entry: order.index(entry["scenario"]))
 
 
+def counted(name: str, logs: Sequence[Path]) -> dict[str, Any]:
+    """A scenario's figures from its logs."""
+    return summarised(name, read_logs(logs), SCENARIOS[name].count)
+
+
 def store(entry: dict[str, Any]) -> None:
     """Keep a campaign's figures in the place of those of the same scenario."""
     others = [one for one in stored() if one["scenario"] != entry["scenario"]]
@@ -442,33 +308,39 @@ def main() -> None:
     parser.add_argument("--summary", type=Path, nargs="+", metavar="FILE")
     parser.add_argument("--store", nargs="*", metavar=("SCENARIO", "FILE"))
     parser.add_argument("--json", action="store_true", help="print what is stored")
-    parser.add_argument("--rerun", type=Path, metavar="FOLDER", help="repeat all that is stored, logs in a folder")
+    parser.add_argument("--markdown", action="store_true", help="print it as the tables of docs/coverage.md")
+    parser.add_argument(
+        "--rerun", type=Path, metavar="FOLDER", help="repeat the seeds of the kept logs, logs in a folder"
+    )
     asked = parser.parse_args()
     if (asked.scenario or asked.rerun) and find_spec("mmgpy") is None:
         parser.error('the truths\' meshes need pip install -e ".[mesh]"')
     if asked.json:
         print(json.dumps(stored(), indent=1))
+    elif asked.markdown:
+        print(markdown(stored()))
     elif asked.summary:
         show(summarised("logs", read_logs(asked.summary)))
     elif asked.store:
         name, *paths = asked.store
         if name not in SCENARIOS or not paths:
             parser.error(f"--store wants one of {', '.join(SCENARIOS)}, and logs")
-        store(summarised(name, read_logs([Path(path) for path in paths])))
+        store(counted(name, [Path(path) for path in paths]))
     elif asked.store is not None:
         for name in SCENARIOS:
             if log_of(name).is_file():
-                store(summarised(name, read_logs([log_of(name)])))
-                show(summarised(name, read_logs([log_of(name)])))
+                store(counted(name, [log_of(name)]))
+        for entry in stored():
+            show(entry)
     elif asked.rerun:
-        names = [entry["scenario"] for entry in stored()]
-        campaign(names, None, None, asked.rerun)
-        for name in names:
-            show(summarised(name, read_logs([asked.rerun / log_of(name).name])))
+        campaign(kept(asked.rerun))
+        for name in SCENARIOS:
+            if log_of(name).is_file():
+                show(counted(name, [asked.rerun / log_of(name).name]))
     elif asked.scenario:
-        campaign(asked.scenario, asked.first, asked.count, asked.logs)
+        campaign(wanted(asked.scenario, asked.first, asked.count, asked.logs))
     else:
-        parser.error("wanted --scenario, --summary, --store, --json or --rerun")
+        parser.error("wanted --scenario, --summary, --store, --json, --markdown or --rerun")
 
 
 if __name__ == "__main__":

@@ -6,8 +6,8 @@ unknowns, with each of them alone beside tracking's errors, and with all but it.
 the model's own, and the budget is read at their ratios. The covariance of the rest geometry is that of a
 personalisation from corners set within 0.3 mm.
 
-Run ``python benchmarks/variance_budget.py``; it prints a table, and with ``--write`` stores the figures in
-benchmarks/results/.
+Run ``python benchmarks/variance_budget.py``; it prints the tables of docs/estimation.md in Markdown, and with
+``--write`` stores the figures in benchmarks/results/. ``--markdown`` prints what is stored.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import parameter_group, stiffness_ratios
@@ -103,7 +103,12 @@ def reference_body() -> tuple[TorsoModel, np.ndarray]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="store the figures")
-    write = parser.parse_args().write
+    parser.add_argument("--markdown", action="store_true", help="print what is stored")
+    asked = parser.parse_args()
+    if asked.markdown:
+        stored = json.loads(RESULT.read_text())
+        print(markdown(stored["rows"]))
+        return
     torso, geometry = reference_body()
     problem = EquilibriumProblem(torso, three_point_supports(torso, "right"))
     cases = [(point, name) for point in POPULATION for name in ACQUISITIONS]
@@ -126,27 +131,53 @@ def main() -> None:
                 },
             }
         )
-    show(rows)
-    if write:
+    print(markdown(rows))
+    if asked.write:
         found = {"date": datetime.date.today().isoformat(), "names": NAMES, "priors": vars(Priors()), "rows": rows}
         RESULT.write_text(json.dumps(found, indent=1) + "\n")
 
 
-def show(rows: list[dict]) -> None:  # type: ignore[type-arg]
-    """Standard deviations of log bending / log tissue: all, and by how much each unknown adds to their variance."""
+def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Two tables of log bending / log tissue, an unknown a row and a case a column: the standard deviations with it
+    and tracking's errors alone, and the share of the variance, in percent, that knowing it takes away.
+
+    The unknown that takes away most stands first; the last column of the second table has the least and the most.
+    """
     names = list(dict.fromkeys(name for row in rows for name in row["unknowns"]))
-    table = Table(title="sd of log bending, log tissue; share of the variance that knowing it would take away, %")
-    for column in ("bending, tissue", "acquisition", "all", "tracking", *names):
-        table.add_column(column)
-    for row in rows:
-        shares = []
-        for name in names:
-            found = row["unknowns"].get(name)
-            gains = [1.0 - (a / b) ** 2 for a, b in zip(found["without"], row["together"])] if found else [0.0, 0.0]
-            shares.append(" / ".join(f"{100.0 * gain:.0f}" for gain in gains))
-        sds = [" / ".join(f"{value:.2f}" for value in row[key]) for key in ("together", "tracking")]
-        table.add_row(f"{row['bending']:g}, {row['tissue']:g}", row["acquisition"], *sds, *shares)
-    Console(width=260).print(table)
+    gains = {name: np.array([gain(row, name) for row in rows]) for name in names}  # (cases, 2)
+    names.sort(key=lambda name: -gains[name].max())
+    cases = [f"{row['bending']:g}, {row['tissue']:g}: {row['acquisition']}" for row in rows]
+    sds = {"all together": [row["together"] for row in rows], "tracking's errors": [row["tracking"] for row in rows]}
+    sds |= {name: [row["unknowns"].get(name, {"alone": None})["alone"] for row in rows] for name in names}
+    lines = _head(["sd of the log, alone", *cases])
+    lines += [
+        _line(name, *("" if one is None else _pair(one, ".2f") for one in values)) for name, values in sds.items()
+    ]
+    lines += ["", *_head(["taken away, %", *cases, "least to most"])]
+    for name in names:
+        ends = [_pair(end, ".0f") for end in (gains[name].min(0), gains[name].max(0))]
+        lines.append(_line(name, *(_pair(one, ".0f") for one in gains[name]), " to ".join(ends)))
+    return "\n".join(lines)
+
+
+def gain(row: Mapping[str, Any], name: str) -> list[float]:
+    """Percent of each log ratio's variance that knowing an unknown takes away in a case; 0 where it is none there."""
+    found = row["unknowns"].get(name)
+    if found is None:
+        return [0.0 for _ in NAMES]
+    return [100.0 * (1.0 - (without / all_) ** 2) for without, all_ in zip(found["without"], row["together"])]
+
+
+def _pair(values: Sequence[float], form: str) -> str:
+    return " / ".join(f"{value + 0.0:{form}}" for value in values)
+
+
+def _head(columns: Sequence[str]) -> list[str]:
+    return [_line(*columns), "|" + "---|" * len(columns)]
+
+
+def _line(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":

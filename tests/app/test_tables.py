@@ -15,7 +15,7 @@ from spinestiff.mechanics.factor import default_backend
 from spinestiff.study.repeatability import Repeatability, Scatter
 from spinestiff.study.seven.tables import paper_tables
 from spinestiff.subject.assessment_outcome import HeldOutFrame
-from spinestiff.subject.estimate_outcome import Estimate, PlainStiffness, RatioEstimate
+from spinestiff.subject.estimate_outcome import BudgetRecord, Estimate, PlainStiffness, PriorChangeRecord, RatioEstimate
 from spinestiff.subject.outcomes import FrameProposal
 from spinestiff.subject.program import program
 from spinestiff.verification.outcome import Check
@@ -93,6 +93,46 @@ def test_the_paper_s_estimate_says_that_it_has_no_intervals(printed):
     text = printed(tables.estimate_table(estimate(method="paper", ratios=ratios, determined="not determined")))
     assert "Estimate: no intervals" in text and "determined" not in text
     assert row_of(text, "ratio: lateral_bending")[1:] == ["0.10", "not available", "no intervals"]
+
+
+def by_ratio(bending, tissue):
+    return {"lateral_bending": bending, "tissue": tissue}
+
+
+def test_the_variance_budget_fits_a_terminal_the_most_costly_unknown_first(printed):
+    """Factors are exp(1.96 sd)."""
+    rows = {
+        "tissue's volume": ((0.2, 0.05), (0.4, 0.2)),
+        "trunk size": ((0.1, 0.19), (0.4, 0.07)),
+        **{f"other {i}": ((0.1, 0.04), (0.4, 0.2)) for i in range(8)},
+    }
+    budget = [BudgetRecord(name=name, alone=by_ratio(*a), without=by_ratio(*w)) for name, (a, w) in rows.items()]
+    sds = {"sd_log": by_ratio(0.4, 0.2), "sd_log_tracking": by_ratio(0.1, 0.04)}
+    text = printed(tables.budget_table(estimate(budget=tuple(budget), **sds)), 80)
+    assert row_of(text, "the trunk's size")[1:] == ["1.22", "2.2", "1.45", "1.15"]
+    assert row_of(text, "the tissue's resistance")[1:] == ["1.48", "2.2", "1.10", "1.48"]
+    assert text.index("the trunk's size") < text.index("the tissue's resistance") < text.index("other 0")
+    assert "2 more, that change less, in estimate.json" in " ".join(text.split()) and "other 6" not in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_other_priors_are_told_with_what_they_make_of_each_ratio(printed):
+    changes = [
+        PriorChangeRecord(name=name, factor=factor, ratios=by_ratio(*ratios), sd_log=by_ratio(*sds))
+        for name, factor, ratios, sds in (
+            ("push height", 0.5, (0.1024, 0.005), (0.4, 0.2)),
+            ("tissue's volume", 2.0, (0.08, 0.006), (0.5, 0.3)),
+            *((f"other {i}", 2.0, (0.10234, 0.005), (0.4, 0.2)) for i in range(5)),
+        )
+    ]
+    found = estimate(prior_changes=tuple(changes), sd_log=by_ratio(0.4, 0.2))
+    text = printed(tables.priors_table(found), 80)
+    assert row_of(text, "all as they are")[1:] == ["0.10 (2.2)", "0.0050 (1.48)"]
+    assert row_of(text, "the tissue's resistance")[1:] == ["doubled", "0.080 (2.7)", "0.0060 (1.80)"]
+    assert row_of(text, "the push's height")[1:] == ["halved", "0.10 (2.2)", "0.0050 (1.48)"]
+    assert text.index("the tissue's resistance") < text.index("the push's height") < text.index("other 0")
+    assert "1 more, that change less, in estimate.json" in " ".join(text.split()) and "other 4" not in text
+    assert max(map(len, text.splitlines())) <= 80
 
 
 def test_assessment(printed):

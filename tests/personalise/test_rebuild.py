@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from spinestiff.anatomy.meshing import SPACINGS_MM
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import TorsoError
@@ -16,7 +19,7 @@ from spinestiff.mechanics.loads import no_load, rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.measured_skin import TrunkSize, skin_at_sizes, trunk_sizes, with_trunk_sizes
 from spinestiff.personalise.quality import mesh_quality
-from spinestiff.personalise.rebuild import can_rebuild, skin_of, with_new_tissue, without_tissue
+from spinestiff.personalise.rebuild import can_rebuild, node_spacing, skin_of, with_new_tissue, without_tissue
 from spinestiff.personalise.shape import personalise, place_vertebrae
 from spinestiff.study.spines import curved_spine, rest_vertebrae
 
@@ -74,6 +77,23 @@ def test_a_skin_inside_the_bones_is_refused(template):
     bare, _ = without_tissue(template, template.rest_pose)
     with pytest.raises(TorsoError, match="sticks out of the skin by"):
         with_new_tissue(bare, (points * [0.8, 1.0, 0.8], faces), template, template.rest_pose, nodes=6000)
+
+
+@pytest.mark.parametrize(("nodes", "height"), [(2300, 184.0), (200_000, 130.0)])
+def test_a_number_of_nodes_that_can_not_be_meshed_is_told_with_those_that_can(template, nodes, height):
+    with pytest.raises(TorsoError, match=rf"mesh of {nodes} nodes in a body of {height:g} cm has .* mm") as told:
+        node_spacing(nodes, height)
+    fewest, most = (int(number) for number in re.search(r"choose (\d+) to (\d+) nodes", str(told.value)).groups())
+    low, high = SPACINGS_MM
+    # Either end is the last one that can be meshed.
+    assert node_spacing(fewest, height) <= high and node_spacing(most, height) >= low
+    for beyond in (fewest - 1, most + 1):
+        with pytest.raises(TorsoError):
+            node_spacing(beyond, height)
+    bare, _ = without_tissue(replace(template, height_cm=height), template.rest_pose)
+    points, faces = skin_of(template, template.rest_pose)
+    with pytest.raises(TorsoError, match="choose"):
+        with_new_tissue(bare, (points, faces), template, template.rest_pose, nodes=nodes)
 
 
 def test_the_skin_alone_comes_to_the_tape(subject, waist):

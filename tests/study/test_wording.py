@@ -14,24 +14,32 @@ from spinestiff.study.wording import (
     UNKNOWNS,
     badge,
     best_known_text,
+    combination_lines,
+    costly_unknowns,
     estimated,
     factor95,
+    factor_lines,
     fixed,
     headline,
     interval,
+    least_known,
     listed,
     most_costly,
+    moved_sd,
     number,
+    pelvis_lines,
     response_lines,
     short_span,
     span_in_words,
-    uncertainty_lines,
+    strongest_priors,
+    unknown_title,
 )
 from spinestiff.subject.estimate_outcome import (
     BudgetRecord,
     CombinationRecord,
     Estimate,
     PlainStiffness,
+    PriorChangeRecord,
     RatioEstimate,
     SupportPlaceRecord,
 )
@@ -189,6 +197,8 @@ def budgeted(**changed):
     return SimpleNamespace(
         **{
             "sd_log": {"bending": 0.4, "tissue": 0.2},
+            "sd_log_tracking": {"bending": 0.1, "tissue": 0.04},
+            "values": {"bending": 0.1, "tissue": 0.04},
             "budget": [BudgetRecord(name=name, alone=without, without=without) for name, without in rows.items()],
             "best_known": None,
             "supports": [SupportPlaceRecord(push="a", frame=i, obliquity_deg=turn, shoulder_mm=0.0) for i, turn in
@@ -208,19 +218,51 @@ def test_what_costs_most_and_what_of_it_can_be_measured():
     assert most_costly(budgeted(sd_log={"bending": 0.2, "tissue": 0.05}), "bending") is None
 
 
-def test_uncertainty_lines():
-    assert uncertainty_lines(budgeted()) == [
-        "bending: known within a factor of 2.2 (95 %, to first order), of 1.48 if what the model lacks were known",
-        "tissue: known within a factor of 1.48 (95 %, to first order), of 1.10 if the trunk's size were known",
-        "pelvis in the training frames: turned by −0.3° to 2.4°",
+def test_how_well_the_ratios_are_known_and_how_far_the_pelvis_turned():
+    assert factor_lines(budgeted()) == [
+        "bending: known within a factor of 2.2 (95 %, to first order), of 1.22 if tracking's errors were the only ones",
+        "tissue: known within a factor of 1.48 (95 %, to first order), of 1.08 if tracking's errors were the only ones",
     ]
-    assert uncertainty_lines(budgeted(sd_log={}, supports=[])) == []
+    assert pelvis_lines(budgeted()) == ["pelvis in the training frames: turned by −0.3° to 2.4°"]
+    assert factor_lines(budgeted(sd_log={})) == pelvis_lines(budgeted(supports=[])) == []
+
+
+def test_unknowns_stand_by_what_they_cost_alone_or_beside_all_others():
+    # Shares of the variance: 0.75 of bending if known, 0.94 of tissue if known, 0.44 of bending; none by itself, but
+    # the last, which together with others costs nothing.
+    rows = {"model discrepancy": (0.2, 0.19), "trunk size": (0.41, 0.05), "push height": (0.3, 0.2)}
+    budget = [
+        BudgetRecord(name=name, alone={"bending": 0.1, "tissue": 0.04}, without=dict(zip(("bending", "tissue"), row)))
+        for name, row in rows.items()
+    ]
+    budget.append(
+        BudgetRecord(
+            name="rib joints", alone={"bending": 0.38, "tissue": 0.04}, without={"bending": 0.4, "tissue": 0.2}
+        )
+    )
+    found = [row.name for row in costly_unknowns(budgeted(budget=budget))]
+    assert found == ["trunk size", "rib joints", "model discrepancy", "push height"]
+
+
+def test_other_priors_stand_by_how_far_they_move_or_widen_a_ratio():
+    as_it_is = {"bending": 0.4, "tissue": 0.2}
+
+    def prior(name, bending, tissue, sds=as_it_is):
+        return PriorChangeRecord(name=name, factor=2.0, ratios={"bending": bending, "tissue": tissue}, sd_log=sds)
+
+    little, moved = prior("little", 0.101, 0.04), prior("moved", 0.1, 0.04 * math.exp(0.1))
+    widened = prior("widened", 0.1, 0.04, {"bending": 0.4, "tissue": 0.36})
+    estimate = budgeted(prior_changes=[little, moved, widened])
+    assert moved_sd(estimate, moved) == pytest.approx(0.5) and moved_sd(estimate, widened) == 0.0
+    assert strongest_priors(estimate) == [widened, moved, little]
 
 
 def test_the_combination_that_is_known_best():
     found = CombinationRecord(exponents={"bending": 0.412, "tissue": 1.0}, value=0.01234, sd_log=0.06)
     assert best_known_text(found) == "bending^0.41 × tissue = 0.012 within a factor of 1.12"
-    assert uncertainty_lines(budgeted(best_known=found))[0].endswith("to first order): " + best_known_text(found))
+    (line,) = combination_lines(budgeted(best_known=found))
+    assert line == "known best, a combination (95 %, to first order): " + best_known_text(found)
+    assert combination_lines(budgeted()) == []
     sharp = CombinationRecord(exponents={"a": 1.0, "b": -0.5, "c": 0.04}, value=0.01234, sd_log=0.01)
     text = "A × B^−0.50 = 0.0123 within a factor of 1.02 (powers below 0.1 not shown)"
     assert best_known_text(sharp, str.upper) == text
@@ -228,10 +270,7 @@ def test_the_combination_that_is_known_best():
 
 
 def test_no_more_than_two_ratios_are_told_of():
-    sds = {"bending": 0.4, "tissue": 0.2, "other": 0.3}
-    rows = [BudgetRecord(name="trunk size", alone=sds, without=dict.fromkeys(sds, 0.1))]
-    lines = uncertainty_lines(budgeted(sd_log=sds, budget=rows))
-    assert [line.split(":")[0] for line in lines] == ["bending", "other", "pelvis in the training frames"]
+    assert least_known(budgeted(sd_log={"bending": 0.4, "tissue": 0.2, "other": 0.3})) == ["bending", "other"]
 
 
 def test_every_unknown_has_words(finished):
@@ -249,9 +288,7 @@ def test_every_unknown_has_words(finished):
 def test_ribs_and_volume_are_told_by_what_would_be_measured(name, words):
     row = BudgetRecord(name=name, alone={}, without={"tissue": 0.1})
     estimate = budgeted(sd_log={"tissue": 0.2}, supports=[], budget=[row])
-    assert uncertainty_lines(estimate) == [
-        f"tissue: known within a factor of 1.48 (95 %, to first order), of 1.22 if {words} were known"
-    ]
+    assert unknown_title(name) == words
     assert most_costly(estimate, "tissue", measurable=True) is None
 
 

@@ -8,30 +8,39 @@ import typer
 
 
 def print_response(visit: Any) -> None:
-    """N per degree and flexibility of each push."""
+    """N per degree and flexibility of each push, without a model."""
+    from spinestiff.curves.pushes import push_responses
     from spinestiff.study.wording import response_lines
-    from spinestiff.subject.outcomes import Responses
-    from spinestiff.subject.run_record import read_outcome
 
     typer.echo("Without a model (95 % intervals):")
-    for line in response_lines(read_outcome(visit.subject, Responses)):
+    for line in response_lines(push_responses(visit.subject)):
         typer.echo(line)
 
 
 def print_estimate(visit: Any) -> None:
-    """The estimate, with what makes it doubtful before and what it rests on after it."""
+    """What needs no model, then what the data fix best in the model, then each ratio and what it rests on.
+
+    What makes the estimate doubtful stands before all that is the model's.
+    """
     from spinestiff.app import tables
-    from spinestiff.study.wording import headline, held_lines, uncertainty_lines
+    from spinestiff.study.wording import combination_lines, factor_lines, headline, held_lines, pelvis_lines
     from spinestiff.subject.estimate_outcome import Estimate
     from spinestiff.subject.run_record import read_outcome
 
+    print_response(visit)
     estimate = read_outcome(visit.subject, Estimate)
     for check in estimate.failed:
         typer.echo(f"DOUBTFUL: {check.name}: {check.text}")
-    for line in headline(estimate):
+    for line in (*combination_lines(estimate), *headline(estimate)):
         typer.echo(line)
     tables.show(tables.estimate_table(estimate))
-    for line in (*held_lines(estimate), *uncertainty_lines(estimate)):
+    for line in (*held_lines(estimate), *factor_lines(estimate)):
+        typer.echo(line)
+    if estimate.budget:
+        tables.show(tables.budget_table(estimate))
+    if estimate.prior_changes:
+        tables.show(tables.priors_table(estimate))
+    for line in pelvis_lines(estimate):
         typer.echo(line)
     if estimate.fit_status != "CONVERGED":
         typer.echo(f"fit: {estimate.fit_status_text}")
@@ -62,7 +71,6 @@ def print_assessment(visit: Any) -> None:
 
 def print_summary(visit: Any) -> None:
     """All of a run, and where its report lies."""
-    print_response(visit)
     print_estimate(visit)
     print_assessment(visit)
     typer.echo(f"report: {visit.file('report.html')}")

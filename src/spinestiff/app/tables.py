@@ -12,7 +12,21 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from spinestiff.study.wording import NO_INTERVALS, PLAIN, badge, estimated, has_intervals, interval
+from spinestiff.study.wording import (
+    NO_INTERVALS,
+    PLAIN,
+    badge,
+    costly_unknowns,
+    estimated,
+    factor95,
+    halved_or_doubled,
+    has_intervals,
+    interval,
+    least_known,
+    number,
+    strongest_priors,
+    unknown_title,
+)
 
 if TYPE_CHECKING:
     from spinestiff.study.repeatability import Repeatability
@@ -112,6 +126,54 @@ def estimate_table(estimate: Estimate) -> Table:
         known += ", at bound" if ratio.at_bound else ""
         made.add_row(f"ratio: {escape(name)}", estimated(ratio), interval(ratio), known)
     return made
+
+
+MOST_UNKNOWNS, MOST_PRIORS = 8, 6
+"""Rows of the variance budget and of other priors that a terminal shows; ``estimate.json`` has all."""
+
+
+def budget_table(estimate: Estimate) -> Table:
+    """What each unknown does to the ratios that are known least: factors with it alone, and if it were known."""
+    names = least_known(estimate)
+    heads = (head for name in names for head in (f"{_stacked_name(name)}\nalone", "if\nknown"))
+    title = "Uncertainty: factor (95 %) by each unknown alone, and if it were known"
+    made = table(title, "unknown", *heads)
+    rows = costly_unknowns(estimate)
+    for row in rows[:MOST_UNKNOWNS]:
+        factors = (factor95(sds[name]) for name in names for sds in (row.alone, row.without))
+        made.add_row(unknown_title(row.name), *factors)
+    _others(made, len(rows) - MOST_UNKNOWNS)
+    return made
+
+
+def priors_table(estimate: Estimate) -> Table:
+    """The ratios that are known least, with their factors, with one prior's standard deviation halved or doubled."""
+    names = least_known(estimate)
+    made = table(
+        "With a prior's standard deviation halved or doubled: ratio (factor, 95 %)",
+        "unknown", "its\nprior", *(_stacked_name(name) for name in names), left=("its\nprior",),
+    )  # fmt: skip
+    made.add_row("all as they are", "", *(_with_factor(estimate.values[name], estimate.sd_log[name]) for name in names))
+    rows = strongest_priors(estimate)
+    for row in rows[:MOST_PRIORS]:
+        cells = (_with_factor(row.ratios[name], row.sd_log[name]) for name in names)
+        made.add_row(unknown_title(row.name), halved_or_doubled(row), *cells)
+    _others(made, len(rows) - MOST_PRIORS)
+    return made
+
+
+def _with_factor(ratio: float, sd_log: float) -> str:
+    return f"{number(ratio, 2)} ({factor95(sd_log)})"
+
+
+def _stacked_name(name: str) -> str:
+    """A ratio's name as narrow as its words."""
+    return escape(name.replace("_", "\n").replace("@", "\n@"))
+
+
+def _others(made: Table, count: int) -> None:
+    if count > 0:
+        made.add_row(f"{count} more, that change less, in estimate.json")
 
 
 PREDICTORS = {

@@ -410,10 +410,12 @@ def relative_covariance(motions: Sequence[Floats]) -> Floats:
 
 def modes_of(torso: TorsoModel) -> DiscrepancyModes | None:
     """What was learnt for a torso's mesh; None for one of other vertebrae than T1 to L5."""
-    if torso.vertebrae != VERTEBRAE:
-        return None
-    mesh: Mesh = "coarse" if len(torso.tissue.rest_positions) < FINE_NODES else "fine"
-    return shipped_modes(mesh, LEFT_OUT)
+    return None if torso.vertebrae != VERTEBRAE else shipped_modes(mesh_size(torso), LEFT_OUT)
+
+
+def mesh_size(torso: TorsoModel) -> Mesh:
+    """Which of the two meshes, for which something was learnt, a torso's tissue mesh has the size of."""
+    return "coarse" if len(torso.tissue.rest_positions) < FINE_NODES else "fine"
 
 
 def pushed_site(load: LoadCase, torso: TorsoModel) -> tuple[str, float]:

@@ -5,13 +5,14 @@ Needs a mesher (extra [mesh]). Bones, joints, boxes and landmarks stay as they a
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.importing.carried_skin import refuse_bones_outside
-from spinestiff.anatomy.meshing import DEFAULT_MESHER, SKIN_SHARE, TRIED_SHARES, find_mesher, mesh_tissue
+from spinestiff.anatomy.meshing import DEFAULT_MESHER, SKIN_SHARE, SPACINGS_MM, TRIED_SHARES, find_mesher, mesh_tissue
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.rounding import rounded
 from spinestiff.anatomy.state import TorsoState
@@ -63,6 +64,26 @@ def skin_of(torso: TorsoModel, state: TorsoState) -> Surface:
     return torso.node_positions(state)[used], number.reshape(faces.shape)
 
 
+def node_spacing(nodes: int, height_cm: float) -> float:
+    """Distance in mm of the corners inside a mesh of about so many nodes, in a body of a height in cm.
+
+    Raises
+    ------
+    TorsoError : it lies outside what is meshed (``meshing.SPACINGS_MM``); says how many nodes a body of this height
+        can have.
+    """
+    at_reference = SPACING_MM * height_cm / REFERENCE_HEIGHT_CM
+    spacing = at_reference * (nodes / NODES_AT_SPACING) ** (-1.0 / NODES_POWER)
+    if not SPACINGS_MM[0] <= spacing <= SPACINGS_MM[1]:
+        most, fewest = (NODES_AT_SPACING * (limit / at_reference) ** -NODES_POWER for limit in SPACINGS_MM)
+        raise TorsoError(
+            f"a tissue mesh of {nodes} nodes in a body of {height_cm:g} cm has {spacing:.1f} mm between corners, where "
+            f"{SPACINGS_MM[0]:g} to {SPACINGS_MM[1]:g} mm can be meshed; choose {math.ceil(fewest)} to "
+            f"{math.floor(most)} nodes, or another height"
+        )
+    return spacing
+
+
 def with_new_tissue(
     bare: TorsoModel,
     skin: Surface,
@@ -84,14 +105,13 @@ def with_new_tissue(
 
     Raises
     ------
-    TorsoError : a bone sticks out of the skin, or no mesh passes the mesher's gate.
+    TorsoError : so few or many nodes make no mesh of a body of this height; a bone sticks out of the skin, or no mesh
+        passes the mesher's gate.
     """
-    rest = bare.rest_pose
+    spacing, rest = node_spacing(nodes, bare.height_cm), bare.rest_pose
     surfaces = {
         name: (bare.surface_positions(rest, i), bare.bone_surfaces[i].faces) for i, name in enumerate(bare.bone_names)
     }
-    share = (nodes / NODES_AT_SPACING) ** (-1.0 / NODES_POWER)
-    spacing = share * SPACING_MM * bare.height_cm / REFERENCE_HEIGHT_CM
     skin = rounded(skin, SKIN_SHARE * spacing)
     refuse_bones_outside(surfaces, skin)
     made = mesh_tissue(surfaces, skin, spacing, observer=observer, tried_shares=AS_MANY_NODES, seed=seed)

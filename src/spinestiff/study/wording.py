@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 from spinestiff.anatomy.regions import AT
 from spinestiff.subject.assessment_outcome import HeldOutFrame
-from spinestiff.subject.estimate_outcome import BudgetRecord, CombinationRecord, Estimate
+from spinestiff.subject.estimate_outcome import BudgetRecord, CombinationRecord, Estimate, PriorChangeRecord
 from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Determination, Quantity
 from spinestiff.subject.outcomes import AngleResponse, Flexibility, PushResponse, Responses
 
@@ -20,6 +20,8 @@ SURE = 0.05
 
 OFF_LINE = 2.0
 """Scatter about a straight line, in errors, that is worth a word."""
+MOST_TOLD = 2
+"""Ratios of which the uncertainty is told in a terminal."""
 LEAST_EXPONENT = 0.1
 """Of a ratio in a combination that is worth its name."""
 
@@ -245,23 +247,68 @@ def best_known_text(found: CombinationRecord, title: Callable[[str], str] = str)
     return f"{' × '.join(powers)} = {number(found.value, digits)} within a factor of {factor95(found.sd_log)}{less}"
 
 
-def uncertainty_lines(estimate: Estimate) -> list[str]:
-    """What is known best, what knowing more would gain for the two ratios that are known least, and how far the pelvis
-    turned."""
-    lines = []
-    if estimate.best_known is not None:
-        lines.append(f"known best, a combination (95 %, to first order): {best_known_text(estimate.best_known)}")
-    for name in sorted(estimate.sd_log, key=lambda name: -estimate.sd_log[name])[:2]:
-        row = most_costly(estimate, name)
-        if row is not None:
-            lines.append(
-                f"{name}: known within a factor of {factor95(estimate.sd_log[name])} (95 %, to first order), of "
-                f"{factor95(row.without[name])} if {unknown_title(row.name)} were known"
-            )
+def combination_lines(estimate: Estimate) -> list[str]:
+    """The combination of ratios that the data fix best, a line; none where a single ratio is known as well."""
+    if estimate.best_known is None:
+        return []
+    return [f"known best, a combination (95 %, to first order): {best_known_text(estimate.best_known)}"]
+
+
+def least_known(estimate: Estimate) -> list[str]:
+    """The two ratios that are known least, the least first; none without a variance budget."""
+    return sorted(estimate.sd_log, key=lambda name: -estimate.sd_log[name])[:MOST_TOLD]
+
+
+def factor_lines(estimate: Estimate) -> list[str]:
+    """How well the ratios that are known least are known, with all unknowns and with tracking's errors alone."""
+    return [
+        f"{name}: known within a factor of {factor95(estimate.sd_log[name])} (95 %, to first order), of "
+        f"{factor95(estimate.sd_log_tracking[name])} if tracking's errors were the only ones"
+        for name in least_known(estimate)
+    ]
+
+
+def costly_unknowns(estimate: Estimate) -> list[BudgetRecord]:
+    """The variance budget's unknowns by the largest share of a least known ratio's variance that they cost, by
+    themselves or beside all others, the largest first."""
+
+    def cost(row: BudgetRecord) -> float:
+        return max(
+            max(row.alone[name] ** 2 - estimate.sd_log_tracking[name] ** 2, sd**2 - row.without[name] ** 2) / sd**2
+            for name, sd in ((name, estimate.sd_log[name]) for name in least_known(estimate))
+        )
+
+    return sorted(estimate.budget, key=cost, reverse=True)
+
+
+def moved_sd(estimate: Estimate, change: PriorChangeRecord) -> float:
+    """By how many of its standard deviations another prior moves a ratio's log, the most of any ratio."""
+    return max(
+        abs(math.log(change.ratios[name] / value)) / estimate.sd_log[name] for name, value in estimate.values.items()
+    )
+
+
+def strongest_priors(estimate: Estimate) -> list[PriorChangeRecord]:
+    """Priors halved and doubled by how far they move a ratio or change its standard deviation, the most first."""
+
+    def effect(change: PriorChangeRecord) -> float:
+        widened = (abs(change.sd_log[name] / sd - 1.0) for name, sd in estimate.sd_log.items())
+        return max(moved_sd(estimate, change), *widened)
+
+    return sorted(estimate.prior_changes, key=effect, reverse=True)
+
+
+def halved_or_doubled(change: PriorChangeRecord) -> str:
+    """What was done to a prior's standard deviation, in a word."""
+    return "halved" if change.factor < 1.0 else "doubled"
+
+
+def pelvis_lines(estimate: Estimate) -> list[str]:
+    """How far the pelvis turned in the training frames, a line; none where it was held level."""
     turns = [place.obliquity_deg for place in estimate.supports]
-    if any(turns):
-        lines.append(f"pelvis in the training frames: turned by {fixed(min(turns))}° to {fixed(max(turns), 1)}°")
-    return lines
+    if not any(turns):
+        return []
+    return [f"pelvis in the training frames: turned by {fixed(min(turns))}° to {fixed(max(turns), 1)}°"]
 
 
 def response_lines(responses: Responses) -> list[str]:

@@ -260,6 +260,7 @@ def estimate_record() -> Estimate:
             prior_change("push height", 2.0, (0.18, 0.05), (0.5, 0.2)),
             prior_change("trunk size", 2.0, (0.2, 0.06), (0.4, 0.35)),
         ],
+        "best_known": {"exponents": {"lateral_bending": 0.4, "tissue": 1.0}, "value": 0.0262, "sd_log": 0.06},
         "p_value": 0.42,
         "tracking_factor": 1.13,
         "method": "weighed",
@@ -586,6 +587,13 @@ def test_what_needs_no_model_stands_before_the_estimate(visit: Visit, page: Page
     places = [page.words.index(text[0].upper() + text[1:]) for text in texts]
     assert places == sorted(places)
     assert places[-1] < page.words.index("Estimate: determined")
+    # Then the combination that the data fix best, then each ratio.
+    best = page.words.index(
+        "Known best is a combination: (Lateral bending of the spine)^0.40 × (Soft tissue of the trunk) = 0.026 within "
+        "a factor of 1.12 (95 %, to first order)."
+    )
+    assert page.words.count("Known best is a combination") == 1
+    assert page.words.index("Estimate: determined") < best < page.words.index("0.20, 95 % interval 0.17 to 0.23")
     assert "a gauge known to 2 % and 1.5 N" in page.words
 
 

@@ -26,11 +26,13 @@ from spinestiff.study.wording import (
     factor95,
     fixed,
     forecast_lines,
+    halved_or_doubled,
     has_intervals,
     held_lines,
     interval,
     listed,
     most_costly,
+    moved_sd,
     number,
     response_texts,
     short_span,
@@ -162,6 +164,7 @@ def result_content(visit: Visit, estimate: Estimate, assessment: Assessment) -> 
         "badge_text": DETERMINATIONS[estimate.determined] if has_intervals(estimate) else NO_INTERVALS_TEXT,
         "fit_text": "" if estimate.fit_status == "CONVERGED" else estimate.fit_status_text,
         "failed": [f"{check.name}: {check.text}" for check in estimate.failed],
+        "best_known": "" if estimate.best_known is None else best_known_text(estimate.best_known, ratio_title),
         "ratios": ratios,
         "plain": _plain_rows(estimate, [key for key in PLAIN_TITLES if _of_several(estimate.plain[key])]),
         "held": held_lines(estimate),
@@ -256,7 +259,6 @@ def uncertainty_content(estimate: Estimate, predictions: Predictions) -> dict[st
             for kind in [estimate.ratios[name].profile]
             if kind is not None
         ],
-        "best_known": "" if estimate.best_known is None else best_known_text(estimate.best_known, ratio_title),
         "gains": [_gain(estimate, name) for name in estimate.parameters if estimate.budget],
         "supports": _support_rows(support_places(predictions, estimate)),
         "changed": bool(estimate.prior_changes),
@@ -370,21 +372,15 @@ def _support_rows(frames: Mapping[str, Mapping[str, SupportPlace]]) -> list[dict
 
 def _prior_changes(estimate: Estimate) -> list[dict[str, Any]]:
     """Other priors that move a ratio by more than a part of its standard deviation."""
-    rows = []
-    for change in estimate.prior_changes:
-        moved = {
-            name: abs(np.log(change.ratios[name] / value)) / estimate.sd_log[name]
-            for name, value in estimate.values.items()
+    return [
+        {
+            "title": _unknown(change.name),
+            "factor": halved_or_doubled(change),
+            "cells": [number(change.ratios[name], 2) for name in estimate.parameters],
         }
-        if max(moved.values()) > MOVED_SD:
-            rows.append(
-                {
-                    "title": _unknown(change.name),
-                    "factor": "halved" if change.factor < 1.0 else "doubled",
-                    "cells": [number(change.ratios[name], 2) for name in estimate.parameters],
-                }
-            )
-    return rows
+        for change in estimate.prior_changes
+        if moved_sd(estimate, change) > MOVED_SD
+    ]
 
 
 def comparison_content(assessment: Assessment) -> dict[str, Any]:

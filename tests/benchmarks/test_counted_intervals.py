@@ -1,0 +1,125 @@
+"""benchmarks/counted_intervals.py: a campaign counted by part; jointly by what was solved at the truth."""
+
+from __future__ import annotations
+
+import json
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from programs import benchmark
+
+counting = benchmark("counted_intervals")
+ROOT = Path(__file__).parents[2]
+EDGE = float(chi2.ppf(0.95, 2))
+
+
+def subject(seed, bending=0.1, tissue=0.04, z=(0.5, -0.5), cobb=20.0, solved=1.0, **changed):
+    """A row whose intervals are two standard deviations of 0.3 in log either way."""
+    truth = {"lateral_bending": bending, "tissue": tissue}
+    middle = [value * np.exp(0.3 * one) for value, one in zip(truth.values(), z)]
+    return {
+        "seed": seed, "ratios": truth, "kind": "", "cobb_deg": cobb, "z": list(z), "joint": 1.0, "joint_solved": solved,
+        "low": [value * np.exp(-0.6) for value in middle], "high": [value * np.exp(0.6) for value in middle],
+        "open": [False, False], "width_factor": counting.WIDTH_FACTOR, "p_value": 0.5, "tracking_factor": 1.0,
+        "rmse_mm": 1.0, "evaluations": 10, "factorisations": 50, "cpu_s": 20.0, "code": "a", "held_out": [], **changed,
+    }  # fmt: skip
+
+
+@pytest.fixture
+def rows(tmp_path):
+    """As read from a log: nine subjects of which one was not made and one has no estimate."""
+    made = [
+        subject(1, cobb=-50.0, solved=None),
+        subject(2, bending=0.2, solved=EDGE + 1.0, kind="layers"),
+        subject(3, bending=0.3, solved=EDGE - 1.0),
+        subject(4, bending=0.4, z=(3.0, 0.0), open=[True, False]),
+        subject(5, bending=0.5, tissue=0.05, cobb=40.0),
+        subject(6, bending=0.6, tissue=0.06, joint=EDGE + 1.0, p_value=1e-4),
+        subject(8, bending=0.7, tissue=0.07, kind="stiffening", z=(0.0, 7.0), solved=50.0, code="b"),
+    ]
+    others = [{"seed": 7, "not made": "why", "code": "a"}, {"seed": 10, "failed": "why", "code": "a"}]
+    log = tmp_path / "log.jsonl"
+    log.write_text("".join(json.dumps(row) + "\n" for row in [*made, *others]))
+    return counting.read_logs([log])
+
+
+def test_the_joint_region_is_counted_by_what_was_solved_at_the_truth_in_every_part(rows):
+    entry = counting.summarised("name", rows, 20)
+    # Seed 1 has no equilibrium at the truth, 2 and 8 rise beyond the region; the emulator finds 6 alone outside.
+    assert entry["coverage95"]["joint"] == entry["joint"]["all"]["95.0%"][0] == pytest.approx(4 / 7, abs=1e-4)
+    assert entry["joint_by_emulator"]["all"]["95.0%"][0] == pytest.approx(6 / 7, abs=1e-4)
+    assert entry["outside_999"] == 2
+    found = {part: (one["subjects"], one["95.0%"][0]) for part, one in entry["joint"].items()}
+    assert found["curve to 40°"] == (5, 0.6) and found["curve 40° to 80°"] == (2, 0.5)
+    assert found["layered tissue"] == (1, 0.0) and found["discs with a neutral zone"] == (1, 0.0)
+    assert found["body as the model"] == (5, 0.8) and "discs that turn farther behind" not in found
+    assert found["open"] == (1, 1.0) and found["closed"] == (6, 0.5)
+    assert found["lowest third of lateral_bending"] == (3, pytest.approx(1 / 3, abs=1e-4))
+    assert found["highest third of tissue"] == (2, 0.5)
+
+
+def test_each_ratio_is_counted_by_its_own_interval_and_in_the_same_strata(rows):
+    entry = counting.summarised("name", rows)
+    bending, tissue = entry["lateral_bending"], entry["tissue"]
+    # The truth of seed 4 lies three standard deviations from the middle of an interval of two.
+    assert bending["all"]["95.0%"] == [round(6 / 7, 4), round(np.sqrt(6 / 7 * 1 / 7 / 7), 4)]
+    assert bending["open"]["95.0%"] == [0.0, 0.0] and bending["closed"]["subjects"] == 6 and "open" not in tissue
+    assert bending["curve to 40°"]["95.0%"][0] == 0.8 and bending["curve 40° to 80°"]["95.0%"][0] == 1.0
+    # A z of 7 is one of 5 in a mean, and itself in a root of squares.
+    assert tissue["discs with a neutral zone"]["bias_sd"] == 5.0 and tissue["discs with a neutral zone"]["rms_z"] == 7.0
+
+
+def test_seeds_states_and_failures_are_told(rows):
+    entry = counting.summarised("name", rows, 20)
+    assert entry["seeds"] == [[1, 8], [10, 10]] and entry["planned"] == 20
+    assert (entry["subjects"], entry["not_made"], entry["without_estimate"], entry["flagged"]) == (7, 1, 1, 1)
+    assert entry["code"] == {"a": 8, "b": 1}
+
+
+def test_another_width_factor_scales_z_and_rises_once(tmp_path):
+    log = tmp_path / "log.jsonl"
+    log.write_text(json.dumps(subject(1, z=(2.0, 1.0), solved=8.0, width_factor=1.0)) + "\n")
+    (row,) = counting.read_logs([log])
+    scale = 1.0 / counting.WIDTH_FACTOR
+    assert row["z"] == pytest.approx([2.0 * scale, scale])
+    assert row["joint_solved"] == pytest.approx(8.0 * scale**2) and row["joint"] == pytest.approx(scale**2)
+    # By z, since the interval's ends are those of the other factor.
+    assert row["inside"] == [True, True]
+
+
+def test_the_pages_tables_hold_each_part_with_its_number_and_its_error(monkeypatch, rows):
+    entry = counting.summarised("three pushes", rows)
+    monkeypatch.setattr(counting, "LEAST_BY_PART", 7)
+    lines = counting.markdown([entry]).splitlines()
+    assert lines[2].startswith("| three pushes | 7 |") and "57.1 %" in lines[2]
+    table = {line.split(" | ")[0].strip("| "): line.split(" | ") for line in lines[6:]}
+    assert table["all"][1:4] == ["85.7 ± 13.2 of 7", "85.7 ± 13.2 of 7", "57.1 ± 18.7 of 7"]
+    # A third of one ratio has no figure of the other.
+    third = table["lowest third of bending"]
+    assert third[1].endswith("of 3") and third[2] == "" and third[3] == "33.3 ± 27.2 of 3"
+    monkeypatch.setattr(counting, "LEAST_BY_PART", 8)
+    assert len(counting.markdown([entry]).splitlines()) == 3
+
+
+def test_a_campaign_is_repeated_with_the_seeds_and_settings_of_its_rows(monkeypatch, tmp_path):
+    """Settings were looked at on bodies of two sizes of mesh, with seeds that are in no scenario's range."""
+    script = ROOT / "benchmarks" / "coverage.py"
+    monkeypatch.setattr(sys, "argv", [str(script), "--json"])
+    monkeypatch.setitem(sys.modules, "coverage", None)
+    monkeypatch.syspath_prepend(str(script.parent))
+    program = runpy.run_path(str(script), run_name="__main__")
+    asked = {
+        (log.name, seed): (scenario.nodes, scenario.acquisition) for seed, scenario, log in program["kept"](tmp_path)
+    }
+    log = program["log_of"]("settings, three pushes")
+    rows = [json.loads(line) for line in log.read_text().splitlines()]
+    assert len(rows) > 100 and len({row["nodes"] for row in rows}) > 1
+    assert {key: asked[log.name, key] for key in (row["seed"] for row in rows)} == {
+        row["seed"]: (row["nodes"], row["acquisition"]) for row in rows
+    }
+    assert {log.parent for *_, log in program["kept"](tmp_path)} == {tmp_path}

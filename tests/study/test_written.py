@@ -1,0 +1,30 @@
+"""What an estimate's record says beside its numbers."""
+
+from __future__ import annotations
+
+import pytest
+
+from spinestiff.anatomy.template import template_torso
+from spinestiff.study.written import mesh_notes
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    return template_torso(157.0, "coarse")
+
+
+def test_a_coarse_mesh_is_called_a_quick_look_with_what_it_does_to_the_ratios(coarse):
+    (note,) = mesh_notes(coarse, "weighed")
+    assert note.startswith(f"a quick look: the tissue's mesh is coarse ({len(coarse.tissue.rest_positions)} nodes)")
+    assert "tissue comes out lower" in note and "bending" in note and "the intervals allow for" in note
+    assert note.endswith("run again without --mesh coarse")
+
+
+def test_the_paper_s_method_has_no_intervals_that_allow_for_it_and_own_bones_have_one_mesh(coarse):
+    (note,) = mesh_notes(coarse, "paper", own=True)
+    assert "intervals" not in note
+    assert note.endswith("import the bones with a smaller --spacing")
+
+
+def test_a_fine_mesh_needs_no_such_note():
+    assert mesh_notes(template_torso(157.0, "fine"), "weighed") == ()
