@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import operator
+
 import numpy as np
 import pytest
 
 from results import register
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.study import steps
 from spinestiff.study.truth import compare_with_truth, known_comparison, read_truth, true_values
 from spinestiff.study.visit import load_pushes, open_visit
 from spinestiff.subject.assessment_outcome import Comparison
@@ -41,6 +45,34 @@ def test_the_truth_is_measured_on_the_model(finished, made, tmp_path):
     assert stiff.truth == {"lateral_bending": 1.0, "tissue": 1.0}
     assert stiff.distance2 > stiff.region_size == made[0].region_size
     assert stiff.inside is False
+
+
+def test_the_distance_from_the_estimates_own_states_is_that_from_rest(finished, made, tmp_path, monkeypatch):
+    states, starts = [one.state for one in finished.fit.equilibria], []
+
+    def seen(self, load, ratios=None, start=None, *args, solve=EquilibriumProblem.solve_linearised, **kwargs):
+        starts.append(start)
+        return solve(self, load, ratios, start, *args, **kwargs)
+
+    truth = with_truth(tmp_path, lateral_bending=0.3, tissue=0.03)
+    from_rest = compare_with_truth(*made, truth)
+    monkeypatch.setattr(EquilibriumProblem, "solve_linearised", seen)
+    from_states = compare_with_truth(*made, truth, states)
+    assert from_states.distance2 == pytest.approx(from_rest.distance2, rel=1e-4)
+    assert all(map(operator.is_, starts, states))
+
+
+def test_assess_starts_the_comparison_at_the_estimates_states(subject, finished, monkeypatch):
+    given = []
+
+    def compared(estimate, pushes, truth, starts=None):
+        given.append(starts)
+        return Comparison(truth=read_truth(truth), region_size=None, distance2=None, inside=None)
+
+    monkeypatch.setattr(steps, "compare_with_truth", compared)
+    steps.assess_step(open_visit(subject, truth=finished.truth), lambda line: None)
+    for start, one in zip(given[0], finished.fit.equilibria, strict=True):
+        assert np.array_equal(start.bone_positions, one.state.bone_positions)
 
 
 def test_without_a_region_there_is_no_distance(finished, made):

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from spinestiff.anatomy.regions import AT
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.files import read_json
 from spinestiff.study.trials import PushSet, rise_of
@@ -59,8 +60,14 @@ def known_comparison(subject: Subject, truth: Path) -> Comparison:
     return comparison
 
 
-def compare_with_truth(estimate: Estimate, pushes: PushSet, truth: Path) -> Comparison:
+def compare_with_truth(
+    estimate: Estimate, pushes: PushSet, truth: Path, starts: Sequence[TorsoState] | None = None
+) -> Comparison:
     """How far the estimate lies from known true ratios, in the measure of its joint region.
+
+    Parameters
+    ----------
+    starts : the estimate's states of the training frames under load, in order, to solve from; default rest.
 
     Raises
     ------
@@ -77,7 +84,7 @@ def compare_with_truth(estimate: Estimate, pushes: PushSet, truth: Path) -> Comp
     try:
         nuisances = {one.name: one.standard for one in estimate.nuisances}
         distance2 = rise_of(
-            pushes, estimate.values, nuisances, wanted, estimate.population, estimate.training_rmse_mm.fit
+            pushes, estimate.values, nuisances, wanted, estimate.population, estimate.training_rmse_mm.fit, starts
         )
     except EquilibriumError:
         return unknown
