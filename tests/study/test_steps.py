@@ -493,7 +493,7 @@ def test_other_parameters_and_a_population_asked_in_subject_json(subject, finish
     monkeypatch.setattr(truth, "rise_of", lambda *args: compared.append(args[3:]) or 1.0)
     truth.compare_with_truth(record, load_pushes(visit, "procrustes", "weighed"), visit.truth)
     wanted = {names[0]: true_bending, "tissue": read_truth(visit.truth)["tissue"]}
-    assert compared == [(wanted, "koutras2025", record.training_rmse_mm.fit)]
+    assert compared == [(wanted, "koutras2025", record.training_rmse_mm.fit, None)]
 
 
 def test_many_ratios_say_how_their_intervals_were_found(finished):

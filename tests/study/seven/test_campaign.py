@@ -124,6 +124,6 @@ if __name__ == "__main__":
         while not all((tmp_path / one.name).exists() for one in FIRST[:2]) and time.monotonic() < latest:
             time.sleep(0.05)
         parent.send_signal(number)
-        parent.communicate(timeout=20)
+        parent.communicate(timeout=120)
     finally:
         parent.kill()
