@@ -87,6 +87,7 @@ def test_all_columns_of_one_solve_are_those_of_each(case):
     together = tangent.forward(ratios.groups, changes)
     apart = [tangent.forward(ratios.groups), *(tangent.load_derivative(change)[:, None] for change in changes)]
     np.testing.assert_allclose(together, np.hstack(apart), rtol=1e-9, atol=1e-12 * np.abs(together).max())
+    assert tangent.forward().shape == (len(together), 0)
 
 
 def test_held_degrees_of_freedom_do_not_move(case):

@@ -36,7 +36,7 @@ LINEAR_RESIDUAL = 1e-10
 class Linearisation:
     """The factorised true tangent at one converged equilibrium.
 
-    ``tangent``: it, if the caller has just made it (``EquilibriumProblem.solve_linearised``).
+    ``tangent``: that tangent, if the caller has just factorised it (``EquilibriumProblem.solve_linearised``).
 
     Raises
     ------
@@ -89,7 +89,7 @@ class Linearisation:
     def forward(
         self, groups: Sequence[ParameterGroup] = (), changes: Sequence[Term] = (), place: bool = False
     ) -> Floats:
-        """(dofs, P + n + 2) d x / d each of several parameters (Eq. 6); one solve for all of them.
+        """(dofs, P + n + 2) d x / d each of several parameters (Eq. 6); one solve for all of them, none for none.
 
         Parameters
         ----------
@@ -102,6 +102,8 @@ class Linearisation:
         EquilibriumError : ``place`` of a pelvis that is free to turn.
         """
         potential = self._system.potential
+        if not (groups or changes or place):
+            return np.zeros((potential.dofs, 0))
         gradients = [potential.ratio_gradients(self._state, self._stiffness, groups)] if groups else []
         gradients += [potential.term_gradient(change, self._state)[:, None] for change in changes]
         gradients += [one[:, None] for one in self._place_gradients()] if place else []

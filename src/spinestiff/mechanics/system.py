@@ -33,7 +33,7 @@ ABSOLUTE_TOLERANCE = 1e-8  # N
 class Factorised(NamedTuple):
     """The tangent stiffness of a state: its ``hessian``, values in the potential's pattern, and ``factor``.
 
-    The Hessian has the rows of held degrees of freedom, which are the identity in what is factorised.
+    The Hessian has the rows and columns of held degrees of freedom; in the factor they are the identity's.
     """
 
     hessian: Floats
@@ -153,16 +153,14 @@ class System(ShortRepr):
         values[self.held] = 0.0
         return values
 
-    def factorise(
-        self, state: TorsoState, stiffness: Stiffness, terms: Sequence[Term], project: bool = False
-    ) -> Factor:
-        """The tangent stiffness with held DoFs replaced by the identity, factorised."""
-        return self.numeric_factor(self.potential.hessian(state, stiffness, terms, project))
-
     def tangent(self, state: TorsoState, stiffness: Stiffness, terms: Sequence[Term]) -> Factorised:
-        """The same with the Hessian that it is made of."""
+        """The tangent stiffness in a state, factorised, and the Hessian that it is made of."""
         hessian = self.potential.hessian(state, stiffness, terms)
         return Factorised(hessian, self.numeric_factor(hessian))
+
+    def factorise(self, state: TorsoState, stiffness: Stiffness, terms: Sequence[Term]) -> Factor:
+        """The factor of ``tangent`` alone."""
+        return self.tangent(state, stiffness, terms).factor
 
     def numeric_factor(self, values: Floats) -> Factor:
         """Factor of a Hessian's values (in the potential's pattern) with held DoFs replaced by the identity."""

@@ -383,9 +383,8 @@ def assess_step(visit: Visit, say: Observer) -> None:
     assessment = Assessment(frames=assess(predictions, expected), notes=tuple(_support_notes(visit, predictions)))
     comparison = None
     if visit.truth is not None:
-        solved = [known.get((t.push, t.frame, "fit")) for t in pushes.fitted if t.trial.load.size]
-        starts = [one.state for one in solved if one is not None]
-        comparison = compare_with_truth(estimate, pushes, visit.truth, starts if len(starts) == len(solved) else None)
+        starts = [known[t.push, t.frame, "fit"].state for t in pushes.training]
+        comparison = compare_with_truth(estimate, pushes, visit.truth, starts)
     write_solved(visit.file("predictions.npz"), stored(predictions))
     write_text(visit.file(ASSESSMENT_FILE), assessment_csv(assessment))
     write_outcome(subject, assessment)
