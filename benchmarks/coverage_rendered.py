@@ -80,7 +80,7 @@ def rendered_subject(seed: int, nodes: int, folder: Path) -> Rendered:
         pushes=pushes,
         nodes=nodes,
     )
-    recipe, cobb = _bearable(recipe)
+    recipe, cobb = bearable(recipe)
     synthesise(folder, recipe)
     _told(folder / SUBJECT_FILE, random)
     visit = open_visit(folder)
@@ -90,7 +90,7 @@ def rendered_subject(seed: int, nodes: int, folder: Path) -> Rendered:
     return Rendered(ratios, cobb, load_start(visit, "procrustes", "weighed"), seen)
 
 
-def _bearable(recipe: Recipe) -> tuple[Recipe, float]:
+def bearable(recipe: Recipe) -> tuple[Recipe, float]:
     """With a force under which no two vertebrae turn by more than ``MOST_TILT``, and pushes as far below the held
     shoulder as a record wants them; the curve at rest, degrees."""
     torso = subject_torso(recipe)

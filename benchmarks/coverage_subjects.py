@@ -27,6 +27,7 @@ from judgement_subjects import (
     KYPHOSIS_DEG,
     LARGEST_HEIGHT_CM,
     LORDOSIS_DEG,
+    MEAN_HEIGHT_CM,
     PERSON_SD,
     SPINE_LENGTH_SD,
     VERTEBRA_SD,
@@ -263,7 +264,7 @@ def _body(seed: int, nodes: int) -> _Body:
     random = np.random.default_rng([13, seed])
     sex: Literal["female", "male"] = "female" if random.uniform() < 0.8 else "male"
     age = float(random.uniform(*AGES))
-    mean = float(np.interp(age, (10.0, 16.0), (138.0, 163.0) if sex == "female" else (138.0, 174.0)))
+    mean = float(np.interp(age, AGES, MEAN_HEIGHT_CM[sex]))
     height = mean + float(np.clip(random.normal(0.0, HEIGHT_SD_CM), -LARGEST_HEIGHT_CM, LARGEST_HEIGHT_CM))
     torso = _of_drawn_stiffness(_true_torso(random, height, age, sex, nodes, seed), random, Priors())
     return _Body(sex, age, height, torso, random.bit_generator.state)

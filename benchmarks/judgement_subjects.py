@@ -57,6 +57,7 @@ def _proxy(content: dict[Any, Any]) -> MappingProxyType[Any, Any]:
 # Python pickles no read-only mapping by itself, and fits are kept as pickles.
 copyreg.pickle(MappingProxyType, lambda mapping: (_proxy, (dict(mapping),)))
 AGES, HEIGHT_SD_CM, LARGEST_HEIGHT_CM = (10.0, 16.0), 6.0, 15.0
+MEAN_HEIGHT_CM = {"female": (138.0, 163.0), "male": (138.0, 174.0)}  # at the first and at the last of the ages
 KYPHOSIS_DEG, LORDOSIS_DEG, COBB_DEG = (22.0, 48.0), (37.0, 58.0), (5.0, 45.0)
 # As in personalisation.py: lengths and sizes of spines and vertebrae over those usual at a height.
 SPINE_LENGTH_SD, LARGEST_LENGTH = 0.035, 0.07
@@ -125,7 +126,7 @@ def make_subject(seed: int) -> Subject:
     random = np.random.default_rng([12, seed])
     sex: Literal["female", "male"] = "female" if random.uniform() < 0.8 else "male"
     age = float(random.uniform(*AGES))
-    mean = float(np.interp(age, (10.0, 16.0), (138.0, 163.0) if sex == "female" else (138.0, 174.0)))
+    mean = float(np.interp(age, AGES, MEAN_HEIGHT_CM[sex]))
     height = mean + float(np.clip(random.normal(0.0, HEIGHT_SD_CM), -LARGEST_HEIGHT_CM, LARGEST_HEIGHT_CM))
     torso = _true_torso(random, height, age, sex)
     ratios = {
