@@ -115,6 +115,26 @@ def test_a_rough_fit_spares_evaluations_and_changes_no_interval(column, noisy) -
     assert len(led.history) < len(alone.history) == len(aside.history)
 
 
+def test_a_fit_goes_on_where_another_ended(column, noisy, whole, monkeypatch) -> None:
+    """Ratios first, then nuisances in two steps, each on the tangents of the one before."""
+    asked: list[tuple[float, bool]] = []
+    solve = WeighedProblem.solve
+
+    def seen(self, log_ratios, nuisances, near=None, slope=None, *args, **kwargs):
+        asked.append((float(np.abs(nuisances).max()), slope is not None))
+        return solve(self, log_ratios, nuisances, near, slope, *args, **kwargs)
+
+    monkeypatch.setattr(WeighedProblem, "solve", seen)
+    on = fit_stiffness(
+        column.problem, noisy, start=whole.ratios.as_dict(), start_nuisances=whole.standard_nuisances,
+        bounds=BOUNDS, extent="estimate",
+    )  # fmt: skip
+    largest = max(map(abs, whole.standard_nuisances.values()))
+    assert asked[:3] == [(0.0, False), (pytest.approx(0.5 * largest), True), (pytest.approx(largest), True)]
+    assert len(on.history) < len(whole.history)
+    assert on.ratios.values == pytest.approx(whole.ratios.values, rel=1e-3)
+
+
 def test_an_outlying_vertebra_is_named(column, noisy) -> None:
     corners = noisy[2].corners.corners.copy()
     corners[3] += 8.0

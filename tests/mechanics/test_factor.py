@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -10,6 +14,11 @@ from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.factor import Analysis, Factor, default_backend
 
 BACKENDS = sorted({default_backend(), "superlu"})
+CHOICE = "SPINESTIFF_SOLVER"
+ASK = (
+    "import os; from spinestiff.mechanics.factor import default_backend; "
+    "print(default_backend(), os.environ['MIMALLOC_PURGE_DELAY'])"
+)
 
 
 def _lower(full):
@@ -23,6 +32,15 @@ def _matrix(shift, seed=0, n=25):
     full = np.where(random.random((n, n)) < 0.2, random.normal(size=(n, n)), 0.0)
     full = np.tril(full, -1)
     return full + full.T + shift * np.eye(n)
+
+
+@pytest.mark.skipif("rslab" not in BACKENDS, reason="rslab is not installed")
+@pytest.mark.parametrize(("before", "expected"), [(None, "-1"), ("25", "25")])
+def test_the_solver_keeps_its_memory_unless_told_otherwise(before, expected):
+    given = {name: value for name, value in os.environ.items() if name not in ("MIMALLOC_PURGE_DELAY", CHOICE)}
+    given |= {} if before is None else {"MIMALLOC_PURGE_DELAY": before}
+    said = subprocess.run([sys.executable, "-c", ASK], env=given, capture_output=True, text=True, check=True).stdout
+    assert said.split() == ["rslab", expected]
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

@@ -36,7 +36,7 @@ from spinestiff.estimation.told import (
     trial_warnings,
     unsettled_warnings,
 )
-from spinestiff.estimation.weighed import WeighedFit, WeighedProblem
+from spinestiff.estimation.weighed import WeighedFit, WeighedPoint, WeighedProblem
 from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 
@@ -46,6 +46,8 @@ WIDEST_INTERVAL = 0.9
 SAME_RMSE = 0.01
 # Shares of the log ratios to start from, tried in this order.
 NEARER_STARTS = (1.0, 0.75, 0.5, 0.25)
+# Shares of the nuisances that a start has, on the way to them.
+NUISANCES_BY = (0.5, 1.0)
 Extent = Literal["estimate", "intervals", "everything"]
 
 
@@ -273,7 +275,7 @@ def _searched(
     # A start may lie where tissue creases, and take hundreds of factorisations; nearer to the default it does not.
     for share in NEARER_STARTS if first.any() else ():
         try:
-            start = asked.solve(share * first, nuisances, near, most_factorisations=MOST_FACTORISATIONS)
+            start = _started(asked, share * first, nuisances, near)
             break
         except EquilibriumError:
             asked.trial_set.note(share * first, float("nan"), None, False)
@@ -284,6 +286,16 @@ def _searched(
             raise FitError(f"no equilibrium at the start of the fit, {error}") from None
     asked.trial_set.note(start.log_ratios, float("nan"), start.evaluation, True)
     return search(asked, start, limits, max_iterations, close_sd)
+
+
+def _started(asked: WeighedProblem, log_ratios: Floats, nuisances: Floats, near: WeighedPoint | None) -> WeighedPoint:
+    """The model solved at ratios and nuisances, the ratios first: fewer factorisations than both at once."""
+    point = asked.solve(log_ratios, 0.0 * nuisances, near, most_factorisations=MOST_FACTORISATIONS)
+    for share in NUISANCES_BY if nuisances.any() else ():
+        point = asked.solve(
+            log_ratios, share * nuisances, point, asked.slope(point), most_factorisations=MOST_FACTORISATIONS
+        )
+    return point
 
 
 def _rough_places(asked: WeighedProblem, rough: StiffnessFit | None) -> tuple[Place, ...]:
