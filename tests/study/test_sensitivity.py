@@ -26,7 +26,15 @@ from spinestiff.study.sensitivity import (
     weighed_cases,
     with_force,
 )
-from spinestiff.study.sensitivity_words import force_lines, force_rows, sensitivity_lines, table_7_average, tornado_rows
+from spinestiff.study.sensitivity_words import (
+    force_lines,
+    force_rows,
+    ratio_cells,
+    ratio_rows,
+    sensitivity_lines,
+    table_7_average,
+    tornado_rows,
+)
 from spinestiff.study.visit import Settings, open_visit, pushes_on
 from spinestiff.study.wording import fixed
 from spinestiff.subject.estimate_outcome import Estimate
@@ -389,6 +397,17 @@ def test_a_search_that_ends_where_it_began_is_told_and_no_verdict_is_made() -> N
         "what a lambda that stays does to mu's sensitivity can't be told here by equal weights",
     ]
     assert not any("ends elsewhere" in line for line in force_lines(with_refits(*tied, sure, *kept)))
+
+
+def test_the_papers_estimator_stands_beside_with_what_it_estimates() -> None:
+    ours, changed = (refit("weighed", what, "", lateral_bending=0.0) for what in ("nothing", "force"))
+    paper, failed = refit("kept", "nothing", "", intervertebral_bending=0.0), refit("tied", "nothing", "")
+    ratios = {"intervertebral_bending": 0.1508, "tissue_mu": 0.003318}
+    found = with_refits(ours, changed, failed, paper.model_copy(update={"ratios": ratios}))
+    assert ratio_rows(found) == [
+        ("weighed, the estimate's ratios", {"x": 1.0}), ("equal weights, lambda kept at its default", ratios)
+    ]  # fmt: skip
+    assert ratio_cells(ratios) == ("0.151", "0.00332", "")
 
 
 def test_rows_come_with_the_largest_change_first() -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from spinestiff.app import tables
 from spinestiff.study.sensitivity_words import (
-    FORCE_COLUMNS,
+    ESTIMATOR_COLUMNS,
     TITLES,
     change_title,
     force_cells,
     force_rows,
+    ratio_cells,
+    ratio_rows,
     sensitivity_lines,
 )
 from spinestiff.study.visit import Visit
@@ -36,8 +38,13 @@ def show_sensitivity(found: Sensitivity, visit: Visit) -> None:
         cells = [fixed(one.stiffness_percent.get(name), 1, True) for name in found.parameters]
         made.add_row(TITLES[one.what], change_title(one), *cells)
     tables.show(made)
+    title = f"Ratios by estimator, {found.mesh} mesh (equal weights: the paper's)"
+    made = tables.table(title, "estimator", *ESTIMATOR_COLUMNS)
+    for label, ratios in ratio_rows(found):
+        made.add_row(label, *ratio_cells(ratios))
+    tables.show(made)
     title = "10 % of force, mean of both signs, % (paper's Table 7)"
-    made = tables.table(title, "estimator", *FORCE_COLUMNS)
+    made = tables.table(title, "estimator", *ESTIMATOR_COLUMNS)
     for label, percent in force_rows(found):
         made.add_row(label, *force_cells(percent))
     tables.show(made)

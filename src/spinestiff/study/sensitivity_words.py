@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -68,18 +68,33 @@ def force_rows(found: Sensitivity) -> list[tuple[str, dict[str, float]]]:
     return [*rows, ("Koutras et al. 2025, mean of seven subjects", paper)]
 
 
-FORCE_COLUMNS: Mapping[str, tuple[str, ...]] = {
+def ratio_rows(found: Sensitivity) -> list[tuple[str, dict[str, float]]]:
+    """The estimate of the same frames on the same mesh by each estimator, the paper's (equal weights) among them."""
+    same = [one for one in found.refits if one.what == "nothing" and one.ratios]
+    return [(SERIES[one.series], one.ratios) for one in same]
+
+
+ESTIMATOR_COLUMNS: Mapping[str, tuple[str, ...]] = {
     "bending": ("lateral_bending", BENDING),
     "tissue": ("tissue", "tissue_mu"),
     "everything": ("everything",),
 }
-"""Of the table of forces, with the ratios that stand in one column."""
+"""Of tables by estimator, with the ratios that stand in one column."""
 
 
 def force_cells(percent: Mapping[str, float]) -> tuple[str, ...]:
     """A row of the table of forces."""
-    columns = FORCE_COLUMNS.values()
-    return tuple(next((fixed(percent[name]) for name in names if name in percent), "") for names in columns)
+    return _cells(percent, fixed)
+
+
+def ratio_cells(ratios: Mapping[str, float]) -> tuple[str, ...]:
+    """A row of the table of ratios."""
+    return _cells(ratios, number)
+
+
+def _cells(values: Mapping[str, float], shown: Callable[[float], str]) -> tuple[str, ...]:
+    columns = ESTIMATOR_COLUMNS.values()
+    return tuple(next((shown(values[name]) for name in names if name in values), "") for names in columns)
 
 
 def sensitivity_lines(found: Sensitivity) -> list[str]:

@@ -13,7 +13,14 @@ from spinestiff.curves.changes import change_words
 from spinestiff.estimation.unknowns import ACTS, PLACING, unknowns_of
 from spinestiff.study.predictions import Model, Predictions, predicted_acts
 from spinestiff.study.report.certainty_pictures import SupportPlace
-from spinestiff.study.sensitivity_words import FORCE_COLUMNS, force_cells, force_rows, sensitivity_lines
+from spinestiff.study.sensitivity_words import (
+    ESTIMATOR_COLUMNS,
+    force_cells,
+    force_rows,
+    ratio_cells,
+    ratio_rows,
+    sensitivity_lines,
+)
 from spinestiff.study.truth import read_truth, true_values
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import (
@@ -300,10 +307,12 @@ def _unknown(name: str) -> str:
 
 
 def sensitivity_content(found: Sensitivity) -> dict[str, Any]:
-    """Refits with one thing changed: what they say, and the table of forces."""
+    """Refits with one thing changed: what they say, and the tables of ratios and of forces by estimator."""
     return {
         "lines": sensitivity_lines(found),
-        "columns": tuple(FORCE_COLUMNS),
+        "mesh": found.mesh,
+        "columns": tuple(ESTIMATOR_COLUMNS),
+        "ratios": [{"title": title, "cells": ratio_cells(ratios)} for title, ratios in ratio_rows(found)],
         "rows": [{"title": title, "cells": force_cells(percent)} for title, percent in force_rows(found)],
     }
 
