@@ -48,10 +48,10 @@ def test_the_assessment_s_csv_has_its_numbers(finished):
             for k, (form, of) in enumerate(
                 (("signed", "signed_levels"), ("fixed_levels", "levels"), ("tilt", "tilt_levels"))
             ):
-                shown, sd = (number(row[f"{form}_change_{what}_{name}"]) for what in ("deg", "sd_deg"))
+                shown, width = (number(row[f"{form}_change_{what}_{name}"]) for what in ("deg", "half_width95_deg"))
                 assert shown == (None if change is None else pytest.approx(change[form]))
                 sds = None if change is None else change["sds"]
-                assert sd == (None if sds is None else pytest.approx(sds[k]))
+                assert width == (None if sds is None else pytest.approx(1.96 * sds[k]))
                 levels = "" if change is None else change[of]
                 assert row[f"{form}_change_of_{name}"] == (levels if isinstance(levels, str) else "–".join(levels))
-        assert number(row["tilt_change_sd_deg_measured"]) > 0.0
+        assert number(row["tilt_change_half_width95_deg_measured"]) > 0.0

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 
 from spinestiff.subject.assessment_outcome import Assessment, CobbChangeRecord
 from spinestiff.subject.estimate_outcome import Estimate
-from spinestiff.subject.outcome_parts import Quantity
+from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Quantity
 
 ESTIMATE_FILE, ASSESSMENT_FILE = "estimate.csv", "assessment.csv"
 """In ``results/``."""
@@ -38,7 +38,7 @@ def estimate_csv(estimate: Estimate) -> str:
 
 
 def assessment_csv(assessment: Assessment) -> str:
-    """Corner RMSE by predictor, mm, and change of the Cobb angle in its three forms, degrees, with levels and sd."""
+    """Corner RMSE by predictor, mm, and change of the Cobb angle in three forms, degrees, with half width and levels."""
     columns = ["push", "frame", "force_n", *(f"rmse_mm_{name}" for name in PREDICTORS)]
     columns += [column for name in SEEN for form in FORMS for column in _change_columns(form, name)]
     rows = []
@@ -50,18 +50,18 @@ def assessment_csv(assessment: Assessment) -> str:
 
 
 def _change_columns(form: str, name: str) -> tuple[str, str, str]:
-    return f"{form}_change_deg_{name}", f"{form}_change_sd_deg_{name}", f"{form}_change_of_{name}"
+    return f"{form}_change_deg_{name}", f"{form}_change_half_width95_deg_{name}", f"{form}_change_of_{name}"
 
 
 def _change_cells(change: CobbChangeRecord | None) -> list[object]:
-    """Of each form value, standard deviation and levels; a model's has no deviation."""
+    """Of each form value, half the width of its 95 % interval, which a model's has not, and levels."""
     if change is None:
         return [None] * (3 * len(FORMS))
-    sds = dict(zip(("signed", "fixed_levels", "tilt"), change.sds or ()))
+    widths = dict(zip(("signed", "fixed_levels", "tilt"), (HALF_WIDTH_95 * sd for sd in change.sds or ())))
     cells: list[object] = []
     for form, levels in FORMS.items():
         between = getattr(change, levels)
-        cells += [getattr(change, form), sds.get(form), between if isinstance(between, str) else "–".join(between)]
+        cells += [getattr(change, form), widths.get(form), between if isinstance(between, str) else "–".join(between)]
     return cells
 
 
