@@ -38,7 +38,7 @@ def estimate_csv(estimate: Estimate) -> str:
 
 
 def assessment_csv(assessment: Assessment) -> str:
-    """Corner RMSE by predictor, mm, and change of the Cobb angle in three forms, degrees, with half width and levels."""
+    """Corner RMSE by predictor, mm; change of the Cobb angle in three forms, degrees, with half width and levels."""
     columns = ["push", "frame", "force_n", *(f"rmse_mm_{name}" for name in PREDICTORS)]
     columns += [column for name in SEEN for form in FORMS for column in _change_columns(form, name)]
     rows = []
