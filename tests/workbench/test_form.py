@@ -54,6 +54,13 @@ def test_words_of_priors_are_those_of_the_documents():
     assert told == units and set(told) == set(usual_priors())
 
 
+def test_each_picture_that_a_field_names_is_drawn():
+    sources = Path(__file__).parents[2] / "web" / "workbench" / "src"
+    marks = "".join((sources / name).read_text(encoding="utf-8") for name in ("torso.ts", "beam.ts"))
+    named = {one["picture"] for one in WORDS.values() if "picture" in one}
+    assert named == set(re.findall(r"""(?:mark\(|dimension\(|focus === )"(\w+)\"""", marks))
+
+
 def test_priors_are_judged_as_a_fit_judges_them(girl):
     form = form_record(girl)
     assert form["priors"]["force_scale"] == 0.02 and "trunk_power" not in form["priors"]

@@ -72,7 +72,11 @@ def test_from_files_to_a_run_that_is_cancelled(tab, root, serve, tmp_path):
         tab.until("document.querySelector('.saved').innerText == 'Saved. Everything is filled in.'")
         record = read_json(root / "girl-05" / "subject.json")
         assert record["pushes"][0]["forces_n"] == [0, 20, 40] and record["pushes"][0]["roles"][1] == "training"
-        assert "d31 200 mm" in tab.run("document.querySelector('.torso').textContent")
+        assert "d31 200 mm" in tab.run("document.querySelector('.push .torso').textContent")
+        # What an X-ray distance means, drawn beside its field.
+        tab.run("(document.getElementById('f-xray-source-patient-mm').closest('details').open = true, 1)")
+        tab.run("(document.getElementById('f-xray-source-patient-mm').focus(), 1)")
+        tab.until("document.querySelector('.beam .t-on')?.textContent == 'to the patient ?'")
         # The annotation page of this subject, and back.
         click(tab, ".way a[href^='/annotate/']")
         tab.until("!!window.annotation && document.body.dataset.state == 'open'")

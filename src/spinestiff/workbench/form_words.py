@@ -19,7 +19,7 @@ WORDS: Final[dict[str, dict[str, str]]] = {
     "id": {"title": "Subject", "help": "A name that is no person's: letters, digits, '.', '_' or '-'."},
     "age": {"title": "Age", "unit": "years", "help": "When the radiographs were taken."},
     "sex": {"title": "Sex"},
-    "height_cm": {"title": "Standing height", "unit": "cm", "picture": "height"},
+    "height_cm": {"title": "Standing height", "unit": "cm"},
     "mass_kg": {
         "title": "Body mass",
         "unit": "kg",
@@ -81,7 +81,7 @@ WORDS: Final[dict[str, dict[str, str]]] = {
     "xray": {"title": "X-ray geometry", "help": "Only where the DICOM files lack it."},
     "xray.source_detector_mm": {"title": "X-ray source to detector", "unit": "mm", "picture": "source_detector"},
     "xray.source_patient_mm": {"title": "X-ray source to patient", "unit": "mm", "picture": "source_patient"},
-    "xray.imager_pixel_mm": {"title": "Pixel at the detector", "unit": "mm"},
+    "xray.imager_pixel_mm": {"title": "Pixel at the detector", "unit": "mm", "picture": "pixel"},
     "xray.orientation": {"title": "Orientation of radiographs that don't tell theirs"},
     "pelvis": {"title": "How the model holds the pelvis"},
     "wall": {"title": "What the back wall can do"},

@@ -2,6 +2,7 @@
 import { button, h } from "../../shared/dom";
 import { Refused, words } from "../../shared/net";
 import * as api from "./api";
+import { beam } from "./beam";
 import { markers, views } from "./beside";
 import { skin, trunk } from "./body";
 import { type Context, field, input, isSimple, plain, sayId, typed, wordsOf } from "./fields";
@@ -118,7 +119,8 @@ export async function values(key: string): Promise<Room> {
 
   function xray(schema: api.Schema): HTMLElement {
     const holder = (form.values["xray"] ?? {}) as api.Values, own = { ...context(), changed: () => { if (Object.keys(holder).length) form.values["xray"] = holder; later(); } };
-    return h("div", { class: "grid" }, ...Object.entries(schema.properties ?? {}).filter(([, one]) => isSimple(plain(one, form))).map(([name, one]) => field(holder, name, `xray.${name}`, one, own)));
+    return h("div", { class: "beside" }, h("div", { class: "grid" }, ...Object.entries(schema.properties ?? {}).filter(([, one]) => isSimple(plain(one, form))).map(([name, one]) => field(holder, name, `xray.${name}`, one, own))),
+      h("figure", { class: "diagram" }));
   }
 
   function pushSet(push: api.Values, number: number, schema: api.Schema): HTMLElement {
@@ -168,17 +170,23 @@ export async function values(key: string): Promise<Room> {
     document.dispatchEvent(new Event("subject-changed"));
   }
 
-  /** Each push's torso shows its values; what is being filled in stands out. */
+  /** Each push's torso, and the way of the rays, show their values; what is being filled in stands out. */
   function pictures(path: string): void {
     focus = path;
     const pushes = (form.values["pushes"] ?? []) as api.Values[];
+    const numberOf = (holder: api.Values, name: string): number | null => (typeof holder[name] === "number" ? holder[name] : null);
+    const pictured = (prefix: string): string => (path.startsWith(prefix) ? (wordsOf(path.replace(/\[\d+\]$/, ""), form).picture ?? "") : "");
+    const drawn = (figure: HTMLElement, picture: SVGElement): void => figure.replaceChildren(picture, h("figcaption", { class: "soft" }, "Not to scale."));
     for (const figure of body.querySelectorAll<HTMLElement>(".diagram")) {
+      if (figure.dataset["push"] === undefined) {
+        const rays = (form.values["xray"] ?? {}) as api.Values;
+        drawn(figure, beam({ detector: numberOf(rays, "source_detector_mm"), patient: numberOf(rays, "source_patient_mm"), pixel: numberOf(rays, "imager_pixel_mm") }, pictured("xray.")));
+        continue;
+      }
       const number = Number(figure.dataset["push"]), push = pushes[number] ?? {}, forces = ((push["forces_n"] ?? []) as unknown[]).filter((one) => typeof one === "number");
-      const value = (name: string): number | null => (typeof push[name] === "number" ? push[name] : null);
-      const shown: Push = { side: (push["side"] as Push["side"]) ?? null, level: value("level"), d21: value("d21_mm"), d31: value("d31_mm"), force: forces.length ? Math.max(...forces) : null };
-      const mine = path.startsWith(`pushes[${number}].`) ? (wordsOf(path.replace(/\[\d+\]$/, ""), form).picture ?? "") : "";
+      const shown: Push = { side: (push["side"] as Push["side"]) ?? null, level: numberOf(push, "level"), d21: numberOf(push, "d21_mm"), d31: numberOf(push, "d31_mm"), force: forces.length ? Math.max(...forces) : null };
       if (shown.level !== null && (shown.level < 1 || shown.level > 12)) shown.level = null;
-      figure.replaceChildren(torso(shown, mine), h("figcaption", { class: "soft" }, "Not to scale."));
+      drawn(figure, torso(shown, pictured(`pushes[${number}].`)));
     }
   }
 
