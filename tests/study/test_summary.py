@@ -7,6 +7,8 @@ import csv
 import pytest
 
 from spinestiff.files import read_json
+from spinestiff.study.summary import response_csv
+from spinestiff.subject.outcomes import PushResponse, Responses
 
 
 def rows(path):
@@ -16,6 +18,33 @@ def rows(path):
 
 def number(text):
     return None if text == "" else float(text)
+
+
+def test_the_response_s_csv_has_its_numbers(finished):
+    results = finished.folder / "results"
+    pushes, told = read_json(results / "response.json")["pushes"], rows(results / "response.csv")
+    assert [(row["push"], row["quantity"]) for row in told] == [
+        (push, quantity) for push in pushes for quantity in ("curve", "tilt", "flexibility")
+    ]
+    for row in told:
+        one = pushes[row["push"]][row["quantity"]]
+        ends = one.get("n_per_degree", one)
+        assert [number(row["value"]), number(row["low95"]), number(row["high95"])] == pytest.approx(
+            [ends.get("value", ends.get("percent")), ends["low"], ends["high"]]
+        )
+        assert row["unit"] == ("%" if row["quantity"] == "flexibility" else "N/degree")
+        if "levels" in one:
+            assert [row["upper_level"], row["lower_level"]] == one["levels"]
+            assert number(row["change_deg"]) == one["change_deg"]
+            assert number(row["change_half_width95_deg"]) == pytest.approx(1.96 * one["change_sd_deg"])
+
+
+def test_a_push_without_numbers_says_why_in_its_row():
+    missing = PushResponse(force_n=40.0, missing="no usable frame without force")
+    text = response_csv(Responses(gauge_scale_sd=0.02, gauge_zero_sd_n=1.0, pushes={"main": missing}))
+    (row,) = csv.DictReader(text.splitlines())
+    assert (row["push"], row["force_n"], row["quantity"]) == ("main", "40.0", "")
+    assert row["missing"] == "no usable frame without force"
 
 
 def test_the_estimate_s_csv_has_its_numbers(finished):

@@ -20,7 +20,7 @@ from spinestiff.errors import SubjectError
 from spinestiff.files import file_digest
 from spinestiff.observer import Observer, heard
 from spinestiff.study import steps as step_functions
-from spinestiff.study.summary import ASSESSMENT_FILE, ESTIMATE_FILE
+from spinestiff.study.summary import ASSESSMENT_FILE, ESTIMATE_FILE, RESPONSE_FILE
 from spinestiff.study.visit import Visit
 from spinestiff.subject.program import program, program_of_numbers
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
@@ -131,7 +131,7 @@ ALL_STEPS: Mapping[str, Step] = {
         (XRAY, FORCES, REST_MARKS),
         ("rest",),
         ("tracked.json",),
-        lambda visit: ("response.json",),
+        lambda visit: ("response.json", RESPONSE_FILE),
     ),
     "personalise": Step(
         step_functions.personalise_step,

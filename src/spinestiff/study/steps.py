@@ -46,7 +46,14 @@ from spinestiff.study.predictions import (
     write_solved,
 )
 from spinestiff.study.sensitivity import sensitivity_study
-from spinestiff.study.summary import ASSESSMENT_FILE, ESTIMATE_FILE, assessment_csv, estimate_csv
+from spinestiff.study.summary import (
+    ASSESSMENT_FILE,
+    ESTIMATE_FILE,
+    RESPONSE_FILE,
+    assessment_csv,
+    estimate_csv,
+    response_csv,
+)
 from spinestiff.study.support_notes import strongest_notes, support_notes
 from spinestiff.study.trials import PushSet, fit_from_coarse, fit_pushes
 from spinestiff.study.truth import compare_with_truth, read_truth
@@ -209,10 +216,11 @@ def frames_step(visit: Visit, say: Observer) -> None:
 
 
 def response_step(visit: Visit, say: Observer) -> None:
-    """N per degree of each push and flexibility, without a model; writes ``response.json``."""
+    """N per degree of each push and flexibility, without a model; writes ``response.json`` and ``response.csv``."""
     responses = push_responses(visit.subject)
     for line in response_lines(responses):
         say(line)
+    write_text(visit.file(RESPONSE_FILE), response_csv(responses))
     write_outcome(visit.subject, responses)
 
 

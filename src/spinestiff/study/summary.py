@@ -1,4 +1,4 @@
-"""Results as CSV beside their JSON: ``estimate.csv``, a row a quantity, and ``assessment.csv``, a row a held-out frame.
+"""Results as CSV beside their JSON: ``response.csv``, ``estimate.csv`` and ``assessment.csv``.
 
 Comma-separated UTF-8 with a header and points in numbers; an empty field is not known.
 """
@@ -12,11 +12,16 @@ from collections.abc import Iterable, Sequence
 from spinestiff.subject.assessment_outcome import Assessment, CobbChangeRecord
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Quantity
+from spinestiff.subject.outcomes import Responses
 
-ESTIMATE_FILE, ASSESSMENT_FILE = "estimate.csv", "assessment.csv"
+RESPONSE_FILE, ESTIMATE_FILE, ASSESSMENT_FILE = "response.csv", "estimate.csv", "assessment.csv"
 """In ``results/``."""
 ESTIMATE_COLUMNS = (
     "quantity", "unit", "value", "low95", "high95", "open_low", "open_high", "determined", "at_bound", "status",
+)  # fmt: skip
+RESPONSE_COLUMNS = (
+    "push", "force_n", "quantity", "unit", "value", "low95", "high95", "upper_level", "lower_level", "rest_deg",
+    "change_deg", "change_half_width95_deg", "missing",
 )  # fmt: skip
 PREDICTORS = (
     "rest", "default", "fit", "forecast", "fitted_supports", "extrapolation", "single_ratio", "truth",
@@ -27,8 +32,27 @@ FORMS = {"tilt": "tilt_levels", "fixed_levels": "levels", "signed": "signed_leve
 """Forms of that change (``curves.tilts.CobbChange``), and what names the vertebrae between which it is."""
 
 
+def response_csv(responses: Responses) -> str:
+    """What each push says without a model: N per degree of the curve and of the largest tilt, and flexibility."""
+    rows: list[list[object]] = []
+    for name, found in responses.pushes.items():
+        own: list[object] = [name, found.force_n]
+        if found.missing:
+            rows.append([*own, *[None] * (len(RESPONSE_COLUMNS) - len(own) - 1), found.missing])
+        for quantity, angle in (("curve", found.curve), ("tilt", found.tilt)):
+            if angle is not None:
+                n = angle.n_per_degree
+                width = HALF_WIDTH_95 * angle.change_sd_deg
+                seen = [*angle.levels, angle.rest_deg, angle.change_deg, width, None]
+                rows.append([*own, quantity, "N/degree", n.value, n.low, n.high, *seen])
+        if found.flexibility is not None:
+            own = [*own, "flexibility", "%", found.flexibility.percent, found.flexibility.low, found.flexibility.high]
+            rows.append([*own, *[None] * (len(RESPONSE_COLUMNS) - len(own))])
+    return _text(RESPONSE_COLUMNS, rows)
+
+
 def estimate_csv(estimate: Estimate) -> str:
-    """Stiffness in plain units, then the ratios; ``unit`` of a ratio is empty."""
+    """A row a quantity: stiffness in plain units, then the ratios; ``unit`` of a ratio is empty."""
     rows = [[name, found.unit, *_interval(found), "", "", estimate.status] for name, found in estimate.plain.items()]
     rows += [
         [name, "", *_interval(ratio), ratio.determined, _yes(ratio.at_bound), estimate.status]
@@ -38,7 +62,8 @@ def estimate_csv(estimate: Estimate) -> str:
 
 
 def assessment_csv(assessment: Assessment) -> str:
-    """Corner RMSE by predictor, mm; change of the Cobb angle in three forms, degrees, with half width and levels."""
+    """A row a held-out frame: corner RMSE by predictor, mm; change of the Cobb angle in three forms, degrees, with half
+    width and levels."""
     columns = ["push", "frame", "force_n", *(f"rmse_mm_{name}" for name in PREDICTORS)]
     columns += [column for name in SEEN for form in FORMS for column in _change_columns(form, name)]
     rows = []

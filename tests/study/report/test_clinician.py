@@ -148,8 +148,9 @@ def test_what_next_is_the_plan_s_proposal_where_there_is_one(subject: Path) -> N
     assert next_lines(visit, estimate)[0].startswith("no further push was planned: “spinestiff plan” proposes")
     plan_in(visit, pays=True)
     lines = next_lines(visit, estimate)
-    assert lines[0].startswith("push rib 6 from the left with 60 N, frontal, and take a radiograph without force")
-    assert lines[0].endswith("lateral bending would be known within a factor of 1.40 (now within a factor of 2.10)")
+    assert lines[0].startswith("push rib 6 from the left with 60 N, frontal, and once without force: ")
+    assert lines[0].endswith("lateral bending would be known within a factor of 1.40 instead of a factor of 2.10")
+    assert len(lines[0]) <= LONGEST
     assert lines[1] == "further radiographs hardly narrow it after 2 exposures"
     plan_in(visit, pays=False)
     assert next_lines(visit, estimate)[0].startswith("no further radiograph pays")

@@ -280,11 +280,10 @@ def _planned(visit: Visit) -> list[str]:
     if not worth:
         return [NONE_PAYS]
     best, now = plan.sequence[0].push, now_of(plan)
-    until = "" if now is None else f" (now {width(plan, now)})"
+    until = "" if now is None else f" instead of {width(plan, now).removeprefix('within ')}"
     lines = [
-        f"push rib {best.level:g} from the {best.side} with {best.force_n:g} N, {VIEW_WORDS[best.view]}, and take a "
-        f"radiograph without force beside it: {TITLES[plan.target]} would be known "
-        f"{width(plan, size_of(best))}{until}"
+        f"push rib {best.level:g} from the {best.side} with {best.force_n:g} N, {VIEW_WORDS[best.view]}, and once "
+        f"without force: {TITLES[plan.target]} would be known {width(plan, size_of(best))}{until}"
     ]
     if len(worth) < len(plan.sequence):
         lines.append(f"further radiographs hardly narrow it after {counted(worth[-1].exposures, 'exposure')}")
