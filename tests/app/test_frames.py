@@ -28,7 +28,8 @@ def test_a_proposal_for_a_subject_without_roles(spinestiff, subject, capfd):
     # Nothing can be estimated before somebody has chosen.
     ran = spinestiff("run", subject)
     assert ran.status == 2
-    assert "subject.json: no frame has the role training; spinestiff frames proposes roles" in ran.err
+    assert "subject.json: no frame has the role training; spinestiff frames" in ran.err
+    assert "proposes roles, and --write sets them" in ran.err
     ran = spinestiff("frames", subject, "--json", "--write")
     assert ran.status == 0 and "frames: drawing" in ran.err
     found = json.loads(ran.out)

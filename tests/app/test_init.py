@@ -129,6 +129,7 @@ def test_what_is_not_known_stays_open_and_each_step_names_it(spinestiff, tmp_pat
     data = json.loads((out / "subject.json").read_text())
     assert data["height_cm"] is None and data["pushes"][0]["forces_n"] == [None] * 3
     assert [push["id"] for push in data["pushes"]] == ["push-1", "push-2"]
+    assert f"note: no frame has a role yet; once it is annotated, spinestiff frames {out} proposes them" in done.out
     lines = done.out.partition("open still")[2]
     assert lines.count("is missing: ") == 9
     for step in ("run", "track", "estimate", "frames"):

@@ -339,6 +339,11 @@ def _finish(out: Path, work: _Work, notes: Sequence[str]) -> None:
                 typer.echo(f"note: {one.image}: {warning}")
     if not work.data["pushes"]:
         typer.echo("note: no pushes were found; without one there is a plan (spinestiff plan), and no estimate")
+    elif not any("training" in (push.get("roles") or ()) for push in work.data["pushes"]):
+        typer.echo(
+            f"note: no frame has a role yet; once it is annotated, spinestiff frames {out} proposes them, and --write "
+            "sets them"
+        )
     if lacking:
         typer.echo("open still, to be known before spinestiff run:")
     for line in lacking:

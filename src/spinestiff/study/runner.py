@@ -238,8 +238,11 @@ def run_steps(
         path = visit.subject.folder / SUBJECT_FILE
         raise SubjectError(f"{path}: pushes is empty; spinestiff plan says which push to take first")
     if "estimate" in steps and not any(push.frames_of("training") for push in visit.subject.pushes):
-        path = visit.subject.folder / SUBJECT_FILE
-        raise SubjectError(f"{path}: no frame has the role training; spinestiff frames proposes roles")
+        folder = visit.subject.folder
+        raise SubjectError(
+            f"{folder / SUBJECT_FILE}: no frame has the role training; spinestiff frames {folder} proposes roles, and "
+            "--write sets them"
+        )
     ran = []
     for name, step in known.items():
         if name not in steps:

@@ -922,6 +922,10 @@ def test_on_a_phone_in_the_dark_and_on_paper(visit: Visit, html: str, tmp_path: 
         )
         assert len(cards) > 10 and {inside for inside, _ in cards} == {"avoid"}
         assert max(height for _, height in cards) < 253.0 / 25.4 * 96.0
+        tab.run("(document.querySelectorAll('.v-table').forEach(one => { one.open = true; }), 1)")
+        assert tab.run("[...document.querySelectorAll('.v-scroll')].map(one => one.scrollWidth - one.clientWidth)") == [
+            0
+        ]
 
 
 @pytest.mark.skipif(browser() is None or sys.platform == "win32", reason="no Chromium to drive by a pipe")
