@@ -379,6 +379,20 @@ def test_a_fit_without_a_minimum_is_no_estimate(subject, finished, monkeypatch, 
     assert digests(subject) == before
 
 
+def test_a_fit_without_a_minimum_names_what_the_forces_and_motions_say(subject, finished, monkeypatch):
+    record = read_json(subject / "subject.json")
+    for push in record["pushes"]:
+        push["side"] = "left" if push["side"] == "right" else "right"
+    write_json(subject / "subject.json", record)
+    stalled = replace(finished.fit, status=FitStatus.STALLED)
+    monkeypatch.setattr(steps, "fit_from_coarse", lambda *args, **kwargs: stalled)
+    lines = []
+    with pytest.raises(FitError, match=r"^no estimate: .*; push 'main': .* against the push .*look for the wrong side"):
+        run_steps(opened(subject), ("estimate",), lines.append)
+    # Told before the search, too, which may take minutes.
+    assert any(line.startswith("estimate: doubtful: push 'main': ") for line in lines)
+
+
 @pytest.mark.parametrize("status", [FitStatus.AT_BOUND, FitStatus.NOT_IDENTIFIABLE])
 def test_a_fit_at_a_bound_is_written_with_its_status(subject, finished, monkeypatch, status):
     monkeypatch.setattr(steps, "fit_from_coarse", lambda *args, **kwargs: replace(finished.fit, status=status))

@@ -33,6 +33,7 @@ from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess, single_ratio
 from spinestiff.study.forecasts import forecasts
 from spinestiff.study.frame_selection import frame_qualities, propose
+from spinestiff.study.judgement import failed, judge_pushes
 from spinestiff.study.parameters import parameter_study
 from spinestiff.study.predictions import (
     Model,
@@ -325,12 +326,15 @@ def estimate_step(visit: Visit, say: Observer) -> None:
 
     Raises
     ------
-    FitError : the fit ended without a minimum; nothing is written.
+    FitError : the fit ended without a minimum; nothing is written. It names what forces and motions say is wrong.
     """
     pushes = load_pushes(visit, visit.settings.orientation, visit.settings.method)  # type: ignore[arg-type]
+    wrong = [check.text for check in failed(judge_pushes(visit.subject.record, pushes))]
+    for text in wrong:
+        say(f"doubtful: {text}")
     fit = fit_training(visit, pushes, say)
     if not fit.status.usable:
-        raise FitError(f"no estimate: {fit.status.value}")
+        raise FitError("; ".join((f"no estimate: {fit.status.value}", *wrong)))
     geometry = read_outcome(visit.subject, GeometryRecord)
     record = estimate_record(visit, pushes, fit, geometry)
     training = pushes.training
