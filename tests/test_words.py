@@ -1,11 +1,13 @@
-"""Counted nouns."""
+"""Counted nouns and paths."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import pytest
 
 from spinestiff.subject.annotation_record import Annotation
-from spinestiff.words import counted
+from spinestiff.words import counted, pasted
 
 
 @pytest.mark.parametrize(
@@ -20,6 +22,11 @@ from spinestiff.words import counted
 )
 def test_a_count_and_its_noun_agree(arguments, words):
     assert counted(*arguments) == words
+
+
+def test_a_path_with_a_blank_is_quoted_for_a_terminal():
+    assert pasted(Path("a") / "b") == str(Path("a") / "b")
+    assert pasted(Path("Mueller, Anna")) == '"Mueller, Anna"'
 
 
 def test_a_message_about_one_vertebra_says_so():

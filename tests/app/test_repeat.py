@@ -40,4 +40,4 @@ def test_folders_that_can_not_be_compared_end_in_one_line(spinestiff, subject):
     assert "lies in a folder that is read" in ran.err
     ran = spinestiff("repeat", subject)
     assert ran.status == 2
-    assert "repeatability needs two or more of one" in ran.err
+    assert "repeatability needs two or more of one: give them the same id in subject.json" in ran.err

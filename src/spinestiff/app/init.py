@@ -36,7 +36,7 @@ from spinestiff.subject.intake.push_table import pushes_of, read_push_table
 from spinestiff.subject.intake.sorting import Sorting, sort_files, uses_of
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
-from spinestiff.words import counted
+from spinestiff.words import counted, pasted
 
 SHOWN_ALONE = 3
 """Files of a folder that are left out for one reason: more share a row."""
@@ -341,14 +341,14 @@ def _finish(out: Path, work: _Work, notes: Sequence[str]) -> None:
         typer.echo("note: no pushes were found; without one there is a plan (spinestiff plan), and no estimate")
     elif not any("training" in (push.get("roles") or ()) for push in work.data["pushes"]):
         typer.echo(
-            f"note: no frame has a role yet; once it is annotated, spinestiff frames {out} proposes them, and --write "
-            "sets them"
+            f"note: no frame has a role yet; once it is annotated, spinestiff frames {pasted(out)} proposes them, and "
+            "--write sets them"
         )
     if lacking:
         typer.echo("open still, to be known before spinestiff run:")
     for line in lacking:
         typer.echo(f"  {line}")
-    typer.echo(f"next: spinestiff annotate {out}")
+    typer.echo(f"next: spinestiff annotate {pasted(out)}")
 
 
 def _push_words(push: dict[str, Any]) -> str:

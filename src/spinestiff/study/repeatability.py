@@ -36,6 +36,8 @@ TWO_SIDED = float(norm.ppf(0.975))
 UNLIKELY = 0.01
 # Repetitions of other people from which their scatter is believed.
 ENOUGH = 5
+# Visits that a message names.
+FEW_NAMED = 6
 # Forces whose ratio is within this, and ribs as near as that, are one protocol.
 SAME_FORCE, SAME_RIB = 1.25, 1.0
 Verdict = Literal["changed", "no change shown", "can't be told"]
@@ -212,9 +214,11 @@ def repeatability(visits: Sequence[VisitEstimate], of: Repeated = "visits") -> R
         by_subject.setdefault(visit.subject, []).append(visit)
     repeated = [found for found in by_subject.values() if len(found) > 1]
     if not repeated:
+        whose = [f"{one.label} is of {one.subject!r}" for one in visits[:FEW_NAMED]]
+        more = ", ..." if len(visits) > FEW_NAMED else ""
         raise SubjectError(
-            f"{counted(len(visits), 'visit')} of as many subjects; repeatability needs two or more of one (the id in "
-            "subject.json says whose a visit is)"
+            f"no person has two visits ({', '.join(whose)}{more}); repeatability needs two or more of one: give them "
+            "the same id in subject.json"
         )
     for found in repeated:
         for later in found[1:]:

@@ -21,6 +21,7 @@ from spinestiff.subject.outcome_parts import Outcome, OutcomeFile
 from spinestiff.subject.program import program
 from spinestiff.subject.record_reading import complaint_of
 from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE
+from spinestiff.words import pasted
 
 RUN_FILE = "run.json"
 RUN_SCHEMA: Final = 2
@@ -260,7 +261,7 @@ def result_path(subject: Subject, name: str, step: str) -> Path:
     SubjectError : there is none, or it is not what the step wrote: edited, truncated, copied from elsewhere.
     """
     path = subject.results / name
-    again = f"spinestiff {step} {subject.folder}"
+    again = f"spinestiff {step} {pasted(subject.folder)}"
     if not path.is_file():
         raise SubjectError(f"{path}: no such file; run the step that makes it first ({again})")
     recorded = recorded_steps(subject).get(step)
