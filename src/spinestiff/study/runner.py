@@ -241,8 +241,8 @@ def run_steps(
     if "estimate" in steps and not any(push.frames_of("training") for push in visit.subject.pushes):
         folder = visit.subject.folder
         raise SubjectError(
-            f"{folder / SUBJECT_FILE}: no frame has the role training; spinestiff frames {pasted(folder)} proposes roles, "
-            "and --write sets them"
+            f"{folder / SUBJECT_FILE}: no frame has the role training; spinestiff frames {pasted(folder)} proposes "
+            "roles, and --write sets them"
         )
     ran = []
     for name, step in known.items():
