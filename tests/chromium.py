@@ -179,4 +179,4 @@ class Tab:
         elif event == "Runtime.consoleAPICalled" and found["type"] in ("error", "warning"):
             self.complaints.append(" ".join(str(argument.get("value")) for argument in found["args"]))
         elif event == "Log.entryAdded":
-            self.complaints.append(found["entry"]["text"])
+            self.complaints.append(" ".join((found["entry"]["text"], found["entry"].get("url", ""))).strip())

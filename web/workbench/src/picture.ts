@@ -5,7 +5,8 @@ import { greysIn } from "../../shared/greys";
 interface Grey { levels: Uint16Array; shown: [number, number]; window: [number, number] }
 const SIDE_BY_SIDE = 2, MOST_KEPT = 500;
 const kept = new Map<string, Promise<Grey>>(), waiting: (() => Promise<void>)[] = [];
-let running = 0, held = 0;
+// `taken`: how often radiographs were taken away; pictures from before are asked for no more.
+let running = 0, held = 0, taken = 0;
 
 function turn(): void {
   if (running >= SIDE_BY_SIDE || held) return;
@@ -21,7 +22,7 @@ export async function last<T>(what: () => Promise<T>): Promise<T> {
   try {
     while (running) await new Promise((wait) => setTimeout(wait, 20));
     const done = await what();
-    waiting.length = 0;
+    taken++;
     return done;
   } finally {
     held--;
@@ -44,9 +45,9 @@ function draw(canvas: HTMLCanvasElement, { levels, shown: [wide, tall], window: 
 
 /** The picture of what `source` gives; `key` is the same for the same picture. */
 export function thumbnail(key: string, source: () => Promise<Response>, alt: string): HTMLElement {
-  const canvas = h("canvas", { class: "thumb", role: "img", "aria-label": alt, width: 60, height: 80 });
+  const canvas = h("canvas", { class: "thumb", role: "img", "aria-label": alt, width: 60, height: 80 }), made = taken;
   const show = async (): Promise<void> => {
-    if (!canvas.isConnected) return;
+    if (!canvas.isConnected || made < taken) return;
     const asked = kept.get(key) ?? source().then((answer) => greysIn<Grey>(answer));
     kept.set(key, asked);
     for (const old of kept.keys()) if (kept.size > MOST_KEPT) kept.delete(old);
