@@ -77,6 +77,23 @@ def test_without_errors_the_numbers_are_the_true_ones():
         assert interval.low < value < interval.high
 
 
+def test_the_order_of_the_frames_changes_nothing():
+    """A push that is let go frame by frame, or comes back to no force at its end."""
+    frames = frames_of([30.0 * CURVE + force * 0.2 * BENDING for force in STEPS], random=np.random.default_rng(3))
+    up = push_response(frames, rest_of(30.0))
+    for order in ((3, 2, 1, 0), (1, 3, 0, 2)):
+        found = push_response([frames[i] for i in order], rest_of(30.0))
+        for angle in ("tilt", "curve"):
+            one, other = getattr(found, angle), getattr(up, angle)
+            assert one.frames == order
+            for name in ("rest_deg", "change_deg", "change_sd_deg", "scatter"):
+                assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-6)
+            assert one.n_per_degree.value == pytest.approx(other.n_per_degree.value, rel=1e-6)
+        assert found.flexibility.percent == pytest.approx(up.flexibility.percent, rel=1e-6)
+        assert found.flexibility.low == pytest.approx(up.flexibility.low, rel=1e-6)
+    assert up.curve.change_deg < -5.0
+
+
 def test_a_push_that_makes_the_curve_larger_has_a_flexibility_below_zero():
     found = push_response(frames_of([25.0 * CURVE - 0.1 * force * BENDING for force in STEPS]), rest_of(25.0))
     assert found.flexibility.percent == pytest.approx(-100.0 * 6.0 / 25.0)

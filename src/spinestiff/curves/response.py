@@ -88,7 +88,7 @@ class _Followed:
     Attributes
     ----------
     levels : upper and lower.
-    frames : (n,) the first without force.
+    frames : (n,) in order; one without force is among them.
     angle : (n,) signed. annotation, tracking : (n,) standard deviations; the first shared by frames of one origin.
     """
 
@@ -108,6 +108,11 @@ class _Followed:
     @property
     def forces(self) -> Floats:
         return np.array([frame.force_n for frame in self.frames])
+
+    @property
+    def first(self) -> int:
+        """Index of the first frame without force; forces may fall from frame to frame."""
+        return int(np.flatnonzero(self.forces == 0.0)[0])
 
 
 def push_response(frames: Sequence[FrameCorners], rest: SpineTilts, gauge: GaugeError = GAUGE) -> PushResponse:
@@ -179,7 +184,7 @@ def _response(found: _Followed, most: FrameCorners, gauge: GaugeError, chosen: f
     return AngleResponse(
         levels=found.levels,
         frames=tuple(frame.frame for frame in found.frames),
-        rest_deg=found.angle[0],
+        rest_deg=float(found.angle[found.first]),
         change_deg=change,
         change_sd_deg=change_sd,
         n_per_degree=_inverse(abs(float(slope)), of_corners, of_gauge, chosen),
@@ -200,19 +205,19 @@ def _inverse(slope: float, of_corners: float, of_gauge: float, chosen: float) ->
 
 
 def _change(found: _Followed, most: FrameCorners) -> tuple[float, float]:
-    """Degrees, from the first frame to that of the largest force, and its standard deviation."""
-    last = found.frames.index(most)
-    c = found.covariance
-    return float(found.angle[last] - found.angle[0]), float(np.sqrt(c[0, 0] + c[last, last] - 2.0 * c[0, last]))
+    """Degrees, from the first frame without force to that of the largest force, and its standard deviation."""
+    first, last, c = found.first, found.frames.index(most), found.covariance
+    change_sd = np.sqrt(c[first, first] + c[last, last] - 2.0 * c[first, last])
+    return float(found.angle[last] - found.angle[first]), float(change_sd)
 
 
 def _flexibility(found: _Followed, most: FrameCorners) -> Flexibility:
     """One minus the angle under force over that at rest, with Fieller's interval of a ratio."""
-    last = found.frames.index(most)
-    rest, pushed = float(found.angle[0]), float(found.angle[last])
+    first, last = found.first, found.frames.index(most)
+    rest, pushed = float(found.angle[first]), float(found.angle[last])
     c = NORMAL_95**2 * found.covariance
     # The ratios q at which pushed - q rest lies within its error: a q^2 - 2 b q + d <= 0.
-    a, b, d = rest**2 - c[0, 0], rest * pushed - c[0, last], pushed**2 - c[last, last]
+    a, b, d = rest**2 - c[first, first], rest * pushed - c[first, last], pushed**2 - c[last, last]
     if a <= 0.0:
         return Flexibility(percent=None, low=None, high=None)
     half = np.sqrt(max(b**2 - a * d, 0.0))
