@@ -150,6 +150,7 @@ def test_age_and_sex_of_the_header_are_taken_and_said(spinestiff, tmp_path):
     done = spinestiff("init", tmp_path / "two", tmp_path / "in", "--age", 15, "--sex", "male", "--height", 150)
     data = json.loads((tmp_path / "two/subject.json").read_text())
     assert (data["age"], data["sex"]) == (15.0, "male")
+    assert "from the DICOM header" not in done.out
     assert "sex: male as given, though the DICOM header tells female" in done.out
     assert "age: 15.0 as given, though the DICOM header tells 13.1" in done.out
 

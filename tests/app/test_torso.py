@@ -81,8 +81,10 @@ def test_a_torso_of_its_own_takes_no_sizes(tmp_path):
 
 def test_a_subject_folder_stands_for_its_torso(subject, tmp_path):
     assert "height: 157 cm" in said("show", subject)
-    said("export", subject, "--format", "vtu", "--out", tmp_path / "s.vtu")
+    assert "default stiffness" not in said("export", subject, "--format", "vtu", "--out", tmp_path / "s.vtu")
     assert (tmp_path / "s.vtu").stat().st_size > 10_000
+    told = said("export", subject, "--format", "osim", "--out", tmp_path / "s.osim")
+    assert "note: of default stiffness; --draws 0 with --out, a new folder, writes the estimated one" in told
     own = subject / "results" / "torso.npz"
     for place, found in ((own, "this command reads it"), (subject / "s.vtu", "lies among the inputs")):
         assert found in refusal("export", subject, "--out", place, "--force")

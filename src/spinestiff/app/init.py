@@ -107,7 +107,7 @@ def make_subject(out: Path, sources: Sequence[Path], asked: Asked) -> None:
     making.name_pushes(data, sorting)
     tables.show(_table(sorting, [push["id"] for push in data["pushes"]], chosen, refused, others))
     told, lines = making.person_of(chosen)
-    notes += lines
+    notes += [line for key, line in lines.items() if key not in asked.given.person]
     making.fill(data, Given({key: value for key, value in told.items() if key not in asked.given.person}))
     notes += _contradictions(told, asked.given)
     files = [[one.path for one in push.files] for push in sorting.pushes]

@@ -168,6 +168,8 @@ def export(
     found = _torso(file, height=height, age=age, sex=sex, mass=mass, kyphosis=kyphosis, lordosis=lordosis, mesh=mesh)
     export_torso(found, path, kind)
     typer.echo(f"{path}: for {chosen.purpose}; leaves out or changes: {chosen.leaves_out}")
+    if file is not None and file.is_dir() and chosen.has_stiffness:
+        typer.echo("note: of default stiffness; --draws 0 with --out, a new folder, writes the estimated one")
 
 
 def _export_drawn(folder: Path | None, kind: str, out: Path | None, draws: int) -> None:

@@ -95,7 +95,7 @@ def looked_at(export: Export, wish: Wish) -> dict[str, Any]:
     told, notes = making.person_of(chosen)
     uses = uses_of(sorting, [str(number) for number in range(1, len(sorting.pushes) + 1)])
     record = look_record(export, chosen, uses, sorting.reasons)
-    return {**record, "study": wish.study or groups[0].label, "told": told, "notes": notes}
+    return {**record, "study": wish.study or groups[0].label, "told": told, "notes": list(notes.values())}
 
 
 def look_record(

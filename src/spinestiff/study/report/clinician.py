@@ -308,9 +308,9 @@ def picture_words(kind: str, force_n: float, change: str, error_mm: float | None
     if kind == "pushed":
         return f"Pushed with {force_n:g} N. Cobb angle changed by {change}."
     if kind == "predicted":
-        words = f"Predicted by the estimate, which has not seen this radiograph: changed by {change}."
+        words = f"Drawn: the estimate, which has not seen this radiograph. Expected change: {change}."
     else:
-        words = f"The estimate, fitted to this radiograph: changed by {change}."
+        words = f"Drawn: the estimate, fitted to this radiograph. It changes by {change}."
     if error_mm is None or moved_mm is None:
         return words
     return f"{words} Vertebra corners {fixed(error_mm)} mm off (RMS); the push moved them by {fixed(moved_mm)} mm."

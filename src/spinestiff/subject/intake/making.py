@@ -41,24 +41,24 @@ def identifier_of(out: Path, given: str | None) -> str:
     return name
 
 
-def person_of(files: Sequence[Exported]) -> tuple[dict[str, Any], list[str]]:
-    """Age and sex as the headers tell them, and a line each that says so; nothing where they contradict each other."""
+def person_of(files: Sequence[Exported]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Age and sex as the headers tell them, and a line each that says so; no value where they contradict each other."""
     told: dict[str, Any] = {}
-    notes = []
+    notes: dict[str, str] = {}
     aged = sorted((one for one in files if one.tags.age is not None), key=lambda one: one.tags.moment or 0.0)
     if aged:
         ages = [one.tags.age or 0.0 for one in aged]
         if max(ages) - min(ages) > 1.0:
-            notes.append(f"age: not taken from the DICOM headers, which tell {min(ages):g} to {max(ages):g} years")
+            notes["age"] = f"age: not taken from the DICOM headers, which tell {min(ages):g} to {max(ages):g} years"
         else:
             told["age"] = ages[0]
-            notes.append(f"age: {ages[0]:g} years, from the DICOM header ({aged[0].tags.age_source})")
+            notes["age"] = f"age: {ages[0]:g} years, from the DICOM header ({aged[0].tags.age_source})"
     sexes = {one.tags.sex for one in files if one.tags.sex is not None}
     if len(sexes) == 1:
         told["sex"] = sexes.pop()
-        notes.append(f"sex: {told['sex']}, from the DICOM header (PatientSex)")
+        notes["sex"] = f"sex: {told['sex']}, from the DICOM header (PatientSex)"
     elif sexes:
-        notes.append("sex: not taken from the DICOM headers, which tell both")
+        notes["sex"] = "sex: not taken from the DICOM headers, which tell both"
     return told, notes
 
 
