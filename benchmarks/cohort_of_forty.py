@@ -13,8 +13,9 @@ estimator's, elastic supports, a gauge with errors, and rib levels as somebody f
 ``spinestiff plan`` proposes them before any push. A body that can't carry even a small push is left out, and another
 one takes its place.
 
-What is made and what is run stays in FOLDER: the same command goes on there after a stop. ``--write`` keeps the figures
-in benchmarks/results/cohort_of_forty.json, ``--json`` prints that file. A subject takes about five CPU minutes.
+What is made and what is run stays in FOLDER: the same command goes on there after a stop, and with ``--so-far`` tells
+the figures of those who were run. ``--write`` keeps them in benchmarks/results/cohort_of_forty.json, ``--json`` prints
+that file. A subject takes about five CPU minutes.
 """
 
 from __future__ import annotations
@@ -36,11 +37,12 @@ from typing import Any, Literal
 
 import numpy as np
 from coverage_rendered import bearable
-from judgement_subjects import AGES, HEIGHT_SD_CM, LARGEST_HEIGHT_CM, MEAN_HEIGHT_CM
+from judgement_subjects import AGES, drawn_height
 
 from spinestiff import __version__
 from spinestiff.app.cohort import order_of, run_cohort
 from spinestiff.cohort.overview import JSON
+from spinestiff.cohort.participants import read_participants
 from spinestiff.cohort.places import LEDGER_FILE
 from spinestiff.cohort.statistics import FEWEST
 from spinestiff.errors import SpinestiffError, SubjectError
@@ -64,8 +66,7 @@ def person(seed: int) -> Recipe:
     random = np.random.default_rng([STREAM, seed])
     age = round(float(random.uniform(*AGES)), 1)
     sex: Literal["female", "male"] = "female" if random.uniform() < GIRLS else "male"
-    height = float(np.interp(age, AGES, MEAN_HEIGHT_CM[sex]))
-    height += float(np.clip(random.normal(0.0, HEIGHT_SD_CM), -LARGEST_HEIGHT_CM, LARGEST_HEIGHT_CM))
+    height = drawn_height(random, age, sex)
     bending, tissue = (
         TYPICAL[name] * A_YEAR[name] ** (age - MIDDLE_AGE) * float(np.exp(BETWEEN_SD[name] * random.normal()))
         for name in ("lateral_bending", "tissue")
@@ -86,6 +87,10 @@ def person(seed: int) -> Recipe:
 
 def name_of(seed: int) -> str:
     return f"sub-{seed:02d}"
+
+
+def number_of(name: str) -> int:
+    return int(name.removeprefix("sub-"))
 
 
 def make(source: Path, seed: int) -> str | None:
@@ -124,6 +129,14 @@ def make_all(source: Path, count: int, jobs: int) -> tuple[list[int], dict[int, 
                 else:
                     refused[seed] = why
     return made, refused
+
+
+def made_so_far(source: Path) -> tuple[list[int], dict[int, str]]:
+    """Seeds of the subjects in the table, and why others could not be made."""
+    seeds = [number_of(name) for name in read_participants(source)]
+    return seeds, {
+        number_of(path.name.split(".")[1]): path.read_text(encoding="utf-8") for path in source.glob(".*.refused")
+    }
 
 
 def write_table(source: Path, seeds: Sequence[int]) -> None:
@@ -210,6 +223,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--subjects", type=int, default=40)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--so-far", action="store_true", help="make and run nobody")
     parser.add_argument("--write", action="store_true", help=f"keep the figures in {RESULTS.name}")
     parser.add_argument("--json", action="store_true", help="print the kept figures")
     asked = parser.parse_args()
@@ -223,9 +237,13 @@ def main() -> None:
     for threads in ("SPINESTIFF_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(threads, "1")
     source, target = asked.folder / "in", asked.folder / "out"
-    seeds, refused = make_all(source, asked.subjects, asked.jobs)
-    write_table(source, seeds)
-    run_cohort(source, target, None, order_of({}), jobs=asked.jobs)
+    if asked.so_far:
+        seeds, refused = made_so_far(source)
+        run_cohort(source, target, "group", order_of({}), usual=True)
+    else:
+        seeds, refused = make_all(source, asked.subjects, asked.jobs)
+        write_table(source, seeds)
+        run_cohort(source, target, None, order_of({}), jobs=asked.jobs)
     found = figures(source, target, seeds, refused)
     text = json.dumps(found, indent=1)
     print(text)

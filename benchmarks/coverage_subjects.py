@@ -23,15 +23,13 @@ import numpy as np
 from discrepancy_pairs import OF_BASE, STANDARD_LAW, Bench, equal_ratios
 from judgement_subjects import (
     AGES,
-    HEIGHT_SD_CM,
     KYPHOSIS_DEG,
-    LARGEST_HEIGHT_CM,
     LORDOSIS_DEG,
-    MEAN_HEIGHT_CM,
     PERSON_SD,
     SPINE_LENGTH_SD,
     VERTEBRA_SD,
     drawn_drag,
+    drawn_height,
     nominal_view,
     projected,
     standing,
@@ -264,8 +262,7 @@ def _body(seed: int, nodes: int) -> _Body:
     random = np.random.default_rng([13, seed])
     sex: Literal["female", "male"] = "female" if random.uniform() < 0.8 else "male"
     age = float(random.uniform(*AGES))
-    mean = float(np.interp(age, AGES, MEAN_HEIGHT_CM[sex]))
-    height = mean + float(np.clip(random.normal(0.0, HEIGHT_SD_CM), -LARGEST_HEIGHT_CM, LARGEST_HEIGHT_CM))
+    height = drawn_height(random, age, sex)
     torso = _of_drawn_stiffness(_true_torso(random, height, age, sex, nodes, seed), random, Priors())
     return _Body(sex, age, height, torso, random.bit_generator.state)
 

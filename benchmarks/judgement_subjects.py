@@ -126,8 +126,7 @@ def make_subject(seed: int) -> Subject:
     random = np.random.default_rng([12, seed])
     sex: Literal["female", "male"] = "female" if random.uniform() < 0.8 else "male"
     age = float(random.uniform(*AGES))
-    mean = float(np.interp(age, AGES, MEAN_HEIGHT_CM[sex]))
-    height = mean + float(np.clip(random.normal(0.0, HEIGHT_SD_CM), -LARGEST_HEIGHT_CM, LARGEST_HEIGHT_CM))
+    height = drawn_height(random, age, sex)
     torso = _true_torso(random, height, age, sex)
     ratios = {
         name: float(np.exp(random.uniform(*np.log(limits))))
@@ -271,6 +270,12 @@ def _tracking_errors(corners: Floats, predicted: Floats, random: np.random.Gener
     size = predicted * np.exp(PREDICTED_WITHIN * random.normal(size=(17, 1)))
     along, down, turned = (size * TRACK_CHANNELS * (root @ random.normal(size=(17, 3)))).T
     return _as_corners(np.stack([along, down]), turned, corners)
+
+
+def drawn_height(random: np.random.Generator, age: float, sex: str) -> float:
+    """Standing height of a child, cm."""
+    mean = float(np.interp(age, AGES, MEAN_HEIGHT_CM[sex]))
+    return mean + float(np.clip(random.normal(0.0, HEIGHT_SD_CM), -LARGEST_HEIGHT_CM, LARGEST_HEIGHT_CM))
 
 
 def drawn_drag(random: np.random.Generator) -> Floats:

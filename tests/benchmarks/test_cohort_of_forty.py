@@ -70,3 +70,11 @@ def test_a_body_that_cant_be_made_is_replaced(tmp_path, monkeypatch):
     monkeypatch.setattr(forty, "ProcessPoolExecutor", lambda jobs, mp_context: ThreadPoolExecutor(jobs))
     monkeypatch.setattr(forty, "make", lambda source, seed: "can't be bent" if seed == 2 else None)
     assert forty.make_all(tmp_path / "in", 3, 1) == ([1, 3, 4], {2: "can't be bent"})
+
+
+def test_those_who_were_made_are_found_again(tmp_path):
+    for seed in (1, 3, 12):
+        (tmp_path / forty.name_of(seed)).mkdir()
+    (tmp_path / ".sub-02.refused").write_text("can't be bent")
+    forty.write_table(tmp_path, [1, 3, 12])
+    assert forty.made_so_far(tmp_path) == ([1, 3, 12], {2: "can't be bent"})

@@ -110,7 +110,7 @@ class _Followed:
         return np.array([frame.force_n for frame in self.frames])
 
     @property
-    def first(self) -> int:
+    def unloaded(self) -> int:
         """Index of the first frame without force; forces may fall from frame to frame."""
         return int(np.flatnonzero(self.forces == 0.0)[0])
 
@@ -184,7 +184,7 @@ def _response(found: _Followed, most: FrameCorners, gauge: GaugeError, chosen: f
     return AngleResponse(
         levels=found.levels,
         frames=tuple(frame.frame for frame in found.frames),
-        rest_deg=float(found.angle[found.first]),
+        rest_deg=float(found.angle[found.unloaded]),
         change_deg=change,
         change_sd_deg=change_sd,
         n_per_degree=_inverse(abs(float(slope)), of_corners, of_gauge, chosen),
@@ -206,14 +206,14 @@ def _inverse(slope: float, of_corners: float, of_gauge: float, chosen: float) ->
 
 def _change(found: _Followed, most: FrameCorners) -> tuple[float, float]:
     """Degrees, from the first frame without force to that of the largest force, and its standard deviation."""
-    first, last, c = found.first, found.frames.index(most), found.covariance
+    first, last, c = found.unloaded, found.frames.index(most), found.covariance
     change_sd = np.sqrt(c[first, first] + c[last, last] - 2.0 * c[first, last])
     return float(found.angle[last] - found.angle[first]), float(change_sd)
 
 
 def _flexibility(found: _Followed, most: FrameCorners) -> Flexibility:
     """One minus the angle under force over that at rest, with Fieller's interval of a ratio."""
-    first, last = found.first, found.frames.index(most)
+    first, last = found.unloaded, found.frames.index(most)
     rest, pushed = float(found.angle[first]), float(found.angle[last])
     c = NORMAL_95**2 * found.covariance
     # The ratios q at which pushed - q rest lies within its error: a q^2 - 2 b q + d <= 0.

@@ -34,21 +34,23 @@ FORMS = {"tilt": "tilt_levels", "fixed_levels": "levels", "signed": "signed_leve
 
 def response_csv(responses: Responses) -> str:
     """What each push says without a model: N per degree of the curve and of the largest tilt, and flexibility."""
-    rows: list[list[object]] = []
+    rows: list[dict[str, object]] = []
     for name, found in responses.pushes.items():
-        own: list[object] = [name, found.force_n]
+        push: dict[str, object] = {"push": name, "force_n": found.force_n}
         if found.missing:
-            rows.append([*own, *[None] * (len(RESPONSE_COLUMNS) - len(own) - 1), found.missing])
+            rows.append({**push, "missing": found.missing})
         for quantity, angle in (("curve", found.curve), ("tilt", found.tilt)):
             if angle is not None:
-                n = angle.n_per_degree
-                width = HALF_WIDTH_95 * angle.change_sd_deg
-                seen = [*angle.levels, angle.rest_deg, angle.change_deg, width, None]
-                rows.append([*own, quantity, "N/degree", n.value, n.low, n.high, *seen])
-        if found.flexibility is not None:
-            own = [*own, "flexibility", "%", found.flexibility.percent, found.flexibility.low, found.flexibility.high]
-            rows.append([*own, *[None] * (len(RESPONSE_COLUMNS) - len(own))])
-    return _text(RESPONSE_COLUMNS, rows)
+                (upper, lower), n = angle.levels, angle.n_per_degree
+                rows.append({
+                    **push, "quantity": quantity, "unit": "N/degree", "value": n.value, "low95": n.low,
+                    "high95": n.high, "upper_level": upper, "lower_level": lower, "rest_deg": angle.rest_deg,
+                    "change_deg": angle.change_deg, "change_half_width95_deg": HALF_WIDTH_95 * angle.change_sd_deg,
+                })  # fmt: skip
+        if (share := found.flexibility) is not None:
+            ends = {"value": share.percent, "low95": share.low, "high95": share.high}
+            rows.append({**push, "quantity": "flexibility", "unit": "%", **ends})
+    return _text(RESPONSE_COLUMNS, [[row.get(column) for column in RESPONSE_COLUMNS] for row in rows])
 
 
 def estimate_csv(estimate: Estimate) -> str:
