@@ -187,7 +187,7 @@ def default_backend() -> str:
 
 def _rslab() -> ModuleType:
     """The module. Its allocator (mimalloc) keeps the memory of a factor that is gone for the next one, unless the
-    environment says otherwise: given back to the system it comes back zeroed, at a seventh of a fit's CPU time."""
+    environment says otherwise: given back to the system it comes back zeroed, at an eighth of a fit's CPU time."""
     os.environ.setdefault("MIMALLOC_PURGE_DELAY", "-1")
     import rslab
 
