@@ -50,19 +50,30 @@ class Patch:
 def corrected(body: Body, patch: Patch, levels: Sequence[Image], pose: Floats) -> tuple[Floats, float]:
     """The pose registered on the first frame's patch, if that correlates better, and its correlation (finest level)."""
 
-    def likeness(at: Floats) -> float:
-        there = body.placed(at, body.points)
-        seen = inside(there, levels[-1].shape)
-        if np.mean(seen) < FEWEST_SEEN:
-            return 0.0
-        return _correlation(patch.values[-1][seen], sampled(levels[-1], there[seen]))
-
     trial = pose
     for values, gradients, image in zip(patch.values, patch.gradients, levels):
         trial = _registered(body, values, gradients, image, trial)
     near = np.linalg.norm(trial[1:] - pose[1:]) < LARGEST_CORRECTION * body.size
-    before, after = likeness(pose), likeness(trial)
+    before, after = _likeness(body, patch, levels, pose), _likeness(body, patch, levels, trial)
     return (trial, after) if near and after > before - LIKENESS_LEFT else (pose, before)
+
+
+def settled_at(body: Body, patch: Patch, levels: Sequence[Image], pose: Floats) -> tuple[Floats, float]:
+    """Where a patch settles from a pose near by at the finest level alone, and its correlation there.
+
+    The coarse level would take it to the place that it is held at: both lie within its smoothing.
+    """
+    found = _registered(body, patch.values[-1], patch.gradients[-1], levels[-1], pose)
+    return found, _likeness(body, patch, levels, found)
+
+
+def _likeness(body: Body, patch: Patch, levels: Sequence[Image], pose: Floats) -> float:
+    """Correlation at the finest level; 0 where too much lies outside the picture."""
+    there = body.placed(pose, body.points)
+    seen = inside(there, levels[-1].shape)
+    if np.mean(seen) < FEWEST_SEEN:
+        return 0.0
+    return _correlation(patch.values[-1][seen], sampled(levels[-1], there[seen]))
 
 
 def scatter(body: Body, patch: Patch, image: Image, pose: Floats) -> Floats:
