@@ -116,6 +116,28 @@ def test_a_vertebra_that_flow_lost_is_found_beside_its_neighbour():
     assert errors_mm(track(frames, {0: corners(truth[0])}), truth).max() < 0.5
 
 
+@pytest.mark.parametrize("lag", [-4.0, 4.0])
+def test_arches_brighter_than_the_walls_do_not_take_vertebrae_along(lag):
+    """Those of two vertebrae side by side lie 2 mm off, as where vertebrae turn about their own axis: the patches look
+    more alike there than where the walls are, but the discs above and below would have sheared."""
+    rest = rest_poses()
+    pushed = pushed_poses(rest, 25.0)
+
+    def frame(poses, aside, seed):
+        image = picture(poses, seed=seed)
+        row, column = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+        for angle, x, y in poses[[6, 7]]:
+            u = np.cos(angle) * (column - x) + np.sin(angle) * (row - y) - aside
+            v = -np.sin(angle) * (column - x) + np.cos(angle) * (row - y)
+            posts = np.exp(-((np.abs(u) - WIDTH / 2) ** 2) / 2.0) * (np.abs(v) < 0.22 * HEIGHT)
+            image += (70.0 * posts).astype(np.float32)
+        return Frame(image)
+
+    truth = np.stack([quads(rest), quads(pushed)])
+    frames = [frame(rest, 0.0, 0), frame(pushed, lag, 1)]
+    assert errors_mm(track(frames, {0: corners(truth[0])}), truth).max() < 0.5
+
+
 def test_errors_do_not_add_up():
     """Eleven frames there and back: each is registered on the first one."""
     poses = [pushed_poses(rest_poses(10), 12.0 * min(k, 10 - k)) for k in range(11)]
@@ -304,7 +326,7 @@ def test_a_vertebra_that_the_first_frame_lacks_is_followed_back():
     rest = VertebraCorners(VERTEBRAE[15:16], VIEW.from_pixels(truth[3, 15:]))
     tracked = track(frames, {0: some, 3: rest})
     assert all(frame.vertebrae == VERTEBRAE[:16] for frame in tracked)
-    assert errors_mm(tracked, truth).max() < 0.6
+    assert errors_mm(tracked, truth).max() < 0.5
 
 
 # Supports
