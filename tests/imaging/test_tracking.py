@@ -218,7 +218,7 @@ def test_quality_is_low_where_the_error_is_largest():
     barred = []
     for k, frame in enumerate(frames):
         bar = np.exp(-((((row - 260.0) - 0.8 * (column - 180.0)) / 12.0 + 1.2 * k) ** 2))
-        barred.append(Frame((frame.pixels + 100.0 * bar).astype(np.float32)))
+        barred.append(Frame((frame.pixels + 160.0 * bar).astype(np.float32)))
     tracked = track(barred, {0: corners(truth[0])})
     error = errors_mm(tracked, truth)[1:].max(axis=(0, 2))
     quality = np.stack([frame.quality for frame in tracked])[1:].min(axis=(0, 2))
