@@ -5,7 +5,8 @@ vertebra's error, in the channels of ``estimation.noise`` (shifts along columns 
 mean square of the frame's shifts along columns, is its *share*. Printed are the shares' size, how alike they are along
 the spine, and how alike for the same vertebra in the same frame, in another frame of its push, and under another push:
 what two pushes have in common is no chance of a picture. ``estimation.noise`` has the model of it. Printed, too, is the
-size of the errors over what tracking predicts, of vertebrae whose drag should be smaller than that.
+size of the errors over what tracking predicts, of vertebrae whose drag should be smaller than that, and how far
+vertebrae lie aside.
 
 ``python benchmarks/tracking_drag.py FOLDER [--subjects N] [--first SEED] [--write]`` (a minute a subject; FOLDER keeps
 them, and a run goes on with what is there).
@@ -48,19 +49,22 @@ LEAST_MM = 3.0
 # One wrong vertebra must not decide; a share beyond this counts as this, and so does an error over the predicted one.
 LARGEST, LARGEST_ERROR = 0.08, 8.0
 DISTANCES = 9
+FAR_MM = 0.6
 CHANNELS = ("shift along columns", "shift along rows", "turn")
 
 
 @dataclass(frozen=True)
 class Shares:
-    """Of one frame that moved by ``mm``: (3, 17) shares, NaN where a vertebra was not followed, and errors over the
-    predicted one of a corner along one axis, NaN where drag may be larger."""
+    """Of one frame that moved by ``mm``: (3, 17) shares, NaN where a vertebra was not followed, errors over the
+    predicted one of a corner along one axis, NaN where drag may be larger, and (n,) mm by which followed vertebrae lie
+    aside of where they are."""
 
     push: str
     frame: int
     mm: float
     values: Floats
     over_predicted: Floats
+    sideways_mm: Floats
 
 
 def recipe(seed: int) -> Recipe:
@@ -111,7 +115,8 @@ def shares(folder: Path, seed: int) -> list[Shares]:
             told = (quality[number] > LOWEST_QUALITY).all(1) & (Priors.tracking_drag * abs(size) < predicted)
             over[:, rows] = np.where(told, np.clip(error / predicted, -LARGEST_ERROR, LARGEST_ERROR), np.nan)
             if abs(size) >= 2.0 * LEAST_MM:
-                found.append(Shares(name, number, abs(size) / 2.0, values, over))
+                sideways = 0.5 * np.abs(error[0])[followed[number].all(1)]
+                found.append(Shares(name, number, abs(size) / 2.0, values, over, sideways))
     return found
 
 
@@ -132,7 +137,7 @@ def pairs(subjects: list[list[Shares]]) -> Iterator[tuple[str, Shares, Shares]]:
 
 
 def summarised(subjects: list[list[Shares]]) -> dict[str, Any]:
-    """Sizes and correlations of the shares."""
+    """Sizes and correlations of the shares, and sizes of the errors sideways."""
     result: dict[str, Any] = {}
     for c, channel in enumerate(CHANNELS):
         entry: dict[str, Any] = {}
@@ -169,6 +174,13 @@ def summarised(subjects: list[list[Shares]]) -> dict[str, Any]:
     return result
 
 
+def aside(subjects: list[list[Shares]]) -> dict[str, float]:
+    """How far vertebrae lie aside of where they are, mm: percentiles, and the share of those beyond ``FAR_MM``."""
+    errors = np.concatenate([frame.sideways_mm for frames in subjects for frame in frames])
+    found = {f"{percent} %": round(float(np.percentile(errors, percent)), 3) for percent in (50, 95, 99)}
+    return found | {f"beyond {FAR_MM} mm": round(float(np.mean(errors > FAR_MM)), 4), "vertebrae": len(errors)}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
@@ -191,6 +203,7 @@ def main() -> None:
         "not_made": failed,
         "frames": sum(len(frames) for frames in found),
         "shares": summarised(found),
+        "aside_mm": aside(found),
     }
     print(json.dumps(result, indent=1))
     if asked.write:
