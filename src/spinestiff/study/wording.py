@@ -25,6 +25,12 @@ MOST_TOLD = 2
 LEAST_EXPONENT = 0.1
 """Of a ratio in a combination that is worth its name."""
 
+LIKELY_MISTAKES = (
+    "forces_n (newtons, one for each frame, in the frames' order), side and level of each push, the corners and names "
+    "of the vertebrae (spinestiff view shows them), pictures of another patient or visit"
+)
+"""What to look at where no estimate is found, in the order in which it was the reason."""
+
 
 def number(value: float | None, digits: int = 3) -> str:
     """A number with so many significant digits, without an exponent; "not available" for none."""
@@ -161,6 +167,21 @@ def _bound(value: float) -> str:
     """A bound of the fit: two digits, without zeros behind them."""
     text = number(value, 2)
     return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def no_estimate(search: str, wrong: Sequence[str]) -> str:
+    """Why there is no estimate, the user's likely mistakes first.
+
+    Parameters
+    ----------
+    search : how the search ended.
+    wrong : what the checks of the inputs found wrong, a text for each.
+    """
+    if wrong:
+        found = f"the inputs do not agree: {'; '.join(wrong)}; then look at {LIKELY_MISTAKES}"
+    else:
+        found = f"no stiffness explains how this spine moved under these forces; look at {LIKELY_MISTAKES}"
+    return f"no estimate: {found}; if all of these are right, the search itself: {search}"
 
 
 def badge(estimate: Estimate) -> str:
