@@ -100,7 +100,9 @@ def repeatability_table(found: Repeatability) -> Table:
     made = table("Repeatability: scatter within a subject", *columns)
     for name, one in found.scatter.items():
         ends = f"{one.low:.3f} to {one.high:.3f}"
-        factors = (f"× {one.detectable_factor:.3g}", f"× {one.expected_factor:.3g}")
+        # One repetition would say "no change is too small" of two estimates that happen to agree.
+        found_factor = f"× {one.detectable_factor:.3g}" if one.degrees > 1 else "-"
+        factors = (found_factor, f"× {one.expected_factor:.3g}")
         made.add_row(
             escape(name.replace("_", " ")),
             f"{one.within_sd_log:.3f}",
