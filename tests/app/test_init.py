@@ -334,6 +334,28 @@ def test_a_log_without_an_offset_leaves_the_forces_open_until_it_is_given(spines
     np.testing.assert_allclose(read_unannotated(out).pushes[0].forces_n, true, atol=0.6)
 
 
+def test_an_offset_that_the_motion_contradicts_is_taken_with_a_warning(spinestiff, logged):
+    folder, _ = logged
+    log = ("--log", folder / "gauge.csv", *PERSON, *SITE, "--log-offset")
+    done = spinestiff("init", folder / "wrong", folder / "in", *log, 5.5)
+    assert done.status == 0 and "first frame at 5.50 s of the log, as given" in done.out
+    assert re.search(r"warning: the motion says 3\.\d+ s \(95 % [\d.]+ to [\d.]+ s\); look at the picture", done.out)
+    done = spinestiff("init", folder / "right", folder / "in", *log, 3.1)
+    assert done.status == 0 and "warning" not in done.out
+
+
+def test_an_offset_beside_the_push_says_so(spinestiff, logged):
+    folder, _ = logged
+    log = folder / "late.csv"
+    log.write_text("time_s,force_n\n" + "\n".join(f"{i / 10},{30 if i > 250 else 0}" for i in range(400)))
+    done = spinestiff("init", folder / "a", folder / "in", "--log", log, *PERSON, *SITE, "--log-offset", 2)
+    assert done.status == 2
+    assert re.search(
+        r"first frame at 2 s of the log no frame has a force: .* its push, from 25.1 to 39.9 s", done.err
+    )
+    assert not (folder / "a").exists()
+
+
 def test_forces_from_two_places_a_wrong_offset_and_no_times_are_refused(spinestiff, logged, tmp_path):
     folder, _ = logged
     table = folder / "pushes.csv"

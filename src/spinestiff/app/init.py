@@ -373,6 +373,11 @@ def _log_lines(name: str, logged: Logged) -> Iterator[str]:
         explained = f"; the force explains {100.0 * max(match.explained, 0.0):.0f} % of the picture's motion"
     if match.given:
         yield f"log of push {name}: first frame at {match.offset_s:.2f} s of the log, as given{explained}"
+        if match.against:
+            yield (
+                f"  warning: {match.against}; look at the picture, and correct the forces in {SUBJECT_FILE} if the "
+                "offset is wrong"
+            )
         return
     yield (
         f"log of push {name}: first frame at {match.offset_s:.2f} s of the log, 95 % {match.low_s:.2f} to "

@@ -253,7 +253,10 @@ class PushRecord(Record):
             )
         used = [force for force, role in zip(self.forces_n, self.roles) if role != "unused"]
         if used and not any(used):
-            raise ValueError("all forces are zero, so there is nothing to identify; check the force log")
+            raise ValueError(
+                "all forces are zero, so there is nothing to identify; check forces_n, and of a force log whether its "
+                "offset puts the frames beside the push"
+            )
         return self
 
     @property
