@@ -282,6 +282,13 @@ def test_what_is_open_is_filled_and_nothing_else_changes(spinestiff, tmp_path, s
     assert read_unannotated(out).gaps == ()
     done = spinestiff("init", out, "--sex", "male")
     assert done.status == 2 and "nothing is missing" in done.err
+    assert "nothing changes (sex: stays female, male was given; change it in subject.json)" in done.err
+    # X-ray geometry is nothing that is open: it can be given where the files or subject.json have none.
+    done = spinestiff("init", out, "--imager-pixel", 0.139, "--sex", "male")
+    assert done.status == 0 and "sex: stays female, male was given; change it in subject.json" in done.out
+    assert json.loads((out / "subject.json").read_text())["xray"] == {"imager_pixel_mm": 0.139}
+    done = spinestiff("init", out, "--imager-pixel", 0.2)
+    assert done.status == 2 and "xray.imager_pixel_mm: stays 0.139, 0.2 was given" in done.err
     assert "belongs to DICOM files" in spinestiff("init", out, "--pushes", table).err
     assert "no such file; name the DICOM files" in spinestiff("init", tmp_path / "nowhere").err
 
@@ -350,9 +357,7 @@ def test_an_offset_beside_the_push_says_so(spinestiff, logged):
     log.write_text("time_s,force_n\n" + "\n".join(f"{i / 10},{30 if i > 250 else 0}" for i in range(400)))
     done = spinestiff("init", folder / "a", folder / "in", "--log", log, *PERSON, *SITE, "--log-offset", 2)
     assert done.status == 2
-    assert re.search(
-        r"first frame at 2 s of the log no frame has a force: .* its push, from 25.1 to 39.9 s", done.err
-    )
+    assert re.search(r"first frame at 2 s of the log no frame has a force: .* its push, from 25.1 to 39.9 s", done.err)
     assert not (folder / "a").exists()
 
 

@@ -130,7 +130,7 @@ def _fill_folder(folder: Path, asked: Asked) -> None:
 
 
 def _fill(folder: Path, asked: Asked) -> None:
-    data = making.read_open_data(folder)
+    data = making.read_open_data(folder, asked.given)
     notes = making.fill(data, asked.given)
     pushes = data["pushes"]
     work = _Work(data, [[folder / push["frames"]] for push in pushes], [(push["frames"],) for push in pushes])
