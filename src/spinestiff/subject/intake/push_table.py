@@ -75,7 +75,7 @@ def parse_push_table(text: str, name: str) -> tuple[TableRow, ...]:
     """
     rows = []
     columns = (*COLUMNS, *OPTIONAL)
-    for line, texts in parse_csv(text, name, COLUMNS, OPTIONAL):
+    for line, texts in parse_csv(text, name, COLUMNS, OPTIONAL, _RANGES):
         cells = dict(zip(columns, texts))
         where = f"{name}: row {line}"
         if not cells["file"]:
