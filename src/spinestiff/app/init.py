@@ -96,9 +96,9 @@ def make_subject(out: Path, sources: Sequence[Path], asked: Asked) -> None:
     with progress() as say:
         found, refused = collect(sources, say)
     chosen, others = chosen_studies(found, asked.study)
-    table = None if rows is None or asked.table is None else pushes_of(asked.table, rows, chosen)
+    table = None if rows is None or asked.table is None else pushes_of(asked.table, rows, chosen, others)
     frontal, lateral = (
-        None if name is None else _one(by_name(name, chosen, option), option)
+        None if name is None else _one(by_name(name, chosen, option, others), option)
         for name, option in ((asked.frontal, "--frontal"), (asked.lateral, "--lateral"))
     )
     sorting = sort_files(chosen, table, frontal, lateral)
