@@ -125,6 +125,7 @@ def estimate_table(estimate: Estimate) -> Table:
     for name in estimate.parameters:
         ratio = estimate.ratios[name]
         known = ratio.determined if has_intervals(estimate) else NO_INTERVALS
+        known = badge(estimate) if estimate.status == "DOUBTFUL" else known
         known += ", at bound" if ratio.at_bound else ""
         made.add_row(f"ratio: {escape(name)}", estimated(ratio), interval(ratio), known)
     return made
