@@ -218,6 +218,30 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
+def check_writable(folder: Path, what: str) -> None:
+    """Refuse a folder in which no file can be made before any work for it is done.
+
+    Parameters
+    ----------
+    what : is to be written there, for the message.
+
+    Raises
+    ------
+    SubjectError : no file can be made in it, or it can't be made itself.
+    """
+    new, probe = not folder.exists(), folder / f".{secrets.token_hex(8)}.tmp"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.touch(exist_ok=False)
+        probe.unlink()
+        if new:
+            folder.rmdir()
+    except OSError as problem:
+        raise SubjectError(
+            f"{folder}: can't be written ({trouble(problem)}), but {what} go there; make it writable, or work on a copy"
+        ) from None
+
+
 def write_bytes(
     path: Path,
     content: bytes,
