@@ -155,6 +155,14 @@ def test_age_and_sex_of_the_header_are_taken_and_said(spinestiff, tmp_path):
     assert "age: 15.0 as given, though the DICOM header tells 13.1" in done.out
 
 
+def test_what_counts_for_several_pushes_says_so(spinestiff, tmp_path, source):
+    done = spinestiff("init", tmp_path / "girl", source, "--level", 3, "--side", "left")
+    assert done.status == 0, done.err
+    assert "level: 3.0 for 2 pushes alike; where one differs, correct it in subject.json" in done.out
+    assert "side: left for 2 pushes alike" in done.out
+    assert "give --d21 to spinestiff init, which counts for all pushes that lack it" in done.out
+
+
 def test_headers_that_contradict_each_other_tell_nothing(spinestiff, tmp_path):
     export(tmp_path / "in" / "a", PatientAge="013Y", PatientSex="F")
     export(tmp_path / "in" / "b", "lateral", PatientAge="031Y", PatientSex="M")
@@ -334,6 +342,8 @@ def test_a_log_without_an_offset_leaves_the_forces_open_until_it_is_given(spines
     assert done.status == 0
     assert "where it begins is not determined: the log's force changes by 0.0 N only; give the log's time" in done.out
     assert [gap.field for gap in read_unannotated(out).gaps] == ["pushes[0].forces_n[0 to 29]"]
+    (open_still,) = [line for line in done.out.splitlines() if "forces_n[0 to 29] is missing" in line]
+    assert "give --log again with --log-offset to spinestiff init: where the log begins" in open_still
     rows = rows_of(out / "results/force-log-left-5.csv")
     assert {row["force_n"] for row in rows} == {""} and rows[29]["time_s"] == "7.250"
     done = spinestiff("init", out, "--log", folder / "gauge.csv", "--log-offset", "left-5=3.1")

@@ -45,7 +45,7 @@ def test_each_thing_that_is_not_known_has_a_line_that_says_what_it_is(folder):
     assert caught.value.lines == (
         f"{path}: age is missing: age in years (above 0, at most 120); {end.format('--age')}",
         f"{path}: pushes[0].level is missing: the rib that was pushed (1 to 12; 8.5 lies between two); "
-        f"{end.format('--level')}",
+        f"{end.format('--level')}, which counts for all pushes that lack it",
         f"{path}: pushes[0].forces_n[1 to 2] is missing: force on the ribs in N (0 to 500); {end.format('--log')}",
         f"{path.parent / 'pushes/right-8.dcm'}: no such file; wanted the radiograph of push/right-8",
     )

@@ -330,7 +330,10 @@ def _finish(out: Path, work: _Work, notes: Sequence[str]) -> None:
     typer.echo(f"subject: {out}")
     for push in work.data["pushes"]:
         typer.echo(f"  {_push_words(push)}")
-    lacking = [f"{SUBJECT_FILE}: {gap.line}" for gap in gaps_of(work.data)]
+    lacking = [
+        f"{SUBJECT_FILE}: {gap.line_beside_log if gap.key == 'forces_n' and gap.push in work.logged else gap.line}"
+        for gap in gaps_of(work.data)
+    ]
     for one in inspect(out):
         if one.image != SUBJECT_FILE:
             lines = [one.reason] if one.reason else one.missing

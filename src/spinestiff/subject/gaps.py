@@ -73,7 +73,17 @@ class Gap:
     @property
     def line(self) -> str:
         """What is missing, and what to do."""
-        return f"{self.field} is missing: {self.words}; write it there, or give {OPTIONS[self.key]} to spinestiff init"
+        alike = ", which counts for all pushes that lack it" if self.key in PUSH else ""
+        option = f"{OPTIONS[self.key]} to spinestiff init{alike}"
+        return f"{self.field} is missing: {self.words}; write it there, or give {option}"
+
+    @property
+    def line_beside_log(self) -> str:
+        """The same of forces for which there is a log that could not be put beside the frames."""
+        return (
+            f"{self.field} is missing: {self.words}; write it there, or give --log again with --log-offset to "
+            "spinestiff init: where the log begins is not determined"
+        )
 
 
 def read_open_record(path: Path) -> tuple[SubjectRecord, tuple[Gap, ...]]:

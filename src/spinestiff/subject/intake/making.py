@@ -111,13 +111,20 @@ def name_pushes(data: dict[str, Any], sorting: Sorting, taken: Iterable[str] = (
 
 
 def fill(data: dict[str, Any], given: Given) -> list[str]:
-    """Put what the user says where ``data`` has None; returns a line for each thing that was told otherwise already."""
+    """Put what the user says where ``data`` has None.
+
+    Returns a line for each thing that was told otherwise already, and for each that several pushes take alike.
+    """
     notes = []
     for key, value in given.person.items():
         if data.get(key) is None:
             data[key] = value
         elif data[key] != value:
             notes.append(f"{key}: stays {data[key]}, {value} was given; change it in {SUBJECT_FILE}")
+    for key, value in given.pushes.items():
+        count = sum(push.get(key) is None for push in data["pushes"])
+        if count > 1:
+            notes.append(f"{key}: {value} for {count} pushes alike; where one differs, correct it in {SUBJECT_FILE}")
     for push in data["pushes"]:
         for key, value in given.pushes.items():
             if push.get(key) is None:
