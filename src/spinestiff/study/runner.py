@@ -245,7 +245,7 @@ def run_steps(
             f"{folder / SUBJECT_FILE}: no frame has the role training; spinestiff frames {pasted(folder)} proposes "
             "roles, and --write sets them"
         )
-    ran = []
+    ran: list[str] = []
     for name, step in known.items():
         if name not in steps:
             continue

@@ -187,7 +187,7 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
             name = f"{push.image}, view {view.id}"
             paths[name], forces[name], kinds[name] = folder / view.files, len(view.frames), view.kind
             marks[name] = tuple(push.view_image(frame, view.id) for frame in view.frames)
-    found = []
+    found: list[Inspection] = []
     if annotation is not None:
         found += _unknown_images(Subject(folder, record, annotation))
     if gaps:
