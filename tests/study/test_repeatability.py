@@ -199,6 +199,15 @@ def test_a_picture_is_drawn_of_few_and_of_many() -> None:
         assert len(as_png(draw_repeatability(repeatability(visits)))) > 5000
 
 
+@pytest.mark.parametrize("visits", [2, 3, 12, 40])
+def test_the_title_is_whole_whatever_the_number_of_visits(visits) -> None:
+    found = repeatability([visit("a", i, lateral_bending=0.1 + 0.01 * i) for i in range(visits)])
+    figure = draw_repeatability(found)
+    figure.canvas.draw()
+    title, whole = figure.axes[0].title.get_window_extent(), figure.bbox
+    assert whole.x0 <= title.x0 and title.x1 <= whole.x1 and title.y1 <= whole.y1
+
+
 def test_a_visit_tells_how_it_scatters(finished) -> None:
     opened = open_visit(finished.folder)
     estimate = read_outcome(opened.subject, Estimate)
