@@ -33,7 +33,7 @@ MOST_LOST = 4
 
 LIKELY_MISTAKES = (
     "forces_n (newtons, one for each frame, in the frames' order), side and level of each push, the corners and names "
-    "of the vertebrae (spinestiff view shows them), pictures of another patient or visit"
+    "of the vertebrae (spinestiff annotate shows them), pictures of another patient or visit"
 )
 """What to look at where no estimate is found, in the order in which it was the reason."""
 
