@@ -16,6 +16,8 @@ from spinestiff.errors import RadiographError, SpinestiffError, SubjectError, To
 from spinestiff.files import (
     check_output,
     file_digest,
+    parse_csv,
+    parse_json,
     read_json,
     read_text,
     regular_file,
@@ -130,6 +132,45 @@ def test_what_is_no_file_in_a_folder_is_refused(inside):
         list(regular_files(inside / "c", SubjectError, within=inside / "other"))
     with pytest.raises(SubjectError, match="found no folder"):
         list(regular_files(inside / "a", SubjectError))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            '{\n "height_cm": 157,5\n}',
+            r"a.json: not JSON at line 2, column \d+: found 157,5, wanted a decimal point \(157.5\)$",
+        ),
+        ('{\n "a": 1\n "b": 2}', r"line 3, column 2: a comma is missing before"),
+        ('{"a": 1,}', r"line 1, column \d: .*comma.* too many"),
+        ('{"a": .5}', "line 1, column 7: wanted a value: a number with"),
+        ("{}}", "line 1, column 3: the file goes on after its end"),
+        ('{"a', "line 1, column 2: the text that begins here has no closing"),
+    ],
+)
+def test_what_is_no_json_is_told_in_words_of_the_file(text, words):
+    with pytest.raises(SubjectError, match=words):
+        parse_json(text, "a.json")
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ("name;x;y", "a,b;1,5;2", "c;-3,25;,5"),
+        ("y\tx\tname", "2\t1,5\ta,b", ",5\t-3,25\tc"),
+        ("name,x,y", '"a,b",1.5,2', "c,-3.25,.5"),
+    ],
+)
+def test_a_csv_may_have_semicolons_tabs_and_decimal_commas(lines):
+    rows = parse_csv("\r\n".join(lines), "a.csv", ("name", "x"), ("y",), numbers=("x", "y"))
+    assert [row for _, row in rows] == [("a,b", "1.5", "2"), ("c", "-3.25", ".5")]
+
+
+def test_decimal_commas_among_commas_are_told():
+    with pytest.raises(
+        SubjectError, match=r"row 2: 3 fields, wanted 2 \(x,y\); numbers with decimal commas need semico"
+    ):
+        list(parse_csv("x,y\n1,5,2\n", "a.csv", ("x", "y")))
 
 
 def test_written_json_is_sorted_and_plain(tmp_path):

@@ -70,5 +70,9 @@ class FitError(SpinestiffError):
     exit_status = 3
 
 
+class NoMinimum(FitError):
+    """The search for stiffness ratios found nowhere to start, or ended where the loss has no minimum."""
+
+
 class OutsideWarning(UserWarning):
     """Something is asked of the model that lies far outside what it was made for and compared with."""

@@ -9,12 +9,13 @@ import io
 import json
 import math
 import os
+import re
 import secrets
 import shutil
 import stat
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -24,6 +25,8 @@ from spinestiff.words import counted
 LARGEST_JSON = 10 * 2**20
 """Bytes. A subject's files are a few kilobytes; anything larger is another file or an accident."""
 _LONGEST_SHOWN = 60
+SEPARATORS = (";", "\t", ",")
+"""Of fields in tables that people make, in the order in which a header is tried."""
 
 _TROUBLE = {
     errno.ENOSPC: "the disk is full",
@@ -66,6 +69,19 @@ def read_text(path: Path, largest: int = LARGEST_JSON) -> str:
         raise SubjectError(f"{path}: can't be read ({error.strerror})") from None
 
 
+# Of a fault at a place the beginning of Python's words, and ours.
+_JSON_FAULTS = (
+    ("Expecting ',' delimiter", "a comma is missing before this place, or a bracket that closes"),
+    ("Expecting ':' delimiter", "wanted a colon after the key"),
+    ("Expecting property name", "wanted a key in double quotes; a comma before it may be one too many"),
+    ("Illegal trailing comma", "a comma too many: nothing follows it"),
+    ("Expecting value", "wanted a value: a number with a decimal point, text in double quotes, null, or a list"),
+    ("Unterminated string", "the text that begins here has no closing double quotes in its line"),
+    ("Invalid control character", "a line ends within a text; close its double quotes"),
+    ("Extra data", "the file goes on after its end; a closing bracket may be one too many"),
+)
+
+
 def parse_json(text: str, name: str) -> Any:
     """JSON text with what the standard lets pass refused: a key twice in an object, NaN, numbers out of range."""
 
@@ -87,7 +103,7 @@ def parse_json(text: str, name: str) -> Any:
         return json.loads(text, object_pairs_hook=keys_once, parse_constant=refuse, parse_float=number)
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
-        raise SubjectError(f"{name}: not JSON at {where}: {error.msg}") from None
+        raise SubjectError(f"{name}: not JSON at {where}: {_json_fault(text, error)}") from None
     except RecursionError:
         raise SubjectError(f"{name}: nested too deeply") from None
     except ValueError:
@@ -95,16 +111,29 @@ def parse_json(text: str, name: str) -> Any:
         raise SubjectError(f"{name}: holds a number with too many digits") from None
 
 
+def _json_fault(text: str, error: json.JSONDecodeError) -> str:
+    """What is wrong, in words of the file rather than of Python's parser."""
+    before, after = re.search(r"\d+,$", text[: error.pos]), re.match(r"\d+", text[error.pos :])
+    if before and after:
+        found = before[0] + after[0]
+        return f"found {found}, wanted a decimal point ({found.replace(',', '.')})"
+    known = (told for beginning, told in _JSON_FAULTS if error.msg.startswith(beginning))
+    return next(known, error.msg)
+
+
 def parse_csv(
-    text: str, name: str, columns: Sequence[str], optional: Sequence[str] = ()
+    text: str, name: str, columns: Sequence[str], optional: Sequence[str] = (), numbers: Collection[str] = ()
 ) -> Iterator[tuple[int, tuple[str, ...]]]:
     """Rows of a CSV with just these columns, in any order; empty lines are skipped.
+
+    Fields are separated by commas, semicolons or tabs, by which the first line has these columns.
 
     Parameters
     ----------
     text : of the file.
     name : of the file, for messages.
     optional : columns that may be there besides.
+    numbers : columns whose decimal commas become points where commas do not separate fields.
 
     Yields
     ------
@@ -115,26 +144,51 @@ def parse_csv(
     ------
     SubjectError : other columns, a row with another number of fields, no CSV at all.
     """
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    separator = _separator(text, columns, optional)
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
     wanted = ",".join(columns) + (f" and perhaps {','.join(optional)}" if optional else "")
     try:
         header = [column.strip() for column in next(reader, [])]
         if sorted(column for column in header if column not in optional) != sorted(columns) or (
             len(set(header)) < len(header)
         ):
-            hint = "; separate by commas" if len(header) == 1 and ";" in header[0] else ""
             shown = "".join(c if c.isprintable() else "?" for c in ",".join(header)[:_LONGEST_SHOWN])
-            raise SubjectError(f"{name}: row 1: columns {shown}, wanted {wanted}{hint}")
+            raise SubjectError(f"{name}: row 1: columns {shown}, wanted {wanted}")
         at = [header.index(column) if column in header else None for column in (*columns, *optional)]
         for row in reader:
             if not row:
                 continue
             if len(row) != len(header):
                 fields = f"{counted(len(row), 'field')}, wanted {len(header)} ({','.join(header)})"
-                raise SubjectError(f"{name}: row {reader.line_num}: {fields}")
-            yield reader.line_num, tuple("" if i is None else row[i].strip() for i in at)
+                comma = separator == "," and len(row) > len(header)
+                hint = "; numbers with decimal commas need semicolons between the fields" if comma else ""
+                raise SubjectError(f"{name}: row {reader.line_num}: {fields}{hint}")
+            texts = ("" if i is None else row[i].strip() for i in at)
+            yield (
+                reader.line_num,
+                tuple(
+                    decimal_point(one, separator) if column in numbers else one
+                    for column, one in zip((*columns, *optional), texts)
+                ),
+            )
     except csv.Error as error:
         raise SubjectError(f"{name}: row {reader.line_num}: not CSV ({error})") from None
+
+
+def decimal_point(text: str, separator: str) -> str:
+    """A number's text with a decimal comma as a point; commas that separate fields are none."""
+    return text if separator == "," else text.replace(",", ".")
+
+
+def _separator(text: str, columns: Sequence[str], optional: Sequence[str]) -> str:
+    """By which the first line has all columns and no other; a comma where none does."""
+    first = text.partition("\n")[0].rstrip("\r")
+    for separator in SEPARATORS:
+        with suppress(csv.Error):
+            header = {column.strip() for column in next(csv.reader([first], delimiter=separator), [])}
+            if set(columns) <= header <= {*columns, *optional}:
+                return separator
+    return ","
 
 
 def write_json(path: Path, data: Any) -> None:
@@ -162,6 +216,30 @@ def json_text(data: Any) -> str:
 def write_text(path: Path, text: str) -> None:
     """Write a text file as UTF-8, whole or not at all. Raises SubjectError if it can't be written."""
     write_bytes(path, text.encode("utf-8"))
+
+
+def check_writable(folder: Path, what: str) -> None:
+    """Refuse a folder in which no file can be made before any work for it is done.
+
+    Parameters
+    ----------
+    what : is to be written there, for the message.
+
+    Raises
+    ------
+    SubjectError : no file can be made in it, or it can't be made itself.
+    """
+    new, probe = not folder.exists(), folder / f".{secrets.token_hex(8)}.tmp"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.touch(exist_ok=False)
+        probe.unlink()
+        if new:
+            folder.rmdir()
+    except OSError as problem:
+        raise SubjectError(
+            f"{folder}: can't be written ({trouble(problem)}), but {what} go there; make it writable, or work on a copy"
+        ) from None
 
 
 def write_bytes(

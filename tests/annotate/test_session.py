@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -367,6 +368,61 @@ def test_a_file_that_holds_no_corners_is_refused(session, name, text, message):
     with pytest.raises(SubjectError, match=message) as refused:
         imported(session, name, text, "rest/frontal")
     assert "tmp" not in str(refused.value)
+
+
+def slicers(per_pixel, *names):
+    """Markups of the frontal radiograph as Slicer writes them: (column, row) times a spacing, of no stated unit."""
+    quads = drawn("rest/frontal").named(*names)
+    # The patient's left, where annotation.json begins, is on the right of this picture.
+    labels = [
+        f"{name} {corner}" for name in names for corner in ("top_right", "top_left", "bottom_left", "bottom_right")
+    ]
+    points = [np.append(np.array(place) * per_pixel, 0.0).tolist() for name in names for place in quads[name]]
+    control = [{"label": label, "position": point} for label, point in zip(labels, points)]
+    entry = {"type": "Fiducial", "coordinateSystem": "LPS", "name": "rest/frontal", "controlPoints": control}
+    return json.dumps({"markups": [entry]})
+
+
+@pytest.fixture
+def fine(session, monkeypatch):
+    """The session, its radiographs with pixels of 0.2 mm: a vertebra is 30 to 50 of them wide."""
+    real = session.frames
+
+    def frames(name):
+        shown = real(name)[0]
+        return [replace(shown, view=replace(shown.view, pixel_spacing=np.array([0.2, 0.2])))]
+
+    monkeypatch.setattr(session, "frames", frames)
+    return session
+
+
+# Five pixels of the phantom for one: vertebrae as wide as in a radiograph of 0.2 mm.
+@pytest.mark.parametrize(
+    ("per_pixel", "factor", "word"), [(5.0, 5.0, "as in pixels"), (1.0, 5.0, "converted by 0.2 mm")]
+)
+def test_slicers_millimetres_are_told_from_pixels_by_the_vertebrae(fine, per_pixel, factor, word):
+    marks, said = imported(fine, "a.mrk.json", slicers(per_pixel, "T5", "T6"), "rest/frontal")
+    quads = drawn("rest/frontal").named("T5", "T6")
+    for name in ("T5", "T6"):
+        np.testing.assert_allclose(marks["rest/frontal"].vertebrae[name], np.array(quads[name]) * factor)
+    assert len(said) == 1 and word in said[0]
+
+
+def test_slicers_corners_of_a_unit_that_cant_be_told_are_refused(session, fine, monkeypatch):
+    # A pixel of this phantom is 0.8 mm: as wide as a vertebra is in either.
+    monkeypatch.undo()
+    text = slicers(1.0, "T5")
+    with pytest.raises(
+        SubjectError, match=r"does not say whether .* pixels or mm.* mm \(in px\) or .*as CSV in pixels"
+    ):
+        imported(session, "a.mrk.json", text, "rest/frontal")
+
+
+def test_slicers_millimetres_need_the_spacing_that_slicer_had(fine, monkeypatch):
+    shown = replace(fine.frames("rest/frontal")[0], provenance={"pixel spacing": "given imager_pixel_mm"})
+    monkeypatch.setattr(fine, "frames", lambda name: [shown])
+    with pytest.raises(SubjectError, match=r"in mm, but the radiograph has no ImagerPixelSpacing .its pixel: given"):
+        imported(fine, "a.mrk.json", slicers(1.0, "T5"), "rest/frontal")
 
 
 def test_nothing_to_export_is_said(session):

@@ -253,13 +253,18 @@ def test_run_on_a_finished_subject_prints_the_result(spinestiff, subject, finish
 
 def test_every_step_runs_by_its_own_name(spinestiff, subject, finished, no_report):
     """For real, up to the estimate: with other settings, on the copy."""
-    assert spinestiff("track", subject, "--redo").status == 0
+    answered = spinestiff("track", subject, "--redo")
+    assert answered.status == 0
+    assert [line.partition(", ")[0] for line in answered.out.splitlines()] == [
+        "push 'main': 4 frames", "push 'second': 2 frames", f"to look at them: spinestiff annotate {subject}",
+    ]  # fmt: skip
     answered = spinestiff("response", subject, "--redo")
     assert answered.status == 0
     assert answered.out.splitlines()[1:] == response_lines(read_outcome(read_subject(subject), Responses))
     result = spinestiff("personalise", subject, "--mesh", "coarse", "--redo")
     assert result.status == 0
     assert "corner sd 16.00 mm" in result.err
+    assert re.match(r"torso against the radiographs at rest, RMSE: frontal \d+\.\d\d mm, lateral ", result.out)
     assessed = spinestiff("assess", subject, "--truth", finished.truth)
     assert assessed.status == 0
     assert "Held-out frames" in assessed.out

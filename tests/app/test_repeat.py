@@ -5,22 +5,42 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 
+import pytest
+
+from spinestiff.app import repeat
 from spinestiff.files import read_json
 
 
+@pytest.fixture
+def taken_anew(monkeypatch):
+    """Copies of a folder count as visits with radiographs of their own, or as annotations that differ."""
+    real = repeat.estimate_of
+
+    def estimate_of(visit, annotators=False):
+        one = real(visit, annotators)
+        folder = visit.subject.folder.name
+        return replace(one, marks=folder) if annotators else replace(one, push_pictures=frozenset({folder}))
+
+    monkeypatch.setattr(repeat, "estimate_of", estimate_of)
+
+
+@pytest.mark.usefixtures("taken_anew")
 def test_two_visits_of_one_person(spinestiff, subject, tmp_path):
     later = tmp_path / "later" / "girl2"
     shutil.copytree(subject, later)
     ran = spinestiff("repeat", subject, later, "--out", tmp_path / "out")
     assert (ran.status, ran.err) == (0, "")
     assert re.search(r"smallest *\n.*\bchange +expected", ran.out)
-    assert "tissue: two estimates of one unchanged person differ by less than a factor of 1.00" in ran.out
+    assert "tissue: one repetition tells nothing of how far two estimates of one unchanged person differ" in ran.out
+    assert "× 1 " not in ran.out
     assert f"picture: {tmp_path / 'out/repeat.png'}" in ran.out
     written = read_json(tmp_path / "out/repeat.json")
     assert written["scatter"]["tissue"]["degrees"] == 1
     assert [visit["label"] for visit in written["visits"]] == ["girl", "girl2"]
     assert written["of"] == "visits"
+    assert "marks" not in written["visits"][0]
     assert (tmp_path / "out/repeat.png").stat().st_size > 5000
     ran = spinestiff("repeat", subject, later, "--annotators", "--json")
     again = json.loads(ran.out)
@@ -38,6 +58,11 @@ def test_folders_that_can_not_be_compared_end_in_one_line(spinestiff, subject):
     ran = spinestiff("repeat", subject, other, "--out", subject / "results")
     assert ran.status == 2
     assert "lies in a folder that is read" in ran.err
+    ran = spinestiff("repeat", subject, other)
+    assert (ran.status, ran.out) == (2, "")
+    assert "other: a push has the same radiographs as in girl: a copy is no second visit" in ran.err
+    ran = spinestiff("repeat", subject, other, "--annotators")
+    assert "other: the annotation is that of girl, corner by corner" in ran.err
     ran = spinestiff("repeat", subject)
     assert ran.status == 2
     assert "repeatability needs two or more of one: give them the same id in subject.json" in ran.err

@@ -86,6 +86,9 @@ def test_estimate(printed):
 def test_a_doubtful_estimate_says_so_above_its_numbers(printed):
     text = printed(tables.estimate_table(estimate().model_copy(update={"status": "DOUBTFUL"})))
     assert text.index("Estimate: doubtful") < text.index("lateral_bending")
+    assert row_of(text, "ratio: lateral_bending")[-1] == "doubtful"
+    assert row_of(text, "ratio: tissue")[-1] == "doubtful, at bound"
+    assert "determined" not in text
 
 
 def test_the_paper_s_estimate_says_that_it_has_no_intervals(printed):

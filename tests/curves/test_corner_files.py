@@ -90,11 +90,35 @@ def test_columns_and_rows_may_come_in_any_order(table):
 
 
 @pytest.mark.parametrize(
+    ("content", "name"),
+    [
+        ({"images": [{"id": 1}], "annotations": [], "categories": []}, "COCO annotations"),
+        ({"version": "5", "shapes": [], "imagePath": "a.png"}, "Labelme annotations"),
+        ({"_via_img_metadata": {}}, "VGG Image Annotator"),
+        ({"type": "FeatureCollection", "features": []}, "GeoJSON"),
+    ],
+)
+def test_annotations_of_other_programs_are_refused_by_name(tmp_path, content, name):
+    path = tmp_path / "annotation.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(SubjectError, match=f"annotation.json: is a file of {name}, which is not read; wanted a CSV "):
+        read_corner_file(path)
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_semicolons_tabs_and_decimal_commas_are_read(table, separator):
+    lines = [line.replace(",", separator).replace(".", ",") for line in (HEAD, *rows())]
+    (found,) = read_corners(table("\n".join(lines)))
+    assert found.levels == ("T5",)
+    assert np.array_equal(found.corners[0], QUAD)
+
+
+@pytest.mark.parametrize(
     ("content", "words"),
     [
         ("", "row 1: columns .*wanted image,level,corner,x,y"),
         ("image,level,corner,x\n", "row 1: columns image,level,corner,x, wanted"),
-        (HEAD.replace(",", ";") + "\n", "separate by commas"),
+        (HEAD.replace(",", "|") + "\n", "columns image.level.corner.x.y, wanted image,level"),
         (HEAD + ",score\n", "row 1: columns .*score, wanted"),
         (text(), "no corner in it"),
         (text("a,T5,top_left,1"), "row 2: 4 fields, wanted 5"),

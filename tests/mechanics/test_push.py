@@ -130,3 +130,13 @@ def test_a_one_sided_wall_pulls_nowhere(torso):
 def test_unknown_rigs_are_refused(words, message):
     with pytest.raises(TorsoError, match=message):
         Rig(**words)
+
+
+def test_dead_loads_need_the_distances_and_nothing_else_does(torso):
+    nowhere = PushSite("right", 8.0)
+    for pelvis in ("level", "hinge"):
+        np.testing.assert_array_equal(
+            push_load(torso, nowhere, 20.0, Rig(pelvis)).forces, push_load(torso, site(torso), 20.0, Rig(pelvis)).forces
+        )
+    with pytest.raises(TorsoError, match="push 'a' frame 1: d21 or d31 is not known; dead loads at shoulder"):
+        push_load(torso, nowhere, 20.0, Rig("dead-loads"), "push 'a' frame 1")

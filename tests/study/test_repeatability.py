@@ -157,9 +157,55 @@ def test_visits_that_can_not_be_compared_are_refused() -> None:
         repeatability([visit("a", 0, bending=0.1), visit("a", 1, tissue=0.1)])
 
 
+def pictured(number, rest="r", push="p", marks="m", subject="a", value=0.1):
+    one = visit(subject, number, bending=value)
+    return replace(one, rest_pictures=frozenset({rest}), push_pictures=frozenset({push}), marks=marks)
+
+
+def test_a_copy_is_no_second_visit() -> None:
+    with pytest.raises(SubjectError, match="a-1: a push has the same radiographs as in a-0: a copy is no second visit"):
+        repeatability([pictured(0), pictured(1, marks="other")])
+    # Pictures at rest may serve two visits.
+    assert repeatability([pictured(0), pictured(1, push="q")]).changes
+    # Another person's hashes are not compared.
+    three = [pictured(0), pictured(1, push="q"), pictured(0, subject="b"), pictured(1, push="q", subject="b")]
+    assert len(repeatability(three).changes) == 2
+
+
+def test_annotations_are_of_the_same_pictures_and_differ() -> None:
+    with pytest.raises(SubjectError, match="a-1: other radiographs than in a-0; --annotators compares"):
+        repeatability([pictured(0), pictured(1, push="q", marks="n")], "annotators")
+    with pytest.raises(SubjectError, match="a-2: the annotation is that of a-1, corner by corner"):
+        repeatability([pictured(0), pictured(1, marks="n"), pictured(2, marks="n")], "annotators")
+    assert repeatability([pictured(0), pictured(1, marks="n")], "annotators").changes
+
+
+def test_who_has_no_second_visit_is_named() -> None:
+    found = repeatability([visit("a", 0, bending=0.1), visit("b", 0, bending=0.3), visit("a", 1, bending=0.1)])
+    (line,) = [line for line in repeatability_lines(found) if line.startswith("b-0")]
+    assert "compared with nothing: no other visit has its id 'b'" in line
+
+
+def test_one_repetition_gives_no_factor() -> None:
+    two = [visit("a", 0, bending=0.1), visit("a", 1, bending=0.1)]
+    assert repeatability_lines(repeatability(two))[0].startswith("bending: one repetition tells nothing of how far two")
+    three = repeatability_lines(repeatability([*two, visit("a", 2, bending=0.11)]))
+    assert "factor of 1.16 (95 %, from 2 repetitions)" in three[0]
+    assert not any("tells nothing" in line for line in three)
+
+
 def test_a_picture_is_drawn_of_few_and_of_many() -> None:
     for visits in (drawn(2, 2, 0.3, 0.3), drawn(30, 3, 0.3, 0.3)):
         assert len(as_png(draw_repeatability(repeatability(visits)))) > 5000
+
+
+@pytest.mark.parametrize("visits", [2, 3, 12, 40])
+def test_the_title_is_whole_whatever_the_number_of_visits(visits) -> None:
+    found = repeatability([visit("a", i, lateral_bending=0.1 + 0.01 * i) for i in range(visits)])
+    figure = draw_repeatability(found)
+    figure.canvas.draw()
+    title, whole = figure.axes[0].title.get_window_extent(), figure.bbox
+    assert whole.x0 <= title.x0 and title.x1 <= whole.x1 and title.y1 <= whole.y1
 
 
 def test_a_visit_tells_how_it_scatters(finished) -> None:
@@ -169,6 +215,7 @@ def test_a_visit_tells_how_it_scatters(finished) -> None:
     assert (found.label, found.subject) == (str(finished.folder.resolve()), opened.subject.record.id)
     assert [force for *_, force in found.pushes] == [15.0, 22.5]
     assert found.settings["mesh"] == "coarse"
+    assert (len(found.rest_pictures), len(found.push_pictures)) == (2, 2) and found.marks
     for name, ratio in found.ratios.items():
         assert 0.0 < again.ratios[name].sd_log < ratio.sd_log < estimate.sd_log[name] == ratio.whole_sd_log
         assert ratio.value == estimate.ratios[name].value

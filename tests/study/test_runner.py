@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -65,6 +67,23 @@ def dry():
         return run_steps(visit, wanted, observer, force, known)
 
     return run
+
+
+def test_a_folder_that_can_not_be_written_is_refused_before_any_work(subject, dry, monkeypatch):
+    def refuse(self, *args, **kwargs):
+        raise OSError(errno.EROFS, "x", str(self))
+
+    visit, before, lines = opened(subject), digests(subject), []
+    monkeypatch.setattr(Path, "touch", refuse)
+    with pytest.raises(
+        SubjectError, match=r"results: can't be written \(the file system is read-only\), but results go"
+    ):
+        dry(visit, observer=lines.append, force=True)
+    assert digests(subject) == before and lines == []
+    # Where nothing is to be done nothing has to be written.
+    assert run_steps(visit, ("track",), lines.append) == []
+    monkeypatch.undo()
+    assert dry(visit, force=True) == list(STEPS)
 
 
 # What is recorded

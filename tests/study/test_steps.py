@@ -14,7 +14,7 @@ from results import altered
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.regions import torso_ratios
-from spinestiff.errors import EquilibriumError, FitError, SubjectError
+from spinestiff.errors import EquilibriumError, FitError, NoMinimum, SubjectError
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import region_rise
 from spinestiff.estimation.status import FitStatus
@@ -374,9 +374,22 @@ def test_the_view_solves_nothing(subject, solved):
 def test_a_fit_without_a_minimum_is_no_estimate(subject, finished, monkeypatch, status):
     before = digests(subject)
     monkeypatch.setattr(steps, "fit_from_coarse", lambda *args, **kwargs: replace(finished.fit, status=status))
-    with pytest.raises(FitError, match="no estimate: "):
+    looked_at = r"^no estimate: no stiffness .*; look at forces_n \(newtons.*side and level .*corners .*another patient"
+    with pytest.raises(FitError, match=looked_at) as raised:
         run_steps(opened(subject), ("estimate",), force=True)
+    # What a user can mend comes before any talk of the search.
+    assert str(raised.value).endswith(f"; if all of these are right, the search itself: {status.value}")
     assert digests(subject) == before
+
+
+def test_a_fit_without_a_start_is_told_by_the_likely_mistakes_too(subject, monkeypatch):
+    def nowhere(*args, **kwargs):
+        raise NoMinimum("no equilibrium at the start of the fit, push 'main' frame 2: it folded")
+
+    monkeypatch.setattr(steps, "fit_from_coarse", nowhere)
+    monkeypatch.setattr(steps, "fit_pushes", nowhere)
+    with pytest.raises(FitError, match=r"^no estimate: .*look at forces_n .*right, the search itself: no equilibrium"):
+        run_steps(opened(subject), ("estimate",), force=True)
 
 
 def test_a_fit_without_a_minimum_names_what_the_forces_and_motions_say(subject, finished, monkeypatch):
@@ -387,7 +400,8 @@ def test_a_fit_without_a_minimum_names_what_the_forces_and_motions_say(subject, 
     stalled = replace(finished.fit, status=FitStatus.STALLED)
     monkeypatch.setattr(steps, "fit_from_coarse", lambda *args, **kwargs: stalled)
     lines = []
-    with pytest.raises(FitError, match=r"^no estimate: .*; push 'main': .* against the push .*look for the wrong side"):
+    side = r"^no estimate: the inputs do not agree: push 'main': .* against the push .*look for the wrong side"
+    with pytest.raises(FitError, match=side + ".*the search itself: "):
         run_steps(opened(subject), ("estimate",), lines.append)
     # Told before the search, too, which may take minutes.
     assert any(line.startswith("estimate: doubtful: push 'main': ") for line in lines)

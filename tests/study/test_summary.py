@@ -7,7 +7,8 @@ import csv
 import pytest
 
 from spinestiff.files import read_json
-from spinestiff.study.summary import response_csv
+from spinestiff.study.summary import estimate_csv, response_csv
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcomes import PushResponse, Responses
 
 
@@ -57,8 +58,23 @@ def test_the_estimate_s_csv_has_its_numbers(finished):
         assert (row["open_low"], row["open_high"]) == tuple(
             "yes" if one[k] else "no" for k in ("open_low", "open_high")
         )
-        assert (row["unit"], row["determined"]) == (one.get("unit", ""), one.get("determined", ""))
+        ratio = one if "determined" in one else found["ratios"][one["ratio"]]
+        known = "doubtful" if found["status"] == "DOUBTFUL" else ratio["determined"]
+        assert (row["unit"], row["determined"]) == (one.get("unit", ""), known)
+        assert row["at_bound"] == ("yes" if ratio["at_bound"] else "no")
         assert row["status"] == found["status"]
+
+
+def test_a_doubtful_estimate_is_determined_in_no_row(finished):
+    found = Estimate.model_validate_json((finished.folder / "results/estimate.json").read_text())
+    ratios = {name: one.model_copy(update={"determined": "determined"}) for name, one in found.ratios.items()}
+    plain = {**found.plain, "tissue_young": found.plain["tissue_young"].model_copy(update={"ratio": None, "low": None})}
+    for status, known in (("CONVERGED", "determined"), ("DOUBTFUL", "doubtful")):
+        text = estimate_csv(found.model_copy(update={"status": status, "ratios": ratios, "plain": plain}))
+        told = {row["quantity"]: row["determined"] for row in csv.DictReader(text.splitlines())}
+        # A stiffness that was not estimated is known to no degree.
+        assert told.pop("tissue_young") == ""
+        assert set(told.values()) == {known} and {"tissue", "lateral_bending_lumbar"} <= set(told)
 
 
 def test_the_assessment_s_csv_has_its_numbers(finished):

@@ -23,7 +23,7 @@ from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.contact import OneSidedProblem
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
-from spinestiff.mechanics.push import Rig, push_problem
+from spinestiff.mechanics.push import Rig, push_heights, push_problem
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.pose import posed
 from spinestiff.study.synthetic_markers import spread_markers
@@ -89,6 +89,31 @@ def aside(torso, frames, turned=0.0, least=STOOD):
         for frame in frames
     ]
     return SideView.model_validate({"id": "side", "view": ViewRecord.of(view), "pictures": pictures})
+
+
+def test_distances_that_do_not_fit_the_rib_are_told(torso, corners):
+    shoulder, pelvis, rib = push_heights(torso, "right", 8.0)
+    d21, d31 = shoulder - pelvis, shoulder - rib
+
+    def told(**distances):
+        push = replace_record(record(), **{"d21_mm": d21, **distances})
+        return push_set(torso, [push], {"main": tracked(corners, corners, corners)}).warnings
+
+    assert told(d31_mm=d31) == told(d31_mm=d31 + 0.15 * d21) == told(d31_mm=None) == told(d21_mm=None, d31_mm=d31) == ()
+    upper = rib_at(torso, 4.0)
+    (turned,) = push_set(
+        torso,
+        [replace_record(record(), level=4.0, d21_mm=d21, d31_mm=d21 - upper)],
+        {"main": tracked(corners, corners, corners)},
+    ).warnings
+    assert turned.startswith("push 'main': d31_mm ") and f"from the shoulder, {upper:g} mm fits better" in turned
+    (far,) = told(d31_mm=0.95 * d21)
+    assert "puts the push 95 % of the way down, rib 8 lies at " in far and far.endswith("check both")
+
+
+def rib_at(torso, level):
+    shoulder, _, rib = push_heights(torso, "right", level)
+    return shoulder - rib
 
 
 @pytest.mark.parametrize("turned", [0.0, 0.5])

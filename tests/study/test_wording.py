@@ -20,6 +20,7 @@ from spinestiff.study.wording import (
     factor95,
     factor_lines,
     fixed,
+    geometry_lines,
     headline,
     interval,
     least_known,
@@ -32,6 +33,7 @@ from spinestiff.study.wording import (
     short_span,
     span_in_words,
     strongest_priors,
+    tracking_lines,
     unknown_title,
 )
 from spinestiff.subject.estimate_outcome import (
@@ -44,8 +46,18 @@ from spinestiff.subject.estimate_outcome import (
     SupportPlaceRecord,
 )
 from spinestiff.subject.folder import read_subject
+from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.outcome_parts import Quantity
-from spinestiff.subject.outcomes import AngleResponse, Flexibility, ForcePerDegree, PushResponse, Responses
+from spinestiff.subject.outcomes import (
+    AngleResponse,
+    Flexibility,
+    ForcePerDegree,
+    PushResponse,
+    Responses,
+    Tracked,
+    TrackedFrame,
+    TrackedPush,
+)
 from spinestiff.subject.run_record import read_outcome
 
 
@@ -335,4 +347,37 @@ def test_response_lines_of_what_is_not_known():
     assert len(found) == 5
     assert lines_of(missing="no usable frame without force") == [
         "push 'main': no N per degree: no usable frame without force"
+    ]
+
+
+def tracked_push(*qualities):
+    """A push of two vertebrae; ``qualities`` are (T5, T6) of each frame, the four corners alike or one by one."""
+    quad = [[0.0, 0.0]] * 4
+    frames = [
+        {"corners_px": [quad, quad], "quality": [one if isinstance(one, list) else [one] * 4 for one in pair]}
+        for pair in qualities
+    ]
+    return TrackedPush.model_construct(
+        vertebrae=("T5", "T6"), frames=tuple(TrackedFrame.model_validate(frame, strict=False) for frame in frames)
+    )
+
+
+def test_tracking_is_told_by_what_was_lost_and_what_is_doubtful() -> None:
+    whole = tracked_push((1.0, 1.0), (0.9, 0.3))
+    some = tracked_push((1.0, 1.0), (0.01, 0.2), (0.0, [0.9, 0.9, 0.9, 0.0]), ([0.5, 0.5, 0.0, 0.0], 0.9))
+    assert tracking_lines(Tracked.model_construct(pushes={"a": whole, "b": some})) == [
+        "push 'a': 2 frames, 2 vertebrae followed in all of them; 0 of 16 corners are doubtful",
+        "push 'b': 4 frames, 1 of 2 vertebrae followed in all; lost: T5 in frames 1, 2, 3; 4 of 32 corners "
+        "are doubtful",
+    ]
+
+
+def test_the_geometry_is_told_by_its_fit_and_its_notes() -> None:
+    found = GeometryRecord.model_construct(
+        rmse_mm={"frontal": 0.812, "lateral": 1.1}, corner_sd_mm=0.4, prior_only=("T1", "T2"), warnings=("a stray one",)
+    )
+    assert geometry_lines(found) == [
+        "torso against the radiographs at rest, RMSE: frontal 0.81 mm, lateral 1.10 mm; corners scatter by 0.40 mm; no "
+        "radiograph shows T1 and T2, whose places are the prior's",
+        "note: a stray one",
     ]

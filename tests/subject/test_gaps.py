@@ -45,7 +45,7 @@ def test_each_thing_that_is_not_known_has_a_line_that_says_what_it_is(folder):
     assert caught.value.lines == (
         f"{path}: age is missing: age in years (above 0, at most 120); {end.format('--age')}",
         f"{path}: pushes[0].level is missing: the rib that was pushed (1 to 12; 8.5 lies between two); "
-        f"{end.format('--level')}",
+        f"{end.format('--level')}, which counts for all pushes that lack it",
         f"{path}: pushes[0].forces_n[1 to 2] is missing: force on the ribs in N (0 to 500); {end.format('--log')}",
         f"{path.parent / 'pushes/right-8.dcm'}: no such file; wanted the radiograph of push/right-8",
     )
@@ -53,7 +53,7 @@ def test_each_thing_that_is_not_known_has_a_line_that_says_what_it_is(folder):
 
 def test_everything_that_may_be_open_is_named_and_everything_else_still_checked(folder):
     open_ = dict.fromkeys([*PERSON, *PUSH])
-    subject = read_unannotated(folder(**open_, forces_n=[None] * 4))
+    subject = read_unannotated(folder(**open_, forces_n=[None] * 4, pelvis="dead-loads"))
     assert [gap.key for gap in subject.gaps] == [*PERSON, *PUSH, "forces_n"]
     assert subject.gaps[-1].frames == (0, 1, 2, 3) and subject.gaps[-1].push == 0
     assert set(OPTIONS) == {gap.key for gap in subject.gaps}
@@ -71,10 +71,25 @@ def test_everything_that_may_be_open_is_named_and_everything_else_still_checked(
         assert not isinstance(caught.value, SubjectGaps)
 
 
+def test_distances_are_open_to_dead_loads_alone(folder):
+    for change in ({"d21_mm": None, "d31_mm": None}, {"d31_mm": None}):
+        subject = read_unannotated(folder(**change))
+        assert subject.gaps == ()
+        # Nothing stands in for them, whatever else is open.
+        push = read_unannotated(folder(**change, age=None)).pushes[0]
+        assert (push.d21_mm, push.d31_mm) == (change.get("d21_mm", 395.0), None)
+        assert {gap.key for gap in read_unannotated(folder(**change, pelvis="dead-loads")).gaps} == set(change)
+    data = {**SUBJECT, "pelvis": "dead-loads"}
+    data["pushes"] = [{key: value for key, value in SUBJECT["pushes"][0].items() if key != "d31_mm"}]
+    with pytest.raises(ValueError, match=r"pushes\[0\].d31_mm: missing; pelvis 'dead-loads' needs it"):
+        SubjectRecord.model_validate(data)
+    assert SubjectRecord.model_validate({**data, "pelvis": "level"}).pushes[0].d31_mm is None
+
+
 @pytest.mark.parametrize("known", [{"d21_mm": 31.0}, {"d31_mm": 999.0}, {"d21_mm": 1000.0}])
 def test_stand_ins_stand_beside_every_distance(folder, known):
     lacking = {"d31_mm": None} if "d21_mm" in known else {"d21_mm": None}
-    check_open_record(json.loads((folder(**known, **lacking) / "subject.json").read_text()))
+    check_open_record(json.loads((folder(**known, **lacking, pelvis="dead-loads") / "subject.json").read_text()))
 
 
 def test_what_is_no_subject_has_no_gaps():

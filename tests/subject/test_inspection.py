@@ -12,6 +12,7 @@ import numpy as np
 import pydicom
 import pytest
 
+from hospital import trunk
 from spinestiff.app import cli
 from spinestiff.errors import RadiographError, SubjectError
 from spinestiff.imaging.projection import frontal_view, lateral_view
@@ -144,6 +145,27 @@ def test_what_a_fit_lacks_is_listed(folder):
         "no ImagerPixelSpacing", "no PatientOrientation", "no corners of rest/frontal in annotation.json",
     ]  # fmt: skip
     assert rest.seen["pixel_mm_at_detector"] is None and rest.seen["source_detector_mm"] == 1500.0
+
+
+def test_images_of_an_annotation_that_the_subject_has_not_are_refused(folder):
+    annotation = json.loads((folder / "annotation.json").read_text())
+    for name in ("push/other", "push/right-8/99"):
+        images = {**annotation["images"], name: annotation["images"]["rest/frontal"]}
+        write(folder, annotation={**annotation, "images": images})
+        (one,) = [one for one in inspect(folder) if one.image == "annotation.json"]
+        assert one.status == "refused" and f"annotation.json: images.{name}: " in one.reason
+
+
+def test_a_picture_that_looks_like_the_other_view_is_told(tmp_path):
+    for stated, view, other in (("lateral", lateral_view, "frontal"), ("frontal", frontal_view, "lateral")):
+        for shown, warned in ((other, 1), (stated, 0)):
+            path = tmp_path / f"{stated}-{shown}.dcm"
+            pixels = trunk(shown).astype(np.uint16)
+            write_radiographs(path, pixels, view(shape=pixels.shape[1:]))
+            (one,) = inspect(path)
+            assert len(one.warnings) == warned and one.status == "ok"
+            if warned:
+                assert one.warnings[0].startswith(f"stated as {stated}, but it looks like a {other} view: ")
 
 
 def test_what_does_not_fit_the_subject_is_refused(folder):

@@ -105,7 +105,7 @@ def changed(old, new):
     ("lines", "words"),
     [
         (changed("marker,frame", "name,frame"), "row 1: columns name,frame,x,y,z, wanted marker,frame,x,y,z"),
-        ([line.replace(",", ";") for line in rows()], "separate by commas"),
+        ([line.replace(",", "|") for line in rows()], "row 1: columns marker|frame|x|y|z, wanted marker,frame"),
         ([*rows(), "C7,0,1,2"], "row 14: 4 fields, wanted 5"),
         (changed("C7", "C 7"), "row 2: found marker 'C 7', wanted letters, digits"),
         ([*rows(), "C7,4,1,2,3"], "row 14: found frame '4', but the push has 4 frames, counted from 0"),

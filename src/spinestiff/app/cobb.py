@@ -117,7 +117,7 @@ def _of_file(
     if as_json:
         tables.show_json([reading.as_dict() for reading in readings])
     else:
-        tables.show(readings_table(readings))
+        tables.show(readings_table(readings, definition))
         for reading in readings:
             for warning in reading.warnings:
                 word = "refused" if reading.status == "refused" else "warning"
@@ -142,22 +142,36 @@ def _write(frames: Sequence[CobbFrame], path: Path | None) -> None:
     write_text(path, angles_csv(frames))
 
 
-def readings_table(readings: Sequence[CobbReading]) -> Table:
-    """A row an image: the largest angle, and that of each region."""
-    from spinestiff.curves.cobb import REGIONS
+def readings_table(readings: Sequence[CobbReading], definition: Definition) -> Table:
+    """A row an image: the largest angle, and that of each region; what all have in common stands in the title."""
+    from spinestiff.curves.cobb import DEFINITIONS, REGIONS
 
     columns = ("status", "largest angle", *(name for _, name in REGIONS.values()))
-    made = tables.table("Cobb angles, ± half of the 95 % interval, by corner noise", "image", *columns, left=columns)
+    title = f"Cobb angles ({DEFINITIONS[definition]}), ± half of the 95 % interval, by corner noise"
+    if any(_unsided(reading) for reading in readings):
+        title += "\nto the left, to the right: the curve's convex side as seen in the image"
+    made = tables.table(title, "image", *columns, left=columns)
     for reading in readings:
         if reading.largest is None:
             made.add_row(escape(reading.image), reading.status)
             continue
         regions = ["-" if curve is None else _cell(reading, curve) for curve in reading.by_region().values()]
         made.add_row(
-            escape(reading.image), reading.status, *[tables.stacked(cell) for cell in (reading.words(), *regions)]
+            escape(reading.image), reading.status, *[tables.stacked(cell) for cell in (_largest(reading), *regions)]
         )
     return made
 
 
-def _cell(reading: CobbReading, curve: Curve) -> str:
-    return reading.size_words(curve, f"apex {curve.apex}")
+def _unsided(reading: CobbReading) -> bool:
+    """Whether a curve's side is known in the image alone."""
+    return reading.largest is not None and reading.patient_left is None and reading.largest.angle.convexity != "none"
+
+
+def _largest(reading: CobbReading) -> str:
+    if reading.largest is None or not _unsided(reading):
+        return reading.words(by_what=False)
+    return _cell(reading, reading.largest, f"to the {'right' if reading.bulges_right(reading.largest) else 'left'}")
+
+
+def _cell(reading: CobbReading, curve: Curve, further: str = "") -> str:
+    return reading.size_words(curve, further or f"apex {curve.apex}")

@@ -7,6 +7,28 @@ from typing import Any
 import typer
 
 
+def print_tracking(visit: Any) -> None:
+    """What came of following the corners, and where to look at them."""
+    from spinestiff.study.wording import tracking_lines
+    from spinestiff.subject.outcomes import Tracked
+    from spinestiff.subject.run_record import read_outcome
+    from spinestiff.words import pasted
+
+    for line in tracking_lines(read_outcome(visit.subject, Tracked)):
+        typer.echo(line)
+    typer.echo(f"to look at them: spinestiff annotate {pasted(visit.subject.folder)}")
+
+
+def print_geometry(visit: Any) -> None:
+    """How well the torso fits the radiographs at rest."""
+    from spinestiff.study.wording import geometry_lines
+    from spinestiff.subject.geometry_outcome import GeometryRecord
+    from spinestiff.subject.run_record import read_outcome
+
+    for line in geometry_lines(read_outcome(visit.subject, GeometryRecord)):
+        typer.echo(line)
+
+
 def print_response(visit: Any) -> None:
     """N per degree and flexibility of each push, without a model."""
     from spinestiff.curves.pushes import push_responses

@@ -96,9 +96,9 @@ def make_subject(out: Path, sources: Sequence[Path], asked: Asked) -> None:
     with progress() as say:
         found, refused = collect(sources, say)
     chosen, others = chosen_studies(found, asked.study)
-    table = None if rows is None or asked.table is None else pushes_of(asked.table, rows, chosen)
+    table = None if rows is None or asked.table is None else pushes_of(asked.table, rows, chosen, others)
     frontal, lateral = (
-        None if name is None else _one(by_name(name, chosen, option), option)
+        None if name is None else _one(by_name(name, chosen, option, others), option)
         for name, option in ((asked.frontal, "--frontal"), (asked.lateral, "--lateral"))
     )
     sorting = sort_files(chosen, table, frontal, lateral)
@@ -130,7 +130,7 @@ def _fill_folder(folder: Path, asked: Asked) -> None:
 
 
 def _fill(folder: Path, asked: Asked) -> None:
-    data = making.read_open_data(folder)
+    data = making.read_open_data(folder, asked.given)
     notes = making.fill(data, asked.given)
     pushes = data["pushes"]
     work = _Work(data, [[folder / push["frames"]] for push in pushes], [(push["frames"],) for push in pushes])
@@ -330,7 +330,10 @@ def _finish(out: Path, work: _Work, notes: Sequence[str]) -> None:
     typer.echo(f"subject: {out}")
     for push in work.data["pushes"]:
         typer.echo(f"  {_push_words(push)}")
-    lacking = [f"{SUBJECT_FILE}: {gap.line}" for gap in gaps_of(work.data)]
+    lacking = [
+        f"{SUBJECT_FILE}: {gap.line_beside_log if gap.key == 'forces_n' and gap.push in work.logged else gap.line}"
+        for gap in gaps_of(work.data)
+    ]
     for one in inspect(out):
         if one.image != SUBJECT_FILE:
             lines = [one.reason] if one.reason else one.missing
@@ -373,6 +376,11 @@ def _log_lines(name: str, logged: Logged) -> Iterator[str]:
         explained = f"; the force explains {100.0 * max(match.explained, 0.0):.0f} % of the picture's motion"
     if match.given:
         yield f"log of push {name}: first frame at {match.offset_s:.2f} s of the log, as given{explained}"
+        if match.against:
+            yield (
+                f"  warning: {match.against}; look at the picture, and correct the forces in {SUBJECT_FILE} if the "
+                "offset is wrong"
+            )
         return
     yield (
         f"log of push {name}: first frame at {match.offset_s:.2f} s of the log, 95 % {match.low_s:.2f} to "

@@ -43,8 +43,12 @@ def compare_visits(folders: Sequence[Path], out: Path | None, annotators: bool =
 
 
 def record_of(found: Repeatability) -> dict[str, Any]:
-    """As JSON."""
-    return asdict(found)
+    """As JSON, without the hashes that tell copies."""
+    made = asdict(found)
+    for visit in made["visits"]:
+        for name in ("rest_pictures", "push_pictures", "marks"):
+            del visit[name]
+    return made
 
 
 def show_repeatability(found: Repeatability, out: Path | None) -> None:

@@ -100,7 +100,9 @@ def repeatability_table(found: Repeatability) -> Table:
     made = table("Repeatability: scatter within a subject", *columns)
     for name, one in found.scatter.items():
         ends = f"{one.low:.3f} to {one.high:.3f}"
-        factors = (f"× {one.detectable_factor:.3g}", f"× {one.expected_factor:.3g}")
+        # One repetition would say "no change is too small" of two estimates that happen to agree.
+        found_factor = f"× {one.detectable_factor:.3g}" if one.degrees > 1 else "-"
+        factors = (found_factor, f"× {one.expected_factor:.3g}")
         made.add_row(
             escape(name.replace("_", " ")),
             f"{one.within_sd_log:.3f}",
@@ -123,6 +125,7 @@ def estimate_table(estimate: Estimate) -> Table:
     for name in estimate.parameters:
         ratio = estimate.ratios[name]
         known = ratio.determined if has_intervals(estimate) else NO_INTERVALS
+        known = badge(estimate) if estimate.status == "DOUBTFUL" else known
         known += ", at bound" if ratio.at_bound else ""
         made.add_row(f"ratio: {escape(name)}", estimated(ratio), interval(ratio), known)
     return made

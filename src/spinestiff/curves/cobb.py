@@ -110,10 +110,11 @@ class CobbReading:
             return f"convex to the image's {'right' if self.bulges_right(curve) else 'left'}"
         return f"convex to the patient's {curve.angle.convexity}"
 
-    def words(self, curve: Curve | None = None) -> str:
+    def words(self, curve: Curve | None = None, by_what: bool = True) -> str:
         """An angle with all that belongs to it, the same wherever it is told; of the largest curve by default.
 
         E.g. "13.1° ± 4.7° (T6–T11, endplates, left-convex)"; ± is half the 95 % interval, the sides are the patient's.
+        Without ``by_what`` "endplates" is left out, for a table whose title says it.
         """
         found = curve or self.largest
         if found is None:
@@ -121,7 +122,7 @@ class CobbReading:
         side = found.angle.convexity
         known = self.patient_left is not None and side != "none"
         bends = f"{side}-convex" if known else self.convexity(found)
-        return self.size_words(found, DEFINITIONS[self.definition], bends)
+        return self.size_words(found, *([DEFINITIONS[self.definition]] if by_what else []), bends)
 
     @staticmethod
     def size_words(curve: Curve, *further: str) -> str:

@@ -26,7 +26,7 @@ class CsvRow(NamedTuple):
 
 
 def parse(text: str, name: str) -> Iterator[CsvRow]:
-    """The rows of a CSV with the columns ``COLUMNS`` in any order; empty lines are skipped.
+    """The rows of a CSV with the columns ``COLUMNS`` in any order (``files.parse_csv``); empty lines are skipped.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def parse(text: str, name: str) -> Iterator[CsvRow]:
     ------
     SubjectError : other columns, a row with another number of fields, no CSV at all.
     """
-    for line, (image, *rest) in parse_csv(text, name, COLUMNS):
+    for line, (image, *rest) in parse_csv(text, name, COLUMNS, numbers=("x", "y")):
         yield CsvRow(line, image[1:] if _is_guarded(image) else image, *rest)
 
 

@@ -43,6 +43,14 @@ _AS_SEEN = {
     (False, False): (2, 3, 0, 1),
 }
 
+# Keys at the top of other programs' annotations.
+_FOREIGN = {
+    "COCO annotations": {"images", "annotations"},
+    "Labelme annotations": {"shapes", "imagePath"},
+    "VGG Image Annotator": {"_via_img_metadata"},
+    "GeoJSON": {"type", "features"},
+}
+
 Side = Literal["left", "right"]
 Unit = Literal["px", "mm", "unstated"]
 
@@ -159,7 +167,18 @@ def read_corner_file(path: str | Path) -> CornerFile:
     content = parse_json(text, str(path))
     if isinstance(content, dict) and "markups" in content:
         return CornerFile(path, "Slicer markups", _read_markups(path, content))
+    if foreign := _foreign(content):
+        raise SubjectError(
+            f"{path}: is a file of {foreign}, which is not read; wanted a CSV ({','.join(corner_csv.COLUMNS)}), Slicer "
+            f"markups or an {ANNOTATION_FILE} of this program: write the corners as CSV"
+        )
     return CornerFile(path, "annotation", _read_annotation(path, text))
+
+
+def _foreign(content: object) -> str:
+    """Which other program's annotation a JSON is; "" for what is not known."""
+    keys = set(content) if isinstance(content, dict) else set()
+    return next((name for name, wanted in _FOREIGN.items() if wanted <= keys), "")
 
 
 def read_corners(path: str | Path) -> tuple[ImageCorners, ...]:

@@ -16,7 +16,7 @@ from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, ParameterGroup
 from spinestiff.arrays import Floats
-from spinestiff.errors import EquilibriumError, FitError
+from spinestiff.errors import EquilibriumError, FitError, NoMinimum
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import Evaluation, OnFitStep, TrialSet
 from spinestiff.estimation.fitted import METHODS, Method, StiffnessFit, Weighed
@@ -283,7 +283,7 @@ def _searched(
         try:
             start = asked.solve(first, nuisances, near)
         except EquilibriumError as error:
-            raise FitError(f"no equilibrium at the start of the fit, {error}") from None
+            raise NoMinimum(f"no equilibrium at the start of the fit, {error}") from None
     asked.trial_set.note(start.log_ratios, float("nan"), start.evaluation, True)
     return search(asked, start, limits, max_iterations, close_sd)
 
@@ -379,4 +379,4 @@ def _first_point(trial_set: TrialSet, first: Floats, default: Evaluation | None)
     try:
         return trial_set.solve(first, default)
     except EquilibriumError as error:
-        raise FitError(f"no equilibrium at the start of the fit, {error}") from None
+        raise NoMinimum(f"no equilibrium at the start of the fit, {error}") from None

@@ -51,13 +51,13 @@ class PushSite:
     Attributes
     ----------
     side : "left" or "right", the patient's. level : rib number (``mechanics.loads.rib_push``).
-    d21_mm, d31_mm : from the shoulder downward to pelvis and push.
+    d21_mm, d31_mm : from the shoulder downward to pelvis and push; only dead loads need them. None: not known.
     """
 
     side: str
     level: float
-    d21_mm: float
-    d31_mm: float
+    d21_mm: float | None = None
+    d31_mm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -88,17 +88,33 @@ def push_load(torso: TorsoModel, site: PushSite, force_n: float, rig: Rig, label
 
     Raises
     ------
-    TorsoError : unknown side, level outside 1-12, negative force, or distances that are none of Eqs. 1-2.
+    TorsoError : unknown side, level outside 1-12, negative force, or, for dead loads, distances that are not known or
+        none of Eqs. 1-2.
     """
     push = rib_load(torso, site.side, site.level, force_n, label=label)
     if rig.pelvis != "dead-loads":
         return push
+    if site.d21_mm is None or site.d31_mm is None:
+        raise TorsoError(f"{label or 'a push'}: d21 or d31 is not known; dead loads at shoulder and pelvis need both")
     f1, f2 = three_point_reactions(force_n, site.d21_mm, site.d31_mm)
     parts = (push.points, held_shoulder(torso, site.side), torso.landmarks["pelvis_belt"])
     points = PointsOnBones(np.concatenate([p.bone for p in parts]), np.concatenate([p.offset for p in parts]))
     against = np.zeros((2, 3))
     against[:, 0] = -PUSH_DIRECTION[site.side] * np.array([f1, f2])
     return LoadCase(points, np.vstack([push.forces, against]), label)
+
+
+def push_heights(torso: TorsoModel, side: str, level: float) -> tuple[float, float, float]:
+    """Heights of the held shoulder, the pelvis and the point of a push at rest, mm."""
+    rest, marks = torso.rest_pose, torso.landmarks
+    load = rib_load(torso, side, level, 1.0)
+    share = np.abs(load.forces[:, 0])
+    held = 1 if side == "left" else 0
+    return (
+        float(marks["humerus_head"].positions(rest)[held, 1]),
+        float(marks["pelvis_belt"].positions(rest)[0, 1]),
+        float(share @ load.points.positions(rest)[:, 1]),
+    )
 
 
 def support_forces(torso: TorsoModel, load: LoadCase, equilibrium: Equilibrium) -> SupportForces:

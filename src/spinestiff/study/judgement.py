@@ -149,22 +149,28 @@ def judge(
     identities : of the rest pictures and the pushes, by image ("rest/frontal", "push/main").
     limits : what passes.
     """
-    found = [*_identity(identities, limits), *judge_pushes(record, pushes, limits)]
-    found += [_length(record, shape, limits), _sizes(record, shape, limits), *_rest_pictures(shape, limits)]
-    sd = float(np.clip(shape.corner_sd_mm, limits.least_sd_mm, limits.most_sd_mm))
-    for push in record.pushes:
-        found += _unloaded(pushes, push, sd, limits)
+    found = judge_inputs(record, shape, pushes, identities, limits)
     return (*found, *_training(pushes, fit, limits), _residuals(fit, limits))
 
 
-def judge_pushes(record: SubjectRecord, pushes: PushSet, limits: Limits = LIMITS) -> tuple[Check, ...]:
-    """Those of forces and motions, which need no fit."""
-    found = [_force_scale(pushes.training, limits)]
+def judge_inputs(
+    record: SubjectRecord,
+    shape: RestShape,
+    pushes: PushSet,
+    identities: Mapping[str, Identity],
+    limits: Limits = LIMITS,
+) -> tuple[Check, ...]:
+    """Those that need no fit, so that they can be told before it and where it finds nothing."""
+    found = [*_identity(identities, limits), _force_scale(pushes.training, limits)]
     for push in record.pushes:
         mine = [trial for trial in pushes.trials if trial.push == push.id]
         bending = _bending(pushes, mine)
         found += [_growth(push, bending, limits), *_repeated(push, bending, limits)]
         found.append(_direction(pushes, push, mine, limits))
+    found += [_length(record, shape, limits), _sizes(record, shape, limits), *_rest_pictures(shape, limits)]
+    sd = float(np.clip(shape.corner_sd_mm, limits.least_sd_mm, limits.most_sd_mm))
+    for push in record.pushes:
+        found += _unloaded(pushes, push, sd, limits)
     return tuple(found)
 
 

@@ -16,8 +16,9 @@ change is judged by the estimates' whole standard deviations.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Literal
 
@@ -28,7 +29,9 @@ from spinestiff.errors import SubjectError
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import number
 from spinestiff.subject.estimate_outcome import Estimate
-from spinestiff.subject.run_record import read_outcome, recorded_steps, refuse_changed
+from spinestiff.subject.folder import Subject
+from spinestiff.subject.records import ANNOTATION_FILE, REST_IMAGES
+from spinestiff.subject.run_record import PARTS, input_digest, read_outcome, recorded_steps, refuse_changed
 from spinestiff.words import counted
 
 TWO_SIDED = float(norm.ppf(0.975))
@@ -70,6 +73,7 @@ class VisitEstimate:
     ----------
     label : of the visit, unique. subject : whose it is. ratios : by name.
     pushes : of the training frames. settings : what else an estimate depends on, by name, as text.
+    rest_pictures, push_pictures : hashes of the radiographs. marks : hash of the annotation. Empty: not known.
     """
 
     label: str
@@ -77,6 +81,9 @@ class VisitEstimate:
     ratios: Mapping[str, VisitRatio]
     pushes: tuple[Push, ...] = ()
     settings: Mapping[str, str] = field(default_factory=dict)
+    rest_pictures: frozenset[str] = frozenset()
+    push_pictures: frozenset[str] = frozenset()
+    marks: str = ""
 
 
 @dataclass(frozen=True)
@@ -135,13 +142,20 @@ class Change:
 class Repeatability:
     """``of`` visits or annotators: ``scatter`` by ratio, ``changes`` of each later estimate over the first of a person.
 
-    A ratio that fewer than two estimates of any person know has no scatter.
+    A ratio that fewer than two estimates of any person know has no scatter. Those of ``visits`` who have no second one
+    are compared with nothing.
     """
 
     of: Repeated
     scatter: Mapping[str, Scatter]
     changes: tuple[Change, ...]
     visits: tuple[VisitEstimate, ...]
+
+    @property
+    def alone(self) -> tuple[VisitEstimate, ...]:
+        """The only ones of their person."""
+        whose = [visit.subject for visit in self.visits]
+        return tuple(visit for visit in self.visits if whose.count(visit.subject) == 1)
 
 
 def estimate_of(visit: Visit, annotators: bool = False) -> VisitEstimate:
@@ -190,8 +204,20 @@ def estimate_of(visit: Visit, annotators: bool = False) -> VisitEstimate:
         "priors": str(dict(sorted(record.priors.items()))),
         "trunk or skin_scan given": str(bool(record.trunk) or record.skin_scan is not None),
     }
-    label = str(subject.folder.resolve())
-    return VisitEstimate(label, record.id, ratios, tuple(sorted(pushes)), settings)
+    return VisitEstimate(
+        str(subject.folder.resolve()),
+        record.id,
+        ratios,
+        tuple(sorted(pushes)),
+        settings,
+        _digests(subject, REST_IMAGES.values()),
+        _digests(subject, (push.frames for push in record.pushes)),
+        " ".join(input_digest(subject, name) for name in PARTS if name.startswith(ANNOTATION_FILE)),
+    )
+
+
+def _digests(subject: Subject, files: Iterable[str]) -> frozenset[str]:
+    return frozenset(input_digest(subject, name) for name in files if (subject.folder / name).exists())
 
 
 def repeatability(visits: Sequence[VisitEstimate], of: Repeated = "visits") -> Repeatability:
@@ -199,7 +225,8 @@ def repeatability(visits: Sequence[VisitEstimate], of: Repeated = "visits") -> R
 
     Raises
     ------
-    SubjectError : no person has two visits, or visits are of different ratios or were estimated with other settings.
+    SubjectError : no person has two visits; visits are of different ratios or were estimated with other settings; two
+        visits of the same radiographs, or two annotations of different ones or with the same marks.
     """
     visits = _shortly_named(visits)
     names = tuple(visits[0].ratios) if visits else ()
@@ -223,6 +250,11 @@ def repeatability(visits: Sequence[VisitEstimate], of: Repeated = "visits") -> R
     for found in repeated:
         for later in found[1:]:
             _refuse_unlike(found[0], later)
+        for first, later in combinations(found, 2):
+            if of == "visits":
+                _refuse_copy(first, later)
+            else:
+                _refuse_other_pictures(first, later)
     scatter = {}
     for name in names:
         one = _scatter([[visit.ratios[name] for visit in found] for found in repeated])
@@ -257,6 +289,27 @@ def _refuse_unlike(first: VisitEstimate, later: VisitEstimate) -> None:
                 f"{later.label}: {name} is {other}, in {first.label} of the same id {value}; a difference would not "
                 "tell of the person"
             )
+
+
+def _refuse_copy(first: VisitEstimate, later: VisitEstimate) -> None:
+    if first.push_pictures & later.push_pictures:
+        raise SubjectError(
+            f"{later.label}: a push has the same radiographs as in {first.label}: a copy is no second visit; give each "
+            "visit once, or, where the same radiographs were annotated again, --annotators"
+        )
+
+
+def _refuse_other_pictures(first: VisitEstimate, later: VisitEstimate) -> None:
+    if (first.rest_pictures, first.push_pictures) != (later.rest_pictures, later.push_pictures):
+        raise SubjectError(
+            f"{later.label}: other radiographs than in {first.label}; --annotators compares annotations of the same "
+            "ones: leave it out where these are visits"
+        )
+    if first.marks and first.marks == later.marks:
+        raise SubjectError(
+            f"{later.label}: the annotation is that of {first.label}, corner by corner; a copy tells nothing of "
+            "annotators"
+        )
 
 
 def _alike(first: VisitEstimate, later: VisitEstimate) -> bool:
@@ -311,12 +364,20 @@ def _change(name: str, first: VisitEstimate, later: VisitEstimate, wider: float)
 
 def repeatability_lines(found: Repeatability) -> list[str]:
     """What it says, in sentences."""
-    lines = []
+    what = "visit" if found.of == "visits" else "annotation"
+    lines = [
+        f"{one.label}: compared with nothing: no other {what} has its id {one.subject!r}; where it is the same "
+        "person's, give both one id in subject.json"
+        for one in found.alone
+    ]
     who = "of one unchanged person" if found.of == "visits" else "from two annotations of the same radiographs"
     for name, one in found.scatter.items():
         lines.append(
             f"{name}: two estimates {who} differ by less than a factor of {number(one.detectable_factor)} (95 %, from "
             f"{counted(one.degrees, 'repetition')}); the estimates' own errors let expect {number(one.expected_factor)}"
+            if one.degrees > 1
+            else f"{name}: one repetition tells nothing of how far two estimates {who} differ; their own errors "
+            f"let expect less than a factor of {number(one.expected_factor)} (95 %)"
         )
         if one.left_out:
             lines.append(f"{name}: {counted(one.left_out, 'estimate')} left out: doubtful, or not determined")

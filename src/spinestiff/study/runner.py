@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from spinestiff.errors import SubjectError
-from spinestiff.files import file_digest
+from spinestiff.files import check_writable, file_digest
 from spinestiff.observer import Observer, heard
 from spinestiff.study import steps as step_functions
 from spinestiff.study.summary import ASSESSMENT_FILE, ESTIMATE_FILE, RESPONSE_FILE
@@ -230,7 +230,8 @@ def run_steps(
 
     Raises
     ------
-    SpinestiffError : the first step that fails; what was written before stays.
+    SpinestiffError : the first step that fails; what was written before stays. Before any step, where results can't be
+        written.
     """
     say = heard(observer, _log)
     if force:
@@ -244,7 +245,7 @@ def run_steps(
             f"{folder / SUBJECT_FILE}: no frame has the role training; spinestiff frames {pasted(folder)} proposes "
             "roles, and --write sets them"
         )
-    ran = []
+    ran: list[str] = []
     for name, step in known.items():
         if name not in steps:
             continue
@@ -255,6 +256,8 @@ def run_steps(
             say(f"{name}: up to date")
             continue
         _log.debug("%s is made from what changed: %s", name, ", ".join(differences(visit.subject, name, record)))
+        if not ran:
+            check_writable(visit.subject.results, "results")
         before = changed_program(visit.subject, name, record)
         if before:
             say(f"{name}: was made by spinestiff {before}, this is {record.program}; made again")

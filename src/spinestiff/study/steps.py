@@ -15,7 +15,7 @@ from spinestiff.anatomy.regions import AT, expanded, torso_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.curves.pushes import push_responses
-from spinestiff.errors import EquilibriumError, FitError, SubjectError, TrackingError
+from spinestiff.errors import EquilibriumError, FitError, NoMinimum, SubjectError, TrackingError
 from spinestiff.estimation.evaluation import FitStep
 from spinestiff.estimation.fitted import Method, StiffnessFit
 from spinestiff.estimation.forecast import Forecast
@@ -33,7 +33,7 @@ from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess, single_ratio
 from spinestiff.study.forecasts import forecasts
 from spinestiff.study.frame_selection import frame_qualities, propose
-from spinestiff.study.judgement import failed, judge_pushes
+from spinestiff.study.judgement import failed, judge_inputs
 from spinestiff.study.parameters import parameter_study
 from spinestiff.study.predictions import (
     Model,
@@ -59,8 +59,8 @@ from spinestiff.study.support_notes import strongest_notes, support_notes
 from spinestiff.study.trials import PushSet, fit_from_coarse, fit_pushes
 from spinestiff.study.truth import compare_with_truth, read_truth
 from spinestiff.study.visit import START, Visit, load_pushes, load_start
-from spinestiff.study.wording import response_lines
-from spinestiff.study.written import estimate_record, geometry_record, proposal_record, write_draws
+from spinestiff.study.wording import no_estimate, response_lines
+from spinestiff.study.written import estimate_record, geometry_record, proposal_record, rest_shape, write_draws
 from spinestiff.subject.assessment_outcome import Assessment, Comparison
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import (
@@ -69,6 +69,7 @@ from spinestiff.subject.folder import (
     image_pedicles,
     image_supports,
     push_corners,
+    read_identities,
     read_push,
     read_rest,
     read_view,
@@ -326,16 +327,21 @@ def estimate_step(visit: Visit, say: Observer) -> None:
 
     Raises
     ------
-    FitError : the fit ended without a minimum; nothing is written. It names what forces and motions say is wrong.
+    NoMinimum : the fit ended without a minimum; nothing is written. It names the likeliest mistakes.
     """
     pushes = load_pushes(visit, visit.settings.orientation, visit.settings.method)  # type: ignore[arg-type]
-    wrong = [check.text for check in failed(judge_pushes(visit.subject.record, pushes))]
+    geometry = read_outcome(visit.subject, GeometryRecord)
+    identities = read_identities(visit.subject)
+    checks = judge_inputs(visit.subject.record, rest_shape(geometry), pushes, identities)
+    wrong = [check.text for check in failed(checks)]
     for text in wrong:
         say(f"doubtful: {text}")
-    fit = fit_training(visit, pushes, say)
+    try:
+        fit = fit_training(visit, pushes, say)
+    except NoMinimum as error:
+        raise NoMinimum(no_estimate(str(error), wrong)) from None
     if not fit.status.usable:
-        raise FitError("; ".join((f"no estimate: {fit.status.value}", *wrong)))
-    geometry = read_outcome(visit.subject, GeometryRecord)
+        raise NoMinimum(no_estimate(fit.status.value, wrong))
     record = estimate_record(visit, pushes, fit, geometry)
     training = pushes.training
     write_solved(

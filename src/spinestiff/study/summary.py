@@ -54,10 +54,22 @@ def response_csv(responses: Responses) -> str:
 
 
 def estimate_csv(estimate: Estimate) -> str:
-    """A row a quantity: stiffness in plain units, then the ratios; ``unit`` of a ratio is empty."""
-    rows = [[name, found.unit, *_interval(found), "", "", estimate.status] for name, found in estimate.plain.items()]
+    """A row a quantity: stiffness in plain units, then the ratios; ``unit`` of a ratio is empty.
+
+    ``determined`` is "doubtful" throughout a doubtful estimate, and empty for a stiffness that was not estimated.
+    """
+
+    def known(determined: str) -> str:
+        return "doubtful" if determined and estimate.status == "DOUBTFUL" else determined
+
+    rows = []
+    for name, found in estimate.plain.items():
+        ratio = None if found.ratio is None else estimate.ratios[found.ratio]
+        determined = ratio.determined if ratio else "" if found.low is None else found.determination
+        bound = _yes(ratio.at_bound) if ratio else ""
+        rows.append([name, found.unit, *_interval(found), known(determined), bound, estimate.status])
     rows += [
-        [name, "", *_interval(ratio), ratio.determined, _yes(ratio.at_bound), estimate.status]
+        [name, "", *_interval(ratio), known(ratio.determined), _yes(ratio.at_bound), estimate.status]
         for name, ratio in estimate.ratios.items()
     ]
     return _text(ESTIMATE_COLUMNS, rows)

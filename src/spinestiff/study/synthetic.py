@@ -38,6 +38,7 @@ from spinestiff.mechanics.assembly import Law
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.places import place_of_pelvis
+from spinestiff.mechanics.push import push_heights
 from spinestiff.mechanics.supports import Supports
 from spinestiff.observer import Observer, heard
 from spinestiff.parallel import in_parallel
@@ -439,20 +440,6 @@ def misread(forces: Sequence[float], level: float, random: np.random.Generator) 
     felt = level + p.push_height_mm / LEVEL_MM * random.normal()
     told = [max(round((force - offset) * float(np.exp(-scale)), 1), 0.1) if force > 0.0 else 0.0 for force in forces]
     return told, round(float(np.clip(felt, 1.0, 12.0)), 1)
-
-
-def push_heights(torso: TorsoModel, side: Side, level: float) -> tuple[float, float, float]:
-    """Heights of the held shoulder, the pelvis and the point of a push at rest, mm."""
-    rest, marks = torso.rest_pose, torso.landmarks
-    load = rib_push(torso, side, level, 1.0)
-    share = np.abs(load.forces[:, 0])
-    rib = float(share @ load.points.positions(rest)[:, 1])
-    held = 1 if side == "left" else 0
-    return (
-        float(marks["humerus_head"].positions(rest)[held, 1]),
-        float(marks["pelvis_belt"].positions(rest)[0, 1]),
-        rib,
-    )
 
 
 def _as_dict(change) -> dict[str, float]:  # type: ignore[no-untyped-def]

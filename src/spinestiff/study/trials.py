@@ -23,7 +23,7 @@ from spinestiff.imaging.features import Orientation
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.mechanics.push import PushSite, Rig, push_load, push_problem
+from spinestiff.mechanics.push import PushSite, Rig, push_heights, push_load, push_problem
 from spinestiff.observer import Observer
 from spinestiff.personalise.markers import place_markers
 from spinestiff.personalise.pose import ViewPose, align_view
@@ -32,6 +32,8 @@ from spinestiff.subject.records import PushRecord, SubjectRecord
 from spinestiff.words import counted
 
 LEVEL = Rig()
+ODD_SHARE = 0.2
+"""Of the way from shoulder to pelvis by which a push may lie elsewhere than its rib in the torso: two ribs and more."""
 
 
 def rig_of(record: SubjectRecord) -> Rig:
@@ -191,6 +193,7 @@ def push_set(
             by_side[push.side] = push_problem(torso, push.side, rig)
         problems[push.id] = by_side[push.side]
         site = PushSite(push.side, push.level, push.d21_mm, push.d31_mm)
+        warnings += _odd_distances(torso, push)
         if len(found.frames) != len(push.forces_n):
             raise SubjectError(
                 f"push '{push.id}': {len(found.frames)} tracked frames for {len(push.forces_n)} forces_n; "
@@ -244,6 +247,24 @@ def push_set(
     if not any(t.role == "training" and t.force_n > 0.0 for t in trials):
         raise SubjectError("no training frame is left after tracking; see the messages of the tracking step")
     return PushSet(torso, problems, tuple(trials), poses, tuple(warnings), orientation, known or Known())
+
+
+def _odd_distances(torso: TorsoModel, push: PushRecord) -> list[str]:
+    """Whether the push lies elsewhere between its supports than the rib does in the torso, and what explains it."""
+    if push.d21_mm is None or push.d31_mm is None:
+        return []
+    shoulder, pelvis, rib = push_heights(torso, push.side, push.level)
+    given, here = push.d31_mm / push.d21_mm, (shoulder - rib) / (shoulder - pelvis)
+    off, turned = abs(given - here), abs(1.0 - given - here)
+    if off <= ODD_SHARE:
+        return []
+    what = f"push '{push.id}': d31_mm {push.d31_mm:g} of d21_mm {push.d21_mm:g} puts the push"
+    if turned < 0.5 * off:
+        left = push.d21_mm - push.d31_mm
+        return [f"{what} where its distance from the pelvis would; measured from the shoulder, {left:g} mm fits better"]
+    return [
+        f"{what} {100.0 * given:.0f} % of the way down, rib {push.level:g} lies at {100.0 * here:.0f} %; check both"
+    ]
 
 
 def _pictures_aside(

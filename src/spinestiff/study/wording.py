@@ -6,10 +6,13 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 
 from spinestiff.anatomy.regions import AT
+from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY, FEWEST_CORNERS, LOWEST_QUALITY
 from spinestiff.subject.assessment_outcome import HeldOutFrame
 from spinestiff.subject.estimate_outcome import BudgetRecord, CombinationRecord, Estimate, PriorChangeRecord
+from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Determination, Quantity
-from spinestiff.subject.outcomes import AngleResponse, Flexibility, PushResponse, Responses
+from spinestiff.subject.outcomes import AngleResponse, Flexibility, PushResponse, Responses, Tracked, TrackedPush
+from spinestiff.words import counted
 
 MISSING = "not available"
 NO_INTERVALS = "no intervals"
@@ -24,6 +27,15 @@ MOST_TOLD = 2
 """Ratios of which the uncertainty is told in a terminal."""
 LEAST_EXPONENT = 0.1
 """Of a ratio in a combination that is worth its name."""
+
+MOST_LOST = 4
+"""Vertebrae that tracking lost of which the frames are told."""
+
+LIKELY_MISTAKES = (
+    "forces_n (newtons, one for each frame, in the frames' order), side and level of each push, the corners and names "
+    "of the vertebrae (spinestiff annotate shows them), pictures of another patient or visit"
+)
+"""What to look at where no estimate is found, in the order in which it was the reason."""
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -161,6 +173,21 @@ def _bound(value: float) -> str:
     """A bound of the fit: two digits, without zeros behind them."""
     text = number(value, 2)
     return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def no_estimate(search: str, wrong: Sequence[str]) -> str:
+    """Why there is no estimate, the user's likely mistakes first.
+
+    Parameters
+    ----------
+    search : how the search ended.
+    wrong : what the checks of the inputs found wrong, a text for each.
+    """
+    if wrong:
+        found = f"the inputs do not agree: {'; '.join(wrong)}; then look at {LIKELY_MISTAKES}"
+    else:
+        found = f"no stiffness explains how this spine moved under these forces; look at {LIKELY_MISTAKES}"
+    return f"no estimate: {found}; if all of these are right, the search itself: {search}"
 
 
 def badge(estimate: Estimate) -> str:
@@ -309,6 +336,45 @@ def pelvis_lines(estimate: Estimate) -> list[str]:
     if not any(turns):
         return []
     return [f"pelvis in the training frames: turned by {fixed(min(turns))}° to {fixed(max(turns), 1)}°"]
+
+
+def tracking_lines(tracked: Tracked) -> list[str]:
+    """What came of following the corners, a line a push: frames, vertebrae that were lost, and corners to look at."""
+    return [f"push '{name}': {_tracked_words(push)}" for name, push in tracked.pushes.items()]
+
+
+def _tracked_words(push: TrackedPush) -> str:
+    lost: dict[str, list[int]] = {}
+    doubtful = corners = 0
+    for number, frame in enumerate(push.frames):
+        for vertebra, quality in zip(push.vertebrae, frame.quality):
+            corners += len(quality)
+            doubtful += sum(LOWEST_QUALITY <= one < DOUBTED_QUALITY for one in quality)
+            if sum(one >= LOWEST_QUALITY for one in quality) < FEWEST_CORNERS:
+                lost.setdefault(vertebra, []).append(number)
+    frames, vertebrae = counted(len(push.frames), "frame"), counted(len(push.vertebrae), "vertebra", "vertebrae")
+    if not lost:
+        found = f"{frames}, {vertebrae} followed in all of them"
+    else:
+        where = ", ".join(
+            f"{name} in frame{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers))}"
+            for name, numbers in list(lost.items())[:MOST_LOST]
+        )
+        more = f" and {len(lost) - MOST_LOST} more" if len(lost) > MOST_LOST else ""
+        found = f"{frames}, {len(push.vertebrae) - len(lost)} of {vertebrae} followed in all; lost: {where}{more}"
+    return f"{found}; {doubtful} of {corners} corners are doubtful"
+
+
+def geometry_lines(geometry: GeometryRecord) -> list[str]:
+    """How well the torso fits the radiographs at rest, and what was odd."""
+    views = ", ".join(f"{view} {fixed(rmse, 2)} mm" for view, rmse in geometry.rmse_mm.items())
+    prior = ""
+    if geometry.prior_only:
+        prior = f"; no radiograph shows {listed(geometry.prior_only)}, whose places are the prior's"
+    fit = (
+        f"torso against the radiographs at rest, RMSE: {views}; corners scatter by {fixed(geometry.corner_sd_mm, 2)} mm"
+    )
+    return [f"{fit}{prior}", *(f"note: {warning}" for warning in geometry.warnings)]
 
 
 def response_lines(responses: Responses) -> list[str]:

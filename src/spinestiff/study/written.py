@@ -257,7 +257,9 @@ def _reactions(visit: Visit, pushes: PushSet, fit: StiffnessFit) -> Reactions:
     last = int(np.argmax([t.force_n for t in training]))
     item, equilibrium = training[last], fit.equilibria[last]
     push = visit.subject.push(item.push)
-    f1, f2 = three_point_reactions(item.force_n, push.d21_mm, push.d31_mm)
+    f1 = f2 = None
+    if push.d21_mm is not None and push.d31_mm is not None:
+        f1, f2 = three_point_reactions(item.force_n, push.d21_mm, push.d31_mm)
     found = support_forces(pushes.torso, item.trial.load, equilibrium)
     return Reactions(
         push=item.trial.label,

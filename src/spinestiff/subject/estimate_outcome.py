@@ -96,7 +96,7 @@ class Reactions(Outcome):
     shoulder, pelvis : lateral forces in the model.
     pelvis_moment_nm : about the AP axis, N m, above 0 against the push, too; Eqs. 1-2 have none.
     wall_pull : the most that the back wall pulls at one of its points; a real one can't.
-    eq2_shoulder, eq1_pelvis : lateral forces by Eqs. 2 and 1.
+    eq2_shoulder, eq1_pelvis : lateral forces by Eqs. 2 and 1; None without the push's distances.
     """
 
     push: str
@@ -105,8 +105,8 @@ class Reactions(Outcome):
     pelvis: float
     pelvis_moment_nm: float
     wall_pull: Annotated[float, Field(ge=0.0)]
-    eq2_shoulder: float
-    eq1_pelvis: float
+    eq2_shoulder: float | None
+    eq1_pelvis: float | None
 
 
 class NuisanceRecord(Outcome):

@@ -39,6 +39,8 @@ PUSH: Final = {
     "d31_mm": f"vertical distance from the shoulder support to the push in {_MM}, below d21_mm",
 }
 FORCE: Final = f"force on the ribs in N (0 to {GAUGE_LIMIT_N:g})"
+FOR_DEAD_LOADS: Final = ("d21_mm", "d31_mm")
+"""Of a push, what only a pelvis with "dead-loads" needs."""
 OPTIONS: Final = {
     "age": "--age", "sex": "--sex", "height_cm": "--height", "side": "--side", "level": "--level", "d21_mm": "--d21",
     "d31_mm": "--d31", "forces_n": "--log",
@@ -73,7 +75,17 @@ class Gap:
     @property
     def line(self) -> str:
         """What is missing, and what to do."""
-        return f"{self.field} is missing: {self.words}; write it there, or give {OPTIONS[self.key]} to spinestiff init"
+        alike = ", which counts for all pushes that lack it" if self.key in PUSH else ""
+        option = f"{OPTIONS[self.key]} to spinestiff init{alike}"
+        return f"{self.field} is missing: {self.words}; write it there, or give {option}"
+
+    @property
+    def line_beside_log(self) -> str:
+        """The same of forces for which there is a log that could not be put beside the frames."""
+        return (
+            f"{self.field} is missing: {self.words}; write it there, or give --log again with --log-offset to "
+            "spinestiff init: where the log begins is not determined"
+        )
 
 
 def read_open_record(path: Path) -> tuple[SubjectRecord, tuple[Gap, ...]]:
@@ -100,7 +112,7 @@ def gaps_of(data: Any) -> tuple[Gap, ...]:
     found = [Gap(key, key, words) for key, words in PERSON.items() if _open(data, key)]
     for number, push in enumerate(_pushes(data)):
         where = f"pushes[{number}]"
-        found += [Gap(f"{where}.{key}", key, words, number) for key, words in PUSH.items() if _open(push, key)]
+        found += [Gap(f"{where}.{key}", key, words, number) for key, words in PUSH.items() if _lacks(data, push, key)]
         forces = push.get("forces_n")
         if isinstance(forces, list):
             for frames in _runs([i for i, force in enumerate(forces) if force is None]):
@@ -111,6 +123,11 @@ def gaps_of(data: Any) -> tuple[Gap, ...]:
 
 def _open(data: dict[str, Any], key: str) -> bool:
     return key in data and data[key] is None
+
+
+def _lacks(data: dict[str, Any], push: dict[str, Any], key: str) -> bool:
+    """Whether a push of a subject's JSON does not know what a step needs."""
+    return _open(push, key) and (key not in FOR_DEAD_LOADS or data.get("pelvis") == "dead-loads")
 
 
 def _pushes(data: dict[str, Any]) -> list[dict[str, Any]]:
@@ -134,7 +151,7 @@ def _filled(data: dict[str, Any]) -> dict[str, Any]:
     pushes = _pushes(filled)
     for one in (filled, *pushes):
         for key, value in _STAND_INS.items():
-            if _open(one, key):
+            if _lacks(filled, one, key):
                 one[key] = value
     lacking = [push for push in pushes if isinstance(push.get("forces_n"), list) and None in push["forces_n"]]
     for push in lacking:

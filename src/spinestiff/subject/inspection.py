@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -13,7 +13,9 @@ from spinestiff.files import listed, regular_file
 from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.dicom.reading import Scan, read_scan
 from spinestiff.imaging.radiograph import candidates, check_files, in_order, read_scans, times_of
+from spinestiff.imaging.shown_view import shown_view
 from spinestiff.subject.annotation_record import Annotation
+from spinestiff.subject.folder import Subject, check_image_name
 from spinestiff.subject.gaps import read_open_record
 from spinestiff.subject.geometry import image_geometry
 from spinestiff.subject.record_reading import read_record
@@ -121,7 +123,15 @@ def _image(path: Path, name: str, given: Geometry, within: Path | None = None) -
         except RadiographError as problem:
             return Inspection(name, str(problem))
     told = tuple(str(warning.message) for warning in caught)
-    return Inspection(name, "", _seen(scans), scans[0].missing, told)
+    return Inspection(name, "", _seen(scans), scans[0].missing, (*told, *_looks_otherwise(scans[0])))
+
+
+def _looks_otherwise(scan: Scan) -> Iterator[str]:
+    """A picture that looks like the other view than the one stated."""
+    stated = None if scan.directions is None else scan.directions.view
+    looks = None if stated is None else shown_view(scan.pixels[0])
+    if looks is not None and looks.view != stated:
+        yield f"stated as {stated}, but it {looks.words}; check that it is the {stated} radiograph"
 
 
 def _folder(folder: Path, top: Path) -> tuple[Inspection, ...]:
@@ -177,7 +187,9 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
             name = f"{push.image}, view {view.id}"
             paths[name], forces[name], kinds[name] = folder / view.files, len(view.frames), view.kind
             marks[name] = tuple(push.view_image(frame, view.id) for frame in view.frames)
-    found = []
+    found: list[Inspection] = []
+    if annotation is not None:
+        found += _unknown_images(Subject(folder, record, annotation))
     if gaps:
         found.append(Inspection(SUBJECT_FILE, missing=tuple(f"{gap.field}: {gap.words}" for gap in gaps)))
     for name, path in paths.items():
@@ -192,6 +204,16 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
         kind, frames, wanted = kinds.get(name, "frontal"), forces.get(name, 1), marks.get(name, (name,))
         found.append(one if one.reason else _fitting(one, name, annotation, frames, kind, wanted))
     return tuple(found)
+
+
+def _unknown_images(subject: Subject) -> Iterator[Inspection]:
+    """Of the first image of the annotation that the subject has not, why each step would refuse it."""
+    for name in subject.annotation.images:
+        try:
+            check_image_name(subject, name)
+        except SubjectError as problem:
+            yield Inspection(ANNOTATION_FILE, str(problem))
+            return
 
 
 def _fitting(

@@ -84,7 +84,9 @@ def write_markers(path: Path, names: tuple[str, ...], places: Floats) -> None:
 def _table(path: Path, frames: int) -> tuple[tuple[str, ...], Floats]:
     """Names, and places (frames, M, 3) as written; NaN: not seen."""
     found: dict[tuple[str, int], list[float]] = {}
-    for line, (name, frame, *place) in parse_csv(read_text(path, LARGEST_BYTES), str(path), COLUMNS):
+    for line, (name, frame, *place) in parse_csv(
+        read_text(path, LARGEST_BYTES), str(path), COLUMNS, numbers=("x", "y", "z")
+    ):
         where = f"{path}: row {line}"
         if not re.fullmatch(MARKER_NAME, name):
             raise SubjectError(f"{where}: found marker {name[:40]!r}, wanted letters, digits, '.', '_' or '-', 1 to 32")

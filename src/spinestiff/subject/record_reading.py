@@ -87,8 +87,21 @@ def _complaint(complaint: ErrorDetails, page: str) -> str:
         return message.removeprefix("Value error, ")
     if kind == "string_pattern_mismatch":
         return f"found {shown_value(complaint['input'])}, wanted {WANTED_ID}"
+    if kind.endswith(("_parsing", "_type")) and (told := _quoted_number(kind, complaint["input"])):
+        return told
     wanted = re.sub(r"^(Input|String|Tuple|Dictionary) should (be |have |match )?", "", message)
     return f"found {shown_value(complaint['input'])}, wanted {wanted}"
+
+
+def _quoted_number(kind: str, value: Any) -> str:
+    """What is wrong with a number that is written as a text; "" for anything else."""
+    if not kind.startswith(("float", "int")) or not isinstance(value, str):
+        return ""
+    plain = value.strip().replace(",", ".")
+    if not re.fullmatch(r"[+-]?\d+(\.\d+)?", plain):
+        return ""
+    comma = ", with a decimal point" if "," in value else ""
+    return f"found {shown_value(value)}, wanted a number without quotes{comma}: {plain}"
 
 
 def shown_value(value: Any, longest: int = 60) -> str:

@@ -185,7 +185,8 @@ class PushRecord(Record):
     id : name, unique in the subject.
     side : the side that is pushed, the patient's.
     level : rib level of the push point, 1 to 12; 8.5 = between ribs 8 and 9.
-    d21_mm, d31_mm : vertical distances shoulder to pelvis and shoulder to push point (Eqs. 1-2), mm.
+    d21_mm, d31_mm : vertical distances shoulder to pelvis and shoulder to push point (Eqs. 1-2), mm; only a pelvis with
+        "dead-loads" needs them. None: not measured.
     frames : file or folder of the radiographs, relative to the subject folder.
     forces_n : magnitude for each frame, N.
     roles : for each frame; left out = not chosen yet, all "unused".
@@ -196,8 +197,8 @@ class PushRecord(Record):
     id: Identifier
     side: Literal["left", "right"]
     level: Annotated[float, Field(ge=LEVELS[0], le=LEVELS[1])]
-    d21_mm: Distance
-    d31_mm: Distance
+    d21_mm: Distance | None = None
+    d31_mm: Distance | None = None
     frames: str
     forces_n: Annotated[tuple[float, ...], Field(min_length=1, strict=False)]
     roles: Annotated[tuple[Role, ...], Field(strict=False)]
@@ -232,7 +233,7 @@ class PushRecord(Record):
             raise ValueError(
                 f"found {len(self.forces_n)} forces_n and {len(self.roles)} roles, wanted one of each a frame"
             )
-        if self.d31_mm >= self.d21_mm:
+        if self.d21_mm is not None and self.d31_mm is not None and self.d31_mm >= self.d21_mm:
             raise ValueError(
                 f"d31_mm {self.d31_mm:g} is not below d21_mm {self.d21_mm:g}; "
                 "wanted the push between shoulder and pelvis (Eqs. 1-2)"
@@ -253,7 +254,10 @@ class PushRecord(Record):
             )
         used = [force for force, role in zip(self.forces_n, self.roles) if role != "unused"]
         if used and not any(used):
-            raise ValueError("all forces are zero, so there is nothing to identify; check the force log")
+            raise ValueError(
+                "all forces are zero, so there is nothing to identify; check forces_n, and of a force log whether its "
+                "offset puts the frames beside the push"
+            )
         return self
 
     @property
@@ -392,6 +396,14 @@ class SubjectRecord(Record):
             raise ValueError("pushes: no frame has the role training, wanted at least one")
         if training and not any(training):
             raise ValueError("pushes: all training forces are zero, so there is nothing to identify")
+        lacking = (
+            f"pushes[{i}].{name}"
+            for i, push in enumerate(self.pushes)
+            for name in ("d21_mm", "d31_mm")
+            if getattr(push, name) is None
+        )
+        if self.pelvis == "dead-loads" and (field := next(lacking, "")):
+            raise ValueError(f"{field}: missing; pelvis 'dead-loads' needs it, other ways of holding the pelvis do not")
         if self.pelvis == "dead-loads" and self.wall == "one-sided":
             raise ValueError(
                 "wall: found 'one-sided' beside pelvis 'dead-loads', which leave the wall out, wanted 'bilateral'"

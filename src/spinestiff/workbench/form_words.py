@@ -36,13 +36,13 @@ WORDS: Final[dict[str, dict[str, str]]] = {
     "pushes.d21_mm": {
         "title": "Shoulder support to pelvis support (d21)",
         "unit": "mm",
-        "help": "Vertical distance.",
+        "help": "Vertical distance. May stay empty unless the pelvis is held by dead loads.",
         "picture": "d21",
     },
     "pushes.d31_mm": {
         "title": "Shoulder support to push (d31)",
         "unit": "mm",
-        "help": "Vertical distance; shorter than d21.",
+        "help": "Vertical distance, from the shoulder; shorter than d21. May stay empty as d21 may.",
         "picture": "d31",
     },
     "pushes.forces_n": {"title": "Force", "unit": "N", "help": "Of each frame, without sign.", "picture": "force"},

@@ -60,7 +60,7 @@ def forces_of_log(subject: Subject, number: int, text: str, wish: LogWish) -> di
     picture = as_png(draw_log(f"push {push.id}", log, match, logged.times_s, logged.motion))
     return {
         "columns": columns.words,
-        "notes": list(log.notes),
+        "notes": [*log.notes, *([f"the given time: {match.against}"] if match.against else [])],
         "placed": logged.placed,
         "forces_n": logged.forces_n if logged.placed else None,
         "given": match.given,

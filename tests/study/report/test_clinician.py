@@ -124,6 +124,13 @@ def test_long_lists_and_long_items_are_cut_and_say_so() -> None:
     assert shortened(items[:MOST_DOUBTS], MOST_DOUBTS)[-1] == f"Item {MOST_DOUBTS - 1}."
     (cut,) = shortened(["word " * 200], 3)
     assert len(cut) < LONGEST + 45 and cut.endswith("word … (whole in the engineer’s part).")
+    # After a sentence, or a part of one, that fits.
+    first = "the pelvis turned by more than the paper allows"
+    for mark in (";", "."):
+        (cut,) = shortened([f"{first}{mark} " + "word " * 200], 3)
+        assert cut == f"{first[0].upper()}{first[1:]} … (whole in the engineer’s part)."
+    (cut,) = shortened(["a; " + "word " * 200], 3)
+    assert cut.endswith("word … (whole in the engineer’s part).")
 
 
 def plan_in(visit: Visit, pays: bool) -> None:

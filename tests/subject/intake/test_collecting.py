@@ -134,6 +134,15 @@ def test_one_study_or_several_of_one_patient_can_be_chosen(mixed):
         chosen_studies(mixed, "A1,B1")
 
 
+def test_a_file_of_a_study_that_is_left_out_is_told_as_such(mixed):
+    files, others = chosen_studies(mixed, "B1")
+    for text in ("y/1", "y"):
+        with pytest.raises(SubjectError, match=f"^--frontal: '{text}' is of study B2, which --study leaves out"):
+            by_name(text, files, "--frontal", others)
+    with pytest.raises(SubjectError, match="no radiograph 'w/9' in the sources"):
+        by_name("w/9", files, "--frontal", others)
+
+
 def test_a_file_is_named_by_the_end_of_its_path(exported):
     found = [exported("a/s1/I1"), exported("a/s2/I1"), exported("b/I10"), exported("I1")]
     names = {

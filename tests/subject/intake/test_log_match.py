@@ -144,7 +144,21 @@ def test_a_given_offset_is_taken_as_it_is():
     assert right.given and right.determined
     np.testing.assert_array_equal(right.forces_n, log.at(times + 4.0))
     assert right.explained > 0.99 > 0.9 > wrong.explained
-    assert np.isnan(given_offset(log, times[:3], 4.0, motion[:3]).explained)
+    few = given_offset(log, times[:3], 4.0, motion[:3])
+    assert np.isnan(few.explained) and few.against == ""
+
+
+def test_an_offset_is_held_against_the_motion():
+    rng = np.random.default_rng(7)
+    log, times = pushed(rng), np.arange(40) / 4.0
+    motion = moved(log, times + 4.0, 0.05, rng)
+    found = match_log(log, times, motion)
+    assert found.determined
+    assert given_offset(log, times, 4.0, motion, found).against == ""
+    assert given_offset(log, times, 5.0, motion, found).against.startswith("the motion says 4.0")
+    open_one = match_log(log, times[:3], motion[:3])
+    assert not open_one.determined
+    assert "% of the motion only" in given_offset(log, times, 8.0, motion, open_one).against
 
 
 def test_how_far_frames_reach_beyond_a_log():

@@ -40,6 +40,13 @@ def test_a_row_a_frame_with_empty_cells_left_open(table, exported):
     assert (two.shared["side"], list(two.rows)) == ("left", [("x/I8", 0)])
 
 
+def test_a_spreadsheets_semicolons_and_decimal_commas_are_read(table, exported):
+    path = table("I7;0;0;right;8,5;400;", "I7;1;41,5;;;;210", header=HEADER.replace(",", ";"))
+    (push,) = pushes_of(path, read_push_table(path), [exported("I7", frames=2)])
+    assert push.shared == {"side": "right", "level": 8.5, "d21_mm": 400.0, "d31_mm": 210.0}
+    assert [row.force_n for row in push.rows.values()] == [0.0, 41.5]
+
+
 def test_role_and_push_may_be_there(table, exported):
     path = table("I7,0,0,,,,,unused,first", "I7,1,20,,,,,Training,first", header=HEADER + ",role,push")
     (push,) = pushes_of(path, read_push_table(path), [exported("I7", frames=2)])

@@ -100,12 +100,23 @@ def test_what_a_picture_looks_like_counts_where_nothing_states_its_view_and_is_c
 
 def test_what_is_stated_goes_before_what_a_picture_looks_like(exported):
     stated = exported("a", "lateral", pixels=trunk("frontal"))
-    assert stated.looks is None
     blind = exported("b", pixels=trunk("lateral"), without=BLIND)
     sorting = sort_files([stated, blind])
     assert names(sorting) == (None, "a", [])
     assert "nothing tells its view; it looks like a lateral view: " in sorting.reasons["b"]
     assert names(sort_files([stated, blind], frontal=blind)) == ("b", "a", [])
+
+
+def test_what_looks_like_the_other_view_is_told(exported):
+    for kind, other in (("frontal", "lateral"), ("lateral", "frontal")):
+        one = exported(kind, kind, pixels=trunk(other))
+        reason = sort_files([one]).reasons[kind]
+        assert f"; but it looks like a {other} view: " in reason and f"check that it is the {kind} one" in reason
+        said = exported(f"{kind}-said", pixels=trunk(other), without=BLIND)
+        named = sort_files([said], **{kind: said})
+        assert named.reasons[said.name].startswith(f"named by --{kind}; but it looks like a {other} view: ")
+    right = exported("right", "lateral", pixels=trunk("lateral"))
+    assert "but it looks" not in sort_files([right]).reasons["right"]
 
 
 def test_of_several_that_look_alike_none_is_taken(exported):

@@ -24,8 +24,10 @@ from spinestiff.app.findings import (
     estimate_record,
     print_assessment,
     print_estimate,
+    print_geometry,
     print_response,
     print_summary,
+    print_tracking,
     show_json,
     summary_record,
 )
@@ -54,7 +56,7 @@ def run(
 
 def track(folder: Folder, redo: Force = False) -> None:
     """Follow the annotated vertebra corners through every push."""
-    run_steps_of(folder, ("track",), redo)
+    print_tracking(run_steps_of(folder, ("track",), redo))
 
 
 def response(folder: Folder, redo: Force = False) -> None:
@@ -64,7 +66,7 @@ def response(folder: Folder, redo: Force = False) -> None:
 
 def personalise(folder: Folder, mesh: Mesh = "fine", redo: Force = False) -> None:
     """Shape the torso to the rest radiographs."""
-    run_steps_of(folder, ("personalise",), redo, mesh=mesh)
+    print_geometry(run_steps_of(folder, ("personalise",), redo, mesh=mesh))
 
 
 def estimate(

@@ -29,7 +29,7 @@ class Exported:
     scan : what it holds, its pixels dropped.
     tags : what it tells beside its picture.
     view, view_source : "frontal" or "lateral", and what says so; None and "" if nothing does.
-    looks : what its first frame looks like, a suggestion; None where something states the view, or neither is clear.
+    looks : what its first frame looks like, a suggestion; None where neither view is clear.
     """
 
     path: Path
@@ -76,7 +76,7 @@ def read_exported(path: Path, name: str, within: Path) -> Exported:
     if high - low <= EVEN * max(abs(low), abs(high)):
         raise RadiographError("shows nothing: the whole picture has one grey value")
     view, source = _view(scan, tags)
-    looks = shown_view(scan.pixels[0]) if view is None else None
+    looks = shown_view(scan.pixels[0])
     return Exported(path, name, replace(scan, pixels=scan.pixels[:0]), tags, view, source, looks)
 
 

@@ -299,8 +299,13 @@ def shortened(items: Sequence[str], most: int) -> list[str]:
 
 
 def _cut(text: str) -> str:
+    """At the end of a sentence or of a part of one, where that leaves most of what there is room for."""
     text = text.rstrip(".")
-    return text if len(text) <= LONGEST else f"{text[:LONGEST].rsplit(' ', 1)[0]} … (whole in the engineer’s part)"
+    if len(text) <= LONGEST:
+        return text
+    head = text[:LONGEST]
+    end = max(head.rfind(mark) for mark in (". ", "; "))
+    return f"{head[:end] if end > LONGEST // 4 else head.rsplit(' ', 1)[0]} … (whole in the engineer’s part)"
 
 
 def picture_words(kind: str, force_n: float, change: str, error_mm: float | None, moved_mm: float | None) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from textwrap import fill
+
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
@@ -10,6 +12,8 @@ from spinestiff.study.repeatability import TWO_SIDED, Repeatability
 from spinestiff.study.report.figures import FIT, MEASURED, STYLE, plain_ticks
 
 MOST_NAMED = 24  # visits that are named on the axis
+TITLE = "Bars: where 95 % of estimates of an unchanged person lie; squares: changed"
+LETTERS_AN_INCH = 10  # of the title, the axis' labels beside it taken off
 
 
 def draw_repeatability(found: Repeatability) -> Figure:
@@ -40,5 +44,5 @@ def draw_repeatability(found: Repeatability) -> Figure:
         else:
             axes[-1].set_xticks([])
             axes[-1].set_xlabel(f"{len(visits)} visits of {len(subjects)} people")
-        axes[0].set_title("Bars: where 95 % of estimates of an unchanged person lie; squares: changed", fontsize=10)
+        axes[0].set_title(fill(TITLE, int(LETTERS_AN_INCH * size[0])), fontsize=10)
     return figure

@@ -176,8 +176,12 @@ def chosen_studies(found: Sequence[Exported], wanted: str | None) -> tuple[tuple
     return files, tuple(group for group in groups if group not in mine)
 
 
-def by_name(text: str, found: Sequence[Exported], where: str) -> tuple[Exported, ...]:
+def by_name(text: str, found: Sequence[Exported], where: str, others: Sequence[Study] = ()) -> tuple[Exported, ...]:
     """The file of that name, or the files of a folder of that name: a path in the export, or the end of one.
+
+    Parameters
+    ----------
+    others : studies that were not chosen, so that a file of theirs is told from one that is not there.
 
     Raises
     ------
@@ -202,7 +206,20 @@ def by_name(text: str, found: Sequence[Exported], where: str) -> tuple[Exported,
     if folders:
         names = ", ".join("/".join(folder) for folder in folders)
         raise SubjectError(f"{where}: '{text[:80]}' is the name of several folders ({names}); write more of the path")
+    for study in others:
+        ends = {parts[-len(wanted) :] for one in study.files for parts in _names(one)}
+        if wanted and wanted in ends:
+            raise SubjectError(
+                f"{where}: '{text[:80]}' is of study {study.label}, which --study leaves out; choose it, too, if it is "
+                "the same patient's, or leave the file out"
+            )
     raise SubjectError(f"{where}: no radiograph '{text[:80]}' in the sources; there are {_some(found)}")
+
+
+def _names(one: Exported) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Parts of the paths of a file and of its folder."""
+    parts = PurePosixPath(one.name).parts
+    return parts, parts[:-1]
 
 
 def _some(found: Sequence[Exported]) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import SubjectError
-from spinestiff.files import read_text
+from spinestiff.files import SEPARATORS, decimal_point, read_text
 from spinestiff.subject.records import GAUGE_LIMIT_N
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3}
@@ -108,7 +108,7 @@ def find_columns(path: Path, names: tuple[str, str] | None = None) -> LogColumns
     no_numbers: tuple[int, str] | None = None
     best: tuple[str, str] | None = None
     for number, line in enumerate(lines[:LAST_HEADER]):
-        for separator in (";", "\t", ","):
+        for separator in SEPARATORS:
             cells = _cells(line, separator)
             if len(cells) < 2 or all(_number(cell, separator) is not None for cell in cells):
                 continue
@@ -266,7 +266,7 @@ def _cells(line: str, separator: str) -> list[str]:
 def _number(text: str, separator: str) -> float | None:
     """A number, with a decimal comma where commas do not separate fields."""
     try:
-        value = float(text if separator == "," else text.replace(",", "."))
+        value = float(decimal_point(text, separator))
     except ValueError:
         return None
     return value if math.isfinite(value) else None

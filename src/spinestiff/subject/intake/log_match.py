@@ -48,7 +48,7 @@ class LogMatch:
     why : it is not, in words; empty if it is.
     explained : share of the motion's variance that the force explains.
     forces_n, forces_low_n, forces_high_n : (F,) at the frames, and over the interval.
-    given : the offset is the user's.
+    given : the offset is the user's. against : how the motion contradicts it, in words; empty if it does not.
     """
 
     offset_s: float
@@ -61,6 +61,7 @@ class LogMatch:
     forces_low_n: Floats
     forces_high_n: Floats
     given: bool = False
+    against: str = ""
 
     @property
     def open_n(self) -> float:
@@ -119,15 +120,27 @@ def match_log(log: ForceLog, times_s: Floats, motion: Floats) -> LogMatch:
     return LogMatch(float(offsets[best]), low, high, not why, why, float(explained), at_best, force_low, force_high)
 
 
-def given_offset(log: ForceLog, times_s: Floats, offset_s: float, motion: Floats) -> LogMatch:
-    """A log at the offset that the user gives; what the force explains is NaN where too few frames tell."""
+def given_offset(
+    log: ForceLog, times_s: Floats, offset_s: float, motion: Floats, found: LogMatch | None = None
+) -> LogMatch:
+    """A log at the offset that the user gives; what the force explains is NaN where too few frames tell.
+
+    Parameters
+    ----------
+    found : the match by the motion, which the given offset is held against.
+    """
     forces = log.at(times_s + offset_s)
     explained = math.nan
     spread = float(np.sum((motion - motion.mean()) ** 2))
     if len(times_s) >= FEWEST_FRAMES and spread > 0.0:
         degree = 2 if len(times_s) >= QUADRATIC_FROM else 1
         explained = 1.0 - _left_over(forces, motion, degree)[0] / spread
-    return LogMatch(offset_s, offset_s, offset_s, True, "", explained, forces, forces, forces, given=True)
+    against = ""
+    if found is not None and found.determined and not found.low_s <= offset_s <= found.high_s:
+        against = f"the motion says {found.offset_s:.2f} s (95 % {found.low_s:.2f} to {found.high_s:.2f} s)"
+    elif explained < LEAST_EXPLAINED:
+        against = f"at this offset the force explains {100.0 * max(explained, 0.0):.0f} % of the motion only"
+    return LogMatch(offset_s, offset_s, offset_s, True, "", explained, forces, forces, forces, True, against)
 
 
 def outside(log: ForceLog, times_s: Floats, offset_s: float) -> float:

@@ -14,7 +14,7 @@ from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.motion import motion_course
 from spinestiff.imaging.radiograph import read_scans, times_of
 from spinestiff.subject.intake.force_log import ForceLog
-from spinestiff.subject.intake.log_match import LogMatch, given_offset, match_log, outside
+from spinestiff.subject.intake.log_match import LEAST_RISE_N, LogMatch, given_offset, match_log, outside
 
 MOST_OUTSIDE_S = 1.0
 """By which the frames may reach beyond a log whose offset is given; there it has the force of its end."""
@@ -84,7 +84,7 @@ def at_offset(logged: Logged, name: str, offset_s: float) -> Logged:
 
     Raises
     ------
-    SubjectError : frames beyond the log.
+    SubjectError : frames beyond the log, or all of them where it shows no push though there is one.
     """
     log, times = logged.log, logged.times_s
     beyond = outside(log, times, offset_s)
@@ -93,4 +93,12 @@ def at_offset(logged: Logged, name: str, offset_s: float) -> Logged:
             f"push {name}: with the first frame at {offset_s:g} s of the log frames lie {beyond:.1f} s beyond its ends "
             f"({log.times_s[0]:g} and {log.times_s[-1]:g} s); wanted a log around them"
         )
-    return replace(logged, match=given_offset(log, times, offset_s, logged.motion))
+    match = given_offset(log, times, offset_s, logged.motion, logged.match)
+    pushed = log.times_s[log.forces_n >= LEAST_RISE_N]
+    if len(pushed) and match.forces_n.max() < LEAST_RISE_N:
+        raise SubjectError(
+            f"push {name}: with the first frame at {offset_s:g} s of the log no frame has a force: the frames, until "
+            f"{times[-1] + offset_s:g} s, lie beside its push, from {pushed[0]:g} to {pushed[-1]:g} s; give another "
+            "offset"
+        )
+    return replace(logged, match=match)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import json
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,8 +16,8 @@ from spinestiff.files import copy_known, read_json, trouble, whole_folder, write
 from spinestiff.imaging.dicom.export import Exported
 from spinestiff.subject.gaps import PERSON, PUSH, check_open_record, gaps_of
 from spinestiff.subject.intake.sorting import PushFiles, Sorting
-from spinestiff.subject.record_reading import IDENTIFIER, WANTED_ID
-from spinestiff.subject.records import REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE
+from spinestiff.subject.record_reading import IDENTIFIER, WANTED_ID, parse_record
+from spinestiff.subject.records import REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE, SubjectRecord
 
 
 @dataclass(frozen=True)
@@ -109,13 +111,20 @@ def name_pushes(data: dict[str, Any], sorting: Sorting, taken: Iterable[str] = (
 
 
 def fill(data: dict[str, Any], given: Given) -> list[str]:
-    """Put what the user says where ``data`` has None; returns a line for each thing that was told otherwise already."""
+    """Put what the user says where ``data`` has None.
+
+    Returns a line for each thing that was told otherwise already, and for each that several pushes take alike.
+    """
     notes = []
     for key, value in given.person.items():
         if data.get(key) is None:
             data[key] = value
         elif data[key] != value:
             notes.append(f"{key}: stays {data[key]}, {value} was given; change it in {SUBJECT_FILE}")
+    for key, value in given.pushes.items():
+        count = sum(push.get(key) is None for push in data["pushes"])
+        if count > 1:
+            notes.append(f"{key}: {value} for {count} pushes alike; where one differs, correct it in {SUBJECT_FILE}")
     for push in data["pushes"]:
         for key, value in given.pushes.items():
             if push.get(key) is None:
@@ -186,19 +195,27 @@ def copy_file(one: Exported, place: Path) -> None:
         raise SubjectError(f"{one.name}: can't be copied ({trouble(problem)})") from None
 
 
-def read_open_data(folder: Path) -> dict[str, Any]:
-    """The JSON of a subject that is not complete, to be filled.
+def read_open_data(folder: Path, given: Given) -> dict[str, Any]:
+    """The JSON of a subject, to be filled: one that is not complete, or lacks some of the X-ray geometry given.
 
     Raises
     ------
-    SubjectError : no such file, nothing is open in it, or the schema does not allow it for another reason.
+    SubjectError : no such file, nothing is open in it that could be filled, or the schema does not allow it for another
+        reason.
     """
     path = folder / SUBJECT_FILE
     if not path.is_file():
         raise SubjectError(f"{path}: no such file; name the DICOM files or folders from which to make the subject")
     data = read_json(path)
     if not gaps_of(data):
-        raise SubjectError(f"{path}: nothing is missing; to make another subject, name a new folder and DICOM files")
+        parse_record(json.dumps(data), str(path), SubjectRecord)
+        filled = copy.deepcopy(data)
+        stays = fill(filled, given)
+        if filled == data:
+            told = f", and nothing changes ({'; '.join(stays)})" if stays else ""
+            raise SubjectError(
+                f"{path}: nothing is missing{told}; to make another subject, name a new folder and DICOM files"
+            )
     check_open_record(data)
     return dict(data)
 

@@ -11,7 +11,7 @@ from typing import Any, get_args
 from spinestiff.errors import SubjectError
 from spinestiff.files import parse_csv, read_text
 from spinestiff.imaging.dicom.export import Exported
-from spinestiff.subject.intake.collecting import by_name
+from spinestiff.subject.intake.collecting import Study, by_name
 from spinestiff.subject.records import DISTANCES_MM, GAUGE_LIMIT_N, LEVELS, Role
 from spinestiff.words import counted
 
@@ -75,7 +75,7 @@ def parse_push_table(text: str, name: str) -> tuple[TableRow, ...]:
     """
     rows = []
     columns = (*COLUMNS, *OPTIONAL)
-    for line, texts in parse_csv(text, name, COLUMNS, OPTIONAL):
+    for line, texts in parse_csv(text, name, COLUMNS, OPTIONAL, _RANGES):
         cells = dict(zip(columns, texts))
         where = f"{name}: row {line}"
         if not cells["file"]:
@@ -121,11 +121,14 @@ def _shown(text: str) -> str:
     return repr("".join(c if c.isprintable() else "?" for c in text[:40]))
 
 
-def pushes_of(path: Path | str, rows: Sequence[TableRow], found: Sequence[Exported]) -> tuple[TablePush, ...]:
+def pushes_of(
+    path: Path | str, rows: Sequence[TableRow], found: Sequence[Exported], others: Sequence[Study] = ()
+) -> tuple[TablePush, ...]:
     """The pushes of a table, which messages call ``path``, in its order.
 
     Rows of one file of several frames, or of one folder, are one push. Rows of files of one frame each are one push
-    where their ``push`` is the same or, without one, all that they have in common is the same.
+    where their ``push`` is the same or, without one, all that they have in common is the same. ``others`` as in
+    ``by_name``.
 
     Raises
     ------
@@ -134,7 +137,7 @@ def pushes_of(path: Path | str, rows: Sequence[TableRow], found: Sequence[Export
     groups: dict[tuple[Any, ...], list[tuple[TableRow, tuple[Exported, ...]]]] = {}
     for row in rows:
         where = f"{path}: row {row.line}"
-        files = by_name(row.file, found, where)
+        files = by_name(row.file, found, where, others)
         frames = files[0].frames if len(files) == 1 else len(files)
         if row.frame >= frames:
             raise SubjectError(f"{where}: frame {row.frame}, but {row.file} has {counted(frames, 'frame')}, from 0 on")

@@ -1,7 +1,7 @@
 """Which radiographs of an export are the rest ones and which the pushes, and why: by view, frames, series and time.
 
 What a picture looks like is a suggestion (``imaging.shown_view``). It counts only where nothing states a view, for the
-one radiograph that can be at rest by it, and the reason says so.
+one radiograph that can be at rest by it, and the reason says so; where it contradicts what is stated, that is said.
 """
 
 from __future__ import annotations
@@ -124,10 +124,14 @@ def sort_files(
                 reasons[one.name] = why if one is chosen[view] else _another(one, view, chosen[view])
         else:
             reasons |= {one.name: f"single {view} radiograph, but --{view} names another" for one in mine}
-        alike = [one for one in singles if one.looks is not None and one.looks.view == view and one.tags.use != "push"]
+        unstated = [one for one in singles if one.view is None and one.looks is not None]
+        alike = [one for one in unstated if one.looks and one.looks.view == view and one.tags.use != "push"]
         if chosen[view] is None and not mine and len(alike) == 1:
             chosen[view] = alike[0]
             reasons[alike[0].name] = f"{_looks(alike[0])}; a suggestion, since nothing states its view: look at it"
+        rest_view = chosen[view]
+        if rest_view is not None and rest_view.looks is not None and rest_view.looks.view != view:
+            reasons[rest_view.name] += f"; but it {_looks(rest_view)}: check that it is the {view} one"
     for one in left:
         if one.name not in reasons:
             reasons[one.name] = _left_out(one, table is not None)

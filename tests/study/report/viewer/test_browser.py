@@ -265,6 +265,20 @@ def test_another_push_brings_its_own_frames(tab, shown):
     np.testing.assert_allclose(bone(tab, "T8")[0], step.state.bone_positions[index], atol=1e-3)
 
 
+def test_the_picture_lies_on_no_row_of_the_table_however_far_one_scrolls(tab, shown):
+    tab.run(f"{VIEWER}.querySelector('.v-table').open = true")
+    tab.run("document.body.style.paddingBottom = '2000px'")
+    below = (
+        "(() => { const box = one => document.querySelector(one).getBoundingClientRect(); "
+        "return box('.v-table').top - box('.v-stage').bottom; })()"
+    )
+    for share in (0.0, 0.2, 0.4, 0.6, 0.8, 1.0):
+        tab.run(f"scrollTo(0, {share} * (box => box.top + scrollY + box.height)("
+                "document.querySelector('.v-table').getBoundingClientRect()))")  # fmt: skip
+        assert tab.run(below) >= 0.0, share
+    tab.run("document.body.style.paddingBottom = ''; scrollTo(0, 0)")
+
+
 def test_dark_and_narrow(tab, shown):
     light = pixels(tab)
     tab.theme("dark")
