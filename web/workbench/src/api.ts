@@ -40,8 +40,9 @@ export const bench = (): Promise<{ version: string; read_only: boolean; upload_b
 export const subjects = async (): Promise<Card[]> => (await get<{ subjects: Card[] }>("/api/subjects")).subjects;
 export const subject = (key: string): Promise<Card> => get(`/api/subjects/${key}`);
 export const remove = (key: string): Promise<{ trash: string }> => send("DELETE", `/api/subjects/${key}`);
-/** A subject, or a radiograph at rest that was replaced: `image` says which, `vertebrae` how many are marked in it. */
-export interface Removed { key: string; name: string; removed: number; image: string | null; vertebrae: number }
+export const removePush = (key: string, push: string): Promise<{ trash: string; lines: string[] }> => send("POST", `/api/subjects/${key}/pushes/remove`, { push });
+/** A subject, a push of one, or a radiograph at rest that was replaced: `image` says which, `vertebrae` how many are marked in it. */
+export interface Removed { key: string; name: string; removed: number; image: string | null; push: string | null; vertebrae: number }
 export const trash = async (): Promise<Removed[]> => (await get<{ trash: Removed[] }>("/api/trash")).trash;
 export const restore = (key: string): Promise<{ key: string; trash: string | null }> => send("POST", `/api/trash/${key}/restore`);
 export const deleteForGood = (key: string): Promise<unknown> => send("DELETE", `/api/trash/${key}`);

@@ -1,5 +1,5 @@
 // The values of a subject: a form from its schema, checked as one types and saved as soon as it may be.
-import { button, h } from "../../shared/dom";
+import { button, h, need } from "../../shared/dom";
 import { Refused, words } from "../../shared/net";
 import * as api from "./api";
 import { beam } from "./beam";
@@ -7,25 +7,31 @@ import { markers, views } from "./beside";
 import { skin, trunk } from "./body";
 import { type Context, field, input, isSimple, plain, sayId, typed, wordsOf } from "./fields";
 import { gaugeLog } from "./gauge";
-import { act, type Room, state } from "./page";
+import { act, type Room, state, undoable } from "./page";
 import { ratios } from "./ratios";
 import { type Push, torso } from "./torso";
 
 const PAUSE_MS = 350, BY_HAND = new Set(["schema_version", "pushes", "xray", "priors", "trunk", "skin_scan", "parameters", "population", "id", "age", "sex", "height_cm", "mass_kg"]);
 const PUSH = ["side", "level", "d21_mm", "d31_mm"], PERSON = ["id", "age", "sex", "height_cm", "mass_kg"];
 
+/** Whether two values are the same, whatever the order of their names. */
+const same = (one: unknown, other: unknown): boolean => JSON.stringify(one, sorted) === JSON.stringify(other, sorted);
+const sorted = (_: string, value: unknown): unknown => (value && typeof value === "object" && !Array.isArray(value) ? Object.fromEntries(Object.entries(value).sort(([one], [other]) => (one < other ? -1 : 1))) : value);
+
 export async function values(key: string): Promise<Room> {
   let form = await api.form(key), timer = 0, saved = JSON.stringify(form.values), stopped = state.readOnly, over = false;
-  const past: string[] = [], body = h("div"), said = h("p", { role: "status", class: "saved" });
+  // Values as they were, or how to take back what is no value.
+  const past: (string | (() => Promise<void>))[] = [], body = h("div"), said = h("p", { role: "status", class: "saved" });
   const undo = button("↶ Undo", () => act(async () => {
     const before = past.pop();
     if (!before) return;
+    if (typeof before !== "string") return before();
     form.values = JSON.parse(before) as api.Values;
     draw();
     await save(true);
   }), { id: "undo-values", "aria-keyshortcuts": "Control+Z" });
   const context = (): Context => ({ form, readOnly: state.readOnly, changed: later, focused: (path) => pictures(path) });
-  let focus = "";
+  let focus = "", writing: Promise<void> = Promise.resolve();
 
   function later(): void {
     pictures(focus);
@@ -39,7 +45,9 @@ export async function values(key: string): Promise<Room> {
   }
   function tell(kind: string, text: string): void { said.dataset["state"] = kind; said.textContent = text; }
 
-  async function save(undone = false): Promise<void> {
+  /** One after the other: each is made on the revision that the one before has left. */
+  function save(undone = false): Promise<void> { return (writing = writing.catch(() => undefined).then(() => write(undone))); }
+  async function write(undone: boolean): Promise<void> {
     const text = JSON.stringify(form.values), judged = await api.check(form.values);
     if (text !== JSON.stringify(form.values)) return;
     judge(judged);
@@ -153,7 +161,43 @@ export async function values(key: string): Promise<Room> {
         h("p", { class: "says", id: sayId(`${path}.forces_n`) }),
         state.readOnly ? null : gaugeLog(key, number, (found) => { found.slice(0, forces.length).forEach((force, i) => { forces[i] = force; }); later(); draw(); }), h("p", { class: "soft" }, `${wordsOf("pushes.roles", form).help ?? ""} A column of forces can be pasted into the first of them.`)),
       h("figure", { class: "diagram", "data-push": String(number) })),
-      views(push, path, schema, context(), now), state.readOnly && !push["markers"] ? null : markers(key, push, number, schema, context(), now, reload));
+      views(push, path, schema, context(), now), state.readOnly && !push["markers"] ? null : markers(key, push, number, schema, context(), now, reload),
+      state.readOnly ? null : h("p", { class: "row" }, removal(String(push["id"])), h("span", { class: "soft" }, "Its radiographs stay in the folder; what was marked in them goes to the trash.")));
+  }
+
+  function removal(id: string): HTMLElement {
+    const made = button("Remove this push", () => act(async () => {
+      clearTimeout(timer);
+      await save();
+      const { trash, lines } = await api.removePush(key, id);
+      await without(id);
+      const back = async (): Promise<void> => {
+        need("undo").hidden = true;
+        await api.restore(trash);
+        await again();
+      };
+      past.push(back);
+      undo.disabled = false;
+      undoable(lines.join(" "), async () => {
+        // What was changed since can't be taken back without the push.
+        if (past.at(-1) === back) past.pop(); else past.length = 0;
+        await back();
+      });
+    }, made), { "aria-label": `Remove push ${id}` });
+    return made;
+  }
+
+  /** A push is gone on the server; what could not be saved of the others stays as it was typed. */
+  async function without(id: string): Promise<void> {
+    const { values: here } = form, scale = (here["xray"] as api.Values | undefined)?.["scale"] as api.Values | undefined;
+    here["pushes"] = (here["pushes"] as api.Values[]).filter((push) => push["id"] !== id);
+    if (scale) delete scale[`push/${id}`];
+    form = await api.form(key);
+    saved = JSON.stringify(form.values);
+    if (!same(here, form.values)) form.values = here;
+    draw();
+    later();
+    document.dispatchEvent(new Event("subject-changed"));
   }
 
   /** A change by a button: drawn and saved at once, to be taken back by Undo. */
@@ -161,10 +205,13 @@ export async function values(key: string): Promise<Room> {
 
   /** What the server has changed: the form begins anew. */
   async function reload(): Promise<void> {
+    past.length = 0;
+    await again();
+  }
+  async function again(): Promise<void> {
     form = await api.form(key);
     saved = JSON.stringify(form.values);
-    past.length = 0;
-    undo.disabled = true;
+    undo.disabled = !past.length;
     draw();
     tell("saved", "Saved.");
     document.dispatchEvent(new Event("subject-changed"));
