@@ -199,6 +199,15 @@ def add_intake(app: FastAPI, bench: Bench) -> None:
     def radiographs(key: str) -> dict[str, Any]:
         return radiographs_record(exports.standing(key))
 
+    @app.get("/api/subjects/{key}/radiograph")
+    def radiograph(key: str, image: str, wide: int, tall: int, part: str = "") -> Response:
+        standing = exports.standing(key)
+        one = next((one for one in standing.files if standing.images[one.name] == image), None)
+        if one is None:
+            raise NotThere("this radiograph is not there, or can't be read")
+        content, about = thumbnail(one, wide, tall, part)
+        return Response(content, media_type="application/octet-stream", headers={"x-radiograph": json.dumps(about)})
+
     @app.post("/api/subjects/{key}/radiographs")
     def extend(key: str, body: Body) -> dict[str, Any]:
         asked = sent(body, Look)

@@ -68,6 +68,9 @@ export const look = (asked: Asked): Promise<Look> => send("POST", "/api/look", a
 export const lookPicture = (asked: Asked, name: string): Promise<Response> => ask("POST", "/api/look/picture", JSON.stringify({ ...asked, name }));
 export const discard = (upload: string): Promise<unknown> => send("DELETE", `/api/uploads/${upload}`);
 export const radiographs = (key: string): Promise<Radiographs> => get(`/api/subjects/${key}/radiographs`);
+/** A radiograph of a subject, or a part of it, whatever is known of its millimetres; of several frames the first. */
+export const bare = (key: string, image: string, wide: number, tall: number, part = ""): Promise<Response> =>
+  ask("GET", `/api/subjects/${key}/radiograph?${new URLSearchParams({ image, wide: String(wide), tall: String(tall), part }).toString()}`);
 export const picture = (key: string, image: string): Promise<Response> =>
   ask("GET", `/annotate/${key}/api/radiograph?${new URLSearchParams({ image, wide: "96", tall: "128" }).toString()}`);
 export const extend = (key: string, asked: Asked): Promise<{ changes: string[] }> => send("POST", `/api/subjects/${key}/radiographs`, asked);

@@ -9,6 +9,7 @@ import { type Context, field, input, isSimple, plain, sayId, typed, wordsOf } fr
 import { gaugeLog } from "./gauge";
 import { act, type Room, state, undoable } from "./page";
 import { ratios } from "./ratios";
+import { scales } from "./scale";
 import { type Push, torso } from "./torso";
 
 const PAUSE_MS = 350, BY_HAND = new Set(["schema_version", "pushes", "xray", "priors", "trunk", "skin_scan", "parameters", "population", "id", "age", "sex", "height_cm", "mass_kg"]);
@@ -19,10 +20,12 @@ const same = (one: unknown, other: unknown): boolean => JSON.stringify(one, sort
 const sorted = (_: string, value: unknown): unknown => (value && typeof value === "object" && !Array.isArray(value) ? Object.fromEntries(Object.entries(value).sort(([one], [other]) => (one < other ? -1 : 1))) : value);
 
 export async function values(key: string): Promise<Room> {
-  let form = await api.form(key), timer = 0, saved = JSON.stringify(form.values), stopped = state.readOnly, over = false;
+  let form = await api.form(key), timer = 0, saved = JSON.stringify(form.values), stopped = state.readOnly, over = false, writing: Promise<void> = Promise.resolve();
   // Values as they were, or how to take back what is no value.
   const past: (string | (() => Promise<void>))[] = [], body = h("div"), said = h("p", { role: "status", class: "saved" });
   const undo = button("↶ Undo", () => act(async () => {
+    // What is being saved belongs to what can be taken back.
+    await writing.catch(() => undefined);
     const before = past.pop();
     if (!before) return;
     if (typeof before !== "string") return before();
@@ -31,7 +34,7 @@ export async function values(key: string): Promise<Room> {
     await save(true);
   }), { id: "undo-values", "aria-keyshortcuts": "Control+Z" });
   const context = (): Context => ({ form, readOnly: state.readOnly, changed: later, focused: (path) => pictures(path) });
-  let focus = "", writing: Promise<void> = Promise.resolve();
+  let focus = "";
 
   function later(): void {
     pictures(focus);
@@ -98,7 +101,7 @@ export async function values(key: string): Promise<Room> {
       ...pushes.map((push, number) => pushSet(push, number, plain(plain(told("pushes"), form).items ?? {}, form))),
       pushes.length ? "" : h("p", { class: "warn" }, "There is no push yet: a plan can be made, and no estimate."),
       trunk(form.values, context(), now), state.readOnly && !form.values["skin_scan"] ? "" : skin(key, form.values, context(), now, reload),
-      h("details", {}, h("summary", {}, wordsOf("xray", form).title ?? "xray"), h("p", { class: "soft" }, wordsOf("xray", form).help ?? ""), xray(plain(told("xray"), form))),
+      h("details", { id: "xray", ...(xrayOpen() ? { open: true } : {}) }, h("summary", {}, wordsOf("xray", form).title ?? "xray"), h("p", { class: "soft" }, wordsOf("xray", form).help ?? ""), xray(plain(told("xray"), form))),
       h("details", { id: "choices", ...(form.values["parameters"] || form.values["population"] ? { open: true } : {}) }, h("summary", {}, "Choices of the model"), h("p", { class: "soft" }, "The usual ones fit most subjects."),
         h("div", { class: "grid" }, ...simple.map((name) => field(form.values, name, name, told(name), context())),
           field(form.values, "population", "population", { enum: form.choices.populations, default: "nobody’s" }, chosen())),
@@ -125,10 +128,13 @@ export async function values(key: string): Promise<Room> {
       h("div", { class: "grid" }, ...Object.entries(form.priors).map(([name, usual]) => field(holder, name, `priors.${name}`, { type: "number", minimum: 0, maximum: 1000 }, own, usual))));
   }
 
+  const xrayOpen = (): boolean => body.querySelector<HTMLDetailsElement>("#xray")?.open ?? Boolean((form.values["xray"] as api.Values | undefined)?.["scale"]);
+
   function xray(schema: api.Schema): HTMLElement {
-    const holder = (form.values["xray"] ?? {}) as api.Values, own = { ...context(), changed: () => { if (Object.keys(holder).length) form.values["xray"] = holder; later(); } };
-    return h("div", { class: "beside" }, h("div", { class: "grid" }, ...Object.entries(schema.properties ?? {}).filter(([, one]) => isSimple(plain(one, form))).map(([name, one]) => field(holder, name, `xray.${name}`, one, own))),
-      h("figure", { class: "diagram" }));
+    const holder = (form.values["xray"] ?? {}) as api.Values, keep = (): void => { if (Object.keys(holder).length) form.values["xray"] = holder; };
+    const own = { ...context(), changed: () => { keep(); later(); } };
+    return h("div", {}, h("div", { class: "beside" }, h("div", { class: "grid" }, ...Object.entries(schema.properties ?? {}).filter(([, one]) => isSimple(plain(one, form))).map(([name, one]) => field(holder, name, `xray.${name}`, one, own))),
+      h("figure", { class: "diagram" })), scales(key, holder, (form.values["pushes"] ?? []) as api.Values[], context(), now, keep));
   }
 
   function pushSet(push: api.Values, number: number, schema: api.Schema): HTMLElement {
@@ -227,7 +233,9 @@ export async function values(key: string): Promise<Room> {
     for (const figure of body.querySelectorAll<HTMLElement>(".diagram")) {
       if (figure.dataset["push"] === undefined) {
         const rays = (form.values["xray"] ?? {}) as api.Values;
-        drawn(figure, beam({ detector: numberOf(rays, "source_detector_mm"), patient: numberOf(rays, "source_patient_mm"), pixel: numberOf(rays, "imager_pixel_mm") }, pictured("xray.")));
+        const lengths = (rays["scale"] ?? {}) as Record<string, api.Values>, at = Object.keys(lengths).find((image) => path.startsWith(`xray.scale.${image}.`));
+        const length = at ? lengths[at] : Object.values(lengths).find((one) => one["object_mm"] !== undefined);
+        drawn(figure, beam({ object: length ? numberOf(length, "object_mm") : null, onDetector: length?.["plane"] === "detector", shown: length?.["object_mm"] !== undefined, detector: numberOf(rays, "source_detector_mm"), patient: numberOf(rays, "source_patient_mm"), pixel: numberOf(rays, "imager_pixel_mm") }, pictured("xray.")));
         continue;
       }
       const number = Number(figure.dataset["push"]), push = pushes[number] ?? {}, forces = ((push["forces_n"] ?? []) as unknown[]).filter((one) => typeof one === "number");
