@@ -243,3 +243,42 @@ def test_a_known_length_is_typed_or_clicked_in_the_picture(tab, root, serve):
         tab.until(saved)
         click(tab, "#undo-values")
         tab.wait(lambda: set(read_json(place)["xray"]["scale"]) == {"push/a", "rest/frontal"})
+
+
+def test_single_pictures_are_marked_and_made_one_push(tab, root, serve, tmp_path):
+    for name, time in (("I1", "101000"), ("I2", "104500"), ("I3", "103000"), ("I4", "103500")):
+        export(tmp_path / "in" / name, time=time, patient="")
+    uses = "[...document.querySelectorAll('tbody b')].map(one => one.innerText).join()"
+    before = "rest, frontal,left out,left out,left out"
+    with serve(root) as served:
+        load(tab, served.address)
+        go(tab, "/new")
+        files(tab, "#files", sorted((tmp_path / "in").iterdir()))
+        tab.until("!!document.querySelector('#join')")
+        assert tab.run(uses) == before and "mark it with the others of that push" in text(tab, "tbody")
+        click(tab, "#join")
+        tab.until("document.querySelector('#problem').innerText.includes('mark two or more')")
+        for name in ("I2", "I3", "I4"):
+            click(tab, f"input[type=checkbox][value='{name}']")
+        click(tab, "#join")
+        tab.until("!!document.querySelector('#joined [aria-label]')")
+        assert tab.run(uses) == "rest, frontal,push 1, frame 0,push 1, frame 1,push 1, frame 2"
+        assert "One push of 3 pictures, from the first frame on: I3, I4, I2" in text(tab, "#joined")
+        click(tab, "#undo button")
+        tab.until(f"{uses} == '{before}'")
+        for name in ("I2", "I3"):
+            click(tab, f"input[type=checkbox][value='{name}']")
+        click(tab, "#join")
+        tab.until("document.querySelector('#joined').innerText.includes('I3, I2')")
+        click(tab, "#joined [aria-label]")
+        tab.until(f"{uses} == '{before}'")
+        for name in ("I2", "I3"):
+            click(tab, f"input[type=checkbox][value='{name}']")
+        click(tab, "#join")
+        tab.until("document.querySelector('#joined').innerText.includes('I3, I2')")
+        fill(tab, "#name", "girl-05")
+        click(tab, "#make")
+        tab.until("!!document.querySelector('#f-age')")
+        assert tab.run("document.querySelector('#undo').hidden")
+        assert len(read_json(root / "girl-05" / "subject.json")["pushes"][0]["forces_n"]) == 2
+        assert tab.complaints == []
