@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pydicom
 import pytest
 
 from phantoms import phantom, sixteen_bit
@@ -18,10 +19,11 @@ from spinestiff.curves.cobb import read_cobb
 from spinestiff.curves.corner_files import read_corners
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import SubjectError
+from spinestiff.files import read_json
 from spinestiff.imaging.projection import lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.study.steps import marked_pedicles
-from spinestiff.subject.folder import push_corners, read_annotation, read_subject
+from spinestiff.subject.folder import push_corners, read_annotation, read_rest, read_subject
 from unannotated import CANARY, MM, drawn
 
 ALL = ("rest/frontal", "rest/lateral", "push/a")
@@ -467,3 +469,25 @@ def test_radiographs_from_other_sides_are_offered(unannotated):
     assert not any("side" in line for line in session.missing({"push/a/1/side": enough}))
     (unannotated / "pushes" / "b.dcm").unlink()
     assert AnnotationSession(unannotated).absent == ("push/a/1/side",)
+
+
+def test_a_vertebra_that_sets_the_millimetres_can_be_marked_first(unannotated):
+    for name in ("rest/frontal", "push/a"):
+        path = unannotated / ("rest/frontal.dcm" if name == "rest/frontal" else "pushes/a.dcm")
+        dataset = pydicom.dcmread(path)
+        del dataset.ImagerPixelSpacing
+        dataset.save_as(path)
+    (unannotated / "subject.json").write_text(json.dumps(read_json(unannotated / "subject.json") | {"xray": {"scale": {
+        "rest/frontal": {"vertebra": "L1", "width_mm": 42}, "push/a": {"vertebra": "L2", "width_mm": 44},
+        "rest/lateral": {"vertebra": "L1", "width_mm": 30}}}}), encoding="utf-8")  # fmt: skip
+    session = AnnotationSession(unannotated)
+    assert session.save(whole(), 0) == 1 and session.missing(session.marks) == []
+    # What the file tells counts where it tells something.
+    spacing = session.frames("rest/lateral")[0].view.pixel_spacing
+    np.testing.assert_allclose(spacing, MM * 1500.0 / 1340.0, rtol=1e-6)
+    # Now that it is marked, its millimetres are those of the vertebra.
+    subject = read_subject(unannotated)
+    quad = np.array(subject.annotation.images["rest/frontal"].vertebrae["L1"])
+    width = np.linalg.norm(quad[[0, 3]].mean(axis=0) - quad[[1, 2]].mean(axis=0))
+    view = read_rest(subject, "frontal").view
+    np.testing.assert_allclose(view.pixel_spacing / view.magnification * width, 42.0, rtol=1e-6)

@@ -8,13 +8,16 @@ import cv2
 import pytest
 
 from spinestiff.app.plan import exposures_of, wish_of
-from spinestiff.errors import OptionError
+from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import read_json, write_json
 from spinestiff.study.plan import RIBS, SIDES, VIEWS, Frame
+from spinestiff.study.report.clinician import next_lines
 from spinestiff.study.runner import ALL_STEPS
 from spinestiff.study.visit import open_visit
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_subject
-from spinestiff.subject.run_record import changed_inputs, is_unchanged, recorded_steps
+from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
+from spinestiff.subject.run_record import changed_inputs, is_unchanged, read_outcome, recorded_steps
 
 ALL = ("bending", 80.0, 8, "both", None, None, 500.0)
 
@@ -66,9 +69,46 @@ def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, 
     first, *between, last = [json.loads(line) for line in logs[-1].read_text(encoding="utf-8").splitlines()]
     assert (first["command"], first["settings"]["limit_n"], first["settings"]["ribs"]) == ("plan", 30.0, [8.0])
     events = [(line["event"], line["step"]) for line in between if "event" in line]
-    assert events == [("begin", "plan"), ("end", "plan")]
+    assert events == [("begin", "plan"), ("end", "plan"), ("begin", "report"), ("end", "report")]
     assert any(line["text"] == "plan: comparing" for line in between)
     assert (last["event"], last["outcome"]) == ("end", "done")
+
+
+PUSH = PlannedPush(side="left", level=8.0, force_n=30.0, radiographs=2, expected_factor=1.4, factors={})
+PLAN = Plan(
+    target="bending", limit_n=30.0, basis="estimate", taken=3, now={"lateral_bending": 2.1}, now_deg=None, estimated={},
+    next=(PUSH,), sequence=(PlanStep(push=PUSH, exposures=2, pays=True),), taped=None,
+)  # fmt: skip
+
+
+def test_a_report_that_is_there_shows_the_new_plan(spinestiff, subject, monkeypatch):
+    shown = []
+
+    def report(visit, *_):
+        shown.append(next_lines(visit, read_outcome(visit.subject, Estimate)))
+        for name in ("report.html", "view.html"):
+            visit.file(name).write_text(str(len(shown)), encoding="utf-8")
+
+    def fails(*_):
+        raise SubjectError("the disk is full")
+
+    monkeypatch.setattr("spinestiff.study.report.page.write_report", report)
+    monkeypatch.setattr("spinestiff.app.plan.scene_of", lambda visit: None)
+    monkeypatch.setattr("spinestiff.app.plan.make_plan", lambda *_: PLAN)
+    assert spinestiff("plan", subject).status == 0
+    assert len(shown) == 1 and shown[0][0].startswith("push rib 8 from the left with 30 N")
+    assert is_unchanged(read_subject(subject), "report")
+    # A plan is no less one for that.
+    monkeypatch.setattr("spinestiff.app.plan.make_plan", lambda *_: PLAN.model_copy(update={"taken": 4}))
+    monkeypatch.setattr("spinestiff.study.report.page.write_report", fails)
+    ran = spinestiff("plan", subject)
+    assert ran.status == 0 and "plan: the report does not show this plan yet: the disk is full" in ran.err
+    assert is_unchanged(read_subject(subject), "plan")
+    # Before any report there is none to be made anew.
+    (subject / "results" / "run.json").unlink()
+    monkeypatch.setattr("spinestiff.app.plan.run_steps", lambda *_: None)
+    monkeypatch.setattr("spinestiff.app.plan._write", lambda *_: None)
+    assert "report" not in spinestiff("plan", subject).err
 
 
 def test_a_plan_is_of_the_estimate_and_pushes_that_it_was_made_from(spinestiff, subject):

@@ -188,3 +188,30 @@ def test_what_was_made_before_is_told_to_be_stale(served, root, more):
     # A lateral radiograph that came later.
     record_step(subject, "report", step_record(subject, inputs[:3], {}), [])
     assert stale()[1] == ["rest/lateral.dcm", "values: pushes"]
+
+
+def test_single_pictures_become_one_push_in_the_order_of_their_times(served, root, tmp_path):
+    for name, time in (("I1", "101000"), ("I2", "104500"), ("I3", "103000")):
+        export(tmp_path / "in" / name, time=time, patient="")
+    key = served.upload_folder(tmp_path / "in")
+    asked = {"origin": "upload", "key": key, "joined": [["in/I2", "in/I3"]]}
+    look = served.good("POST", "/api/look", asked)
+    uses = {one["name"]: one["use"] for one in look["files"]}
+    assert uses == {"in/I1": "rest, frontal", "in/I3": "push 1, frame 0", "in/I2": "push 1, frame 1"}
+    # To a subject that is there.
+    beside = {**asked, "subject": served.key()}
+    assert served.good("POST", "/api/look", beside)["changes"] == ["Push push-2, 2 frames."]
+    served.good("POST", f"/api/subjects/{served.key()}/radiographs", beside)
+    place = root / "girl" / "pushes" / "push-2"
+    assert [(place / f"00{i}.dcm").read_bytes() for i in range(2)] == [
+        (tmp_path / "in" / name).read_bytes() for name in ("I3", "I2")
+    ]
+    assert read_json(root / "girl" / "subject.json")["pushes"][1]["forces_n"] == [None, None]
+    status, said = served.json("POST", "/api/look", beside)
+    assert status == 422 and "in/I2: the same image as pushes/push-2/001.dcm" in said["error"]
+    status, said = served.json("POST", "/api/look", {**asked, "joined": [["in/I2", "in/I9"]]})
+    assert status == 422 and "no radiograph 'in/I9'" in said["error"]
+    # To a new one.
+    made = served.good("POST", "/api/subjects", {**asked, "name": "boy", "person": {}})
+    assert made["key"] == served.key("boy")
+    assert len(read_json(root / "boy" / "subject.json")["pushes"][0]["forces_n"]) == 2

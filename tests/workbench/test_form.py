@@ -6,6 +6,7 @@ import json
 import re
 from pathlib import Path
 
+import pydicom
 import pytest
 
 from bench_page import box
@@ -19,6 +20,7 @@ from spinestiff.subject.annotation_record import Annotation, ImageAnnotation
 from spinestiff.subject.folder import write_annotation
 from spinestiff.subject.intake import adding
 from spinestiff.subject.intake.collecting import collect
+from spinestiff.subject.records import ScaleRecord
 from spinestiff.workbench.form import form_record, judged, save_form
 from spinestiff.workbench.form_words import RATIO_GROUPS, RATIO_PARTS, WORDS
 from unannotated import drawn
@@ -183,3 +185,41 @@ def test_a_view_that_is_annotated_stays(girl):
     for change in (lambda push, _: push.pop("views"), lambda push, _: push["views"][0].update(frames=[0, 1])):
         with pytest.raises(SubjectError, match="push/a/2/side is annotated; remove its marks"):
             save(girl, change)
+
+
+def test_a_known_length_is_judged_where_it_stands(root):
+    folder = root / "girl"
+    values, whole = form_record(folder)["values"], {"object_mm": 25.4, "object_px": [[10, 20], [40.5, 20]]}
+    for scale, field, words in (
+        ({"rest/frontal": {"object_mm": 25.4}}, "xray.scale.rest/frontal", "wanted length and both ends"),
+        ({"push/a": {**whole, "object_mm": 2}}, "xray.scale.push/a.object_mm", "greater than or equal to 5"),
+        ({"push/a": {**whole, "object_px": [[1, 2]]}}, "xray.scale.push/a.object_px[1]", "missing"),
+        ({"push/a": {**whole, "object_px": [["x", 2], [3, 4]]}}, "xray.scale.push/a.object_px[0][0]", "found 'x'"),
+        ({"push/a": {"vertebra": "L1", "width_mm": 420}}, "xray.scale.push/a.width_mm", "less than or equal to 80"),
+    ):
+        problems = judged({**values, "xray": {"scale": scale}})["problems"]
+        assert [one["field"] for one in problems] == [field] and words in problems[0]["text"], problems
+    scale = {"push/a": {**whole, "plane": "detector"}, "rest/lateral": {"vertebra": "L1", "width_mm": 42}}
+    assert save(folder, lambda _, values: values.update(xray={"scale": scale}))["xray"]["scale"] == scale
+
+
+def test_each_value_of_a_known_length_has_words():
+    assert {name.removeprefix("xray.scale.") for name in WORDS if name.startswith("xray.scale.")} == set(
+        ScaleRecord.model_fields
+    )
+
+
+def test_a_radiograph_is_shown_whatever_is_known_of_its_millimetres(served, root):
+    path = root / "girl" / "rest" / "frontal.dcm"
+    dataset = pydicom.dcmread(path)
+    del dataset.ImagerPixelSpacing
+    dataset.save_as(path)
+    key, whole = served.key(), "image=rest/frontal&wide=96&tall=128"
+    assert served.json("GET", f"/annotate/{key}/api/radiograph?{whole}")[0] == 422
+    status, headers, content = served.ask("GET", f"/api/subjects/{key}/radiograph?{whole}")
+    about = json.loads(headers["x-radiograph"])
+    assert (status, about["rows"], about["columns"]) == (200, *dataset.pixel_array.shape) and len(content) > 1000
+    part = f"/api/subjects/{key}/radiograph?image=rest/frontal&wide=160&tall=160&part=100,200,260,360"
+    assert json.loads(served.ask("GET", part)[1]["x-radiograph"])["part"] == [100, 200, 260, 360]
+    assert served.json("GET", f"/api/subjects/{key}/radiograph?image=push/b&wide=96&tall=128")[0] == 404
+    assert served.json("GET", f"/api/subjects/{key}/radiograph?{whole}&part=0,0,9999,1")[0] == 422

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from bench_page import click, files, fill, go, load, text
+from bench_page import chosen, click, files, fill, go, load, text
 from chromium import browser
 from hospital import disc
 from spinestiff.annotate.draft import DraftImage
@@ -225,3 +225,34 @@ def test_folders_that_are_dropped_come_whole(tab, root, served, tmp_path):
     assert tab.run("[...document.querySelectorAll('details li')].at(-1).textContent") == "and 38 more"
     assert tab.run("'over' in document.querySelector('.drop').dataset") is False
     assert tab.complaints == []
+
+
+def test_what_a_plan_is_asked_is_chosen_on_the_page(tab, root, served):
+    load(tab, served.address)
+    go(tab, f"/subject/{served.key()}/run")
+    tab.run("(document.querySelector('#start-plan').closest('details').open = true, 1)")
+    under = "document.querySelector('#o-plan-under').closest('p').hidden"
+    assert tab.run(under) is True
+    chosen(tab, "#o-plan-target", "cobb")
+    tab.until(f"!{under}")
+    click(tab, "#start-plan")
+    tab.until("document.querySelector('#problem').innerText.includes('Under which push: wanted e.g. right,8,60')")
+    fill(tab, "#o-plan-under", "right, 8, 60")
+    chosen(tab, "#o-plan-side", "left")
+    fill(tab, "#o-plan-ribs", "5, 7")
+    click(tab, "#start-plan")
+    tab.until("document.querySelector('.live')?.dataset.state == 'waiting'")
+    (job,) = served.bench.jobs.table.jobs()
+    assert job.options == {"target": "cobb", "under": "right, 8, 60", "side": "left", "ribs": "5, 7"}
+    served.bench.jobs.table.ask_cancel(job.id)
+    go(tab, "/")
+    go(tab, f"/subject/{served.key()}/run")
+    # What belongs to an angle is not sent with another target.
+    tab.run("(document.querySelector('#start-plan').closest('details').open = true, 1)")
+    chosen(tab, "#o-plan-target", "cobb")
+    fill(tab, "#o-plan-under", "right,8,60")
+    chosen(tab, "#o-plan-target", "tissue")
+    tab.until("!document.querySelector('#start-plan').disabled")
+    click(tab, "#start-plan")
+    tab.wait(lambda: len(served.bench.jobs.table.jobs()) == 2)
+    assert {"target": "tissue"} in [one.options for one in served.bench.jobs.table.jobs()]

@@ -194,3 +194,91 @@ def test_views_markers_and_priors_are_checked_as_one_types(tab, root, serve, tmp
         tab.wait(lambda: "markers" not in read_json(root / "girl" / "subject.json")["pushes"][0])
         click(tab, "#undo-values")
         tab.wait(lambda: read_json(root / "girl" / "subject.json")["pushes"][0].get("markers") == markers)
+
+
+def test_a_known_length_is_typed_or_clicked_in_the_picture(tab, root, serve):
+    place = root / "girl" / "subject.json"
+    saved = "document.querySelector('.saved').innerText.startsWith('Saved')"
+    with serve(root) as served:
+        load(tab, served.address)
+        go(tab, f"/subject/{served.key()}/values")
+        tab.run("(document.querySelector('#xray').open = true, 1)")
+        click(tab, "#scale-add")
+        assert "scale" not in read_json(place).get("xray", {})
+        fill(tab, "#f-xray-scale-rest-frontal-object-mm", "25.4")
+        tab.until("document.querySelector('#f-xray-scale-rest-frontal-says').innerText.includes('both ends')")
+        assert tab.run("document.querySelector('.beam .t-on').textContent") == "object 25.4 mm"
+        fill(tab, "#f-xray-scale-rest-frontal-object-px", "100, 200\n180.5; 200")
+        tab.until(saved)
+        length = {"object_mm": 25.4, "object_px": [[100, 200], [180.5, 200]]}
+        assert read_json(place)["xray"]["scale"] == {"rest/frontal": length}
+        # The same by clicks: near the end, then exactly.
+        click(tab, ".pick")
+        tab.until("document.querySelector('.picked').innerText.startsWith('First end')")
+
+        def press(selector, along):
+            tab.run(f"(document.querySelector('{selector}').scrollIntoView({{block: 'center'}}), 1)")
+            at = f"r => [r.x + r.width * {along}, r.y + r.height / 2]"
+            point = tuple(tab.run(f"({at})(document.querySelector('{selector}').getBoundingClientRect())"))
+            tab.drag(point, point)
+
+        for along in (0.25, 0.5):
+            tab.run("(document.querySelector('.near').width = 1, 1)")
+            press(".ends", along)
+            tab.until("document.querySelector('.near').width == 480")
+            press(".ends.near", 0.5)
+        tab.until(saved)
+        tab.wait(lambda: read_json(place)["xray"]["scale"]["rest/frontal"]["object_px"] != length["object_px"])
+        (one, other) = read_json(place)["xray"]["scale"]["rest/frontal"]["object_px"]
+        # The picture has 448 columns and 640 rows; the enlarged part begins at a whole pixel.
+        assert abs(one[0] - 111.5) < 2.5 and abs(other[0] - 223.5) < 2.5 and abs(one[1] - 319.5) < 2.5
+        chosen(tab, "#scale-image", "push/a")
+        chosen(tab, "#scale-kind", "vertebra")
+        click(tab, "#scale-add")
+        chosen(tab, "#f-xray-scale-push-a-vertebra", "L1")
+        fill(tab, "#f-xray-scale-push-a-width-mm", "42")
+        tab.wait(lambda: read_json(place)["xray"]["scale"].get("push/a") == {"vertebra": "L1", "width_mm": 42})
+        click(tab, "[data-scale='rest/frontal'] > button")
+        tab.wait(lambda: set(read_json(place)["xray"]["scale"]) == {"push/a"})
+        tab.until(saved)
+        click(tab, "#undo-values")
+        tab.wait(lambda: set(read_json(place)["xray"]["scale"]) == {"push/a", "rest/frontal"})
+
+
+def test_single_pictures_are_marked_and_made_one_push(tab, root, serve, tmp_path):
+    for name, time in (("I1", "101000"), ("I2", "104500"), ("I3", "103000"), ("I4", "103500")):
+        export(tmp_path / "in" / name, time=time, patient="")
+    uses = "[...document.querySelectorAll('tbody b')].map(one => one.innerText).join()"
+    before = "rest, frontal,left out,left out,left out"
+    with serve(root) as served:
+        load(tab, served.address)
+        go(tab, "/new")
+        files(tab, "#files", sorted((tmp_path / "in").iterdir()))
+        tab.until("!!document.querySelector('#join')")
+        assert tab.run(uses) == before and "mark it with the others of that push" in text(tab, "tbody")
+        click(tab, "#join")
+        tab.until("document.querySelector('#problem').innerText.includes('mark two or more')")
+        for name in ("I2", "I3", "I4"):
+            click(tab, f"input[type=checkbox][value='{name}']")
+        click(tab, "#join")
+        tab.until("!!document.querySelector('#joined [aria-label]')")
+        assert tab.run(uses) == "rest, frontal,push 1, frame 0,push 1, frame 1,push 1, frame 2"
+        assert "One push of 3 pictures, from the first frame on: I3, I4, I2" in text(tab, "#joined")
+        click(tab, "#undo button")
+        tab.until(f"{uses} == '{before}'")
+        for name in ("I2", "I3"):
+            click(tab, f"input[type=checkbox][value='{name}']")
+        click(tab, "#join")
+        tab.until("document.querySelector('#joined').innerText.includes('I3, I2')")
+        click(tab, "#joined [aria-label]")
+        tab.until(f"{uses} == '{before}'")
+        for name in ("I2", "I3"):
+            click(tab, f"input[type=checkbox][value='{name}']")
+        click(tab, "#join")
+        tab.until("document.querySelector('#joined').innerText.includes('I3, I2')")
+        fill(tab, "#name", "girl-05")
+        click(tab, "#make")
+        tab.until("!!document.querySelector('#f-age')")
+        assert tab.run("document.querySelector('#undo').hidden")
+        assert len(read_json(root / "girl-05" / "subject.json")["pushes"][0]["forces_n"]) == 2
+        assert tab.complaints == []

@@ -18,7 +18,7 @@ from spinestiff.subject.intake.adding import read_standing
 from spinestiff.subject.intake.collecting import collect
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.run_record import record_step, step_record
-from spinestiff.workbench import replacing, trash
+from spinestiff.workbench import marks, replacing, trash
 from spinestiff.workbench.trash import Trash
 from unannotated import drawn
 
@@ -109,9 +109,9 @@ def test_a_draft_goes_and_comes_with_its_picture(served, girl, tmp_path):
 
 
 def test_the_same_marks_in_another_picture_are_no_reason_to_keep_a_result(served, girl, tmp_path):
-    marks = (girl / "annotation.json").read_bytes()
+    drawn_before = (girl / "annotation.json").read_bytes()
     replaced(served, wish(served, tmp_path)[0])
-    (girl / "annotation.json").write_bytes(marks)
+    (girl / "annotation.json").write_bytes(drawn_before)
     assert stale(served) == (["rest/frontal.dcm"],) * 2
 
 
@@ -175,7 +175,7 @@ def test_what_can_not_take_the_place_is_refused_and_changes_nothing(served, girl
         write_json(path, data)
 
     source = tmp_path / "new" / "I9"
-    monkeypatch.setattr(replacing, "write_json", full)
+    monkeypatch.setattr(marks, "write_json", full)
     with pytest.raises(SubjectError, match=r"the disk is full.*nothing was changed"):
         served.bench.trash.replace(girl, "rest/frontal", source, file_digest(source))
     assert content_of(girl) == before and served.good("GET", "/api/trash")["trash"] == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import signal
 import sys
 import time
@@ -18,15 +19,20 @@ import pytest
 from asking import wait_for
 from hospital import disc, export, gauged
 from spinestiff.annotate.draft import DraftImage
+from spinestiff.app.plan import wish_of
+from spinestiff.errors import OptionError
 from spinestiff.files import read_json, write_json
 from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.folder import read_subject, read_unannotated, write_annotation
+from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
+from spinestiff.subject.run_record import record_step, step_record, write_outcome
 from spinestiff.workbench import parcel
 from spinestiff.workbench.job_process import start_job
 from spinestiff.workbench.job_table import LOST_S, JobTable
 from spinestiff.workbench.parcel import nameless_parcel
 from spinestiff.workbench.rooms import open_root
 from spinestiff.workbench.unzip import unzip
+from spinestiff.workbench.verbs import command_of
 from unannotated import CANARY, drawn
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="processes as POSIX has them")
@@ -410,3 +416,42 @@ def test_the_annotation_page_is_a_room_of_its_own(served, root):
     sent = {"values": {**form["values"], "height_cm": 150}, "revision": form["revision"]}
     served.good("PUT", f"/api/subjects/{served.key()}/form", sent)
     assert set(served.good("GET", f"{page}/api/session")["marks"]) == {"rest/frontal"}
+
+
+def test_a_plan_may_be_asked_all_that_the_command_line_takes():
+    given = {"target": "cobb", "under": "right, 8,60", "side": "left", "ribs": " 5, 7.5", "views": "frontal"}
+    assert command_of("plan", given) == [
+        "plan", ".", "--target=cobb", "--under=right,8,60", "--side=left", "--ribs=5,7.5", "--views=frontal"
+    ]  # fmt: skip
+    assert command_of("plan", {"ribs": ""}) == ["plan", "."]
+    wish_of("cobb", 80.0, 8.0, "left", "5,7.5", "right,8,60", 500.0, "frontal")
+    for wrong, words in (
+        ({"target": "cobb"}, "Under which push: wanted e.g. right,8,60"),
+        ({"target": "cobb", "under": " "}, "Under which push: wanted"),
+        ({"target": "cobb", "under": "up,8,60"}, "found 'up,8,60', wanted e.g. right,8,60"),
+        ({"ribs": "5 7"}, "Ribs to push: found '5 7', wanted e.g. 5,7,9"),
+        ({"ribs": "13"}, "Ribs to push"),
+        ({"ribs": "5,--write"}, "Ribs to push"),
+        ({"ribs": 5}, "Ribs to push"),
+    ):
+        with pytest.raises(OptionError, match=re.escape(words)):
+            command_of("plan", wrong)
+
+
+def test_a_plan_that_is_older_than_the_estimate_is_called_out_of_date(served, root):
+    folder = root / "girl"
+    push = PlannedPush(side="left", level=8.0, force_n=30.0, radiographs=2, expected_factor=1.4, factors={})
+    plan = Plan(target="bending", limit_n=30.0, basis="population", taken=0, now={}, now_deg=None, estimated={},
+                next=(push,), sequence=(PlanStep(push=push, exposures=2, pays=True),), taped=None)  # fmt: skip
+    (folder / "results").mkdir()
+    (folder / "results" / "estimate.json").write_text("{}", encoding="utf-8")
+    subject = read_unannotated(folder)
+    write_outcome(subject, plan)
+    made_from = step_record(subject, ["results/estimate.json", "subject.json: supports"], {})
+    record_step(subject, "plan", made_from, [folder / "results" / "plan.json"])
+    address = f"/api/subjects/{served.key()}/results"
+    found = served.good("GET", address)
+    assert any(line.startswith("best next: rib 8 left") for line in found["plan"]) and found["plan_stale"] == []
+    (folder / "results" / "estimate.json").write_text("{} ", encoding="utf-8")
+    write_json(folder / "subject.json", read_json(folder / "subject.json") | {"pelvis": "level"})
+    assert served.good("GET", address)["plan_stale"] == ["the estimate", "values: supports"]

@@ -20,6 +20,7 @@ from spinestiff.curves.cobb import CobbReading, read_cobb
 from spinestiff.curves.corner_files import ImageCorners, Side
 from spinestiff.errors import ChangedElsewhere, RadiographError, SpinestiffError, SubjectError
 from spinestiff.files import write_json
+from spinestiff.imaging.dicom.tags import MissingValue
 from spinestiff.imaging.features import picture_axes, view_kind
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.proposal import leans_of
@@ -47,12 +48,21 @@ from spinestiff.subject.folder import (
     write_annotation,
 )
 from spinestiff.subject.record_reading import complaint_of
-from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE
+from spinestiff.subject.records import (
+    ANNOTATION_FILE,
+    LATERAL,
+    REST_IMAGES,
+    SCHEMA_VERSION,
+    SUBJECT_FILE,
+    XRayRecord,
+)
 from spinestiff.words import counted
 
 # Images whose frames stay in memory; a push of 1024 x 1024 has a few megabytes a frame.
 KEPT = 3
 FRONTAL = "rest/frontal"
+STAND_IN_MM = 0.15
+"""Pixel where millimetres come from a vertebra that is still to be marked; no length is shown or kept."""
 SHOWN = 3
 """Of the values that subject.json does not know yet; ``spinestiff inspect`` lists all."""
 
@@ -261,13 +271,21 @@ class AnnotationSession:
         return replace(self.subject, annotation=Annotation(schema_version=SCHEMA_VERSION, images=images))
 
     def _read(self, name: str) -> Sequence[Radiograph]:
-        if name in REST_IMAGES:
-            return (read_rest(self.subject, "lateral" if name == LATERAL else "frontal"),)
-        if re.fullmatch(FURTHER_VIEW, name):
-            frame, view = self.subject.view(name)
-            push = self.subject.push(name.split("/")[1])
-            return (read_view(self.subject, push, view)[view.frames.index(frame)],)
-        return open_push(self.subject, self.subject.push(name.removeprefix("push/")))
+        xray = self.subject.record.xray
+        scale = (xray.scale or {}).get(name)
+        if scale is None or scale.vertebra is None:
+            return _frames_of(self.subject, name)
+        # The vertebra whose width is known is marked here, so that the picture has to be shown without its millimetres.
+        without = xray.model_copy(
+            update={"scale": {key: one for key, one in (xray.scale or {}).items() if key != name}}
+        )
+        try:
+            return _frames_of(self._with_xray(without), name)
+        except MissingValue:
+            return _frames_of(self._with_xray(without.model_copy(update={"imager_pixel_mm": STAND_IN_MM})), name)
+
+    def _with_xray(self, xray: XRayRecord) -> Subject:
+        return replace(self.subject, record=self.subject.record.model_copy(update={"xray": xray}))
 
     def _complete(self, name: str, marks: DraftImage) -> ImageAnnotation | None:
         try:
@@ -332,6 +350,16 @@ def pictures_on_disk(folder: Path) -> tuple[tuple[str, int, int, int], ...]:
     found = {name: folder / place for name, place in REST_IMAGES.items()}
     there = {name: path.stat() for name, path in found.items() if path.exists()}
     return tuple((name, one.st_ino, one.st_size, one.st_mtime_ns) for name, one in there.items())
+
+
+def _frames_of(subject: Subject, name: str) -> Sequence[Radiograph]:
+    if name in REST_IMAGES:
+        return (read_rest(subject, "lateral" if name == LATERAL else "frontal"),)
+    if re.fullmatch(FURTHER_VIEW, name):
+        frame, view = subject.view(name)
+        push = subject.push(name.split("/")[1])
+        return (read_view(subject, push, view)[view.frames.index(frame)],)
+    return open_push(subject, subject.push(name.removeprefix("push/")))
 
 
 def image_of(name: str) -> str:

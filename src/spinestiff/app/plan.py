@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from spinestiff.app import tables
-from spinestiff.errors import OptionError
+from spinestiff.errors import OptionError, SpinestiffError
 from spinestiff.files import write_bytes, write_text
 from spinestiff.observer import Observer, heard
 from spinestiff.study.plan import RIBS, ROUNDING, SIDES, VIEWS, Frame, Wish, make_plan
@@ -103,7 +103,7 @@ def _frame(text: str, largest: float) -> Frame:
 def plan_next(visit: Visit, wish: Wish, observer: Observer | None) -> Plan:
     """Plan, and write ``plan.json``, ``plan.png`` and ``protocol.html`` into ``results/``.
 
-    The torso is shaped first if it has not been.
+    The torso is shaped first if it has not been. A report that is there is made anew, so that it shows this plan.
 
     Raises
     ------
@@ -115,6 +115,11 @@ def plan_next(visit: Visit, wish: Wish, observer: Observer | None) -> Plan:
     with logged_step(Plan.STEP):
         plan = make_plan(scene_of(visit), wish, lambda line: say(f"{Plan.STEP}: {line}"))
         _write(visit, plan, wish)
+    if "report" in recorded_steps(visit.subject):
+        try:
+            run_steps(visit, ("report",), observer)
+        except SpinestiffError as problem:
+            say(f"{Plan.STEP}: the report does not show this plan yet: {problem}")
     return plan
 
 

@@ -113,7 +113,7 @@ def add(standing: Standing, export: Export, wish: Wish) -> list[str]:
 
 def _added(standing: Standing, export: Export, wish: Wish) -> tuple[Addition, dict[str, Any], list[str]]:
     chosen = export.study(wish)
-    addition = sort_addition(standing, chosen, wish.rows, *wish.rest(chosen))
+    addition = sort_addition(standing, chosen, wish.rows, *wish.rest(chosen), wish.pushes(chosen))
     told, _ = person_of(chosen)
     data, notes = added_data(standing, addition, told)
     return addition, data, notes

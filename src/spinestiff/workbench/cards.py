@@ -79,7 +79,12 @@ def stale(subject: Subject, changed: Callable[[Subject, str], tuple[str, ...]]) 
     report = recorded_steps(subject).get("report")
     if report is not None and os.path.lexists(subject.image_path(LATERAL)):
         names |= {REST_IMAGES[LATERAL]} - set(report.inputs)
-    return sorted(name.replace(SUBJECT_FILE, "values").replace(ANNOTATION_FILE, "annotation") for name in names)
+    return sorted(map(in_words, names))
+
+
+def in_words(name: str) -> str:
+    """An input of a step as the page calls it."""
+    return name.replace(SUBJECT_FILE, "values").replace(ANNOTATION_FILE, "annotation")
 
 
 def _stage(subject: Subject) -> tuple[str, list[str]]:

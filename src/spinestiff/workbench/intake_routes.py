@@ -42,6 +42,7 @@ class Announce(Sent):
 class Look(Sent):
     """An upload, a folder on this machine or, with a table of pushes, neither, and what somebody says of it.
 
+    ``joined`` : names of radiographs of one frame each that are one push, a list a push.
     ``subject`` : key of the one that it is to be added to; None: a new one.
     ``replaces`` : the radiograph at rest of that subject whose place one of them takes; None: all are added.
     """
@@ -52,12 +53,15 @@ class Look(Sent):
     frontal: Name | None = None
     lateral: Name | None = None
     table: str | None = None
+    joined: Annotated[list[Annotated[list[Name], Field(max_length=1000)]], Field(max_length=100)] = Field(
+        default_factory=list
+    )
     subject: Key | None = None
     replaces: Literal["rest/frontal", "rest/lateral"] | None = None
 
     @property
     def wish(self) -> Wish:
-        return Wish(self.study, self.frontal, self.lateral, self.table)
+        return Wish(self.study, self.frontal, self.lateral, self.table, tuple(map(tuple, self.joined)))
 
 
 class Make(Look):
@@ -198,6 +202,15 @@ def add_intake(app: FastAPI, bench: Bench) -> None:
     @app.get("/api/subjects/{key}/radiographs")
     def radiographs(key: str) -> dict[str, Any]:
         return radiographs_record(exports.standing(key))
+
+    @app.get("/api/subjects/{key}/radiograph")
+    def radiograph(key: str, image: str, wide: int, tall: int, part: str = "") -> Response:
+        standing = exports.standing(key)
+        one = next((one for one in standing.files if standing.images[one.name] == image), None)
+        if one is None:
+            raise NotThere("this radiograph is not there, or can't be read")
+        content, about = thumbnail(one, wide, tall, part)
+        return Response(content, media_type="application/octet-stream", headers={"x-radiograph": json.dumps(about)})
 
     @app.post("/api/subjects/{key}/radiographs")
     def extend(key: str, body: Body) -> dict[str, Any]:

@@ -31,6 +31,8 @@ _OPTIONS = (
     ("named by --", "chosen as the radiograph at rest, "),
     ("but --frontal names another", "but another was chosen"),
     ("but --lateral names another", "but another was chosen"),
+    ("if it shows a push, name it in --pushes", "if it shows a push, mark it with the others of that push"),
+    ("a push; name it in --pushes", "a push; mark it with the others of that push"),
     ("--pushes", "the table of pushes"),
 )
 """Words of ``sorting`` that name options of the command line, and what stands for them on the page."""
@@ -38,14 +40,15 @@ _OPTIONS = (
 
 @dataclass(frozen=True)
 class Wish:
-    """What somebody says of radiographs: which study, which are the rest ones (names as they were shown), and the text
-    of a table of pushes.
+    """What somebody says of radiographs: which study, which are the rest ones and which single ones are one push each,
+    by names as they were shown, and the text of a table of pushes.
     """
 
     study: str | None = None
     frontal: str | None = None
     lateral: str | None = None
     table: str | None = None
+    joined: tuple[tuple[str, ...], ...] = ()
 
     @property
     def rows(self) -> tuple[TableRow, ...] | None:
@@ -61,6 +64,13 @@ class Wish:
         names = (self.frontal, self.lateral)
         frontal, lateral = (None if name is None else _one(by_name(name, found, "the request")) for name in names)
         return frontal, lateral
+
+    def pushes(self, found: Sequence[Exported]) -> list[list[Exported]]:
+        """The radiographs of each push of single ones, among those found. Raises SubjectError."""
+        by_names = {one.name: one for one in found}
+        for name in [name for names in self.joined for name in names if name not in by_names]:
+            raise SubjectError(f"the request: no radiograph {name[:80]!r}")
+        return [[by_names[name] for name in dict.fromkeys(names)] for names in self.joined]
 
 
 @dataclass(frozen=True)
@@ -155,7 +165,7 @@ def make_newcomer(root: Root, name: str, export: Export, wish: Wish, person: Map
 def _sorted(export: Export, wish: Wish) -> tuple[tuple[Exported, ...], Sorting]:
     chosen, rows = export.study(wish), wish.rows
     table = None if rows is None else pushes_of(TABLE, rows, chosen)
-    return chosen, sort_files(chosen, table, *wish.rest(chosen))
+    return chosen, sort_files(chosen, table, *wish.rest(chosen), wish.pushes(chosen))
 
 
 def _one(found: Sequence[Exported]) -> Exported:

@@ -6,49 +6,24 @@ it goes, and comes back with it.
 
 from __future__ import annotations
 
-import os
 import secrets
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spinestiff.annotate.draft import DRAFT_FILE
 from spinestiff.errors import SubjectError
-from spinestiff.files import copy_known, parse_json, read_text, trouble, write_json, write_text
+from spinestiff.files import copy_known, trouble
 from spinestiff.imaging.dicom.export import Exported
-from spinestiff.subject.gaps import check_open_record
 from spinestiff.subject.intake.adding import Standing, check_patient
 from spinestiff.subject.intake.collecting import studies
 from spinestiff.subject.intake.pictures import Album
 from spinestiff.subject.lock import sole_run
-from spinestiff.subject.records import ANNOTATION_FILE, REST_IMAGES, RESULTS, SUBJECT_FILE
+from spinestiff.subject.records import REST_IMAGES, RESULTS
 from spinestiff.subject.run_record import RUN_FILE
 from spinestiff.words import counted
+from spinestiff.workbench.marks import Marks, contents_of, joined, marks_of, parted, put_back, texts_of, write_changed
 from spinestiff.workbench.newcomer import Export, Wish, look_record
-
-
-@dataclass(frozen=True)
-class Marks:
-    """What was marked in one rest radiograph, as JSON in the subject's files; None: nothing.
-
-    Attributes
-    ----------
-    annotation, draft : of ``annotation.json`` and ``annotation.draft.json``: corners and pedicles in pixels.
-    scale : a known length in pixels, of ``xray.scale`` in ``subject.json``.
-    """
-
-    annotation: Any = None
-    draft: Any = None
-    scale: Any = None
-
-    @property
-    def vertebrae(self) -> int:
-        """How many have corners; where both files have some, those of the draft count."""
-        shown = self.annotation if self.draft is None else self.draft
-        marked = shown.get("vertebrae") if isinstance(shown, dict) else None
-        return len(marked) if isinstance(marked, dict) else 0
 
 
 @dataclass(frozen=True)
@@ -157,11 +132,6 @@ def _chosen(standing: Standing, export: Export, wish: Wish, image: str) -> Choic
     return choose(standing, chosen, image, named)
 
 
-def marks_of(folder: Path, image: str) -> Marks:
-    """What is marked in a rest radiograph. Raises SubjectError for files that can't be read."""
-    return _parted(_contents(_texts(folder)), image)[1]
-
-
 def exchange(folder: Path, image: str, source: Path, sha256: str, marks: Marks, keep: Callable[[Marks], Path]) -> None:
     """Put a copy of a file in the place of a rest radiograph, with what was marked in it: all of it, or nothing.
 
@@ -184,10 +154,10 @@ def exchange(folder: Path, image: str, source: Path, sha256: str, marks: Marks, 
     with sole_run(folder):
         if target.is_symlink() or target.parent.is_symlink():
             raise SubjectError(f"{REST_IMAGES[image]}: is a link, which is not replaced; put a file there by hand")
-        texts = _texts(folder)
-        before = _contents(texts)
-        bare, gone = _parted(before, image)
-        after = _joined(bare, image, marks)
+        texts = texts_of(folder)
+        before = contents_of(texts)
+        bare, gone = parted(before, image)
+        after = joined(bare, image, marks)
         there = target.exists()
         place: Path | None = None
         try:
@@ -195,17 +165,17 @@ def exchange(folder: Path, image: str, source: Path, sha256: str, marks: Marks, 
             copy_known(source, draft, sha256, "the radiograph")
             if there:
                 place = keep(gone)
-            _write(folder, before, bare)
+            write_changed(folder, before, bare)
             if place is not None:
                 target.rename(place)
             draft.rename(target)
-            _write(folder, bare, after)
+            write_changed(folder, bare, after)
         except BaseException as problem:
             if not there:
                 target.unlink(missing_ok=True)
             elif place is not None and place.exists():
                 place.replace(target)
-            _put_back(folder, texts)
+            put_back(folder, texts)
             if isinstance(problem, OSError):
                 raise SubjectError(
                     f"the radiograph can't be replaced ({trouble(problem)}); nothing was changed"
@@ -213,79 +183,3 @@ def exchange(folder: Path, image: str, source: Path, sha256: str, marks: Marks, 
             raise
         finally:
             draft.unlink(missing_ok=True)
-
-
-_FILES = (SUBJECT_FILE, ANNOTATION_FILE, DRAFT_FILE)
-Contents = dict[str, Any]
-"""By name of the file its JSON; None where it is not there."""
-
-
-def _texts(folder: Path) -> dict[str, str | None]:
-    return {name: read_text(folder / name) if os.path.lexists(folder / name) else None for name in _FILES}
-
-
-def _contents(texts: dict[str, str | None]) -> Contents:
-    """Raises SubjectError for a file that is no JSON object, and a subject that the schema does not allow."""
-    found = {name: None if text is None else parse_json(text, name) for name, text in texts.items()}
-    if name := next((name for name, one in found.items() if one is not None and not isinstance(one, dict)), None):
-        raise SubjectError(f"{name}: wanted an object")
-    check_open_record(found[SUBJECT_FILE] or {})
-    return found
-
-
-def _put_back(folder: Path, texts: dict[str, str | None]) -> None:
-    """The files as they were, as far as they can be written."""
-    for name, text in texts.items():
-        with suppress(SubjectError):
-            if text is None:
-                (folder / name).unlink(missing_ok=True)
-            elif read_text(folder / name) != text:
-                write_text(folder / name, text)
-
-
-def _images(content: Any) -> dict[str, Any]:
-    images = content.get("images") if isinstance(content, dict) else None
-    return images if isinstance(images, dict) else {}
-
-
-def _scales(content: Any) -> dict[str, Any]:
-    xray = content.get("xray") if isinstance(content, dict) else None
-    scales = xray.get("scale") if isinstance(xray, dict) else None
-    return scales if isinstance(scales, dict) else {}
-
-
-def _parted(contents: Contents, image: str) -> tuple[Contents, Marks]:
-    """The files without what is marked in an image, and that."""
-    subject, annotation, draft = (contents[name] for name in (SUBJECT_FILE, ANNOTATION_FILE, DRAFT_FILE))
-    marks = Marks(_images(annotation).get(image), _images(draft).get(image), _scales(subject).get(image))
-    return _joined(contents, image, Marks()), marks
-
-
-def _joined(contents: Contents, image: str, marks: Marks) -> Contents:
-    """The files with these marks in an image and no others. Raises SubjectError as ``check_open_record``."""
-    found = dict(contents)
-    for name, marked in ((ANNOTATION_FILE, marks.annotation), (DRAFT_FILE, marks.draft)):
-        content = contents[name] or {"schema_version": 1, "images": {}}
-        images = {key: value for key, value in _images(content).items() if key != image}
-        images |= {} if marked is None else {image: marked}
-        if images != _images(content):
-            found[name] = {**content, "images": images} if images else None
-    subject = contents[SUBJECT_FILE]
-    scales = {key: value for key, value in _scales(subject).items() if key != image}
-    scales |= {} if marks.scale is None else {image: marks.scale}
-    if scales != _scales(subject):
-        xray = {key: value for key, value in (subject.get("xray") or {}).items() if key != "scale"}
-        found[SUBJECT_FILE] = {**subject, "xray": {**xray, "scale": scales} if scales else xray}
-        check_open_record(found[SUBJECT_FILE])
-    return found
-
-
-def _write(folder: Path, now: Contents, wanted: Contents) -> None:
-    """Write the files that are not as wanted, and remove those that are wanted no longer."""
-    for name, content in wanted.items():
-        if content == now[name]:
-            continue
-        if content is None:
-            (folder / name).unlink(missing_ok=True)
-        else:
-            write_json(folder / name, content)

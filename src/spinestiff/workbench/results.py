@@ -5,18 +5,19 @@ from __future__ import annotations
 import secrets
 import threading
 import time
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from spinestiff.errors import NotThere, SpinestiffError, SubjectError
 from spinestiff.files import regular_file
 from spinestiff.study.plan_words import plan_lines
-from spinestiff.subject.folder import Subject, read_unannotated
+from spinestiff.subject.folder import Subject, read_annotation, read_unannotated
 from spinestiff.subject.plan_outcome import Plan
-from spinestiff.subject.records import RESULTS
+from spinestiff.subject.records import ANNOTATION_FILE, RESULTS
 from spinestiff.subject.run_record import changed_inputs, read_outcome, recorded_steps
-from spinestiff.workbench.cards import result, stale
+from spinestiff.workbench.cards import in_words, result, stale
 
 PAGES = {
     "report.html": "Report",
@@ -65,6 +66,7 @@ def results_record(folder: Path) -> dict[str, Any]:
         "pictures": [{"name": name, "title": there[name]} for name in PICTURES if name in there],
         "result": result(subject),
         "plan": _plan(subject),
+        "plan_stale": _plan_stale(subject),
         "stale": _stale(subject),
     }
 
@@ -76,6 +78,20 @@ def _plan(subject: Subject) -> list[str]:
         return list(plan_lines(read_outcome(subject, Plan)))
     except SpinestiffError:
         return []
+
+
+def _plan_stale(subject: Subject) -> list[str]:
+    """What has changed since the plan was made, in words: the estimate, or what it came from."""
+    if Plan.STEP not in recorded_steps(subject):
+        return []
+    with suppress(SpinestiffError):
+        subject = replace(subject, annotation=read_annotation(subject.folder / ANNOTATION_FILE))
+    try:
+        names = changed_inputs(subject, Plan.STEP)
+    except SpinestiffError as error:
+        return [" ".join(str(error).replace(f"{subject.folder}/", "").split())]
+    words = ["the estimate" if name.startswith(f"{RESULTS}/") else in_words(name) for name in names]
+    return sorted(dict.fromkeys(words))
 
 
 def _stale(subject: Subject) -> list[str]:

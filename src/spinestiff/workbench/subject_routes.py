@@ -30,6 +30,12 @@ class Save(Sent):
     revision: Annotated[str, Field(max_length=64)]
 
 
+class Push(Sent):
+    """A push, by its id."""
+
+    push: Annotated[str, Field(max_length=64)]
+
+
 class Log(Sent):
     """A gauge's log of a push, and what somebody says of it."""
 
@@ -59,6 +65,13 @@ def add_subjects(app: FastAPI, bench: Bench) -> None:
         folder = root.subject(key)
         bench.refuse_busy(key)
         return {"trash": bench.trash.remove(folder)}
+
+    @app.post("/api/subjects/{key}/pushes/remove")
+    def remove_push(key: str, body: Body) -> dict[str, Any]:
+        asked, folder = sent(body, Push), root.subject(key)
+        bench.refuse_busy(key)
+        trash, lines = bench.trash.remove_push(folder, asked.push)
+        return {"trash": trash, "lines": lines}
 
     @app.get("/api/subjects/{key}/form")
     def form(key: str) -> dict[str, Any]:

@@ -13,11 +13,11 @@ WIDE, TALL = 96, 128
 """Pixels: enough to tell a spine from the side from one from the front, too few for a name that is burned in."""
 
 
-def thumbnail(one: Exported) -> tuple[bytes, dict[str, Any]]:
+def thumbnail(one: Exported, wide: int = WIDE, tall: int = TALL, part: str = "") -> tuple[bytes, dict[str, Any]]:
     """Grey values of a radiograph's first frame, and their columns, rows and window, as ``annotate.pictures`` gives
     them. Raises RadiographError where the file can no longer be read.
     """
     within = one.path.parent
     frames = read_frames(one.path, Geometry(), within)
     scan = read_scan(one.path, Geometry(), within) if frames is None else frames.frame(0)
-    return greys(scan.pixels[0], WIDE, TALL)
+    return greys(scan.pixels[0], wide, tall, part)

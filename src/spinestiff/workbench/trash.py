@@ -1,8 +1,8 @@
-"""Subjects that were removed and rest radiographs that were replaced lie in a trash until somebody deletes them for
-good; until then they can be put back.
+"""Subjects and pushes that were removed and rest radiographs that were replaced lie in a trash until somebody deletes
+them for good; until then they can be put back.
 
-A place in the trash holds a subject's folder, or a radiograph beside ``radiograph.json``, which says whose it was and
-what was marked in it.
+A place in the trash holds a subject's folder; or a radiograph beside ``radiograph.json``, which says whose it was and
+what was marked in it; or ``push.json``, which says the same of a push, whose radiographs stay in the subject.
 """
 
 from __future__ import annotations
@@ -20,10 +20,12 @@ from spinestiff.imaging.dicom.export import read_exported
 from spinestiff.subject.intake.adding import check_patient, read_standing
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.records import REST_IMAGES, SUBJECT_FILE
-from spinestiff.workbench.replacing import Marks, exchange
+from spinestiff.workbench.marks import Marks
+from spinestiff.workbench.push_removal import RemovedPush, read_removed, record_of, remove_push, return_push
+from spinestiff.workbench.replacing import exchange
 from spinestiff.workbench.rooms import KEY, Root
 
-RECORD = "radiograph.json"
+RECORD, PUSH_RECORD = "radiograph.json", "push.json"
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,25 @@ class Trash:
             raise
         return key if place.is_dir() else None
 
+    def remove_push(self, folder: Path, push: str) -> tuple[str, list[str]]:
+        """Take a push out of a subject; returns its key in the trash, and what that entails, a line each.
+
+        Raises
+        ------
+        SpinestiffError : as ``push_removal.remove_push``; all is as it was then.
+        """
+        key = secrets.token_hex(8)
+        place = self.folder / key
+
+        def keep(removed: RemovedPush) -> None:
+            write_json(place / PUSH_RECORD, record_of(folder.name, removed))
+
+        try:
+            return key, remove_push(folder, push, keep)
+        except BaseException:
+            shutil.rmtree(place, ignore_errors=True)
+            raise
+
     def listed(self) -> list[dict[str, Any]]:
         """What is in the trash, the latest first."""
         places = [one for one in listed(self.folder, SubjectError) if self._holds(one)] if self.folder.is_dir() else []
@@ -94,16 +115,22 @@ class Trash:
         return sorted(found, key=lambda one: -float(one["removed"]))
 
     def _told(self, place: Path) -> dict[str, Any]:
-        if not (place / RECORD).is_file():
-            return {"name": self._subject(place).name, "image": None, "vertebrae": 0}
+        bare = {"image": None, "push": None, "vertebrae": 0}
         try:
-            replaced = self._replaced(place)
+            if (place / PUSH_RECORD).is_file():
+                name, removed = self._push(place)
+                return {**bare, "name": name, "push": removed.name, "vertebrae": removed.vertebrae}
+            if (place / RECORD).is_file():
+                replaced = self._replaced(place)
+                vertebrae = replaced.marks.vertebrae
+                return {**bare, "name": replaced.subject, "image": replaced.image, "vertebrae": vertebrae}
         except SpinestiffError:
-            return {"name": "a radiograph that can't be put back", "image": None, "vertebrae": 0}
-        return {"name": replaced.subject, "image": replaced.image, "vertebrae": replaced.marks.vertebrae}
+            what = "push" if (place / PUSH_RECORD).is_file() else "radiograph"
+            return {**bare, "name": f"a {what} that can't be put back"}
+        return {**bare, "name": self._subject(place).name}
 
     def restore(self, key: str) -> tuple[str, str | None]:
-        """Put back a subject, or a radiograph in the place of the present one, which comes here.
+        """Put back a subject, a push, or a radiograph in the place of the present one, which comes here.
 
         Returns
         -------
@@ -112,10 +139,15 @@ class Trash:
         Raises
         ------
         NotThere : nothing of this key.
-        SubjectError : the name of the subject is taken; the subject of a radiograph is not there, or is another
-            patient's; otherwise as ``replace``.
+        SubjectError : the name of the subject is taken; the subject of a radiograph or push is not there, or is another
+            patient's; otherwise as ``replace`` and ``push_removal.return_push``.
         """
         place = self._place(key)
+        if (place / PUSH_RECORD).is_file():
+            name, removed = self._push(place)
+            return_push(self._standing(name), removed)
+            shutil.rmtree(place)
+            return self.root.key_of(name), None
         if not (place / RECORD).is_file():
             inside = self._subject(place)
             target = self.root.new_subject(inside.name)
@@ -123,9 +155,7 @@ class Trash:
             place.rmdir()
             return self.root.key_of(target.name), None
         replaced = self._replaced(place)
-        folder = self.root.path / replaced.subject
-        if not (folder / SUBJECT_FILE).is_file() or folder.is_symlink():
-            raise SubjectError(f"the subject {replaced.subject} is not there, or no longer; put it back first")
+        folder = self._standing(replaced.subject)
         file = place / Path(REST_IMAGES[replaced.image]).name
         digest = _checked(folder, replaced.image, file)
         gone = self.replace(folder, replaced.image, file, digest, replaced.marks)
@@ -133,12 +163,15 @@ class Trash:
         return self.root.key_of(replaced.subject), gone
 
     def subject_of(self, key: str) -> str | None:
-        """The key of the subject that a radiograph belonged to; None for a subject. Raises NotThere, SubjectError."""
+        """The key of the subject that a radiograph or push belonged to; None for a subject. Raises NotThere,
+        SubjectError."""
         place = self._place(key)
+        if (place / PUSH_RECORD).is_file():
+            return self.root.key_of(self._push(place)[0])
         return self.root.key_of(self._replaced(place).subject) if (place / RECORD).is_file() else None
 
     def delete(self, key: str) -> None:
-        """Delete a subject or a radiograph for good. Raises NotThere."""
+        """Delete a subject, a radiograph or what is known of a push for good. Raises NotThere."""
         shutil.rmtree(self._place(key))
 
     def _holds(self, place: Path) -> bool:
@@ -148,6 +181,8 @@ class Trash:
         inside = listed(place, SubjectError)
         if (place / RECORD).is_file():
             return len(inside) == 2
+        if (place / PUSH_RECORD).is_file():
+            return len(inside) == 1
         return len(inside) == 1 and inside[0].is_dir()
 
     def _place(self, key: str) -> Path:
@@ -158,6 +193,17 @@ class Trash:
 
     def _subject(self, place: Path) -> Path:
         return listed(place, SubjectError)[0]
+
+    def _standing(self, name: str) -> Path:
+        """The folder of a subject that something belonged to. Raises SubjectError."""
+        folder = self.root.path / name
+        if not (folder / SUBJECT_FILE).is_file() or folder.is_symlink():
+            raise SubjectError(f"the subject {name} is not there, or no longer; put it back first")
+        return folder
+
+    def _push(self, place: Path) -> tuple[str, RemovedPush]:
+        """Raises SubjectError where the record is not as ``remove_push`` wrote it."""
+        return read_removed(read_json(place / PUSH_RECORD))
 
     def _replaced(self, place: Path) -> Replaced:
         """Raises SubjectError where the record is not as ``replace`` wrote it."""

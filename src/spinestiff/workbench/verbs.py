@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -57,21 +58,50 @@ class Switch:
 
 
 @dataclass(frozen=True)
+class Text:
+    """An option that is a text of some form, given as an ``example``; empty: left out.
+
+    ``only`` : the value of another option with which it is asked, and needed; None: it may always be given.
+    """
+
+    title: str
+    pattern: str
+    example: str
+    help: str = ""
+    only: tuple[str, str] | None = None
+
+    def argument(self, name: str, value: Any) -> str:
+        """As the command line takes it, "" where it is left out. Raises OptionError."""
+        tidy = re.sub(r"\s*,\s*", ",", value.strip()) if isinstance(value, str) else None
+        if tidy is None or (tidy and not re.fullmatch(self.pattern, tidy)):
+            raise OptionError(f"{self.title}: found {str(value)[:40]!r}, wanted e.g. {self.example}")
+        return f"--{name}={tidy}" if tidy else ""
+
+
+Option = Choice | Number | Switch | Text
+
+
+@dataclass(frozen=True)
 class Verb:
     """A command that a job runs on a subject."""
 
     title: str
     about: str
-    options: Mapping[str, Choice | Number | Switch] = field(default_factory=dict)
+    options: Mapping[str, Option] = field(default_factory=dict)
     minutes: str = ""
 
     def arguments(self, verb: str, given: Mapping[str, Any]) -> list[str]:
-        """The command line in the subject's folder. Raises OptionError for options that the command has not."""
+        """The command line in the subject's folder. Raises OptionError for options that the command has not, and for
+        want of one that it needs."""
         found = [verb, "."]
         for name, value in given.items():
             if name not in self.options:
                 raise OptionError("the request: an option that this step has not")
             found.append(self.options[name].argument(name, value))
+        for name, option in self.options.items():
+            asked = isinstance(option, Text) and option.only is not None and given.get(option.only[0]) == option.only[1]
+            if asked and not str(given.get(name) or "").strip():
+                raise OptionError(f"{option.title}: wanted e.g. {option.example}")  # type: ignore[union-attr]
         return [one for one in found if one]
 
     def record(self) -> dict[str, Any]:
@@ -87,6 +117,7 @@ def _plain(value: Any) -> Any:
     return dict(value) if isinstance(value, Mapping) else value
 
 
+_RIB = r"(?:[1-9]|1[0-2])(?:\.\d)?"
 MESH = Choice("Mesh", {"fine": "fine: the result", "coarse": "coarse: a quick look, about a minute"})
 REFIT_MESH = Choice("Mesh of the refits", {"coarse": "coarse: some minutes", "fine": "fine: long"})
 REDO = Switch("Do everything again, also what has not changed")
@@ -100,13 +131,34 @@ VERBS: Mapping[str, Verb] = {
     ),
     "plan": Verb(
         "Plan the next push",
-        "Which side, rib and force would narrow the result most. It writes a sheet to print.",
+        "Which side, rib and force would narrow the result most. It writes a sheet to print, and the report anew.",
         {
-            "target": Choice("What is to become narrow", {"bending": "bending of the spine", "tissue": "soft tissue"}),
+            "target": Choice(
+                "What is to become narrow",
+                {
+                    "bending": "bending of the spine",
+                    "tissue": "soft tissue",
+                    "rotation": "axial rotation, where it is estimated",
+                    "cobb": "the Cobb angle under another push",
+                },
+            ),
+            "under": Text(
+                "Under which push",
+                rf"(left|right),{_RIB},\d{{1,3}}(\.\d)?",
+                "right,8,60",
+                "Side, rib, force in N.",
+                ("target", "cobb"),
+            ),
+            "side": Choice("Side to push", {"both": "left or right", "left": "left", "right": "right"}),
+            "ribs": Text("Ribs to push", rf"{_RIB}(,{_RIB}){{0,20}}", "5,7,9", "Empty: 5 to 10."),
+            "views": Choice(
+                "Radiographs of a pushed state",
+                {"both": "whichever narrows more", "frontal": "frontal", "frontal+lateral": "frontal and lateral"},
+            ),
             "limit": Number("Largest force", 5.0, 500.0, 80.0, "N"),
             "exposures": Number("Further radiographs at most", 2, 40, 8, "", True),
         },
-        "a minute",
+        "a minute or two",
     ),
     "sensitivity": Verb(
         "If something had been otherwise",

@@ -164,7 +164,9 @@ def test_what_next_is_the_plan_s_proposal_where_there_is_one(subject: Path) -> N
     path = visit.file(Estimate.FILE)
     path.write_text(path.read_text(encoding="utf-8") + " ", encoding="utf-8")
     register(visit.subject, "estimate", Estimate.FILE)
-    assert next_lines(visit, estimate)[0].startswith("a plan is not shown: results/plan.json was made before")
+    assert next_lines(visit, estimate)[0].startswith(
+        "the plan that is there is out of date and not shown: results/plan.json was made before"
+    )
 
 
 def test_what_is_worth_measuring_is_told_where_it_helps(finished) -> None:

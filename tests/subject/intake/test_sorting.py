@@ -174,3 +174,46 @@ def test_files_of_a_push_that_are_no_sequence_are_refused(exported, tmp_path):
     found = [exported("a", time=None, without=("InstanceNumber",)), exported("b", time=None)]
     with pytest.raises(SubjectError, match=r"^row 2 of the table of pushes: the push: neither all acquisition times"):
         sort_files(found, pushes_of(path, read_push_table(path), found))
+
+
+def test_single_pictures_are_one_push_where_the_user_says_so(exported):
+    """Each of a series of its own, minutes apart: nothing tells that they belong together."""
+    found = [exported(name, time=time) for name, time in
+             (("rest", "101000"), ("x", "103500"), ("y", "102000"), ("z", "102800"))]  # fmt: skip
+    assert names(sort_files(found)) == ("rest", None, [])
+    sorting = sort_files(found, joined=[found[1:]])
+    assert names(sorting) == ("rest", None, [["y", "z", "x"]])
+    (push,) = sorting.pushes
+    assert push.forces_n == (None,) * 3 and push.times_s == (0.0, 480.0, 900.0)
+    assert sorting.reasons["z"] == "chosen, with 2 more, as one push; in order of time"
+    # The first may be the one that would have been at rest.
+    assert names(sort_files(found, joined=[found[:2]])) == ("y", None, [["rest", "x"]])
+    # Without times by their numbers, beside what is found by itself.
+    found = [exported(name, time=None, InstanceNumber=number) for name, number in (("n2", 2), ("n1", 1))]
+    sorting = sort_files([*found, exported("I5", frames=2)], joined=[found])
+    assert names(sorting)[2] == [["I5"], ["n1", "n2"]] or names(sorting)[2] == [["n1", "n2"], ["I5"]]
+    assert sorting.reasons["n1"].endswith("in order of the numbers in their headers")
+
+
+def test_pictures_that_can_be_no_push_are_refused(exported, tmp_path):
+    found = [exported("a", time=None, without=("InstanceNumber",)), exported("b", time=None)]
+    side, several, front = exported("c", "lateral"), exported("d", frames=2), exported("e", time="102000")
+    other = exported("f", time="102100")
+    for joined, words in (
+        ([found], "^these pictures can't be one push: neither all acquisition times"),
+        ([[front]], "has 2 or more"),
+        ([[front, side]], "^c: lateral .*; pushes are seen from the front"),
+        ([[front, several]], "^d: 2 frames; a push is one such file"),
+        ([[front, other], [other, front]], "wanted it in one place"),
+    ):
+        with pytest.raises(SubjectError, match=words):
+            sort_files([*found, side, several, front, other], joined=joined)
+    with pytest.raises(SubjectError, match=r"^e: chosen for a push and for something else"):
+        sort_files([front, other], frontal=front, joined=[[front, other]])
+    path = tmp_path / "pushes.csv"
+    path.write_text(",".join(COLUMNS) + "\nd,0,0,left,5,400,66\ne,0,9,left,5,400,67\n")
+    table = pushes_of(path, read_push_table(path), [several, front])
+    with pytest.raises(SubjectError, match=r"^e: chosen for a push and in the table of pushes; keep one"):
+        sort_files(
+            [several, front, exported("f", time="102100")], table, joined=[[front, exported("f", time="102100")]]
+        )

@@ -14,7 +14,7 @@ export interface Card {
   id?: string; age?: number | null; sex?: string | null; height_cm?: number | null; pushes?: number; result?: Result | null; stale?: string[];
 }
 export interface Results {
-  pages: { name: string; title: string }[]; pictures: { name: string; title: string }[]; result: Result | null; plan: string[]; stale: string[]; ticket: string;
+  pages: { name: string; title: string }[]; pictures: { name: string; title: string }[]; result: Result | null; plan: string[]; plan_stale: string[]; stale: string[]; ticket: string;
 }
 export type Values = { [name: string]: unknown };
 export interface Schema {
@@ -26,13 +26,13 @@ export interface Choices { groups: { name: string; title: string; of: string }[]
 export interface Said { field: string; text: string }
 export interface Judged { problems: Said[]; open: Said[] }
 export interface Form extends Judged { schema: Schema; words: Record<string, { title?: string; unit?: string; help?: string; picture?: string }>; priors: Record<string, number>; choices: Choices; values: Values; revision: string }
-export interface Option { kind: "choice" | "number" | "switch"; title: string; words?: Record<string, string>; low?: number; high?: number; usual?: number; unit?: string; whole?: boolean }
+export interface Option { kind: "choice" | "number" | "switch" | "text"; title: string; example?: string; help?: string; only?: [string, string] | null; words?: Record<string, string>; low?: number; high?: number; usual?: number; unit?: string; whole?: boolean }
 export interface Verb { title: string; about: string; minutes: string; options: Record<string, Option> }
 export interface Look {
   studies: { label: string; words: string }[]; study: string | null; told: Values; notes: string[];
   files: { name: string; frames: number; view: string; use: string; why: string; held?: boolean }[]; left_out: { name: string; why: string }[]; left_out_in_all: number; changes?: string[];
 }
-export interface Asked { origin: "upload" | "source" | "none"; key: string; study?: string; frontal?: string; lateral?: string; table?: string; subject?: string; replaces?: string }
+export interface Asked { origin: "upload" | "source" | "none"; key: string; study?: string; frontal?: string; lateral?: string; table?: string; joined?: string[][]; subject?: string; replaces?: string }
 export interface Radiographs { files: { image: string; name: string; frames: number; use: string; version: string }[]; rest: string[] }
 export interface Markers { unit: string; axes: Record<string, string>; side: string; shown: Record<string, unknown> }
 
@@ -40,8 +40,9 @@ export const bench = (): Promise<{ version: string; read_only: boolean; upload_b
 export const subjects = async (): Promise<Card[]> => (await get<{ subjects: Card[] }>("/api/subjects")).subjects;
 export const subject = (key: string): Promise<Card> => get(`/api/subjects/${key}`);
 export const remove = (key: string): Promise<{ trash: string }> => send("DELETE", `/api/subjects/${key}`);
-/** A subject, or a radiograph at rest that was replaced: `image` says which, `vertebrae` how many are marked in it. */
-export interface Removed { key: string; name: string; removed: number; image: string | null; vertebrae: number }
+export const removePush = (key: string, push: string): Promise<{ trash: string; lines: string[] }> => send("POST", `/api/subjects/${key}/pushes/remove`, { push });
+/** A subject, a push of one, or a radiograph at rest that was replaced: `image` says which, `vertebrae` how many are marked in it. */
+export interface Removed { key: string; name: string; removed: number; image: string | null; push: string | null; vertebrae: number }
 export const trash = async (): Promise<Removed[]> => (await get<{ trash: Removed[] }>("/api/trash")).trash;
 export const restore = (key: string): Promise<{ key: string; trash: string | null }> => send("POST", `/api/trash/${key}/restore`);
 export const deleteForGood = (key: string): Promise<unknown> => send("DELETE", `/api/trash/${key}`);
@@ -67,6 +68,9 @@ export const look = (asked: Asked): Promise<Look> => send("POST", "/api/look", a
 export const lookPicture = (asked: Asked, name: string): Promise<Response> => ask("POST", "/api/look/picture", JSON.stringify({ ...asked, name }));
 export const discard = (upload: string): Promise<unknown> => send("DELETE", `/api/uploads/${upload}`);
 export const radiographs = (key: string): Promise<Radiographs> => get(`/api/subjects/${key}/radiographs`);
+/** A radiograph of a subject, or a part of it, whatever is known of its millimetres; of several frames the first. */
+export const bare = (key: string, image: string, wide: number, tall: number, part = ""): Promise<Response> =>
+  ask("GET", `/api/subjects/${key}/radiograph?${new URLSearchParams({ image, wide: String(wide), tall: String(tall), part }).toString()}`);
 export const picture = (key: string, image: string): Promise<Response> =>
   ask("GET", `/annotate/${key}/api/radiograph?${new URLSearchParams({ image, wide: "96", tall: "128" }).toString()}`);
 export const extend = (key: string, asked: Asked): Promise<{ changes: string[] }> => send("POST", `/api/subjects/${key}/radiographs`, asked);

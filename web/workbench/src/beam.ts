@@ -1,7 +1,7 @@
 // The way of the rays, from above: which distances the source, the patient and the detector have, with their values.
 import { svg } from "../../shared/dom";
 
-export interface Beam { detector: number | null; patient: number | null; pixel: number | null }
+export interface Beam { detector: number | null; patient: number | null; pixel: number | null; object: number | null; onDetector: boolean; shown: boolean }
 const SOURCE = 24, PATIENT = 208, DETECTOR = 276, AXIS = 62;
 
 /** The picture; ``focus`` is the value that is being filled in. */
@@ -18,6 +18,8 @@ export function beam(of: Beam, focus: string): SVGElement {
     svg("circle", { class: "t-spine", cx: PATIENT, cy: AXIS, r: 5 }), svg("circle", { class: "t-spine", cx: SOURCE, cy: AXIS, r: 4 }),
     svg("g", { class: `t-size ${mark("pixel")}` }, svg("path", { d: `M${DETECTOR} ${AXIS - 46}V${AXIS + 46}` }),
       svg("text", { x: 302, y: AXIS - 50, "text-anchor": "end" }, size(of.pixel, "pixel"))),
+    of.shown && svg("g", { class: `t-size ${mark("object")}` }, svg("path", { d: `M${of.onDetector ? DETECTOR - 4 : PATIENT} ${AXIS - 30}v16m-4 0h8m-8 -16h8` }),
+      svg("text", { x: (of.onDetector ? DETECTOR - 4 : PATIENT) - 8, y: AXIS - 18, "text-anchor": "end" }, size(of.object, "object"))),
     svg("text", { class: "t-side", x: SOURCE - 8, y: AXIS - 12 }, "source"), svg("text", { class: "t-side", x: PATIENT, y: AXIS - 38, "text-anchor": "middle" }, "patient"),
     dimension("source_patient", PATIENT, AXIS + 62, size(of.patient, "to the patient")), dimension("source_detector", DETECTOR, AXIS + 100, size(of.detector, "to the detector")));
 }

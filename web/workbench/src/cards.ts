@@ -69,10 +69,13 @@ export async function cards(): Promise<Room> {
   return { element, leave: () => { over = true; clearTimeout(timer); } };
 }
 
-const titleOf = (one: api.Removed): string => (one.image ? `${one.name}: ${one.image.replace("rest/", "")} radiograph at rest` : one.name);
-const removedWords = (one: api.Removed): string => (one.image
-  ? `Replaced ${when(one.removed)}. ${one.vertebrae ? `${one.vertebrae} vertebrae are marked in it` : "Nothing is marked in it"}. Put back, it takes the place of the present one, which comes here.`
-  : `Removed ${when(one.removed)}`);
+const titleOf = (one: api.Removed): string => (one.image ? `${one.name}: ${one.image.replace("rest/", "")} radiograph at rest` : one.push ? `${one.name}: push ${one.push}` : one.name);
+function removedWords(one: api.Removed): string {
+  const marked = one.vertebrae ? `${one.vertebrae} vertebrae are marked in it` : "Nothing is marked in it";
+  if (one.image) return `Replaced ${when(one.removed)}. ${marked}. Put back, it takes the place of the present one, which comes here.`;
+  return one.push ? `Removed ${when(one.removed)}. ${marked}. Its radiographs are in the subject’s folder still.` : `Removed ${when(one.removed)}`;
+}
+const lostWords = (one: api.Removed): string => (one.image ? "It and what was marked in it" : one.push ? "Its values and what was marked in it (its radiographs stay in the subject’s folder)" : "Radiographs, annotation and results");
 
 export async function trashRoom(): Promise<Room> {
   const list = h("div", { class: "cards" });
@@ -81,12 +84,12 @@ export async function trashRoom(): Promise<Room> {
     list.replaceChildren(...found.map((one) => h("article", { class: "card", "aria-label": titleOf(one) }, h("h2", {}, titleOf(one)), h("p", { class: "soft" }, removedWords(one)),
       state.readOnly ? null : h("div", { class: "row" }, button("Put back", () => act(async () => { await api.restore(one.key); await load(); }), { class: "main" }),
         button("Delete for good", () => act(async () => {
-          if (!(await sure(`Delete ${titleOf(one)} for good? ${one.image ? "It and what was marked in it" : "Radiographs, annotation and results"} can't be brought back.`, "Delete"))) return;
+          if (!(await sure(`Delete ${titleOf(one)} for good? ${lostWords(one)} can't be brought back.`, "Delete"))) return;
           await api.deleteForGood(one.key);
           await load();
         }))))));
     if (!found.length) list.append(h("p", { class: "soft" }, "The trash is empty."));
   };
   await load();
-  return { element: h("section", {}, h("h1", {}, "Trash"), h("p", { class: "soft" }, "Subjects that were removed, and radiographs at rest that were replaced, stay here until somebody deletes them for good."), list) };
+  return { element: h("section", {}, h("h1", {}, "Trash"), h("p", { class: "soft" }, "Subjects and pushes that were removed, and radiographs at rest that were replaced, stay here until somebody deletes them for good."), list) };
 }

@@ -1,5 +1,5 @@
 // The values of a subject: a form from its schema, checked as one types and saved as soon as it may be.
-import { button, h } from "../../shared/dom";
+import { button, h, need } from "../../shared/dom";
 import { Refused, words } from "../../shared/net";
 import * as api from "./api";
 import { beam } from "./beam";
@@ -7,19 +7,28 @@ import { markers, views } from "./beside";
 import { skin, trunk } from "./body";
 import { type Context, field, input, isSimple, plain, sayId, typed, wordsOf } from "./fields";
 import { gaugeLog } from "./gauge";
-import { act, type Room, state } from "./page";
+import { act, type Room, state, undoable } from "./page";
 import { ratios } from "./ratios";
+import { scales } from "./scale";
 import { type Push, torso } from "./torso";
 
 const PAUSE_MS = 350, BY_HAND = new Set(["schema_version", "pushes", "xray", "priors", "trunk", "skin_scan", "parameters", "population", "id", "age", "sex", "height_cm", "mass_kg"]);
 const PUSH = ["side", "level", "d21_mm", "d31_mm"], PERSON = ["id", "age", "sex", "height_cm", "mass_kg"];
 
+/** Whether two values are the same, whatever the order of their names. */
+const same = (one: unknown, other: unknown): boolean => JSON.stringify(one, sorted) === JSON.stringify(other, sorted);
+const sorted = (_: string, value: unknown): unknown => (value && typeof value === "object" && !Array.isArray(value) ? Object.fromEntries(Object.entries(value).sort(([one], [other]) => (one < other ? -1 : 1))) : value);
+
 export async function values(key: string): Promise<Room> {
-  let form = await api.form(key), timer = 0, saved = JSON.stringify(form.values), stopped = state.readOnly, over = false;
-  const past: string[] = [], body = h("div"), said = h("p", { role: "status", class: "saved" });
+  let form = await api.form(key), timer = 0, saved = JSON.stringify(form.values), stopped = state.readOnly, over = false, writing: Promise<void> = Promise.resolve();
+  // Values as they were, or how to take back what is no value.
+  const past: (string | (() => Promise<void>))[] = [], body = h("div"), said = h("p", { role: "status", class: "saved" });
   const undo = button("↶ Undo", () => act(async () => {
+    // What is being saved belongs to what can be taken back.
+    await writing.catch(() => undefined);
     const before = past.pop();
     if (!before) return;
+    if (typeof before !== "string") return before();
     form.values = JSON.parse(before) as api.Values;
     draw();
     await save(true);
@@ -39,7 +48,9 @@ export async function values(key: string): Promise<Room> {
   }
   function tell(kind: string, text: string): void { said.dataset["state"] = kind; said.textContent = text; }
 
-  async function save(undone = false): Promise<void> {
+  /** One after the other: each is made on the revision that the one before has left. */
+  function save(undone = false): Promise<void> { return (writing = writing.catch(() => undefined).then(() => write(undone))); }
+  async function write(undone: boolean): Promise<void> {
     const text = JSON.stringify(form.values), judged = await api.check(form.values);
     if (text !== JSON.stringify(form.values)) return;
     judge(judged);
@@ -90,7 +101,7 @@ export async function values(key: string): Promise<Room> {
       ...pushes.map((push, number) => pushSet(push, number, plain(plain(told("pushes"), form).items ?? {}, form))),
       pushes.length ? "" : h("p", { class: "warn" }, "There is no push yet: a plan can be made, and no estimate."),
       trunk(form.values, context(), now), state.readOnly && !form.values["skin_scan"] ? "" : skin(key, form.values, context(), now, reload),
-      h("details", {}, h("summary", {}, wordsOf("xray", form).title ?? "xray"), h("p", { class: "soft" }, wordsOf("xray", form).help ?? ""), xray(plain(told("xray"), form))),
+      h("details", { id: "xray", ...(xrayOpen() ? { open: true } : {}) }, h("summary", {}, wordsOf("xray", form).title ?? "xray"), h("p", { class: "soft" }, wordsOf("xray", form).help ?? ""), xray(plain(told("xray"), form))),
       h("details", { id: "choices", ...(form.values["parameters"] || form.values["population"] ? { open: true } : {}) }, h("summary", {}, "Choices of the model"), h("p", { class: "soft" }, "The usual ones fit most subjects."),
         h("div", { class: "grid" }, ...simple.map((name) => field(form.values, name, name, told(name), context())),
           field(form.values, "population", "population", { enum: form.choices.populations, default: "nobody’s" }, chosen())),
@@ -117,10 +128,13 @@ export async function values(key: string): Promise<Room> {
       h("div", { class: "grid" }, ...Object.entries(form.priors).map(([name, usual]) => field(holder, name, `priors.${name}`, { type: "number", minimum: 0, maximum: 1000 }, own, usual))));
   }
 
+  const xrayOpen = (): boolean => body.querySelector<HTMLDetailsElement>("#xray")?.open ?? Boolean((form.values["xray"] as api.Values | undefined)?.["scale"]);
+
   function xray(schema: api.Schema): HTMLElement {
-    const holder = (form.values["xray"] ?? {}) as api.Values, own = { ...context(), changed: () => { if (Object.keys(holder).length) form.values["xray"] = holder; later(); } };
-    return h("div", { class: "beside" }, h("div", { class: "grid" }, ...Object.entries(schema.properties ?? {}).filter(([, one]) => isSimple(plain(one, form))).map(([name, one]) => field(holder, name, `xray.${name}`, one, own))),
-      h("figure", { class: "diagram" }));
+    const holder = (form.values["xray"] ?? {}) as api.Values, keep = (): void => { if (Object.keys(holder).length) form.values["xray"] = holder; };
+    const own = { ...context(), changed: () => { keep(); later(); } };
+    return h("div", {}, h("div", { class: "beside" }, h("div", { class: "grid" }, ...Object.entries(schema.properties ?? {}).filter(([, one]) => isSimple(plain(one, form))).map(([name, one]) => field(holder, name, `xray.${name}`, one, own))),
+      h("figure", { class: "diagram" })), scales(key, holder, (form.values["pushes"] ?? []) as api.Values[], context(), now, keep));
   }
 
   function pushSet(push: api.Values, number: number, schema: api.Schema): HTMLElement {
@@ -153,7 +167,43 @@ export async function values(key: string): Promise<Room> {
         h("p", { class: "says", id: sayId(`${path}.forces_n`) }),
         state.readOnly ? null : gaugeLog(key, number, (found) => { found.slice(0, forces.length).forEach((force, i) => { forces[i] = force; }); later(); draw(); }), h("p", { class: "soft" }, `${wordsOf("pushes.roles", form).help ?? ""} A column of forces can be pasted into the first of them.`)),
       h("figure", { class: "diagram", "data-push": String(number) })),
-      views(push, path, schema, context(), now), state.readOnly && !push["markers"] ? null : markers(key, push, number, schema, context(), now, reload));
+      views(push, path, schema, context(), now), state.readOnly && !push["markers"] ? null : markers(key, push, number, schema, context(), now, reload),
+      state.readOnly ? null : h("p", { class: "row" }, removal(String(push["id"])), h("span", { class: "soft" }, "Its radiographs stay in the folder; what was marked in them goes to the trash.")));
+  }
+
+  function removal(id: string): HTMLElement {
+    const made = button("Remove this push", () => act(async () => {
+      clearTimeout(timer);
+      await save();
+      const { trash, lines } = await api.removePush(key, id);
+      await without(id);
+      const back = async (): Promise<void> => {
+        need("undo").hidden = true;
+        await api.restore(trash);
+        await again();
+      };
+      past.push(back);
+      undo.disabled = false;
+      undoable(lines.join(" "), async () => {
+        // What was changed since can't be taken back without the push.
+        if (past.at(-1) === back) past.pop(); else past.length = 0;
+        await back();
+      });
+    }, made), { "aria-label": `Remove push ${id}` });
+    return made;
+  }
+
+  /** A push is gone on the server; what could not be saved of the others stays as it was typed. */
+  async function without(id: string): Promise<void> {
+    const { values: here } = form, scale = (here["xray"] as api.Values | undefined)?.["scale"] as api.Values | undefined;
+    here["pushes"] = (here["pushes"] as api.Values[]).filter((push) => push["id"] !== id);
+    if (scale) delete scale[`push/${id}`];
+    form = await api.form(key);
+    saved = JSON.stringify(form.values);
+    if (!same(here, form.values)) form.values = here;
+    draw();
+    later();
+    document.dispatchEvent(new Event("subject-changed"));
   }
 
   /** A change by a button: drawn and saved at once, to be taken back by Undo. */
@@ -161,10 +211,13 @@ export async function values(key: string): Promise<Room> {
 
   /** What the server has changed: the form begins anew. */
   async function reload(): Promise<void> {
+    past.length = 0;
+    await again();
+  }
+  async function again(): Promise<void> {
     form = await api.form(key);
     saved = JSON.stringify(form.values);
-    past.length = 0;
-    undo.disabled = true;
+    undo.disabled = !past.length;
     draw();
     tell("saved", "Saved.");
     document.dispatchEvent(new Event("subject-changed"));
@@ -180,7 +233,9 @@ export async function values(key: string): Promise<Room> {
     for (const figure of body.querySelectorAll<HTMLElement>(".diagram")) {
       if (figure.dataset["push"] === undefined) {
         const rays = (form.values["xray"] ?? {}) as api.Values;
-        drawn(figure, beam({ detector: numberOf(rays, "source_detector_mm"), patient: numberOf(rays, "source_patient_mm"), pixel: numberOf(rays, "imager_pixel_mm") }, pictured("xray.")));
+        const lengths = (rays["scale"] ?? {}) as Record<string, api.Values>, at = Object.keys(lengths).find((image) => path.startsWith(`xray.scale.${image}.`));
+        const length = at ? lengths[at] : Object.values(lengths).find((one) => one["object_mm"] !== undefined);
+        drawn(figure, beam({ object: length ? numberOf(length, "object_mm") : null, onDetector: length?.["plane"] === "detector", shown: length?.["object_mm"] !== undefined, detector: numberOf(rays, "source_detector_mm"), patient: numberOf(rays, "source_patient_mm"), pixel: numberOf(rays, "imager_pixel_mm") }, pictured("xray.")));
         continue;
       }
       const number = Number(figure.dataset["push"]), push = pushes[number] ?? {}, forces = ((push["forces_n"] ?? []) as unknown[]).filter((one) => typeof one === "number");

@@ -1,13 +1,15 @@
 // Radiographs on their way in: dropped, chosen or in a folder on the server's machine; what they are, and what to make of them.
 import { button, h } from "../../shared/dom";
 import * as api from "./api";
-import { act, problem, type Room, state } from "./page";
+import { act, problem, type Room, state, undoable } from "./page";
 import { thumbnail } from "./picture";
 import { chosen, dropped, type Given, upload } from "./upload";
 
 const LARGEST_TABLE = 2 ** 20;
 const MANUAL = "file,frame,force_n,side,level,d21_mm,d31_mm";
 type Change = { [K in keyof api.Asked]?: api.Asked[K] | undefined };
+/** Ends the offer to take a push apart, which is of no use without the files. */
+let settled: () => void = () => undefined;
 export type Again = (change: Change) => Promise<void>;
 export interface Purpose {
   title: HTMLElement | null;
@@ -37,6 +39,7 @@ export async function intake(purpose: Purpose): Promise<Room> {
     const total = given.reduce((sum, { file }) => sum + file.size, 0);
     if (total > state.uploadBytes) throw new Error(`${(total / 2 ** 30).toFixed(1)} GB; at most ${(state.uploadBytes / 2 ** 30).toFixed(0)} GB at a time`);
     below.replaceChildren();
+    settled();
     bar.hidden = false;
     try {
       const key = await upload(given, stop.signal, (done, all) => {
@@ -105,7 +108,7 @@ export async function intake(purpose: Purpose): Promise<Room> {
   const element = h("section", {}, purpose.title, files, folder, drop, onDisk, purpose.replaces ? null : tables, bar, said, below);
   // For whoever automates the page.
   Object.assign(window, { takeFiles: take });
-  return { element, leave: () => { stop.abort(); for (const key of uploads) void api.discard(key).catch(() => undefined); } };
+  return { element, leave: () => { settled(); stop.abort(); for (const key of uploads) void api.discard(key).catch(() => undefined); } };
 }
 
 function found(purpose: Purpose, asked: api.Asked, look: api.Look, again: Again, used: () => void): HTMLElement {
@@ -113,7 +116,7 @@ function found(purpose: Purpose, asked: api.Asked, look: api.Look, again: Again,
   if (look.studies.length > 1) {
     const select = h("select", { id: "study" }, h("option", { value: "" }, "choose …"), ...look.studies.map(({ label, words }) => h("option", { value: label }, words)));
     select.value = look.study ?? "";
-    select.addEventListener("change", () => act(() => again({ study: select.value, frontal: undefined, lateral: undefined })));
+    select.addEventListener("change", () => act(() => again({ study: select.value, frontal: undefined, lateral: undefined, joined: undefined })));
     box.append(h("p", {}, h("label", {}, "There are several studies; which one? ", select)));
   }
   if (look.files.length) box.append(sorted(purpose, asked, look, again));
@@ -139,8 +142,31 @@ function sorted(purpose: Purpose, asked: api.Asked, look: api.Look, again: Again
     return h("p", {}, h("label", {}, `Rest radiograph, ${view}: `, select));
   };
   const small = (name: string, use: string): HTMLElement => thumbnail(`${asked.key} ${name}`, () => api.lookPicture(asked, name), use);
+  const free = purpose.replaces ? [] : look.files.filter(single), mark = free.length > 1;
+  const boxes = new Map(free.map((file) => [file.name, h("input", { type: "checkbox", value: file.name, "aria-label": `Mark ${file.name}` })]));
   return h("div", {}, h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Radiographs" },
-    h("table", {}, h("thead", {}, h("tr", {}, ...["Picture", "File", "Frames", "Becomes", "Why"].map((name) => h("th", { scope: "col" }, name)))),
-      h("tbody", {}, ...look.files.map((file) => h("tr", file.use === "left out" ? { class: "soft" } : {}, h("td", {}, small(file.name, file.use)), h("td", { class: "path" }, file.name), h("td", {}, String(file.frames)), h("td", {}, h("b", {}, file.use)), h("td", {}, file.why)))))),
-  rest("frontal"), rest("lateral"));
+    h("table", {}, h("thead", {}, h("tr", {}, ...[...(mark ? ["Mark"] : []), "Picture", "File", "Frames", "Becomes", "Why"].map((name) => h("th", { scope: "col" }, name)))),
+      h("tbody", {}, ...look.files.map((file) => h("tr", file.use === "left out" ? { class: "soft" } : {}, mark ? h("td", {}, boxes.get(file.name) ?? null) : null, h("td", {}, small(file.name, file.use)), h("td", { class: "path" }, file.name), h("td", {}, String(file.frames)), h("td", {}, h("b", {}, file.use)), h("td", {}, file.why)))))),
+  mark || asked.joined?.length ? join([...boxes.values()], asked, look, again) : null, rest("frontal"), rest("lateral"));
+}
+
+/** Whether a radiograph can be a frame of a push that comes as single pictures. */
+const single = (file: api.Look["files"][number]): boolean => file.frames === 1 && !file.held && file.view !== "lateral";
+
+/** Single pictures made one push, and taken apart again; their order is the server's. */
+function join(boxes: HTMLInputElement[], asked: api.Asked, look: api.Look, again: Again): HTMLElement {
+  const groups = asked.joined ?? [], frameOf = (name: string): number => Number(/, frame (\d+)$/.exec(look.files.find((file) => file.name === name)?.use ?? "")?.[1] ?? 0);
+  const without = (i: number): Promise<void> => { const left = groups.filter((_, k) => k !== i); return again({ joined: left.length ? left : undefined }); };
+  const make = button("Make one push of the marked pictures", () => act(async () => {
+    const names = boxes.filter((box) => box.checked).map((box) => box.value);
+    if (names.length < 2) throw new Error("mark two or more single pictures of the push first");
+    // A picture is in one push.
+    const left = groups.map((group) => group.filter((name) => !names.includes(name))).filter((group) => group.length > 1);
+    await again({ joined: [...left, names] });
+    settled = undoable(`${names.length} pictures are one push now.`, () => again({ joined: groups.length ? groups : undefined }));
+  }, make), { id: "join" });
+  return h("div", { id: "joined" }, ...groups.map((group, i) => h("p", { class: "row" },
+    h("span", {}, `One push of ${group.length} pictures, from the first frame on: ${[...group].sort((one, other) => frameOf(one) - frameOf(other)).join(", ")}`),
+    button("Take it apart", () => act(() => without(i)), { "aria-label": `Take the push of ${group.length} pictures apart` }))),
+  boxes.length > 1 ? h("div", {}, h("p", { class: "row" }, make), h("p", { class: "soft" }, "For a push whose frames came as a file each, where they were not recognised. They are put in the order of their times, without these by the numbers in their headers.")) : null);
 }

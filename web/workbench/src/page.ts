@@ -13,14 +13,15 @@ export function problem(error: unknown): void {
   box.replaceChildren(text, ...(text ? [button("Close", () => problem(""), { class: "quiet" })] : []));
 }
 
-/** What has been done, for a while, with the way to take it back. */
-export function undoable(text: string, undo: () => Promise<void>): void {
-  const box = need("undo");
-  box.hidden = false;
-  box.replaceChildren(text, button("Undo", () => {
+/** What has been done, for a while, with the way to take it back; returns what ends this while. */
+export function undoable(text: string, undo: () => Promise<void>): () => void {
+  const box = need("undo"), back = button("Undo", () => {
     box.hidden = true;
     undo().catch(problem);
-  }), button("Close", () => { box.hidden = true; }, { class: "quiet" }));
+  });
+  box.hidden = false;
+  box.replaceChildren(text, back, button("Close", () => { box.hidden = true; }, { class: "quiet" }));
+  return () => { if (back.isConnected) box.hidden = true; };
 }
 
 /** Do something that may fail; the button is off meanwhile. */

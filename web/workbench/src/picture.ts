@@ -2,7 +2,7 @@
 import { h } from "../../shared/dom";
 import { greysIn } from "../../shared/greys";
 
-interface Grey { levels: Uint16Array; shown: [number, number]; window: [number, number] }
+export interface Grey { levels: Uint16Array; shown: [number, number]; window: [number, number] }
 const SIDE_BY_SIDE = 2, MOST_KEPT = 500;
 const kept = new Map<string, Promise<Grey>>(), waiting: (() => Promise<void>)[] = [];
 // `taken`: how often radiographs were taken away; pictures from before are asked for no more.
@@ -30,7 +30,8 @@ export async function last<T>(what: () => Promise<T>): Promise<T> {
   }
 }
 
-function draw(canvas: HTMLCanvasElement, { levels, shown: [wide, tall], window: [low, high] }: Grey): void {
+/** Grey values on a canvas of their size, each `times` as large. */
+export function paint(canvas: HTMLCanvasElement, { levels, shown: [wide, tall], window: [low, high] }: Grey, times = 1): void {
   const context = canvas.getContext("2d");
   if (!context) return;
   canvas.width = wide;
@@ -41,6 +42,13 @@ function draw(canvas: HTMLCanvasElement, { levels, shown: [wide, tall], window: 
     picture.data[4 * i + 3] = 255;
   });
   context.putImageData(picture, 0, 0);
+  if (times === 1) return;
+  const small = new OffscreenCanvas(wide, tall);
+  small.getContext("2d")?.putImageData(picture, 0, 0);
+  canvas.width = times * wide;
+  canvas.height = times * tall;
+  context.imageSmoothingEnabled = false;
+  context.drawImage(small, 0, 0, canvas.width, canvas.height);
 }
 
 /** The picture of what `source` gives; `key` is the same for the same picture. */
@@ -52,7 +60,7 @@ export function thumbnail(key: string, source: () => Promise<Response>, alt: str
     kept.set(key, asked);
     for (const old of kept.keys()) if (kept.size > MOST_KEPT) kept.delete(old);
     try {
-      draw(canvas, await asked);
+      paint(canvas, await asked);
       canvas.dataset["state"] = "shown";
     } catch {
       kept.delete(key);

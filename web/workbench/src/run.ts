@@ -79,7 +79,7 @@ export async function run(key: string, stage: string): Promise<Room> {
     }), { class: verb === "run" ? "main" : "", "aria-label": `Start: ${told.title}`, id: `start-${verb}` });
     starts.push(start);
     return h("div", { class: `verb${verb === "run" ? " first" : ""}` }, h("h3", {}, told.title), h("p", { class: "soft" }, `${told.about}${told.minutes ? ` Takes ${told.minutes}.` : ""}`),
-      ...Object.entries(told.options).map(([name, option]) => choice(verb, name, option, given)),
+      ...choices(verb, told.options, given),
       needs ? h("p", { class: "warn" }, "Values or annotation are still missing; it will say what.") : null, start);
   });
   await list();
@@ -90,8 +90,29 @@ export async function run(key: string, stage: string): Promise<Room> {
   };
 }
 
+/** A step's options; one that belongs to a value of another is shown, and sent, with that value alone. */
+function choices(verb: string, options: Record<string, api.Option>, given: api.Values): HTMLElement[] {
+  const made = Object.entries(options).map(([name, option]) => ({ name, option, element: choice(verb, name, option, given) }));
+  const settle = (): void => {
+    for (const { name, option, element } of made) {
+      if (!option.only) continue;
+      element.hidden = given[option.only[0]] !== option.only[1];
+      const box = element.querySelector("input");
+      if (element.hidden) delete given[name]; else given[name] = box?.value ?? "";
+    }
+  };
+  for (const { element } of made) element.querySelector("select")?.addEventListener("change", settle);
+  settle();
+  return made.map(({ element }) => element);
+}
+
 function choice(verb: string, name: string, option: api.Option, given: api.Values): HTMLElement {
   const id = `o-${verb}-${name}`;
+  if (option.kind === "text") {
+    const box = h("input", { type: "text", id, autocomplete: "off", maxlength: "60", placeholder: option.example ?? "" });
+    box.addEventListener("input", () => { given[name] = box.value; });
+    return h("p", {}, h("label", {}, `${option.title} `, box), h("small", { class: "soft" }, ` ${option.help ?? ""} E.g. ${option.example ?? ""}`));
+  }
   if (option.kind === "switch") {
     const box = h("input", { type: "checkbox", id });
     box.addEventListener("change", () => { given[name] = box.checked; });

@@ -241,7 +241,10 @@ def _found_spacing(
     if given.scale is not None:
         return _scaled(given.scale, aspect, magnification, tags, unused)
     words = f"found {' and '.join(others)}, wanted ImagerPixelSpacing" if others else "no ImagerPixelSpacing"
-    raise MissingValue(f"{words}; add xray.imager_pixel_mm (pixel pitch at the detector) to subject.json")
+    raise MissingValue(
+        f"{words}; add xray.imager_pixel_mm (pixel pitch at the detector) to subject.json, or xray.scale (a known "
+        "length in this image)"
+    )
 
 
 def _first_words(found: Spacing) -> str:

@@ -274,7 +274,7 @@ def _planned(visit: Visit) -> list[str]:
             "radiographs no longer pay"
         ]
     if not is_unchanged(visit.subject, Plan.STEP):
-        return [f"a plan is not shown: {stale_plan(visit)}"]
+        return [f"the plan that is there is out of date and not shown: {stale_plan(visit)}"]
     plan = read_outcome(visit.subject, Plan)
     worth = pays(plan)
     if not worth:

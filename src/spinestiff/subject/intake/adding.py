@@ -129,6 +129,7 @@ def sort_addition(
     rows: Sequence[TableRow] | None = None,
     frontal: Exported | None = None,
     lateral: Exported | None = None,
+    joined: Sequence[Sequence[Exported]] = (),
 ) -> Addition:
     """What radiographs are to a subject, by the rules of ``sort_files``.
 
@@ -136,12 +137,13 @@ def sort_addition(
     ----------
     found : radiographs of one patient; an image that the subject has is left out.
     rows : of a table of pushes. Its files are those of ``found`` and of the subject, each by its own name.
-    frontal, lateral : what the user says of the rest radiographs.
+    frontal, lateral, joined : what the user says of the rest radiographs and of single ones that are one push.
 
     Raises
     ------
-    SubjectError : radiographs of another patient; a rest radiograph is named where the subject has one; a push of the
-        table that is partly in the subject; otherwise as ``pushes_of`` and ``sort_files``.
+    SubjectError : radiographs of another patient; one of a joined push is in the subject already; a rest radiograph is
+        named where the subject has one; a push of the table that is partly in the subject; otherwise as ``pushes_of``
+        and ``sort_files``.
     """
     own = Album(standing.files)
     twins = {one.name: twin for one in found if (twin := own.same(one)) is not None}
@@ -154,6 +156,8 @@ def sort_addition(
             raise SubjectError(
                 f"{named.name}: the subject has {REST_IMAGES[image]} already, and nothing is overwritten"
             )
+    for name in [one.name for files in joined for one in files if one.name in held]:
+        raise SubjectError(f"{name}: the same image as {held[name]}, which the subject has; leave it out of the push")
     table, numbers = None, dict[Path, int]()
     if rows is not None:
         # A radiograph that the subject has may be called by either name.
@@ -165,7 +169,7 @@ def sort_addition(
             if (number := _number_of(standing, push)) is not None
             for one in push.files
         }
-    sorting = sort_files(fresh, table, frontal, lateral)
+    sorting = sort_files(fresh, table, frontal, lateral, joined)
     fills = {numbers[push.files[0].path]: push for push in sorting.pushes if push.files[0].path in numbers}
     reasons = dict(sorting.reasons) | {
         one.name: f"the same image as {held[one.name]}, which the subject has" for one in found if one.name in held

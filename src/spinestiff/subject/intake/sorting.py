@@ -85,6 +85,7 @@ def sort_files(
     table: Sequence[TablePush] | None = None,
     frontal: Exported | None = None,
     lateral: Exported | None = None,
+    joined: Sequence[Sequence[Exported]] = (),
 ) -> Sorting:
     """Rest radiographs and pushes.
 
@@ -92,10 +93,11 @@ def sort_files(
     ----------
     table : the pushes, as the user's table tells them; None: they are found.
     frontal, lateral : what the user says of the rest radiographs.
+    joined : radiographs of one frame each that the user says are one push, beside those of the table or found.
 
     Raises
     ------
-    SubjectError : a radiograph that is said to be two things. RadiographError : files of a push that are no sequence.
+    SubjectError : a radiograph that is said to be two things; files of a push that are no sequence.
     """
     reasons: dict[str, str] = {}
     for one, view in ((frontal, "frontal"), (lateral, "lateral")):
@@ -103,6 +105,11 @@ def sort_files(
             reasons[one.name] = f"named by --{view}"
     if frontal is not None and frontal is lateral:
         raise SubjectError(f"{frontal.name}: named as frontal and as lateral rest radiograph; wanted two")
+    together = [_joined(files) for files in joined]
+    for one in [one for push in together for one in push.files]:
+        if one.name in reasons:
+            raise SubjectError(f"{one.name}: chosen for a push and for something else; wanted it in one place")
+        reasons[one.name] = ""
     rest = [one for one in found if one.name not in reasons]
     if table is None:
         pushes, taken = _found_pushes(rest)
@@ -111,7 +118,9 @@ def sort_files(
         for push in table:
             for one in push.files:
                 if one.name in reasons:
-                    raise SubjectError(f"{one.name}: named as a rest radiograph and in the table of pushes; keep one")
+                    what = "named as a rest radiograph" if one in (frontal, lateral) else "chosen for a push"
+                    raise SubjectError(f"{one.name}: {what} and in the table of pushes; keep one")
+    pushes += together
     reasons |= {one.name: push.why for push in pushes for one in push.files}
     left = [one for one in rest if one.name not in taken]
     singles = [one for one in left if one.frames == 1]
@@ -141,6 +150,26 @@ def sort_files(
 
 def _moment(one: Exported) -> tuple[float, str]:
     return one.tags.moment or 0.0, one.name
+
+
+def _joined(files: Sequence[Exported]) -> PushFiles:
+    """Radiographs that the user says are one push, in the order in which their folder will be read."""
+    if len(files) < 2:
+        raise SubjectError("a push of single pictures has 2 or more; choose another one beside it")
+    for one in files:
+        if one.frames > 1:
+            raise SubjectError(
+                f"{one.name}: {counted(one.frames, 'frame')}; a push is one such file, or single pictures"
+            )
+        if one.view == "lateral":
+            raise SubjectError(f"{one.name}: {_seen(one)}; pushes are seen from the front")
+    try:
+        ordered = _in_time(files)
+    except RadiographError as problem:
+        raise SubjectError(f"these pictures can't be one push: {str(problem).removeprefix('the push: ')}") from None
+    by = "time" if all(one.scan.tags.clock is not None for one in ordered) else "the numbers in their headers"
+    why = f"chosen, with {len(ordered) - 1} more, as one push; in order of {by}"
+    return PushFiles(ordered, forces_n=(None,) * len(ordered), why=why)
 
 
 def _found_pushes(found: Sequence[Exported]) -> tuple[list[PushFiles], set[str]]:
