@@ -47,7 +47,7 @@ def test_from_files_to_a_run_that_is_cancelled(tab, root, serve, tmp_path):
         fill(tab, "#name", "girl-05")
         click(tab, "#make")
         tab.until("!!document.querySelector('#f-age')")
-        assert tab.run("document.querySelectorAll('.says[data-kind=open]').length") == 10
+        assert tab.run("document.querySelectorAll('.says[data-kind=open]').length") == 8
         for field, value in (
             ("age", "13"),
             ("height-cm", "157"),
