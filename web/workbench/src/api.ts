@@ -35,7 +35,7 @@ export interface Look {
   files: { name: string; frames: number; view: string; use: string; why: string; held?: boolean }[]; left_out: { name: string; why: string }[]; left_out_in_all: number; changes?: string[];
 }
 export interface Asked { origin: "upload" | "source" | "none"; key: string; study?: string; frontal?: string; lateral?: string; table?: string; joined?: string[][]; subject?: string; replaces?: string }
-export interface Radiographs { files: { image: string; name: string; frames: number; use: string; version: string }[]; rest: string[] }
+export interface Radiographs { files: { image: string; name: string; frames: number; use: string; version: string }[]; rest: string[]; lacking: string[] }
 export interface Markers { unit: string; axes: Record<string, string>; side: string; shown: Record<string, unknown> }
 
 export const bench = (): Promise<{ version: string; read_only: boolean; upload_bytes: number }> => get("/api/bench");
