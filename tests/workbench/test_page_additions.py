@@ -69,7 +69,7 @@ def test_a_rest_radiograph_is_replaced_and_taken_back(tab, root, serve, tmp_path
     with serve(root) as served:
         load(tab, served.address)
         go(tab, f"/subject/{served.key()}/radiographs")
-        click(tab, "[aria-label='Replace the frontal radiograph at rest']")
+        click(tab, "[aria-label='Replace …: the frontal radiograph at rest']")
         tab.until("document.querySelector('h2').innerText.includes('in place of the frontal radiograph')")
         files(tab, "#files", [lateral])
         tab.until("document.querySelector('#room').innerText.includes('None of these files can take its place')")

@@ -29,7 +29,7 @@ export async function radiographs(key: string): Promise<Room> {
     await load();
     more.querySelector<HTMLElement>("h2")?.focus();
     more.scrollIntoView({ block: "start" });
-  }), { "aria-label": `Replace the ${viewOf(image)} radiograph at rest` });
+  }), { "aria-label": `Replace …: the ${viewOf(image)} radiograph at rest` });
   const load = async (): Promise<void> => {
     const rest = await list();
     if (state.readOnly || over) return;
