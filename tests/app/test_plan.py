@@ -7,7 +7,7 @@ import json
 import cv2
 import pytest
 
-from spinestiff.app.plan import exposures_of, wish_of
+from spinestiff.app.plan import exposures_of, plan_record, wish_of
 from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import read_json, write_json
 from spinestiff.study.plan import RIBS, SIDES, VIEWS, Frame
@@ -30,8 +30,9 @@ def wished(**changes):
 def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, subject):
     ran = spinestiff("plan", subject, "--json", "--limit", 30, "--ribs", "6,8", "--side", "left", "--exposures", 3)
     assert ran.status == 0 and "plan: " in ran.err
-    found = json.loads(ran.out)
-    assert {tuple(push) for push in found} == {("side", "level", "force_n", "view", "expected_factor")}
+    whole = json.loads(ran.out)
+    found = whole["next"]
+    assert {tuple(push) for push in found} == {("side", "level", "force_n", "view", "radiographs", "expected_factor")}
     assert all(push["side"] == "left" for push in found)
     results = subject / "results"
     kept = read_json(results / "plan.json")["next"]
@@ -51,6 +52,8 @@ def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, 
     assert "results/plan.json" in ALL_STEPS["report"].inputs(open_visit(subject))
     assert cv2.imread(str(results / "plan.png")).shape[1] > 1000
     sheet = (results / "protocol.html").read_text(encoding="utf-8")
+    assert sheet.count("<td>left</td>") == len(whole["frames"])
+    assert whole["now_factor"] == read_json(results / "plan.json")["now"]["lateral_bending"]
     assert "No push above 30 N." in sheet
     # An unloaded radiograph, the best push, and the other force of it.
     best = found[0]
@@ -62,7 +65,7 @@ def test_the_list_is_single_pushes_best_first_and_files_are_written(spinestiff, 
     assert f"sheet to print: {results / 'protocol.html'}" in ran.out
     assert "116 ± 25 N" in ran.out
     ran = spinestiff("plan", subject, "--json", "--limit", 30, "--ribs", "8", "--side", "left", "--views", "frontal")
-    assert {push["view"] for push in json.loads(ran.out)} == {"frontal"}
+    assert {push["view"] for push in json.loads(ran.out)["next"]} == {"frontal"}
     # Each plan has a log of its own.
     logs = sorted((results / "logs").glob("*-plan.jsonl"))
     assert len(logs) == len(list((results / "logs").iterdir())) == 3
@@ -79,6 +82,32 @@ PLAN = Plan(
     target="bending", limit_n=30.0, basis="estimate", taken=3, now={"lateral_bending": 2.1}, now_deg=None, estimated={},
     next=(PUSH,), sequence=(PlanStep(push=PUSH, exposures=2, pays=True),), taped=None,
 )  # fmt: skip
+
+
+def test_the_json_has_the_sequence_its_frames_and_what_is_expected_of_them():
+    aside = PUSH.model_copy(update={"force_n": 15.0, "view": "frontal+lateral", "expected_factor": 1.3})
+    last = PUSH.model_copy(update={"side": "right", "expected_factor": 1.29})
+    steps = [PlanStep(push=push, exposures=count, pays=pays) for push, count, pays in
+             ((PUSH, 2, True), (aside, 5, True), (last, 7, False))]  # fmt: skip
+    found = plan_record(PLAN.model_copy(update={"sequence": tuple(steps)}))
+    assert (found["target"], found["basis"], found["limit_n"]) == ("bending", "estimate", 30.0)
+    assert (found["now_factor"], found["expected_factor"]) == (2.1, 1.3)
+    assert [(one["side"], one["force_n"], one["exposures"], one["pays"], one["expected_factor"])
+            for one in found["sequence"]] == [
+        ("left", 30.0, 2, True, 1.4), ("left", 15.0, 5, True, 1.3), ("right", 30.0, 7, False, 1.29)
+    ]  # fmt: skip
+    assert [(one["side"], one["level"], one["force_n"], one["view"]) for one in found["frames"]] == [
+        ("left", 8.0, 0.0, "frontal"), ("left", 8.0, 0.0, "lateral"), ("left", 8.0, 15.0, "frontal"),
+        ("left", 8.0, 15.0, "lateral"), ("left", 8.0, 30.0, "frontal"),
+    ]  # fmt: skip
+    nothing = plan_record(PLAN.model_copy(update={"sequence": (steps[2],)}))
+    assert nothing["expected_factor"] is None and nothing["frames"] == []
+    angle = PUSH.model_copy(update={"expected_factor": None, "expected_deg": 2.5})
+    changes = {"target": "cobb", "now_deg": 4.0, "now": {}, "next": (angle,),
+               "sequence": (PlanStep(push=angle, exposures=2, pays=True),)}  # fmt: skip
+    found = plan_record(PLAN.model_copy(update=changes))
+    assert (found["now_deg"], found["expected_deg"], found["next"][0]["expected_deg"]) == (4.0, 2.5, 2.5)
+    assert not {"now_factor", "expected_factor"} & {*found, *found["next"][0], *found["sequence"][0]}
 
 
 def test_a_report_that_is_there_shows_the_new_plan(spinestiff, subject, monkeypatch):

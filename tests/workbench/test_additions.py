@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pydicom
 import pytest
 
 from hospital import CANARY, disc, export
 from spinestiff.annotate.draft import DraftImage
-from spinestiff.files import read_json
+from spinestiff.files import read_json, write_json
 from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.radiograph import read_scans, shrunk
 from spinestiff.subject.annotation_record import Annotation
@@ -215,3 +216,18 @@ def test_single_pictures_become_one_push_in_the_order_of_their_times(served, roo
     made = served.good("POST", "/api/subjects", {**asked, "name": "boy", "person": {}})
     assert made["key"] == served.key("boy")
     assert len(read_json(root / "boy" / "subject.json")["pushes"][0]["forces_n"]) == 2
+
+
+def test_what_files_do_not_tell_of_the_geometry_is_said_until_it_is_given(served, root):
+    address = f"/api/subjects/{served.key()}/radiographs"
+    assert served.good("GET", address)["lacking"] == []
+    for name in ("rest/frontal.dcm", "pushes/a.dcm"):
+        dataset = pydicom.dcmread(root / "girl" / name)
+        del dataset.ImagerPixelSpacing
+        dataset.save_as(root / "girl" / name)
+    lacking = [f"{what}: no ImagerPixelSpacing" for what in ("rest, frontal", "push a")]
+    assert served.good("GET", address)["lacking"] == lacking
+    scale = {"object_mm": 25.4, "object_px": [[100.0, 20.0], [140.0, 20.0]]}
+    values = read_json(root / "girl" / "subject.json")
+    write_json(root / "girl" / "subject.json", values | {"xray": {"scale": {"rest/frontal": scale}}})
+    assert served.good("GET", address)["lacking"] == lacking[1:]

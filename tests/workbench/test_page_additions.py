@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+import pydicom
 import pytest
 
 from bench_page import box, chosen, click, files, fill, go, load, text
@@ -68,7 +69,7 @@ def test_a_rest_radiograph_is_replaced_and_taken_back(tab, root, serve, tmp_path
     with serve(root) as served:
         load(tab, served.address)
         go(tab, f"/subject/{served.key()}/radiographs")
-        click(tab, "[aria-label='Replace the frontal radiograph at rest']")
+        click(tab, "[aria-label='Replace …: the frontal radiograph at rest']")
         tab.until("document.querySelector('h2').innerText.includes('in place of the frontal radiograph')")
         files(tab, "#files", [lateral])
         tab.until("document.querySelector('#room').innerText.includes('None of these files can take its place')")
@@ -282,3 +283,17 @@ def test_single_pictures_are_marked_and_made_one_push(tab, root, serve, tmp_path
         assert tab.run("document.querySelector('#undo').hidden")
         assert len(read_json(root / "girl-05" / "subject.json")["pushes"][0]["forces_n"]) == 2
         assert tab.complaints == []
+
+
+def test_radiographs_without_millimetres_are_shown_and_what_they_lack_is_said(tab, root, serve):
+    path = root / "girl" / "rest" / "frontal.dcm"
+    dataset = pydicom.dcmread(path)
+    del dataset.ImagerPixelSpacing
+    dataset.save_as(path)
+    with serve(root) as served:
+        load(tab, served.address)
+        go(tab, f"/subject/{served.key()}/radiographs")
+        tab.until(f"{SHOWN} == 3")
+        assert "rest, frontal: no ImagerPixelSpacing" in text(tab, "#lacking")
+        click(tab, "#lacking a")
+        tab.until("!!document.querySelector('#xray')")

@@ -57,7 +57,11 @@ def test_from_a_run_to_its_report_and_the_next_push(tab, finished, serve, tmp_pa
         to_its_end(tab, "#start-plan", 240.0)
         go(tab, f"/subject/{key}/results")
         click(tab, "[role=tab][data-name='']")
-        assert "Which push next" in text(tab)
+        assert "Which push next" in text(tab) and "out of date" not in text(tab, ".shown")
+        # The plan's job has written the report anew.
+        report = (root / "girl" / "results" / "report.html").read_text(encoding="utf-8").lower()
+        assert "no further push was planned" not in report
+        assert "push rib " in report or "no further radiograph pays" in report
         tab.until("[...document.querySelectorAll('.shown img')].every(one => one.complete && one.naturalWidth > 100)")
         assert tab.run("document.querySelectorAll('.shown img').length") >= 1
 

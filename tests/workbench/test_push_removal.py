@@ -140,7 +140,7 @@ def test_the_form_removes_a_push_and_takes_it_back(tab, served, girl):
     tab.until(saved)
     # What is not possible elsewhere stays as it was typed.
     fill(tab, "#f-height-cm", "20")
-    click(tab, "[aria-label='Remove push b']")
+    click(tab, "[aria-label='Remove this push: b']")
     tab.until(f"{ids} == 'Push a'")
     assert "Push b was removed" in text(tab, "#undo") and "34 marked vertebrae" in text(tab, "#undo")
     assert tab.run("document.querySelector('#f-height-cm').value") == "20"
@@ -156,14 +156,28 @@ def test_the_form_removes_a_push_and_takes_it_back(tab, served, girl):
     click(tab, "#undo-values")
     tab.wait(lambda: read_json(place) == first)
     # Or at once, by the line that says what was done.
-    click(tab, "[aria-label='Remove push b']")
+    click(tab, "[aria-label='Remove this push: b']")
     tab.until(f"{ids} == 'Push a'")
     click(tab, "#undo button")
     tab.until(f"{ids} == 'Push b,Push a'")
     assert read_json(place) == first
-    click(tab, "[aria-label='Remove push b']")
+    click(tab, "[aria-label='Remove this push: b']")
     tab.until(f"{ids} == 'Push a'")
     go(tab, "/trash")
     assert "girl: push b" in text(tab) and "in the subject’s folder still" in text(tab)
     # The value that was not possible, while it was checked.
     assert all("422" in line for line in tab.complaints)
+
+
+def test_radiographs_of_a_removed_push_may_come_again_under_another_name(served, root):
+    content = (root / "girl" / "pushes" / "a.dcm").read_bytes()
+    asked = {"origin": "upload", "key": served.upload({"I5": content}), "subject": served.key()}
+    assert served.good("POST", "/api/look", asked)["changes"] == []
+    assert remove(served, "a")[0] == 200
+    card = served.good("GET", f"/api/subjects/{served.key()}")
+    assert card["pushes"] == 0 and "There is no push" in " ".join(card["missing"])
+    assert served.good("GET", f"/api/subjects/{served.key()}/results")["stale"] == []
+    assert served.good("POST", "/api/look", asked)["changes"] == ["Push push-1, 3 frames."]
+    served.good("POST", f"/api/subjects/{served.key()}/radiographs", asked)
+    assert (root / "girl" / "pushes" / "push-1.dcm").read_bytes() == content
+    assert (root / "girl" / "pushes" / "a.dcm").read_bytes() == content

@@ -12,10 +12,19 @@ from spinestiff.files import write_bytes, write_text
 from spinestiff.observer import Observer, heard
 from spinestiff.study.plan import RIBS, ROUNDING, SIDES, VIEWS, Frame, Wish, make_plan
 from spinestiff.study.plan_scene import scene_of
-from spinestiff.study.plan_words import VIEW_WORDS, plan_lines, push_words, size_of, width
+from spinestiff.study.plan_words import (
+    VIEW_WORDS,
+    now_of,
+    pays,
+    plan_lines,
+    push_words,
+    radiographs_of,
+    size_of,
+    width,
+)
 from spinestiff.study.runner import ALL_STEPS, PUSHES, logged_step, run_steps
 from spinestiff.study.visit import Visit
-from spinestiff.subject.plan_outcome import Plan
+from spinestiff.subject.plan_outcome import Plan, PlannedPush
 from spinestiff.subject.run_record import record_step, recorded_steps, step_record, write_outcome
 
 TARGETS = ("bending", "tissue", "rotation", "cobb")
@@ -141,10 +150,26 @@ def _write(visit: Visit, plan: Plan, wish: Wish) -> None:
     write_text(visit.file("protocol.html"), sheet)
 
 
-def plan_record(plan: Plan) -> list[dict[str, Any]]:
-    """Single pushes, best first, for programs; ``plan.json`` holds more of each."""
+def plan_record(plan: Plan) -> dict[str, Any]:
+    """A plan for programs (docs/plan.md); ``plan.json`` holds more of each push."""
     size = "expected_deg" if plan.target == "cobb" else "expected_factor"
-    return [{name: getattr(push, name) for name in ("side", "level", "force_n", "view", size)} for push in plan.next]
+    names = ("side", "level", "force_n", "view", "radiographs", size)
+
+    def told(push: PlannedPush) -> dict[str, Any]:
+        return {name: getattr(push, name) for name in names}
+
+    worth = pays(plan)
+    columns = ("side", "level", "force_n", "view")
+    return {
+        "target": plan.target,
+        "basis": plan.basis,
+        "limit_n": plan.limit_n,
+        f"now_{size.removeprefix('expected_')}": now_of(plan),
+        size: size_of(worth[-1].push) if worth else None,
+        "next": [told(push) for push in plan.next],
+        "sequence": [{**told(step.push), "exposures": step.exposures, "pays": step.pays} for step in plan.sequence],
+        "frames": [dict(zip(columns, one)) for one in radiographs_of(plan)],
+    }
 
 
 def show_plan(plan: Plan, visit: Visit) -> None:
@@ -157,8 +182,8 @@ def show_plan(plan: Plan, visit: Visit) -> None:
     made = tables.table("One push after the other", *columns, left=("view",))
     for step in plan.sequence:
         push, words = step.push, width(plan, size_of(step.push))
-        pays = "yes" if step.pays else "hardly"
-        made.add_row(push_words(push), VIEW_WORDS[push.view], str(step.exposures), words, pays)
+        worth = "yes" if step.pays else "hardly"
+        made.add_row(push_words(push), VIEW_WORDS[push.view], str(step.exposures), words, worth)
     tables.show(made)
     for line in plan_lines(plan):
         print(line)

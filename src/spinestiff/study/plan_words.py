@@ -47,6 +47,22 @@ def pays(plan: Plan) -> tuple[PlanStep, ...]:
     return tuple(step for step in plan.sequence if step.pays)
 
 
+def radiographs_of(plan: Plan) -> list[tuple[str, float, float, str]]:
+    """Side, rib, force and "frontal" or "lateral" of each radiograph of the sequence as far as it pays, in the order in
+    which they are taken: each push has its unloaded ones first, and its forces grow."""
+    views: dict[tuple[str, float], dict[float, set[str]]] = {}
+    for step in pays(plan):
+        push = step.push
+        for force in (0.0, push.force_n):
+            views.setdefault((push.side, push.level), {}).setdefault(force, set()).update(push.view.split("+"))
+    return [
+        (side, rib, force, view)
+        for (side, rib), forces in views.items()
+        for force in sorted(forces)
+        for view in sorted(forces[force])
+    ]
+
+
 def other_view(plan: Plan, push: PlannedPush) -> PlannedPush | None:
     """The same single push seen otherwise; None where one view alone was planned with."""
     same = (one for one in plan.next if (one.side, one.level, one.force_n) == (push.side, push.level, push.force_n))

@@ -11,6 +11,7 @@ from spinestiff.anatomy.axes import body_axes
 from spinestiff.anatomy.importing.reading import SUFFIXES
 from spinestiff.errors import SubjectError
 from spinestiff.personalise.scan import read_scan
+from spinestiff.subject.inspection import inspect
 from spinestiff.subject.intake.adding import (
     Addition,
     Standing,
@@ -46,7 +47,21 @@ def radiographs_record(standing: Standing) -> dict[str, Any]:
         frames = first.frames if len(files) == 1 else len(files)
         row = {"image": _shown_as(standing, image), "name": name, "frames": frames, "use": _use(image)}
         rows.append({**row, "version": first.scan.sha256[:16]})
-    return {"files": rows, "rest": [image for image in REST_IMAGES if standing.has(image)]}
+    rest = [image for image in REST_IMAGES if standing.has(image)]
+    return {"files": rows, "rest": rest, "lacking": _lacking(standing)}
+
+
+def _lacking(standing: Standing) -> list[str]:
+    """What files and values together do not tell of the X-ray geometry, a line each, in words of the page."""
+    if not any(one.scan.missing for one in standing.files):
+        return []
+    lines = [
+        f"{_use(one.image)}: {line.partition(';')[0]}"
+        for one in inspect(standing.folder)
+        for line in one.missing
+        if "; add xray." in line
+    ]
+    return list(dict.fromkeys(lines))
 
 
 def _use(image: str) -> str:

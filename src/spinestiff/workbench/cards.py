@@ -9,11 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from spinestiff.curves.changes import NORMAL_95, change_words
 from spinestiff.errors import SpinestiffError
 from spinestiff.study.wording import badge, headline, told_stiffness
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject, annotatable, annotatable_views, read_annotation, read_unannotated
 from spinestiff.subject.gaps import Gap
+from spinestiff.subject.outcomes import Responses
 from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, REST_IMAGES, SUBJECT_FILE
 from spinestiff.subject.run_record import changed_lately, read_outcome, recorded_steps
 from spinestiff.workbench.job_table import Job
@@ -140,6 +142,30 @@ def result(subject: Subject) -> dict[str, Any] | None:
         "stiffness": stiffness,
         "doubts": [f"{check.name}: {check.text}" for check in estimate.failed],
         "rmse_mm": estimate.training_rmse_mm.fit,
+        "cobb": cobb(subject),
+    }
+
+
+def cobb(subject: Subject) -> dict[str, Any] | None:
+    """The change of the Cobb angle under the largest force, as JSON; None where none was measured."""
+    try:
+        responses = read_outcome(subject, Responses)
+    except SpinestiffError:
+        return None
+    measured = [(one.force_n, name, one.curve) for name, one in responses.pushes.items() if one.curve is not None]
+    if not measured:
+        return None
+    force, push, curve = max(measured, key=lambda one: one[0])
+    upper, lower = curve.levels
+    return {
+        "push": push,
+        "force_n": force,
+        "upper_level": upper,
+        "lower_level": lower,
+        "rest_deg": curve.rest_deg,
+        "change_deg": curve.change_deg,
+        "change_half_width95_deg": NORMAL_95 * curve.change_sd_deg,
+        "words": f"{change_words(curve.change_deg, curve.change_sd_deg, f'{upper}–{lower}')} under {force:g} N",
     }
 
 

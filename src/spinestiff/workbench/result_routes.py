@@ -13,6 +13,7 @@ from spinestiff.loopback.asking import Body, Sent, sent
 from spinestiff.workbench.bench import Bench
 from spinestiff.workbench.parcel import PARCEL_S, nameless_parcel, whole_parcel
 from spinestiff.workbench.results import TYPES, result_file, results_record
+from spinestiff.workbench.visits import visits_record
 
 
 class Pack(Sent):
@@ -29,6 +30,10 @@ def add_results(app: FastAPI, bench: Bench) -> None:
     def results(key: str) -> dict[str, Any]:
         folder = bench.root.subject(key)
         return {**results_record(folder), "ticket": bench.tickets.issue(folder)}
+
+    @app.get("/api/visits/{first}/{second}")
+    def visits(first: str, second: str) -> dict[str, Any]:
+        return visits_record(bench.root.subject(first), bench.root.subject(second))
 
     @app.get("/shown/{ticket}/{name}")
     def shown(ticket: str, name: str) -> Response:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from fastapi import FastAPI
+from fastapi import FastAPI, Response
 from pydantic import Field
 
 from spinestiff.loopback.asking import Body, Sent, sent
@@ -13,6 +13,7 @@ from spinestiff.workbench.bench import Bench
 from spinestiff.workbench.cards import card
 from spinestiff.workbench.form import form_record, judged, save_form
 from spinestiff.workbench.gauge_log import LogWish, forces_of_log
+from spinestiff.workbench.overview import overview_csv
 
 Column = Annotated[str, Field(min_length=1, max_length=100)]
 
@@ -55,6 +56,11 @@ def add_subjects(app: FastAPI, bench: Bench) -> None:
     def subjects() -> dict[str, Any]:
         latest = bench.jobs.table.latest()
         return {"subjects": [card(key, folder, latest.get(key)) for key, folder in root.subjects()]}
+
+    @app.get("/api/table.csv")
+    def table() -> Response:
+        found = [card(key, folder, None) for key, folder in root.subjects()]
+        return Response(overview_csv(found), media_type="text/csv; charset=utf-8")
 
     @app.get("/api/subjects/{key}")
     def subject(key: str) -> dict[str, Any]:

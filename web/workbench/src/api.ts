@@ -8,7 +8,9 @@ export interface Job {
 export interface Stiffness {
   name: string; unit: string; determined: string | null; value: number; low: number | null; high: number | null; open_low: boolean; open_high: boolean;
 }
-export interface Result { problem?: string; badge: string; lines: string[]; stiffness: Stiffness[]; doubts: string[]; rmse_mm: number }
+/** Under the largest force; null where it was not measured. */
+export interface Cobb { push: string; force_n: number; change_deg: number; words: string }
+export interface Result { problem?: string; cobb?: Cobb | null; badge: string; lines: string[]; stiffness: Stiffness[]; doubts: string[]; rmse_mm: number }
 export interface Card {
   key: string; name: string; job: Job | null; stage: "broken" | "form" | "radiographs" | "annotate" | "roles" | "run" | "done"; stage_words: string; missing: string[];
   id?: string; age?: number | null; sex?: string | null; height_cm?: number | null; pushes?: number; result?: Result | null; stale?: string[];
@@ -33,11 +35,12 @@ export interface Look {
   files: { name: string; frames: number; view: string; use: string; why: string; held?: boolean }[]; left_out: { name: string; why: string }[]; left_out_in_all: number; changes?: string[];
 }
 export interface Asked { origin: "upload" | "source" | "none"; key: string; study?: string; frontal?: string; lateral?: string; table?: string; joined?: string[][]; subject?: string; replaces?: string }
-export interface Radiographs { files: { image: string; name: string; frames: number; use: string; version: string }[]; rest: string[] }
+export interface Radiographs { files: { image: string; name: string; frames: number; use: string; version: string }[]; rest: string[]; lacking: string[] }
 export interface Markers { unit: string; axes: Record<string, string>; side: string; shown: Record<string, unknown> }
 
 export const bench = (): Promise<{ version: string; read_only: boolean; upload_bytes: number }> => get("/api/bench");
 export const subjects = async (): Promise<Card[]> => (await get<{ subjects: Card[] }>("/api/subjects")).subjects;
+export const table = async (): Promise<string> => (await ask("GET", "/api/table.csv")).text();
 export const subject = (key: string): Promise<Card> => get(`/api/subjects/${key}`);
 export const remove = (key: string): Promise<{ trash: string }> => send("DELETE", `/api/subjects/${key}`);
 export const removePush = (key: string, push: string): Promise<{ trash: string; lines: string[] }> => send("POST", `/api/subjects/${key}/pushes/remove`, { push });
@@ -54,6 +57,13 @@ export interface GaugeLog {
   columns: string; notes: string[]; placed: boolean; forces_n: number[] | null; given: boolean; why: string; offset_s: number | null; low_s: number | null; high_s: number | null; open_n: number | null; explained: number | null; picture: string;
 }
 export const gaugeLog = (key: string, asked: Values): Promise<GaugeLog> => send("POST", `/api/subjects/${key}/log`, asked);
+/** Factors are of the later visit over the earlier one. */
+export interface Visits {
+  same: boolean; problem: string; lines: string[];
+  scatter: Record<string, { within_sd_log: number; low: number; high: number; expected_sd_log: number; detectable_factor: number; expected_factor: number; p_value: number }>;
+  changes: { name: string; factor: number; low: number; high: number; detectable_factor: number; verdict: string }[];
+}
+export const visits = (first: string, second: string): Promise<Visits> => get(`/api/visits/${first}/${second}`);
 export const verbs = (): Promise<Record<string, Verb>> => get("/api/verbs");
 export const jobs = async (key: string): Promise<Job[]> => (await get<{ jobs: Job[] }>(`/api/subjects/${key}/jobs`)).jobs;
 export const allJobs = async (): Promise<Job[]> => (await get<{ jobs: Job[] }>("/api/jobs")).jobs;

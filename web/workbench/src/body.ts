@@ -22,7 +22,7 @@ export function trunk(values: api.Values, context: Context, now: Make): HTMLElem
     } };
     return h("div", { class: "beside-one" }, h("h2", {}, `At the height of ${level}`), h("p", { class: "says", id: sayId(path), role: "status" }),
       h("div", { class: "grid" }, ...["breadth_mm", "depth_mm"].map((name) => field(record, name, `${path}.${name}`, sizes[name] ?? {}, own))),
-      context.readOnly ? null : button("Take this height out", () => now(() => { delete holder[level]; keep(); }), { "aria-label": `Take the sizes at ${level} out` }));
+      context.readOnly ? null : button("Take this height out", () => now(() => { delete holder[level]; keep(); }), { "aria-label": `Take this height out: ${level}` }));
   };
   const vertebrae = form.choices.chain.slice(0, -1), rows = h("div", {}, ...vertebrae.filter((level) => level in holder).map((level) => row(level, holder[level] ?? {})));
   const level = h("select", { id: "trunk-level" }, ...vertebrae.filter((one) => !(one in holder)).map((one) => h("option", { value: one }, one)));

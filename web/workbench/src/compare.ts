@@ -1,5 +1,5 @@
 // Two subjects or visits side by side, and all of them in a table.
-import { h } from "../../shared/dom";
+import { button, h } from "../../shared/dom";
 import * as api from "./api";
 import { badge, person } from "./cards";
 import { act, link, number, type Room } from "./page";
@@ -16,16 +16,33 @@ export async function compare(first = "", second = ""): Promise<Room> {
   const [a, left] = select("first", "First", first), [b, right] = select("second", "Second", second || (cards[1]?.key ?? ""));
   async function draw(): Promise<void> {
     const pair = [left.value, right.value].map((key) => cards.find((card) => card.key === key)).filter((card) => card !== undefined);
+    const [one, other] = pair, visits = one && other && one.key !== other.key && one.id === other.id ? await api.visits(one.key, other.key) : null;
     const tickets = await Promise.all(pair.map((card) => api.results(card.key)));
     below.replaceChildren(
+      visits?.same ? change(visits) : "",
       h("div", { class: "card" }, h("h2", {}, "Stiffness, 95 % intervals"), bars(pair.map((card) => ({ name: card.name, result: card.result as api.Result }))),
-        h("p", { class: "soft" }, "Values whose intervals overlap widely may be the same. Whether one person changed between two visits, the command spinestiff repeat can tell.")),
+        h("p", { class: "soft" }, `Values whose intervals overlap widely may be the same.${visits?.same ? "" : " Two visits of one person have the same name of the subject in their values; whether the person changed is said here then."}`)),
       h("div", { class: "pair" }, ...pair.map((card, i) => h("section", { "aria-label": card.name }, h("h2", {}, card.name, " ", badge(card)), h("p", { class: "soft" }, person(card)),
         tickets[i]?.pages.some((page) => page.name === "report.html") ? h("iframe", { src: `/shown/${tickets[i].ticket}/report.html`, title: `Report of ${card.name}`, sandbox: "allow-scripts" }) : null))));
   }
   if (cards.length < 2) return { element: h("section", {}, h("h1", {}, "Compare"), h("p", { class: "soft" }, "Two subjects with a result are needed.")) };
   await draw();
   return { element: h("section", { class: "wide" }, h("h1", {}, "Compare"), h("p", { class: "row" }, a, b), below) };
+}
+
+const KEPT_MS = 60_000;
+/** Of two visits of one person: whether somebody changed, how estimates scatter, and the smallest change that would show. */
+function change(of: api.Visits): HTMLElement {
+  const title = h("h2", {}, "One person, two visits");
+  if (of.problem) return h("div", { class: "card", id: "change" }, title, h("p", { class: "warn" }, `Whether this person changed can’t be told: ${of.problem}`));
+  const rows = of.changes.map((one) => {
+    const scatter = of.scatter[one.name];
+    return h("tr", {}, h("th", { scope: "row" }, titleOf(one.name)), h("td", {}, h("b", {}, one.verdict)), h("td", {}, `${number(one.factor)} (${span(one.low, one.high)})`), h("td", {}, `a factor of ${number(one.detectable_factor)}`),
+      h("td", {}, scatter ? `${number(scatter.within_sd_log)} (${span(scatter.low, scatter.high)}); expected ${number(scatter.expected_sd_log)}` : "not known"));
+  });
+  return h("div", { class: "card", id: "change" }, title, h("p", { class: "soft" }, "“First” is taken for the earlier visit."),
+    h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Change between the visits" }, h("table", {}, h("thead", {}, h("tr", {}, ...["Ratio", "Changed?", "Second over first, 95 %", "Would not show below", "Scatter within the person, sd of the log"].map((one) => h("th", { scope: "col" }, one)))), h("tbody", {}, ...rows))),
+    h("ul", {}, ...of.lines.map((line) => h("li", {}, line))));
 }
 
 type Column = [string, (card: api.Card) => string | number | null, ((card: api.Card) => string)?];
@@ -40,6 +57,7 @@ export async function table(): Promise<Room> {
       const unit = cards.map(of).find((one) => one)?.unit ?? "";
       return [`${titleOf(name)}, ${unit}`, (card) => of(card)?.value ?? null, (card) => { const one = of(card); return one ? `${number(one.value)} (${span(one.low, one.high)})` : ""; }];
     }),
+    ["Change of the Cobb angle", (card) => card.result?.cobb?.change_deg ?? null, (card) => card.result?.cobb?.words ?? ""],
   ];
   let by = 0, up = true;
   const head = h("tr"), body = h("tbody");
@@ -54,6 +72,13 @@ export async function table(): Promise<Room> {
     });
     body.replaceChildren(...sorted.map((card) => h("tr", {}, ...columns.map(([, of, shown], i) => (i ? h("td", {}, shown ? shown(card) : String(of(card) ?? "")) : h("th", { scope: "row" }, link(card.name, `/subject/${card.key}/results`)))))));
   };
+  const csv = button("Download CSV", () => act(async () => {
+    const address = URL.createObjectURL(new Blob([await api.table()], { type: "text/csv" })), given = h("a", { href: address, download: "subjects.csv" });
+    document.body.append(given);
+    given.click();
+    given.remove();
+    setTimeout(() => URL.revokeObjectURL(address), KEPT_MS);
+  }, csv), { id: "table-csv" });
   draw();
-  return { element: h("section", { class: "wide" }, h("h1", {}, "All subjects"), h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "All subjects" }, h("table", {}, h("thead", {}, head), body)), h("p", { class: "soft" }, "Values with 95 % intervals. For statistics over people see spinestiff cohort.")) };
+  return { element: h("section", { class: "wide" }, h("h1", {}, "All subjects"), cards.length ? h("p", { class: "row" }, csv) : null, h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "All subjects" }, h("table", {}, h("thead", {}, head), body)), h("p", { class: "soft" }, "Values with 95 % intervals; the change of the Cobb angle is the one measured under the largest force, ± half its interval. For statistics over people see spinestiff cohort.")) };
 }

@@ -189,7 +189,7 @@ export async function values(key: string): Promise<Room> {
         if (past.at(-1) === back) past.pop(); else past.length = 0;
         await back();
       });
-    }, made), { "aria-label": `Remove push ${id}` });
+    }, made), { "aria-label": `Remove this push: ${id}` });
     return made;
   }
 

@@ -3,21 +3,24 @@ import { button, h } from "../../shared/dom";
 import * as api from "./api";
 import { integers, typed } from "./fields";
 import { type Again, intake } from "./intake";
-import { act, type Room, state, undoable } from "./page";
+import { act, link, type Room, state, undoable } from "./page";
 import { last, thumbnail } from "./picture";
 
+/** As the annotation page shows it; a file whose millimetres are not known yet as it is. */
+const shown = (key: string, image: string): Promise<Response> => api.picture(key, image).catch(() => api.bare(key, image, 96, 128));
 const viewOf = (image: string): string => image.replace("rest/", "");
 
 export async function radiographs(key: string): Promise<Room> {
   const there = h("div"), more = h("div"), said = h("p", { role: "status" });
   let room: Room | null = null, over = false, replacing: string | null = null;
   const list = async (): Promise<string[]> => {
-    const { files, rest } = await api.radiographs(key);
+    const { files, rest, lacking } = await api.radiographs(key);
     for (const file of files) if (rest.includes(file.image)) there.dataset[viewOf(file.image)] = file.version;
     there.replaceChildren(files.length ? h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Radiographs of the subject" },
       h("table", {}, h("thead", {}, h("tr", {}, ...["Picture", "File", "Frames", "What it is", ...(state.readOnly ? [] : ["Other file"])].map((name) => h("th", { scope: "col" }, name)))),
-        h("tbody", {}, ...files.map((file) => h("tr", {}, h("td", {}, thumbnail(`${key} ${file.image} ${file.version}`, () => api.picture(key, file.image), file.use)),
-          h("td", { class: "path" }, file.name), h("td", {}, String(file.frames)), h("td", {}, file.use), state.readOnly ? null : h("td", {}, rest.includes(file.image) ? exchange(file.image) : null)))))) : h("p", { class: "soft" }, "There are no radiographs yet."));
+        h("tbody", {}, ...files.map((file) => h("tr", {}, h("td", {}, thumbnail(`${key} ${file.image} ${file.version}`, () => shown(key, file.image), file.use)),
+          h("td", { class: "path" }, file.name), h("td", {}, String(file.frames)), h("td", {}, file.use), state.readOnly ? null : h("td", {}, rest.includes(file.image) ? exchange(file.image) : null)))))) : h("p", { class: "soft" }, "There are no radiographs yet."),
+      lacking.length ? h("div", { class: "warn", id: "lacking" }, h("p", {}, "These files do not tell all of the X-ray geometry. What they lack is given in ", link("Values, X-ray geometry", `/subject/${key}/values`), ":"), h("ul", {}, ...lacking.map((line) => h("li", {}, line)))) : "");
     return rest;
   };
   const exchange = (image: string): HTMLElement => button("Replace …", () => act(async () => {
@@ -26,7 +29,7 @@ export async function radiographs(key: string): Promise<Room> {
     await load();
     more.querySelector<HTMLElement>("h2")?.focus();
     more.scrollIntoView({ block: "start" });
-  }), { "aria-label": `Replace the ${viewOf(image)} radiograph at rest` });
+  }), { "aria-label": `Replace …: the ${viewOf(image)} radiograph at rest` });
   const load = async (): Promise<void> => {
     const rest = await list();
     if (state.readOnly || over) return;

@@ -36,7 +36,7 @@ export function ratios(values: Values, context: Context, now: Make): HTMLElement
       }),
       select(`${id}-at`, `Ratio ${i + 1}, where`, places, pair ? BETWEEN : part, (next) => set(i, named(next === BETWEEN ? "T8-T9" : next), `${id}-at`)),
       pair ? h("span", {}, end(0), " to ", end(1)) : null,
-      context.readOnly || (names ?? []).length < 2 ? null : button("Take out", () => now(() => { (names as string[]).splice(i, 1); }), { "aria-label": `Take ratio ${i + 1} out` })));
+      context.readOnly || (names ?? []).length < 2 ? null : button("Take out", () => now(() => { (names as string[]).splice(i, 1); }), { "aria-label": `Take out: ratio ${i + 1}` })));
   };
   const says = h("p", { class: "says", id: sayId("parameters"), role: "status" });
   if (!names) {

@@ -26,7 +26,7 @@ export function scales(key: string, holder: Values, pushes: Values[], context: C
     const parts = ofObject ? [one("object_mm"), twoEnds(key, image, record, `${path}.object_px`, own, picture), one("plane")] : [one("vertebra"), one("width_mm")];
     return h("div", { class: "beside-one", "data-scale": image }, h("h3", {}, `In ${titleOf(image)}: ${KINDS[ofObject ? "object" : "vertebra"] ?? ""}`), h("p", { class: "says", id: sayId(path), role: "status" }),
       h("div", { class: "grid" }, ...parts), picture,
-      context.readOnly ? null : button("Take this length out", () => now(() => { delete all[image]; settle(); }), { "aria-label": `Take the length in ${titleOf(image)} out` }));
+      context.readOnly ? null : button("Take this length out", () => now(() => { delete all[image]; settle(); }), { "aria-label": `Take this length out: ${titleOf(image)}` }));
   };
   const images = ["rest/frontal", "rest/lateral", ...pushes.map((push) => `push/${String(push["id"])}`)], free = images.filter((image) => !(image in all));
   const image = h("select", { id: "scale-image" }, ...free.map((one) => h("option", { value: one }, titleOf(one))));

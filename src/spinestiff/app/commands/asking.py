@@ -63,7 +63,9 @@ def plan(
     under: Annotated[
         str | None, typer.Option(help="With --target cobb: the push it is predicted under, SIDE,RIB,FORCE.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print single pushes, best first, as a JSON list.")] = False,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print JSON: single pushes, the sequence, its frames and widths.")
+    ] = False,
 ) -> None:
     """Which push to take next, and when further ones no longer pay; writes a picture and a sheet to print."""
     from spinestiff.app.plan import exposures_of, plan_next, plan_record, show_plan, wish_of

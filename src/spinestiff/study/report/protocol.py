@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from spinestiff import __version__
-from spinestiff.study.plan_words import NONE_PAYS, pays, plan_lines
+from spinestiff.study.plan_words import NONE_PAYS, plan_lines, radiographs_of
 from spinestiff.study.report.viewer.page import page_environment
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.words import counted
@@ -11,23 +11,13 @@ from spinestiff.words import counted
 
 def protocol_page(plan: Plan, subject: str) -> str:
     """The sequence as far as it pays; each push has its unloaded radiographs first, and its forces grow."""
-    views: dict[tuple[str, float], dict[float, set[str]]] = {}
-    for step in pays(plan):
-        push = step.push
-        seen = set(push.view.split("+"))
-        for force in (0.0, push.force_n):
-            views.setdefault((push.side, push.level), {}).setdefault(force, set()).update(seen)
-    rows = [
-        {"side": side, "rib": f"{rib:g}", "force": f"{force:g}", "view": view}
-        for (side, rib), forces in views.items()
-        for force in sorted(forces)
-        for view in sorted(forces[force])
-    ]
+    found = radiographs_of(plan)
+    rows = [{"side": side, "rib": f"{rib:g}", "force": f"{force:g}", "view": view} for side, rib, force, view in found]
     page = {
         "subject": subject,
         "limit": f"{plan.limit_n:g}",
         "exposures": counted(len(rows), "radiograph"),
-        "pushes": counted(len(views), "push", "pushes"),
+        "pushes": counted(len({(side, rib) for side, rib, *_ in found}), "push", "pushes"),
         "aside": any(row["view"] == "lateral" for row in rows),
         "rows": [{"number": i + 1, **row} for i, row in enumerate(rows)],
         "tape": plan.taped is not None,

@@ -1,0 +1,118 @@
+"""All subjects in a table, with the change of the Cobb angle; two visits of one person compared."""
+
+from __future__ import annotations
+
+import csv
+import io
+import shutil
+import sys
+from dataclasses import asdict
+
+import pytest
+
+from bench_page import click, go, load, text
+from chromium import browser
+from spinestiff.files import read_json, write_json
+from spinestiff.study.repeatability import estimate_of, repeatability, repeatability_lines
+from spinestiff.study.visit import open_visit
+from spinestiff.study.wording import TIMES_DEFAULT
+from spinestiff.subject.folder import read_unannotated
+from spinestiff.subject.outcomes import Responses
+from spinestiff.subject.run_record import read_outcome
+from spinestiff.workbench.overview import overview_csv
+
+HAS_BROWSER = browser() is not None and sys.platform != "win32"
+STIFFNESS = {"name": "tissue", "unit": TIMES_DEFAULT, "value": 0.5, "low": 0.4, "high": None, "open_low": False,
+             "open_high": True}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def visits(finished, tmp_path_factory):
+    """Two visits of one person; only to be read."""
+    root = tmp_path_factory.mktemp("visits") / "root"
+    for name in ("first", "second"):
+        shutil.copytree(finished.folder, root / name)
+    return root
+
+
+def rows_of(content):
+    return list(csv.DictReader(io.StringIO(content)))
+
+
+def test_the_table_has_stiffness_and_the_change_of_the_cobb_angle(visits, serve):
+    with serve(visits, read_only=True) as served:
+        status, headers, content = served.ask("GET", "/api/table.csv")
+        assert status == 200 and headers["content-type"].startswith("text/csv")
+        rows = rows_of(content.decode())
+        card = served.good("GET", f"/api/subjects/{served.key('first')}")
+    responses = read_outcome(read_unannotated(visits / "first"), Responses)
+    push, found = max(responses.pushes.items(), key=lambda one: one[1].force_n)
+    assert [row["subject"] for row in rows] == ["first", "second"]
+    row, cobb = rows[0], card["result"]["cobb"]
+    assert (row["cobb_push"], float(row["cobb_force_n"])) == (push, found.force_n)
+    assert float(row["cobb_change_deg"]) == found.curve.change_deg == cobb["change_deg"]
+    assert float(row["cobb_change_half_width95_deg"]) == pytest.approx(1.96 * found.curve.change_sd_deg)
+    assert f"± {1.96 * found.curve.change_sd_deg:.1f}°" in cobb["words"] and "under" in cobb["words"]
+    for one in card["result"]["stiffness"]:
+        name = next(key for key in row if key.startswith(one["name"]) and not key.endswith(("95", "_open")))
+        assert float(row[name]) == one["value"]
+
+
+def test_cells_say_what_is_open_and_are_no_formulas():
+    cards = [
+        {"name": "=cmd()", "stage_words": "Has a result", "age": 13.0, "stale": ["values: pushes", "annotation: rest"],
+         "result": {"badge": "determined", "stiffness": [STIFFNESS]}},
+        {"name": "bare", "stage_words": "To be annotated", "result": None},
+        {"name": "broken", "stage_words": "Has a result", "result": {"problem": "damaged"}},
+    ]  # fmt: skip
+    first, bare, broken = rows_of(overview_csv(cards))
+    assert first["subject"] == "'=cmd()" and first["changed_since"] == "values: pushes; annotation: rest"
+    assert (first["tissue_ratio"], first["tissue_ratio_low95"], first["tissue_ratio_high95"]) == ("0.5", "0.4", "")
+    assert first["tissue_ratio_open"] == "high" and first["age"] == "13.0"
+    for row in (bare, broken):
+        assert {value for name, value in row.items() if name not in ("subject", "state")} == {""}
+
+
+def test_two_visits_of_one_person_are_told_as_repeat_tells_them(visits, serve, tmp_path):
+    wanted = repeatability([estimate_of(open_visit(visits / name)) for name in ("first", "second")])
+    with serve(visits, read_only=True) as served:
+        first, second = served.key("first"), served.key("second")
+        told = served.good("GET", f"/api/visits/{first}/{second}")
+        assert told["same"] and told["problem"] == "" and told["lines"] == repeatability_lines(wanted)
+        assert told["scatter"] == {name: asdict(one) for name, one in wanted.scatter.items()}
+        assert [(one["name"], one["verdict"]) for one in told["changes"]] == [
+            (one.name, one.verdict) for one in wanted.changes
+        ]
+        assert served.good("GET", f"/api/visits/{first}/{first}")["same"] is False
+    other = tmp_path / "other"
+    shutil.copytree(visits, other)
+    values = read_json(other / "second" / "subject.json")
+    for change, same, words in (
+        ({"pelvis": "level" if values.get("pelvis") != "level" else "hinge"}, True, "run spinestiff estimate again"),
+        ({"id": "somebody-else"}, False, ""),
+    ):
+        write_json(other / "second" / "subject.json", values | change)
+        with serve(other, read_only=True) as served:
+            told = served.good("GET", f"/api/visits/{served.key('first')}/{served.key('second')}")
+        assert told["same"] is same and words in told["problem"] and not told["lines"], told
+        assert str(other) not in told["problem"]
+
+
+@pytest.mark.skipif(not HAS_BROWSER, reason="no Chromium to open the page in, or no pipe to drive it by")
+def test_the_page_downloads_the_table_and_says_whether_somebody_changed(tab, visits, serve):
+    with serve(visits, read_only=True) as served:
+        load(tab, served.address)
+        go(tab, "/table")
+        assert (
+            tab.run("[...document.querySelectorAll('tbody td')].filter(one => one.innerText.includes('±')).length") == 2
+        )
+        tab.run("""(URL.createObjectURL = blob => (blob.text().then(text => { window.given = text; }), 'blob:none'),
+          HTMLAnchorElement.prototype.click = function () { window.named = this.download; }, 1)""")
+        click(tab, "#table-csv")
+        tab.until("window.given?.startsWith('subject,id,state')")
+        assert tab.run("named") == "subjects.csv" and len(rows_of(tab.run("given"))) == 2
+        go(tab, "/compare")
+        tab.until("!!document.querySelector('#change table')")
+        assert "One person, two visits" in text(tab) and "no change shown" in text(tab, "#change")
+        assert "would not show" in text(tab, "#change ul")
+        assert tab.complaints == []
