@@ -231,26 +231,29 @@ def test_what_a_plan_is_asked_is_chosen_on_the_page(tab, root, served):
     load(tab, served.address)
     go(tab, f"/subject/{served.key()}/run")
     tab.run("(document.querySelector('#start-plan').closest('details').open = true, 1)")
-    under = "document.querySelector('#o-plan-under').closest('p').hidden"
+    under = "document.querySelector('#o-plan-under-1').closest('p').checkVisibility() == false"
     assert tab.run(under) is True
     chosen(tab, "#o-plan-target", "cobb")
-    tab.until(f"!{under}")
+    tab.until(f"!({under})")
     click(tab, "#start-plan")
     tab.until("document.querySelector('#problem').innerText.includes('Under which push: wanted e.g. right,8,60')")
-    fill(tab, "#o-plan-under", "right, 8, 60")
+    chosen(tab, "#o-plan-under-0", "left")
+    fill(tab, "#o-plan-under-1", "8,5")
+    fill(tab, "#o-plan-under-2", "60")
     chosen(tab, "#o-plan-side", "left")
     fill(tab, "#o-plan-ribs", "5, 7")
     click(tab, "#start-plan")
     tab.until("document.querySelector('.live')?.dataset.state == 'waiting'")
     (job,) = served.bench.jobs.table.jobs()
-    assert job.options == {"target": "cobb", "under": "right, 8, 60", "side": "left", "ribs": "5, 7"}
+    assert job.options == {"target": "cobb", "under": "left,8.5,60", "side": "left", "ribs": "5, 7"}
     served.bench.jobs.table.ask_cancel(job.id)
     go(tab, "/")
     go(tab, f"/subject/{served.key()}/run")
     # What belongs to an angle is not sent with another target.
     tab.run("(document.querySelector('#start-plan').closest('details').open = true, 1)")
     chosen(tab, "#o-plan-target", "cobb")
-    fill(tab, "#o-plan-under", "right,8,60")
+    fill(tab, "#o-plan-under-1", "8")
+    fill(tab, "#o-plan-under-2", "60")
     chosen(tab, "#o-plan-target", "tissue")
     tab.until("!document.querySelector('#start-plan').disabled")
     click(tab, "#start-plan")

@@ -61,6 +61,7 @@ class Switch:
 class Text:
     """An option that is a text of some form, given as an ``example``; empty: left out.
 
+    ``fields`` : the parts that commas join, by their words: a unit, or words to choose from with "|" between them.
     ``only`` : the value of another option with which it is asked, and needed; None: it may always be given.
     """
 
@@ -68,6 +69,7 @@ class Text:
     pattern: str
     example: str
     help: str = ""
+    fields: Mapping[str, str] = field(default_factory=dict)
     only: tuple[str, str] | None = None
 
     def argument(self, name: str, value: Any) -> str:
@@ -146,8 +148,8 @@ VERBS: Mapping[str, Verb] = {
                 "Under which push",
                 rf"(left|right),{_RIB},\d{{1,3}}(\.\d)?",
                 "right,8,60",
-                "Side, rib, force in N.",
-                ("target", "cobb"),
+                fields={"from the": "right|left", "at rib": "", "with": "N"},
+                only=("target", "cobb"),
             ),
             "side": Choice("Side to push", {"both": "left or right", "left": "left", "right": "right"}),
             "ribs": Text("Ribs to push", rf"{_RIB}(,{_RIB}){{0,20}}", "5,7,9", "Empty: 5 to 10."),

@@ -28,7 +28,7 @@ export interface Choices { groups: { name: string; title: string; of: string }[]
 export interface Said { field: string; text: string }
 export interface Judged { problems: Said[]; open: Said[] }
 export interface Form extends Judged { schema: Schema; words: Record<string, { title?: string; unit?: string; help?: string; picture?: string }>; priors: Record<string, number>; choices: Choices; values: Values; revision: string }
-export interface Option { kind: "choice" | "number" | "switch" | "text"; title: string; example?: string; help?: string; only?: [string, string] | null; words?: Record<string, string>; low?: number; high?: number; usual?: number; unit?: string; whole?: boolean }
+export interface Option { kind: "choice" | "number" | "switch" | "text"; title: string; example?: string; help?: string; fields?: Record<string, string>; only?: [string, string] | null; words?: Record<string, string>; low?: number; high?: number; usual?: number; unit?: string; whole?: boolean }
 export interface Verb { title: string; about: string; minutes: string; options: Record<string, Option> }
 export interface Look {
   studies: { label: string; words: string }[]; study: string | null; told: Values; notes: string[];

@@ -97,8 +97,7 @@ function choices(verb: string, options: Record<string, api.Option>, given: api.V
     for (const { name, option, element } of made) {
       if (!option.only) continue;
       element.hidden = given[option.only[0]] !== option.only[1];
-      const box = element.querySelector("input");
-      if (element.hidden) delete given[name]; else given[name] = box?.value ?? "";
+      if (element.hidden) delete given[name]; else given[name] = element.dataset["value"] ?? "";
     }
   };
   for (const { element } of made) element.querySelector("select")?.addEventListener("change", settle);
@@ -109,6 +108,7 @@ function choices(verb: string, options: Record<string, api.Option>, given: api.V
 function choice(verb: string, name: string, option: api.Option, given: api.Values): HTMLElement {
   const id = `o-${verb}-${name}`;
   if (option.kind === "text") {
+    if (Object.keys(option.fields ?? {}).length) return parts(id, name, option, given);
     const box = h("input", { type: "text", id, autocomplete: "off", maxlength: "60", placeholder: option.example ?? "" });
     box.addEventListener("input", () => { given[name] = box.value; });
     return h("p", {}, h("label", {}, `${option.title} `, box), h("small", { class: "soft" }, ` ${option.help ?? ""} E.g. ${option.example ?? ""}`));
@@ -127,6 +127,24 @@ function choice(verb: string, name: string, option: api.Option, given: api.Value
   box.value = String(option.usual ?? "");
   box.addEventListener("input", () => { given[name] = Number(box.value.replace(",", ".")); });
   return h("p", {}, h("label", {}, `${option.title} `, box, option.unit ? ` ${option.unit}` : "", ` (${option.low ?? ""} to ${option.high ?? ""})`));
+}
+
+/** A text of several parts, each with a box of its own; as long as one is empty there is none. */
+function parts(id: string, name: string, option: api.Option, given: api.Values): HTMLElement {
+  const fields = Object.entries(option.fields ?? {}), all = h("p", { class: "row", role: "group", "aria-label": option.title }, option.title);
+  const boxes = fields.map(([, kind], i) => (kind.includes("|") ? h("select", { id: `${id}-${i}` }, ...kind.split("|").map((word) => h("option", { value: word }, word)))
+    : h("input", { type: "text", inputmode: "decimal", class: "number", id: `${id}-${i}`, autocomplete: "off" })));
+  const set = (): void => {
+    const values = boxes.map((box) => (box.tagName === "INPUT" ? box.value.trim().replace(",", ".") : box.value));
+    all.dataset["value"] = values.every(Boolean) ? values.join(",") : "";
+    given[name] = all.dataset["value"];
+  };
+  boxes.forEach((box, i) => {
+    // A box that has the focus when it is hidden says "change" once more.
+    box.addEventListener(box.tagName === "INPUT" ? "input" : "change", set);
+    all.append(h("label", {}, `${fields[i]?.[0] ?? ""} `, box), box.tagName === "INPUT" ? (fields[i]?.[1] ?? "") : "");
+  });
+  return all;
 }
 
 /** A job while it runs. */
