@@ -6,7 +6,7 @@ import csv
 import io
 import shutil
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import pytest
 
@@ -19,6 +19,7 @@ from spinestiff.study.wording import TIMES_DEFAULT
 from spinestiff.subject.folder import read_unannotated
 from spinestiff.subject.outcomes import Responses
 from spinestiff.subject.run_record import read_outcome
+from spinestiff.workbench import visits as compared
 from spinestiff.workbench.overview import overview_csv
 
 HAS_BROWSER = browser() is not None and sys.platform != "win32"
@@ -33,6 +34,17 @@ def visits(finished, tmp_path_factory):
     for name in ("first", "second"):
         shutil.copytree(finished.folder, root / name)
     return root
+
+
+@pytest.fixture
+def taken_anew(monkeypatch):
+    """``estimate_of`` to which copies of a folder are visits with radiographs of their own."""
+
+    def own(visit):
+        return replace(estimate_of(visit), push_pictures=frozenset({visit.subject.folder.name}))
+
+    monkeypatch.setattr(compared, "estimate_of", own)
+    return own
 
 
 def rows_of(content):
@@ -73,8 +85,14 @@ def test_cells_say_what_is_open_and_are_no_formulas():
         assert {value for name, value in row.items() if name not in ("subject", "state")} == {""}
 
 
-def test_two_visits_of_one_person_are_told_as_repeat_tells_them(visits, serve, tmp_path):
-    wanted = repeatability([estimate_of(open_visit(visits / name)) for name in ("first", "second")])
+def test_a_copy_is_no_second_visit(visits, serve):
+    with serve(visits, read_only=True) as served:
+        told = served.good("GET", f"/api/visits/{served.key('first')}/{served.key('second')}")
+    assert told["same"] and not told["lines"] and "a copy is no second visit" in told["problem"]
+
+
+def test_two_visits_of_one_person_are_told_as_repeat_tells_them(visits, serve, tmp_path, taken_anew):
+    wanted = repeatability([taken_anew(open_visit(visits / name)) for name in ("first", "second")])
     with serve(visits, read_only=True) as served:
         first, second = served.key("first"), served.key("second")
         told = served.good("GET", f"/api/visits/{first}/{second}")
@@ -98,6 +116,7 @@ def test_two_visits_of_one_person_are_told_as_repeat_tells_them(visits, serve, t
         assert str(other) not in told["problem"]
 
 
+@pytest.mark.usefixtures("taken_anew")
 @pytest.mark.skipif(not HAS_BROWSER, reason="no Chromium to open the page in, or no pipe to drive it by")
 def test_the_page_downloads_the_table_and_says_whether_somebody_changed(tab, visits, serve):
     with serve(visits, read_only=True) as served:
