@@ -10,6 +10,8 @@ from __future__ import annotations
 import re
 import secrets
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -75,19 +77,14 @@ class Trash:
         ------
         SpinestiffError : as ``replacing.exchange``; all is as it was then.
         """
-        key = secrets.token_hex(8)
-        place = self.folder / key
+        with self._new_place() as place:
 
-        def keep(gone: Marks) -> Path:
-            write_json(place / RECORD, {"subject": folder.name, "image": image, "marks": asdict(gone)})
-            return place / Path(REST_IMAGES[image]).name
+            def keep(gone: Marks) -> Path:
+                write_json(place / RECORD, {"subject": folder.name, "image": image, "marks": asdict(gone)})
+                return place / Path(REST_IMAGES[image]).name
 
-        try:
             exchange(folder, image, source, sha256, marks or Marks(), keep)
-        except BaseException:
-            shutil.rmtree(place, ignore_errors=True)
-            raise
-        return key if place.is_dir() else None
+        return place.name if place.is_dir() else None
 
     def remove_push(self, folder: Path, push: str) -> tuple[str, list[str]]:
         """Take a push out of a subject; returns its key in the trash, and what that entails, a line each.
@@ -96,14 +93,19 @@ class Trash:
         ------
         SpinestiffError : as ``push_removal.remove_push``; all is as it was then.
         """
-        key = secrets.token_hex(8)
-        place = self.folder / key
+        with self._new_place() as place:
 
-        def keep(removed: RemovedPush) -> None:
-            write_json(place / PUSH_RECORD, record_of(folder.name, removed))
+            def keep(removed: RemovedPush) -> None:
+                write_json(place / PUSH_RECORD, record_of(folder.name, removed))
 
+            return place.name, remove_push(folder, push, keep)
+
+    @contextmanager
+    def _new_place(self) -> Iterator[Path]:
+        """Where something may be put, by a key of its own; what lies there goes if something fails."""
+        place = self.folder / secrets.token_hex(8)
         try:
-            return key, remove_push(folder, push, keep)
+            yield place
         except BaseException:
             shutil.rmtree(place, ignore_errors=True)
             raise
