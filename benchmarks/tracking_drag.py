@@ -5,8 +5,8 @@ vertebra's error, in the channels of ``estimation.noise`` (shifts along columns 
 mean square of the frame's shifts along columns, is its *share*. Printed are the shares' size, how alike they are along
 the spine, and how alike for the same vertebra in the same frame, in another frame of its push, and under another push:
 what two pushes have in common is no chance of a picture. ``estimation.noise`` has the model of it. Printed, too, is the
-size of the errors over what tracking predicts, of vertebrae whose drag should be smaller than that, and how far
-vertebrae lie aside.
+size of the errors over what tracking predicts, of vertebrae whose drag should be smaller than that, how far
+vertebrae lie aside, and what the discs between them truly shear.
 
 ``python benchmarks/tracking_drag.py FOLDER [--subjects N] [--first SEED] [--write]`` (a minute a subject; FOLDER keeps
 them, and a run goes on with what is there).
@@ -56,8 +56,8 @@ CHANNELS = ("shift along columns", "shift along rows", "turn")
 @dataclass(frozen=True)
 class Shares:
     """Of one frame that moved by ``mm``: (3, 17) shares, NaN where a vertebra was not followed, errors over the
-    predicted one of a corner along one axis, NaN where drag may be larger, and (n,) mm by which followed vertebrae lie
-    aside of where they are."""
+    predicted one of a corner along one axis, NaN where drag may be larger, (n,) mm by which followed vertebrae lie
+    aside of where they are, and what discs shear, as ``disc_shear``."""
 
     push: str
     frame: int
@@ -65,6 +65,7 @@ class Shares:
     values: Floats
     over_predicted: Floats
     sideways_mm: Floats
+    sheared: Floats
 
 
 def recipe(seed: int) -> Recipe:
@@ -116,7 +117,8 @@ def shares(folder: Path, seed: int) -> list[Shares]:
             over[:, rows] = np.where(told, np.clip(error / predicted, -LARGEST_ERROR, LARGEST_ERROR), np.nan)
             if abs(size) >= 2.0 * LEAST_MM:
                 sideways = 0.5 * np.abs(error[0])[followed[number].all(1)]
-                found.append(Shares(name, number, abs(size) / 2.0, values, over, sideways))
+                sheared = disc_shear(true[0], true[number])
+                found.append(Shares(name, number, abs(size) / 2.0, values, over, sideways, sheared))
     return found
 
 
@@ -126,6 +128,19 @@ def channels(difference: Floats, corners: Floats) -> Floats:
     turn = np.stack([-arms[..., 1], arms[..., 0]], -1)
     turn /= np.linalg.norm(turn, axis=(1, 2))[:, None, None]
     return np.stack([*(0.5 * difference.sum(axis=1).T), np.einsum("vki,vki->v", turn, difference)])
+
+
+def disc_shear(start: Floats, now: Floats) -> Floats:
+    """(Nv - 1,) how far the point midway between two vertebrae is carried to different places across the spine by the
+    one and by the other, over their distance; corners (Nv, 4, 2) before and after a motion."""
+    before, after = (one.mean(1) for one in (start, now))
+    arms, moved = ((one - one.mean(1, keepdims=True)) @ np.array([1.0, 1.0j]) for one in (start, now))
+    turn = np.sum(arms.conj() * moved, axis=1)
+    turn = turn / np.abs(turn)
+    half = 0.5 * np.diff(before, axis=0) @ np.array([1.0, 1.0j])
+    gap = np.diff(after, axis=0) @ np.array([1.0, 1.0j]) - (turn[:-1] + turn[1:]) * half
+    across = moved[:-1, 0] + moved[:-1, 3] - moved[:-1, 1] - moved[:-1, 2]
+    return np.asarray(np.abs((gap * across.conj()).real) / np.abs(across) / (2.0 * np.abs(half)))
 
 
 def pairs(subjects: list[list[Shares]]) -> Iterator[tuple[str, Shares, Shares]]:
@@ -181,6 +196,12 @@ def aside(subjects: list[list[Shares]]) -> dict[str, float]:
     return found | {f"beyond {FAR_MM} mm": round(float(np.mean(errors > FAR_MM)), 4), "vertebrae": len(errors)}
 
 
+def sheared(subjects: list[list[Shares]]) -> dict[str, float]:
+    """Percentiles of what discs truly shear in the picture, over the distance of their vertebrae."""
+    found = np.concatenate([frame.sheared for frames in subjects for frame in frames])
+    return {f"{percent} %": round(float(np.percentile(found, percent)), 5) for percent in (50, 68, 95, 99)}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
@@ -204,6 +225,7 @@ def main() -> None:
         "frames": sum(len(frames) for frames in found),
         "shares": summarised(found),
         "aside_mm": aside(found),
+        "disc_shear": sheared(found),
     }
     print(json.dumps(result, indent=1))
     if asked.write:

@@ -22,8 +22,8 @@ SAME_BASIN = 0.04
 # about its own axis, may look more like the annotated frame than the walls in their new place do.
 ASIDE_MM = (-1.6, -0.8, 0.8, 1.6)
 SAME_PLACE_MM = 0.1
-# Standard deviation of what a disc shears in the picture, over the distance of its vertebrae's centres: 0.002 in 68 %
-# and 0.008 in 95 % of the discs of synthetic subjects (docs/tracking.md).
+# Standard deviation of what a disc shears in the picture, over the distance of its vertebrae's centres: below 0.002 in
+# 68 % and 0.006 in 95 % of the discs of synthetic subjects (benchmarks/tracking_drag.py).
 SHEAR = 0.007
 WIDEST_SHEAR = 5.0  # standard deviations; more costs no more
 INDEPENDENT_POINTS = 20.0  # of a patch: how sure its correlation is
