@@ -138,6 +138,14 @@ def test_arches_brighter_than_the_walls_do_not_take_vertebrae_along(lag):
     assert errors_mm(track(frames, {0: corners(truth[0])}), truth).max() < 0.5
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("marked", [[0], [0, 5, 6], [0, 1, 1, 2]])
+def test_single_vertebrae_gaps_and_one_marked_twice_are_followed(marked):
+    frames, truth = sequence(12.0, count=2)
+    found = track(frames, {0: corners(truth[0][marked])})
+    assert errors_mm(found, truth[:, marked]).max() < 0.3
+
+
 def test_errors_do_not_add_up():
     """Eleven frames there and back: each is registered on the first one."""
     poses = [pushed_poses(rest_poses(10), 12.0 * min(k, 10 - k)) for k in range(11)]

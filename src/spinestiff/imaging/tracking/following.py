@@ -165,7 +165,8 @@ def _least_sheared(
     before: list[np.ndarray] = []
     for upper, lower, above, below in zip(bodies, bodies[1:], places, places[1:]):
         middle = 0.5 * (upper.centre + lower.centre)[None]
-        apart = float(np.linalg.norm(lower.centre - upper.centre))
+        # Marked on one place by mistake, two vertebrae still are as large as they are.
+        apart = max(float(np.linalg.norm(lower.centre - upper.centre)), 0.5 * upper.size)
         hangs = np.array([upper.placed(pose, middle)[0] for pose, _ in above])
         stands = np.array([lower.placed(pose, middle)[0] for pose, _ in below])
         across = np.array([turn(pose[0]) @ upper.width for pose, _ in above])
