@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import errno
 import hashlib
@@ -27,6 +28,9 @@ LARGEST_JSON = 10 * 2**20
 _LONGEST_SHOWN = 60
 SEPARATORS = (";", "\t", ",")
 """Of fields in tables that people make, in the order in which a header is tried."""
+
+_SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+"""How .xlsx and .ods, and .xls begin."""
 
 _TROUBLE = {
     errno.ENOSPC: "the disk is full",
@@ -67,6 +71,30 @@ def read_text(path: Path, largest: int = LARGEST_JSON) -> str:
         raise SubjectError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
     except OSError as error:
         raise SubjectError(f"{path}: can't be read ({error.strerror})") from None
+
+
+def read_exported_text(path: Path, largest: int = LARGEST_JSON) -> str:
+    """A text file as devices and spreadsheets write them: UTF-8, UTF-16 with its mark, else Windows' Western letters.
+
+    For files whose meaning lies in numbers and plain English letters: another alphabet's letters may come out wrong.
+
+    Raises
+    ------
+    SubjectError : as ``read_text``; a spreadsheet's own format, or another that is no text.
+    """
+    regular_file(path, SubjectError, cap_bytes=largest)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise SubjectError(f"{path}: can't be read ({error.strerror})") from None
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return content.decode("utf-16", errors="replace")
+    if content.startswith(_SPREADSHEETS) or b"\0" in content:
+        raise SubjectError(f"{path}: no text; export the table as CSV")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", errors="replace")
 
 
 # Of a fault at a place the beginning of Python's words, and ours.

@@ -9,7 +9,7 @@ import pytest
 
 from bench_page import box, chosen, click, files, fill, go, load, text
 from chromium import browser
-from hospital import export
+from hospital import export, gauged
 from spinestiff.files import read_json
 
 pytestmark = pytest.mark.skipif(
@@ -297,3 +297,33 @@ def test_radiographs_without_millimetres_are_shown_and_what_they_lack_is_said(ta
         assert "rest, frontal: no ImagerPixelSpacing" in text(tab, "#lacking")
         click(tab, "#lacking a")
         tab.until("!!document.querySelector('#xray')")
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "cp1252"])
+def test_a_log_with_times_of_day_and_letters_of_its_own_gives_the_forces(tab, root, serve, tmp_path, encoding):
+    true = gauged(tmp_path)
+    rows = [row.split(";") for row in (tmp_path / "gauge.csv").read_text(encoding="utf-8").splitlines()[1:]]
+    clocked = [f"14:{int(ms) // 60000:02d}:{int(ms) / 1000 % 60:06.3f};{force}" for ms, force in rows]
+    log = tmp_path / "Prüfung.csv"
+    log.write_text("\n".join(["Gerät µ", "Zeit (h:mm:ss);Kraft (kgf)", *clocked]), encoding=encoding)
+    with serve(root, sources=(tmp_path / "in",)) as served:
+        made = {
+            "origin": "source",
+            "key": served.good("GET", "/api/sources")["sources"][0]["key"],
+            "name": "new",
+            "person": {},
+        }
+        key = served.good("POST", "/api/subjects", made)["key"]
+        load(tab, served.address)
+        go(tab, f"/subject/{key}/form")
+        tab.run("(document.querySelector('#log-0-file').closest('details').open = true, 1)")
+        files(tab, "#log-0-file", [log])
+        click(tab, "#log-0-read")
+        tab.until("document.querySelector('#room').innerText.includes('(times of day)')")
+        shown = text(tab)
+        assert "Kraft (kgf)" in shown and "count from its first entry, 14:00:00.000" in shown
+        click(tab, "#room details[open] button.main")
+        tab.until("document.querySelector('.saved').innerText.startsWith('Saved')")
+        assert tab.complaints == []
+    forces = read_json(root / "new" / "subject.json")["pushes"][0]["forces_n"]
+    assert max(abs(one - other) for one, other in zip(forces, true, strict=True)) < 2.5

@@ -15,7 +15,7 @@ from spinestiff.subject.intake.force_log import find_columns, read_force_log, wi
 def log(tmp_path):
     def write(text):
         path = tmp_path / "gauge.csv"
-        path.write_text(text, encoding="utf-8")
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
         return path
 
     return write
@@ -111,6 +111,63 @@ def test_a_unit_that_the_header_contradicts_is_refused(log):
 def test_what_is_wrong_is_said_with_its_line(log, text, words):
     with pytest.raises(SubjectError, match=re.escape(words)):
         read(log(text))
+
+
+@pytest.mark.parametrize(
+    ("entries", "times"),
+    [
+        (("14:03:22", "14:03:23", "14:04:00"), [0.0, 1.0, 38.0]),
+        (("14:03:22.50", "14:03:22,75", "14:03:23:125"), [0.0, 0.25, 0.625]),
+        (("2026-03-03T23:59:59.5Z", "2026-03-04T00:00:00Z", "2026-03-04T00:00:01Z"), [0.0, 0.5, 1.5]),
+        (("03.03.2026 9:59:59", "03.03.2026 10:00:00", "03.03.2026 10:00:02"), [0.0, 1.0, 3.0]),
+        (("11:59:59 AM", "12:00:00 PM", "1:00:00 pm"), [0.0, 1.0, 3601.0]),
+    ],
+)
+def test_times_of_day_become_seconds_from_the_first_entry(log, entries, times):
+    path = log("Uhrzeit Time [h:mm:ss];Kraft [N]\n" + "".join(f"{one};{n}\n" for n, one in enumerate(entries)))
+    found = read(path)
+    np.testing.assert_allclose(found.times_s, times, atol=1e-9)
+    assert found.notes == (f"times of day: the log's seconds count from its first entry, {entries[0]}",)
+    assert "(times of day)" in find_columns(path).words
+    with pytest.raises(SubjectError, match="is in s, but ms was given"):
+        read(path, units=("ms", "N"))
+
+
+@pytest.mark.parametrize(
+    ("entries", "words"),
+    [
+        (("14:03:22", "14:03:22"), "line 3: the time does not grow; export it with parts of a second"),
+        (("14:03:22", "14:03:21"), "line 3: the time does not grow; wanted one log, in order of time"),
+        (("14:03:22", "23.5"), "line 3: found '23.5;1', wanted a time of day and a force"),
+        (("14:03:22", "14:03"), "line 3: found '14:03;1', wanted a time of day and a force"),
+        (("2:03:22 PM", "14:03:23 PM"), "line 3: found '14:03:23 PM;1', wanted a time of day and a force"),
+        (("24:00:00", "24:00:01"), "found the header 'time;force N', wanted numbers of time and force"),
+    ],
+)
+def test_times_of_day_that_cannot_be_are_refused(log, entries, words):
+    with pytest.raises(SubjectError, match=re.escape(words)):
+        read(log("time;force N\n" + "".join(f"{one};{n}\n" for n, one in enumerate(entries))))
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-16", "utf-8-sig"])
+def test_a_gauge_s_own_letters_are_no_obstacle(log, encoding):
+    found = read(log("Prüfgerät\nZeit (s);Kraft (N)\n0;0\n1;2,5\n".encode(encoding)))
+    np.testing.assert_allclose(found.forces_n, [0.0, 2.5])
+    with pytest.raises(SubjectError, match="is in μs; convert it to s or ms"):
+        read(log("Zeit (µs);Kraft (N)\n0;0\n1;2,5\n".encode(encoding)))
+
+
+@pytest.mark.parametrize("content", [b"PK\x03\x04 and more", b"\xd0\xcf\x11\xe0\xa1\xb1", b"time s,force N\n0,\0\n"])
+def test_what_is_no_text_is_to_be_exported_as_csv(log, content):
+    with pytest.raises(SubjectError, match=r"gauge\.csv: no text; export the table as CSV"):
+        read(log(content))
+
+
+def test_decimal_commas_between_commas_are_not_taken_for_fields(log):
+    wanted = "line 2: 4 fields, wanted 2 as in the header; numbers with decimal commas need semicolons"
+    with pytest.raises(SubjectError, match=re.escape(wanted)):
+        read(log("time s,force N\n0,5,15,0\n1,0,20,0\n"))
+    np.testing.assert_allclose(read(log("time s,force N\n0,5,,\n1,6,,\n")).forces_n, [5.0, 6.0])
 
 
 def test_columns_that_are_named_have_to_be_there(log):

@@ -4,6 +4,18 @@ import * as api from "./api";
 import { typed } from "./fields";
 import { act } from "./page";
 
+/** A log's text as `spinestiff init` reads it: UTF-8, UTF-16 with its mark, else Windows' Western letters. */
+const textOf = async (file: File): Promise<string> => {
+  const bytes = new Uint8Array(await file.arrayBuffer());
+  const mark = (bytes[0] ?? 0) * 256 + (bytes[1] ?? 0);
+  if (mark === 0xfffe || mark === 0xfeff) return new TextDecoder(mark === 0xfffe ? "utf-16le" : "utf-16be").decode(bytes);
+  try {
+    return new TextDecoder("utf-8", { fatal: true }).decode(bytes);
+  } catch {
+    return new TextDecoder("windows-1252").decode(bytes);
+  }
+};
+
 const LARGEST = 3 * 2 ** 20;
 
 export function gaugeLog(key: string, push: number, take: (forces: number[]) => void): HTMLElement {
@@ -31,7 +43,7 @@ export function gaugeLog(key: string, push: number, take: (forces: number[]) => 
     below.replaceChildren("Putting it beside the frames …");
     try {
       below.replaceChildren(shown(await api.gaugeLog(key, {
-        push, text: await chosen.text(), ...(time.value && force.value ? { columns: [time.value, force.value] } : {}),
+        push, text: await textOf(chosen), ...(time.value && force.value ? { columns: [time.value, force.value] } : {}),
         ...(timeUnit.value ? { time_unit: timeUnit.value } : {}), ...(forceUnit.value ? { force_unit: forceUnit.value } : {}), ...(at === null ? {} : { offset_s: at }),
       }), take));
     } catch (error) {

@@ -14,7 +14,7 @@ import numpy as np
 
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import SubjectError
-from spinestiff.files import SEPARATORS, decimal_point, read_text
+from spinestiff.files import SEPARATORS, decimal_point, read_exported_text
 from spinestiff.subject.records import GAUGE_LIMIT_N
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3}
@@ -39,6 +39,12 @@ may be kgf and lbf; that is for the user to say.
 LAST_HEADER = 60
 """Lines within which the header has to be: gauges write some of their own above it."""
 MOST_ROWS = 1_000_000
+_CLOCK = re.compile(
+    r"(?:.*[\sT])?(?P<h>\d{1,2}):(?P<m>[0-5]\d):(?P<s>[0-5]\d)(?:(?:[.,]|:(?=\d{3}\b))(?P<part>\d+))?\s*(?P<half>[AP]M)?Z?",
+    re.IGNORECASE,
+)
+"""A time of day, with a date before it or none: 14:03:22, 2:03:22.5 PM, 2026-03-03T14:03:22,500, 14:03:22:500."""
+DAY_S = 86400.0
 NOTHING_N = 0.5
 """Forces below count as none: what a hand-held gauge shows in the air."""
 
@@ -51,7 +57,7 @@ class LogColumns:
     ----------
     time, force : names of the columns. time_unit, force_unit : of ``TIME_UNITS`` and ``FORCE_UNITS``; None if not told.
     header : line of the header, from 1. at : positions of both columns. separator : of fields.
-    first : line of the first row of numbers.
+    first : line of the first row of numbers. fields : in the header. clock : times are times of day.
     """
 
     time: str
@@ -62,11 +68,14 @@ class LogColumns:
     at: tuple[int, int]
     separator: str
     first: int
+    fields: int
+    clock: bool = False
 
     @property
     def words(self) -> str:
         """What was found."""
         time, force = (unit or "unit not told" for unit in (self.time_unit, self.force_unit))
+        time = "times of day" if self.clock else time
         return f"time in column {_shown(self.time)} ({time}), force in column {_shown(self.force)} ({force})"
 
 
@@ -104,7 +113,7 @@ def find_columns(path: Path, names: tuple[str, str] | None = None) -> LogColumns
     ------
     SubjectError : no header with a column of time and one of force, or several; a unit that is not read.
     """
-    lines = read_text(path).splitlines()
+    lines = read_exported_text(path).splitlines()
     no_numbers: tuple[int, str] | None = None
     best: tuple[str, str] | None = None
     for number, line in enumerate(lines[:LAST_HEADER]):
@@ -140,8 +149,10 @@ def _numbers_follow(below: list[str], times: list[int], forces: list[int], separ
     """Whether one of the next two lines has numbers of time and force; one may hold the units."""
     full = (line for line in below if line.strip(separator + " \t"))
     for line in islice(full, 2):
-        told = {i for i, cell in enumerate(_cells(line, separator)) if _number(cell, separator) is not None}
-        if told.intersection(times) and told.intersection(forces):
+        cells = dict(enumerate(_cells(line, separator)))
+        if any(_time(cells.get(i, ""), separator) is not None for i in times) and any(
+            _number(cells.get(i, ""), separator) is not None for i in forces
+        ):
             return True
     return False
 
@@ -153,10 +164,19 @@ def _with_units(
     first = number + 1
     below = _cells(lines[first], separator) if first < len(lines) else []
     # Some gauges write the units in a line of their own.
-    has_row = len(below) > max(at) and all(_number(below[i], separator) is None for i in at)
+    has_row = (
+        len(below) > max(at) and _time(below[at[0]], separator) is None and _number(below[at[1]], separator) is None
+    )
+    first += 1 + has_row
+    entries = (_cells(line, separator) for line in lines[first - 1 :])
+    clock = any(_clock(entry[at[0]]) is not None for entry in islice((e for e in entries if len(e) > max(at)), 1))
     for i, known, others in zip(at, (_TIME_NAMES, _FORCE_NAMES), (_OTHER_TIMES, _OTHER_FORCES)):
         words = _tokens(cells[i]) + (_tokens(below[i]) if has_row else [])
         names = {**known, **others}
+        if clock and i == at[0]:
+            # "h:mm:ss" in a header names no unit.
+            units.append("s")
+            continue
         told = {names[word] for word in words[1 if len(words) > 1 and words[0] in ("t", "f") else 0 :] if word in names}
         if len(told) > 1:
             raise SubjectError(f"{path}: line {number + 1}: column {_shown(cells[i])} names several units; rename it")
@@ -168,8 +188,9 @@ def _with_units(
                 "that in the header"
             )
         units.append(unit)
-    first += 1 + has_row
-    return LogColumns(cells[at[0]], cells[at[1]], units[0], units[1], number + 1, at, separator, first)
+    return LogColumns(
+        cells[at[0]], cells[at[1]], units[0], units[1], number + 1, at, separator, first, len(cells), clock
+    )
 
 
 def with_units(columns: LogColumns, path: Path, time_unit: str | None, force_unit: str | None) -> LogColumns:
@@ -191,8 +212,10 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
 
     Raises
     ------
-    SubjectError : a unit that is not known, a row without numbers, times that do not grow, fewer than two rows, forces
-        of both signs or beyond the gauge's limit.
+    SubjectError : a unit that is not known, a row without numbers or with more than the header has, times that do not
+        grow, fewer than two rows, forces of both signs or beyond the gauge's limit.
+
+    Times of day become seconds from the first entry on; midnight may come between.
     """
     if columns.time_unit is None:
         raise SubjectError(
@@ -203,29 +226,45 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
             f"{path}: column {_shown(columns.force)} tells no unit; give --log-units s,N (or s,kgf or s,lbf)"
         )
     rows = []
-    lines = read_text(path).splitlines()
+    lines = read_exported_text(path).splitlines()
     for number, line in enumerate(lines[columns.first - 1 :], columns.first):
         if not line.strip(columns.separator + " \t"):
             continue
         cells = _cells(line, columns.separator)
-        pair = [_number(cells[i], columns.separator) if i < len(cells) else None for i in columns.at]
-        if pair[0] is None or pair[1] is None:
-            raise SubjectError(f"{path}: line {number}: found {_shown(line)}, wanted numbers of time and force")
-        rows.append((number, pair[0], pair[1]))
+        if columns.separator == "," and len(cells) > columns.fields and any(cells[columns.fields :]):
+            raise SubjectError(
+                f"{path}: line {number}: {len(cells)} fields, wanted {columns.fields} as in the header; numbers with "
+                "decimal commas need semicolons between the fields"
+            )
+        when, much = (cells[i] if i < len(cells) else "" for i in columns.at)
+        time = _clock(when) if columns.clock else _number(when, columns.separator)
+        force = _number(much, columns.separator)
+        if time is None or force is None:
+            wanted = "a time of day and a force" if columns.clock else "numbers of time and force"
+            raise SubjectError(f"{path}: line {number}: found {_shown(line)}, wanted {wanted}")
+        rows.append((number, time, force))
         if len(rows) > MOST_ROWS:
             raise SubjectError(f"{path}: more than {MOST_ROWS} rows; cut the log to the push")
     if len(rows) < 2:
         raise SubjectError(f"{path}: found {len(rows)} rows of numbers, wanted 2 or more")
     times = TIME_UNITS[columns.time_unit] * np.array([row[1] for row in rows])
     forces = FORCE_UNITS[columns.force_unit] * np.array([row[2] for row in rows])
+    notes = []
+    if columns.clock:
+        began = _cells(lines[rows[0][0] - 1], columns.separator)[columns.at[0]]
+        notes.append(f"times of day: the log's seconds count from its first entry, {began[:40]}")
+        # Once a day the clock falls by nearly a day.
+        times = times - times[0] + DAY_S * np.cumsum(np.diff(times, prepend=times[0]) < -0.5 * DAY_S)
     backwards = np.flatnonzero(np.diff(times) <= 0.0)
     if len(backwards):
         number = rows[backwards[0] + 1][0]
-        raise SubjectError(f"{path}: line {number}: the time does not grow; wanted one log, in order of time")
-    return _magnitudes(path, times, forces)
+        same = columns.clock and times[backwards[0] + 1] == times[backwards[0]]
+        wanted = "export it with parts of a second" if same else "wanted one log, in order of time"
+        raise SubjectError(f"{path}: line {number}: the time does not grow; {wanted}")
+    return _magnitudes(path, times, forces, notes)
 
 
-def _magnitudes(path: Path, times: Floats, forces: Floats) -> ForceLog:
+def _magnitudes(path: Path, times: Floats, forces: Floats, notes: list[str]) -> ForceLog:
     """Forces as magnitudes: some gauges count compression below 0."""
     high, low = float(forces.max()), float(forces.min())
     slack = max(2.0, 0.05 * max(high, -low))
@@ -233,10 +272,9 @@ def _magnitudes(path: Path, times: Floats, forces: Floats) -> ForceLog:
         raise SubjectError(
             f"{path}: forces from {low:.1f} to {high:.1f} N, wanted one sign: a push, and no pull; set the gauge's zero"
         )
-    notes = []
     if -low > high:
         forces, high = -forces, -low
-        notes.append("forces below 0: the gauge counts a push so; taken as magnitudes")
+        notes = [*notes, "forces below 0: the gauge counts a push so; taken as magnitudes"]
     if high > GAUGE_LIMIT_N:
         raise SubjectError(f"{path}: forces up to {high:.0f} N, wanted at most {GAUGE_LIMIT_N:g} N; check the unit")
     return ForceLog(times, np.maximum(forces, 0.0), tuple(notes))
@@ -270,6 +308,23 @@ def _number(text: str, separator: str) -> float | None:
     except ValueError:
         return None
     return value if math.isfinite(value) else None
+
+
+def _time(text: str, separator: str) -> float | None:
+    """A number or a time of day."""
+    return _number(text, separator) if (found := _clock(text)) is None else found
+
+
+def _clock(text: str) -> float | None:
+    """A time of day, s after midnight."""
+    found = _CLOCK.fullmatch(text)
+    if found is None:
+        return None
+    hours, half = int(found["h"]), (found["half"] or "").upper()
+    if (half and not 1 <= hours <= 12) or hours > 23:
+        return None
+    hours = hours % 12 + 12 * (half == "PM") if half else hours
+    return 3600.0 * hours + 60.0 * int(found["m"]) + float(f"{found['s']}.{found['part'] or 0}")
 
 
 def _tokens(text: str) -> list[str]:
