@@ -317,6 +317,11 @@ def test_a_log_with_times_of_day_and_letters_of_its_own_gives_the_forces(tab, ro
         load(tab, served.address)
         go(tab, f"/subject/{key}/form")
         tab.run("(document.querySelector('#log-0-file').closest('details').open = true, 1)")
+        micro = tmp_path / "micro.csv"
+        micro.write_text("Zeit (µs);Kraft (N)\n0;0\n1;2\n", encoding=encoding)
+        files(tab, "#log-0-file", [micro])
+        click(tab, "#log-0-read")
+        tab.until("document.querySelector('#problem').innerText.includes('is in μs; convert it')")
         files(tab, "#log-0-file", [log])
         click(tab, "#log-0-read")
         tab.until("document.querySelector('#room').innerText.includes('(times of day)')")
@@ -324,6 +329,6 @@ def test_a_log_with_times_of_day_and_letters_of_its_own_gives_the_forces(tab, ro
         assert "Kraft (kgf)" in shown and "count from its first entry, 14:00:00.000" in shown
         click(tab, "#room details[open] button.main")
         tab.until("document.querySelector('.saved').innerText.startsWith('Saved')")
-        assert tab.complaints == []
+        assert len(tab.complaints) == 1 and "422" in tab.complaints[0]
     forces = read_json(root / "new" / "subject.json")["pushes"][0]["forces_n"]
     assert max(abs(one - other) for one, other in zip(forces, true, strict=True)) < 2.5
