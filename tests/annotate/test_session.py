@@ -491,3 +491,18 @@ def test_a_vertebra_that_sets_the_millimetres_can_be_marked_first(unannotated):
     width = np.linalg.norm(quad[[0, 3]].mean(axis=0) - quad[[1, 2]].mean(axis=0))
     view = read_rest(subject, "frontal").view
     np.testing.assert_allclose(view.pixel_spacing / view.magnification * width, 42.0, rtol=1e-6)
+
+
+def test_such_a_picture_may_have_pixels_that_are_not_square(unannotated):
+    path = unannotated / "rest/frontal.dcm"
+    dataset = pydicom.dcmread(path)
+    del dataset.ImagerPixelSpacing
+    dataset.PixelAspectRatio = [6, 5]
+    dataset.save_as(path)
+    scale = {"rest/frontal": {"vertebra": "L1", "width_mm": 42}}
+    (unannotated / "subject.json").write_text(
+        json.dumps(read_json(unannotated / "subject.json") | {"xray": {"scale": scale}}), encoding="utf-8"
+    )
+    (frame,) = AnnotationSession(unannotated).frames("rest/frontal")
+    across, down = frame.view.pixel_spacing
+    np.testing.assert_allclose(down / across, 1.2, rtol=1e-6)

@@ -17,7 +17,7 @@ from spinestiff.app import cli
 from spinestiff.errors import RadiographError, SubjectError
 from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
-from spinestiff.subject.folder import read_push, read_rest, read_subject
+from spinestiff.subject.folder import read_push, read_rest, read_subject, read_view
 from spinestiff.subject.inspection import inspect
 from spinestiff.subject.records import SubjectRecord
 
@@ -114,6 +114,54 @@ def test_a_vertebra_without_corners_sets_no_scale(folder):
     with pytest.raises(SubjectError, match=r"xray.scale.rest/frontal: L5 is not annotated in this image"):
         read_rest(read_subject(folder), "frontal")
     assert inspect(folder)[0].reason.startswith("xray.scale.rest/frontal: L5")
+
+
+def test_an_image_may_have_a_geometry_of_its_own(folder):
+    for name in ("rest/frontal", "rest/lateral", "pushes/right-8"):
+        without(folder / f"{name}.dcm", "DistanceSourceToDetector", "DistanceSourceToPatient")
+    without(folder / "rest" / "lateral.dcm", "ImagerPixelSpacing")
+    usual = {"source_detector_mm": 1500.0, "source_patient_mm": 1340.0}
+    own = {"source_detector_mm": 1830.0, "imager_pixel_mm": 0.25}
+    write(folder, {**SUBJECT, "xray": {**usual, "images": {"rest/lateral": own}}})
+    subject = read_subject(folder)
+    lateral, frontal = (read_rest(subject, which).view for which in ("lateral", "frontal"))
+    assert (lateral.source_to_detector, lateral.source_to_patient) == (1830.0, 1340.0)
+    np.testing.assert_allclose(lateral.pixel_spacing, 0.25)
+    assert (frontal.source_to_detector, frontal.source_to_patient) == (1500.0, 1340.0)
+    assert read_push(subject, subject.pushes[0])[0].view.source_to_detector == 1500.0
+    assert not any(one.reason or one.missing for one in inspect(folder))
+    assert "1830" in str(next(one.seen for one in inspect(folder) if one.image == "rest/lateral"))
+
+
+def test_what_is_given_for_all_images_may_be_taken_to_be_one_s_alone(folder):
+    without(folder / "rest" / "lateral.dcm", "ImagerPixelSpacing")
+    write(folder, {**SUBJECT, "xray": {"imager_pixel_mm": 0.9}})
+    with pytest.raises(
+        RadiographError, match=r"wanted 0\.9 mm .* or give what holds for single pictures in xray\.images"
+    ):
+        read_rest(read_subject(folder), "frontal")
+    write(folder, {**SUBJECT, "xray": {"images": {"rest/lateral": {"imager_pixel_mm": 0.9}}}})
+    subject = read_subject(folder)
+    np.testing.assert_allclose(read_rest(subject, "lateral").view.pixel_spacing, 0.9)
+    read_rest(subject, "frontal")
+
+
+def test_a_further_view_has_its_geometry_by_its_first_radiograph(folder):
+    view = {"id": "side", "kind": "lateral", "files": "pushes/side.dcm", "frames": [2]}
+    write_radiographs(folder / "pushes" / "side.dcm", np.zeros((800, 800), np.uint16), lateral_view(shape=(800, 800)))
+    without(folder / "pushes" / "side.dcm", "DistanceSourceToDetector", "DistanceSourceToPatient")
+    (push,) = SUBJECT["pushes"]
+    own = {"source_detector_mm": 1830.0, "source_patient_mm": 1600.0}
+    record = {**SUBJECT, "pushes": [{**push, "views": [view]}], "xray": {"images": {"push/right-8/2/side": own}}}
+    images = {**ANNOTATION["images"], "push/right-8/2/side": ANNOTATION["images"]["rest/lateral"]}
+    write(folder, record, {**ANNOTATION, "images": images})
+    subject = read_subject(folder)
+    (side,) = read_view(subject, subject.pushes[0], subject.pushes[0].views[0])
+    assert (side.view.source_to_detector, side.view.source_to_patient) == (1830.0, 1600.0)
+    assert not any(one.missing for one in inspect(folder) if one.image.endswith("view side"))
+    write(folder, {**record, "xray": {"images": {"push/right-8/0/side": own}}})
+    with pytest.raises(SubjectError, match=r"xray\.images\.'push/right-8/0/side': unknown image; wanted one of"):
+        read_subject(folder)
 
 
 def test_records_without_a_scale_are_written_without(folder):

@@ -229,7 +229,8 @@ def test_a_known_length_is_typed_or_clicked_in_the_picture(tab, root, serve):
             tab.until("document.querySelector('.near').width == 480")
             press(".ends.near", 0.5)
         tab.until(saved)
-        tab.wait(lambda: read_json(place)["xray"]["scale"]["rest/frontal"]["object_px"] != length["object_px"])
+        was = length["object_px"]
+        tab.wait(lambda: not any(end in was for end in read_json(place)["xray"]["scale"]["rest/frontal"]["object_px"]))
         (one, other) = read_json(place)["xray"]["scale"]["rest/frontal"]["object_px"]
         # The picture has 448 columns and 640 rows; the enlarged part begins at a whole pixel.
         assert abs(one[0] - 111.5) < 2.5 and abs(other[0] - 223.5) < 2.5 and abs(one[1] - 319.5) < 2.5
@@ -244,6 +245,34 @@ def test_a_known_length_is_typed_or_clicked_in_the_picture(tab, root, serve):
         tab.until(saved)
         click(tab, "#undo-values")
         tab.wait(lambda: set(read_json(place)["xray"]["scale"]) == {"push/a", "rest/frontal"})
+
+
+def test_a_picture_of_another_system_has_its_own_distances(tab, root, serve):
+    place = root / "girl" / "subject.json"
+    saved = "document.querySelector('.saved').innerText.startsWith('Saved')"
+    with serve(root) as served:
+        load(tab, served.address)
+        go(tab, f"/subject/{served.key()}/values")
+        tab.run("(document.querySelector('#xray').open = true, 1)")
+        fill(tab, "#f-xray-source-patient-mm", "1340")
+        chosen(tab, "#apart-image", "rest/lateral")
+        click(tab, "#apart-add")
+        assert "images" not in read_json(place).get("xray", {})
+        fill(tab, "#f-xray-images-rest-lateral-source-detector-mm", "18300")
+        tab.until(
+            "document.querySelector('#f-xray-images-rest-lateral-source-detector-mm-says').innerText.includes('10000')"
+        )
+        fill(tab, "#f-xray-images-rest-lateral-source-detector-mm", "1830")
+        tab.until(saved)
+        tab.wait(lambda: read_json(place)["xray"].get("images") == {"rest/lateral": {"source_detector_mm": 1830}})
+        # The picture of the rays shows this radiograph's own distance, and what holds for all.
+        shown = tab.run("document.querySelector('.beam').textContent")
+        assert "to the detector 1830 mm" in shown and "to the patient 1340 mm" in shown
+        click(tab, "[data-apart='rest/lateral'] > button")
+        tab.wait(lambda: "images" not in read_json(place)["xray"])
+        click(tab, "#undo-values")
+        tab.wait(lambda: read_json(place)["xray"].get("images") == {"rest/lateral": {"source_detector_mm": 1830}})
+        assert tab.complaints == []
 
 
 def test_single_pictures_are_marked_and_made_one_push(tab, root, serve, tmp_path):

@@ -18,6 +18,11 @@ from spinestiff.workbench import marks
 from unannotated import drawn
 
 SCALE = {"object_mm": 25.4, "object_px": [[10.0, 20.0], [40.0, 20.0]]}
+DISTANCES = {"source_detector_mm": 1500.0}
+XRAY = {
+    "scale": {"push/b": SCALE, "rest/frontal": SCALE},
+    "images": {"push/b": DISTANCES, "rest/lateral": DISTANCES},
+}
 INPUTS = ("subject.json: pushes", "annotation.json: pushes", "rest/frontal.dcm", "rest/lateral.dcm")
 HAS_BROWSER = browser() is not None and sys.platform != "win32"
 
@@ -38,7 +43,7 @@ def girl(root):
     (folder / "pushes" / "b.dcm").write_bytes((folder / "pushes" / "a.dcm").read_bytes())
     values = read_json(folder / "subject.json")
     values["pushes"].insert(0, values["pushes"][0] | {"id": "b", "frames": "pushes/b.dcm", "roles": ["unused"] * 3})
-    write_json(folder / "subject.json", values | {"xray": {"scale": {"push/b": SCALE, "rest/frontal": SCALE}}})
+    write_json(folder / "subject.json", values | {"xray": XRAY})
     shown = {"rest/frontal": "rest/frontal", "rest/lateral": "rest/lateral", "push/a": "push/a", "push/b": "push/a",
              "push/b/2": "push/a/2"}  # fmt: skip
     whole = {name: DraftImage.model_validate({"vertebrae": drawn(of).named()}).whole() for name, of in shown.items()}
@@ -68,7 +73,8 @@ def test_a_push_goes_with_its_marks_and_comes_back_with_them(served, girl):
     changed = {"subject.json", "annotation.json", "annotation.draft.json"}
     assert {name for name in before if after.get(name) != before[name]} == changed and set(after) == set(before)
     values = read_json(girl / "subject.json")
-    assert [push["id"] for push in values["pushes"]] == ["a"] and set(values["xray"]["scale"]) == {"rest/frontal"}
+    assert [push["id"] for push in values["pushes"]] == ["a"]
+    assert values["xray"] == {"scale": {"rest/frontal": SCALE}, "images": {"rest/lateral": DISTANCES}}
     assert set(read_json(girl / "annotation.json")["images"]) == {"rest/frontal", "rest/lateral", "push/a"}
     assert set(read_json(girl / "annotation.draft.json")["images"]) == {"push/a"}
     assert len(read_subject(girl).pushes) == 1

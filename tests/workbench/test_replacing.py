@@ -40,7 +40,9 @@ def girl(root):
     draft = {"vertebrae": drawn("rest/lateral").named(), "spine": [[1.0, 2.0]]}
     write_json(folder / "annotation.draft.json", {"schema_version": 1, "images": {"rest/lateral": draft}})
     write_json(
-        folder / "subject.json", read_json(folder / "subject.json") | {"xray": {"scale": {"rest/frontal": SCALE}}}
+        folder / "subject.json",
+        read_json(folder / "subject.json")
+        | {"xray": {"scale": {"rest/frontal": SCALE}, "images": {"rest/frontal": {"source_detector_mm": 1500.0}}}},
     )
     (folder / "results").mkdir()
     (folder / "results" / "estimate.json").write_text("{}", encoding="utf-8")
@@ -72,7 +74,7 @@ def test_a_rest_radiograph_is_replaced_and_comes_back_with_its_marks(served, gir
     assert [(one["name"], one["use"]) for one in look["files"]] == [("I9", "rest, frontal")]
     told = " ".join(look["changes"])
     for words in ("moves to the trash", "17 marked vertebrae go with it", "annotated from the start", "xray.scale",
-                  "Annotations of all other radiographs stay", "out of date"):  # fmt: skip
+                  "xray.images", "Annotations of all other radiographs stay", "out of date"):  # fmt: skip
         assert words in told, told
     assert content_of(girl) == before
     trash = replaced(served, asked)
@@ -80,7 +82,7 @@ def test_a_rest_radiograph_is_replaced_and_comes_back_with_its_marks(served, gir
     annotation, first = read_json(girl / "annotation.json"), json.loads(before["annotation.json"])
     assert set(annotation["images"]) == {"rest/lateral", "push/a"} and "xray" in read_json(girl / "subject.json")
     assert annotation["images"]["push/a"] == first["images"]["push/a"]
-    assert "scale" not in read_json(girl / "subject.json")["xray"]
+    assert read_json(girl / "subject.json")["xray"] == {}
     assert content_of(girl)["annotation.draft.json"] == before["annotation.draft.json"]
     card = served.good("GET", f"/api/subjects/{served.key()}")
     assert card["stage"] == "annotate" and "Rest, frontal: not annotated" in card["missing"]

@@ -329,6 +329,8 @@ def test_everything_and_nothing_of_the_patient_as_zip_files(served, root, tmp_pa
             path.relative_to(root / "girl").as_posix() for path in (root / "girl").rglob("*") if path.is_file()
         )
         assert zipped.read("pushes/a.dcm") == (root / "girl" / "pushes" / "a.dcm").read_bytes()
+    values, distance = read_json(root / "girl" / "subject.json"), {"source_detector_mm": 1500.0}
+    write_json(root / "girl" / "subject.json", values | {"xray": {"images": {"push/a": distance}}})
     bare = packed(nameless=True, burned_in_ok=True)
     (tmp_path / "bare.zip").write_bytes(bare)
     unzip(tmp_path / "bare.zip", tmp_path / "bare", 2**30)
@@ -337,6 +339,7 @@ def test_everything_and_nothing_of_the_patient_as_zip_files(served, root, tmp_pa
         assert word.encode() not in content
     subject, first = read_subject(tmp_path / "bare"), read_subject(root / "girl")
     assert subject.record.id == "subject" and subject.pushes[0].id == "push-1"
+    assert read_json(tmp_path / "bare" / "subject.json")["xray"] == {"images": {"push/push-1": distance}}
     assert subject.annotation.images["push/push-1"] == first.annotation.images["push/a"]
     old = pydicom.dcmread(root / "girl" / first.pushes[0].frames)
     new = pydicom.dcmread(tmp_path / "bare" / subject.pushes[0].frames)

@@ -54,15 +54,15 @@ from spinestiff.subject.records import (
     REST_IMAGES,
     SCHEMA_VERSION,
     SUBJECT_FILE,
-    XRayRecord,
+    ScaleRecord,
 )
 from spinestiff.words import counted
 
 # Images whose frames stay in memory; a push of 1024 x 1024 has a few megabytes a frame.
 KEPT = 3
 FRONTAL = "rest/frontal"
-STAND_IN_MM = 0.15
-"""Pixel where millimetres come from a vertebra that is still to be marked; no length is shown or kept."""
+STAND_IN = ScaleRecord(object_mm=6.0, object_px=((0.0, 0.0), (40.0, 0.0)), plane="detector")
+"""A pixel 0.15 mm wide, where millimetres come from a vertebra still to be marked; no length is shown or kept."""
 SHOWN = 3
 """Of the values that subject.json does not know yet; ``spinestiff inspect`` lists all."""
 
@@ -276,15 +276,14 @@ class AnnotationSession:
         if scale is None or scale.vertebra is None:
             return _frames_of(self.subject, name)
         # The vertebra whose width is known is marked here, so that the picture has to be shown without its millimetres.
-        without = xray.model_copy(
-            update={"scale": {key: one for key, one in (xray.scale or {}).items() if key != name}}
-        )
+        others = {key: one for key, one in (xray.scale or {}).items() if key != name}
         try:
-            return _frames_of(self._with_xray(without), name)
+            return _frames_of(self._scaled(others), name)
         except MissingValue:
-            return _frames_of(self._with_xray(without.model_copy(update={"imager_pixel_mm": STAND_IN_MM})), name)
+            return _frames_of(self._scaled({**others, name: STAND_IN}), name)
 
-    def _with_xray(self, xray: XRayRecord) -> Subject:
+    def _scaled(self, scale: dict[str, ScaleRecord]) -> Subject:
+        xray = self.subject.record.xray.model_copy(update={"scale": scale})
         return replace(self.subject, record=self.subject.record.model_copy(update={"xray": xray}))
 
     def _complete(self, name: str, marks: DraftImage) -> ImageAnnotation | None:

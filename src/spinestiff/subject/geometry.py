@@ -29,13 +29,13 @@ def image_geometry(
     ------
     SubjectError : a scale by a vertebra that is not annotated in this image.
     """
-    xray = record.xray
-    scale = (xray.scale or {}).get(image)
-    usual = xray.orientation == "standard"
+    own = record.xray.of(image)
+    scale = (record.xray.scale or {}).get(image)
+    usual = record.xray.orientation == "standard"
     return Geometry(
-        xray.source_detector_mm,
-        xray.source_patient_mm,
-        xray.imager_pixel_mm,
+        own.source_detector_mm,
+        own.source_patient_mm,
+        own.imager_pixel_mm,
         kind if usual else None,
         None if scale is None else _scale(scale, annotation, image),
     )

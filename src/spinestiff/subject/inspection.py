@@ -196,7 +196,7 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
         if name == LATERAL and not path.exists() and not path.is_symlink():
             continue
         try:
-            geometry = image_geometry(record, annotation, name, kinds.get(name, "frontal"))
+            geometry = image_geometry(record, annotation, marks.get(name, (name,))[0], kinds.get(name, "frontal"))
         except SpinestiffError as problem:
             found.append(Inspection(name, str(problem)))
             continue

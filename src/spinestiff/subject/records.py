@@ -44,6 +44,8 @@ VertebraName = Literal[
 Point = Annotated[tuple[float, float], Field(strict=False)]
 Pair = Annotated[tuple[Point, Point], Field(strict=False)]
 Identifier = Annotated[str, Field(pattern=IDENTIFIER)]
+SourceDistance = Annotated[float, Field(gt=0.0, le=FARTHEST_SOURCE_MM)]
+DetectorPitch = Annotated[float, Field(gt=0.0, le=LARGEST_PIXEL_MM)]
 Distance = Annotated[float, Field(ge=DISTANCES_MM[0], le=DISTANCES_MM[1])]
 
 
@@ -87,6 +89,19 @@ class ScaleRecord(Record):
         return self
 
 
+class ImageXRayRecord(Record):
+    """X-ray geometry of one image where its file lacks it and that of the others does not hold for it.
+
+    Attributes
+    ----------
+    source_detector_mm, source_patient_mm, imager_pixel_mm : as in ``XRayRecord``; None: what is given there.
+    """
+
+    source_detector_mm: SourceDistance | None = None
+    source_patient_mm: SourceDistance | None = None
+    imager_pixel_mm: DetectorPitch | None = None
+
+
 class XRayRecord(Record):
     """X-ray geometry where the DICOM files lack it; a value that contradicts a file is refused.
 
@@ -97,13 +112,23 @@ class XRayRecord(Record):
     orientation : "standard" = in files without an orientation of their own columns grow to the patient's left (in
         lateral views to anterior) and rows to the feet.
     scale : known lengths, by the image in which they were marked.
+    images : what differs from the above in single images, by their names (``PushRecord.geometry_images``).
     """
 
-    source_detector_mm: Annotated[float, Field(gt=0.0, le=FARTHEST_SOURCE_MM)] | None = None
-    source_patient_mm: Annotated[float, Field(gt=0.0, le=FARTHEST_SOURCE_MM)] | None = None
-    imager_pixel_mm: Annotated[float, Field(gt=0.0, le=LARGEST_PIXEL_MM)] | None = None
+    source_detector_mm: SourceDistance | None = None
+    source_patient_mm: SourceDistance | None = None
+    imager_pixel_mm: DetectorPitch | None = None
     orientation: Literal["standard"] | None = None
     scale: dict[str, ScaleRecord] | None = None
+    images: dict[str, ImageXRayRecord] | None = None
+
+    def of(self, image: str) -> ImageXRayRecord:
+        """The geometry given for an image."""
+        own = (self.images or {}).get(image, ImageXRayRecord())
+        names = ImageXRayRecord.model_fields
+        return ImageXRayRecord(
+            **{name: mine if (mine := getattr(own, name)) is not None else getattr(self, name) for name in names}
+        )
 
 
 class FurtherViewRecord(Record):
@@ -265,6 +290,12 @@ class PushRecord(Record):
         """Name of the push's first frame in the annotation."""
         return f"push/{self.id}"
 
+    @property
+    def geometry_images(self) -> tuple[str, ...]:
+        """Names by which its radiographs may have an X-ray geometry of their own: the push's, and that of the first
+        radiograph of each further view."""
+        return self.image, *(self.view_image(view.frames[0], view.id) for view in self.views)
+
     def frame_image(self, frame: int) -> str:
         """Name of a frame (0-based) in the annotation: push/<id> for the first, push/<id>/<frame> for others."""
         return self.image if frame == 0 else f"{self.image}/{frame}"
@@ -387,10 +418,14 @@ class SubjectRecord(Record):
         for i, name in enumerate(names):
             if name in names[:i]:
                 raise ValueError(f"pushes[{i}].id: '{self.pushes[i].id}' is used twice; give each push its own id")
-        known = (*REST_IMAGES, *(push.image for push in self.pushes))
-        for image in self.xray.scale or {}:
-            if image not in known:
-                raise ValueError(f"xray.scale.{shown_value(image)}: unknown image; wanted one of {', '.join(known)}")
+        scaled = (*REST_IMAGES, *(push.image for push in self.pushes))
+        apart = (*REST_IMAGES, *(image for push in self.pushes for image in push.geometry_images))
+        for key, given, known in (("scale", self.xray.scale, scaled), ("images", self.xray.images, apart)):
+            for image in given or {}:
+                if image not in known:
+                    raise ValueError(
+                        f"xray.{key}.{shown_value(image)}: unknown image; wanted one of {', '.join(known)}"
+                    )
         training = [push.forces_n[i] for push in self.pushes for i in push.frames_of("training")]
         if not training and any(push.frames_of("validation") for push in self.pushes):
             raise ValueError("pushes: no frame has the role training, wanted at least one")

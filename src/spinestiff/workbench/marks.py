@@ -1,6 +1,6 @@
-"""What was marked in a subject's radiographs, in the three files that hold it: taken out of them, and put back.
+"""What was said of a subject's radiographs, in the three files that hold it: taken out of them, and put back.
 
-Pixels that were marked in one picture say nothing of another. So what was marked in a radiograph goes where it goes.
+Pixels that were marked in one picture say nothing of another. So what was said of a radiograph goes where it goes.
 """
 
 from __future__ import annotations
@@ -18,23 +18,27 @@ from spinestiff.subject.gaps import check_open_record
 from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE
 
 FILES = (SUBJECT_FILE, ANNOTATION_FILE, DRAFT_FILE)
+XRAY_KEYS = ("scale", "images")
+"""Under which ``xray`` in ``subject.json`` says something of single images."""
 Contents = dict[str, Any]
 """By name of the file its JSON; None where it is not there."""
 
 
 @dataclass(frozen=True)
 class Marks:
-    """What was marked in one radiograph, as JSON in the subject's files; None: nothing.
+    """What was said of one radiograph, as JSON in the subject's files; None: nothing.
 
     Attributes
     ----------
     annotation, draft : of ``annotation.json`` and ``annotation.draft.json``: corners and pedicles in pixels.
     scale : a known length in pixels, of ``xray.scale`` in ``subject.json``.
+    geometry : distances and pixel of its own, of ``xray.images``.
     """
 
     annotation: Any = None
     draft: Any = None
     scale: Any = None
+    geometry: Any = None
 
     @property
     def vertebrae(self) -> int:
@@ -83,16 +87,18 @@ def _images(content: Any) -> dict[str, Any]:
     return images if isinstance(images, dict) else {}
 
 
-def _scales(content: Any) -> dict[str, Any]:
+def _of_xray(content: Any, key: str) -> dict[str, Any]:
+    """What ``xray`` says under a key of ``XRAY_KEYS``, by image."""
     xray = content.get("xray") if isinstance(content, dict) else None
-    scales = xray.get("scale") if isinstance(xray, dict) else None
-    return scales if isinstance(scales, dict) else {}
+    found = xray.get(key) if isinstance(xray, dict) else None
+    return found if isinstance(found, dict) else {}
 
 
 def parted(contents: Contents, image: str) -> tuple[Contents, Marks]:
     """The files without what is marked in an image, and that."""
     subject, annotation, draft = (contents[name] for name in (SUBJECT_FILE, ANNOTATION_FILE, DRAFT_FILE))
-    marks = Marks(_images(annotation).get(image), _images(draft).get(image), _scales(subject).get(image))
+    scale, geometry = (_of_xray(subject, key).get(image) for key in XRAY_KEYS)
+    marks = Marks(_images(annotation).get(image), _images(draft).get(image), scale, geometry)
     return joined(contents, image, Marks()), marks
 
 
@@ -106,11 +112,14 @@ def joined(contents: Contents, image: str, marks: Marks) -> Contents:
         if images != _images(content):
             found[name] = {**content, "images": images} if images else None
     subject = contents[SUBJECT_FILE]
-    scales = {key: value for key, value in _scales(subject).items() if key != image}
-    scales |= {} if marks.scale is None else {image: marks.scale}
-    if scales != _scales(subject):
-        xray = {key: value for key, value in (subject.get("xray") or {}).items() if key != "scale"}
-        found[SUBJECT_FILE] = {**subject, "xray": {**xray, "scale": scales} if scales else xray}
+    for key, said in zip(XRAY_KEYS, (marks.scale, marks.geometry)):
+        subject = found[SUBJECT_FILE]
+        others = {name: value for name, value in _of_xray(subject, key).items() if name != image}
+        others |= {} if said is None else {image: said}
+        if others != _of_xray(subject, key):
+            xray = {name: value for name, value in (subject.get("xray") or {}).items() if name != key}
+            found[SUBJECT_FILE] = {**subject, "xray": {**xray, key: others} if others else xray}
+    if found[SUBJECT_FILE] != contents[SUBJECT_FILE]:
         check_open_record(found[SUBJECT_FILE])
     return found
 
@@ -127,7 +136,8 @@ def write_changed(folder: Path, now: Contents, wanted: Contents) -> None:
 
 
 def marked_images(contents: Contents, push: str) -> tuple[str, ...]:
-    """Names of a push's frames and views in which something is marked, by its id."""
+    """Names of a push's frames and views of which something is said, by its id."""
     subject, annotation, draft = (contents[name] for name in FILES)
-    found = dict.fromkeys((*_images(annotation), *_images(draft), *_scales(subject)))
+    of_xray = [image for key in XRAY_KEYS for image in _of_xray(subject, key)]
+    found = dict.fromkeys((*_images(annotation), *_images(draft), *of_xray))
     return tuple(name for name in found if name == f"push/{push}" or name.startswith(f"push/{push}/"))

@@ -20,6 +20,7 @@ from spinestiff.imaging.deidentification.deidentify import deidentify
 from spinestiff.imaging.deidentification.pseudonyms import Key, random_key
 from spinestiff.subject.folder import MOST_INPUT_BYTES, read_annotation, read_unannotated
 from spinestiff.subject.records import ANNOTATION_FILE, REST_IMAGES, SUBJECT_FILE
+from spinestiff.workbench.marks import XRAY_KEYS
 from spinestiff.workbench.rooms import room_bytes
 
 PARCEL_S, MOST_PARCELS = 600.0, 10
@@ -122,8 +123,9 @@ def nameless_parcel(folder: Path, place: Path, burned_in_ok: bool) -> Path:
     left_out |= {key for key in ("torso", "skin_scan") if values.get(key) is not None}
     kept = {name: value for name, value in values.items() if name not in _PERSONAL and name not in LEFT_OUT}
     record = {**kept, "schema_version": values["schema_version"], "id": "subject", "pushes": pushes}
-    if scale := (record.get("xray") or {}).get("scale"):
-        record["xray"] = {**record["xray"], "scale": _renamed(scale, names)}
+    for told in XRAY_KEYS:
+        if of_images := (record.get("xray") or {}).get(told):
+            record["xray"] = {**record["xray"], told: _renamed(of_images, names)}
     content[SUBJECT_FILE] = json_text(record).encode()
     if (folder / ANNOTATION_FILE).is_file():
         read_annotation(folder / ANNOTATION_FILE)

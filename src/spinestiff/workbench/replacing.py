@@ -112,6 +112,11 @@ def _entails(folder: Path, image: str) -> list[str]:
             "The known length that was marked in it (xray.scale in subject.json) goes with it, too. If the new file "
             "has no pixel spacing of its own, a length has to be measured in it."
         )
+    if marks.geometry is not None:
+        lines.append(
+            "The distances or pixel that were given for it alone (xray.images in subject.json) go with it, too; give "
+            "those of the new one if its file lacks them."
+        )
     lines.append("Annotations of all other radiographs stay.")
     if (folder / RESULTS / RUN_FILE).is_file():
         lines.append("Results that came from the present one count as out of date until the next run.")

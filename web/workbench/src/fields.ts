@@ -18,7 +18,7 @@ export function plain(schema: Schema, form: Form): Schema {
 
 /** "pushes[0].d21_mm" as it stands in the words: "pushes.d21_mm". */
 export const wordsOf = (path: string, form: Form): { title?: string; unit?: string; help?: string; picture?: string } =>
-  form.words[path.replace(/\[\d+\]/g, "").replace(/^trunk\.[A-Z]\d+/, "trunk").replace(/^xray\.scale\..*\.(\w+)$/, "xray.scale.$1")] ?? {};
+  form.words[path.replace(/\[\d+\]/g, "").replace(/^trunk\.[A-Z]\d+/, "trunk").replace(/^xray\.scale\..*\.(\w+)$/, "xray.scale.$1").replace(/^xray\.images\..*\.(\w+)$/, "xray.$1")] ?? {};
 
 const spoken = (name: string): string => name.replace(/_(mm|n|cm|kg|deg)$/, "").replaceAll("_", " ");
 const idOf = (path: string): string => `f-${path.replace(/[^A-Za-z0-9]/g, "-")}`;

@@ -2,6 +2,7 @@
 import { button, h, need } from "../../shared/dom";
 import { Refused, words } from "../../shared/net";
 import * as api from "./api";
+import { apart } from "./apart";
 import { beam } from "./beam";
 import { markers, views } from "./beside";
 import { skin, trunk } from "./body";
@@ -128,13 +129,13 @@ export async function values(key: string): Promise<Room> {
       h("div", { class: "grid" }, ...Object.entries(form.priors).map(([name, usual]) => field(holder, name, `priors.${name}`, { type: "number", minimum: 0, maximum: 1000 }, own, usual))));
   }
 
-  const xrayOpen = (): boolean => body.querySelector<HTMLDetailsElement>("#xray")?.open ?? Boolean((form.values["xray"] as api.Values | undefined)?.["scale"]);
+  const xrayOpen = (): boolean => body.querySelector<HTMLDetailsElement>("#xray")?.open ?? ["scale", "images"].some((name) => (form.values["xray"] as api.Values | undefined)?.[name]);
 
   function xray(schema: api.Schema): HTMLElement {
     const holder = (form.values["xray"] ?? {}) as api.Values, keep = (): void => { if (Object.keys(holder).length) form.values["xray"] = holder; };
-    const own = { ...context(), changed: () => { keep(); later(); } };
+    const own = { ...context(), changed: () => { keep(); later(); } }, pushes = (form.values["pushes"] ?? []) as api.Values[];
     return h("div", {}, h("div", { class: "beside" }, h("div", { class: "grid" }, ...Object.entries(schema.properties ?? {}).filter(([, one]) => isSimple(plain(one, form))).map(([name, one]) => field(holder, name, `xray.${name}`, one, own))),
-      h("figure", { class: "diagram" })), scales(key, holder, (form.values["pushes"] ?? []) as api.Values[], context(), now, keep));
+      h("figure", { class: "diagram" })), apart(holder, pushes, context(), now, keep), scales(key, holder, pushes, context(), now, keep));
   }
 
   function pushSet(push: api.Values, number: number, schema: api.Schema): HTMLElement {
@@ -195,9 +196,12 @@ export async function values(key: string): Promise<Room> {
 
   /** A push is gone on the server; what could not be saved of the others stays as it was typed. */
   async function without(id: string): Promise<void> {
-    const { values: here } = form, scale = (here["xray"] as api.Values | undefined)?.["scale"] as api.Values | undefined;
+    const { values: here } = form;
     here["pushes"] = (here["pushes"] as api.Values[]).filter((push) => push["id"] !== id);
-    if (scale) delete scale[`push/${id}`];
+    for (const name of ["scale", "images"]) {
+      const told = ((here["xray"] as api.Values | undefined)?.[name] ?? {}) as api.Values;
+      for (const image of Object.keys(told)) if (image === `push/${id}` || image.startsWith(`push/${id}/`)) delete told[image];
+    }
     form = await api.form(key);
     saved = JSON.stringify(form.values);
     if (!same(here, form.values)) form.values = here;
@@ -232,7 +236,8 @@ export async function values(key: string): Promise<Room> {
     const drawn = (figure: HTMLElement, picture: SVGElement): void => figure.replaceChildren(picture, h("figcaption", { class: "soft" }, "Not to scale."));
     for (const figure of body.querySelectorAll<HTMLElement>(".diagram")) {
       if (figure.dataset["push"] === undefined) {
-        const rays = (form.values["xray"] ?? {}) as api.Values;
+        const usual = (form.values["xray"] ?? {}) as api.Values, alone = Object.entries((usual["images"] ?? {}) as Record<string, api.Values>).find(([image]) => path.startsWith(`xray.images.${image}.`));
+        const rays = { ...usual, ...alone?.[1] };
         const lengths = (rays["scale"] ?? {}) as Record<string, api.Values>, at = Object.keys(lengths).find((image) => path.startsWith(`xray.scale.${image}.`));
         const length = at ? lengths[at] : Object.values(lengths).find((one) => one["object_mm"] !== undefined);
         drawn(figure, beam({ object: length ? numberOf(length, "object_mm") : null, onDetector: length?.["plane"] === "detector", shown: length?.["object_mm"] !== undefined, detector: numberOf(rays, "source_detector_mm"), patient: numberOf(rays, "source_patient_mm"), pixel: numberOf(rays, "imager_pixel_mm") }, pictured("xray.")));

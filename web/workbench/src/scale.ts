@@ -6,7 +6,10 @@ import { boxed, type Context, field, plain, sayId, typed, wordsOf } from "./fiel
 
 type Make = (change: () => void) => void;
 const OBJECT = ["object_mm", "object_px", "plane"], KINDS: Record<string, string> = { object: "a calibration object", vertebra: "a vertebra" };
-export const titleOf = (image: string): string => (image.startsWith("rest/") ? `the ${image.slice(5)} radiograph at rest` : `the pictures of ${image.replace("/", " ")}`);
+export function titleOf(image: string): string {
+  const [kind, push, , view] = image.split("/");
+  return kind === "rest" ? `the ${image.slice(5)} radiograph at rest` : view ? `the view ${view} of push ${push ?? ""}` : `the pictures of push ${push ?? ""}`;
+}
 
 /** A row for each image that has one, and what adds another. `holder` is `xray`, and `keep` puts it into the values. */
 export function scales(key: string, holder: Values, pushes: Values[], context: Context, now: Make, keep: () => void): HTMLElement {
