@@ -143,6 +143,10 @@ def test_assessment(printed):
     (line,) = [line for line in text.splitlines() if line.startswith("main 6")]
     # Nobody extrapolates or knows the truth here, so that there are no columns for it.
     assert line.split() == ["main", "6", "60", "9.00", "7.13", "1.23", "0.70", "0.50", "2.00", "-7.0", "-"]
+    upper, lower = CHANGE["tilt_levels"]
+    assert f" {upper}–{lower}" in text.splitlines()[text.splitlines().index(line) + 1]
+    surely = {**ASSESSMENT, "cobb_change_deg": {"measured": {**CHANGE, "sds": (3.0, 2.0, 1.0)}, "fit": None}}
+    assert " -7.0±2.0 " in printed(tables.assessment_table([HeldOutFrame.model_validate(surely)]))
     assert "truth" not in text and "pol." not in text
     whole = {**ASSESSMENT, "rmse_mm": {**ASSESSMENT["rmse_mm"], "truth": 1.5}}
     assert "truth" in printed(tables.assessment_table([HeldOutFrame.model_validate(whole)]))

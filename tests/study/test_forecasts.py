@@ -38,7 +38,8 @@ def test_lines_tell_what_was_expected_and_found(finished) -> None:
     (line,) = forecast_lines([frame])
     assert "expected within 1.5 mm (one sd)" in line
     assert "found 1.0 mm off, 90 % of corners" in line
-    assert line.endswith("Cobb change off by 2.0° (95 %: at most 2.0°)")
+    upper, lower = frame.cobb_change_deg["measured"].levels
+    assert line.endswith(f"; change of the Cobb angle between {upper} and {lower} off by 2.0° (95 %: at most 2.0°)")
     assert forecast_lines([frame.model_copy(update={"forecast": None})]) == []
 
 

@@ -19,6 +19,7 @@ from spinestiff.study.wording import (
     costly_unknowns,
     estimated,
     factor95,
+    fixed,
     halved_or_doubled,
     has_intervals,
     interval,
@@ -27,12 +28,13 @@ from spinestiff.study.wording import (
     strongest_priors,
     unknown_title,
 )
+from spinestiff.subject.outcome_parts import HALF_WIDTH_95
 
 if TYPE_CHECKING:
     from spinestiff.study.repeatability import Repeatability
     from spinestiff.study.seven.goals import Goal
     from spinestiff.study.seven.tables import PaperTable
-    from spinestiff.subject.assessment_outcome import HeldOutFrame
+    from spinestiff.subject.assessment_outcome import CobbChangeRecord, HeldOutFrame
     from spinestiff.subject.estimate_outcome import Estimate
     from spinestiff.subject.outcomes import FrameProposal
     from spinestiff.verification.outcome import Check
@@ -187,7 +189,9 @@ PREDICTORS = {
 
 
 def assessment_table(frames: Sequence[HeldOutFrame]) -> Table:
-    """RMSE of every held-out frame by predictor, and the change of the Cobb angle (tilt form)."""
+    """RMSE of every held-out frame by predictor, and the change of the Cobb angle (tilt form), as seen
+    (with its 95 % half width) and by the fit, each with its levels.
+    """
     names = [name for name in PREDICTORS if any(frame.rmse_mm[name] is not None for frame in frames)]
     made = table(
         "Held-out frames: corner RMSE, mm, and change of tilt, degrees",
@@ -200,9 +204,16 @@ def assessment_table(frames: Sequence[HeldOutFrame]) -> Table:
             escape(f"{frame.push} {frame.frame}"),
             f"{frame.force_n:.0f}",
             *[_number(frame.rmse_mm[name]) for name in names],
-            *[_number(None if change is None else change.tilt, 1) for change in changes],
+            *[_tilt(change) for change in changes],
         )
     return made
+
+
+def _tilt(change: CobbChangeRecord | None) -> str:
+    if change is None:
+        return "-"
+    error = "" if change.sds is None else f"±{fixed(HALF_WIDTH_95 * change.sds[2], 1)}"
+    return f"{change.tilt:.1f}{error}\n{'–'.join(change.tilt_levels)}"
 
 
 def frames_table(frames: Sequence[FrameProposal]) -> Table:

@@ -449,6 +449,9 @@ def forecast_lines(frames: Sequence[HeldOutFrame]) -> list[str]:
         )
         if found.cobb_error_deg is not None and found.cobb_sd_deg is not None:
             limit = HALF_WIDTH_95 * found.cobb_sd_deg
-            line += f"; Cobb change off by {fixed(abs(found.cobb_error_deg), 1)}° (95 %: at most {fixed(limit, 1)}°)"
+            seen = frame.cobb_change_deg.get("measured")
+            between = "" if seen is None else f" between {seen.levels[0]} and {seen.levels[1]}"
+            off = fixed(abs(found.cobb_error_deg), 1)
+            line += f"; change of the Cobb angle{between} off by {off}° (95 %: at most {fixed(limit, 1)}°)"
         lines.append(line)
     return lines
