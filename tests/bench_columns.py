@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from spinestiff.curves.corner_files import ImageCorners
-from spinestiff.files import parse_json
+from spinestiff.formats import parse_json
 from spinestiff.subject.phantom_record import PhantomRecord
 from spinestiff.subject.record_reading import parse_record
 

@@ -16,8 +16,6 @@ from spinestiff.errors import RadiographError, SpinestiffError, SubjectError, To
 from spinestiff.files import (
     check_output,
     file_digest,
-    parse_csv,
-    parse_json,
     read_json,
     read_text,
     regular_file,
@@ -26,6 +24,7 @@ from spinestiff.files import (
     write_bytes,
     write_json,
 )
+from spinestiff.formats import parse_csv, parse_json
 
 FOREIGN = {
     "missing": "no such file",

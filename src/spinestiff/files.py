@@ -1,34 +1,24 @@
-"""Files: told from pipes, devices and links, JSON and CSV read strictly, written whole, never over an input, hashes."""
+"""Files: told from pipes, devices and links, read and written whole, never over an input, hashes."""
 
 from __future__ import annotations
 
 import codecs
-import csv
 import errno
 import hashlib
-import io
-import json
-import math
 import os
-import re
 import secrets
 import shutil
 import stat
-from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from spinestiff.errors import ChangedElsewhere, SpinestiffError, SubjectError
-from spinestiff.words import counted
+from spinestiff.formats import json_text, parse_json
 
 LARGEST_JSON = 10 * 2**20
 """Bytes. A subject's files are a few kilobytes; anything larger is another file or an accident."""
-_LONGEST_SHOWN = 60
-SEPARATORS = (";", "\t", ",")
-"""Of fields in tables that people make, in the order in which a header is tried."""
-
 _SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """How .xlsx and .ods, and .xls begin."""
 
@@ -97,128 +87,6 @@ def read_exported_text(path: Path, largest: int = LARGEST_JSON) -> str:
         return content.decode("cp1252", errors="replace")
 
 
-# Of a fault at a place the beginning of Python's words, and ours.
-_JSON_FAULTS = (
-    ("Expecting ',' delimiter", "a comma is missing before this place, or a bracket that closes"),
-    ("Expecting ':' delimiter", "wanted a colon after the key"),
-    ("Expecting property name", "wanted a key in double quotes; a comma before it may be one too many"),
-    ("Illegal trailing comma", "a comma too many: nothing follows it"),
-    ("Expecting value", "wanted a value: a number with a decimal point, text in double quotes, null, or a list"),
-    ("Unterminated string", "the text that begins here has no closing double quotes in its line"),
-    ("Invalid control character", "a line ends within a text; close its double quotes"),
-    ("Extra data", "the file goes on after its end; a closing bracket may be one too many"),
-)
-
-
-def parse_json(text: str, name: str) -> Any:
-    """JSON text with what the standard lets pass refused: a key twice in an object, NaN, numbers out of range."""
-
-    def refuse(constant: str) -> NoReturn:
-        raise SubjectError(f"{name}: found {constant}, wanted a finite number")
-
-    def number(literal: str) -> float:
-        value = float(literal)
-        return value if math.isfinite(value) else refuse(literal)
-
-    def keys_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        content = dict(pairs)
-        if len(content) < len(pairs):
-            twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
-            raise SubjectError(f"{name}: key '{twice}' is given twice in one object; keep one")
-        return content
-
-    try:
-        return json.loads(text, object_pairs_hook=keys_once, parse_constant=refuse, parse_float=number)
-    except json.JSONDecodeError as error:
-        where = f"line {error.lineno}, column {error.colno}"
-        raise SubjectError(f"{name}: not JSON at {where}: {_json_fault(text, error)}") from None
-    except RecursionError:
-        raise SubjectError(f"{name}: nested too deeply") from None
-    except ValueError:
-        # Python's own limit on the digits of an integer.
-        raise SubjectError(f"{name}: holds a number with too many digits") from None
-
-
-def _json_fault(text: str, error: json.JSONDecodeError) -> str:
-    """What is wrong, in words of the file rather than of Python's parser."""
-    before, after = re.search(r"\d+,$", text[: error.pos]), re.match(r"\d+", text[error.pos :])
-    if before and after:
-        found = before[0] + after[0]
-        return f"found {found}, wanted a decimal point ({found.replace(',', '.')})"
-    known = (told for beginning, told in _JSON_FAULTS if error.msg.startswith(beginning))
-    return next(known, error.msg)
-
-
-def parse_csv(
-    text: str, name: str, columns: Sequence[str], optional: Sequence[str] = (), numbers: Collection[str] = ()
-) -> Iterator[tuple[int, tuple[str, ...]]]:
-    """Rows of a CSV with just these columns, in any order; empty lines are skipped.
-
-    Fields are separated by commas, semicolons or tabs, by which the first line has these columns.
-
-    Parameters
-    ----------
-    text : of the file.
-    name : of the file, for messages.
-    optional : columns that may be there besides.
-    numbers : columns whose decimal commas become points where commas do not separate fields.
-
-    Yields
-    ------
-    The row's last line in the file, and its texts without blanks around them, in the order of ``columns`` and then of
-    ``optional``; "" for a column that is not there.
-
-    Raises
-    ------
-    SubjectError : other columns, a row with another number of fields, no CSV at all.
-    """
-    separator = _separator(text, columns, optional)
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
-    wanted = ",".join(columns) + (f" and perhaps {','.join(optional)}" if optional else "")
-    try:
-        header = [column.strip() for column in next(reader, [])]
-        if sorted(column for column in header if column not in optional) != sorted(columns) or (
-            len(set(header)) < len(header)
-        ):
-            shown = "".join(c if c.isprintable() else "?" for c in ",".join(header)[:_LONGEST_SHOWN])
-            raise SubjectError(f"{name}: row 1: columns {shown}, wanted {wanted}")
-        at = [header.index(column) if column in header else None for column in (*columns, *optional)]
-        for row in reader:
-            if not row:
-                continue
-            if len(row) != len(header):
-                fields = f"{counted(len(row), 'field')}, wanted {len(header)} ({','.join(header)})"
-                comma = separator == "," and len(row) > len(header)
-                hint = "; numbers with decimal commas need semicolons between the fields" if comma else ""
-                raise SubjectError(f"{name}: row {reader.line_num}: {fields}{hint}")
-            texts = ("" if i is None else row[i].strip() for i in at)
-            yield (
-                reader.line_num,
-                tuple(
-                    decimal_point(one, separator) if column in numbers else one
-                    for column, one in zip((*columns, *optional), texts)
-                ),
-            )
-    except csv.Error as error:
-        raise SubjectError(f"{name}: row {reader.line_num}: not CSV ({error})") from None
-
-
-def decimal_point(text: str, separator: str) -> str:
-    """A number's text with a decimal comma as a point; commas that separate fields are none."""
-    return text if separator == "," else text.replace(",", ".")
-
-
-def _separator(text: str, columns: Sequence[str], optional: Sequence[str]) -> str:
-    """By which the first line has all columns and no other; a comma where none does."""
-    first = text.partition("\n")[0].rstrip("\r")
-    for separator in SEPARATORS:
-        with suppress(csv.Error):
-            header = {column.strip() for column in next(csv.reader([first], delimiter=separator), [])}
-            if set(columns) <= header <= {*columns, *optional}:
-                return separator
-    return ","
-
-
 def write_json(path: Path, data: Any) -> None:
     """Write ``data`` as JSON: whole or not at all, so that an interrupted run leaves the old file.
 
@@ -234,11 +102,6 @@ def write_json(path: Path, data: Any) -> None:
     except (ValueError, TypeError) as error:
         raise SpinestiffError(f"{path.name} is not written: {error}") from None
     write_text(path, text + "\n")
-
-
-def json_text(data: Any) -> str:
-    """``data`` as JSON, the same text from the same data. Raises ValueError or TypeError for what JSON lacks."""
-    return json.dumps(data, sort_keys=True, indent=1, allow_nan=False, ensure_ascii=False, default=_plain)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -368,12 +231,6 @@ def _replace(path: Path, content: bytes, private: bool) -> None:
 
 def _private(path: str, flags: int) -> int:
     return os.open(path, flags, 0o600)
-
-
-def _plain(value: Any) -> Any:
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} has no JSON form")
 
 
 def file_digest(path: Path) -> str:

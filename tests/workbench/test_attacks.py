@@ -24,7 +24,7 @@ from asking import wait_for
 from hospital import CANARY as PATIENT
 from hospital import disc
 from spinestiff.errors import NotThere, OptionError, SubjectError
-from spinestiff.files import parse_json
+from spinestiff.formats import parse_json
 from spinestiff.loopback import guard, serving
 from spinestiff.loopback.guard import LARGEST_BODY, PROXY_HEADER, TOKEN_HEADER
 from spinestiff.workbench import rooms

@@ -12,7 +12,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.errors import SubjectError
-from spinestiff.files import parse_json, read_text
+from spinestiff.files import read_text
+from spinestiff.formats import parse_json
 from spinestiff.subject.annotation_record import ImageAnnotation
 from spinestiff.subject.record_reading import complaint_of
 from spinestiff.subject.records import Point, VertebraName

@@ -21,7 +21,8 @@ from pydantic import ValidationError
 from spinestiff.cohort.marker import CohortRecord, Order
 from spinestiff.cohort.places import LEDGER_FILE
 from spinestiff.errors import SubjectError
-from spinestiff.files import parse_json, read_text, write_json
+from spinestiff.files import read_text, write_json
+from spinestiff.formats import parse_json
 
 LEDGER_VERSION = 1
 _TABLES = """

@@ -15,7 +15,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from spinestiff.cohort.places import DONE_FILE, Place, digests_of, input_files
 from spinestiff.errors import SubjectError
-from spinestiff.files import json_text, parse_json, read_text, regular_files
+from spinestiff.files import read_text, regular_files
+from spinestiff.formats import json_text, parse_json
 
 State = Literal["missing", "damaged", "out of date", "current"]
 

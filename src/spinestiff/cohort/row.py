@@ -9,7 +9,8 @@ from pydantic import Field, ValidationError
 
 from spinestiff.cohort.marker import CohortRecord
 from spinestiff.errors import SubjectError
-from spinestiff.files import parse_json, read_text, write_json
+from spinestiff.files import read_text, write_json
+from spinestiff.formats import parse_json
 
 CurveKind = Literal["none", "proximal thoracic", "main thoracic", "thoracolumbar/lumbar"]
 Sex = Literal["female", "male"]

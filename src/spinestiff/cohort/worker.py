@@ -29,7 +29,8 @@ from pydantic import ValidationError
 from spinestiff.cohort.marker import CohortRecord, Marker, Order, digest_of, examine, whole_results
 from spinestiff.cohort.places import DONE_FILE, RESULTS, ROW_FILE, Place, digests_of, input_files, place_of
 from spinestiff.errors import InUseError, SpinestiffError, SubjectError
-from spinestiff.files import parse_json, read_text, regular_files, trouble, write_json
+from spinestiff.files import read_text, regular_files, trouble, write_json
+from spinestiff.formats import parse_json
 from spinestiff.observer import Observer
 from spinestiff.subject.lock import sole_run
 

@@ -7,7 +7,7 @@ import io
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from spinestiff.files import parse_csv
+from spinestiff.formats import parse_csv
 
 COLUMNS = ("image", "level", "corner", "x", "y")
 FORMULA = ("=", "+", "-", "@")
@@ -26,7 +26,7 @@ class CsvRow(NamedTuple):
 
 
 def parse(text: str, name: str) -> Iterator[CsvRow]:
-    """The rows of a CSV with the columns ``COLUMNS`` in any order (``files.parse_csv``); empty lines are skipped.
+    """The rows of a CSV with the columns ``COLUMNS`` in any order (``formats.parse_csv``); empty lines are skipped.
 
     Parameters
     ----------

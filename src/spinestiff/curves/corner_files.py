@@ -21,7 +21,8 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats, read_only
 from spinestiff.curves import corner_csv, corner_markups
 from spinestiff.errors import SubjectError
-from spinestiff.files import parse_json, read_text, write_json, write_text
+from spinestiff.files import read_text, write_json, write_text
+from spinestiff.formats import parse_json
 from spinestiff.subject.annotation_record import FURTHER_VIEW, Annotation
 from spinestiff.subject.record_reading import complaint_of
 from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, SCHEMA_VERSION

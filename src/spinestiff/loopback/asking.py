@@ -10,7 +10,7 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from spinestiff.errors import ChangedElsewhere, InUseError, NotThere, SpinestiffError, SubjectError
-from spinestiff.files import parse_json
+from spinestiff.formats import parse_json
 from spinestiff.subject.record_reading import complaint_of
 
 

@@ -20,7 +20,8 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.fitted import StiffnessFit
-from spinestiff.files import json_text, read_text
+from spinestiff.files import read_text
+from spinestiff.formats import json_text
 from spinestiff.imaging.features import ORIENTATIONS, Orientation
 from spinestiff.observer import Observer
 from spinestiff.personalise.shape import place_vertebrae

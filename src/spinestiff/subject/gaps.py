@@ -14,7 +14,8 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
-from spinestiff.files import parse_json, read_text
+from spinestiff.files import read_text
+from spinestiff.formats import parse_json
 from spinestiff.subject.record_reading import complaints_of, parse_record
 from spinestiff.subject.records import (
     DISTANCES_MM,

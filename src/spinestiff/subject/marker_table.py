@@ -14,7 +14,8 @@ import numpy as np
 from spinestiff.anatomy.axes import MM, body_axes
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
-from spinestiff.files import parse_csv, read_text, write_text
+from spinestiff.files import read_text, write_text
+from spinestiff.formats import parse_csv
 from spinestiff.imaging.projection import XRayView
 from spinestiff.subject.folder import Subject, check_inside
 from spinestiff.subject.outcomes import MarkerTracks

@@ -11,7 +11,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from spinestiff.errors import SubjectError
-from spinestiff.files import parse_json, read_text
+from spinestiff.files import read_text
+from spinestiff.formats import parse_json
 
 SUBJECT_PAGE = "docs/subject-folder.md"
 IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"

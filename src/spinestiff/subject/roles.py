@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from spinestiff.errors import SubjectError
-from spinestiff.files import parse_json, read_text, write_text
+from spinestiff.files import read_text, write_text
+from spinestiff.formats import parse_json
 from spinestiff.subject.record_reading import parse_record
 from spinestiff.subject.records import SUBJECT_FILE, Role, SubjectRecord
 

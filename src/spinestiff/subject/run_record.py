@@ -15,7 +15,8 @@ from pydantic import Field, ValidationError
 
 from spinestiff import __version__
 from spinestiff.errors import SubjectError
-from spinestiff.files import file_digest, json_text, parse_json, read_text, write_json
+from spinestiff.files import file_digest, read_text, write_json
+from spinestiff.formats import json_text, parse_json
 from spinestiff.subject.folder import Subject
 from spinestiff.subject.outcome_parts import Outcome, OutcomeFile
 from spinestiff.subject.program import program

@@ -13,7 +13,8 @@ from typing import Any
 
 from spinestiff.annotate.draft import DRAFT_FILE
 from spinestiff.errors import SubjectError
-from spinestiff.files import parse_json, read_text, write_json, write_text
+from spinestiff.files import read_text, write_json, write_text
+from spinestiff.formats import parse_json
 from spinestiff.subject.gaps import check_open_record
 from spinestiff.subject.records import ANNOTATION_FILE, SUBJECT_FILE
 

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from spinestiff.errors import RadiographError, SubjectError
-from spinestiff.files import json_text, read_json, regular_files, trouble
+from spinestiff.files import read_json, regular_files, trouble
+from spinestiff.formats import json_text
 from spinestiff.imaging.deidentification.deidentify import deidentify
 from spinestiff.imaging.deidentification.pseudonyms import Key, random_key
 from spinestiff.subject.folder import MOST_INPUT_BYTES, read_annotation, read_unannotated

@@ -20,7 +20,8 @@ from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
-from spinestiff.files import json_text, read_text
+from spinestiff.files import read_text
+from spinestiff.formats import json_text
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
 from spinestiff.observer import Observer

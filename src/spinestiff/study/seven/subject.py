@@ -18,7 +18,8 @@ from spinestiff.anatomy.stiffness import DEFAULT_YOUNG_MPA, stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import EquilibriumError, FitError, SpinestiffError, SubjectError
-from spinestiff.files import json_text, read_json, read_text, whole_folder, write_json
+from spinestiff.files import read_json, read_text, whole_folder, write_json
+from spinestiff.formats import json_text
 from spinestiff.imaging.features import rmse, silhouette_shares, state_features, target_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem

@@ -14,7 +14,8 @@ import numpy as np
 
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import SubjectError
-from spinestiff.files import SEPARATORS, decimal_point, read_exported_text
+from spinestiff.files import read_exported_text
+from spinestiff.formats import SEPARATORS, decimal_point
 from spinestiff.subject.records import GAUGE_LIMIT_N
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3}

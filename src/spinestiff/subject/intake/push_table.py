@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any, get_args
 
 from spinestiff.errors import SubjectError
-from spinestiff.files import parse_csv, read_text
+from spinestiff.files import read_text
+from spinestiff.formats import parse_csv
 from spinestiff.imaging.dicom.export import Exported
 from spinestiff.subject.intake.collecting import Study, by_name
 from spinestiff.subject.records import DISTANCES_MM, GAUGE_LIMIT_N, LEVELS, Role
