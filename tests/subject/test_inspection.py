@@ -164,6 +164,19 @@ def test_a_further_view_has_its_geometry_by_its_first_radiograph(folder):
         read_subject(folder)
 
 
+@pytest.mark.parametrize(("most", "odd"), [(6.1, True), (14.9, True), (15, False), (150, False), (151, True)])
+def test_forces_that_may_be_in_another_unit_are_told(folder, most, odd):
+    (push,) = SUBJECT["pushes"]
+    count = len(push["forces_n"])
+    write(folder, {**SUBJECT, "pushes": [{**push, "forces_n": [0, *[most] * (count - 1)]}]})
+    (one,) = [one for one in inspect(folder) if one.image == "push/right-8"]
+    told = [line for line in one.warnings if "look whether they are in N" in line]
+    assert len(told) == odd and not one.reason
+    # What is not known yet is not judged.
+    write(folder, {**SUBJECT, "pushes": [{**push, "forces_n": [0, *[None] * (count - 1)]}]})
+    assert not any("look whether" in line for one in inspect(folder) for line in one.warnings)
+
+
 def test_records_without_a_scale_are_written_without(folder):
     record = SubjectRecord.model_validate_json(json.dumps(SUBJECT))
     assert "scale" not in record.model_dump(exclude_none=True)["xray"]

@@ -26,7 +26,7 @@ from spinestiff.study.frame_selection import SAME_FORCE
 from spinestiff.study.misfit import Explanation, Spines, explanations, motion, moved, rms, spines, strays
 from spinestiff.study.trials import PushSet, PushTrial
 from spinestiff.subject.estimate_outcome import Check
-from spinestiff.subject.records import PushRecord, SubjectRecord
+from spinestiff.subject.records import USUAL_FORCES_N, PushRecord, SubjectRecord
 
 # Corners set aside of a vertebra's four that make it a wrong vertebra rather than a wrong corner.
 WRONG_VERTEBRA = 3
@@ -69,7 +69,7 @@ class Limits:
     p_value : of the fit's residuals, if all errors are as expected.
     """
 
-    force_n: tuple[float, float] = (15.0, 150.0)
+    force_n: tuple[float, float] = USUAL_FORCES_N
     days_apart: int = 30
     corner_sd_mm: float = 1.5
     least_sd_mm: float = 0.3

@@ -19,7 +19,14 @@ from spinestiff.subject.folder import Subject, check_image_name
 from spinestiff.subject.gaps import read_open_record
 from spinestiff.subject.geometry import image_geometry
 from spinestiff.subject.record_reading import read_record
-from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, REST_IMAGES, SUBJECT_FILE
+from spinestiff.subject.records import (
+    ANNOTATION_FILE,
+    LATERAL,
+    REST_IMAGES,
+    SUBJECT_FILE,
+    USUAL_FORCES_N,
+    PushRecord,
+)
 
 MOST_FOLDERS = 256
 """In a folder that is inspected, itself among them."""
@@ -187,6 +194,7 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
             name = f"{push.image}, view {view.id}"
             paths[name], forces[name], kinds[name] = folder / view.files, len(view.frames), view.kind
             marks[name] = tuple(push.view_image(frame, view.id) for frame in view.frames)
+    odd_forces = {push.image: _odd_forces(push) for push in record.pushes}
     found: list[Inspection] = []
     if annotation is not None:
         found += _unknown_images(Subject(folder, record, annotation))
@@ -202,8 +210,20 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
             continue
         one = _image(path, name, geometry, folder)
         kind, frames, wanted = kinds.get(name, "frontal"), forces.get(name, 1), marks.get(name, (name,))
-        found.append(one if one.reason else _fitting(one, name, annotation, frames, kind, wanted))
+        one = one if one.reason else _fitting(one, name, annotation, frames, kind, wanted)
+        found.append(replace(one, warnings=(*one.warnings, *odd_forces.get(name, ()))))
     return tuple(found)
+
+
+def _odd_forces(push: PushRecord) -> tuple[str, ...]:
+    """What is odd about a push's forces; 0 stands for those that are not known yet."""
+    most = max(push.forces_n)
+    low, high = USUAL_FORCES_N
+    if most == 0.0 or low <= most <= high:
+        return ()
+    return (
+        f"forces up to {most:g} N, where pushes on the ribs have {low:g} to {high:g} N: look whether they are in N",
+    )
 
 
 def _unknown_images(subject: Subject) -> Iterator[Inspection]:

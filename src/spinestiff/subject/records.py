@@ -25,6 +25,8 @@ REST_IMAGES = {"rest/frontal": "rest/frontal.dcm", "rest/lateral": "rest/lateral
 LATERAL = "rest/lateral"
 GAUGE_LIMIT_N = 500.0
 """What the force gauge of the set-up measures accurately (paper 2.1)."""
+USUAL_FORCES_N = (15.0, 150.0)
+"""Of a push, the largest: below or above, it may be in another unit (docs/judgement.md)."""
 DISTANCES_MM = (30.0, 1000.0)
 LEVELS = (1.0, 12.0)
 """Ribs."""
