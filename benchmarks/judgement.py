@@ -36,7 +36,8 @@ from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY, usable_corners
 from spinestiff.personalise.shape import personalise
-from spinestiff.study.judgement import RestShape, failed, judge
+from spinestiff.study.judgement import failed, judge
+from spinestiff.study.judgement.rest_shape import RestShape
 from spinestiff.study.trials import PushSet, push_set
 from spinestiff.subject.estimate_outcome import Check
 from spinestiff.subject.outcomes import TrackedPush

@@ -19,7 +19,9 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.shape import personalise, place_vertebrae
-from spinestiff.study.judgement import LIMITS, RestShape, failed, judge, outlying_notes
+from spinestiff.study.judgement import failed, judge, outlying_notes
+from spinestiff.study.judgement.limits import LIMITS
+from spinestiff.study.judgement.rest_shape import RestShape
 from spinestiff.study.spines import curved_spine
 from spinestiff.study.trials import fit_pushes, push_set
 from spinestiff.subject.outcomes import TrackedPush

@@ -34,7 +34,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import PUSH_DIRECTION, LoadCase, no_load
 from spinestiff.mechanics.supports import Supports
 from spinestiff.mechanics.terms import PointSprings
-from spinestiff.study.judgement import LIMITS
+from spinestiff.study.judgement.limits import LIMITS
 from spinestiff.study.refits import converged
 from spinestiff.study.wording import fixed, number
 from spinestiff.subject.outcome_parts import HALF_WIDTH_95

@@ -22,7 +22,8 @@ from spinestiff.personalise.pose import ViewPose
 from spinestiff.personalise.scanned_skin import ScanFit
 from spinestiff.personalise.shape import Personalised
 from spinestiff.study.frame_selection import Proposal
-from spinestiff.study.judgement import RestShape, failed, judge, outlying_notes
+from spinestiff.study.judgement import failed, judge, outlying_notes
+from spinestiff.study.judgement.rest_shape import RestShape
 from spinestiff.study.plain import plain_stiffness
 from spinestiff.study.trials import PushSet, seen_beside
 from spinestiff.study.visit import Visit
