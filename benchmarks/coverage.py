@@ -68,7 +68,8 @@ START = {"lateral_bending": 0.07, "tissue": 0.04}
 class Scenario:
     """``nodes`` of the truth's mesh, ``mesh`` that the estimate ends on, seeds from ``first`` on.
 
-    With ``rendered`` through radiographs (``coverage_rendered``), else from corners (``coverage_subjects``).
+    With ``rendered`` through radiographs (``coverage_rendered``), else from corners (``coverage_subjects``). ``truth``:
+    the true ratios of all, in the order of ``NAMES``; drawn if None.
     """
 
     acquisition: Acquisition
@@ -77,6 +78,7 @@ class Scenario:
     first: int
     count: int
     rendered: bool = False
+    truth: Sequence[float] | None = None
 
 
 SCENARIOS = {
@@ -84,6 +86,7 @@ SCENARIOS = {
     "coarse pair, the paper's acquisition": Scenario("paper", 2300, "coarse", 23000, 460),
     "default chain, three pushes": Scenario("three pushes", 15000, "fine", 40000, 140),
     "rendered, three pushes": Scenario("three pushes", 15000, "fine", 60000, 45, rendered=True),
+    "four frames at Table 4's mean": Scenario("four frames", 2300, "coarse", 70000, 30, truth=tuple(START.values())),
     "settings, three pushes": Scenario("three pushes", 2300, "coarse", 0, 230),
     "settings, the paper's acquisition": Scenario("paper", 2300, "coarse", 500, 230),
     "settings, default chain": Scenario("three pushes", 15000, "fine", 100, 60),
@@ -124,7 +127,8 @@ def made(seed: int, scenario: Scenario) -> Iterator[Made]:
             found = rendered_subject(seed, scenario.nodes, Path(folder) / "subject")
             yield Made(found.ratios, "", found.cobb_deg, lambda: (found.coarse, found.pushes))
         return
-    subject = make_subject(seed, scenario.acquisition, scenario.nodes)
+    truth = None if scenario.truth is None else dict(zip(NAMES, scenario.truth, strict=True))
+    subject = make_subject(seed, scenario.acquisition, scenario.nodes, ratios=truth)
     coarse = scenario.mesh == "coarse"
 
     def seen() -> tuple[PushSet | None, PushSet]:
@@ -244,7 +248,7 @@ def kept(folder: Path) -> list[Wanted]:
     """What the kept logs hold, each seed made as it was made then."""
     keys = [field.name for field in fields(Scenario)]
     return [
-        (row["seed"], Scenario(**{key: row[key] for key in keys}), folder / log_of(name).name)
+        (row["seed"], Scenario(**{key: row[key] for key in keys if key in row}), folder / log_of(name).name)
         for name in SCENARIOS
         if log_of(name).is_file()
         for row in read_logs([log_of(name)])

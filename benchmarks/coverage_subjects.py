@@ -73,7 +73,7 @@ ANNOTATION_MM = 0.3
 KINDS = ("disc centres", "stiffening", "layers", "", "", "", "")
 RAISED = np.array([float(act == "height") for act in ACTS])
 WIDEST = 2.0  # standard deviations of a stiffness that is drawn
-Acquisition = Literal["paper", "three pushes"]
+Acquisition = Literal["paper", "three pushes", "four frames"]
 Side = Literal["left", "right"]
 
 
@@ -101,6 +101,12 @@ PUSHES: Mapping[Acquisition, Mapping[str, PlacedPush]] = {
         "high": PlacedPush(5.5, ((0.0, "unused"), (1.0, "training"))),
         "middle": PlacedPush(8.0, ((0.0, "unused"), (1.0, "training"), (2 / 3, "validation"))),
         "low": PlacedPush(10.0, ((0.0, "unused"), (1.0, "training"))),
+    },
+    # Four loaded frames in all, of as much force as a person bears, 80 N at most.
+    "four frames": {
+        "high": PlacedPush(5.5, ((0.0, "unused"), (1.0, "training")), force_n=80.0),
+        "middle": PlacedPush(8.0, ((0.0, "unused"), (2 / 3, "training"), (1.0, "training")), force_n=80.0),
+        "low": PlacedPush(10.0, ((0.0, "unused"), (1.0, "training")), force_n=80.0),
     },
 }
 
