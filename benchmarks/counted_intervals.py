@@ -193,6 +193,9 @@ def seed_ranges(rows: Sequence[Row]) -> list[list[int]]:
 
 
 def _thirds(values: np.ndarray) -> Masks:
+    """Of values that are not all the same; else there are none."""
+    if len(values) and values.min() == values.max():
+        return {}
     third = np.searchsorted(np.quantile(values, (1 / 3, 2 / 3)), values)
     return {word: third == k for k, word in enumerate(THIRDS)}
 

@@ -106,6 +106,13 @@ def test_the_pages_tables_hold_each_part_with_its_number_and_its_error(monkeypat
     assert len(counting.markdown([entry]).splitlines()) == 3
 
 
+def test_people_of_one_stiffness_have_no_thirds(rows):
+    same = [{**row, "ratios": {"lateral_bending": 0.07, "tissue": 0.04}} for row in rows]
+    entry = counting.summarised("one stiffness", same)
+    assert not any("third" in part for name in (*counting.NAMES, "joint") for part in entry[name])
+    assert any("third" in part for part in counting.summarised("three pushes", rows)["joint"])
+
+
 def test_a_campaign_is_repeated_with_the_seeds_and_settings_of_its_rows(monkeypatch, tmp_path):
     """Settings were looked at on bodies of two sizes of mesh, with seeds that are in no scenario's range."""
     script = ROOT / "benchmarks" / "coverage.py"
