@@ -16,6 +16,7 @@ from spinestiff.errors import RadiographError, SpinestiffError, SubjectError, To
 from spinestiff.files import (
     check_output,
     file_digest,
+    read_exported_text,
     read_json,
     read_text,
     regular_file,
@@ -160,6 +161,22 @@ def test_what_is_no_json_is_told_in_words_of_the_file(text, words):
         ("name,x,y", '"a,b",1.5,2', "c,-3.25,.5"),
     ],
 )
+@pytest.mark.parametrize("read", [read_text, read_exported_text])
+def test_a_spreadsheets_own_format_is_told_from_text(tmp_path, read):
+    path = tmp_path / "pushes.csv"
+    for beginning in (b"PK\x03\x04\x14\x00", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"):
+        path.write_bytes(beginning + bytes(range(256)))
+        with pytest.raises(SubjectError, match=r"pushes\.csv: a spreadsheet program's own format, wanted text; export"):
+            read(path)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_lines_end_alike_whoever_wrote_them(tmp_path, end):
+    path = tmp_path / "table.csv"
+    path.write_bytes(end.join(["a,b", "1,2", ""]).encode())
+    assert read_text(path) == read_exported_text(path) == "a,b\n1,2\n"
+
+
 def test_a_csv_may_have_semicolons_tabs_and_decimal_commas(lines):
     rows = parse_csv("\r\n".join(lines), "a.csv", ("name", "x"), ("y",), numbers=("x", "y"))
     assert [row for _, row in rows] == [("a,b", "1.5", "2"), ("c", "-3.25", ".5")]

@@ -54,13 +54,11 @@ def read_json(path: Path) -> Any:
 
 def read_text(path: Path, largest: int = LARGEST_JSON) -> str:
     """A text file of at most ``largest`` bytes, not yet parsed. Raises SubjectError as ``read_json`` does."""
-    regular_file(path, SubjectError, cap_bytes=largest)
+    content = _content(path, largest)
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return _with_newlines(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise SubjectError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
-    except OSError as error:
-        raise SubjectError(f"{path}: can't be read ({error.strerror})") from None
 
 
 def read_exported_text(path: Path, largest: int = LARGEST_JSON) -> str:
@@ -70,21 +68,34 @@ def read_exported_text(path: Path, largest: int = LARGEST_JSON) -> str:
 
     Raises
     ------
-    SubjectError : as ``read_text``; a spreadsheet's own format, or another that is no text.
+    SubjectError : as ``read_text``, but for its letters; what is no text.
     """
+    content = _content(path, largest)
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return _with_newlines(content.decode("utf-16", errors="replace"))
+    if b"\0" in content:
+        raise SubjectError(f"{path}: no text; export the table as CSV")
+    try:
+        return _with_newlines(content.decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        return _with_newlines(content.decode("cp1252", errors="replace"))
+
+
+def _with_newlines(text: str) -> str:
+    """Lines as Unix ends them, whoever wrote them."""
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _content(path: Path, largest: int) -> bytes:
+    """Of what may be a text file: a spreadsheet's own format is refused by name."""
     regular_file(path, SubjectError, cap_bytes=largest)
     try:
         content = path.read_bytes()
     except OSError as error:
         raise SubjectError(f"{path}: can't be read ({error.strerror})") from None
-    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return content.decode("utf-16", errors="replace")
-    if content.startswith(_SPREADSHEETS) or b"\0" in content:
-        raise SubjectError(f"{path}: no text; export the table as CSV")
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return content.decode("cp1252", errors="replace")
+    if content.startswith(_SPREADSHEETS):
+        raise SubjectError(f"{path}: a spreadsheet program's own format, wanted text; export the table as CSV")
+    return content
 
 
 def write_json(path: Path, data: Any) -> None:
