@@ -153,14 +153,6 @@ def test_what_is_no_json_is_told_in_words_of_the_file(text, words):
         parse_json(text, "a.json")
 
 
-@pytest.mark.parametrize(
-    "lines",
-    [
-        ("name;x;y", "a,b;1,5;2", "c;-3,25;,5"),
-        ("y\tx\tname", "2\t1,5\ta,b", ",5\t-3,25\tc"),
-        ("name,x,y", '"a,b",1.5,2', "c,-3.25,.5"),
-    ],
-)
 @pytest.mark.parametrize("read", [read_text, read_exported_text])
 def test_a_spreadsheets_own_format_is_told_from_text(tmp_path, read):
     path = tmp_path / "pushes.csv"
@@ -177,6 +169,14 @@ def test_lines_end_alike_whoever_wrote_them(tmp_path, end):
     assert read_text(path) == read_exported_text(path) == "a,b\n1,2\n"
 
 
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ("name;x;y", "a,b;1,5;2", "c;-3,25;,5"),
+        ("y\tx\tname", "2\t1,5\ta,b", ",5\t-3,25\tc"),
+        ("name,x,y", '"a,b",1.5,2', "c,-3.25,.5"),
+    ],
+)
 def test_a_csv_may_have_semicolons_tabs_and_decimal_commas(lines):
     rows = parse_csv("\r\n".join(lines), "a.csv", ("name", "x"), ("y",), numbers=("x", "y"))
     assert [row for _, row in rows] == [("a,b", "1.5", "2"), ("c", "-3.25", ".5")]
