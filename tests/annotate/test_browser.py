@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from annotation_hands import Hands
 from chromium import ALT, CTRL, SHIFT, Tab, browser
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.curves.cobb import REGIONS, read_cobb
@@ -51,23 +52,12 @@ def go(tab, address, state="open"):
     tab.until(f"document.body.dataset.state == '{state}'")
 
 
-class Page:
+class Page(Hands):
     """What a person does on the page, by mouse and by keys."""
 
     def __init__(self, tab, served):
-        self.tab, self.served = tab, served
-
-    def place(self, pixel):
-        """Where a pixel of the radiograph lies in the window."""
-        x, y = (float(value) for value in pixel)
-        return self.tab.run(
-            "(() => { const b = annotation.stage.canvas.getBoundingClientRect();"
-            f"const p = annotation.stage.toPlace([{x}, {y}]); return [p[0] + b.left, p[1] + b.top]; }})()"
-        )
-
-    def click(self, pixel):
-        at = self.place(pixel)
-        self.tab.drag(at, at)
+        super().__init__(tab)
+        self.served = served
 
     def button(self, name):
         self.tab.run(f"document.getElementById('{name}').click()")
@@ -77,15 +67,6 @@ class Page:
 
     def text(self, name):
         return self.tab.run(f"document.getElementById('{name}').innerText")
-
-    def marks(self, image="rest/frontal"):
-        return self.tab.run(f"annotation.allMarks['{image}'] ?? null")
-
-    def quad(self, name, image="rest/frontal"):
-        return np.array(self.marks(image)["vertebrae"][name])
-
-    def saved(self):
-        self.tab.until("document.getElementById('saved').innerText.startsWith('Saved')")
 
     def disk(self):
         return read_annotation(self.served.session.annotation_path).images
