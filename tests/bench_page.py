@@ -56,6 +56,7 @@ def write(tab, selector, text):
 
 def pick(tab, selector, letters):
     """An entry of a list by its first letters."""
+    tab.until(f"!!document.querySelector({json.dumps(selector)})")
     tab.run(f"(document.querySelector({json.dumps(selector)}).focus(), 1)")
     for letter in letters:
         tab.press(letter)

@@ -116,6 +116,33 @@ def test_a_few_clicks_and_seventeen_vertebrae_are_on_disk(page):
     assert "Rest, frontal" not in page.text("missing")
 
 
+def test_what_is_pressed_again_and_again_keeps_its_place(page):
+    """Where a click went to the next vertebra, another must not rename them: whatever is said, the buttons stay."""
+
+    def places():
+        page.tab.until("!annotation.judging")
+        page.tab.settle()
+        return page.tab.run(
+            "['propose', 'look-on', 'clear-spine'].map(name => {"
+            " const box = document.getElementById(name).getBoundingClientRect(); return [box.x, box.y, box.height]; })"
+        )
+
+    for width in (1280, 1500):
+        page.tab.size(width, 800)
+        page.button("fit")
+        before = places()
+        page.propose(look=False)
+        assert "°" in page.text("cobb") and places() == before
+        page.button("look-on")
+        corner = page.quad("T1")[1]
+        page.drag(corner, corner + [3.0, -2.0])
+        assert page.text("propose") == "Propose the others again" and places() == before
+        page.button("undo")
+        page.button("undo")
+        page.button("clear-spine")
+        page.saved()
+
+
 def test_what_was_looked_at_is_known_after_a_reload_an_undo_and_other_names(page):
     page.propose(look=False)
     page.key("PageDown", times=2)

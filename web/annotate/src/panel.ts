@@ -155,7 +155,7 @@ export class Panel {
     need<HTMLButtonElement>("clear-spine").disabled = !marks.spine.length;
     need<HTMLButtonElement>("propose").disabled = !!app.busy || app.frame > 0;
     put("propose", app.busy || (Object.keys(app.kept).length ? "Propose the others again" : "Propose vertebrae"));
-    put("spine-text", app.frame ? "Later frames are tracked." : `${marks.spine.length} points along the spine${marks.spine.length < 3 ? "; three or more are needed" : ""}.`);
+    put("spine-text", app.frame ? "Later frames are tracked." : `${marks.spine.length === 1 ? "1 point" : `${marks.spine.length} points`} along it${marks.spine.length < 3 ? "; three are needed" : ""}.`);
     this.cobb();
     this.frames();
     this.missing();
