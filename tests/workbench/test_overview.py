@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 import shutil
 import sys
 from dataclasses import asdict, replace
@@ -20,6 +21,7 @@ from spinestiff.subject.folder import read_unannotated
 from spinestiff.subject.outcomes import Responses
 from spinestiff.subject.run_record import read_outcome
 from spinestiff.workbench import visits as compared
+from spinestiff.workbench.cards import result
 from spinestiff.workbench.overview import overview_csv
 
 HAS_BROWSER = browser() is not None and sys.platform != "win32"
@@ -68,6 +70,19 @@ def test_the_table_has_stiffness_and_the_change_of_the_cobb_angle(visits, serve)
     for one in card["result"]["stiffness"]:
         name = next(key for key in row if key.startswith(one["name"]) and not key.endswith(("95", "_open")))
         assert float(row[name]) == one["value"]
+    for line, one in zip(card["result"]["lines"], card["result"]["stiffness"], strict=True):
+        # One number has the same digits wherever it stands.
+        ends = re.findall(r"[\d.]+", one["interval"])
+        assert line.startswith(one["title"]) and len(ends) == 2 and all(f" {end} " in line for end in ends)
+
+
+def test_an_end_that_the_radiographs_leave_open_is_told_as_open(subject):
+    estimate = read_json(subject / "results" / "estimate.json")
+    for one in (*estimate["plain"].values(), *estimate["ratios"].values()):
+        one["open_low"] = True
+    write_json(subject / "results" / "estimate.json", estimate)
+    told = result(read_unannotated(subject))["stiffness"]
+    assert told and all(one["interval"].startswith("≤ ") and "≤" not in one["interval"][2:] for one in told)
 
 
 def test_cells_say_what_is_open_and_are_no_formulas():
