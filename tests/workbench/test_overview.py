@@ -17,11 +17,12 @@ from spinestiff.files import read_json, write_json
 from spinestiff.study.repeatability import estimate_of, repeatability, repeatability_lines
 from spinestiff.study.visit import open_visit
 from spinestiff.study.wording import TIMES_DEFAULT
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_unannotated
 from spinestiff.subject.outcomes import Responses
 from spinestiff.subject.run_record import read_outcome
+from spinestiff.workbench import cards
 from spinestiff.workbench import visits as compared
-from spinestiff.workbench.cards import result
 from spinestiff.workbench.overview import overview_csv
 
 HAS_BROWSER = browser() is not None and sys.platform != "win32"
@@ -76,12 +77,12 @@ def test_the_table_has_stiffness_and_the_change_of_the_cobb_angle(visits, serve)
         assert line.startswith(one["title"]) and len(ends) == 2 and all(f" {end} " in line for end in ends)
 
 
-def test_an_end_that_the_radiographs_leave_open_is_told_as_open(subject):
-    estimate = read_json(subject / "results" / "estimate.json")
-    for one in (*estimate["plain"].values(), *estimate["ratios"].values()):
-        one["open_low"] = True
-    write_json(subject / "results" / "estimate.json", estimate)
-    told = result(read_unannotated(subject))["stiffness"]
+def test_an_end_that_the_radiographs_leave_open_is_told_as_open(finished, monkeypatch):
+    estimate = read_outcome(read_unannotated(finished.folder), Estimate)
+    plain = {name: one.model_copy(update={"open_low": True}) for name, one in estimate.plain.items()}
+    opened = estimate.model_copy(update={"plain": plain})
+    monkeypatch.setattr(cards, "read_outcome", lambda at, kind: opened if kind is Estimate else read_outcome(at, kind))
+    told = cards.result(read_unannotated(finished.folder))["stiffness"]
     assert told and all(one["interval"].startswith("≤ ") and "≤" not in one["interval"][2:] for one in told)
 
 
