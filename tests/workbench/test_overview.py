@@ -86,6 +86,13 @@ def test_an_end_that_the_radiographs_leave_open_is_told_as_open(finished, monkey
     assert told and all(one["interval"].startswith("≤ ") and "≤" not in one["interval"][2:] for one in told)
 
 
+def test_a_result_that_was_changed_by_hand_is_a_problem_in_plain_words(subject):
+    path = subject / "results" / "estimate.json"
+    path.write_text(path.read_text(encoding="utf-8").replace("{", "{ ", 1), encoding="utf-8")
+    problem = cards.result(read_unannotated(subject))["problem"]
+    assert problem.endswith("; run spinestiff estimate again") and str(subject) not in problem
+
+
 def test_cells_say_what_is_open_and_are_no_formulas():
     cards = [
         {"name": "=cmd()", "stage_words": "Has a result", "age": 13.0, "stale": ["values: pushes", "annotation: rest"],

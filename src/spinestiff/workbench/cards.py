@@ -202,4 +202,5 @@ def title_of(image: str) -> str:
 
 
 def _one_line(error: Exception, folder: Path) -> str:
-    return " ".join(str(error).replace(f"{folder}{os.sep}", "").replace(str(folder), "the folder").split())
+    words = str(error).replace(f" {folder} again", " again").replace(f"{folder}{os.sep}", "")
+    return " ".join(words.replace(str(folder), "the folder").split())
