@@ -34,7 +34,7 @@ from annotation import BUTTON_S, DRAG_S, KEY_S, LOOK_S, POINT_S
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from bench_client import Client
-from bench_page import chosen, files, load
+from bench_page import chosen, files, load, press
 from chromium import Tab
 from phantoms import phantom, sixteen_bit
 from spinestiff.annotate.draft import DraftImage
@@ -96,13 +96,7 @@ class Hands:
 
     def click(self, selector: str) -> None:
         """Move the mouse there and press it."""
-        named = json.dumps(selector)
-        self.tab.until(f"!!document.querySelector({named})")
-        self.tab.run(f"(document.querySelector({named}).scrollIntoView({{ block: 'center' }}), 1)")
-        self.tab.settle()
-        box = self.tab.run(f"JSON.parse(JSON.stringify(document.querySelector({named}).getBoundingClientRect()))")
-        at = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
-        self.tab.drag(at, at)
+        press(self.tab, selector)
         self.parts[-1].clicks += 1
         self.parts[-1].ready += 1
 

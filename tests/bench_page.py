@@ -32,6 +32,36 @@ def click(tab, selector):
     tab.run(f"(document.querySelector({json.dumps(selector)}).click(), 1)")
 
 
+def press(tab, selector):
+    """As somebody moves the mouse there and presses it: a click that something else would get is none."""
+    named = json.dumps(selector)
+    tab.until(f"!!document.querySelector({named})")
+    tab.run(f"(document.querySelector({named}).scrollIntoView({{ block: 'center' }}), 1)")
+    tab.settle()
+    at = tab.run(
+        f"(e => {{ const b = e.getBoundingClientRect(), at = [b.x + b.width / 2, b.y + b.height / 2];"
+        f" return e.contains(document.elementFromPoint(...at)) && !e.disabled ? at : null; }})"
+        f"(document.querySelector({named}))"
+    )
+    assert at, f"{selector} can't be clicked"
+    tab.drag(at, at)
+
+
+def write(tab, selector, text):
+    """Click into a field and type, letter by letter."""
+    press(tab, selector)
+    for letter in text:
+        tab.press(letter)
+
+
+def pick(tab, selector, letters):
+    """An entry of a list by its first letters."""
+    tab.until(f"!!document.querySelector({json.dumps(selector)})")
+    tab.run(f"(document.querySelector({json.dumps(selector)}).focus(), 1)")
+    for letter in letters:
+        tab.press(letter)
+
+
 def fill(tab, selector, text):
     """As somebody types: the field in focus, its old text replaced."""
     tab.run(f"(document.querySelector({json.dumps(selector)}).focus(), document.activeElement.select?.(), 1)")

@@ -96,19 +96,32 @@ def cheap_recipe():
 
 
 @pytest.fixture(scope="session")
-def finished(tmp_path_factory, cheap_recipe):
-    """The finished subject; shared by all tests, so only to be read (``subject`` is a copy to change)."""
-    return Finished(*made_once(tmp_path_factory, "synthetic", lambda folder: finish(folder / "girl", cheap_recipe)))
-
-
-def finish(folder, recipe):
-    """A subject folder made and taken through all steps: the fields of ``Finished``."""
-    from spinestiff.study import runner, steps
+def radiographed(tmp_path_factory, cheap_recipe):
+    """The subject's folder before any step, its truth beside it; shared by all tests, so only to be read."""
     from spinestiff.study.synthetic import synthesise
+
+    def make(folder):
+        synthesise(folder / "girl", cheap_recipe)
+        return folder / "girl"
+
+    return made_once(tmp_path_factory, "radiographed", make)
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory, radiographed):
+    """The finished subject; shared by all tests, so only to be read (``subject`` is a copy to change)."""
+    return Finished(*made_once(tmp_path_factory, "synthetic", lambda folder: finish(folder / "girl", radiographed)))
+
+
+def finish(folder, radiographed):
+    """A copy of a subject folder taken through all steps: the fields of ``Finished``."""
+    from spinestiff.study import runner, steps
+    from spinestiff.study.synthetic import truth_path
     from spinestiff.study.visit import Settings, open_visit
 
-    fits, lines = [], []
-    truth = synthesise(folder, recipe)
+    fits, lines, truth = [], [], truth_path(folder)
+    shutil.copytree(radiographed, folder)
+    shutil.copy(truth_path(radiographed), truth)
     # Whatever the steps write and say of this subject, none of it may come from a patient's words in DICOM.
     for number, path in enumerate(sorted(folder.rglob("*.dcm"))):
         infest(path, np.random.default_rng(number), 60)

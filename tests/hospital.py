@@ -51,7 +51,26 @@ def export(
     if pixels is None:
         pixels = np.stack([shifted(texture(own), 2.0 * i) for i in range(frames)])
     write_radiographs(path, np.clip(pixels, 0, 65535).astype(np.uint16), view, frame_time_ms=250.0)
-    dataset = pydicom.dcmread(path)
+    return headed(path, path, patient=patient, study=study, series=series, time=time, without=without, **tags)
+
+
+def headed(
+    source: Path,
+    path: Path,
+    *,
+    patient: str = "P1",
+    study: str = "1.2.1",
+    series: str | None = None,
+    time: str | None = "101500",
+    without: tuple[str, ...] = (),
+    **tags: object,
+) -> Path:
+    """A radiograph with the header of a hospital's patient and study, as ``path``: an instance and, if none is given, a
+    series of its own.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    own = zlib.crc32(str(path).encode())
+    dataset = pydicom.dcmread(source)
     dataset.PatientID, dataset.PatientName, dataset.StudyInstanceUID = patient, CANARY, study
     dataset.SeriesInstanceUID, dataset.SOPInstanceUID = series or f"1.2.3.{own}", f"1.2.4.{own}"
     dataset.PatientIdentityRemoved = ""

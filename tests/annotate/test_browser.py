@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from annotation_hands import Hands
 from chromium import ALT, CTRL, SHIFT, Tab, browser
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.curves.cobb import REGIONS, read_cobb
@@ -51,23 +52,12 @@ def go(tab, address, state="open"):
     tab.until(f"document.body.dataset.state == '{state}'")
 
 
-class Page:
+class Page(Hands):
     """What a person does on the page, by mouse and by keys."""
 
     def __init__(self, tab, served):
-        self.tab, self.served = tab, served
-
-    def place(self, pixel):
-        """Where a pixel of the radiograph lies in the window."""
-        x, y = (float(value) for value in pixel)
-        return self.tab.run(
-            "(() => { const b = annotation.stage.canvas.getBoundingClientRect();"
-            f"const p = annotation.stage.toPlace([{x}, {y}]); return [p[0] + b.left, p[1] + b.top]; }})()"
-        )
-
-    def click(self, pixel):
-        at = self.place(pixel)
-        self.tab.drag(at, at)
+        super().__init__(tab)
+        self.served = served
 
     def button(self, name):
         self.tab.run(f"document.getElementById('{name}').click()")
@@ -77,15 +67,6 @@ class Page:
 
     def text(self, name):
         return self.tab.run(f"document.getElementById('{name}').innerText")
-
-    def marks(self, image="rest/frontal"):
-        return self.tab.run(f"annotation.allMarks['{image}'] ?? null")
-
-    def quad(self, name, image="rest/frontal"):
-        return np.array(self.marks(image)["vertebrae"][name])
-
-    def saved(self):
-        self.tab.until("document.getElementById('saved').innerText.startsWith('Saved')")
 
     def disk(self):
         return read_annotation(self.served.session.annotation_path).images
@@ -133,6 +114,33 @@ def test_a_few_clicks_and_seventeen_vertebrae_are_on_disk(page):
     assert page.tab.complaints == []
     assert "Rest, lateral: no vertebra marked yet" in page.text("missing")
     assert "Rest, frontal" not in page.text("missing")
+
+
+def test_what_is_pressed_again_and_again_keeps_its_place(page):
+    """Where a click went to the next vertebra, another must not rename them: whatever is said, the buttons stay."""
+
+    def places():
+        page.tab.until("!annotation.judging")
+        page.tab.settle()
+        return page.tab.run(
+            "['propose', 'look-on', 'clear-spine'].map(name => {"
+            " const box = document.getElementById(name).getBoundingClientRect(); return [box.x, box.y, box.height]; })"
+        )
+
+    for width in (1280, 1500):
+        page.tab.size(width, 800)
+        page.button("fit")
+        before = places()
+        page.propose(look=False)
+        assert "°" in page.text("cobb") and places() == before
+        page.button("look-on")
+        corner = page.quad("T1")[1]
+        page.drag(corner, corner + [3.0, -2.0])
+        assert page.text("propose") == "Propose the others again" and places() == before
+        page.button("undo")
+        page.button("undo")
+        page.button("clear-spine")
+        page.saved()
 
 
 def test_what_was_looked_at_is_known_after_a_reload_an_undo_and_other_names(page):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 import shutil
 import sys
 from dataclasses import asdict, replace
@@ -16,9 +17,11 @@ from spinestiff.files import read_json, write_json
 from spinestiff.study.repeatability import estimate_of, repeatability, repeatability_lines
 from spinestiff.study.visit import open_visit
 from spinestiff.study.wording import TIMES_DEFAULT
+from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_unannotated
 from spinestiff.subject.outcomes import Responses
 from spinestiff.subject.run_record import read_outcome
+from spinestiff.workbench import cards
 from spinestiff.workbench import visits as compared
 from spinestiff.workbench.overview import overview_csv
 
@@ -68,6 +71,26 @@ def test_the_table_has_stiffness_and_the_change_of_the_cobb_angle(visits, serve)
     for one in card["result"]["stiffness"]:
         name = next(key for key in row if key.startswith(one["name"]) and not key.endswith(("95", "_open")))
         assert float(row[name]) == one["value"]
+    for line, one in zip(card["result"]["lines"], card["result"]["stiffness"], strict=True):
+        # One number has the same digits wherever it stands.
+        ends = re.findall(r"[\d.]+", one["interval"])
+        assert line.startswith(one["title"]) and len(ends) == 2 and all(f" {end} " in line for end in ends)
+
+
+def test_an_end_that_the_radiographs_leave_open_is_told_as_open(finished, monkeypatch):
+    estimate = read_outcome(read_unannotated(finished.folder), Estimate)
+    plain = {name: one.model_copy(update={"open_low": True}) for name, one in estimate.plain.items()}
+    opened = estimate.model_copy(update={"plain": plain})
+    monkeypatch.setattr(cards, "read_outcome", lambda at, kind: opened if kind is Estimate else read_outcome(at, kind))
+    told = cards.result(read_unannotated(finished.folder))["stiffness"]
+    assert told and all(one["interval"].startswith("≤ ") and "≤" not in one["interval"][2:] for one in told)
+
+
+def test_a_result_that_was_changed_by_hand_is_a_problem_in_plain_words(subject):
+    path = subject / "results" / "estimate.json"
+    path.write_text(path.read_text(encoding="utf-8").replace("{", "{ ", 1), encoding="utf-8")
+    problem = cards.result(read_unannotated(subject))["problem"]
+    assert problem.endswith("; run spinestiff estimate again") and str(subject) not in problem
 
 
 def test_cells_say_what_is_open_and_are_no_formulas():

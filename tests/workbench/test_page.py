@@ -8,9 +8,9 @@ import sys
 
 import pytest
 
-from bench_page import chosen, click, files, fill, go, load, text
+from bench_page import chosen, click, files, fill, go, load, pick, text
 from chromium import browser
-from hospital import disc
+from hospital import disc, export
 from spinestiff.annotate.draft import DraftImage
 from spinestiff.files import read_json
 from spinestiff.subject.annotation_record import Annotation
@@ -225,6 +225,47 @@ def test_folders_that_are_dropped_come_whole(tab, root, served, tmp_path):
     assert tab.run("[...document.querySelectorAll('details li')].at(-1).textContent") == "and 38 more"
     assert tab.run("'over' in document.querySelector('.drop').dataset") is False
     assert tab.complaints == []
+
+
+def test_of_two_choices_the_last_counts_though_its_answer_comes_first(tab, root, served, tmp_path):
+    export(tmp_path / "CD" / "I1", study="1.2.8")
+    export(tmp_path / "CD" / "I2", study="1.2.9")
+    export(tmp_path / "CD" / "I3", "lateral", study="1.2.9")
+    load(tab, served.address)
+    go(tab, "/new")
+    files(tab, "#files", sorted((tmp_path / "CD").iterdir()))
+    tab.until("!!document.querySelector('#study')", 60)
+    tab.run("""(() => {
+      const real = window.fetch;
+      window.looks = 0;
+      window.fetch = async (place, given) => {
+        if (!String(place).endsWith('/look')) return real(place, given);
+        const late = !window.looks++, answer = await real(place, given);
+        if (late) await new Promise(done => setTimeout(() => { window.wasLate = true; done(); }, 800));
+        return answer;
+      };
+    })()""")
+    pick(tab, "#study", "A2")
+    tab.until("window.wasLate")
+    tab.settle()
+    assert tab.run("looks") == 2 and tab.run("document.querySelector('#study').value") == "A2"
+    assert [name in text(tab, "tbody") for name in ("I1", "I2", "I3")] == [False, True, True]
+    assert tab.complaints == []
+
+
+def test_a_job_that_fails_without_a_message_shows_what_it_said(tab, root, served):
+    load(tab, served.address)
+    go(tab, f"/subject/{served.key()}/run")
+    click(tab, "#start-run")
+    tab.until("document.querySelector('.live')?.dataset.state == 'waiting'")
+    jobs = served.bench.jobs
+    job = jobs.table.take(1)
+    log = jobs.log(job.id)
+    log.parent.mkdir(parents=True, exist_ok=True)
+    log.write_text("Traceback (most recent call last):\nKeyError: 'T13'\n", encoding="utf-8")
+    jobs.table.end(job.id, "failed", 1)
+    tab.until("document.querySelector('.live').dataset.state == 'failed'")
+    assert "It failed; what it said last is below." in text(tab, ".live") and "KeyError: 'T13'" in text(tab, ".live")
 
 
 def test_what_a_plan_is_asked_is_chosen_on_the_page(tab, root, served):

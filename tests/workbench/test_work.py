@@ -454,7 +454,7 @@ def test_a_plan_that_is_older_than_the_estimate_is_called_out_of_date(served, ro
     record_step(subject, "plan", made_from, [folder / "results" / "plan.json"])
     address = f"/api/subjects/{served.key()}/results"
     found = served.good("GET", address)
-    assert any(line.startswith("best next: rib 8 left") for line in found["plan"]) and found["plan_stale"] == []
+    assert any(line.startswith("Best next: rib 8 left") for line in found["plan"]) and found["plan_stale"] == []
     (folder / "results" / "estimate.json").write_text("{} ", encoding="utf-8")
     write_json(folder / "subject.json", read_json(folder / "subject.json") | {"pelvis": "level"})
     assert served.good("GET", address)["plan_stale"] == ["the estimate", "values: supports"]

@@ -11,7 +11,7 @@ from typing import Any
 
 from spinestiff.curves.changes import NORMAL_95, change_words
 from spinestiff.errors import SpinestiffError
-from spinestiff.study.wording import badge, headline, told_stiffness
+from spinestiff.study.wording import PLAIN, badge, estimated, headline, interval, told_stiffness
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject, annotatable, annotatable_views, read_annotation, read_unannotated
 from spinestiff.subject.gaps import Gap
@@ -89,6 +89,11 @@ def in_words(name: str) -> str:
     return name.replace(SUBJECT_FILE, "values").replace(ANNOTATION_FILE, "annotation")
 
 
+def sentence(words: str) -> str:
+    """Words with a capital letter, as they stand on the page."""
+    return words[:1].upper() + words[1:]
+
+
 def _stage(subject: Subject) -> tuple[str, list[str]]:
     wanted = [name for name in annotatable(subject.record) if name != LATERAL]
     absent = [name for name in wanted if not os.path.lexists(subject.image_path(name))]
@@ -133,12 +138,20 @@ def result(subject: Subject) -> dict[str, Any] | None:
     except SpinestiffError as error:
         return {"problem": _one_line(error, subject.folder)}
     stiffness = [
-        {"name": name, "unit": unit, "determined": determined, **found.model_dump(include=QUANTITY)}
+        {
+            "name": name,
+            "title": sentence(PLAIN.get(name, name.replace("_", " "))),
+            "unit": unit,
+            "determined": determined,
+            "words": estimated(found),
+            "interval": "" if found.low is None and found.high is None else interval(found),
+            **found.model_dump(include=QUANTITY),
+        }
         for name, found, unit, determined in told_stiffness(estimate)
     ]
     return {
         "badge": badge(estimate),
-        "lines": [line[0].upper() + line[1:] for line in headline(estimate)],
+        "lines": [sentence(line) for line in headline(estimate)],
         "stiffness": stiffness,
         "doubts": [f"{check.name}: {check.text}" for check in estimate.failed],
         "rmse_mm": estimate.training_rmse_mm.fit,
@@ -189,4 +202,5 @@ def title_of(image: str) -> str:
 
 
 def _one_line(error: Exception, folder: Path) -> str:
-    return " ".join(str(error).replace(f"{folder}{os.sep}", "").replace(str(folder), "the folder").split())
+    words = str(error).replace(f" {folder} again", " again").replace(f"{folder}{os.sep}", "")
+    return " ".join(words.replace(str(folder), "the folder").split())

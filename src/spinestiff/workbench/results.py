@@ -17,7 +17,7 @@ from spinestiff.subject.folder import Subject, read_annotation, read_unannotated
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS
 from spinestiff.subject.run_record import changed_inputs, read_outcome, recorded_steps
-from spinestiff.workbench.cards import in_words, result, stale
+from spinestiff.workbench.cards import in_words, result, sentence, stale
 
 PAGES = {
     "report.html": "Report",
@@ -75,7 +75,7 @@ def _plan(subject: Subject) -> list[str]:
     if Plan.STEP not in recorded_steps(subject):
         return []
     try:
-        return list(plan_lines(read_outcome(subject, Plan)))
+        return [sentence(line) for line in plan_lines(read_outcome(subject, Plan))]
     except SpinestiffError:
         return []
 

@@ -136,7 +136,7 @@ VERBS: Mapping[str, Verb] = {
         "Which side, rib and force would narrow the result most. It writes a sheet to print, and the report anew.",
         {
             "target": Choice(
-                "What is to become narrow",
+                "What should become more certain",
                 {
                     "bending": "bending of the spine",
                     "tissue": "soft tissue",

@@ -34,6 +34,12 @@ export const says: Says = {
   refresh: () => undefined,
 };
 
+/** In the workbench, the way to what comes after the marks. */
+function onward(): Node | string {
+  const key = /^\/annotate\/([^/]+)\/$/.exec(location.pathname)?.[1];
+  return key ? h("a", { href: `/#/subject/${key}/run`, id: "onward" }, "Go on to the run") : "";
+}
+
 export class Panel {
   private readonly images = new Map<string, [HTMLButtonElement, HTMLElement, HTMLElement]>();
   private readonly vertebrae = new Map<string, [HTMLButtonElement, HTMLInputElement]>();
@@ -155,7 +161,7 @@ export class Panel {
     need<HTMLButtonElement>("clear-spine").disabled = !marks.spine.length;
     need<HTMLButtonElement>("propose").disabled = !!app.busy || app.frame > 0;
     put("propose", app.busy || (Object.keys(app.kept).length ? "Propose the others again" : "Propose vertebrae"));
-    put("spine-text", app.frame ? "Later frames are tracked." : `${marks.spine.length} points along the spine${marks.spine.length < 3 ? "; three or more are needed" : ""}.`);
+    put("spine-text", app.frame ? "Later frames are tracked." : `${marks.spine.length === 1 ? "1 point" : `${marks.spine.length} points`} along it${marks.spine.length < 3 ? "; a proposal needs three" : ""}.`);
     this.cobb();
     this.frames();
     this.missing();
@@ -209,7 +215,7 @@ export class Panel {
     if (target.dataset["key"] === key) return;
     target.dataset["key"] = key;
     target.dataset["state"] = app.missing.length ? "open" : "whole";
-    if (!app.missing.length) return target.replaceChildren("✓ Everything a fit needs is marked.");
+    if (!app.missing.length) return target.replaceChildren("✓ Everything a fit needs is marked.", onward());
     const lines = app.missing.map((line) => {
       const name = line.slice(0, line.indexOf(":")), image = app.session.images.find((one) => one.name === name);
       return h("li", {}, image ? `${image.title}: ${line.slice(name.length + 2)}` : line);

@@ -6,7 +6,8 @@ export interface Job {
   asked: number; began: number | null; ended: number | null; status: number | null; cancel: boolean;
 }
 export interface Stiffness {
-  name: string; unit: string; determined: string | null; value: number; low: number | null; high: number | null; open_low: boolean; open_high: boolean;
+  /** `words` and `interval` are the value and its 95 % interval as the report tells them, "" where there is none. */
+  name: string; title: string; words: string; interval: string; unit: string; determined: string | null; value: number; low: number | null; high: number | null; open_low: boolean; open_high: boolean;
 }
 /** Under the largest force; null where it was not measured. */
 export interface Cobb { push: string; force_n: number; change_deg: number; words: string }

@@ -31,19 +31,21 @@ export const nextOf = (card: api.Card): [string, string] => {
   return running ? ["Watch", "run"] : NEXT[card.stage];
 };
 
+/** Where what comes next is done. */
+export const placeOf = (card: api.Card): string => { const [, room] = nextOf(card); return room === "annotate" ? `/annotate/${card.key}/` : `#/subject/${card.key}/${room}`; };
+
 function one(card: api.Card, again: () => void): HTMLElement {
   const [text, room] = nextOf(card), result = card.result;
   const missing = card.stage === "done" ? [] : card.missing;
   const lines = result && !result.problem ? h("ul", { class: "found" }, ...result.lines.map((line) => h("li", {}, line))) : null;
   const doubts = result?.doubts?.length ? h("p", { class: "bad" }, `To distrust: ${result.doubts[0]}`) : null;
-  const href = room === "annotate" ? `/annotate/${card.key}/` : `#/subject/${card.key}/${room}`;
   return h("article", { class: "card", "aria-label": card.name },
     h("h2", {}, link(card.name, `/subject/${card.key}/${room === "annotate" ? "values" : room}`), badge(card)),
     h("p", { class: "soft" }, person(card)), lines, doubts,
     result && card.stale?.length ? h("p", { class: "warn" }, `Changed since this was found: ${card.stale.join(", ")}.`) : null,
     missing.length ? h("ul", { class: "missing" }, ...missing.slice(0, 3).map((line) => h("li", {}, line)), missing.length > 3 && h("li", {}, `and ${missing.length - 3} more`)) : null,
     card.job && card.job.ended ? h("p", { class: "soft" }, `Last run ${jobWords(card.job)}`) : null,
-    h("div", { class: "row" }, h("a", { class: "button main", href }, text),
+    h("div", { class: "row" }, h("a", { class: "button main", href: placeOf(card) }, text),
       state.readOnly ? null : button("Remove", () => act(async () => {
         const { trash } = await api.remove(card.key);
         again();

@@ -3,7 +3,7 @@ import { button, h } from "../../shared/dom";
 import * as api from "./api";
 import { badge, person } from "./cards";
 import { act, link, number, type Room } from "./page";
-import { bars, span, titleOf } from "./stiffness";
+import { bars, span, told } from "./stiffness";
 
 export async function compare(first = "", second = ""): Promise<Room> {
   const cards = (await api.subjects()).filter((card) => card.result && !card.result.problem), below = h("div");
@@ -37,7 +37,7 @@ function change(of: api.Visits): HTMLElement {
   if (of.problem) return h("div", { class: "card", id: "change" }, title, h("p", { class: "warn" }, `Whether this person changed can’t be told: ${of.problem}`));
   const rows = of.changes.map((one) => {
     const scatter = of.scatter[one.name];
-    return h("tr", {}, h("th", { scope: "row" }, titleOf(one.name)), h("td", {}, h("b", {}, one.verdict)), h("td", {}, `${number(one.factor)} (${span(one.low, one.high)})`), h("td", {}, `a factor of ${number(one.detectable_factor)}`),
+    return h("tr", {}, h("th", { scope: "row" }, one.name.replaceAll("_", " ")), h("td", {}, h("b", {}, one.verdict)), h("td", {}, `${number(one.factor)} (${span(one.low, one.high)})`), h("td", {}, `a factor of ${number(one.detectable_factor)}`),
       h("td", {}, scatter ? `${number(scatter.within_sd_log)} (${span(scatter.low, scatter.high)}); expected ${number(scatter.expected_sd_log)}` : "not known"));
   });
   return h("div", { class: "card", id: "change" }, title, h("p", { class: "soft" }, "“First” is taken for the earlier visit."),
@@ -54,8 +54,8 @@ export async function table(): Promise<Room> {
     ["Age, years", (card) => card.age ?? null], ["Height, cm", (card) => card.height_cm ?? null], ["Pushes", (card) => card.pushes ?? null],
     ...names.map((name): Column => {
       const of = (card: api.Card): api.Stiffness | undefined => card.result?.stiffness?.find((one) => one.name === name);
-      const unit = cards.map(of).find((one) => one)?.unit ?? "";
-      return [`${titleOf(name)}, ${unit}`, (card) => of(card)?.value ?? null, (card) => { const one = of(card); return one ? `${number(one.value)} (${span(one.low, one.high)})` : ""; }];
+      const first = cards.map(of).find((one) => one);
+      return [`${first?.title ?? name}, ${first?.unit ?? ""}`, (card) => of(card)?.value ?? null, (card) => { const one = of(card); return one ? told(one) : ""; }];
     }),
     ["Change of the Cobb angle", (card) => card.result?.cobb?.change_deg ?? null, (card) => card.result?.cobb?.words ?? ""],
   ];

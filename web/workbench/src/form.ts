@@ -20,7 +20,8 @@ const PUSH = ["side", "level", "d21_mm", "d31_mm"], PERSON = ["id", "age", "sex"
 const same = (one: unknown, other: unknown): boolean => JSON.stringify(one, sorted) === JSON.stringify(other, sorted);
 const sorted = (_: string, value: unknown): unknown => (value && typeof value === "object" && !Array.isArray(value) ? Object.fromEntries(Object.entries(value).sort(([one], [other]) => (one < other ? -1 : 1))) : value);
 
-export async function values(key: string): Promise<Room> {
+/** `next` leads on to what comes after the values; it stays in sight with what is said of them. */
+export async function values(key: string, next: HTMLElement): Promise<Room> {
   let form = await api.form(key), timer = 0, saved = JSON.stringify(form.values), stopped = state.readOnly, over = false, writing: Promise<void> = Promise.resolve();
   // Values as they were, or how to take back what is no value.
   const past: (string | (() => Promise<void>))[] = [], body = h("div"), said = h("p", { role: "status", class: "saved" });
@@ -258,5 +259,5 @@ export async function values(key: string): Promise<Room> {
   draw();
   if (state.readOnly) tell("saved", "To be looked at only.");
   else tell("saved", form.open.length ? "What is marked is still to be filled in. Every change is saved at once." : "Every change is saved at once.");
-  return { element: h("div", { class: "values" }, h("div", { class: "row bar" }, undo, said), body), leave: () => { over = true; clearTimeout(timer); removeEventListener("keydown", keys); if (JSON.stringify(form.values) !== saved) void save().catch(() => undefined); } };
+  return { element: h("div", { class: "values" }, h("div", { class: "row bar" }, undo, said, state.readOnly ? null : next), body), leave: () => { over = true; clearTimeout(timer); removeEventListener("keydown", keys); if (JSON.stringify(form.values) !== saved) void save().catch(() => undefined); } };
 }

@@ -24,7 +24,8 @@ export interface Purpose {
 
 export async function intake(purpose: Purpose): Promise<Room> {
   const stop = new AbortController(), uploads: string[] = [];
-  let asked: api.Asked | null = null, table: string | null = null;
+  // What was asked last, and of what the answer is in sight.
+  let asked: api.Asked | null = null, answered: api.Asked | null = null, turn = 0, table: string | null = null;
   const bar = h("progress", { max: 1, value: 0, "aria-label": "Upload" }), said = h("p", { role: "status", class: "soft" }), below = h("div");
   const files = h("input", { type: "file", multiple: true, class: "hidden", id: "files", "aria-label": "Choose files", tabindex: "-1" });
   const folder = h("input", { type: "file", webkitdirectory: true, class: "hidden", id: "folder", "aria-label": "Choose a folder", tabindex: "-1" });
@@ -54,18 +55,26 @@ export async function intake(purpose: Purpose): Promise<Room> {
     }
   });
   const begin = (origin: "upload" | "source" | "none", key: string): Promise<void> => {
-    asked = { origin, key, ...(purpose.subject ? { subject: purpose.subject } : {}), ...(purpose.replaces ? { replaces: purpose.replaces } : {}), ...(table === null ? {} : { table }) };
+    asked = answered = { origin, key, ...(purpose.subject ? { subject: purpose.subject } : {}), ...(purpose.replaces ? { replaces: purpose.replaces } : {}), ...(table === null ? {} : { table }) };
     return again({});
   };
   /** Ask again, with what was chosen; what is undefined is chosen no longer. */
   const again: Again = async (change) => {
     const next = Object.fromEntries(Object.entries({ ...asked, ...change }).filter(([, value]) => value !== undefined)) as unknown as api.Asked;
+    const mine = ++turn;
+    asked = next;
     said.textContent = "Reading the radiographs …";
     try {
       const look = await api.look(next);
-      asked = next;
+      // Something else was chosen meanwhile: its answer counts, whichever comes first.
+      if (mine !== turn) return;
+      answered = next;
       below.replaceChildren(found(purpose, next, look, again, () => { uploads.length = 0; }));
-    } finally { said.textContent = ""; }
+    } catch (error) {
+      if (mine !== turn) return;
+      asked = answered;
+      throw error;
+    } finally { if (mine === turn) said.textContent = ""; }
     below.querySelector("h2")?.focus();
   };
   files.addEventListener("change", () => { if (files.files) take(chosen(files.files)); });

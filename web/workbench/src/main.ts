@@ -38,7 +38,8 @@ async function enter(): Promise<void> {
     if (mine !== asked) return next.leave?.();
     now = next;
     need("room").replaceChildren(next.element);
-    if (mine > 1) need("room").focus();
+    // A room begins at its top, whatever was scrolled to in the one before.
+    if (mine > 1) { need("room").focus({ preventScroll: true }); scrollTo(0, 0); }
     document.body.dataset["state"] = "open";
   } catch (error) {
     if (mine !== asked) return;

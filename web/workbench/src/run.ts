@@ -3,7 +3,7 @@ import { button, h, svg } from "../../shared/dom";
 import { events, words } from "../../shared/net";
 import * as api from "./api";
 import { jobWords } from "./cards";
-import { act, lasted, problem, type Room, state } from "./page";
+import { act, lasted, link, problem, type Room, state } from "./page";
 
 const STEPS: [string, string][] = [
   ["track", "Follow the corners through the pushes"], ["response", "N per degree, without a model"], ["personalise", "Shape the torso to the radiographs"],
@@ -35,7 +35,7 @@ export async function run(key: string, stage: string): Promise<Room> {
     stop.abort();
     stop = new AbortController();
     current = first.id;
-    const { signal } = stop, view = new Live(first, verbs[first.verb]?.title ?? first.verb);
+    const { signal } = stop, view = new Live(first, verbs[first.verb]?.title ?? first.verb, key);
     live.replaceChildren(view.element);
     clearInterval(clock);
     clock = window.setInterval(() => view.tick(), 1000);
@@ -153,6 +153,7 @@ class Live {
   private readonly steps = h("ol", { class: "steps" });
   private readonly latest = h("p", { class: "soft", role: "status" });
   private readonly log = h("pre", { tabindex: "0" });
+  private readonly whole = h("details", {}, h("summary", {}, "Everything it says"), this.log);
   private readonly title = h("h2");
   private readonly curve = h("figure", { class: "curve" });
   private readonly cancel: HTMLButtonElement;
@@ -160,9 +161,9 @@ class Live {
   private losses: number[][] = [];
   private seen: string[] = [];
 
-  constructor(private job: api.Job, private readonly name: string) {
+  constructor(private job: api.Job, private readonly name: string, private readonly key: string) {
     this.cancel = button("Cancel", () => act(async () => { this.state(await api.cancel(this.job.id)); }), { id: "cancel" });
-    this.element = h("section", { class: "live", "aria-label": name }, h("div", { class: "row" }, this.title, state.readOnly ? null : this.cancel), this.latest, h("div", { class: "beside" }, this.steps, this.curve), h("details", {}, h("summary", {}, "Everything it says"), this.log));
+    this.element = h("section", { class: "live", "aria-label": name }, h("div", { class: "row" }, this.title, state.readOnly ? null : this.cancel), this.latest, h("div", { class: "beside" }, this.steps, this.curve), this.whole);
     this.state(job);
   }
 
@@ -172,8 +173,12 @@ class Live {
     this.cancel.hidden = !open(job);
     this.cancel.disabled = job.cancel;
     this.cancel.textContent = job.cancel ? "Cancelling …" : "Cancel";
-    if (job.state === "done") this.latest.textContent = "Done. What was found is under Results.";
-    if (job.state === "failed") this.latest.textContent = this.all.filter((line) => line.startsWith("spinestiff: ")).map((line) => line.slice(12)).join(" ") || "It failed; what it said last is below.";
+    if (job.state === "done") this.latest.replaceChildren("Done. What was found is under ", link("Results", `/subject/${this.key}/results`), ".");
+    if (job.state === "failed") {
+      const told = this.all.filter((line) => line.startsWith("spinestiff: ")).map((line) => line.slice(12)).join(" ");
+      this.latest.textContent = told || "It failed; what it said last is below.";
+      if (!told) this.whole.open = true;
+    }
     if (job.state === "cancelled") this.latest.textContent = "Cancelled. What was finished before stays.";
     if (job.state === "lost") this.latest.textContent = "Its process ended without a word, as when the machine is switched off. Start it again: what was finished stays.";
     this.latest.className = job.state === "failed" || job.state === "lost" ? "bad" : "soft";
@@ -195,7 +200,7 @@ class Live {
       if (!told) continue;
       const [, step, text] = told as unknown as [string, string, string];
       if (!this.seen.includes(step)) this.seen.push(step);
-      if (open(this.job)) this.latest.textContent = text;
+      if (open(this.job)) this.latest.textContent = text.replaceAll("_", " ");
       const loss = /^evaluation (\d+): .*RMSE ([\d.]+) mm$/.exec(text);
       if (loss) {
         if (loss[1] === "0") this.losses.push([]);

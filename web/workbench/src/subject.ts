@@ -1,7 +1,7 @@
 // One subject: its rooms in the order of the work, each with how far it is.
 import { h } from "../../shared/dom";
 import * as api from "./api";
-import { badge, person } from "./cards";
+import { badge, nextOf, person, placeOf } from "./cards";
 import { values } from "./form";
 import { problem, type Room } from "./page";
 import { radiographs } from "./radiographs";
@@ -13,7 +13,7 @@ const ORDER: api.Card["stage"][] = ["broken", "form", "radiographs", "annotate",
 
 export async function subject(key: string, room: string): Promise<Room> {
   let card = await api.subject(key);
-  const missing = h("div"), name = h("h1"), who = h("p", { class: "soft" });
+  const missing = h("div"), name = h("h1"), who = h("p", { class: "soft" }), next = h("a", { class: "button main", id: "next" });
   // Made once: a link that is replaced while it is pressed or has the focus takes the click or the focus with it.
   const steps = ROOMS.map(([one, title], i) => {
     const dot = h("span", { class: "dot", "aria-hidden": "true" }), told = h("span", { class: "hidden" });
@@ -27,11 +27,15 @@ export async function subject(key: string, room: string): Promise<Room> {
     const done: Record<string, boolean> = { radiographs, values: far > 1, annotate: far > 3, run: card.stage === "done", results: card.stage === "done" };
     name.replaceChildren(card.name, " ", badge(card));
     who.textContent = person(card);
+    const [text, place] = nextOf(card);
+    next.textContent = text;
+    next.href = placeOf(card);
+    next.hidden = place === room;
     steps.forEach(({ show }, i) => show(done[ROOMS[i]?.[0] ?? ""] ?? false));
     missing.replaceChildren(card.missing.length && room !== "values" ? h("details", { class: "warn" }, h("summary", {}, `Still missing: ${card.missing.length}`), h("ul", {}, ...card.missing.map((line) => h("li", {}, line)))) : "");
   };
   draw();
-  const inner = room === "results" ? await results(key, card) : room === "run" ? await run(key, card.stage) : room === "radiographs" && card.stage !== "broken" ? await radiographs(key) : card.stage === "broken" ? { element: h("p", { class: "bad" }, card.missing.join(" ")) } : await values(key);
+  const inner = room === "results" ? await results(key, card) : room === "run" ? await run(key, card.stage) : room === "radiographs" && card.stage !== "broken" ? await radiographs(key) : card.stage === "broken" ? { element: h("p", { class: "bad" }, card.missing.join(" ")) } : await values(key, next);
   const changed = (): void => { void api.subject(key).then((found) => { card = found; draw(); }, problem); };
   document.addEventListener("subject-changed", changed);
   return {
