@@ -28,6 +28,7 @@ from spinestiff.study.plain import plain_stiffness
 from spinestiff.study.trials import PushSet, seen_beside
 from spinestiff.study.visit import Visit
 from spinestiff.subject.estimate_outcome import (
+    QUICK_LOOK,
     BudgetRecord,
     CombinationRecord,
     CostRecord,
@@ -162,7 +163,7 @@ def mesh_notes(torso: TorsoModel, method: str, own: bool = False) -> tuple[str, 
     if mesh_size(torso) == "fine":
         return ()
     text = (
-        f"a quick look: the tissue's mesh is coarse ({len(torso.tissue.rest_positions)} nodes). Such a mesh resists "
+        f"{QUICK_LOOK}: the tissue's mesh is coarse ({len(torso.tissue.rest_positions)} nodes). Such a mesh resists "
         "like tissue that is about 6 % stiffer than on the fine one, so the ratio of tissue comes out lower by about "
         "as much, and bending, which trades against it, is off, too"
     )

@@ -19,6 +19,9 @@ from spinestiff.subject.outcome_parts import (
     determination,
 )
 
+QUICK_LOOK = "a quick look"
+"""How the note of an estimate on a coarse mesh begins."""
+
 
 class Check(Outcome):
     """Whether one thing about a result can be right.
@@ -278,6 +281,11 @@ class Estimate(OutcomeFile):
         if set(self.parameters) != set(self.ratios):
             raise ValueError(f"parameters {', '.join(self.parameters)} but ratios {', '.join(self.ratios)}")
         return self
+
+    @property
+    def quick_look(self) -> bool:
+        """Whether it was made on a coarse mesh, whose ratios are not for reporting."""
+        return any(note.startswith(QUICK_LOOK) for note in self.notes)
 
     @property
     def failed(self) -> tuple[Check, ...]:

@@ -150,8 +150,8 @@ def result(subject: Subject) -> dict[str, Any] | None:
         for name, found, unit, determined in told_stiffness(estimate)
     ]
     return {
-        "badge": badge(estimate),
-        "lines": [sentence(line) for line in headline(estimate)],
+        "badge": badge(estimate) + (", quick look" if estimate.quick_look else ""),
+        "lines": [*(sentence(line) for line in headline(estimate)), *([QUICK] if estimate.quick_look else [])],
         "stiffness": stiffness,
         "doubts": [f"{check.name}: {check.text}" for check in estimate.failed],
         "rmse_mm": estimate.training_rmse_mm.fit,
@@ -182,6 +182,7 @@ def cobb(subject: Subject) -> dict[str, Any] | None:
     }
 
 
+QUICK = "A quick look, on a coarse mesh of the tissue: for values to report, run it with the fine one."
 QUANTITY = {"value", "low", "high", "open_low", "open_high"}
 
 
