@@ -145,6 +145,7 @@ def make_subject(
 ) -> Subject:
     """The subject of a seed, at a visit, as an annotator marks the radiographs.
 
+    Each visit follows one protocol: the ribs that are aimed at, and the force, are those of the first.
     Pushes of one's own make a later visit (``visit`` from 1 on): so the person is the same whatever they are. All
     forces shrink alike where one bends the torso too far.
 
@@ -182,7 +183,8 @@ def make_subject(
     if visit:
         # What belongs to the person is drawn as at the first visit.
         again = np.random.default_rng([19, seed, visit])
-        own = _drawn_visit(torso, nominal, pushes, p, again, hand)
+        anew = _drawn_visit(torso, nominal, pushes, p, again, hand)
+        own = replace(anew, force=own.force, levels=own.levels) if isinstance(acquisition, str) else anew
     sites = {push: rib_push(torso, sides[push], level, 1.0) for push, level in own.levels.items()}
     forces = {name: push.force_n or own.force for name, push in pushes.items()}
 

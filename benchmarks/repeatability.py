@@ -4,8 +4,8 @@
     python benchmarks/repeatability.py --summary FILE... [--write] [--json]
 
 People are those of ``coverage_subjects`` with seeds from 7000 on: truth on meshes of the coarse one's size, three
-pushes. At each visit everything is drawn anew that is not the person's own: gauge, places of the pushes, stance,
-supports, tracking. Each visit is annotated by so many people; the first one's annotations make a series of visits, all
+pushes at the same ribs and of the same force at each visit. Everything else is drawn anew that is not the person's own:
+gauge, where the pushes really are, stance, supports, tracking. Each visit is annotated by so many people; the first one's annotations make a series of visits, all
 of one visit a series of annotators. The estimator is the coarse one. A log that exists is gone on with.
 
 ``--summary`` compares the scatter within people with what the estimates tell (``study.repeatability``) and counts how
@@ -20,6 +20,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,12 @@ def run_one(seed: int, visit: int, annotator: int) -> dict[str, Any]:
         "truth": dict(subject.ratios),
         "estimate": fit.ratios.as_dict(),
         "determined": determined,
+        "pushes": [
+            [one.side, one.level, force]
+            for one in subject.records
+            for force, role in zip(one.forces_n, one.roles)
+            if role == "training" and force > 0.0
+        ],
         "sd_log": dict(zip(NAMES, np.sqrt(np.diag(fit.covariance)).tolist())),
         "visit_sd_log": dict(zip(NAMES, weighed.visit_sd.tolist())),
         "annotation_sd_log": dict(zip(NAMES, weighed.annotation_sd.tolist())),
@@ -91,7 +98,8 @@ def series(rows: Sequence[dict[str, Any]], of_annotators: bool) -> list[VisitEst
             )
             for name in NAMES
         }
-        found.append(VisitEstimate(f"{whose}, {number}", whose, ratios))
+        pushes = tuple(sorted((side, level, force) for side, level, force in row["pushes"]))
+        found.append(VisitEstimate(f"{whose}, {number}", whose, ratios, pushes))
     return found
 
 
@@ -102,7 +110,7 @@ def summarised(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         every = series(rows, of_annotators)
         summary[key] = {}
         for name in NAMES:
-            mine = [VisitEstimate(one.label, one.subject, {name: one.ratios[name]}) for one in every]
+            mine = [replace(one, ratios={name: one.ratios[name]}) for one in every]
             people = Counter(one.subject for one in mine if one.ratios[name].known)
             if max(people.values(), default=0) < 2:
                 continue

@@ -100,11 +100,14 @@ def repeated_sds(problem: WeighedProblem, fit: WeighedFit, annotation_alone: boo
 
     To first order the estimate is off by G e, G = (X^T C^-1 X)^-1 X^T C^-1, for residuals' errors e with covariance C.
     What belongs to the person (``PERSONAL``) is off by the same at each visit; all else is drawn anew. With
-    ``annotation_alone`` only what an annotation of the same radiographs brings is (``ANNOTATED``).
+    ``annotation_alone`` only what an annotation of the same radiographs brings is (``ANNOTATED``). Either way the
+    geometry is found anew, and with it the motions are off.
     """
     parts = covariance_parts(problem, fit)
     drawn = [name for name in parts if (name in ANNOTATED if annotation_alone else name not in PERSONAL)]
     anew = sum((parts[name] for name in drawn), start=np.zeros((problem.size, problem.size)))
+    channels = slice(0, problem.noise.size)
+    anew[channels, channels] += problem.of_geometry(fit.point)
     # What is held of the ratios is no data, and the same at each visit.
     anew[problem.data :] = anew[:, problem.data :] = 0.0
     nuisances = fit.slope.nuisances

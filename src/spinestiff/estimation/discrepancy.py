@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import as_file, files
 from io import BytesIO
@@ -51,6 +51,8 @@ MODES = 12  # of a covariance
 # What an estimate has among its own unknowns (``unknowns``: ribs, volume, depth), and the wall: whether a back may
 # leave it is a choice of the model, which no covariance makes up for (docs/discrepancy.md).
 LEFT_OUT = ("one-sided wall", "rib joints", "volume", "push point")
+# The kind whose models have a geometry that personalisation found from marked corners, and these corners' sd, mm.
+GEOMETRY, GEOMETRY_MM = "geometry", 0.5
 FINE_NODES = 6000
 MOTION_SD = 0.05  # where nothing was learnt
 # A turn counts as the shift, mm, that it gives a point at this distance: about that of a vertebra's corners.
@@ -411,6 +413,18 @@ def relative_covariance(motions: Sequence[Floats]) -> Floats:
 def modes_of(torso: TorsoModel) -> DiscrepancyModes | None:
     """What was learnt for a torso's mesh; None for one of other vertebrae than T1 to L5."""
     return None if torso.vertebrae != VERTEBRAE else shipped_modes(mesh_size(torso), LEFT_OUT)
+
+
+def geometry_modes(torso: TorsoModel, annotation_mm: float) -> DiscrepancyModes | None:
+    """What a geometry that was found from corners of this standard deviation does to the motions, mm along an axis.
+
+    It is part of ``modes_of``, where all kinds are averaged; alone it is what another annotation brings. None for a
+    torso of other vertebrae than T1 to L5.
+    """
+    if torso.vertebrae != VERTEBRAE:
+        return None
+    found, scale = shipped_data().combined([GEOMETRY]), annotation_mm / GEOMETRY_MM
+    return replace(found, modes=scale * found.modes, remainder=scale * found.remainder)
 
 
 def mesh_size(torso: TorsoModel) -> Mesh:

@@ -28,6 +28,7 @@ from spinestiff.estimation.discrepancy import (
     DiscrepancyFrame,
     as_corners,
     discrepancy_columns,
+    geometry_modes,
     modes_of,
     out_of_plane_columns,
     plane_motion,
@@ -363,16 +364,9 @@ class WeighedProblem:
         if self._modes is None:
             covariance[np.ix_(where, where)] = relative_covariance(self.motions(point))
             return covariance
-        frames = [
-            DiscrepancyFrame(*pushed_site(target.trial.load, problem.torso), self._whole_motion(i, point))
-            for i, (target, problem) in enumerate(zip(self.trial_set.targets, self.trial_set.problems))
-        ]
+        frames = self._frames(point)
         columns = discrepancy_columns(frames, self._modes)
-        rows = []
-        for i, target in enumerate(self.trial_set.targets):
-            moved = as_corners(columns[i][target.rows], target.z, target.trial.view)
-            rows.append(self.noise.channels[i].apply(moved))
-        whole = np.concatenate(rows)
+        whole = self._of_own_corners(columns)
         if self._sights:
             whole = self._with_further(whole, columns, out_of_plane_columns(frames, self._modes))
         covariance[np.ix_(where, where)] = whole @ whole.T
@@ -385,6 +379,31 @@ class WeighedProblem:
                 frames, self._modes, of, points, self.priors.marker_slide
             )
         return covariance
+
+    def of_geometry(self, point: WeighedPoint) -> Floats:
+        """(n, n) mm^2 of all channels: what a geometry found from corners as they are marked does to the motions of the
+        trials' own corners. ``discrepancy`` holds its share of it; 0 for torsos of which nothing was learnt."""
+        covariance = np.zeros((self.noise.size, self.noise.size))
+        modes = geometry_modes(self.trial_set.problems[0].torso, self.priors.annotation_mm)
+        if modes is not None:
+            where = np.concatenate([np.arange(self.noise.size)[self.noise.of(i)] for i in range(self._loaded)])
+            whole = self._of_own_corners(discrepancy_columns(self._frames(point), modes))
+            covariance[np.ix_(where, where)] = whole @ whole.T
+        return covariance
+
+    def _frames(self, point: WeighedPoint) -> list[DiscrepancyFrame]:
+        return [
+            DiscrepancyFrame(*pushed_site(target.trial.load, problem.torso), self._whole_motion(i, point))
+            for i, (target, problem) in enumerate(zip(self.trial_set.targets, self.trial_set.problems))
+        ]
+
+    def _of_own_corners(self, columns: Floats) -> Floats:
+        """(n, K) channels of the loaded trials' own corners, of motions (F, V, 3, K) of the vertebrae."""
+        rows = []
+        for i, target in enumerate(self.trial_set.targets):
+            moved = as_corners(columns[i][target.rows], target.z, target.trial.view)
+            rows.append(self.noise.channels[i].apply(moved))
+        return np.concatenate(rows)
 
     def _with_further(self, whole: Floats, columns: Floats, others: Floats) -> Floats:
         """(n, K) columns of the trials' own corners ``whole``, then of all else that the loaded trials show.
