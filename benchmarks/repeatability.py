@@ -5,8 +5,9 @@
 
 People are those of ``coverage_subjects`` with seeds from 7000 on: truth on meshes of the coarse one's size, three
 pushes at the same ribs and of the same force at each visit. Everything else is drawn anew that is not the person's own:
-gauge, where the pushes really are, stance, supports, tracking. Each visit is annotated by so many people; the first one's annotations make a series of visits, all
-of one visit a series of annotators. The estimator is the coarse one. A log that exists is gone on with.
+gauge, where the pushes really are, stance, supports, tracking. Each visit is annotated by so many people; the first
+one's annotations make a series of visits, all of one visit a series of annotators. The estimator is the coarse one. A
+log that exists is gone on with.
 
 ``--summary`` compares the scatter within people with what the estimates tell (``study.repeatability``) and counts how
 often an unchanged person is said to have changed; estimates that do not determine a ratio are left out.
