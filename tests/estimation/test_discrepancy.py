@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import FitError
 from spinestiff.estimation.discrepancy import (
     MIRROR,
@@ -14,6 +17,7 @@ from spinestiff.estimation.discrepancy import (
     KindModes,
     as_corners,
     discrepancy_columns,
+    geometry_modes,
     motion_size,
     plane_motion,
     read_data,
@@ -200,6 +204,20 @@ def test_an_unknown_kind_and_no_kind_are_refused() -> None:
 def test_what_an_estimator_knows_is_left_out() -> None:
     whole, less = shipped_modes("coarse"), shipped_modes("coarse", ("one-sided wall",))
     assert np.sum(less.modes**2) < np.sum(whole.modes**2)
+
+
+def test_a_geometry_from_worse_corners_moves_otherwise_in_proportion() -> None:
+    torso = template_torso(157, "coarse")
+    half, whole = (geometry_modes(torso, mm) for mm in (0.25, 0.5))
+    alone = shipped_data().combined(["geometry"])
+    assert np.allclose(whole.modes, alone.modes) and np.allclose(whole.remainder, alone.remainder)
+    assert np.allclose(half.modes, 0.5 * alone.modes) and np.allclose(half.remainder, 0.5 * alone.remainder)
+    # All kinds, each of them rarer, hold less of it.
+    frames = [DiscrepancyFrame("left", 8.0, MOTION)]
+    own, every = (discrepancy_columns(frames, modes).reshape(51, -1) for modes in (whole, shipped_modes("coarse")))
+    share = np.trace(own @ own.T) / np.trace(every @ every.T)
+    assert 0.01 < share < 1.0
+    assert geometry_modes(SimpleNamespace(vertebrae=("B1", "B2")), 0.5) is None
 
 
 def test_the_shipped_data_are_small_and_from_enough_pairs() -> None:

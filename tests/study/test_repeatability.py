@@ -208,6 +208,13 @@ def test_the_title_is_whole_whatever_the_number_of_visits(visits) -> None:
     assert whole.x0 <= title.x0 and title.x1 <= whole.x1 and title.y1 <= whole.y1
 
 
+def test_another_annotation_moves_an_estimate_by_what_the_geometry_does_to_motions(finished) -> None:
+    """Marks alone move it by hundredths of its own standard deviation only."""
+    estimate = read_outcome(open_visit(finished.folder).subject, Estimate)
+    for name, whole in estimate.sd_log.items():
+        assert 0.04 * whole < estimate.annotation_sd_log[name] < estimate.visit_sd_log[name]
+
+
 def test_a_visit_tells_how_it_scatters(finished) -> None:
     opened = open_visit(finished.folder)
     estimate = read_outcome(opened.subject, Estimate)
