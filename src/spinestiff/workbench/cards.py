@@ -19,6 +19,7 @@ from spinestiff.subject.outcomes import Responses
 from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, REST_IMAGES, SUBJECT_FILE
 from spinestiff.subject.run_record import changed_lately, read_outcome, recorded_steps
 from spinestiff.workbench.job_table import Job
+from spinestiff.workbench.page_words import page_words
 
 STAGES = {
     "broken": "Can't be read",
@@ -204,4 +205,4 @@ def title_of(image: str) -> str:
 
 def _one_line(error: Exception, folder: Path) -> str:
     words = str(error).replace(f" {folder} again", " again").replace(f"{folder}{os.sep}", "")
-    return " ".join(words.replace(str(folder), "the folder").split())
+    return page_words(words.replace(str(folder), "the folder"))

@@ -16,6 +16,7 @@ from spinestiff.study.report.log_picture import draw_log
 from spinestiff.subject.folder import Subject, check_radiograph_path
 from spinestiff.subject.intake.force_log import FORCE_UNITS, TIME_UNITS, find_columns, read_force_log, with_units
 from spinestiff.subject.intake.logged import put_beside
+from spinestiff.workbench.page_words import page_words
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,7 @@ def forces_of_log(subject: Subject, number: int, text: str, wish: LogWish) -> di
 
 def _for_a_form(words: str, path: Path) -> str:
     """A message of the command line as the page says it."""
-    words = words.replace(f"{path}: ", "the log: ").replace(str(path), "the log")
-    return words.replace("--log-columns TIME,FORCE", "the names of both columns").replace("--log-units", "the units")
+    return page_words(words.replace(f"{path}: ", "the log: ").replace(str(path), "the log"))
 
 
 def _finite(value: float) -> float | None:

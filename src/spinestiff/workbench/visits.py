@@ -11,6 +11,7 @@ from spinestiff.errors import SpinestiffError
 from spinestiff.study.repeatability import estimate_of, repeatability, repeatability_lines
 from spinestiff.study.visit import open_visit
 from spinestiff.subject.folder import read_unannotated
+from spinestiff.workbench.page_words import page_words
 
 
 def visits_record(first: Path, second: Path) -> dict[str, Any]:
@@ -37,4 +38,4 @@ def _without(words: str, folders: tuple[Path, ...]) -> str:
     """Words that name folders by their names alone."""
     for folder in folders:
         words = words.replace(f"{folder.resolve().parent}{os.sep}", "").replace(f"{folder.parent}{os.sep}", "")
-    return " ".join(words.split())
+    return page_words(words)
