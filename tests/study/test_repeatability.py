@@ -86,7 +86,7 @@ def test_what_is_not_known_has_not_changed_and_does_not_scatter() -> None:
     found = repeatability(seen)
     assert [change.verdict for change in found.changes] == ["can't be told", "no change shown"]
     assert (found.scatter["bending"].left_out, found.scatter["bending"].within_sd_log) == (1, 0.0)
-    assert "bending: 1 estimate left out: doubtful, or not determined" in repeatability_lines(found)
+    assert "bending: 1 estimate left out: doubtful, not determined, or not pushed alike" in repeatability_lines(found)
     alone = repeatability(seen[:2])
     assert not alone.scatter
     assert "can't be told" in repeatability_lines(alone)[-1]
@@ -124,8 +124,9 @@ def test_pushes_that_differ_leave_what_the_model_lacks_in_the_difference() -> No
     near = (("right", 7.5, 45.0), ("right", 7.5, 55.0))
     for other, alike in ((near, True), ((("left", 8.0, 40.0), at[1]), False), (at[:1], False)):
         visits = [visit("a", 0, pushes=at, bending=0.1), visit("a", 1, pushes=other, bending=0.25)]
-        (change,) = repeatability(visits).changes
-        assert change.alike == alike
+        found = repeatability(visits)
+        (change,) = found.changes
+        assert change.alike == alike and ("bending" in found.scatter) == alike
         assert change.verdict == ("changed" if alike else "no change shown")
         assert ("(not pushed alike)" in repeatability_lines(repeatability(visits))[-1]) != alike
 

@@ -96,7 +96,7 @@ class Scatter:
     expected_sd_log : s_w as the visits let expect it.
     detectable_factor, expected_factor : smallest detectable change, found and expected.
     p_value : of scatter at least as far from what is expected, either way.
-    left_out : estimates that are not known (``VisitRatio.known``).
+    left_out : estimates that are not known (``VisitRatio.known``), or not of pushes like the person's first ones.
     """
 
     within_sd_log: float
@@ -257,16 +257,13 @@ def repeatability(visits: Sequence[VisitEstimate], of: Repeated = "visits") -> R
                 _refuse_other_pictures(first, later)
     scatter = {}
     for name in names:
-        one = _scatter([[visit.ratios[name] for visit in found] for found in repeated])
+        one = _scatter(name, repeated)
         if one is not None:
             scatter[name] = one
     changes = []
     for found in repeated:
         # By the scatter of others: a change of this person's own is no scatter.
-        others = {
-            name: _scatter([[visit.ratios[name] for visit in other] for other in repeated if other is not found])
-            for name in names
-        }
+        others = {name: _scatter(name, [other for other in repeated if other is not found]) for name in names}
         wider = {name: one.wider if one is not None and one.degrees >= ENOUGH else 1.0 for name, one in others.items()}
         changes += [_change(name, found[0], later, wider[name]) for later in found[1:] for name in names]
     return Repeatability(of, scatter, tuple(changes), tuple(visits))
@@ -320,8 +317,10 @@ def _alike(first: VisitEstimate, later: VisitEstimate) -> bool:
     )
 
 
-def _scatter(people: Sequence[Sequence[VisitRatio]]) -> Scatter | None:
-    known = [[ratio for ratio in person if ratio.known] for person in people]
+def _scatter(name: str, people: Sequence[Sequence[VisitEstimate]]) -> Scatter | None:
+    """Of a ratio; visits that pushed otherwise than the person's first one differ by what is the person's own, too."""
+    alike = [[visit.ratios[name] for visit in person if _alike(person[0], visit)] for person in people]
+    known = [[ratio for ratio in person if ratio.known] for person in alike]
     left_out = sum(map(len, people)) - sum(map(len, known))
     known = [person for person in known if len(person) > 1]
     if not known:
@@ -380,7 +379,9 @@ def repeatability_lines(found: Repeatability) -> list[str]:
             f"let expect less than a factor of {number(one.expected_factor)} (95 %)"
         )
         if one.left_out:
-            lines.append(f"{name}: {counted(one.left_out, 'estimate')} left out: doubtful, or not determined")
+            lines.append(
+                f"{name}: {counted(one.left_out, 'estimate')} left out: doubtful, not determined, or not pushed alike"
+            )
         if one.p_value < UNLIKELY:
             more = "more" if one.within_sd_log > one.expected_sd_log else "less"
             lines.append(
