@@ -259,6 +259,9 @@ def test_a_hospital_export_becomes_a_report_and_a_plan(tab, serve, radiographed,
         assert best["side"] == "left" and best["level"] in (5.0, 9.0)
         words = f"Best next: rib {best['level']:g} {best['side']}, {best['force_n']:g} N, {best['view']}"
         assert words in text(tab, ".shown") and "out of date" not in text(tab)
+        # The plan's job has written the report anew.
+        written = (results / "report.html").read_text(encoding="utf-8").lower()
+        assert "no further push was planned" not in written and f"push rib {best['level']:g}" in written
         tab.until("[...document.querySelectorAll('.shown img')].every(one => one.complete && one.naturalWidth > 100)")
         assert_whole(results)
 
