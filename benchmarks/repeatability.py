@@ -7,7 +7,7 @@ People are those of ``coverage_subjects`` with seeds from 7000 on: truth on mesh
 pushes at the same ribs and of the same force at each visit. Everything else is drawn anew that is not the person's own:
 gauge, where the pushes really are, stance, supports, tracking. Each visit is annotated by so many people; the first
 one's annotations make a series of visits, all of one visit a series of annotators. The estimator is the coarse one. A
-log that exists is gone on with.
+log that exists is gone on with; the rows that are kept are benchmarks/results/repeatability.jsonl.
 
 ``--summary`` compares the scatter within people with what the estimates tell (``study.repeatability``) and counts how
 often an unchanged person is said to have changed; estimates that do not determine a ratio are left out.
@@ -116,12 +116,14 @@ def summarised(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
             if max(people.values(), default=0) < 2:
                 continue
             found = repeatability(mine)
+            apart = [abs(float(np.log(change.factor))) for change in found.changes]
             judged = [change.verdict == "changed" for change in found.changes if change.verdict != "can't be told"]
             summary[key][name] = {
                 "people": sum(count > 1 for count in people.values()),
                 **{k: round(float(v), 4) for k, v in vars(found.scatter[name]).items()},
                 "said_to_have_changed": round(float(np.mean(judged)), 4) if judged else None,
                 "judged": len(judged),
+                "apart": [round(float(q), 4) for q in np.quantile(apart, (0.5, 0.9))],
             }
     return summary
 
