@@ -130,6 +130,11 @@ def test_an_image_may_have_a_geometry_of_its_own(folder):
     assert (frontal.source_to_detector, frontal.source_to_patient) == (1500.0, 1340.0)
     assert read_push(subject, subject.pushes[0])[0].view.source_to_detector == 1500.0
     assert not any(one.reason or one.missing for one in inspect(folder))
+    own_only = {**SUBJECT, "xray": {**usual, "images": {"rest/lateral": {**own, "source_patient_mm": 1900.0}}}}
+    write(folder, own_only)
+    with pytest.raises(RadiographError, match="wanted the patient nearer to the source"):
+        read_rest(read_subject(folder), "lateral")
+    write(folder, {**SUBJECT, "xray": {**usual, "images": {"rest/lateral": own}}})
     assert "1830" in str(next(one.seen for one in inspect(folder) if one.image == "rest/lateral"))
 
 

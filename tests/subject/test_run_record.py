@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+from types import SimpleNamespace
 
 import pytest
 
@@ -16,7 +17,7 @@ from spinestiff.subject.assessment_outcome import Comparison
 from spinestiff.subject.folder import Subject, read_subject
 from spinestiff.subject.outcomes import FrameProposals, Tracked
 from spinestiff.subject.program import program
-from spinestiff.subject.records import SubjectRecord
+from spinestiff.subject.records import SubjectRecord, XRayRecord
 from spinestiff.subject.run_record import (
     PARTS,
     StepRecord,
@@ -287,3 +288,11 @@ def test_the_helpers_of_these_tests_vouch_for_what_they_write(subject):
     assert set(now) == set(before)
     assert {name for name in now if now[name] != before[name]} == {"results/comparison.json"}
     assert not (after.results / FrameProposals.FILE).exists()
+
+
+def test_a_geometry_of_no_picture_s_own_changes_no_digest():
+    plain, empty, own = (
+        PARTS["subject.json: X-ray geometry"](SimpleNamespace(record=SimpleNamespace(xray=XRayRecord(**told))))
+        for told in ({}, {"images": {}}, {"images": {"rest/lateral": {"source_detector_mm": 1830.0}}})
+    )
+    assert "images" not in plain and plain == empty != own

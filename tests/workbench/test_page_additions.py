@@ -21,6 +21,14 @@ DRAWN = """[...document.querySelectorAll('canvas.thumb')].filter(one => {
   const seen = new Set(one.getContext('2d').getImageData(0, 0, one.width, one.height).data);
   return seen.size > 50 && one.width <= 96 && one.height <= 128;
 }).length"""
+SAVED = "document.querySelector('.saved').innerText.startsWith('Saved')"
+
+
+def open_xray(tab, served):
+    """The X-ray geometry in the values of the one subject."""
+    load(tab, served.address)
+    go(tab, f"/subject/{served.key()}/values")
+    tab.run("(document.querySelector('#xray').open = true, 1)")
 
 
 def test_more_radiographs_and_a_view_for_a_subject_that_is_there(tab, root, serve, tmp_path):
@@ -199,18 +207,15 @@ def test_views_markers_and_priors_are_checked_as_one_types(tab, root, serve, tmp
 
 def test_a_known_length_is_typed_or_clicked_in_the_picture(tab, root, serve):
     place = root / "girl" / "subject.json"
-    saved = "document.querySelector('.saved').innerText.startsWith('Saved')"
     with serve(root) as served:
-        load(tab, served.address)
-        go(tab, f"/subject/{served.key()}/values")
-        tab.run("(document.querySelector('#xray').open = true, 1)")
+        open_xray(tab, served)
         click(tab, "#scale-add")
         assert "scale" not in read_json(place).get("xray", {})
         fill(tab, "#f-xray-scale-rest-frontal-object-mm", "25.4")
         tab.until("document.querySelector('#f-xray-scale-rest-frontal-says').innerText.includes('both ends')")
         assert tab.run("document.querySelector('.beam .t-on').textContent") == "object 25.4 mm"
         fill(tab, "#f-xray-scale-rest-frontal-object-px", "100, 200\n180.5; 200")
-        tab.until(saved)
+        tab.until(SAVED)
         length = {"object_mm": 25.4, "object_px": [[100, 200], [180.5, 200]]}
         assert read_json(place)["xray"]["scale"] == {"rest/frontal": length}
         # The same by clicks: near the end, then exactly.
@@ -228,7 +233,7 @@ def test_a_known_length_is_typed_or_clicked_in_the_picture(tab, root, serve):
             press(".ends", along)
             tab.until("document.querySelector('.near').width == 480")
             press(".ends.near", 0.5)
-        tab.until(saved)
+        tab.until(SAVED)
         was = length["object_px"]
         tab.wait(lambda: not any(end in was for end in read_json(place)["xray"]["scale"]["rest/frontal"]["object_px"]))
         (one, other) = read_json(place)["xray"]["scale"]["rest/frontal"]["object_px"]
@@ -242,18 +247,15 @@ def test_a_known_length_is_typed_or_clicked_in_the_picture(tab, root, serve):
         tab.wait(lambda: read_json(place)["xray"]["scale"].get("push/a") == {"vertebra": "L1", "width_mm": 42})
         click(tab, "[data-scale='rest/frontal'] > button")
         tab.wait(lambda: set(read_json(place)["xray"]["scale"]) == {"push/a"})
-        tab.until(saved)
+        tab.until(SAVED)
         click(tab, "#undo-values")
         tab.wait(lambda: set(read_json(place)["xray"]["scale"]) == {"push/a", "rest/frontal"})
 
 
 def test_a_picture_of_another_system_has_its_own_distances(tab, root, serve):
     place = root / "girl" / "subject.json"
-    saved = "document.querySelector('.saved').innerText.startsWith('Saved')"
     with serve(root) as served:
-        load(tab, served.address)
-        go(tab, f"/subject/{served.key()}/values")
-        tab.run("(document.querySelector('#xray').open = true, 1)")
+        open_xray(tab, served)
         fill(tab, "#f-xray-source-patient-mm", "1340")
         chosen(tab, "#apart-image", "rest/lateral")
         click(tab, "#apart-add")
@@ -263,7 +265,7 @@ def test_a_picture_of_another_system_has_its_own_distances(tab, root, serve):
             "document.querySelector('#f-xray-images-rest-lateral-source-detector-mm-says').innerText.includes('10000')"
         )
         fill(tab, "#f-xray-images-rest-lateral-source-detector-mm", "1830")
-        tab.until(saved)
+        tab.until(SAVED)
         tab.wait(lambda: read_json(place)["xray"].get("images") == {"rest/lateral": {"source_detector_mm": 1830}})
         # The picture of the rays shows this radiograph's own distance, and what holds for all.
         shown = tab.run("document.querySelector('.beam').textContent")

@@ -90,7 +90,10 @@ _ASKED = {"parameters", "population"}
 """Settings that are in ``subject.json``: a step that follows them has them among its settings."""
 
 PARTS: Mapping[str, Callable[[Subject], object]] = {
-    f"{SUBJECT_FILE}: X-ray geometry": lambda s: s.record.xray.model_dump(mode="json"),
+    # Without pictures of their own as before there could be any, so that earlier results stay up to date.
+    f"{SUBJECT_FILE}: X-ray geometry": lambda s: s.record.xray.model_dump(
+        mode="json", exclude=None if s.record.xray.images else {"images"}
+    ),
     f"{SUBJECT_FILE}: frames": _frames,
     f"{SUBJECT_FILE}: forces": lambda s: _pushes(s, "id", "forces_n"),
     f"{SUBJECT_FILE}: pushes": lambda s: _pushes(

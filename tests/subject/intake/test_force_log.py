@@ -141,6 +141,7 @@ def test_times_of_day_become_seconds_from_the_first_entry(log, entries, times):
         (("14:03:22", "23.5"), "line 3: found '23.5;1', wanted a time of day and a force"),
         (("14:03:22", "14:03"), "line 3: found '14:03;1', wanted a time of day and a force"),
         (("2:03:22 PM", "14:03:23 PM"), "line 3: found '14:03:23 PM;1', wanted a time of day and a force"),
+        (("23:59:59", "00:00:00", "23:59:58"), "the times of day span more than half a day; wanted one log"),
         (("24:00:00", "24:00:01"), "found the header 'time;force N', wanted numbers of time and force"),
     ],
 )

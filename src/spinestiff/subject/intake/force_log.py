@@ -256,6 +256,8 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
         notes.append(f"times of day: the log's seconds count from its first entry, {began[:40]}")
         # Once a day the clock falls by nearly a day.
         times = times - times[0] + DAY_S * np.cumsum(np.diff(times, prepend=times[0]) < -0.5 * DAY_S)
+        if times.max() > 0.5 * DAY_S:
+            raise SubjectError(f"{path}: the times of day span more than half a day; wanted one log, in order of time")
     backwards = np.flatnonzero(np.diff(times) <= 0.0)
     if len(backwards):
         number = rows[backwards[0] + 1][0]
