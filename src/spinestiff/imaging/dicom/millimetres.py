@@ -315,7 +315,8 @@ def _check_agreement(what: str, value: float, key: str, given: float, most: floa
     if not math.isfinite(given) or abs(value - given) > most * abs(value):
         raise RadiographError(
             f"{what}: found {value:g} mm, wanted {given:g} mm to {100 * most:g} % as xray.{key} of subject.json says, "
-            "or xray.images for this picture; correct what is wrong, or give what holds for single pictures in xray.images"
+            "or xray.images for this picture; correct what is wrong, or give what holds for single pictures "
+            "in xray.images"
         )
 
 
