@@ -50,6 +50,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from judgement_subjects import standing
 
 from spinestiff.anatomy.files import read_torso, write_torso
 from spinestiff.anatomy.names import INTERVERTEBRAL
@@ -415,17 +416,26 @@ def as_tissue(frames: list[dict[str, Any]]) -> float:
     return float(np.sum(apart * along) / np.sum(along**2))
 
 
-def personalised(truth: TorsoModel, random: np.random.Generator) -> TorsoModel:
-    """What personalisation makes of the truth's corners in a frontal and a lateral view."""
+def personalised(
+    truth: TorsoModel,
+    random: np.random.Generator,
+    noise_mm: float = CORNER_NOISE_MM,
+    stance: np.random.Generator | None = None,
+) -> TorsoModel:
+    """What personalisation makes of the truth's corners in a frontal and a lateral view.
+
+    The person stands as the views say, or otherwise as ``stance`` draws it.
+    """
     spine = rest_vertebrae(truth)[0][:, 1]
     pictures = {}
     for name, make in (("frontal", frontal_view), ("lateral", lateral_view)):
         view = make(
             sid=1500.0, source_to_patient=1340.0, shape=(1536, 1024), centre=(0.0, 0.5 * (spine[0] + spine[-1]), 0.0)
         )
-        shares = silhouette_shares(truth, view, truth.rest_pose)
-        corners = state_features(truth, view, truth.rest_pose, shares).corners
-        noisy = corners + random.normal(0.0, CORNER_NOISE_MM * view.magnification, corners.shape)
+        real = view if stance is None else standing(view, stance, lateral=name == "lateral")
+        shares = silhouette_shares(truth, real, truth.rest_pose)
+        corners = state_features(truth, real, truth.rest_pose, shares).corners
+        noisy = corners + random.normal(0.0, noise_mm * view.magnification, corners.shape)
         pictures[name] = (VertebraCorners(truth.vertebrae, noisy), view)
     return personalise(template_torso(truth.height_cm), pictures).torso
 

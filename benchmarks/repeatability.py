@@ -58,18 +58,12 @@ def run_one(seed: int, visit: int, annotator: int) -> dict[str, Any]:
     weighed = fit.weighed
     if weighed is None or weighed.likely is None:
         return {**row, "failed": fit.status.name}
-    determined = {}
-    for name in NAMES:
-        (low, high), (open_low, open_high) = fit.intervals95[name], fit.open_ends[name]
-        value = fit.ratios.as_dict()[name]
-        determined[name] = Quantity(
-            value=value, low=low, high=high, open_low=open_low, open_high=open_high
-        ).determination
     return {
         **row,
         "truth": dict(subject.ratios),
         "estimate": fit.ratios.as_dict(),
-        "determined": determined,
+        "intervals": {name: list(fit.intervals95[name]) for name in NAMES},
+        "open": {name: list(fit.open_ends[name]) for name in NAMES},
         "pushes": [
             [one.side, one.level, force]
             for one in subject.records
@@ -93,12 +87,11 @@ def series(rows: Sequence[dict[str, Any]], of_annotators: bool) -> list[VisitEst
         whose = f"{row['seed']}" + (f", visit {row['visit']}" if of_annotators else "")
         number = row["annotator"] if of_annotators else row["visit"]
         sds = row["annotation_sd_log" if of_annotators else "visit_sd_log"]
-        ratios = {
-            name: VisitRatio(
-                row["estimate"][name], sds[name], row["sd_log"][name], row["determined"][name] != "not determined"
-            )
-            for name in NAMES
-        }
+        ratios = {}
+        for name in NAMES:
+            (low, high), (open_low, open_high) = row["intervals"][name], row["open"][name]
+            told = Quantity(value=row["estimate"][name], low=low, high=high, open_low=open_low, open_high=open_high)
+            ratios[name] = VisitRatio.of(told, sds[name], row["sd_log"][name])
         pushes = tuple(sorted((side, level, force) for side, level, force in row["pushes"]))
         found.append(VisitEstimate(f"{whose}, {number}", whose, ratios, pushes))
     return found

@@ -10,6 +10,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 
 from spinestiff.arrays import Floats
+from spinestiff.estimation.discrepancy import STANCE_MM
 from spinestiff.estimation.emulator import Emulator, Place
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights
 
@@ -101,13 +102,16 @@ def repeated_sds(problem: WeighedProblem, fit: WeighedFit, annotation_alone: boo
     To first order the estimate is off by G e, G = (X^T C^-1 X)^-1 X^T C^-1, for residuals' errors e with covariance C.
     What belongs to the person (``PERSONAL``) is off by the same at each visit; all else is drawn anew. With
     ``annotation_alone`` only what an annotation of the same radiographs brings is (``ANNOTATED``). Either way the
-    geometry is found anew, and with it the motions are off.
+    geometry is found anew, and with it the motions are off: by what annotation does, and from visit to visit by what
+    the stance does, too.
     """
     parts = covariance_parts(problem, fit)
     drawn = [name for name in parts if (name in ANNOTATED if annotation_alone else name not in PERSONAL)]
     anew = sum((parts[name] for name in drawn), start=np.zeros((problem.size, problem.size)))
     channels = slice(0, problem.noise.size)
-    anew[channels, channels] += problem.of_geometry(fit.point)
+    marked = problem.priors.annotation_mm
+    corner_mm = marked if annotation_alone else float(np.hypot(marked, STANCE_MM))
+    anew[channels, channels] += problem.of_geometry(fit.point, corner_mm)
     # What is held of the ratios is no data, and the same at each visit.
     anew[problem.data :] = anew[:, problem.data :] = 0.0
     nuisances = fit.slope.nuisances

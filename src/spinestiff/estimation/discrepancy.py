@@ -53,6 +53,9 @@ MODES = 12  # of a covariance
 LEFT_OUT = ("one-sided wall", "rib joints", "volume", "push point")
 # The kind whose models have a geometry that personalisation found from marked corners, and these corners' sd, mm.
 GEOMETRY, GEOMETRY_MM = "geometry", 0.5
+# A stance that nobody was told does to a geometry's motions what corners do that are off by so much, mm
+# (``benchmarks/discrepancy_stance.py``).
+STANCE_MM = 0.3
 FINE_NODES = 6000
 MOTION_SD = 0.05  # where nothing was learnt
 # A turn counts as the shift, mm, that it gives a point at this distance: about that of a vertebra's corners.
@@ -415,7 +418,7 @@ def modes_of(torso: TorsoModel) -> DiscrepancyModes | None:
     return None if torso.vertebrae != VERTEBRAE else shipped_modes(mesh_size(torso), LEFT_OUT)
 
 
-def geometry_modes(torso: TorsoModel, annotation_mm: float) -> DiscrepancyModes | None:
+def geometry_modes(torso: TorsoModel, corner_mm: float) -> DiscrepancyModes | None:
     """What a geometry that was found from corners of this standard deviation does to the motions, mm along an axis.
 
     It is part of ``modes_of``, where all kinds are averaged; alone it is what another annotation brings. None for a
@@ -423,7 +426,7 @@ def geometry_modes(torso: TorsoModel, annotation_mm: float) -> DiscrepancyModes 
     """
     if torso.vertebrae != VERTEBRAE:
         return None
-    found, scale = shipped_data().combined([GEOMETRY]), annotation_mm / GEOMETRY_MM
+    found, scale = shipped_data().combined([GEOMETRY]), corner_mm / GEOMETRY_MM
     return replace(found, modes=scale * found.modes, remainder=scale * found.remainder)
 
 

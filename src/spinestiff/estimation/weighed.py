@@ -380,11 +380,12 @@ class WeighedProblem:
             )
         return covariance
 
-    def of_geometry(self, point: WeighedPoint) -> Floats:
-        """(n, n) mm^2 of all channels: what a geometry found from corners as they are marked does to the motions of the
-        trials' own corners. ``discrepancy`` holds its share of it; 0 for torsos of which nothing was learnt."""
+    def of_geometry(self, point: WeighedPoint, corner_mm: float) -> Floats:
+        """(n, n) mm^2 of all channels: what a geometry found from corners off by ``corner_mm`` (standard deviation
+        along an axis) does to the motions of the trials' own corners. ``discrepancy`` holds its share of it; 0 for
+        torsos of which nothing was learnt."""
         covariance = np.zeros((self.noise.size, self.noise.size))
-        modes = geometry_modes(self.trial_set.problems[0].torso, self.priors.annotation_mm)
+        modes = geometry_modes(self.trial_set.problems[0].torso, corner_mm)
         if modes is not None:
             where = np.concatenate([np.arange(self.noise.size)[self.noise.of(i)] for i in range(self._loaded)])
             whole = self._of_own_corners(discrepancy_columns(self._frames(point), modes))

@@ -10,6 +10,11 @@ and two estimates of one unchanged person differ by less than 1.96 sqrt(2) s_w i
 (Bland and Altman 1996; here of a log, so that it is a factor). Whether estimates scatter as they say, with sd_ij, is
 told by Q = sum_ij (x_ij - weighted mean_i)^2 / sd_ij^2, chi-squared with sum_i (n_i - 1) degrees of freedom if they do.
 
+An estimate's 95 % interval reaches farther to one side than to the other where a stiffer spine makes up for softer
+tissue. So sd_ij is that of the side on which the other estimates lie: that to first order, times what the interval
+reaches there over what it would to first order. The interval of a difference is made of those of its two estimates in
+this way (Zou and Donner 2008, https://doi.org/10.1002/sim.3095).
+
 What the model lacks of a person falls out of a difference only where both visits pushed alike. Where they did not, a
 change is judged by the estimates' whole standard deviations.
 """
@@ -30,6 +35,7 @@ from spinestiff.study.visit import Visit
 from spinestiff.study.wording import number
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject
+from spinestiff.subject.outcome_parts import Quantity
 from spinestiff.subject.records import ANNOTATION_FILE, REST_IMAGES
 from spinestiff.subject.run_record import PARTS, input_digest, read_outcome, recorded_steps, refuse_changed
 from spinestiff.words import counted
@@ -37,6 +43,8 @@ from spinestiff.words import counted
 TWO_SIDED = float(norm.ppf(0.975))
 # Scatter that is as likely as this, or less, is not what the estimates' own errors let expect.
 UNLIKELY = 0.01
+# Of an interval's reach to one side, over what it is to first order.
+LEAST_REACH = 0.5
 # Repetitions of other people from which their scatter is believed.
 ENOUGH = 5
 # Visits that a message names.
@@ -54,15 +62,35 @@ class VisitRatio:
 
     Attributes
     ----------
-    value : the estimate. sd_log : of its log from visit to visit (annotation to annotation), as the visit itself tells.
+    value : the estimate. sd_log : of its log from visit to visit (annotation to annotation), as the visit itself tells,
+        to first order.
     whole_sd_log : with what the model lacks of this person.
     known : whether its radiographs determine it, with a closed interval, and the result can be right.
+    below, above : by how much farther its 95 % interval reaches to this side than to first order, in log.
     """
 
     value: float
     sd_log: float
     whole_sd_log: float
     known: bool = True
+    below: float = 1.0
+    above: float = 1.0
+
+    @classmethod
+    def of(cls, found: Quantity, sd_log: float, whole_sd_log: float, sound: bool = True) -> VisitRatio:
+        """Of an estimate with its 95 % interval; ``sound`` : whether the result can be right."""
+        unknown = cls(found.value, sd_log, whole_sd_log, known=False)
+        if not sound or found.open_low or found.open_high or found.determination == "not determined":
+            return unknown
+        if found.low is None or found.high is None:
+            return unknown
+        reaches = np.log([found.value / found.low, found.high / found.value])
+        below, above = np.maximum(reaches / (TWO_SIDED * whole_sd_log), LEAST_REACH).tolist()
+        return replace(unknown, known=True, below=below, above=above)
+
+    def sd_on(self, upper: bool) -> float:
+        """``sd_log`` on the upper or the lower side."""
+        return self.sd_log * (self.above if upper else self.below)
 
 
 @dataclass(frozen=True)
@@ -176,13 +204,11 @@ def estimate_of(visit: Visit, annotators: bool = False) -> VisitEstimate:
             "estimate --redo with --method weighed"
         )
     ratios = {
-        name: VisitRatio(
-            ratio.value,
+        name: VisitRatio.of(
+            ratio,
             sds[name],
             estimate.sd_log[name],
-            estimate.status != "DOUBTFUL"
-            and ratio.determined != "not determined"
-            and not (ratio.at_bound or ratio.open_low or ratio.open_high),
+            sound=estimate.status != "DOUBTFUL" and ratio.determined != "not determined" and not ratio.at_bound,
         )
         for name, ratio in estimate.ratios.items()
     }
@@ -327,7 +353,8 @@ def _scatter(name: str, people: Sequence[Sequence[VisitEstimate]]) -> Scatter | 
         return None
     squares = expected = q = 0.0
     for person in known:
-        x, sds = np.log([ratio.value for ratio in person]), np.array([ratio.sd_log for ratio in person])
+        x = np.log([ratio.value for ratio in person])
+        sds = np.array([ratio.sd_on(upper=bool(log < x.mean())) for ratio, log in zip(person, x)])
         squares += float(np.sum((x - x.mean()) ** 2))
         expected += float(np.sum(sds**2) * (1.0 - 1.0 / len(person)))
         q += float(np.sum(((x - np.average(x, weights=1.0 / sds**2)) / sds) ** 2))
@@ -351,13 +378,17 @@ def _change(name: str, first: VisitEstimate, later: VisitEstimate, wider: float)
     before, after = first.ratios[name], later.ratios[name]
     alike = _alike(first, later)
     log = float(np.log(after.value / before.value))
-    own = [ratio.sd_log * wider for ratio in (before, after)]
-    sds = own if alike else [max(sd, ratio.whole_sd_log) for sd, ratio in zip(own, (before, after))]
-    reach = TWO_SIDED * float(np.hypot(sds[0], sds[1]))
-    verdict: Verdict = "changed" if abs(log) > reach else "no change shown"
+
+    # What is told of a visit that pushed otherwise holds what the model lacks, too.
+    sds = [wider * one.sd_log if alike else max(wider * one.sd_log, one.whole_sd_log) for one in (before, after)]
+    before, after = (replace(one, sd_log=sd) for one, sd in zip((before, after), sds))
+    down = TWO_SIDED * float(np.hypot(before.sd_on(upper=True), after.sd_on(upper=False)))
+    up = TWO_SIDED * float(np.hypot(before.sd_on(upper=False), after.sd_on(upper=True)))
+    least = down if log > 0.0 else up
+    verdict: Verdict = "changed" if abs(log) > least else "no change shown"
     if not (before.known and after.known):
         verdict = "can't be told"
-    factor, low, high, detectable = (float(np.exp(value)) for value in (log, log - reach, log + reach, reach))
+    factor, low, high, detectable = (float(np.exp(value)) for value in (log, log - down, log + up, least))
     return Change(first.subject, name, first.label, later.label, factor, low, high, detectable, alike, verdict)
 
 

@@ -29,10 +29,10 @@ def draw_repeatability(found: Repeatability) -> Figure:
         for axis, name in zip(axes, found.scatter):
             for place, visit in zip(places, visits):
                 ratio = visit.ratios[name]
-                reach = np.exp(TWO_SIDED * ratio.sd_log)
+                down, up = (np.exp(TWO_SIDED * ratio.sd_on(upper)) for upper in (False, True))
                 moved = (name, visit.label) in changed
                 axis.plot(
-                    [place, place], [ratio.value / reach, ratio.value * reach], color=FIT if moved else MEASURED, lw=1.6
+                    [place, place], [ratio.value / down, ratio.value * up], color=FIT if moved else MEASURED, lw=1.6
                 )
                 axis.plot(place, ratio.value, color=FIT if moved else MEASURED, marker="s" if moved else "o", ms=6)
             axis.set_yscale("log")
