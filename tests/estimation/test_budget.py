@@ -18,6 +18,7 @@ from spinestiff.estimation.budget import (
     repeated_sds,
     variance_budget,
 )
+from spinestiff.estimation.discrepancy import STANCE_MM
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.weighed import reduced
 
@@ -124,3 +125,13 @@ def test_annotating_again_brings_less_than_a_visit(asked, found) -> None:
     again, visit = repeated_sds(asked, found, annotation_alone=True), repeated_sds(asked, found)
     assert (again > 0.0).all()
     assert (again < visit).all()
+
+
+def test_a_visit_finds_the_geometry_in_another_stance_too(asked, found, monkeypatch) -> None:
+    """An annotation is off by the marks alone, a visit by the stance besides; both in proportion to corners' errors."""
+    plain = [repeated_sds(asked, found, annotation_alone=alone) ** 2 for alone in (True, False)]
+    monkeypatch.setattr(asked, "of_geometry", lambda point, corner_mm: corner_mm**2 * np.eye(asked.noise.size))
+    more = [repeated_sds(asked, found, annotation_alone=alone) ** 2 for alone in (True, False)]
+    by_marks, by_both = (after - before for before, after in zip(plain, more, strict=True))
+    assert (by_marks > 0.0).all()
+    assert np.allclose(by_both / by_marks, 1.0 + (STANCE_MM / asked.priors.annotation_mm) ** 2)

@@ -9,11 +9,20 @@ import pytest
 
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
-from spinestiff.study.repeatability import VisitEstimate, VisitRatio, estimate_of, repeatability, repeatability_lines
+from spinestiff.study.repeatability import (
+    LEAST_REACH,
+    TWO_SIDED,
+    VisitEstimate,
+    VisitRatio,
+    estimate_of,
+    repeatability,
+    repeatability_lines,
+)
 from spinestiff.study.report.figures import as_png
 from spinestiff.study.report.repeat_picture import draw_repeatability
 from spinestiff.study.visit import open_visit
 from spinestiff.subject.estimate_outcome import Estimate
+from spinestiff.subject.outcome_parts import Quantity
 from spinestiff.subject.run_record import read_outcome
 
 
@@ -64,6 +73,73 @@ def test_an_unchanged_person_is_told_to_have_changed_in_one_of_twenty() -> None:
     changes = repeatability(drawn(600, 2, 0.25, 0.25)).changes
     share = np.mean([change.verdict == "changed" for change in changes])
     assert 0.03 < share < 0.07
+
+
+def skewed(people, skew, sd=0.2, seed=0):
+    """Two visits each, whose estimate's log is (exp(skew z) - 1) / skew of a normal z; its interval has the ends that
+    those of z give, its standard deviation is to first order."""
+    random = np.random.default_rng(seed)
+
+    def log_of(z):
+        return (np.exp(skew * z) - 1.0) / skew
+
+    visits = []
+    for i in range(people):
+        for j, z in enumerate(random.normal(0.0, sd, 2)):
+            low, value, high = (float(np.exp(log_of(at))) for at in (z - TWO_SIDED * sd, z, z + TWO_SIDED * sd))
+            first_order = sd * float(np.exp(skew * z))
+            one = VisitRatio.of(Quantity(value=value, low=low, high=high), first_order, first_order)
+            visits.append(VisitEstimate(f"p{i}-{j}", f"p{i}", {"tissue": one}))
+    return visits
+
+
+@pytest.mark.parametrize("skew", [2.0, -2.0])
+def test_skewed_estimates_of_unchanged_people_scatter_as_they_say(skew) -> None:
+    """What two intervals of unlike sides say of their difference holds in 95 %; each to first order alone says less."""
+    visits = skewed(300, skew)
+    found = repeatability(visits)
+    assert 0.03 < np.mean([change.verdict == "changed" for change in found.changes]) < 0.07
+    inside = np.mean([change.low <= 1.0 <= change.high for change in found.changes])
+    assert inside == pytest.approx(np.mean([change.verdict != "changed" for change in found.changes]))
+    ratios = [one.ratios["tissue"] for one in visits]
+    first_order = [
+        replace(one, ratios={"tissue": replace(ratio, below=1.0, above=1.0)}) for one, ratio in zip(visits, ratios)
+    ]
+    plain = np.mean([change.verdict == "changed" for change in repeatability(first_order).changes])
+    assert abs(plain - 0.05) > abs(1.0 - inside - 0.05)
+
+
+def test_an_interval_says_how_far_an_estimate_is_off_on_either_side() -> None:
+    reach = TWO_SIDED * 0.4
+    told = Quantity(value=1.0, low=float(np.exp(-2.0 * reach)), high=float(np.exp(0.8 * reach)))
+    one = VisitRatio.of(told, 0.1, 0.4)
+    assert (one.known, one.below, one.above) == (True, pytest.approx(2.0), pytest.approx(0.8))
+    assert (one.sd_on(upper=False), one.sd_on(upper=True)) == (pytest.approx(0.2), pytest.approx(0.08))
+    # Of a change, the sides that face each other: upwards the first one's upper and the second one's lower.
+    other = replace(one, value=1.9)
+    for before, after, sd in ((one, other, np.hypot(0.08, 0.2)), (other, one, np.hypot(0.2, 0.08))):
+        visits = [VisitEstimate(f"a-{i}", "a", {"tissue": ratio}) for i, ratio in enumerate((before, after))]
+        (change,) = repeatability(visits).changes
+        assert change.detectable_factor == pytest.approx(np.exp(TWO_SIDED * sd))
+        assert change.low < change.factor < change.high
+    skewed_up = replace(one, below=0.5, above=3.0)
+    (change,) = repeatability(
+        [VisitEstimate(f"a-{i}", "a", {"tissue": ratio}) for i, ratio in enumerate((one, skewed_up))]
+    ).changes
+    assert np.log(change.high) == pytest.approx(TWO_SIDED * np.hypot(0.2, 0.3))
+    assert -np.log(change.low) == pytest.approx(TWO_SIDED * np.hypot(0.08, 0.05))
+
+
+def test_an_estimate_with_an_open_interval_or_none_is_not_known() -> None:
+    closed = {"value": 1.0, "low": 0.8, "high": 1.3}
+    assert VisitRatio.of(Quantity(**closed), 0.1, 0.2).known
+    assert not VisitRatio.of(Quantity(**closed), 0.1, 0.2, sound=False).known
+    for end in ("low", "high"):
+        assert not VisitRatio.of(Quantity(**closed, **{f"open_{end}": True}), 0.1, 0.2).known
+        assert not VisitRatio.of(Quantity(**{**closed, end: None}), 0.1, 0.2).known
+    assert not VisitRatio.of(Quantity(value=1.0, low=0.01, high=90.0), 0.1, 2.0).known
+    # An end at the estimate itself does not make it exact.
+    assert VisitRatio.of(Quantity(value=1.0, low=1.0, high=1.3), 0.1, 0.2).below == LEAST_REACH
 
 
 def test_a_change_is_told_in_words() -> None:
