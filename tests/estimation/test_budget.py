@@ -130,7 +130,7 @@ def test_annotating_again_brings_less_than_a_visit(asked, found) -> None:
 def test_a_visit_finds_the_geometry_in_another_stance_too(asked, found, monkeypatch) -> None:
     """An annotation is off by the marks alone, a visit by the stance besides; both in proportion to corners' errors."""
     plain = [repeated_sds(asked, found, annotation_alone=alone) ** 2 for alone in (True, False)]
-    monkeypatch.setattr(asked, "of_geometry", lambda point, corner_mm: corner_mm**2 * np.eye(asked.noise.size))
+    monkeypatch.setattr(asked.moving, "of_geometry", lambda point, corner_mm: corner_mm**2 * np.eye(asked.noise.size))
     more = [repeated_sds(asked, found, annotation_alone=alone) ** 2 for alone in (True, False)]
     by_marks, by_both = (after - before for before, after in zip(plain, more, strict=True))
     assert (by_marks > 0.0).all()

@@ -16,11 +16,12 @@ from spinestiff.estimation import profiles
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fit import fit_stiffness, likelihood_rise
 from spinestiff.estimation.objective import Trial
+from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.told import unsettled_warnings
 from spinestiff.estimation.unknowns import ACTS
-from spinestiff.estimation.weighed import WeighedPoint, WeighedProblem
+from spinestiff.estimation.weighed import WeighedProblem
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem

@@ -284,8 +284,8 @@ def test_on_a_whole_torso_the_skin_lacks_what_it_is_said_to() -> None:
     trial_set = TrialSet([problem], trials[1:], (), "procrustes", None)
     asked = WeighedProblem(trial_set, [(problem, trials[0])], "procrustes", Priors(), None, False)
     point = asked.solve(np.zeros(0), np.zeros(len(asked.unknowns)))
-    found = asked.discrepancy(point)
-    size = motion_size(asked._whole_motion(0, point))
+    found = asked.moving.discrepancy(point)
+    size = motion_size(asked.moving._whole_motion(0, point))
     rows = asked.further_rows(0)
     assert len(rows) == 18
     assert np.allclose(np.diag(found)[rows], np.tile((size * np.hypot(SKIN_SD, Priors().marker_slide)) ** 2, 6))

@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.emulator import FARTHEST_NUISANCES, Place
+from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import (
     WIDTH_FACTOR,
@@ -25,7 +26,7 @@ from spinestiff.estimation.profiles import (
     solved_place,
 )
 from spinestiff.estimation.status import FitStatus
-from spinestiff.estimation.weighed import WeighedFit, WeighedPoint, WeighedSlope, Weights, phi, reduced
+from spinestiff.estimation.weighed import WeighedFit, Weights, phi, reduced
 
 
 def sd_of(found):

@@ -327,7 +327,7 @@ def test_a_second_frontal_radiograph_lacks_what_the_first_does_and_a_lateral_one
     trial_set = TrialSet([problem], [trial], ratios.groups, "procrustes", None)
     asked = WeighedProblem(trial_set, [], "procrustes", Priors(), None, False)
     point = asked.solve(np.log(ratios.values), np.zeros(len(asked.unknowns)), starts=[state])
-    found = asked.discrepancy(point)
+    found = asked.moving.discrepancy(point)
     first, second, third = (found[np.ix_(rows, rows)] for rows in (np.arange(51) + 51 * i for i in range(3)))
     crossed = found[:51, 51:102]
     # Sideways: the same motion, but for perspective and the little that a turn about the spine moves corners.
@@ -335,7 +335,7 @@ def test_a_second_frontal_radiograph_lacks_what_the_first_does_and_a_lateral_one
     correlation = np.diag(crossed)[moving] / np.sqrt(np.diag(first)[moving] * np.diag(second)[moving])
     assert correlation.min() > 0.97
     # To the front, in a lateral picture's columns: what was learnt out of the plane, corners' mean counting twice.
-    size = motion_size(asked._whole_motion(0, point))
+    size = motion_size(asked.moving._whole_motion(0, point))
     assert np.sqrt(np.diag(third)[moving]) == pytest.approx(2.0 * size * OUT_OF_PLANE_SD[0], rel=0.1)
     # Up and down all three show.
     upright = slice(1, 51, 3)

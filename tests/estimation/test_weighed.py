@@ -11,10 +11,11 @@ from scipy.stats import kstest, multivariate_normal
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation import mode
 from spinestiff.estimation.noise import TRACKED
+from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS
-from spinestiff.estimation.weighed import WeighedFit, WeighedPoint, phi, reduced
+from spinestiff.estimation.weighed import WeighedFit, phi, reduced
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.mechanics.places import SupportPlace
 
@@ -223,7 +224,9 @@ def test_the_size_of_tracking_errors_is_found_from_the_fits_residuals(column, fa
 def simulated(asked, point, slope, random):
     """Values of channels as the covariance before any scale is fitted has them, and any ratios' motion."""
     n = asked.noise.size
-    covariance = asked.noise.constant + asked.discrepancy(point) + asked.drag(point) + asked.noise.tracking()
+    covariance = (
+        asked.noise.constant + asked.moving.discrepancy(point) + asked.moving.drag(point) + asked.noise.tracking()
+    )
     seen = np.linalg.cholesky(covariance + 1e-9 * np.eye(n)) @ random.normal(size=n)
     return seen + slope.nuisances @ random.normal(size=slope.nuisances.shape[1]) + slope.ratios @ random.normal(size=2)
 

@@ -89,7 +89,7 @@ def covariance_parts(problem: WeighedProblem, fit: WeighedFit) -> dict[str, Floa
     tracking = whole(problem.noise.tracking(fit.weights.tracking_factor, fit.weights.inflation))
     tracking[range(problem.noise.size, n), range(problem.noise.size, n)] = 1.0
     found = {TRACKING: tracking} | {name: whole(part) for name, part in problem.noise.parts.items()}
-    found |= {DRAG: whole(problem.drag(fit.point)), DISCREPANCY: whole(problem.discrepancy(fit.point))}
+    found |= {DRAG: whole(problem.moving.drag(fit.point)), DISCREPANCY: whole(problem.moving.discrepancy(fit.point))}
     for group in problem.unknowns.groups:
         columns = fit.slope.nuisances[:, problem.unknowns.in_group(group)]
         found[group] = columns @ columns.T
@@ -111,7 +111,7 @@ def repeated_sds(problem: WeighedProblem, fit: WeighedFit, annotation_alone: boo
     channels = slice(0, problem.noise.size)
     marked = problem.priors.annotation_mm
     corner_mm = marked if annotation_alone else float(np.hypot(marked, STANCE_MM))
-    anew[channels, channels] += problem.of_geometry(fit.point, corner_mm)
+    anew[channels, channels] += problem.moving.of_geometry(fit.point, corner_mm)
     # What is held of the ratios is no data, and the same at each visit.
     anew[problem.data :] = anew[:, problem.data :] = 0.0
     nuisances = fit.slope.nuisances

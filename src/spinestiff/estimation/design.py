@@ -16,8 +16,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from spinestiff.arrays import Floats, Ints, ShortRepr
+from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.unknowns import Unknowns
-from spinestiff.estimation.weighed import WeighedPoint, WeighedProblem, WeighedSlope
+from spinestiff.estimation.weighed import WeighedProblem
 
 # Of a log ratio that the radiographs say nothing of; where another radiograph is predicted, as of one anywhere within a
 # fit's bounds, as ``forecast`` has it.

@@ -16,7 +16,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from spinestiff.arrays import Floats
-from spinestiff.estimation.weighed import Reduced, WeighedPoint, WeighedSlope, Weights, reduced
+from spinestiff.estimation.point import WeighedPoint, WeighedSlope
+from spinestiff.estimation.weighed import Reduced, Weights, reduced
 
 # Correlation length in log ratio: residuals change their course over a factor of seven or so.
 LENGTH = 2.0

@@ -24,6 +24,7 @@ from spinestiff.estimation.forecast import Forecast, forecast
 from spinestiff.estimation.linear import MOST_PROFILED, linear_ratios
 from spinestiff.estimation.mode import CLOSE_SD, MOST_FACTORISATIONS, search
 from spinestiff.estimation.objective import Trial
+from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import Likely, likely_ratios, rise_at
 from spinestiff.estimation.ratio_priors import ratio_prior
@@ -36,7 +37,7 @@ from spinestiff.estimation.told import (
     trial_warnings,
     unsettled_warnings,
 )
-from spinestiff.estimation.weighed import WeighedFit, WeighedPoint, WeighedProblem
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem
 from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 

@@ -21,7 +21,8 @@ from scipy.linalg import cho_factor, cho_solve
 
 from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.estimation.noise import CHANNELS, Channels
-from spinestiff.estimation.weighed import WeighedPoint, WeighedProblem, WeighedSlope
+from spinestiff.estimation.point import WeighedPoint, WeighedSlope
+from spinestiff.estimation.weighed import WeighedProblem
 
 NORMAL_95 = 1.959964
 # Of a log ratio, as of one anywhere within a fit's bounds: one that nothing shows must not stop the rest.

@@ -14,16 +14,9 @@ from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.emulator import Emulator, Place
 from spinestiff.estimation.evaluation import compliance_step, log_step
+from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.status import FitStatus
-from spinestiff.estimation.weighed import (
-    WeighedFit,
-    WeighedPoint,
-    WeighedProblem,
-    WeighedSlope,
-    Weights,
-    phi,
-    reduced,
-)
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights, phi, reduced
 
 # The search ends once an undamped step is shorter than so many standard deviations.
 CLOSE_SD = 1e-3

@@ -18,7 +18,8 @@ from skimage.measure import find_contours
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.emulator import FAR_AND_HIGH, FARTHEST_NUISANCES, HIGH, Emulator, Place
-from spinestiff.estimation.weighed import WeighedFit, WeighedPoint, WeighedProblem, Weights, phi, reduced
+from spinestiff.estimation.point import WeighedPoint
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights, phi, reduced
 
 CONFIDENCE = 0.95
 WIDTH_FACTOR = 1.05

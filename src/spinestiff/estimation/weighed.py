@@ -15,30 +15,18 @@ What is held of the ratios themselves, if anything (``ratio_priors``), is rows o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.arrays import Floats, Ints, ShortRepr
-from spinestiff.estimation.discrepancy import (
-    IN_PLANE,
-    OUT_OF_PLANE,
-    DiscrepancyFrame,
-    as_corners,
-    discrepancy_columns,
-    geometry_modes,
-    modes_of,
-    out_of_plane_columns,
-    plane_motion,
-    pushed_site,
-    relative_covariance,
-    skin_covariance,
-)
-from spinestiff.estimation.evaluation import Evaluation, Slope, TrialSet
+from spinestiff.estimation.evaluation import Evaluation, TrialSet
+from spinestiff.estimation.moving import Moving
 from spinestiff.estimation.noise import Noise, Seen, restricted_factor
 from spinestiff.estimation.objective import Trial, make_target, residuals
+from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import RatioPrior
 from spinestiff.estimation.sights import (
@@ -52,47 +40,10 @@ from spinestiff.estimation.sights import (
 )
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS, Unknowns, unknowns_of
-from spinestiff.imaging.features import Orientation, state_features
+from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 
 _MOTION = ACTS.index("motion")
-
-
-@dataclass(frozen=True, repr=False)
-class WeighedPoint(ShortRepr):
-    """Residuals at one set of log ratios and nuisances.
-
-    Attributes
-    ----------
-    nuisances : (M,) in units of their priors' standard deviations.
-    evaluation : the loaded trials in equilibrium.
-    values : (n,) channels of simulated minus measured features, mm, then supports and what is held of the ratios, in
-        standard deviations.
-    further : what the loaded trials show beside their own corners, in the problem's order.
-    """
-
-    nuisances: Floats
-    evaluation: Evaluation
-    values: Floats
-    further: tuple[SightResiduals, ...] = ()
-
-    @property
-    def log_ratios(self) -> Floats:
-        return self.evaluation.log_ratios
-
-
-@dataclass(frozen=True, repr=False)
-class WeighedSlope(ShortRepr):
-    """First order around a point: derivatives (n, P) in log ratio and (n, M) in the nuisances."""
-
-    slope: Slope
-    ratios: Floats
-    nuisances: Floats
-
-    @property
-    def light(self) -> WeighedSlope:
-        """The same without tangents and moves of states, which are large."""
-        return replace(self, slope=Slope((), ()))
 
 
 @dataclass(frozen=True, repr=False)
@@ -124,6 +75,7 @@ class WeighedProblem:
 
     Attributes
     ----------
+    moving : what the loaded trials show, and the errors that grow with its motion.
     shown : numbers of each trial's radiographs, its own first. Own ones are numbered as the trials are, the loaded
         first; those from other sides come after them.
     """
@@ -141,7 +93,6 @@ class WeighedProblem:
         self.trial_set, self.priors = trial_set, priors
         count = len(trial_set.groups)
         self.ratio_prior = ratio_prior or RatioPrior(np.zeros((0, count)), np.zeros(0), {})
-        self._modes = modes_of(trial_set.problems[0].torso)
         self.unknowns: Unknowns = unknowns_of(trial_set.trials, trial_set.problems, priors, taped, trial_set.groups)
         targets = [make_target(problem.torso, trial, orientation) for problem, trial in still]
         both = (*trial_set.targets, *targets)
@@ -169,21 +120,20 @@ class WeighedProblem:
         rest = problems[0].torso.rest_pose.bone_positions[problems[0].torso.vertebra_bones] if more else None
         self.noise = Noise(seen, at_rest, geometry, priors, rest)
         self._constant = self.noise.constant
-        self._at_rest = at_rest
-        self._loaded = len(trial_set.trials)
         aside = [(one.radiograph, one.trial) for one in further if one.radiograph >= len(both)]
         self.shown = tuple((i, *dict.fromkeys(n for n, trial in aside if trial == i)) for i in range(len(both)))
         self._further = tuple((len(both) + number, one.trial) for number, one in enumerate(further))
         """Place among what is seen, and trial, of what trials show beside their own corners."""
-        self._sights = tuple(
-            (row, trial, one.target) for (row, trial), one in zip(self._further, further) if trial < self._loaded
-        )
-        """The same of the loaded trials, with its target."""
-        moving = {*range(self._loaded), *(row for row, _, _ in self._sights)}
+        sights = [
+            (row, trial, one.target)
+            for (row, trial), one in zip(self._further, further)
+            if trial < len(trial_set.trials)
+        ]
+        self.moving = Moving(trial_set, self.noise, at_rest, sights, priors)
         self._resting = np.zeros(self.noise.size)
-        for i in range(len(seen)):
-            if i not in moving:
-                self._resting[self.noise.of(i)] = self.noise.channels[i].apply(at_rest[i].difference)
+        for row, part in enumerate(at_rest):
+            if row not in self.moving.rows:
+                self._resting[self.noise.of(row)] = self.noise.channels[row].apply(part.difference)
         self._measured = [
             (i, ACTS.index(name), value, sd)
             for i, trial in enumerate(trial_set.trials)
@@ -217,11 +167,11 @@ class WeighedProblem:
         )
         further = tuple(
             sight_residuals(self.trial_set.problems[trial].torso, target, found.equilibria[trial].state)
-            for _, trial, target in self._sights
+            for _, trial, target in self.moving.sights
         )
         channels = self._resting.copy()
-        for row, trial, part in self._moving(found, further):
-            moved = part.difference + self._larger(part, acts[trial]) * self._motion(part, row)
+        for row, trial, part in self.moving.parts(found, further):
+            moved = part.difference + _larger(part, acts[trial]) * self.moving.motion(part, row)
             channels[self.noise.of(row)] = self.noise.channels[row].apply(moved)
         supports = np.array([(acts[i, act] - value) / sd for i, act, value, sd in self._measured])
         held = self.ratio_prior.residuals(log_ratios)
@@ -237,24 +187,20 @@ class WeighedProblem:
         assert found.acted is not None
         ratios = np.zeros((self.size, len(point.log_ratios)))
         nuisances = np.zeros((self.size, len(self.unknowns)))
-        for row, i, part in self._moving(point.evaluation, point.further):
+        for row, i, part in self.moving.parts(point.evaluation, point.further):
             channels, acts = self.noise.channels[row], point.evaluation.acts[i]
             rows = self.noise.of(row)
-            larger = 1.0 + self._larger(part, acts)
+            larger = 1.0 + _larger(part, acts)
             ratios[rows] = larger * channels.apply(part.moved(found.moves[i]))
             columns = larger * channels.apply(part.moved(found.acted[i]))
-            columns[:, _MOTION] = 0.0 if isinstance(part, MarkerResiduals) else channels.apply(self._motion(part, row))
+            columns[:, _MOTION] = (
+                0.0 if isinstance(part, MarkerResiduals) else channels.apply(self.moving.motion(part, row))
+            )
             nuisances[rows] = columns @ self.unknowns.acts[i]
         for row, (i, act, _, sd) in enumerate(self._measured):
             nuisances[self.noise.size + row] = self.unknowns.acts[i, act] / sd
         ratios[self.data :] = self.ratio_prior.rows
         return WeighedSlope(found, ratios, nuisances)
-
-    def motions(self, point: WeighedPoint) -> list[Floats]:
-        """(n_i,) mm, channels of what the model moves from rest: of each loaded trial's own corners, (3 Nv,), then of
-        all else that loaded trials show."""
-        moving = self._moving(point.evaluation, point.further)
-        return [self.noise.channels[row].apply(self._motion(part, row)) for row, _, part in moving]
 
     def further_rows(self, trial: int) -> Ints:
         """Rows of what a trial shows beside its own corners; the loaded trials come first, then those without load."""
@@ -281,18 +227,11 @@ class WeighedProblem:
         """How many there are, loaded and without load."""
         return len(self.noise.seen) - len(self._further)
 
-    def _moving(
-        self, evaluation: Evaluation, further: Sequence[SightResiduals]
-    ) -> list[tuple[int, int, SightResiduals]]:
-        """Place among what is seen, trial and residuals of all that the loaded trials show."""
-        own: list[tuple[int, int, SightResiduals]] = [(i, i, part) for i, part in enumerate(evaluation.residuals)]
-        return [*own, *((row, trial, part) for (row, trial, _), part in zip(self._sights, further, strict=True))]
-
     def weights(self, point: WeighedPoint, slope: WeighedSlope, before: Weights | None) -> Weights:
         """The covariance at a point: tracking's size by restricted likelihood, outlying vertebrae with less weight."""
         rest = np.eye(self.size)
         channels = slice(0, self.noise.size)
-        rest[channels, channels] = self._constant + self.discrepancy(point) + self.drag(point)
+        rest[channels, channels] = self._constant + self.moving.discrepancy(point) + self.moving.drag(point)
         free = point.values - slope.nuisances @ point.nuisances
         inflation = np.ones(self.noise.size) if before is None else before.inflation
         marginal = (rest + slope.nuisances @ slope.nuisances.T)[channels, channels]
@@ -314,7 +253,7 @@ class WeighedProblem:
         """(n, n) of all residuals at given nuisances, with tracking's errors ``tracking_factor`` times as predicted."""
         whole = np.eye(self.size)
         channels = slice(0, self.noise.size)
-        whole[channels, channels] = self._constant + self.discrepancy(point) + self.drag(point)
+        whole[channels, channels] = self._constant + self.moving.discrepancy(point) + self.moving.drag(point)
         whole[channels, channels] += self.noise.tracking(tracking_factor)
         return whole
 
@@ -348,92 +287,6 @@ class WeighedProblem:
         size = 2.0 * np.sum(np.log(np.diag(root))) + self.data * np.log(2.0 * np.pi)
         return -0.5 * float(left @ left + size)
 
-    def drag(self, point: WeighedPoint) -> Floats:
-        """(n, n) mm^2 of all channels: what tracking is taken along, as far as the model moves at ``point``."""
-        moved = np.zeros(len(self.noise.seen))
-        for (row, _, _), motion in zip(self._moving(point.evaluation, point.further), self.motions(point), strict=True):
-            along = motion.reshape(-1, self.noise.channels[row].each)[:, 0]
-            moved[row] = np.sign(along.sum()) * np.sqrt(np.mean(along**2))
-        return self.noise.drag(moved)
-
-    def discrepancy(self, point: WeighedPoint) -> Floats:
-        """(n, n) mm^2 of all channels: what the model lacks, as large as it moves at ``point``."""
-        covariance = np.zeros((self.noise.size, self.noise.size))
-        loaded = [*range(self._loaded), *(row for row, _, _ in self._sights)]
-        where = np.concatenate([np.arange(self.noise.size)[self.noise.of(row)] for row in loaded])
-        if self._modes is None:
-            covariance[np.ix_(where, where)] = relative_covariance(self.motions(point))
-            return covariance
-        frames = self._frames(point)
-        columns = discrepancy_columns(frames, self._modes)
-        whole = self._of_own_corners(columns)
-        if self._sights:
-            whole = self._with_further(whole, columns, out_of_plane_columns(frames, self._modes))
-        covariance[np.ix_(where, where)] = whole @ whole.T
-        skin = [(row, trial, target) for row, trial, target in self._sights if isinstance(target, MarkerTarget)]
-        if skin:
-            rows_of = np.concatenate([np.arange(self.noise.size)[self.noise.of(row)] for row, _, _ in skin])
-            of = np.concatenate([np.full(len(target.rows), trial) for _, trial, target in skin])
-            points = np.concatenate([target.resting for _, _, target in skin])
-            covariance[np.ix_(rows_of, rows_of)] += skin_covariance(
-                frames, self._modes, of, points, self.priors.marker_slide
-            )
-        return covariance
-
-    def of_geometry(self, point: WeighedPoint, corner_mm: float) -> Floats:
-        """(n, n) mm^2 of all channels: what a geometry found from corners off by ``corner_mm`` (standard deviation
-        along an axis) does to the motions of the trials' own corners. ``discrepancy`` holds its share of it; 0 for
-        torsos of which nothing was learnt."""
-        covariance = np.zeros((self.noise.size, self.noise.size))
-        modes = geometry_modes(self.trial_set.problems[0].torso, corner_mm)
-        if modes is not None:
-            where = np.concatenate([np.arange(self.noise.size)[self.noise.of(i)] for i in range(self._loaded)])
-            whole = self._of_own_corners(discrepancy_columns(self._frames(point), modes))
-            covariance[np.ix_(where, where)] = whole @ whole.T
-        return covariance
-
-    def _frames(self, point: WeighedPoint) -> list[DiscrepancyFrame]:
-        return [
-            DiscrepancyFrame(*pushed_site(target.trial.load, problem.torso), self._whole_motion(i, point))
-            for i, (target, problem) in enumerate(zip(self.trial_set.targets, self.trial_set.problems))
-        ]
-
-    def _of_own_corners(self, columns: Floats) -> Floats:
-        """(n, K) channels of the loaded trials' own corners, of motions (F, V, 3, K) of the vertebrae."""
-        rows = []
-        for i, target in enumerate(self.trial_set.targets):
-            moved = as_corners(columns[i][target.rows], target.z, target.trial.view)
-            rows.append(self.noise.channels[i].apply(moved))
-        return np.concatenate(rows)
-
-    def _with_further(self, whole: Floats, columns: Floats, others: Floats) -> Floats:
-        """(n, K) columns of the trials' own corners ``whole``, then of all else that the loaded trials show.
-
-        ``columns`` (F, V, 3, k) and ``others`` (F, V, 3, l) are what the model lacks in and out of the frontal plane,
-        as motions of the vertebrae. Learnt modes of corners hold what those see of the motion out of the plane.
-        """
-        jacobian = self.noise.pose_jacobian(self._at_rest, len(self.trial_set.problems[0].torso.vertebrae))
-        rows = []
-        for row, trial, _ in self._sights:
-            slopes = jacobian[self.noise.of(row)]
-            seen = [
-                np.einsum("nvc,vck->nk", slopes[:, :, list(pose)], moved[trial])
-                for pose, moved in ((IN_PLANE, columns), (OUT_OF_PLANE, others))
-            ]
-            rows.append(np.concatenate(seen, axis=1))
-        nothing = np.zeros((len(whole), others.shape[-1]))
-        return np.concatenate([np.concatenate([whole, nothing], axis=1), *rows])
-
-    def _whole_motion(self, i: int, point: WeighedPoint) -> Floats:
-        """(17, 3) of all vertebrae, seen or not, as ``discrepancy`` has motions."""
-        target, torso = self.trial_set.targets[i], self.trial_set.problems[i].torso
-        view, state = target.trial.view, point.evaluation.equilibria[i].state
-        rest, now = (
-            state_features(torso, view, s, target.shares, target.orientation, target.used).z
-            for s in (torso.rest_pose, state)
-        )
-        return plane_motion(rest, now, view)
-
     def _inflation(self, marginal: Floats, values: Floats, slopes: Floats, factor: float, before: Floats) -> Floats:
         whole = cho_factor(marginal + self.noise.tracking(factor, before), lower=True)
         free, fixed = (a[: self.noise.size] for a in (values, slopes))
@@ -444,13 +297,10 @@ class WeighedProblem:
         solved = both[:, -1] + both[:, :-1] @ p
         return self.noise.inflation(self.noise.own_errors(solved, factor, before), factor)
 
-    @staticmethod
-    def _larger(part: SightResiduals, acts: Floats) -> float:
-        """By how much of itself a motion is seen larger than it is; cameras know nothing of the X-ray source."""
-        return 0.0 if isinstance(part, MarkerResiduals) else float(acts[_MOTION])
 
-    def _motion(self, part: SightResiduals, i: int) -> Floats:
-        return np.asarray(part.difference - self._at_rest[i].difference)
+def _larger(part: SightResiduals, acts: Floats) -> float:
+    """By how much of itself a motion is seen larger than it is; cameras know nothing of the X-ray source."""
+    return 0.0 if isinstance(part, MarkerResiduals) else float(acts[_MOTION])
 
 
 def phi(point: WeighedPoint, weights: Weights) -> float:
