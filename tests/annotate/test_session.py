@@ -97,6 +97,15 @@ def test_the_ends_of_the_points_along_the_spine_wait_in_the_draft_alone(session)
     assert "ends" not in session.annotation_path.read_text(encoding="utf-8")
 
 
+def test_a_push_is_called_push_once(session):
+    record = session.subject.record
+    push = record.pushes[0].model_copy(update={"id": "push-1"})
+    assert session_record(session)["images"][2]["title"] == "Push a"
+    session.subject = replace(session.subject, record=record.model_copy(update={"pushes": (push,)}))
+    session.images = ("push/push-1",)
+    assert session_record(session)["images"][0]["title"] == "Push-1"
+
+
 def test_a_lateral_proposal_is_told_how_vertebrae_lean(session):
     assert session.leans("rest/lateral") == {}
     session.save(draft(rest__frontal=marked("rest/frontal", "T5", "T6")), 0)

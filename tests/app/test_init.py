@@ -400,7 +400,7 @@ def test_forces_from_two_places_a_wrong_offset_and_no_times_are_refused(spinesti
 
 def test_on_a_terminal_what_is_open_is_asked_for(tmp_path, source, monkeypatch, capsys):
     def answers(question):
-        key = re.match(r"(?:push \S+ \(\d+ frames\), )?(\w+),|.*(force)", question)
+        key = re.match(r"(?:(?:push )?\S+ \(\d+ frames\), )?(\w+),|.*(force)", question)
         return given[key[1] or key[2]].pop(0)
 
     given = {
@@ -475,7 +475,7 @@ def test_columns_and_units_of_a_log_are_confirmed_before_any_other_question(logg
 @pytest.mark.parametrize(
     ("log", "options", "words"),
     [
-        ("gauge.csv", {"offsets": ("300",)}, "push push-1: with the first frame at 300 s"),
+        ("gauge.csv", {"offsets": ("300",)}, "push-1: with the first frame at 300 s"),
         ("gauge.csv", {"offsets": ("inf",)}, "--log-offset: found 'inf', wanted a number"),
         ("none.csv", {}, "none.csv"),
         ("back.csv", {}, "line 3: the time does not grow"),
@@ -501,7 +501,7 @@ def test_a_push_of_a_log_is_named_as_the_table_shows_it(logged, monkeypatch, cap
     assert subject.gaps == () and [push.id for push in subject.pushes] == ["left-5"]
     np.testing.assert_allclose(subject.pushes[0].forces_n, true, atol=0.6)
     told = capsys.readouterr().out
-    assert "log of push left-5: time in column" in told and "log of push push-1" not in told
+    assert "log of push left-5: time in column" in told and "log of push-1" not in told
 
 
 def test_an_offset_that_can_not_be_is_asked_for_again(logged, monkeypatch, capsys):

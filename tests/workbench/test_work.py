@@ -59,7 +59,7 @@ def test_an_export_becomes_a_subject(served, tmp_path):
     key = served.good("POST", "/api/subjects", made)["key"]
     card = served.good("GET", f"/api/subjects/{key}")
     assert (card["name"], card["stage"], card["age"], card["pushes"]) == ("boy-04", "form", 14.5, 2)
-    assert card["missing"][0] == "Sex" and "Push push-1, frame 0 to 2: force on the ribs in N" in card["missing"]
+    assert card["missing"][0] == "Sex" and "Push-1, frame 0 to 2: force on the ribs in N" in card["missing"]
     assert sorted(path.name for path in (served.bench.root.path / "boy-04").iterdir()) == [
         "pushes",
         "rest",

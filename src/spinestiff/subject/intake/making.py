@@ -18,6 +18,7 @@ from spinestiff.subject.gaps import PERSON, PUSH, check_open_record, gaps_of
 from spinestiff.subject.intake.sorting import PushFiles, Sorting
 from spinestiff.subject.record_reading import IDENTIFIER, WANTED_ID, parse_record
 from spinestiff.subject.records import REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE, SubjectRecord
+from spinestiff.words import push_named
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ def fill(data: dict[str, Any], given: Given) -> list[str]:
             if push.get(key) is None:
                 push[key] = value
             elif push[key] != value:
-                notes.append(f"push {push['id']}, {key}: stays {push[key]}, {value} was given for all pushes")
+                notes.append(f"{push_named(push['id'])}, {key}: stays {push[key]}, {value} was given for all pushes")
     for key, value in given.xray.items():
         there = data.setdefault("xray", {})
         if there.setdefault(key, value) != value:

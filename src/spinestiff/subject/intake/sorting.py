@@ -15,7 +15,7 @@ from spinestiff.errors import RadiographError, SubjectError
 from spinestiff.imaging.dicom.export import Exported
 from spinestiff.imaging.radiograph import in_order, times_of
 from spinestiff.subject.intake.push_table import SHARED, TablePush, TableRow
-from spinestiff.words import counted
+from spinestiff.words import counted, push_named
 
 LONGEST_PAUSE_S = 60.0
 """Between radiographs of one frame each that are taken for one push."""
@@ -73,7 +73,7 @@ def uses_of(sorting: Sorting, names: Sequence[str]) -> dict[str, str]:
     uses = {}
     for name, push in zip(names, sorting.pushes):
         for number, one in enumerate(push.files):
-            uses[one.name] = f"push {name}" + (f", frame {number}" if len(push.files) > 1 else "")
+            uses[one.name] = push_named(name) + (f", frame {number}" if len(push.files) > 1 else "")
     for words, rest in (("rest, frontal", sorting.frontal), ("rest, lateral", sorting.lateral)):
         if rest is not None:
             uses[rest.name] = words
