@@ -647,6 +647,9 @@ def test_a_small_screen_shows_controls_and_picture_at_once(page, image):
     _, top, width, height = page.stage()
     assert width >= 550 and height >= 340 and top + height <= 600
     assert tab.run("document.documentElement.scrollWidth <= 1024 && document.documentElement.scrollHeight <= 600")
+    # The tools are one line.
+    tops = tab.run("[...document.querySelectorAll('[role=toolbar] button')].map(one => one.offsetTop)")
+    assert len(set(tops)) == 1
     for name in ("undo", "fit", "propose", "missing"):
         box = tab.run(f"JSON.parse(JSON.stringify(document.getElementById('{name}').getBoundingClientRect()))")
         assert box["width"] > 0 and box["bottom"] <= 601 and box["right"] <= 1024, name
