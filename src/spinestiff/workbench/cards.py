@@ -11,7 +11,7 @@ from typing import Any
 
 from spinestiff.curves.changes import NORMAL_95, change_words
 from spinestiff.errors import SpinestiffError
-from spinestiff.study.wording import PLAIN, badge, estimated, headline, interval, told_stiffness
+from spinestiff.study.wording import badge, estimated, headline, interval, stiffness_title, told_stiffness
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject, annotatable, annotatable_views, read_annotation, read_unannotated
 from spinestiff.subject.gaps import Gap
@@ -137,7 +137,7 @@ def result(subject: Subject) -> dict[str, Any] | None:
     stiffness = [
         {
             "name": name,
-            "title": sentence(PLAIN.get(name, name.replace("_", " "))),
+            "title": stiffness_title(name),
             "unit": unit,
             "determined": determined,
             "words": estimated(found),
