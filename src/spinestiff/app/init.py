@@ -105,6 +105,7 @@ def make_subject(out: Path, sources: Sequence[Path], asked: Asked) -> None:
     data = making.subject_data(identifier, sorting)
     notes = making.fill(data, asked.given)
     making.name_pushes(data, sorting)
+    notes += making.fill_images(data, asked.given)
     tables.show(_table(sorting, [push["id"] for push in data["pushes"]], chosen, refused, others))
     told, lines = making.person_of(chosen)
     notes += [line for key, line in lines.items() if key not in asked.given.person]
@@ -131,7 +132,7 @@ def _fill_folder(folder: Path, asked: Asked) -> None:
 
 def _fill(folder: Path, asked: Asked) -> None:
     data = making.read_open_data(folder, asked.given)
-    notes = making.fill(data, asked.given)
+    notes = making.fill(data, asked.given) + making.fill_images(data, asked.given)
     pushes = data["pushes"]
     work = _Work(data, [[folder / push["frames"]] for push in pushes], [(push["frames"],) for push in pushes])
     _ask_and_log(work, asked, notes, lambda: None)
