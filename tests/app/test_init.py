@@ -265,6 +265,22 @@ def test_geometry_that_the_files_lack_is_named_and_can_be_given(spinestiff, tmp_
     assert inspect(tmp_path / "two")[0].seen["pixel_mm_at_detector"] == [0.4, 0.4]
 
 
+def test_frames_without_times_and_numbers_go_by_their_names_and_it_is_said(spinestiff, tmp_path):
+    for name in ("img10", "img9", "img11"):
+        export(tmp_path / "in" / name, time=None, without=("InstanceNumber",))
+    table = tmp_path / "pushes.csv"
+    rows = [f"img{number},,{force},right,8,400,210" for number, force in ((9, 0), (10, 20), (11, 41))]
+    table.write_text("\n".join([TABLE.splitlines()[0].removesuffix(",role"), *rows]) + "\n")
+    out = tmp_path / "girl"
+    done = spinestiff("init", out, tmp_path / "in", "--pushes", table, *PERSON)
+    assert done.status == 0, done.err
+    assert "in order of the files' names" in " ".join(done.out.split())
+    assert "note: push/right-8: " in done.out and "ordered by file name: check the order" in done.out
+    for number, name in enumerate(("img9", "img10", "img11")):
+        assert (out / f"pushes/right-8/{number:03d}.dcm").read_bytes() == (tmp_path / "in" / name).read_bytes()
+    assert read_unannotated(out).pushes[0].forces_n == (0.0, 20.0, 41.0)
+
+
 def test_geometry_of_single_pictures_is_given_by_their_names(spinestiff, tmp_path):
     lacking = ("ImagerPixelSpacing", "DistanceSourceToDetector", "DistanceSourceToPatient")
     export(tmp_path / "in" / "a", without=lacking)
