@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from spinestiff.subject.annotation_record import Annotation
-from spinestiff.words import counted, pasted
+from spinestiff.words import counted, pasted, push_named, sentence
 
 
 @pytest.mark.parametrize(
@@ -22,6 +22,18 @@ from spinestiff.words import counted, pasted
 )
 def test_a_count_and_its_noun_agree(arguments, words):
     assert counted(*arguments) == words
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("a", "push a"), ("left-5", "push left-5"), ("push-1", "push-1"), ("Push2", "Push2"), ("pushed", "push pushed")],
+)
+def test_a_push_is_called_push_once(name, words):
+    assert push_named(name) == words
+
+
+def test_a_sentence_keeps_the_letters_of_its_names():
+    assert sentence("push A") == "Push A" and sentence("") == ""
 
 
 def test_a_path_with_a_blank_is_quoted_for_a_terminal():

@@ -52,6 +52,13 @@ def go(tab, address, state="open"):
     tab.until(f"document.body.dataset.state == '{state}'")
 
 
+def reload(page):
+    page.tab.loaded = False
+    page.tab.call("Page.reload")
+    page.tab.wait(lambda: page.tab.loaded)
+    page.tab.until("document.body.dataset.state == 'open'")
+
+
 class Page(Hands):
     """What a person does on the page, by mouse and by keys."""
 
@@ -153,16 +160,64 @@ def test_what_was_looked_at_is_known_after_a_reload_an_undo_and_other_names(page
     page.key("z", CTRL)
     assert set(page.tab.run("annotation.unseen")) == set(unseen)  # it was looked at while it was moved
     page.saved()
-    page.tab.loaded = False
-    page.tab.call("Page.reload")
-    page.tab.wait(lambda: page.tab.loaded)
-    page.tab.until("document.body.dataset.state == 'open'")
+    reload(page)
     assert page.tab.run("annotation.image.name") == "rest/frontal"
     assert set(page.tab.run("annotation.unseen")) == set(unseen)
     page.tab.run("annotation.visible('T1', false)")
     page.button("names-up")
     names = [VERTEBRAE[VERTEBRAE.index(name) - 1] for name in unseen]
     assert set(page.tab.run("annotation.unseen")) == set(names)
+
+
+def pick(page, name, value):
+    page.tab.run(
+        f"{{ const select = document.getElementById('{name}'); select.value = '{value}';"
+        " select.dispatchEvent(new Event('change')); }"
+    )
+
+
+def ends(page):
+    return page.tab.run("['upper', 'lower'].map(name => document.getElementById(name).value)")
+
+
+def test_from_and_to_are_those_of_the_marked_vertebrae_when_it_is_opened_again(page):
+    assert ends(page) == ["T1", "L5"]
+    marks = json.dumps(drawn("rest/frontal").named(*VERTEBRAE[2:13]))
+    page.tab.run(f"annotation.change(marks => ({{...marks, vertebrae: {marks}}}), 'filled')")
+    page.saved()
+    reload(page)
+    page.tab.run("annotation.open('rest/frontal')")
+    page.tab.until("annotation.loaded == 'rest/frontal'")
+    assert page.tab.run("annotation.marks.spine.length") == 0 and ends(page) == ["T3", "L1"]
+    # What nobody has said of another picture begins with what is said of this one.
+    page.tab.run("annotation.open('rest/lateral')")
+    page.tab.until("annotation.loaded == 'rest/lateral'")
+    assert ends(page) == ["T3", "L1"]
+    pick(page, "upper", "T2")
+    assert ends(page) == ["T2", "L1"]
+    page.tab.run("annotation.open('rest/frontal')")
+    page.tab.until("annotation.loaded == 'rest/frontal'")
+    assert ends(page) == ["T3", "L1"]
+
+
+def test_points_along_the_spine_keep_their_vertebrae_in_a_draft(page):
+    """The point at T1 stays T1's, whatever becomes of that vertebra, and after a reload."""
+    page.propose(look=False)
+    page.tab.run("annotation.visible('T1', false)")
+    page.saved()
+    assert ends(page) == ["T1", "L5"]
+    reload(page)
+    assert page.tab.run("annotation.marks.spine.length") == len(CLICKED) and ends(page) == ["T1", "L5"]
+    page.button("names-up")
+    assert ends(page) == ["T1", "L4"]
+    page.button("undo")
+    assert ends(page) == ["T1", "L5"]
+    pick(page, "upper", "T4")
+    assert ends(page) == ["T4", "L5"]
+    page.button("undo")
+    page.button("clear-spine")
+    assert ends(page) == ["T2", "L5"]
+    page.saved()
 
 
 def test_a_corner_and_a_whole_vertebra_are_dragged(page):
@@ -309,10 +364,7 @@ def test_a_reload_finds_what_was_saved_and_the_token(page):
     page.fill()
     marks = page.marks()
     assert "#" not in page.tab.run("location.href")
-    page.tab.loaded = False
-    page.tab.call("Page.reload")
-    page.tab.wait(lambda: page.tab.loaded)
-    page.tab.until("document.body.dataset.state == 'open'")
+    reload(page)
     assert page.marks()["vertebrae"] == marks["vertebrae"]
     # The first radiograph that is not complete is shown.
     assert page.tab.run("annotation.image.name") == "rest/lateral"
@@ -595,6 +647,9 @@ def test_a_small_screen_shows_controls_and_picture_at_once(page, image):
     _, top, width, height = page.stage()
     assert width >= 550 and height >= 340 and top + height <= 600
     assert tab.run("document.documentElement.scrollWidth <= 1024 && document.documentElement.scrollHeight <= 600")
+    # The tools are one line.
+    tops = tab.run("[...document.querySelectorAll('[role=toolbar] button')].map(one => one.offsetTop)")
+    assert len(set(tops)) == 1
     for name in ("undo", "fit", "propose", "missing"):
         box = tab.run(f"JSON.parse(JSON.stringify(document.getElementById('{name}').getBoundingClientRect()))")
         assert box["width"] > 0 and box["bottom"] <= 601 and box["right"] <= 1024, name

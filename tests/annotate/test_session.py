@@ -87,6 +87,25 @@ def test_a_proposal_waits_in_the_draft_until_every_vertebra_was_looked_at(sessio
     assert "unseen" not in session.annotation_path.read_text(encoding="utf-8")
 
 
+def test_the_ends_of_the_points_along_the_spine_wait_in_the_draft_alone(session):
+    proposed = marked("rest/frontal").model_copy(update={"unseen": ("T1",), "ends": ("T1", "L5")})
+    session.save(draft(rest__frontal=proposed), 0)
+    assert AnnotationSession(session.subject.folder).marks["rest/frontal"].ends == ("T1", "L5")
+    assert session_record(session)["marks"]["rest/frontal"]["ends"] == ["T1", "L5"]
+    session.save(draft(rest__frontal=proposed.model_copy(update={"unseen": ()})), 1)
+    assert on_disk(session) == {"subject.json", "annotation.json"}
+    assert "ends" not in session.annotation_path.read_text(encoding="utf-8")
+
+
+def test_a_push_is_called_push_once(session):
+    record = session.subject.record
+    push = record.pushes[0].model_copy(update={"id": "push-1"})
+    assert session_record(session)["images"][2]["title"] == "Push a"
+    session.subject = replace(session.subject, record=record.model_copy(update={"pushes": (push,)}))
+    session.images = ("push/push-1",)
+    assert session_record(session)["images"][0]["title"] == "Push-1"
+
+
 def test_a_lateral_proposal_is_told_how_vertebrae_lean(session):
     assert session.leans("rest/lateral") == {}
     session.save(draft(rest__frontal=marked("rest/frontal", "T5", "T6")), 0)

@@ -17,6 +17,7 @@ from hospital import CANARY, disc, export, gauged
 from spinestiff.app import questions
 from spinestiff.app.init import Asked, make_subject
 from spinestiff.errors import OptionError, SpinestiffError
+from spinestiff.files import read_json
 from spinestiff.subject.folder import read_unannotated
 from spinestiff.subject.inspection import inspect
 from spinestiff.subject.intake.making import Given
@@ -233,6 +234,16 @@ def test_nothing_is_overwritten_and_nothing_is_left_behind(spinestiff, tmp_path,
         (("--pushes", "nowhere.csv"), "nowhere.csv: no such file"),
         (("--log", "a.csv"), "--log a.csv: found 2 pushes (push-1, push-2), wanted one; say which: --log PUSH=a.csv"),
         (("--log", "other=a.csv"), "--log other=a.csv: no push 'other'; wanted one of push-1, push-2"),
+        (("--imager-pixel", "wide"), "--imager-pixel wide: wanted MM, or PICTURE=MM, e.g. rest/lateral=1500"),
+        (("--imager-pixel", "=0.4"), "--imager-pixel =0.4: wanted the name of a picture before ="),
+        (("--imager-pixel", "rest/lateral=nan"), "--imager-pixel rest/lateral=nan: wanted above 0 and at most"),
+        (("--source-patient", 0), "--source-patient 0: wanted above 0 and at most"),
+        (("--source-patient", 900, "--source-patient", 901), "901: given twice for all pictures; wanted once"),
+        (
+            ("--source-detector", "lateral=1500"),
+            "--source-detector lateral=1500: no such picture; wanted one of rest/frontal, rest/lateral, push/push-1, "
+            "push/push-2",
+        ),
         (("--log-offset", "push-1=3"), "--log-offset: belongs to a --log of the same push"),
     ],
 )
@@ -252,6 +263,55 @@ def test_geometry_that_the_files_lack_is_named_and_can_be_given(spinestiff, tmp_
     done = spinestiff("init", tmp_path / "two", tmp_path / "in", *PERSON, *geometry)
     assert "open still" not in done.out
     assert inspect(tmp_path / "two")[0].seen["pixel_mm_at_detector"] == [0.4, 0.4]
+
+
+def test_frames_without_times_and_numbers_go_by_their_names_and_it_is_said(spinestiff, tmp_path):
+    for name in ("img10", "img9", "img11"):
+        export(tmp_path / "in" / name, time=None, without=("InstanceNumber",))
+    table = tmp_path / "pushes.csv"
+    rows = [f"img{number},,{force},right,8,400,210" for number, force in ((9, 0), (10, 20), (11, 41))]
+    table.write_text("\n".join([TABLE.splitlines()[0].removesuffix(",role"), *rows]) + "\n")
+    out = tmp_path / "girl"
+    done = spinestiff("init", out, tmp_path / "in", "--pushes", table, *PERSON)
+    assert done.status == 0, done.err
+    assert "in order of the files' names" in " ".join(done.out.split())
+    assert "note: push/right-8: " in done.out and "ordered by file name: check the order" in done.out
+    for number, name in enumerate(("img9", "img10", "img11")):
+        assert (out / f"pushes/right-8/{number:03d}.dcm").read_bytes() == (tmp_path / "in" / name).read_bytes()
+    assert read_unannotated(out).pushes[0].forces_n == (0.0, 20.0, 41.0)
+
+
+def test_geometry_of_single_pictures_is_given_by_their_names(spinestiff, tmp_path):
+    lacking = ("ImagerPixelSpacing", "DistanceSourceToDetector", "DistanceSourceToPatient")
+    export(tmp_path / "in" / "a", without=lacking)
+    export(tmp_path / "in" / "b", "lateral", without=lacking)
+    export(tmp_path / "in" / "c", frames=2, time="102000", without=lacking)
+    usual = ("--source-detector", 1500, "--source-patient", 1340, "--imager-pixel", 0.4)
+    own = ("--source-detector", "rest/lateral=1830", "--source-patient", "rest/lateral=1700")
+    # On a terminal the push's name comes last, from side and rib.
+    asked = Given(images={"imager_pixel_mm": {"push/push-1": 0.5}})
+    answers = {"side": "left", "level": "5"}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            questions, "_terminal", lambda question: next((answers[key] for key in answers if key in question), "")
+        )
+        make_subject(tmp_path / "asked", [tmp_path / "in"], Asked(asked, may_ask=True))
+    assert read_json(tmp_path / "asked" / "subject.json")["xray"] == {
+        "images": {"push/left-5": {"imager_pixel_mm": 0.5}}
+    }
+    done = spinestiff("init", tmp_path / "girl", tmp_path / "in", *PERSON, *usual, *own)
+    assert done.status == 0, done.err
+    xray = {"source_detector_mm": 1500.0, "source_patient_mm": 1340.0, "imager_pixel_mm": 0.4}
+    lateral = {"source_detector_mm": 1830.0, "source_patient_mm": 1700.0}
+    assert read_json(tmp_path / "girl" / "subject.json")["xray"] == {**xray, "images": {"rest/lateral": lateral}}
+    # Later, for a subject that is there; what it knows stays.
+    later = ("--imager-pixel", "push/push-1=0.5", "--source-patient", "rest/lateral=1")
+    done = spinestiff("init", tmp_path / "girl", *later)
+    assert done.status == 0 and "xray.images.rest/lateral.source_patient_mm: stays 1700.0, 1.0 was given" in done.out
+    images = {"rest/lateral": lateral, "push/push-1": {"imager_pixel_mm": 0.5}}
+    assert read_json(tmp_path / "girl" / "subject.json")["xray"]["images"] == images
+    seen = {one.image: one.seen["pixel_mm_at_detector"] for one in inspect(tmp_path / "girl") if one.seen}
+    assert seen == {"rest/frontal": [0.4, 0.4], "rest/lateral": [0.4, 0.4], "push/push-1": [0.5, 0.5]}
 
 
 def test_single_frames_become_a_folder_in_order_of_time_each_with_its_force(spinestiff, tmp_path):
@@ -400,7 +460,7 @@ def test_forces_from_two_places_a_wrong_offset_and_no_times_are_refused(spinesti
 
 def test_on_a_terminal_what_is_open_is_asked_for(tmp_path, source, monkeypatch, capsys):
     def answers(question):
-        key = re.match(r"(?:push \S+ \(\d+ frames\), )?(\w+),|.*(force)", question)
+        key = re.match(r"(?:(?:push )?\S+ \(\d+ frames\), )?(\w+),|.*(force)", question)
         return given[key[1] or key[2]].pop(0)
 
     given = {
@@ -475,7 +535,7 @@ def test_columns_and_units_of_a_log_are_confirmed_before_any_other_question(logg
 @pytest.mark.parametrize(
     ("log", "options", "words"),
     [
-        ("gauge.csv", {"offsets": ("300",)}, "push push-1: with the first frame at 300 s"),
+        ("gauge.csv", {"offsets": ("300",)}, "push-1: with the first frame at 300 s"),
         ("gauge.csv", {"offsets": ("inf",)}, "--log-offset: found 'inf', wanted a number"),
         ("none.csv", {}, "none.csv"),
         ("back.csv", {}, "line 3: the time does not grow"),
@@ -501,7 +561,7 @@ def test_a_push_of_a_log_is_named_as_the_table_shows_it(logged, monkeypatch, cap
     assert subject.gaps == () and [push.id for push in subject.pushes] == ["left-5"]
     np.testing.assert_allclose(subject.pushes[0].forces_n, true, atol=0.6)
     told = capsys.readouterr().out
-    assert "log of push left-5: time in column" in told and "log of push push-1" not in told
+    assert "log of push left-5: time in column" in told and "log of push-1" not in told
 
 
 def test_an_offset_that_can_not_be_is_asked_for_again(logged, monkeypatch, capsys):

@@ -32,9 +32,11 @@ from spinestiff.study.wording import (
     response_lines,
     short_span,
     span_in_words,
+    stiffness_title,
     strongest_priors,
     tracking_lines,
     unknown_title,
+    within_a_sentence,
 )
 from spinestiff.subject.estimate_outcome import (
     BudgetRecord,
@@ -111,14 +113,28 @@ def test_the_headline_is_in_plain_units_as_far_as_there_are_some():
     closed = quantity(3.8, 3.0, 4.8)
     line = "Young's modulus of the trunk's soft tissue: 3.8 kPa, between 3.0 and 4.8 kPa (95 %)"
     assert told(("tissue",), tissue_young=(closed, "tissue")) == [line]
-    rotation = "axial_rotation: 3.8 times the default stiffness, between 3.0 and 4.8 times the default stiffness (95 %)"
+    times = "times the default stiffness"
+    rotation = f"axial rotation of the spine: 3.8 {times}, between 3.0 and 4.8 {times} (95 %)"
     assert told(("tissue", "axial_rotation"), tissue_young=(closed, "tissue")) == [line, rotation]
     # Several ratios that scale one stiffness are not told one by one.
     assert told(("tissue@thorax", "tissue@abdomen"), tissue_young=(closed, None)) == [line]
     # A ratio of a part is told itself where the rest of the stiffness stays at its default, which then has no interval.
-    part = rotation.replace("axial_rotation", "lateral_bending@lumbar")
+    part = rotation.replace("axial rotation of the spine", "lateral bending of the spine, lumbar")
     assert told(("lateral_bending@lumbar", "tissue"), tissue_young=(closed, "tissue")) == [line, part]
     assert "not fixed by the radiographs" in told(("tissue",), "not determined", tissue_young=(closed, "tissue"))[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "title", "inside"),
+    [
+        ("lateral_bending_lumbar", "Lateral bending of a lumbar level", "lateral bending of a lumbar level"),
+        ("tissue_young", "Young's modulus of the trunk's soft tissue", "Young's modulus of the trunk's soft tissue"),
+        ("lateral_bending@T8-T9", "Lateral bending of the spine, T8-T9", "lateral bending of the spine, T8-T9"),
+        ("rib_rotation", "Turning of the ribs on their vertebrae", "turning of the ribs on their vertebrae"),
+    ],
+)
+def test_a_stiffness_has_one_name(name, title, inside):
+    assert stiffness_title(name) == title and within_a_sentence(title) == inside
 
 
 def test_data_that_do_not_determine_a_ratio_are_not_told_by_its_interval():

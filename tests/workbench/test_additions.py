@@ -43,8 +43,8 @@ def test_radiographs_are_looked_at_and_added(served, root, more):
     before = read_json(root / "girl" / "subject.json")
     look = served.good("POST", "/api/look", more)
     found = {one["name"].rpartition("/")[2]: one for one in look["files"]}
-    assert {name: one["use"] for name, one in found.items()} == {"I2": "rest, lateral", "I8": "push push-2"}
-    assert look["changes"] == ["A lateral radiograph at rest.", "Push push-2, 2 frames."]
+    assert {name: one["use"] for name, one in found.items()} == {"I2": "rest, lateral", "I8": "push-2"}
+    assert look["changes"] == ["A lateral radiograph at rest.", "Push-2, 2 frames."]
     assert read_json(root / "girl" / "subject.json") == before
     added = served.good("POST", f"/api/subjects/{served.key()}/radiographs", more)
     assert added["changes"] == look["changes"]
@@ -53,7 +53,7 @@ def test_radiographs_are_looked_at_and_added(served, root, more):
     there = served.good("GET", f"/api/subjects/{served.key()}/radiographs")
     assert [(one["image"], one["frames"], one["use"]) for one in there["files"]] == [
         ("rest/frontal", 1, "rest, frontal"), ("rest/lateral", 1, "rest, lateral"), ("push/a", 3, "push a"),
-        ("push/push-2", 2, "push push-2"),
+        ("push/push-2", 2, "push-2"),
     ]  # fmt: skip
     assert there["rest"] == ["rest/frontal", "rest/lateral"]
     # The annotation page has the new ones, too.
@@ -157,7 +157,7 @@ def test_views_and_markers_by_the_page(served, root, more):
     push = read_json(root / "girl" / "subject.json")["pushes"][0]
     assert (push["views"][0]["files"], push["markers"]["file"]) == ("pushes/a-side.dcm", "pushes/a-markers.csv")
     card = served.good("GET", f"/api/subjects/{key}")
-    assert "Push a/1/side: not annotated" in card["missing"]
+    assert "Push a, frame 1, view side: not annotated" in card["missing"]
     rows = served.good("GET", f"/api/subjects/{key}/radiographs")["files"]
     told = {"image": "push/a/1/side", "name": "pushes/a-side.dcm", "frames": 1, "use": "push a, view side"}
     assert told in [{key: value for key, value in row.items() if key != "version"} for row in rows]
@@ -201,7 +201,7 @@ def test_single_pictures_become_one_push_in_the_order_of_their_times(served, roo
     assert uses == {"in/I1": "rest, frontal", "in/I3": "push 1, frame 0", "in/I2": "push 1, frame 1"}
     # To a subject that is there.
     beside = {**asked, "subject": served.key()}
-    assert served.good("POST", "/api/look", beside)["changes"] == ["Push push-2, 2 frames."]
+    assert served.good("POST", "/api/look", beside)["changes"] == ["Push-2, 2 frames."]
     served.good("POST", f"/api/subjects/{served.key()}/radiographs", beside)
     place = root / "girl" / "pushes" / "push-2"
     assert [(place / f"00{i}.dcm").read_bytes() for i in range(2)] == [

@@ -22,7 +22,7 @@ from fastapi.routing import APIRoute
 
 from asking import wait_for
 from hospital import CANARY as PATIENT
-from hospital import disc
+from hospital import disc, headed
 from spinestiff.errors import NotThere, OptionError, SubjectError
 from spinestiff.formats import parse_json
 from spinestiff.loopback import guard, serving
@@ -535,6 +535,8 @@ def test_a_job_reads_no_code_or_settings_from_its_subjects_folder(root, served):
 
 def test_nothing_of_the_patient_is_in_logs_addresses_or_the_table(root, serve, tmp_path):
     export = disc(tmp_path / PATIENT.replace("^", "_"))
+    for path in (export / "DICOM").rglob("IM*"):
+        headed(path, path, time=None, StudyDescription=PATIENT)
     with serve(root, jobs=True) as served:
         upload = served.upload_folder(export)
         look = served.good("POST", "/api/look", {"origin": "upload", "key": upload})

@@ -15,8 +15,9 @@ from bench_page import click, go, load, text
 from chromium import browser
 from spinestiff.files import read_json, write_json
 from spinestiff.study.repeatability import estimate_of, repeatability, repeatability_lines
+from spinestiff.study.report.clinician import stiffness
 from spinestiff.study.visit import open_visit
-from spinestiff.study.wording import TIMES_DEFAULT
+from spinestiff.study.wording import RATIO_TITLES, TIMES_DEFAULT, told_stiffness
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import read_unannotated
 from spinestiff.subject.outcomes import Responses
@@ -80,6 +81,14 @@ def test_the_table_has_stiffness_and_the_change_of_the_cobb_angle(visits, serve)
         assert line.startswith(one["title"]) and len(ends) == 2 and all(f" {end} " in line for end in ends)
 
 
+def test_cards_and_report_name_a_stiffness_alike(finished):
+    subject = read_unannotated(finished.folder)
+    estimate = read_outcome(subject, Estimate)
+    reported = [stiffness(estimate, *one)["title"] for one in told_stiffness(estimate)]
+    assert [one["title"] for one in cards.result(subject)["stiffness"]] == reported
+    assert "Lateral bending of a thoracic level" in reported
+
+
 def test_an_end_that_the_radiographs_leave_open_is_told_as_open(finished, monkeypatch):
     estimate = read_outcome(read_unannotated(finished.folder), Estimate)
     plain = {name: one.model_copy(update={"open_low": True}) for name, one in estimate.plain.items()}
@@ -125,6 +134,7 @@ def test_two_visits_of_one_person_are_told_as_repeat_tells_them(visits, serve, t
         told = served.good("GET", f"/api/visits/{first}/{second}")
         assert told["same"] and told["problem"] == "" and told["lines"] == repeatability_lines(wanted)
         assert told["scatter"] == {name: asdict(one) for name, one in wanted.scatter.items()}
+        assert {one["title"] for one in told["changes"]} <= set(RATIO_TITLES.values())
         assert [(one["name"], one["verdict"]) for one in told["changes"]] == [
             (one.name, one.verdict) for one in wanted.changes
         ]

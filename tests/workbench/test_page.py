@@ -245,7 +245,7 @@ def test_of_two_choices_the_last_counts_though_its_answer_comes_first(tab, root,
         return answer;
       };
     })()""")
-    pick(tab, "#study", "A2")
+    pick(tab, "#study", "22")
     tab.until("window.wasLate")
     tab.settle()
     assert tab.run("looks") == 2 and tab.run("document.querySelector('#study').value") == "A2"

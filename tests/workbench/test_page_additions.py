@@ -48,7 +48,7 @@ def test_more_radiographs_and_a_view_for_a_subject_that_is_there(tab, root, serv
         tab.run("(document.querySelector('#add').scrollIntoView(), 1)")
         tab.until(f"{SHOWN} == 5")
         assert tab.run(DRAWN) == 5
-        assert text(tab, "#changes").split("\n") == ["A lateral radiograph at rest.", "Push push-2, 2 frames."]
+        assert text(tab, "#changes").split("\n") == ["A lateral radiograph at rest.", "Push-2, 2 frames."]
         # The other lateral one shows the push from the side, in its last frame.
         tab.run("(document.querySelector('#add-view').closest('details').open = true, 1)")
         click(tab, "#room input[type=checkbox][value='I3']")
@@ -61,6 +61,9 @@ def test_more_radiographs_and_a_view_for_a_subject_that_is_there(tab, root, serv
         click(tab, "#add")
         tab.until("document.querySelector('[role=status]:not([id])').innerText.startsWith('Added')")
         tab.until(f"{SHOWN} == 5")
+        go(tab, f"/subject/{served.key()}/values")
+        legends = tab.run("[...document.querySelectorAll('.push legend')].map(one => one.textContent)")
+        assert legends == ["Push a", "Push-2"]
         # The refused view, and that this test reads the canvases.
         assert all("422" in line or "getImageData" in line for line in tab.complaints)
     values = read_json(root / "girl" / "subject.json")

@@ -183,7 +183,7 @@ def test_radiographs_of_a_removed_push_may_come_again_under_another_name(served,
     card = served.good("GET", f"/api/subjects/{served.key()}")
     assert card["pushes"] == 0 and "There is no push" in " ".join(card["missing"])
     assert served.good("GET", f"/api/subjects/{served.key()}/results")["stale"] == []
-    assert served.good("POST", "/api/look", asked)["changes"] == ["Push push-1, 3 frames."]
+    assert served.good("POST", "/api/look", asked)["changes"] == ["Push-1, 3 frames."]
     served.good("POST", f"/api/subjects/{served.key()}/radiographs", asked)
     assert (root / "girl" / "pushes" / "push-1.dcm").read_bytes() == content
     assert (root / "girl" / "pushes" / "a.dcm").read_bytes() == content

@@ -174,7 +174,7 @@ def test_a_hospital_export_becomes_a_report_and_a_plan(tab, serve, radiographed,
         load(tab, served.address)
         bring_files(tab, write_export(tmp_path / "export", radiographed))
         assert "3 other files are left out" in text(tab) and tab.run("!document.querySelector('#make')")
-        pick(tab, "#study", "A2")
+        pick(tab, "#study", "22")
         tab.until("document.querySelectorAll('tbody tr').length == 4")
         become = tab.run("[...document.querySelectorAll('tbody b')].map(one => one.innerText)")
         assert become == ["rest, frontal", "rest, lateral", "push 1", "push 2"]

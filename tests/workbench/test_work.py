@@ -59,7 +59,7 @@ def test_an_export_becomes_a_subject(served, tmp_path):
     key = served.good("POST", "/api/subjects", made)["key"]
     card = served.good("GET", f"/api/subjects/{key}")
     assert (card["name"], card["stage"], card["age"], card["pushes"]) == ("boy-04", "form", 14.5, 2)
-    assert card["missing"][0] == "Sex" and "Push push-1, frame 0 to 2: force on the ribs in N" in card["missing"]
+    assert card["missing"][0] == "Sex" and "Push-1, frame 0 to 2: force on the ribs in N" in card["missing"]
     assert sorted(path.name for path in (served.bench.root.path / "boy-04").iterdir()) == [
         "pushes",
         "rest",
@@ -78,10 +78,38 @@ def test_a_zip_file_and_several_studies(served, tmp_path):
     upload = served.upload({"disc.ZIP": content.getvalue()})
     look = served.good("POST", "/api/look", {"origin": "upload", "key": upload})
     assert [one["label"] for one in look["studies"]] == ["A1", "A2"] and look["files"] == [] and look["study"] is None
+    said = ["2025-06-12 10:15: 1 picture, 1 frontal", "2025-06-12 11:15: 1 picture, 1 frontal"]
+    assert [one["words"] for one in look["studies"]] == said
     look = served.good("POST", "/api/look", {"origin": "upload", "key": upload, "study": "A2"})
     assert [one["name"].rpartition("/")[2] for one in look["files"]] == ["b"]
     asked = {"origin": "upload", "key": upload, "study": "A2", "name": "x", "person": {}}
     assert served.good("POST", "/api/subjects", asked)
+
+
+def test_studies_are_told_by_what_people_know_of_them(served, tmp_path):
+    """The day, the hospital's words and the pictures; a patient by a letter, and a file where all of this is alike."""
+    disc = tmp_path / "disc"
+    export(disc / "a", study="1.2.1", AcquisitionDate="20240501", StudyDescription="Whole spine\r\n standing ")
+    export(disc / "b", "lateral", study="1.2.1", time="101400", AcquisitionDate="20240501")
+    export(disc / "c", frames=2, study="1.2.2", AcquisitionDate="20250612", StudyDescription="Push")
+    export(disc / "d", study="1.2.3", time=None, StudyDate="20260101")
+    export(disc / "e", study="1.2.4", time=None)
+
+    def words():
+        look = served.good("POST", "/api/look", {"origin": "upload", "key": served.upload_folder(disc)})
+        return {one["label"]: one["words"] for one in look["studies"]}
+
+    assert words() == {
+        "A1": "2024-05-01 10:14, Whole spine standing: 2 pictures, 1 frontal, 1 lateral",
+        "A2": "2025-06-12 10:15, Push: 1 picture, 1 of several frames",
+        "A3": "2026-01-01: 1 picture, 1 frontal",
+        "A4": "no date: 1 picture, 1 frontal (disc/e)",
+    }
+    export(disc / "f", patient="P2", study="1.2.5", AcquisitionDate="20240501")
+    export(disc / "g", patient="P2", study="1.2.6", AcquisitionDate="20240501")
+    told = words()
+    assert told["B1"] == "Patient B, 2024-05-01 10:15: 1 picture, 1 frontal (disc/f)"
+    assert told["A2"].startswith("Patient A, 2025-06-12 10:15, Push")
 
 
 def test_an_upload_goes_on_where_it_stopped(served):

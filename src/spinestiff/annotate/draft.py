@@ -48,6 +48,7 @@ class DraftImage(_Strict):
     vertebrae : four corners each, in the order of ``ImageAnnotation``; any number of vertebrae.
     supports, pedicles : as in ``ImageAnnotation``.
     spine : points along the spine from which boxes are proposed.
+    ends : the vertebrae of the first and the last of ``spine``; None where nobody has said, and the outermost count.
     unseen : of the vertebrae, those that were proposed and that nobody has looked at or moved yet.
     guessed : of vertebrae with one pedicle set by hand the other, 0 left or 1 right, which is guessed.
     """
@@ -56,6 +57,7 @@ class DraftImage(_Strict):
     supports: dict[Literal["pelvis", "shoulder"], Points] = {}
     pedicles: dict[VertebraName, Centres] = {}
     spine: Points = ()
+    ends: Annotated[tuple[VertebraName, VertebraName], Field(strict=False)] | None = None
     unseen: Annotated[tuple[VertebraName, ...], Field(strict=False)] = ()
     guessed: dict[VertebraName, Literal[0, 1]] = {}
 
@@ -75,7 +77,7 @@ class DraftImage(_Strict):
             raise SubjectError(f"{len(unseen)} of {len(self.vertebrae)} vertebrae are proposed and not looked at yet")
         if half := [name for name in VERTEBRAE if name in self.pedicles and name in self.guessed]:
             raise SubjectError(f"one pedicle of {', '.join(half)} is only guessed yet; choose it, or click where it is")
-        marks = self.model_dump(mode="json", exclude={"spine", "unseen", "guessed"})
+        marks = self.model_dump(mode="json", exclude={"spine", "ends", "unseen", "guessed"})
         marks["supports"] = {name: points for name, points in self.supports.items() if points}
         try:
             return ImageAnnotation.model_validate(marks)

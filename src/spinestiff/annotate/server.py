@@ -24,6 +24,7 @@ from spinestiff.loopback.asking import Body, bare_application, sent
 from spinestiff.loopback.guard import Access, Guard, own_origins
 from spinestiff.loopback.serving import LOOPBACK, listening, run_server, shipped
 from spinestiff.subject.records import LATERAL, REST_IMAGES
+from spinestiff.words import push_named, sentence
 
 PAGE = {
     "/": ("index.html", "text/html; charset=utf-8"),
@@ -106,12 +107,13 @@ def session_record(session: AnnotationSession) -> dict[str, Any]:
             push = session.subject.push(name.split("/")[1])
             unknown = {i for gap in session.subject.gaps if gap.push == record.pushes.index(push) for i in gap.frames}
             forces = [None if i in unknown else force for i, force in enumerate(push.forces_n)]
+            title = sentence(push_named(push.id))
             if name in session.views:
                 frame, view = session.subject.view(name)
-                title = f"Push {push.id}, frame {frame}, view {view.id}"
+                title = f"{title}, frame {frame}, view {view.id}"
                 one = {"kind": view.kind, "forces": forces[frame : frame + 1], "roles": push.roles[frame : frame + 1]}
             else:
-                title, one = f"Push {push.id}", {"kind": "frontal", "forces": forces, "roles": push.roles}
+                one = {"kind": "frontal", "forces": forces, "roles": push.roles}
             images.append({"name": name, "title": title, **one})
     marks = {name: image.model_dump(mode="json") for name, image in session.marks.items()}
     return {

@@ -36,7 +36,7 @@ from spinestiff.subject.intake.push_table import pushes_of, read_push_table
 from spinestiff.subject.intake.sorting import Sorting, sort_files, uses_of
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
-from spinestiff.words import counted, pasted
+from spinestiff.words import counted, pasted, push_named
 
 SHOWN_ALONE = 3
 """Files of a folder that are left out for one reason: more share a row."""
@@ -105,6 +105,7 @@ def make_subject(out: Path, sources: Sequence[Path], asked: Asked) -> None:
     data = making.subject_data(identifier, sorting)
     notes = making.fill(data, asked.given)
     making.name_pushes(data, sorting)
+    notes += making.fill_images(data, asked.given)
     tables.show(_table(sorting, [push["id"] for push in data["pushes"]], chosen, refused, others))
     told, lines = making.person_of(chosen)
     notes += [line for key, line in lines.items() if key not in asked.given.person]
@@ -131,7 +132,7 @@ def _fill_folder(folder: Path, asked: Asked) -> None:
 
 def _fill(folder: Path, asked: Asked) -> None:
     data = making.read_open_data(folder, asked.given)
-    notes = making.fill(data, asked.given)
+    notes = making.fill(data, asked.given) + making.fill_images(data, asked.given)
     pushes = data["pushes"]
     work = _Work(data, [[folder / push["frames"]] for push in pushes], [(push["frames"],) for push in pushes])
     _ask_and_log(work, asked, notes, lambda: None)
@@ -152,9 +153,10 @@ def _ask_and_log(work: _Work, asked: Asked, notes: list[str], named: Callable[[]
         questions.ask_open(data, PERSON, "")
         for push in data["pushes"]:
             frames = counted(len(push["forces_n"]), "frame")
-            questions.ask_open(push, PUSH, f"push {push['id']} ({frames}), ")
+            questions.ask_open(push, PUSH, f"{push_named(push['id'])} ({frames}), ")
     named()
-    notes += [f"log of push {data['pushes'][number]['id']}: {line}" for number, lines in said.items() for line in lines]
+    names = [push_named(push["id"]) for push in data["pushes"]]
+    notes += [f"log of {names[number]}: {line}" for number, lines in said.items() for line in lines]
     if asked.may_ask:
         for push in data["pushes"]:
             questions.ask_forces(push, lambda: check_open_record(data))
@@ -177,7 +179,9 @@ def _by_push(texts: Sequence[str], work: _Work, option: str) -> dict[int, str]:
             known = ", ".join(push["id"] for push in work.data["pushes"])
             raise OptionError(f"{option} {text}: no push '{name}'; wanted one of {known}, or the name of its file")
         if numbers[0] in found:
-            raise OptionError(f"{option}: given twice for push {work.data['pushes'][numbers[0]]['id']}; wanted once")
+            raise OptionError(
+                f"{option}: given twice for {push_named(work.data['pushes'][numbers[0]]['id'])}; wanted once"
+            )
         found[numbers[0]] = value
     return found
 
@@ -194,11 +198,11 @@ def _read_log(work: _Work, number: int, path: Path, offset: str | None, asked: A
     """Put a log beside a push and say what was made of the log."""
     push = work.data["pushes"][number]
     if any(force is not None for force in push["forces_n"]):
-        raise SubjectError(f"--log {path}: the forces of push {push['id']} are known already; leave out either")
+        raise SubjectError(f"--log {path}: the forces of {push_named(push['id'])} are known already; leave out either")
     seconds = None if offset is None else _seconds(offset)
     log, words = _log(path, asked)
     with progress() as say:
-        say(f"init: the log of push {push['id']} beside the motion in its frames")
+        say(f"init: the log of {push_named(push['id'])} beside the motion in its frames")
         logged = put_beside(log, work.files[number], push["id"], seconds)
     if not logged.placed and asked.may_ask:
         logged = _ask_offset(logged, push["id"])
@@ -216,8 +220,8 @@ def _ask_offset(logged: Logged, name: str) -> Logged:
             raise ValueError(str(problem)) from None
 
     times = logged.log.times_s
-    typer.echo(f"push {name}: where the log begins is not determined: {logged.match.why}", err=True)
-    question = f"push {name}, time of the log at its first frame in s ({times[0]:g} to {times[-1]:g})"
+    typer.echo(f"{push_named(name)}: where the log begins is not determined: {logged.match.why}", err=True)
+    question = f"{push_named(name)}, time of the log at its first frame in s ({times[0]:g} to {times[-1]:g})"
     return questions.asked(question, read) or logged
 
 
@@ -321,7 +325,7 @@ def _finish(out: Path, work: _Work, notes: Sequence[str]) -> None:
     for number, logged in work.logged.items():
         name = work.data["pushes"][number]["id"]
         place = out / RESULTS / f"force-log-{name}.png"
-        picture = draw_log(f"push {name}", logged.log, logged.match, logged.times_s, logged.motion)
+        picture = draw_log(push_named(name), logged.log, logged.match, logged.times_s, logged.motion)
         write_bytes(place, as_png(picture))
         write_text(place.with_suffix(".csv"), logged.table())
         for line in _log_lines(name, logged):
@@ -358,8 +362,8 @@ def _push_words(push: dict[str, Any]) -> str:
     forces = ", ".join("?" if force is None else f"{force:g}" for force in push["forces_n"])
     told = {key: "?" if push[key] is None else push[key] if key == "side" else f"{push[key]:g}" for key in PUSH}
     return (
-        f"push {push['id']}: {counted(len(push['forces_n']), 'frame')}, from the {told['side']}, rib {told['level']}, "
-        f"d21 {told['d21_mm']} mm, d31 {told['d31_mm']} mm, {forces} N"
+        f"{push_named(push['id'])}: {counted(len(push['forces_n']), 'frame')}, from the {told['side']}, "
+        f"rib {told['level']}, d21 {told['d21_mm']} mm, d31 {told['d31_mm']} mm, {forces} N"
     )
 
 
@@ -367,15 +371,15 @@ def _log_lines(name: str, logged: Logged) -> Iterator[str]:
     match = logged.match
     if not logged.placed:
         yield (
-            f"log of push {name}: where it begins is not determined: {match.why}; give the log's time at the first "
-            f"frame with --log-offset"
+            f"log of {push_named(name)}: where it begins is not determined: {match.why}; give the log's time at the "
+            f"first frame with --log-offset"
         )
         return
     explained = ""
     if math.isfinite(match.explained):
         explained = f"; the force explains {100.0 * max(match.explained, 0.0):.0f} % of the picture's motion"
     if match.given:
-        yield f"log of push {name}: first frame at {match.offset_s:.2f} s of the log, as given{explained}"
+        yield f"log of {push_named(name)}: first frame at {match.offset_s:.2f} s of the log, as given{explained}"
         if match.against:
             yield (
                 f"  warning: {match.against}; look at the picture, and correct the forces in {SUBJECT_FILE} if the "
@@ -383,7 +387,7 @@ def _log_lines(name: str, logged: Logged) -> Iterator[str]:
             )
         return
     yield (
-        f"log of push {name}: first frame at {match.offset_s:.2f} s of the log, 95 % {match.low_s:.2f} to "
+        f"log of {push_named(name)}: first frame at {match.offset_s:.2f} s of the log, 95 % {match.low_s:.2f} to "
         f"{match.high_s:.2f} s, found from the motion{explained}, and the offset leaves a frame's force open by at "
         f"most ± {match.open_n:.1f} N; look at the picture"
     )

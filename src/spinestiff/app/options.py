@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import typer
 
@@ -27,16 +27,47 @@ def within(unit: str, limits: Limits, above: bool = False) -> Check:
     """
 
     def check(param: typer.CallbackParam, value: float | None) -> float | None:
-        if value is None:
-            return None
-        low, high = limits()
-        # In this form NaN is refused, too.
-        if not low <= value <= high or (above and value == low):
-            wanted = f"above {low:g} and at most {high:g}" if above else f"{low:g} to {high:g}"
-            raise OptionError(f"{param.opts[0]} {value:g}: wanted {wanted} {unit}")
+        if value is not None:
+            _check_within(f"{param.opts[0]} {value:g}", value, unit, limits, above)
         return value
 
     return check
+
+
+def _check_within(given: str, value: float, unit: str, limits: Limits, above: bool) -> None:
+    low, high = limits()
+    # In this form NaN is refused, too.
+    if not low <= value <= high or (above and value == low):
+        wanted = f"above {low:g} and at most {high:g}" if above else f"{low:g} to {high:g}"
+        raise OptionError(f"{given}: wanted {wanted} {unit}")
+
+
+def by_picture(option: str, texts: Sequence[str], limits: Limits) -> dict[str, float]:
+    """Lengths "MM" or "PICTURE=MM" by the picture; "" stands for all pictures.
+
+    Parameters
+    ----------
+    limits : mm; the least value itself is refused.
+
+    Raises
+    ------
+    OptionError : no number, outside the limits, or twice for a picture.
+    """
+    found: dict[str, float] = {}
+    for text in texts:
+        picture, equals, number = (part.strip() for part in text.rpartition("="))
+        given = f"{option} {text[:80]}"
+        try:
+            value = float(number)
+        except ValueError:
+            raise OptionError(f"{given}: wanted MM, or PICTURE=MM, e.g. rest/lateral=1500") from None
+        if equals and not picture:
+            raise OptionError(f"{given}: wanted the name of a picture before =, e.g. rest/lateral=1500")
+        if picture in found:
+            raise OptionError(f"{given}: given twice for {picture or 'all pictures'}; wanted once")
+        _check_within(given, value, "mm", limits, True)
+        found[picture] = value
+    return found
 
 
 def height_limits() -> tuple[float, float]:

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from spinestiff.errors import SubjectError
 from spinestiff.subject.records import DISTANCES_MM, GAUGE_LIMIT_N, HEIGHTS_CM, LEVELS, OLDEST
+from spinestiff.words import push_named
 
 T = TypeVar("T")
 _RANGES = {
@@ -61,7 +62,8 @@ def ask_forces(
     if None not in push["forces_n"]:
         return
     asked(
-        f"push {push['id']}, force of each of its {count} frames in N (0 to {GAUGE_LIMIT_N:g}), separated by blanks",
+        f"{push_named(push['id'])}, force of each of its {count} frames in N (0 to {GAUGE_LIMIT_N:g}), separated by "
+        "blanks",
         read,
         ask,
     )

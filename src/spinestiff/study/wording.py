@@ -12,7 +12,7 @@ from spinestiff.subject.estimate_outcome import BudgetRecord, CombinationRecord,
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Determination, Quantity
 from spinestiff.subject.outcomes import AngleResponse, Flexibility, PushResponse, Responses, Tracked, TrackedPush
-from spinestiff.words import counted
+from spinestiff.words import counted, sentence
 
 MISSING = "not available"
 NO_INTERVALS = "no intervals"
@@ -127,6 +127,21 @@ PLAIN = {
     "tissue_young": "Young's modulus of the trunk's soft tissue",
 }
 """Stiffness in plain units (``plain``), in words."""
+RATIO_TITLES = {
+    "lateral_bending": "Lateral bending of the spine",
+    "intervertebral_bending": "Lateral bending of the spine, rib cage as it is",
+    "tissue": "Soft tissue of the trunk",
+    "tissue_mu": "Soft tissue of the trunk, shear",
+    "tissue_lambda": "Soft tissue of the trunk, bulk",
+    "flexion_extension": "Flexion and extension of the spine",
+    "axial_rotation": "Axial rotation of the spine",
+    "lateral_shear": "Lateral shear of the spine",
+    "sagittal_shear": "Sagittal shear of the spine",
+    "separation": "Axial stiffness of the spine",
+    "rib_rotation": "Turning of the ribs on their vertebrae",
+    "everything": "All stiffnesses together",
+}
+"""What ratios scale, in words."""
 _BENDING = ("lateral_bending", "intervertebral_bending", "everything")
 IN_PLAIN_UNITS = {
     "lateral_bending_thoracic": _BENDING,
@@ -137,10 +152,27 @@ IN_PLAIN_UNITS = {
 TIMES_DEFAULT = "times the default stiffness"
 
 
+def ratio_title(name: str) -> str:
+    """What a ratio scales, in words."""
+    stem, _, part = name.partition(AT)
+    title = RATIO_TITLES.get(stem, stem.replace("_", " "))
+    return f"{title}, {part}" if part else title
+
+
+def stiffness_title(name: str) -> str:
+    """What ``told_stiffness`` tells of, in words: the same on report, cards and terminal."""
+    return sentence(PLAIN[name]) if name in PLAIN else ratio_title(name)
+
+
+def within_a_sentence(title: str) -> str:
+    """A title without its capital letter; that of a name stays."""
+    return title if title.startswith("Young") else title[:1].lower() + title[1:]
+
+
 def headline(estimate: Estimate) -> list[str]:
     """What was found, in plain units and words, a line a stiffness that was estimated."""
     return [
-        f"{PLAIN.get(name, name)}: {span_in_words(found, unit, determined)}"
+        f"{within_a_sentence(stiffness_title(name))}: {span_in_words(found, unit, determined)}"
         for name, found, unit, determined in told_stiffness(estimate)
     ]
 

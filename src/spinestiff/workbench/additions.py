@@ -26,7 +26,7 @@ from spinestiff.subject.intake.making import person_of
 from spinestiff.subject.intake.sorting import uses_of
 from spinestiff.subject.record_reading import parse_record
 from spinestiff.subject.records import REST_IMAGES, ScanRecord
-from spinestiff.words import counted
+from spinestiff.words import counted, push_named, sentence
 from spinestiff.workbench.newcomer import Export, Wish, look_record
 
 SAID = 4
@@ -67,7 +67,7 @@ def _lacking(standing: Standing) -> list[str]:
 def _use(image: str) -> str:
     kind, _, name = image.partition("/")
     push, _, view = name.partition("/")
-    return f"rest, {name}" if kind == "rest" else f"push {push}, view {view}" if view else f"push {push}"
+    return f"rest, {name}" if kind == "rest" else push_named(push) + (f", view {view}" if view else "")
 
 
 def _shown_as(standing: Standing, image: str) -> str:
@@ -101,10 +101,10 @@ def _changes(standing: Standing, addition: Addition, data: Mapping[str, Any]) ->
     rest = {"frontal": addition.sorting.frontal, "lateral": addition.sorting.lateral}
     lines = [f"A {view} radiograph at rest." for view, one in rest.items() if one is not None]
     for push in data["pushes"][len(standing.data["pushes"]) :]:
-        lines.append(f"Push {push['id']}, {len(push['forces_n'])} frames.")
+        lines.append(f"{sentence(push_named(push['id']))}, {len(push['forces_n'])} frames.")
     for number in addition.fills:
         if data["pushes"][number] != standing.data["pushes"][number]:
-            lines.append(f"Values of push {data['pushes'][number]['id']} that were open.")
+            lines.append(f"Values of {push_named(data['pushes'][number]['id'])} that were open.")
     told = [key for key in ("age", "sex") if standing.data.get(key) is None and data.get(key) is not None]
     return lines + [f"{key.capitalize()}, from the radiographs' headers." for key in told]
 

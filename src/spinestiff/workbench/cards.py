@@ -11,13 +11,14 @@ from typing import Any
 
 from spinestiff.curves.changes import NORMAL_95, change_words
 from spinestiff.errors import SpinestiffError
-from spinestiff.study.wording import PLAIN, badge, estimated, headline, interval, told_stiffness
+from spinestiff.study.wording import badge, estimated, headline, interval, stiffness_title, told_stiffness
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import Subject, annotatable, annotatable_views, read_annotation, read_unannotated
 from spinestiff.subject.gaps import Gap
 from spinestiff.subject.outcomes import Responses
 from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, REST_IMAGES, SUBJECT_FILE
 from spinestiff.subject.run_record import changed_lately, read_outcome, recorded_steps
+from spinestiff.words import push_named, sentence
 from spinestiff.workbench.job_table import Job
 from spinestiff.workbench.page_words import page_words
 
@@ -90,11 +91,6 @@ def in_words(name: str) -> str:
     return name.replace(SUBJECT_FILE, "values").replace(ANNOTATION_FILE, "annotation")
 
 
-def sentence(words: str) -> str:
-    """Words with a capital letter, as they stand on the page."""
-    return words[:1].upper() + words[1:]
-
-
 def _stage(subject: Subject) -> tuple[str, list[str]]:
     wanted = [name for name in annotatable(subject.record) if name != LATERAL]
     absent = [name for name in wanted if not os.path.lexists(subject.image_path(name))]
@@ -141,7 +137,7 @@ def result(subject: Subject) -> dict[str, Any] | None:
     stiffness = [
         {
             "name": name,
-            "title": sentence(PLAIN.get(name, name.replace("_", " "))),
+            "title": stiffness_title(name),
             "unit": unit,
             "determined": determined,
             "words": estimated(found),
@@ -195,12 +191,15 @@ def gap_words(subject: Subject, gap: Gap) -> str:
     frames = ""
     if gap.frames:
         frames = f", frame {gap.frames[0]}" + (f" to {gap.frames[-1]}" if len(gap.frames) > 1 else "")
-    return f"Push {subject.pushes[gap.push].id}{frames}: {words}"
+    return f"{sentence(push_named(subject.pushes[gap.push].id))}{frames}: {words}"
 
 
 def title_of(image: str) -> str:
     """An image in words."""
-    return image.replace("rest/", "Rest, ") if image in REST_IMAGES else image.replace("push/", "Push ")
+    kind, name, *of_view = image.split("/")
+    if kind == "rest":
+        return f"Rest, {name}"
+    return ", ".join([sentence(push_named(name)), *(f"{what} {one}" for what, one in zip(("frame", "view"), of_view))])
 
 
 def _one_line(error: Exception, folder: Path) -> str:

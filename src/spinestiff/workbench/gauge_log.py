@@ -16,6 +16,7 @@ from spinestiff.study.report.log_picture import draw_log
 from spinestiff.subject.folder import Subject, check_radiograph_path
 from spinestiff.subject.intake.force_log import FORCE_UNITS, TIME_UNITS, find_columns, read_force_log, with_units
 from spinestiff.subject.intake.logged import put_beside
+from spinestiff.words import push_named
 from spinestiff.workbench.page_words import page_words
 
 
@@ -58,7 +59,7 @@ def forces_of_log(subject: Subject, number: int, text: str, wish: LogWish) -> di
     except SpinestiffError as error:
         raise type(error)(str(error).replace(str(subject.folder), "the subject")) from None
     match = logged.match
-    picture = as_png(draw_log(f"push {push.id}", log, match, logged.times_s, logged.motion))
+    picture = as_png(draw_log(push_named(push.id), log, match, logged.times_s, logged.motion))
     return {
         "columns": columns.words,
         "notes": [*log.notes, *([f"the given time: {match.against}"] if match.against else [])],

@@ -16,10 +16,11 @@ from spinestiff.imaging.dicom.export import Exported
 from spinestiff.subject.gaps import PERSON
 from spinestiff.subject.intake import making
 from spinestiff.subject.intake.adding import TABLE
-from spinestiff.subject.intake.collecting import Refused, by_name, chosen_studies, collect, studies
+from spinestiff.subject.intake.collecting import Refused, Study, by_name, chosen_studies, collect, studies
 from spinestiff.subject.intake.making import Given
 from spinestiff.subject.intake.push_table import LARGEST_BYTES, TableRow, parse_push_table, pushes_of
 from spinestiff.subject.intake.sorting import Sorting, sort_files, uses_of
+from spinestiff.words import counted
 from spinestiff.workbench.rooms import Root
 
 MOST_SOURCES, MOST_LEFT_OUT = 500, 200
@@ -127,13 +128,35 @@ def look_record(
         for one in sorted(chosen, key=lambda one: (one.name not in uses, one.tags.moment or 0.0, one.name))
     ]
     return {
-        "studies": [{"label": one.label, "words": one.words} for one in studies(export.found)],
+        "studies": offered_studies(studies(export.found)),
         "files": rows,
         "left_out": [{"name": one.name, "why": one.why} for one in export.refused[:MOST_LEFT_OUT]],
         "left_out_in_all": len(export.refused),
         "told": {},
         "notes": [],
     }
+
+
+def offered_studies(groups: Sequence[Study]) -> list[dict[str, str]]:
+    """Studies as JSON, each by what people know of it: the day, what the hospital calls it and how many pictures it
+    has; by a file, too, where this tells nothing or not enough. With several patients a letter stands for each. Of one
+    study alone nobody asks, so that nothing of its header is told.
+    """
+    if len(groups) == 1:
+        return [{"label": groups[0].label, "words": groups[0].words}]
+    patients = len({one.files[0].tags.patient for one in groups})
+    told = [_known_of(one, patients > 1) for one in groups]
+    words = [
+        text if told.count(text) == 1 and (one.when or one.description) else f"{text} ({one.first})"
+        for one, text in zip(groups, told)
+    ]
+    return [{"label": one.label, "words": text} for one, text in zip(groups, words)]
+
+
+def _known_of(study: Study, several: bool) -> str:
+    who = f"Patient {study.label.rstrip('0123456789')}" if several else ""
+    about = ", ".join(filter(None, (who, study.when or "no date", study.description)))
+    return f"{about}: {counted(len(study.files), 'picture')}" + (f", {study.kinds}" if study.kinds else "")
 
 
 def for_a_page(words: str) -> str:

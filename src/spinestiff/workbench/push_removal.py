@@ -17,7 +17,7 @@ from spinestiff.subject.gaps import check_open_record
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.records import RESULTS, SUBJECT_FILE
 from spinestiff.subject.run_record import RUN_FILE
-from spinestiff.words import counted
+from spinestiff.words import counted, push_named, sentence
 from spinestiff.workbench.marks import (
     Contents,
     Marks,
@@ -85,7 +85,7 @@ def remove_push(folder: Path, push: str, keep: Callable[[RemovedPush], object]) 
         except SubjectError as problem:
             words = str(problem).removeprefix(f"{SUBJECT_FILE}: ")
             raise SubjectError(
-                f"push {push} can't be removed, since without it: {words}; first change the use of the other "
+                f"{push_named(push)} can't be removed, since without it: {words}; first change the use of the other "
                 "pushes' frames"
             ) from None
         removed = RemovedPush(position, pushes[position], marks)
@@ -132,7 +132,8 @@ def _write_all(folder: Path, texts: dict[str, str | None], stages: tuple[Content
 
 
 def _entails(folder: Path, removed: RemovedPush) -> list[str]:
-    lines = [f"Push {removed.name} was removed. Its radiographs stay in the folder ({removed.push['frames']})."]
+    name = sentence(push_named(removed.name))
+    lines = [f"{name} was removed. Its radiographs stay in the folder ({removed.push['frames']})."]
     if removed.marks:
         vertebrae = counted(removed.vertebrae, "marked vertebra", "marked vertebrae")
         lines.append(f"What was marked in them went to the trash ({vertebrae}).")

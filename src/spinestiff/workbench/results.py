@@ -17,7 +17,8 @@ from spinestiff.subject.folder import Subject, read_annotation, read_unannotated
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS
 from spinestiff.subject.run_record import changed_inputs, read_outcome, recorded_steps
-from spinestiff.workbench.cards import in_words, result, sentence, stale
+from spinestiff.words import sentence
+from spinestiff.workbench.cards import in_words, result, stale
 
 PAGES = {
     "report.html": "Report",

@@ -10,6 +10,7 @@ from typing import Any
 from spinestiff.errors import SpinestiffError
 from spinestiff.study.repeatability import estimate_of, repeatability, repeatability_lines
 from spinestiff.study.visit import open_visit
+from spinestiff.study.wording import ratio_title
 from spinestiff.subject.folder import read_unannotated
 from spinestiff.workbench.page_words import page_words
 
@@ -31,7 +32,8 @@ def visits_record(first: Path, second: Path) -> dict[str, Any]:
     except SpinestiffError as error:
         return {**told, "problem": _without(str(error), folders)}
     record = asdict(found)
-    return {**told, "lines": repeatability_lines(found), **{name: record[name] for name in ("scatter", "changes")}}
+    changes = [{**one, "title": ratio_title(one["name"])} for one in record["changes"]]
+    return {**told, "lines": repeatability_lines(found), "scatter": record["scatter"], "changes": changes}
 
 
 def _without(words: str, folders: tuple[Path, ...]) -> str:

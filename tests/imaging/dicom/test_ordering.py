@@ -41,6 +41,15 @@ def test_what_is_odd_is_warned_of(clocks, numbers, order, message):
         assert ordered("push", NAMES, clocks, numbers) == order
 
 
+def test_names_decide_where_no_file_has_anything_else():
+    """Numbers in names count as numbers, in each folder by itself."""
+    names = ("b/img10", "b/img2", "a/img11", "b/img2b", "B/IMG1")
+    nothing = [None] * 5
+    with pytest.warns(UserWarning, match="push: no file has an acquisition time or an instance number; ordered by"):
+        order = ordered("push", names, nothing, nothing)
+    assert [names[i] for i in order] == ["a/img11", "B/IMG1", "b/img2", "b/img2b", "b/img10"]
+
+
 @pytest.mark.parametrize(
     ("clocks", "numbers", "message"),
     [

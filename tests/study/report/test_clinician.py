@@ -30,7 +30,7 @@ from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
 from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import read_outcome, record_step, step_record, write_outcome
 
-OPEN = "The radiographs do not fix spine bending; "
+OPEN = "The radiographs do not fix lateral bending of a thoracic level; "
 NO_END = "the radiographs give no"
 
 
@@ -54,7 +54,7 @@ def quantity(value: float, low: float | None, high: float | None, opens: str = "
     ],
 )  # fmt: skip
 def test_intervals_in_words(found: Quantity, determined: Determination, words: str) -> None:
-    assert in_words("spine bending", found, "N m/rad", determined) == words
+    assert in_words("lateral bending of a thoracic level", found, "N m/rad", determined) == words
 
 
 def test_a_badge_says_how_far_it_is_known_and_never_how_the_search_ended(finished) -> None:
@@ -110,7 +110,7 @@ def test_what_to_distrust_comes_gravest_first(finished, subject: Path) -> None:
         ("angle may be noise",),
     )
     assert found[0] == "a ratio lies at its bound"
-    assert found[1] == "take as a range, not as a number: “Soft tissue of the trunk”"
+    assert found[1] == "take as a range, not as a number: “Young's modulus of the trunk's soft tissue”"
     assert found[2] == "Cobb angle at rest: angle may be noise"
     assert found[3] == "no radiograph was kept as a test: the prediction is untested"
     assert found.index("first note") > 3 and found.index("second note") > found.index("first note")

@@ -87,8 +87,8 @@ def test_a_table_fills_what_is_open_in_a_push_that_is_there(girl, pristine, name
         | {"roles": ["unused", "training", "validation"]}
     ]
     assert notes == [
-        "push push-1, side: stays left, the table has right",
-        "push push-1, frame 0: stays 0 N, the table has 5 N",
+        "push-1, side: stays left, the table has right",
+        "push-1, frame 0: stays 0 N, the table has 5 N",
     ]
 
 

@@ -176,6 +176,22 @@ def test_files_of_a_push_that_are_no_sequence_are_refused(exported, tmp_path):
         sort_files(found, pushes_of(path, read_push_table(path), found))
 
 
+def test_files_without_times_and_numbers_go_by_their_names_and_it_is_said(exported, tmp_path):
+    path = tmp_path / "pushes.csv"
+    rows = [f"{name},,{force},left,5,400,66" for name, force in (("s/img10", 30), ("s/img9", 20), ("r/img11", 0))]
+    path.write_text("\n".join([",".join(COLUMNS), *rows]))
+    found = [exported(name, time=None, without=("InstanceNumber",)) for name in ("s/img10", "s/img9", "r/img11")]
+    sorting = sort_files(found, pushes_of(path, read_push_table(path), found))
+    (push,) = sorting.pushes
+    assert [one.name for one in push.files] == ["r/img11", "s/img9", "s/img10"] and push.forces_n == (0.0, 20.0, 30.0)
+    assert sorting.reasons["s/img9"].endswith(
+        "in order of the files' names, since no header has times or numbers: check it"
+    )
+    sorting = sort_files(found, joined=[found])
+    assert names(sorting)[2] == [["r/img11", "s/img9", "s/img10"]]
+    assert "in order of the files' names" in sorting.reasons["s/img9"]
+
+
 def test_single_pictures_are_one_push_where_the_user_says_so(exported):
     """Each of a series of its own, minutes apart: nothing tells that they belong together."""
     found = [exported(name, time=time) for name, time in

@@ -2,7 +2,7 @@
 import { words } from "../../shared/net";
 import * as api from "./api";
 import type { Cobb, ImageInfo, Session, TrackedFrame, Tracking } from "./api";
-import { centre, changed, guessed, History, type ImageMarks, type Marks, moved, NOTHING, type Point, type Quad, removed, renamed, type Selection, selected, type Support, without } from "./marks";
+import { centre, changed, guessed, History, type ImageMarks, type Marks, moved, NOTHING, outermost, type Point, type Quad, removed, renamed, type Selection, selected, type Support, without } from "./marks";
 import { Pictures } from "./pictures";
 import { Proposals } from "./proposals";
 import { Saver } from "./saver";
@@ -25,8 +25,6 @@ export class App {
   curves: Cobb[] = [];
   judged = "";
   missing: string[];
-  upper = "T1";
-  lower = "L5";
   cursor: Point | null = null;
   show = true;
   busy = "";
@@ -35,6 +33,8 @@ export class App {
   private readonly saver: Saver;
   private draft: ImageMarks | null = null;
   private hidden: Marks = {};
+  /** What was last said of the spine's ends, for radiographs in which nothing is. */
+  private usual: [string, string];
   private readonly proposals = new Proposals<Quad>();
   private readonly guesses = new Proposals<Point>();
   private readonly pictures = new Pictures();
@@ -51,6 +51,8 @@ export class App {
       this.guesses.propose(key, guessed.filter((point) => point !== undefined));
     }
     this.history = new History(marks);
+    const told = session.images.flatMap(({ name }) => (marks[name] ? [this.endsOf(marks[name])] : []));
+    this.usual = told.find((ends) => ends !== null) ?? [this.names[0] as string, this.names[this.names.length - 1] as string];
     this.saver = new Saver(session.revision, says.saved, (lines) => { this.missing = lines; says.refresh(); });
     this.image = session.images[0] as ImageInfo;
     stage.onview = () => this.detail();
@@ -62,6 +64,9 @@ export class App {
   get allMarks(): Marks { return this.history.marks; }
   /** A push's own frames, not one of its radiographs from another side. */
   get isPush(): boolean { return /^push\/[^/]+$/.test(this.image.name); }
+  /** The vertebrae of the first and the last point along the spine: as said, else the outermost that are marked. */
+  get ends(): [string, string] { return this.endsOf(this.history.marks[this.image.name] ?? NOTHING) ?? this.usual; }
+  private endsOf(marks: ImageMarks): [string, string] | null { return marks.ends ?? outermost(marks, this.names); }
   get canUndo(): boolean { return this.history.canUndo; }
   get canRedo(): boolean { return this.history.canRedo; }
   /** From the side nobody can tell which of two shadows is the left pedicle's. */
@@ -373,8 +378,15 @@ export class App {
     this.says.problem(text, gone ?? (() => key !== this.key || tool !== this.tool || marks !== this.marks));
   }
 
+  setEnd(which: 0 | 1, name: string): void {
+    const ends: [string, string] = [...this.ends];
+    ends[which] = name;
+    this.usual = ends;
+    this.change((marks) => ({ ...marks, ends }), `the spine's points from ${ends[0]} to ${ends[1]}`);
+  }
+
   async propose(): Promise<void> {
-    const { marks, key } = this;
+    const { marks, key, ends } = this;
     if (marks.spine.length < 3) {
       this.choose("spine");
       return this.problem(
@@ -383,11 +395,12 @@ export class App {
       );
     }
     await this.whileBusy("Proposing …", async () => {
-      const found = await api.propose(this.image.name, this.frame, marks.spine, this.upper, this.lower, this.kept);
+      const found = await api.propose(this.image.name, this.frame, marks.spine, ...ends, this.kept);
       if (key !== this.key) return;
       const kept = this.kept;
       this.proposals.propose(key, Object.entries(found.vertebrae).filter(([name]) => !(name in kept)).map(([, quad]) => quad));
-      this.change((now) => ({ ...now, vertebrae: { ...found.vertebrae, ...kept } }), "proposal");
+      // Whatever is not visible or renamed later, the points keep their vertebrae.
+      this.change((now) => ({ ...now, ends, vertebrae: { ...found.vertebrae, ...kept } }), "proposal");
       this.choose("move");
       this.says.aloud(`${Object.keys(found.vertebrae).length} vertebrae proposed; look at each of them, L shows the next`);
     });
@@ -473,6 +486,6 @@ export class App {
     }
   }
 
-  clearSpine(): void { this.change((marks) => ({ ...marks, spine: [] }), "points along the spine cleared"); }
+  clearSpine(): void { this.change((marks) => ({ ...marks, spine: [], ends: null }), "points along the spine cleared"); }
   forget(name: string): void { this.tracking = without(this.tracking, name); }
 }

@@ -7,6 +7,8 @@ export interface ImageMarks {
   supports: Partial<Record<Support, Point[]>>;
   pedicles: Record<string, [Point, Point]>;
   spine: Point[];
+  /** The vertebrae of the first and the last of ``spine``, where somebody has said them; kept with a draft alone. */
+  ends?: [string, string] | null;
   /** Of the vertebrae, those that nobody has looked at since they were proposed; told and saved, not changed here. */
   unseen?: string[];
   /** Of vertebrae with one pedicle set by hand the other, 0 left or 1 right, which is a guess; told and saved likewise. */
@@ -81,7 +83,9 @@ export function renamed(marks: ImageMarks, names: readonly string[], step: numbe
     return entries.some(([name]) => name === undefined) ? null : (Object.fromEntries(entries) as Record<string, T>);
   };
   const vertebrae = shift(marks.vertebrae), pedicles = shift(marks.pedicles);
-  return vertebrae && pedicles ? { ...marks, vertebrae, pedicles } : null;
+  // The points stay where they are, so that their vertebrae have other names, too.
+  const ends = marks.ends?.map((name) => names[names.indexOf(name) + step] ?? name) as [string, string] | undefined;
+  return vertebrae && pedicles ? { ...marks, vertebrae, pedicles, ...(ends && { ends }) } : null;
 }
 
 /** A box for a vertebra that has none: between its neighbours, or beyond the last one; null without two others. */
@@ -102,6 +106,12 @@ export function guessed(marks: ImageMarks, names: readonly string[], name: strin
       ca[i] + share * (cb[i] - ca[i]) + (1 - size) * (pa[i] - ca[i]) + size * (pb[i] - cb[i]);
     return [rounded(part(0)), rounded(part(1))] as Point;
   }) as Quad;
+}
+
+/** The uppermost and the lowest vertebra that are marked; null without any. */
+export function outermost(marks: ImageMarks, names: readonly string[]): [string, string] | null {
+  const have = names.filter((name) => marks.vertebrae[name]), [first, last] = [have[0], have[have.length - 1]];
+  return first && last ? [first, last] : null;
 }
 
 interface Step { marks: Marks; image: string; words: string }

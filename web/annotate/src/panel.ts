@@ -12,6 +12,9 @@ const TOOLS: Record<Tool, [string, string]> = {
   pedicle: ["Pedicles", "Click the middle of a pedicle’s shadow; it goes to the nearest vertebra. The other one is guessed, dotted, until you click, choose or drag it, too. Optional."],
 };
 
+/** The fields of the spine's ends. */
+const ENDS = ["upper", "lower"] as const;
+
 function put(id: string, text: string): void {
   const element = need(id);
   if (element.textContent !== text) element.textContent = text;
@@ -49,11 +52,10 @@ export class Panel {
     put("subject", app.session.subject);
     this.makeImages();
     this.makeVertebrae();
-    for (const id of ["upper", "lower"] as const) {
+    for (const [i, id] of ENDS.entries()) {
       const select = need<HTMLSelectElement>(id);
       for (const name of app.names) select.add(new Option(name, name));
-      select.value = app[id];
-      select.addEventListener("change", () => { app[id] = select.value; });
+      select.addEventListener("change", () => app.setEnd(i as 0 | 1, select.value));
     }
     const click = (id: string, act: () => void): void => need(id).addEventListener("click", act);
     click("undo", () => app.undo());
@@ -135,7 +137,10 @@ export class Panel {
     const { app } = this, { marks } = app;
     if (standing?.()) says.problem("");
     this.makeTools();
-    for (const id of ["upper", "lower"] as const) need<HTMLSelectElement>(id).value = app[id];
+    for (const [i, id] of ENDS.entries()) {
+      need<HTMLSelectElement>(id).value = app.ends[i as 0 | 1];
+      need<HTMLSelectElement>(id).disabled = app.frame > 0;
+    }
     for (const [name, [made, mark, state]] of this.images) {
       const n = Object.keys(app.allMarks[name]?.vertebrae ?? {}).length;
       const open = app.missing.some((line) => line.startsWith(`${name}:`)), unseen = app.unseenIn(name);

@@ -62,7 +62,7 @@ export const gaugeLog = (key: string, asked: Values): Promise<GaugeLog> => send(
 export interface Visits {
   same: boolean; problem: string; lines: string[];
   scatter: Record<string, { within_sd_log: number; low: number; high: number; expected_sd_log: number; detectable_factor: number; expected_factor: number; p_value: number }>;
-  changes: { name: string; factor: number; low: number; high: number; detectable_factor: number; verdict: string }[];
+  changes: { name: string; title: string; factor: number; low: number; high: number; detectable_factor: number; verdict: string }[];
 }
 export const visits = (first: string, second: string): Promise<Visits> => get(`/api/visits/${first}/${second}`);
 export const verbs = (): Promise<Record<string, Verb>> => get("/api/verbs");

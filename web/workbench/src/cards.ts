@@ -1,7 +1,7 @@
 // All subjects: what is missing, the last run, what was found.
 import { button, h } from "../../shared/dom";
 import * as api from "./api";
-import { act, link, type Room, state, sure, undoable, when } from "./page";
+import { act, link, pushNamed, type Room, state, sure, undoable, when } from "./page";
 
 const NEXT: Record<api.Card["stage"], [string, string]> = {
   broken: ["Look at it", "values"], form: ["Fill in the values", "values"], radiographs: ["Add radiographs", "radiographs"], annotate: ["Annotate", "annotate"],
@@ -71,7 +71,7 @@ export async function cards(): Promise<Room> {
   return { element, leave: () => { over = true; clearTimeout(timer); } };
 }
 
-const titleOf = (one: api.Removed): string => (one.image ? `${one.name}: ${one.image.replace("rest/", "")} radiograph at rest` : one.push ? `${one.name}: push ${one.push}` : one.name);
+const titleOf = (one: api.Removed): string => (one.image ? `${one.name}: ${one.image.replace("rest/", "")} radiograph at rest` : one.push ? `${one.name}: ${pushNamed(one.push)}` : one.name);
 function removedWords(one: api.Removed): string {
   const marked = one.vertebrae ? `${one.vertebrae} vertebrae are marked in it` : "Nothing is marked in it";
   if (one.image) return `Replaced ${when(one.removed)}. ${marked}. Put back, it takes the place of the present one, which comes here.`;

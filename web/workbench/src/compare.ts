@@ -37,7 +37,7 @@ function change(of: api.Visits): HTMLElement {
   if (of.problem) return h("div", { class: "card", id: "change" }, title, h("p", { class: "warn" }, `Whether this person changed can’t be told: ${of.problem}`));
   const rows = of.changes.map((one) => {
     const scatter = of.scatter[one.name];
-    return h("tr", {}, h("th", { scope: "row" }, one.name.replaceAll("_", " ")), h("td", {}, h("b", {}, one.verdict)), h("td", {}, `${number(one.factor)} (${span(one.low, one.high)})`), h("td", {}, `a factor of ${number(one.detectable_factor)}`),
+    return h("tr", {}, h("th", { scope: "row" }, one.title), h("td", {}, h("b", {}, one.verdict)), h("td", {}, `${number(one.factor)} (${span(one.low, one.high)})`), h("td", {}, `a factor of ${number(one.detectable_factor)}`),
       h("td", {}, scatter ? `${number(scatter.within_sd_log)} (${span(scatter.low, scatter.high)}); expected ${number(scatter.expected_sd_log)}` : "not known"));
   });
   return h("div", { class: "card", id: "change" }, title, h("p", { class: "soft" }, "“First” is taken for the earlier visit."),

@@ -8,7 +8,7 @@ import { markers, views } from "./beside";
 import { skin, trunk } from "./body";
 import { type Context, field, input, isSimple, plain, sayId, typed, wordsOf } from "./fields";
 import { gaugeLog } from "./gauge";
-import { act, type Room, state, undoable } from "./page";
+import { act, pushNamed, type Room, sentence, state, undoable } from "./page";
 import { ratios } from "./ratios";
 import { scales } from "./scale";
 import { type Push, torso } from "./torso";
@@ -162,7 +162,7 @@ export async function values(key: string, next: HTMLElement): Promise<Room> {
     const rows = forces.map((_, i) => h("tr", { onpaste: (event: Event) => pasted(event, i) }, h("th", { scope: "row" }, `Frame ${i}`),
       h("td", {}, input(forces, i, `${path}.forces_n[${i}]`, { type: "number" }, context(), `Force in frame ${i}, N`), h("span", { class: "unit" }, "N")), h("td", {}, role(i)),
       h("td", {}, h("small", { class: "says", id: sayId(`${path}.forces_n[${i}]`) }), h("small", { class: "says", id: sayId(`${path}.roles[${i}]`) }))));
-    return h("fieldset", { class: "push" }, h("legend", {}, `Push ${String(push["id"] ?? number + 1)}`),
+    return h("fieldset", { class: "push" }, h("legend", {}, sentence(pushNamed(String(push["id"] ?? number + 1)))),
       h("p", { class: "says", id: sayId(path), role: "status" }),
       h("div", { class: "beside" }, h("div", {}, h("div", { class: "grid" }, ...PUSH.map((name) => field(push, name, `${path}.${name}`, told[name] ?? {}, context()))),
         h("table", { class: "frames" }, h("thead", {}, h("tr", {}, h("td", {}), h("th", { scope: "col" }, "Force on the ribs"), h("th", { scope: "col" }, "Use"), h("td", {}))), h("tbody", {}, ...rows)),

@@ -177,5 +177,5 @@ function join(boxes: HTMLInputElement[], asked: api.Asked, look: api.Look, again
   return h("div", { id: "joined" }, ...groups.map((group, i) => h("p", { class: "row" },
     h("span", {}, `One push of ${group.length} pictures, from the first frame on: ${[...group].sort((one, other) => frameOf(one) - frameOf(other)).join(", ")}`),
     button("Take it apart", () => act(() => without(i)), { "aria-label": `Take it apart: the push of ${group.length} pictures` }))),
-  boxes.length > 1 ? h("div", {}, h("p", { class: "row" }, make), h("p", { class: "soft" }, "For a push whose frames came as a file each, where they were not recognised. They are put in the order of their times, without these by the numbers in their headers.")) : null);
+  boxes.length > 1 ? h("div", {}, h("p", { class: "row" }, make), h("p", { class: "soft" }, "For a push whose frames came as a file each, where they were not recognised. They are put in the order of their times, without these by the numbers in their headers; where no header has either, by the files’ names.")) : null);
 }

@@ -33,6 +33,9 @@ export function act(what: () => Promise<void>, by?: HTMLButtonElement): void {
 
 export const state = { readOnly: false, uploadBytes: 0 };
 
+/** A push by its id; one that says what it is, as "push-1", stands alone. As the server says it (`words.py`). */
+export const pushNamed = (id: string): string => (/^push(?![a-z])/i.test(id) ? id : `push ${id}`);
+export const sentence = (text: string): string => text.slice(0, 1).toUpperCase() + text.slice(1);
 export const when = (seconds: number | null): string => (seconds === null ? "" : new Date(1000 * seconds).toLocaleString([], { dateStyle: "medium", timeStyle: "short" }));
 export function lasted(seconds: number): string {
   const whole = Math.max(0, Math.round(seconds));

@@ -3,12 +3,13 @@ import { button, h } from "../../shared/dom";
 import type { Values } from "./api";
 import { ends } from "./ends";
 import { boxed, type Context, field, plain, sayId, typed, wordsOf } from "./fields";
+import { pushNamed } from "./page";
 
 type Make = (change: () => void) => void;
 const OBJECT = ["object_mm", "object_px", "plane"], KINDS: Record<string, string> = { object: "a calibration object", vertebra: "a vertebra" };
 export function titleOf(image: string): string {
   const [kind, push, , view] = image.split("/");
-  return kind === "rest" ? `the ${image.slice(5)} radiograph at rest` : view ? `the view ${view} of push ${push ?? ""}` : `the pictures of push ${push ?? ""}`;
+  return kind === "rest" ? `the ${image.slice(5)} radiograph at rest` : view ? `the view ${view} of ${pushNamed(push ?? "")}` : `the pictures of ${pushNamed(push ?? "")}`;
 }
 
 /** A row for each image that has one, and what adds another. `holder` is `xray`, and `keep` puts it into the values. */

@@ -10,6 +10,7 @@ import typer
 from spinestiff.app.annotate import annotate_folder
 from spinestiff.app.commands.shared import Folder, at_work
 from spinestiff.app.options import (
+    by_picture,
     distance_limits,
     level_limits,
     offering,
@@ -70,15 +71,19 @@ def init(
     frontal: Annotated[str | None, typer.Option(help="File of the frontal rest radiograph.")] = None,
     lateral: Annotated[str | None, typer.Option(help="File of the lateral rest radiograph.")] = None,
     source_detector: Annotated[
-        float | None,
-        typer.Option(callback=within("mm", source_limits, above=True), help="X-ray source to detector, mm."),
+        list[str] | None,
+        typer.Option(
+            metavar="[PICTURE=]MM",
+            help="X-ray source to detector, mm: of all pictures, or of one, e.g. rest/lateral=1500; may be repeated.",
+        ),
     ] = None,
     source_patient: Annotated[
-        float | None,
-        typer.Option(callback=within("mm", source_limits, above=True), help="X-ray source to patient, mm."),
+        list[str] | None,
+        typer.Option(metavar="[PICTURE=]MM", help="X-ray source to patient, mm; of all pictures or of one."),
     ] = None,
     imager_pixel: Annotated[
-        float | None, typer.Option(callback=within("mm", pixel_limits, above=True), help="Pixel at the detector, mm.")
+        list[str] | None,
+        typer.Option(metavar="[PICTURE=]MM", help="Pixel at the detector, mm; of all pictures or of one."),
     ] = None,
     orientation: Annotated[
         str | None,
@@ -100,11 +105,16 @@ def init(
     one_of("--orientation", orientation, "standard")
     person = {"age": age, "sex": sex, "height_cm": height}
     push = {"side": side, "level": level, "d21_mm": d21, "d31_mm": d31}
-    xray = {"source_detector_mm": source_detector, "source_patient_mm": source_patient}
-    geometry = {**xray, "imager_pixel_mm": imager_pixel, "orientation": orientation}
-    given = Given(
-        *({key: value for key, value in part.items() if value is not None} for part in (person, push, geometry))
+    lengths = {
+        "source_detector_mm": by_picture("--source-detector", source_detector or (), source_limits),
+        "source_patient_mm": by_picture("--source-patient", source_patient or (), source_limits),
+        "imager_pixel_mm": by_picture("--imager-pixel", imager_pixel or (), pixel_limits),
+    }
+    geometry = {**{key: found.pop("", None) for key, found in lengths.items()}, "orientation": orientation}
+    told, of_pushes, of_all = (
+        {key: value for key, value in part.items() if value is not None} for part in (person, push, geometry)
     )
+    given = Given(told, of_pushes, of_all, lengths)
     asked = Asked(given, id, pushes, study, frontal, lateral, tuple(log or ()), tuple(log_offset or ()), log_columns,
                   log_units, not no_questions and on_terminal())  # fmt: skip
     make_subject(out, sources or [], asked)

@@ -1,7 +1,8 @@
-"""The order of single-frame files: by acquisition time and instance number; never by file name."""
+"""The order of single-frame files: by acquisition time and instance number; by file name where no file has either."""
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Sequence
 
@@ -11,17 +12,19 @@ from spinestiff.errors import RadiographError
 def ordered(
     folder: str, names: Sequence[str], clocks: Sequence[float | None], numbers: Sequence[int | None]
 ) -> list[int]:
-    """Indices of files in order: by time, equal times by instance number; without times by number.
+    """Indices of files in order: by time, equal times by instance number; without times by number; where no file has
+    either, by name, numbers in names as numbers.
 
     Parameters
     ----------
-    folder, names : for messages.
+    folder : for messages.
+    names : of the files, each once.
     clocks : s, of the acquisition.
     numbers : InstanceNumber.
 
     Warns
     -----
-    UserWarning : times and numbers disagree, numbers occur twice, or only some files have a time.
+    UserWarning : times and numbers disagree, numbers occur twice, only some files have a time, or the names decide.
 
     Raises
     ------
@@ -30,6 +33,9 @@ def ordered(
     indices = range(len(names))
     timed = all(clock is not None for clock in clocks)
     counted = all(number is not None for number in numbers)
+    if unnumbered(clocks, numbers):
+        _warn(f"{folder}: no file has an acquisition time or an instance number; ordered by file name: check the order")
+        return sorted(indices, key=lambda i: natural(names[i]))
     if not timed and not counted:
         raise RadiographError(
             f"{folder}: neither all acquisition times nor all instance numbers, so the order is unknown; "
@@ -56,6 +62,17 @@ def ordered(
         elif in_order != sorted(in_order):
             _warn(f"{folder}: acquisition times and instance numbers disagree; ordered by time")
     return order
+
+
+def unnumbered(clocks: Sequence[float | None], numbers: Sequence[int | None]) -> bool:
+    """Whether no file says when it was taken or which one it is, so that names alone are left."""
+    return all(clock is None for clock in clocks) and all(number is None for number in numbers)
+
+
+def natural(name: str) -> tuple[tuple[tuple[str, int], ...], str]:
+    """What sorts names as people do: img2 before img10."""
+    pieces = re.findall(r"(\D*)(\d*)", name.casefold())
+    return tuple((text, int(digits or -1)) for text, digits in pieces), name
 
 
 def _warn(message: str) -> None:

@@ -411,6 +411,8 @@ class ExportTags:
     view : what the words of the series call it, "frontal" or "lateral"; None if nothing, or both.
     use : the same, "rest" or "push".
     age, age_source : years and the field that tells them. sex : "female" or "male".
+    day : of the exposure, since the year 1; None if not told.
+    description : of the study, in one line; to be shown to whoever chooses one, and kept nowhere.
     """
 
     patient: str = ""
@@ -422,6 +424,8 @@ class ExportTags:
     age: float | None = None
     age_source: str = ""
     sex: str | None = None
+    day: int | None = None
+    description: str = ""
 
 
 # Words by which series are named, in a few languages; whole words, dots taken out.
@@ -453,7 +457,14 @@ def export_tags(dataset: Dataset) -> ExportTags:
         age,
         source,
         sex,
+        _day(_told(dataset, key) for key in _DAYS),
+        _line(_told(dataset, "StudyDescription")),
     )
+
+
+def _line(text: str) -> str:
+    """A free text without what is no letter, at most as long as such a field may be."""
+    return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())[:64]
 
 
 def _either(one: str, is_one: bool, other: str, is_other: bool) -> str | None:

@@ -15,9 +15,10 @@ import numpy as np
 from spinestiff.curves.changes import change_words
 from spinestiff.curves.pushes import rest_reading
 from spinestiff.study.plan_words import NONE_PAYS, TITLES, VIEW_WORDS, now_of, pays, size_of, width
-from spinestiff.study.report.content import BENDING_BAND, bending_line, comparison_content, ratio_title, stale_plan
+from spinestiff.study.report.content import BENDING_BAND, bending_line, comparison_content, stale_plan
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import (
+    PLAIN,
     estimated,
     factor95,
     fixed,
@@ -26,7 +27,10 @@ from spinestiff.study.wording import (
     has_intervals,
     listed,
     number,
+    ratio_title,
+    stiffness_title,
     told_stiffness,
+    within_a_sentence,
 )
 from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.estimate_outcome import Estimate, PlainStiffness
@@ -42,12 +46,6 @@ MOST_BESIDE_FAILED = 3
 """Of doubts, where checks failed."""
 LONGEST = 170
 """Characters of an item; of a longer one the engineer's part has the whole."""
-STIFFNESSES = {
-    "lateral_bending_thoracic": ("Bending a thoracic level sideways", "spine bending"),
-    "lateral_bending_lumbar": ("Bending a lumbar level sideways", "spine bending"),
-    "tissue_young": ("Soft tissue of the trunk", "the soft tissue"),
-}
-"""Stiffness in plain units: heading, and as a sentence names it."""
 MEANINGS: dict[Determination, str] = {
     "determined": "known within a factor of 2 either way, on average",
     "weakly determined": "known within a factor of 10 either way, on average, or from one side",
@@ -136,12 +134,12 @@ def stiffness(
     estimate: Estimate, name: str, found: Quantity, unit: str, determined: Determination | None
 ) -> dict[str, Any]:
     """One stiffness: heading, sentence, badge and a picture of its interval."""
-    title, what = STIFFNESSES.get(name, (ratio_title(name), ratio_title(name)[:1].lower() + ratio_title(name)[1:]))
+    title = stiffness_title(name)
     known = determined or found.determination
     interval = has_intervals(estimate) and found.low is not None
     return {
         "title": title,
-        "words": in_words(what, found, unit, known),
+        "words": in_words(within_a_sentence(title), found, unit, known),
         "badge": known if interval else "no interval",
         "meaning": MEANINGS[known] if interval else "nothing says how far to trust it",
         "good": interval and known == "determined",
@@ -155,7 +153,7 @@ def in_words(what: str, found: Quantity, unit: str, determined: Determination) -
 
     Parameters
     ----------
-    what : as a sentence names it, "spine bending".
+    what : as a sentence names it, "lateral bending of a thoracic level".
     """
     low, high, value = found.low, found.high, estimated(found)
     if low is None or high is None:
@@ -210,7 +208,7 @@ def doubts(estimate: Estimate, assessment: Assessment, warnings: Sequence[str]) 
     """
     found = [] if estimate.fit_status == "CONVERGED" else [estimate.fit_status_text]
     vague = [
-        STIFFNESSES.get(name, (ratio_title(name),))[0]
+        stiffness_title(name)
         for name, one, _, known in told_stiffness(estimate)
         if has_intervals(estimate) and (known or one.determination) != "determined"
     ]
@@ -224,7 +222,7 @@ def doubts(estimate: Estimate, assessment: Assessment, warnings: Sequence[str]) 
     if bending is not None and bending["factor"] is not None:
         beside = "; the interval reaches them" if bending["overlap"] else ""
         found.append(
-            f"bending a thoracic level comes out {bending['verdict']} cadaver segments "
+            f"{PLAIN['lateral_bending_thoracic']} comes out {bending['verdict']} cadaver segments "
             f"({bending['band_rad']} N m/rad){beside}: a standing trunk under small forces is not a segment on a bench"
         )
     return found + list(dict.fromkeys((*estimate.notes, *assessment.notes)))
@@ -260,9 +258,8 @@ def _worth_measuring(estimate: Estimate, name: str) -> str:
     now = estimate.sd_log.get(name, 0.0)
     if best is None or estimate.ratios[name].determined == "determined" or best.without[name] > WORTH * now:
         return ""
-    title = ratio_title(name)
     return (
-        f"{ADVICE[best.name]}: {title[0].lower()}{title[1:]} would be known within a factor of "
+        f"{ADVICE[best.name]}: {within_a_sentence(ratio_title(name))} would be known within a factor of "
         f"{factor95(best.without[name])} in place of {factor95(now)}"
     )
 

@@ -41,6 +41,7 @@ from spinestiff.study.wording import (
     most_costly,
     moved_sd,
     number,
+    ratio_title,
     response_texts,
     short_span,
     span_in_words,
@@ -60,19 +61,6 @@ BENDING_BAND = (1.3, 1.8)
 # Range of the ratio in the seven subjects of the method's first study. Its tissue ratios are left out: they belong to
 # another default tissue. "lateral_bending" takes the sternal joints along and is another ratio.
 PUBLISHED = {"intervertebral_bending": (0.01, 0.63)}
-RATIO_TITLES = {
-    "lateral_bending": "Lateral bending of the spine",
-    "intervertebral_bending": "Lateral bending of the spine, rib cage as it is",
-    "tissue": "Soft tissue of the trunk",
-    "tissue_mu": "Soft tissue of the trunk, shear",
-    "tissue_lambda": "Soft tissue of the trunk, bulk",
-    "flexion_extension": "Flexion and extension of the spine",
-    "axial_rotation": "Axial rotation of the spine",
-    "lateral_shear": "Lateral shear of the spine",
-    "sagittal_shear": "Sagittal shear of the spine",
-    "separation": "Axial stiffness of the spine",
-    "everything": "All stiffnesses together",
-}
 # Ratios that scale a level's lateral bending as a whole.
 BENDING = ("lateral_bending", "intervertebral_bending", "everything")
 PLAIN_TITLES = {
@@ -116,13 +104,6 @@ MOST_BARS = 10
 MOST_PANELS = 4  # of the variance budget's picture
 NUMBERED = (0.01, 0.1, 1.0, 5.0)  # ticks of a strip
 MOVED_SD = 0.2  # of a ratio's log, by other priors: what is worth a row
-
-
-def ratio_title(name: str) -> str:
-    """What a ratio scales, in words."""
-    stem, _, part = name.partition(AT)
-    title = RATIO_TITLES.get(stem, stem.replace("_", " "))
-    return f"{title}, {part}" if part else title
 
 
 def subject_content(visit: Visit) -> dict[str, Any]:

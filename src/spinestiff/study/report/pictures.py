@@ -20,7 +20,7 @@ from spinestiff.study.plan_words import TITLES, push_words, size_of, width
 from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.report.beside import pedicles_in
 from spinestiff.study.report.certainty_pictures import ProfileCurve, draw_profiles, draw_support_places
-from spinestiff.study.report.content import MODELS, budget_bars, ratio_title, support_places
+from spinestiff.study.report.content import MODELS, budget_bars, support_places
 from spinestiff.study.report.figures import (
     NO_POINTS,
     BudgetBars,
@@ -41,7 +41,7 @@ from spinestiff.study.report.tornado_picture import draw_tornado
 from spinestiff.study.sensitivity_words import largest, tornado_rows
 from spinestiff.study.truth import read_truth, true_values
 from spinestiff.study.visit import Visit
-from spinestiff.study.wording import listed, number
+from spinestiff.study.wording import listed, number, ratio_title, within_a_sentence
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.folder import image_corners, read_rest
 from spinestiff.subject.geometry_outcome import GeometryRecord
@@ -235,7 +235,7 @@ def profile_picture(visit: Visit, estimate: Estimate) -> Drawn:
         ends = (ratio.low, ratio.high)
         limit = estimate.interval_rise or 0.0
         curves.append(ProfileCurve(ratio_title(name), curve, limit, ends, ratio.value, truth.get(name)))
-    alt = "Profile of the likelihood along " + listed(_within_a_sentence(curve.title) for curve in curves) + "."
+    alt = "Profile of the likelihood along " + listed(within_a_sentence(curve.title) for curve in curves) + "."
     caption = (
         "How much less likely other values of a ratio are, with all else at its most probable there. The 95 % interval "
         "holds what lies below the dashed line. A flat stretch is a range that the radiographs don’t tell apart."
@@ -287,16 +287,12 @@ def planned_picture(plan: Plan) -> Drawn:
     return "plan", draw_plan(plan), alt, caption
 
 
-def _within_a_sentence(title: str) -> str:
-    return title[:1].lower() + title[1:]
-
-
 def budget_picture(estimate: Estimate) -> Drawn:
     """What each unknown does to the variance of the ratios."""
     titles, shares = budget_bars(estimate)
     figure = draw_budget(BudgetBars(titles, {ratio_title(name): rows for name, rows in shares.items()}))
     words = [
-        f"{_within_a_sentence(ratio_title(name))}: {titles[int(np.argmax(rows[:, 1]))]}, {gained:.0f} %"
+        f"{within_a_sentence(ratio_title(name))}: {titles[int(np.argmax(rows[:, 1]))]}, {gained:.0f} %"
         for name, rows in shares.items()
         for gained in [100.0 * rows[:, 1].max()]
     ]

@@ -33,7 +33,7 @@ from spinestiff.subject.lock import sole_run
 from spinestiff.subject.marker_table import marker_names
 from spinestiff.subject.record_reading import parse_record
 from spinestiff.subject.records import REST_IMAGES, SUBJECT_FILE, FurtherViewRecord, MarkersRecord, ScanRecord
-from spinestiff.words import counted
+from spinestiff.words import counted, push_named
 
 TABLE = "the table of pushes"
 """What messages call a table that comes without a file."""
@@ -245,7 +245,7 @@ def taken_names(folder: Path) -> list[str]:
 
 def _fill_push(record: dict[str, Any], push: PushFiles) -> Iterator[str]:
     """Put what a table tells of a push where it is open. Raises SubjectError where its forces are not one a frame."""
-    name = f"push {record['id']}"
+    name = push_named(record["id"])
     if len(record["forces_n"]) != push.frames:
         raise SubjectError(
             f"{name} has {len(record['forces_n'])} forces_n, but {counted(push.frames, 'frame')}; put that right first"

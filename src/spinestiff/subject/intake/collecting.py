@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path, PurePosixPath
 
 from spinestiff.errors import OptionError, RadiographError, SubjectError
@@ -36,15 +37,38 @@ class Study:
     files: tuple[Exported, ...]
 
     @property
-    def words(self) -> str:
-        """What is in it, without anything of the patient."""
+    def kinds(self) -> str:
+        """How many radiographs it has of which kind; "" where none is told."""
         singles = [sum(one.view == view and one.frames == 1 for one in self.files) for view in ("frontal", "lateral")]
         kinds = [f"{count} {view}" for count, view in zip(singles, ("frontal", "lateral")) if count]
         several = sum(one.frames > 1 for one in self.files)
-        kinds += [f"{several} of several frames"] if several else []
-        first = min(self.files, key=lambda one: one.name).name
-        inside = f": {', '.join(kinds)}" if kinds else ""
-        return f"{self.label} ({counted(len(self.files), 'file')}{inside}; {first})"
+        return ", ".join([*kinds, f"{several} of several frames"] if several else kinds)
+
+    @property
+    def first(self) -> str:
+        """The first of its files by name."""
+        return min(one.name for one in self.files)
+
+    @property
+    def words(self) -> str:
+        """What is in it, without anything of the patient."""
+        inside = f": {self.kinds}" if self.kinds else ""
+        return f"{self.label} ({counted(len(self.files), 'file')}{inside}; {self.first})"
+
+    @property
+    def when(self) -> str:
+        """Day of its first exposure, with its time if told, as "2025-06-12 10:15"; "" if no header tells."""
+        told = [(one.tags.day, one.tags.moment) for one in self.files if one.tags.day is not None]
+        if not told:
+            return ""
+        day, moment = min(told, key=lambda one: (one[0], math.inf if one[1] is None else one[1]))
+        minutes = "" if moment is None else f" {int(moment % 86400) // 3600:02d}:{int(moment % 3600) // 60:02d}"
+        return date.fromordinal(day).isoformat() + minutes
+
+    @property
+    def description(self) -> str:
+        """What the hospital calls it; "" if no header tells."""
+        return next((one.tags.description for one in self.files if one.tags.description), "")
 
 
 def collect(

@@ -15,6 +15,7 @@ from spinestiff.imaging.motion import motion_course
 from spinestiff.imaging.radiograph import read_scans, times_of
 from spinestiff.subject.intake.force_log import ForceLog
 from spinestiff.subject.intake.log_match import LEAST_RISE_N, LogMatch, given_offset, match_log, outside
+from spinestiff.words import push_named
 
 MOST_OUTSIDE_S = 1.0
 """By which the frames may reach beyond a log whose offset is given; there it has the force of its end."""
@@ -69,11 +70,13 @@ def put_beside(log: ForceLog, files: Sequence[Path], name: str, offset_s: float 
     times = np.array([np.nan if time is None else time for time in told])
     if not np.isfinite(times).all():
         raise SubjectError(
-            f"push {name}: its radiographs tell no times of their frames (FrameTime, AcquisitionTime), so a force log "
-            "can't be put beside them; write the forces into --pushes"
+            f"{push_named(name)}: its radiographs tell no times of their frames (FrameTime, AcquisitionTime), so a "
+            "force log can't be put beside them; write the forces into --pushes"
         )
     if (np.diff(times) <= 0.0).any():
-        raise SubjectError(f"push {name}: times of its frames do not grow, so a force log can't be put beside them")
+        raise SubjectError(
+            f"{push_named(name)}: times of its frames do not grow, so a force log can't be put beside them"
+        )
     motion = motion_course(frames)
     logged = Logged(log, times, motion, match_log(log, times, motion))
     return logged if offset_s is None else at_offset(logged, name, offset_s)
@@ -90,15 +93,15 @@ def at_offset(logged: Logged, name: str, offset_s: float) -> Logged:
     beyond = outside(log, times, offset_s)
     if beyond > MOST_OUTSIDE_S:
         raise SubjectError(
-            f"push {name}: with the first frame at {offset_s:g} s of the log frames lie {beyond:.1f} s beyond its ends "
-            f"({log.times_s[0]:g} and {log.times_s[-1]:g} s); wanted a log around them"
+            f"{push_named(name)}: with the first frame at {offset_s:g} s of the log frames lie {beyond:.1f} s beyond "
+            f"its ends ({log.times_s[0]:g} and {log.times_s[-1]:g} s); wanted a log around them"
         )
     match = given_offset(log, times, offset_s, logged.motion, logged.match)
     pushed = log.times_s[log.forces_n >= LEAST_RISE_N]
     if len(pushed) and match.forces_n.max() < LEAST_RISE_N:
         raise SubjectError(
-            f"push {name}: with the first frame at {offset_s:g} s of the log no frame has a force: the frames, until "
-            f"{times[-1] + offset_s:g} s, lie beside its push, from {pushed[0]:g} to {pushed[-1]:g} s; give another "
-            "offset"
+            f"{push_named(name)}: with the first frame at {offset_s:g} s of the log no frame has a force: the frames, "
+            f"until {times[-1] + offset_s:g} s, lie beside its push, from {pushed[0]:g} to {pushed[-1]:g} s; give "
+            "another offset"
         )
     return replace(logged, match=match)

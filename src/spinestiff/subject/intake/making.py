@@ -18,15 +18,19 @@ from spinestiff.subject.gaps import PERSON, PUSH, check_open_record, gaps_of
 from spinestiff.subject.intake.sorting import PushFiles, Sorting
 from spinestiff.subject.record_reading import IDENTIFIER, WANTED_ID, parse_record
 from spinestiff.subject.records import REST_IMAGES, SCHEMA_VERSION, SUBJECT_FILE, SubjectRecord
+from spinestiff.words import push_named
 
 
 @dataclass(frozen=True)
 class Given:
-    """What the user says: of the person, of all pushes for which nothing else is told, and of the X-ray geometry."""
+    """What the user says: of the person, of all pushes for which nothing else is told, of the X-ray geometry of all
+    pictures, and of single ones: for each value of ``ImageXRayRecord`` the pictures by name.
+    """
 
     person: Mapping[str, Any] = field(default_factory=dict)
     pushes: Mapping[str, Any] = field(default_factory=dict)
     xray: Mapping[str, Any] = field(default_factory=dict)
+    images: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 def identifier_of(out: Path, given: str | None) -> str:
@@ -107,7 +111,15 @@ def name_pushes(data: dict[str, Any], sorting: Sorting, taken: Iterable[str] = (
             count += 1
             name = f"{first}-{count}"
         names.add(name.casefold())
+        _rename_geometry(data, record.get("id"), name)
         record |= {"id": name, "frames": f"pushes/{name}" + (".dcm" if len(push.files) == 1 else "")}
+
+
+def _rename_geometry(data: dict[str, Any], before: str | None, name: str) -> None:
+    """A push's X-ray geometry of its own stays with it under another name."""
+    images = data.get("xray", {}).get("images", {})
+    if before != name and f"push/{before}" in images:
+        images[f"push/{name}"] = images.pop(f"push/{before}")
 
 
 def fill(data: dict[str, Any], given: Given) -> list[str]:
@@ -130,12 +142,38 @@ def fill(data: dict[str, Any], given: Given) -> list[str]:
             if push.get(key) is None:
                 push[key] = value
             elif push[key] != value:
-                notes.append(f"push {push['id']}, {key}: stays {push[key]}, {value} was given for all pushes")
+                notes.append(f"{push_named(push['id'])}, {key}: stays {push[key]}, {value} was given for all pushes")
     for key, value in given.xray.items():
         there = data.setdefault("xray", {})
         if there.setdefault(key, value) != value:
             notes.append(f"xray.{key}: stays {there[key]}, {value} was given; change it in {SUBJECT_FILE}")
     return notes
+
+
+def fill_images(data: dict[str, Any], given: Given) -> list[str]:
+    """Put the geometry of single pictures where ``data`` has none; returns a line for each that was told otherwise.
+
+    Raises
+    ------
+    OptionError : a picture that the subject has not.
+    """
+    known, notes = [*REST_IMAGES, *(image for push in data["pushes"] for image in _geometry_images(push))], []
+    for key, lengths in given.images.items():
+        for image, value in lengths.items():
+            if image not in known:
+                option = f"--{key.removesuffix('_mm').replace('_', '-')} {image[:80]}={value:g}"
+                raise OptionError(f"{option}: no such picture; wanted one of {', '.join(known)}")
+            there = data.setdefault("xray", {}).setdefault("images", {}).setdefault(image, {})
+            if there.setdefault(key, value) != value:
+                place = f"xray.images.{image}.{key}"
+                notes.append(f"{place}: stays {there[key]}, {value} was given; change it in {SUBJECT_FILE}")
+    return notes
+
+
+def _geometry_images(push: Mapping[str, Any]) -> list[str]:
+    """As ``PushRecord.geometry_images``, of a push with gaps."""
+    views = push.get("views") or ()
+    return [f"push/{push['id']}", *(f"push/{push['id']}/{view['frames'][0]}/{view['id']}" for view in views)]
 
 
 def check_place(out: Path, sources: Sequence[Path]) -> None:
@@ -210,7 +248,7 @@ def read_open_data(folder: Path, given: Given) -> dict[str, Any]:
     if not gaps_of(data):
         parse_record(json.dumps(data), str(path), SubjectRecord)
         filled = copy.deepcopy(data)
-        stays = fill(filled, given)
+        stays = fill(filled, given) + fill_images(filled, given)
         if filled == data:
             told = f", and nothing changes ({'; '.join(stays)})" if stays else ""
             raise SubjectError(

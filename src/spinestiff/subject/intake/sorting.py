@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from spinestiff.errors import RadiographError, SubjectError
 from spinestiff.imaging.dicom.export import Exported
+from spinestiff.imaging.dicom.ordering import unnumbered
 from spinestiff.imaging.radiograph import in_order, times_of
 from spinestiff.subject.intake.push_table import SHARED, TablePush, TableRow
-from spinestiff.words import counted
+from spinestiff.words import counted, push_named
 
 LONGEST_PAUSE_S = 60.0
 """Between radiographs of one frame each that are taken for one push."""
@@ -73,7 +74,7 @@ def uses_of(sorting: Sorting, names: Sequence[str]) -> dict[str, str]:
     uses = {}
     for name, push in zip(names, sorting.pushes):
         for number, one in enumerate(push.files):
-            uses[one.name] = f"push {name}" + (f", frame {number}" if len(push.files) > 1 else "")
+            uses[one.name] = push_named(name) + (f", frame {number}" if len(push.files) > 1 else "")
     for words, rest in (("rest, frontal", sorting.frontal), ("rest, lateral", sorting.lateral)):
         if rest is not None:
             uses[rest.name] = words
@@ -167,8 +168,7 @@ def _joined(files: Sequence[Exported]) -> PushFiles:
         ordered = _in_time(files)
     except RadiographError as problem:
         raise SubjectError(f"these pictures can't be one push: {str(problem).removeprefix('the push: ')}") from None
-    by = "time" if all(one.scan.tags.clock is not None for one in ordered) else "the numbers in their headers"
-    why = f"chosen, with {len(ordered) - 1} more, as one push; in order of {by}"
+    why = f"chosen, with {len(ordered) - 1} more, as one push; in order of {_order_words(ordered)}"
     return PushFiles(ordered, forces_n=(None,) * len(ordered), why=why)
 
 
@@ -209,9 +209,18 @@ def _in_time(files: Sequence[Exported]) -> tuple[Exported, ...]:
     with warnings.catch_warnings():
         # What is odd about the order is said of the folder that is made.
         warnings.simplefilter("ignore")
-        scans = in_order("the push", [one.scan for one in files])
-    by_scan = {id(one.scan): one for one in files}
-    return tuple(by_scan[id(scan)] for scan in scans)
+        # Files of several folders may have one name; their paths tell them apart.
+        scans = in_order("the push", [replace(one.scan, name=one.name) for one in files])
+    by_name = {one.name: one for one in files}
+    return tuple(by_name[scan.name] for scan in scans)
+
+
+def _order_words(files: Sequence[Exported]) -> str:
+    """By what files of a push are ordered, as ``in_order`` does."""
+    clocks, numbers = ([getattr(one.scan.tags, key) for one in files] for key in ("clock", "instance"))
+    if unnumbered(clocks, numbers):
+        return "the files' names, since no header has times or numbers: check it"
+    return "time" if None not in clocks else "the numbers in their headers"
 
 
 def _seen(one: Exported) -> str:
@@ -276,5 +285,6 @@ def _ordered(push: TablePush) -> PushFiles:
     roles = tuple("unused" if row is None else row.role or "unused" for row in rows)
     why = f"in the table of pushes, row{'s' if len(told) > 1 else ''} " + ", ".join(str(row.line) for row in told[:4])
     why += ", ..." if len(told) > 4 else ""
+    why += f"; in order of {_order_words(files)}" if len(files) > 1 else ""
     shared = {name: push.shared[name] for name in SHARED if name in push.shared}
     return PushFiles(files, shared, forces, roles if any(row.role for row in told) else None, push.name, why)
