@@ -110,11 +110,14 @@ def test_skewed_estimates_of_unchanged_people_scatter_as_they_say(skew) -> None:
 
 
 def test_an_interval_says_how_far_an_estimate_is_off_on_either_side() -> None:
-    reach = TWO_SIDED * 0.4
+    reach = TWO_SIDED * 0.1
     told = Quantity(value=1.0, low=float(np.exp(-2.0 * reach)), high=float(np.exp(0.8 * reach)))
-    one = VisitRatio.of(told, 0.1, 0.4)
+    one = VisitRatio.of(told, 0.1, 0.1)
     assert (one.known, one.below, one.above) == (True, pytest.approx(2.0), pytest.approx(0.8))
     assert (one.sd_on(upper=False), one.sd_on(upper=True)) == (pytest.approx(0.2), pytest.approx(0.08))
+    # Of a quarter of it a quarter as far from first order.
+    small = VisitRatio.of(told, 0.025, 0.1)
+    assert (small.sd_on(upper=False), small.sd_on(upper=True)) == (pytest.approx(0.03125), pytest.approx(0.02375))
     # Of a change, the sides that face each other: upwards the first one's upper and the second one's lower.
     other = replace(one, value=1.9)
     for before, after, sd in ((one, other, np.hypot(0.08, 0.2)), (other, one, np.hypot(0.2, 0.08))):

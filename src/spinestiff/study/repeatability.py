@@ -11,9 +11,10 @@ and two estimates of one unchanged person differ by less than 1.96 sqrt(2) s_w i
 told by Q = sum_ij (x_ij - weighted mean_i)^2 / sd_ij^2, chi-squared with sum_i (n_i - 1) degrees of freedom if they do.
 
 An estimate's 95 % interval reaches farther to one side than to the other where a stiffer spine makes up for softer
-tissue. So sd_ij is that of the side on which the other estimates lie: that to first order, times what the interval
-reaches there over what it would to first order. The interval of a difference is made of those of its two estimates in
-this way (Zou and Donner 2008, https://doi.org/10.1002/sim.3095).
+tissue: to r times what it would to first order. So sd_ij is that of the side on which the other estimates lie: to
+second order 1 + (r - 1) f times that to first order, with f the share of the estimate's whole standard deviation. The
+interval of a difference is made of those of its two estimates in this way (Zou and Donner 2008,
+https://doi.org/10.1002/sim.3095).
 
 What the model lacks of a person falls out of a difference only where both visits pushed alike. Where they did not, a
 change is judged by the estimates' whole standard deviations.
@@ -66,7 +67,7 @@ class VisitRatio:
         to first order.
     whole_sd_log : with what the model lacks of this person.
     known : whether its radiographs determine it, with a closed interval, and the result can be right.
-    below, above : by how much farther its 95 % interval reaches to this side than to first order, in log.
+    below, above : what its 95 % interval reaches to this side over what it would to first order, in log.
     """
 
     value: float
@@ -89,8 +90,9 @@ class VisitRatio:
         return replace(unknown, known=True, below=below, above=above)
 
     def sd_on(self, upper: bool) -> float:
-        """``sd_log`` on the upper or the lower side."""
-        return self.sd_log * (self.above if upper else self.below)
+        """``sd_log`` on the upper or the lower side, to second order."""
+        share = min(self.sd_log / self.whole_sd_log, 1.0)
+        return self.sd_log * (1.0 + share * ((self.above if upper else self.below) - 1.0))
 
 
 @dataclass(frozen=True)
