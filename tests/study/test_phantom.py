@@ -162,7 +162,7 @@ def test_a_joints_error_is_that_of_its_slope() -> None:
 
 def test_turns_against_the_moment_are_refused() -> None:
     joint = JointRecord(block="L1", moments_nmm=(1.0, 2.0, 3.0, 4.0), turns_deg=(-1.0, -2.0, -3.0, -4.0))
-    with pytest.raises(SubjectError, match="joint below L1: turns do not grow with the moment"):
+    with pytest.raises(SubjectError, match=r"phantom.json: joint below L1: turns do not grow with the moment"):
         bench_joint(joint)
 
 
@@ -241,6 +241,8 @@ def test_pictures_that_do_not_fit_are_refused(folder, record) -> None:
         read_phantom(folder)
     with pytest.raises(SubjectError, match="no such folder"):
         read_phantom(folder / "none")
+    with pytest.raises(SubjectError, match=r"corners.csv: rest: corners in mm; wanted pixels"):
+        analyse(record, [replace(image, unit="mm") for image in seen])
 
 
 def test_a_held_out_picture_without_a_block_of_the_one_at_rest_is_refused(record) -> None:

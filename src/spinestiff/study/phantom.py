@@ -200,7 +200,9 @@ def bench_joint(joint: JointRecord) -> BenchJoint:
     turns = np.deg2rad(joint.turns_deg)
     line, *_ = np.linalg.lstsq(design, turns, rcond=None)
     if not line[1] > 0.0:
-        raise SubjectError(f"joint below {joint.block}: turns do not grow with the moment; check the signs")
+        raise SubjectError(
+            f"{PHANTOM_FILE}: joint below {joint.block}: turns do not grow with the moment; check the signs"
+        )
     left = turns - design @ line
     variance = float(left @ left) / (len(turns) - 2) * np.linalg.inv(design.T @ design)[1, 1]
     return BenchJoint(joint.block, float(1.0 / line[1]), float(np.sqrt(variance) / line[1]))
@@ -337,7 +339,7 @@ def _priors(record: PhantomRecord) -> Priors:
 
 def _trial(phantom: Phantom, frame: FrameRecord, image: ImageCorners) -> Trial:
     if image.unit == "mm":
-        raise SubjectError(f"{image.image}: corners in mm; wanted pixels")
+        raise SubjectError(f"{CORNERS_FILE}: {image.image}: corners in mm; wanted pixels")
     # As seen from the front: the phantom's left is on the right of the picture.
     quads = image.corners[:, [1, 0, 3, 2]]
     corners = VertebraCorners(image.levels, phantom.view.from_pixels(quads))
