@@ -58,7 +58,7 @@ NUMBERS = numbers()
 
 
 def test_all_commands_were_walked():
-    assert len(NUMBERS) == 35
+    assert len(NUMBERS) == 32
     assert {words for words, _ in NUMBERS} == {
         ("synth",), ("init",), ("demo",), ("cobb",), ("torso", "import"), ("torso", "export"), ("torso", "show"),
         ("plan",), ("cohort",), ("serve",),
@@ -130,6 +130,17 @@ def offered(group, words=()):
     return found
 
 
+@pytest.mark.parametrize("option", ["--source-detector", "--source-patient", "--imager-pixel"])
+@pytest.mark.parametrize("text", ["nan", "inf", "-5", "0", "1e30", "rest/lateral=nan", "rest/lateral=0", "=5", "far"])
+def test_lengths_of_pictures_that_make_no_sense_are_refused(spinestiff, tmp_path, monkeypatch, option, text):
+    monkeypatch.chdir(tmp_path)
+    result = spinestiff("init", *ARGUMENTS.get(("init",), ()), option, text)
+    assert (result.status, result.out) == (2, "")
+    assert len(result.lines) == 1
+    assert result.lines[0].startswith(f"spinestiff: {option} {text}: wanted "), result.lines
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_shell_offers_all_words_that_an_option_takes_and_no_other():
     def both(words):
         return {*words, "both"}
@@ -157,7 +168,7 @@ def test_the_shell_offers_all_words_that_an_option_takes_and_no_other():
     open_ = {
         "--ratios", "--spine-id", "--id", "--log", "--log-columns", "--log-units", "--log-offset", "--study",
         "--frontal", "--lateral", "--host", "--proxy", "--parameters", "--ribs", "--under", "--scheduler", "--axes",
-        "--mesher",
+        "--mesher", "--source-detector", "--source-patient", "--imager-pixel",
     }  # fmt: skip
     found = offered(typer.main.get_command(app))
     assert {option for _, option in found} == known.keys() | open_
