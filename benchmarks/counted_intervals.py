@@ -8,12 +8,12 @@ beside it and labelled so. Shares come with the binomial standard error of so ma
 from __future__ import annotations
 
 import datetime
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kept_rows import rows_of
 from rich.console import Console
 from rich.table import Table
 from scipy.stats import chi2, norm
@@ -51,7 +51,7 @@ def read_logs(paths: Sequence[Path]) -> list[dict[str, Any]]:
     A profile rises no more than phi itself does where the truth is, so that what was solved there is a bound of z:
     beyond an interval's ends the profile is extrapolated.
     """
-    rows: list[dict[str, Any]] = [json.loads(line) for path in paths for line in path.read_text().splitlines()]
+    rows = rows_of(paths)
     for row in rows:
         before = row.get("width_factor", 1.0) / WIDTH_FACTOR
         for key in ("joint", "joint_solved"):

@@ -15,8 +15,6 @@ errors nearly, so the stance counts for as many mm of them. ``--json`` prints wh
 from __future__ import annotations
 
 import argparse
-import datetime
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from discrepancy_pairs import SEED, Bench, Modelled, Subject, modelled, personalised, subject_of
+from kept_rows import begun, keep, rows_of, tell
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.arrays import Floats
@@ -98,19 +97,13 @@ def main() -> None:
     if asked.json:
         print(RESULTS.read_text(encoding="utf-8"))
     elif asked.summary:
-        rows = [json.loads(line) for path in asked.summary for line in path.read_text().splitlines()]
-        found = {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), **summarised(rows)}
-        print(json.dumps(found, indent=1))
-        if asked.write:
-            RESULTS.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        tell(summarised(rows_of(asked.summary)), RESULTS if asked.write else None)
     elif asked.log:
-        lines = asked.log.read_text().splitlines() if asked.log.is_file() else []
-        done = {json.loads(line)["subject"] for line in lines}
+        done = {row["subject"] for row in begun(asked.log)}
         for number in range(asked.first, asked.first + asked.subjects):
             if number not in done:
                 row = of_subject(subject_of(number))
-                with asked.log.open("a") as stream:
-                    stream.write(json.dumps(row) + "\n")
+                keep(asked.log, row)
                 print(number, row.get("failed") or [row["annotation"], row["stance"]], row["cpu_s"], flush=True)
     else:
         parser.error("wanted --log FILE, --summary FILE... or --json")

@@ -19,8 +19,6 @@ is then made (on the coarse mesh), to first order as a plan's are, and of the es
 from __future__ import annotations
 
 import argparse
-import datetime
-import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,6 +27,7 @@ from typing import Any
 
 import numpy as np
 from coverage_subjects import PlacedPush, Subject, make_subject
+from kept_rows import begun, keep, rows_of, tell
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
@@ -199,20 +198,14 @@ def main() -> None:
     if asked.json:
         print(RESULTS.read_text(encoding="utf-8") if RESULTS.is_file() else "{}")
     elif asked.summary:
-        rows = [json.loads(line) for path in asked.summary for line in path.read_text().splitlines()]
-        found = {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), "arms": summarised(rows)}
-        print(json.dumps(found, indent=1))
-        if asked.write:
-            RESULTS.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        tell({"arms": summarised(rows_of(asked.summary))}, RESULTS if asked.write else None)
     elif asked.log:
-        lines = asked.log.read_text().splitlines() if asked.log.is_file() else []
-        done = {json.loads(line)["seed"] for line in lines}
+        done = {row["seed"] for row in begun(asked.log)}
         for seed in range(asked.first, asked.first + asked.people):
             if seed in done:
                 continue
             row = run_one(seed)
-            with asked.log.open("a") as stream:
-                stream.write(json.dumps(row) + "\n")
+            keep(asked.log, row)
             print(seed, row.get("failed") or [row[arm]["lateral_bending"] for arm in ARMS], row["cpu_s"], flush=True)
     else:
         parser.error("wanted --log FILE, --summary FILE... or --json")

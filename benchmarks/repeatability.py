@@ -16,8 +16,6 @@ often an unchanged person is said to have changed; estimates that do not determi
 from __future__ import annotations
 
 import argparse
-import datetime
-import json
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -27,6 +25,7 @@ from typing import Any
 
 import numpy as np
 from coverage_subjects import make_subject
+from kept_rows import begun, keep, rows_of, tell
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
@@ -135,22 +134,16 @@ def main() -> None:
     if asked.json:
         print(RESULTS.read_text(encoding="utf-8") if RESULTS.is_file() else "{}")
     elif asked.summary:
-        rows = [json.loads(line) for path in asked.summary for line in path.read_text().splitlines()]
-        found = {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), **summarised(rows)}
-        print(json.dumps(found, indent=1))
-        if asked.write:
-            RESULTS.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        tell(summarised(rows_of(asked.summary)), RESULTS if asked.write else None)
     elif asked.log:
-        rows = [json.loads(line) for line in asked.log.read_text().splitlines()] if asked.log.is_file() else []
-        known = {(row["seed"], row["visit"], row["annotator"]) for row in rows}
+        known = {(row["seed"], row["visit"], row["annotator"]) for row in begun(asked.log)}
         for seed in range(asked.first, asked.first + asked.people):
             for visit in range(asked.visits):
                 for annotator in range(asked.annotators):
                     if (seed, visit, annotator) in known:
                         continue
                     row = run_one(seed, visit, annotator)
-                    with asked.log.open("a") as stream:
-                        stream.write(json.dumps(row) + "\n")
+                    keep(asked.log, row)
                     print(seed, visit, annotator, row.get("failed") or row["estimate"], row.get("cpu_s"), flush=True)
     else:
         parser.error("wanted --log FILE, --summary FILE... or --json")

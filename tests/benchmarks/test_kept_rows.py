@@ -1,0 +1,39 @@
+"""Rows that campaigns keep, and the figure that the package took from one of them."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from programs import benchmark
+from spinestiff.estimation.discrepancy import STANCE_MM
+
+rows = benchmark("kept_rows")
+stance = benchmark("discrepancy_stance")
+
+
+def test_a_campaign_goes_on_where_it_was(tmp_path) -> None:
+    log = tmp_path / "log.jsonl"
+    assert rows.begun(log) == []
+    rows.keep(log, {"seed": 1})
+    rows.keep(log, {"seed": 2})
+    assert rows.begun(log) == rows.rows_of([log]) == [{"seed": 1}, {"seed": 2}]
+    with pytest.raises(FileNotFoundError):
+        rows.rows_of([tmp_path / "none"])
+
+
+def test_a_summary_is_printed_and_stored_where_asked(tmp_path, capsys) -> None:
+    rows.tell({"people": 3}, None)
+    assert json.loads(capsys.readouterr().out)["people"] == 3
+    rows.tell({"people": 4}, tmp_path / "found.json")
+    assert (tmp_path / "found.json").read_text() == capsys.readouterr().out
+
+
+def test_the_stance_counts_for_as_much_as_was_measured() -> None:
+    stored = json.loads(stance.RESULTS.read_text(encoding="utf-8"))
+    assert stored["stance_mm"] == pytest.approx(STANCE_MM, abs=0.05)
+    twice = [{"annotation": [0.01, 0.01], "stance": [0.02, 0.02]}, {"failed": "no equilibrium"}]
+    found = stance.summarised(twice)
+    assert (found["subjects"], found["failed"]) == (1, 1)
+    assert found["stance_mm"] == pytest.approx(2.0 * stance.ANNOTATION_MM)
