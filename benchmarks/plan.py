@@ -21,7 +21,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +37,11 @@ from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.mechanics.push import Rig
 from spinestiff.personalise.pose import align_view
 from spinestiff.personalise.shape import personalise
-from spinestiff.study.plan import COMFORT_N, SIDES, Wish, make_plan
-from spinestiff.study.plan_scene import Scene, places_of_draws, population_places
+from spinestiff.study.planning.proposal import composed, make_plan
+from spinestiff.study.planning.scene import Scene, places_of_draws, population_places
+from spinestiff.study.planning.states import CarriedPushes
+from spinestiff.study.planning.widths import ExpectedWidths
+from spinestiff.study.planning.wish import COMFORT_N, Wish
 from spinestiff.study.trials import Known, PushSet, fit_pushes, push_set
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlannedView
 
@@ -140,10 +143,12 @@ def run_one(seed: int) -> dict[str, Any]:
         next_one = make_plan(after(paper), Wish(views=FRONTAL)).next[0]
         found = estimated(seed, 2, {**PAPER, **placed([next_one])}, ratios)
         row["paper and next"] = {**told(found), "promised": next_one.factors}
-        convex = paper.subject.records[0].side
-        for number, (arm, sides) in enumerate((("best three", SIDES), ("best three, one side", (convex,)))):
-            plan = make_plan(before_any(paper), Wish(sides=sides, exposures=2 * FRAMES, views=FRONTAL))
-            pushes, promised = best_of(plan)
+        scene, either = before_any(paper), Wish(exposures=2 * FRAMES, views=FRONTAL)
+        convex = replace(either, sides=(paper.subject.records[0].side,))
+        carried = CarriedPushes(scene, either)
+        widths = ExpectedWidths(scene, either, carried)
+        for number, (arm, wish) in enumerate((("best three", either), ("best three, one side", convex))):
+            pushes, promised = best_of(composed(scene, wish, carried, widths))
             row[arm] = {**told(estimated(seed, 3 + number, placed(pushes), ratios)), "promised": promised}
     except SpinestiffError as error:
         row["failed"] = str(error)

@@ -38,7 +38,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load, rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.shape import personalise, place_vertebrae
-from spinestiff.study.plan_scene import POPULATION
+from spinestiff.study.planning.scene import POPULATION
 from spinestiff.study.spines import curved_spine
 
 RESULT = Path(__file__).parent / "results" / "variance_budget.json"

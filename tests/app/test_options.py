@@ -20,7 +20,7 @@ from spinestiff.errors import OptionError
 from spinestiff.estimation.fitted import METHODS
 from spinestiff.estimation.ratio_priors import POPULATIONS
 from spinestiff.imaging.features import ORIENTATIONS
-from spinestiff.study.plan import SIDES, VIEWS
+from spinestiff.study.planning.wish import SIDES, VIEWS
 from spinestiff.study.recipe import ACQUISITIONS
 from spinestiff.study.report.pdf import PAPERS
 from spinestiff.study.spines import CURVES

@@ -10,7 +10,7 @@ import pytest
 from spinestiff.app.plan import exposures_of, plan_record, wish_of
 from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import read_json, write_json
-from spinestiff.study.plan import RIBS, SIDES, VIEWS, Frame
+from spinestiff.study.planning.wish import RIBS, SIDES, VIEWS, Frame
 from spinestiff.study.report.clinician import next_lines
 from spinestiff.study.runner import ALL_STEPS
 from spinestiff.study.visit import open_visit

@@ -16,10 +16,11 @@ from spinestiff.imaging.features import view_kind
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.sensitivity import Linearisation
 from spinestiff.parallel import threads
-from spinestiff.study import plan as planning
-from spinestiff.study.plan import Frame, Wish, make_plan
-from spinestiff.study.plan_scene import places_of_draws, population_places, read_draws, scene_of
-from spinestiff.study.plan_words import now_of, pays, plan_lines, size_of
+from spinestiff.study.planning import proposal, states, widths
+from spinestiff.study.planning.proposal import make_plan
+from spinestiff.study.planning.scene import places_of_draws, population_places, read_draws, scene_of
+from spinestiff.study.planning.wish import Frame, Wish
+from spinestiff.study.planning.words import now_of, pays, plan_lines, size_of
 from spinestiff.study.report.protocol import protocol_page
 from spinestiff.study.runner import run_steps
 from spinestiff.study.visit import Settings, open_visit
@@ -67,7 +68,7 @@ def test_a_plan_holds_a_tangent_a_thread_and_is_that_of_all_at_once(scene, plan,
     monkeypatch.setattr(Linearisation, "__init__", counted)
     assert make_plan(scene, SMALL) == plan
     assert 1 <= most[0] <= threads()
-    monkeypatch.setattr(planning, "_OneByOne", lambda *trials: TrialSet(*trials, None))
+    monkeypatch.setattr(widths, "_OneByOne", lambda *trials: TrialSet(*trials, None))
     assert make_plan(scene, SMALL) == plan
     assert most[0] >= 8
 
@@ -81,6 +82,19 @@ def test_a_frontal_radiograph_is_worth_the_same_whether_or_not_lateral_ones_are_
         assert push.expected_factor == pytest.approx(both[push.side, push.level, push.force_n], abs=0.002)
     assert "lateral radiograph" not in " ".join(plan_lines(alone))
     assert "with a lateral radiograph beside each: within a factor of" in " ".join(plan_lines(plan))
+
+
+def test_a_narrower_wish_is_answered_from_the_same_equilibria(scene) -> None:
+    one = replace(scene, places=scene.places[:1])
+    both = replace(SMALL, ribs=(8.0,), views=("frontal",))
+    left = replace(both, sides=("left",))
+    carried = states.CarriedPushes(one, both)
+    found = proposal.composed(one, left, carried, widths.ExpectedWidths(one, both, carried))
+    alone = make_plan(one, left)
+    assert [(p.side, p.force_n) for p in found.next] == [(p.side, p.force_n) for p in alone.next]
+    assert {push.side for push in found.next} == {step.push.side for step in found.sequence} == {"left"}
+    assert [p.expected_factor for p in found.next] == pytest.approx([p.expected_factor for p in alone.next], abs=0.002)
+    assert len(found.sequence) == len(alone.sequence)
 
 
 def test_all_views_of_a_push_are_taken_once(scene) -> None:
@@ -157,7 +171,7 @@ def test_a_sequence_begins_with_the_best_and_counts_unloaded_radiographs(plan) -
 
 
 def test_once_a_step_hardly_narrows_none_after_it_pays(scene, monkeypatch) -> None:
-    monkeypatch.setattr(planning, "PAYS", 0.12)
+    monkeypatch.setattr(proposal, "PAYS", 0.12)
     found = make_plan(replace(scene, places=scene.places[:1]), replace(SMALL, exposures=8))
     flags = [step.pays for step in found.sequence]
     assert flags[0]
@@ -213,7 +227,7 @@ def test_doubts_about_the_estimate_are_told(finished, scene, monkeypatch) -> Non
     tissue = estimate.ratios["tissue"].model_copy(update={"open_low": True})
     odd = estimate.model_copy(update={"ratios": {**estimate.ratios, "tissue": tissue}})
     monkeypatch.setattr(
-        "spinestiff.study.plan_scene.read_outcome",
+        "spinestiff.study.planning.scene.read_outcome",
         lambda subject, kind: odd if kind is Estimate else read_outcome(subject, kind),
     )
     found = scene_of(opened)
@@ -286,12 +300,12 @@ def test_a_tape_narrows_tissue(scene) -> None:
 
 def test_pushes_that_bend_too_far_are_left_out_and_named(scene, monkeypatch) -> None:
     one = replace(scene, places=scene.places[:1])
-    monkeypatch.setattr(planning, "MOST_TURN", np.deg2rad(0.01))
+    monkeypatch.setattr(states, "MOST_TURN", np.deg2rad(0.01))
     with pytest.raises(EquilibriumError, match=r"no push of 15 to 30 N .* smaller forces with --limit"):
         make_plan(one, replace(SMALL, sides=("left",)))
     # Between what half and the whole of the force do.
     turned = turns(one, SMALL)
-    monkeypatch.setattr(planning, "MOST_TURN", 0.5 * (max(turned[15.0]) + min(turned[30.0])))
+    monkeypatch.setattr(states, "MOST_TURN", 0.5 * (max(turned[15.0]) + min(turned[30.0])))
     found = make_plan(one, replace(SMALL, sides=("left",)))
     assert {push.force_n for push in found.next} == {15.0}
     (note,) = found.notes

@@ -155,7 +155,7 @@ def noise_limits() -> tuple[float, float]:
 
 def push_limits() -> tuple[float, float]:
     """N, of a push that is planned: from what moves a spine to what the gauge reads."""
-    from spinestiff.study.plan import LEAST_LIMIT_N
+    from spinestiff.study.planning.wish import LEAST_LIMIT_N
     from spinestiff.subject.records import GAUGE_LIMIT_N
 
     return LEAST_LIMIT_N, GAUGE_LIMIT_N

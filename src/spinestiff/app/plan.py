@@ -10,9 +10,10 @@ from spinestiff.app import tables
 from spinestiff.errors import OptionError, SpinestiffError
 from spinestiff.files import write_bytes, write_text
 from spinestiff.observer import Observer, heard
-from spinestiff.study.plan import RIBS, ROUNDING, SIDES, VIEWS, Frame, Wish, make_plan
-from spinestiff.study.plan_scene import scene_of
-from spinestiff.study.plan_words import (
+from spinestiff.study.planning.proposal import make_plan
+from spinestiff.study.planning.scene import scene_of
+from spinestiff.study.planning.wish import RIBS, ROUNDING, SIDES, VIEWS, Frame, Wish
+from spinestiff.study.planning.words import (
     VIEW_WORDS,
     now_of,
     pays,
@@ -116,7 +117,7 @@ def plan_next(visit: Visit, wish: Wish, observer: Observer | None) -> Plan:
 
     Raises
     ------
-    SpinestiffError : see ``study.plan.make_plan`` and ``study.plan_scene.scene_of``; or something can't be written.
+    SpinestiffError : see ``planning.proposal.make_plan`` and ``planning.scene.scene_of``; also for unwritable files.
     """
     if "personalise" not in recorded_steps(visit.subject):
         run_steps(visit, ("personalise",), observer)

@@ -17,7 +17,7 @@ from spinestiff.errors import SubjectError, TorsoError
 from spinestiff.files import read_text, whole_folder, write_text
 from spinestiff.observer import Observer
 from spinestiff.study.plain import plain_stiffness
-from spinestiff.study.plan_scene import read_draws
+from spinestiff.study.planning.scene import read_draws
 from spinestiff.study.visit import Visit
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.run_record import read_outcome, refuse_changed, result_path

@@ -34,7 +34,7 @@ ABOVE = (
 """Rooms from which no result comes: imports point away from them."""
 TOLD = (
     "study/parameter_words.py",
-    "study/plan_words.py",
+    "study/planning/words.py",
     "study/report",
     "study/sensitivity_words.py",
     "study/seven/account.py",

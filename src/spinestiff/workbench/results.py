@@ -12,7 +12,7 @@ from typing import Any
 
 from spinestiff.errors import NotThere, SpinestiffError, SubjectError
 from spinestiff.files import regular_file
-from spinestiff.study.plan_words import plan_lines
+from spinestiff.study.planning.words import plan_lines
 from spinestiff.subject.folder import Subject, read_annotation, read_unannotated
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.records import ANNOTATION_FILE, RESULTS

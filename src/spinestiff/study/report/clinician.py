@@ -14,7 +14,7 @@ import numpy as np
 
 from spinestiff.curves.changes import change_words
 from spinestiff.curves.pushes import rest_reading
-from spinestiff.study.plan_words import NONE_PAYS, TITLES, VIEW_WORDS, now_of, pays, size_of, width
+from spinestiff.study.planning.words import NONE_PAYS, TITLES, VIEW_WORDS, now_of, pays, size_of, width
 from spinestiff.study.report.content import BENDING_BAND, bending_line, comparison_content, stale_plan
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import (

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from spinestiff import __version__
 from spinestiff.files import write_bytes, write_text
 from spinestiff.observer import Observer
-from spinestiff.study.plan_words import plan_lines
+from spinestiff.study.planning.words import plan_lines
 from spinestiff.study.predictions import Predictions
 from spinestiff.study.report.beside import beside_pictures, beside_rows, pixels_in
 from spinestiff.study.report.clinician import clinician_content

@@ -16,7 +16,7 @@ from spinestiff.estimation.unknowns import PLACING
 from spinestiff.imaging.features import silhouette_shares, state_features, target_features, vertebra_rows
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
-from spinestiff.study.plan_words import TITLES, push_words, size_of, width
+from spinestiff.study.planning.words import TITLES, push_words, size_of, width
 from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.report.beside import pedicles_in
 from spinestiff.study.report.certainty_pictures import ProfileCurve, draw_profiles, draw_support_places

@@ -1,0 +1,1 @@
+"""Which push to take next (docs/plan.md)."""
