@@ -30,7 +30,7 @@ from coverage_subjects import PlacedPush, Subject, make_subject
 from kept_rows import begun, keep, rows_of, tell
 
 from spinestiff.anatomy.template import template_torso
-from spinestiff.errors import SpinestiffError
+from spinestiff.errors import FitError, SpinestiffError
 from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import WIDTH_FACTOR
@@ -76,7 +76,10 @@ def estimated(seed: int, visit: int, placed: Mapping[str, PlacedPush], ratios: M
     shaped = personalise(template, subject.rest)
     known = Known(Priors(), shaped.covariance)
     pushes = push_set(shaped.torso, subject.records, subject.tracked, known=known)
-    return Estimated(subject, pushes, fit_pushes(pushes, NAMES, START, extent="intervals"))
+    fit = fit_pushes(pushes, NAMES, START, extent="intervals")
+    if fit.likely is None:
+        raise FitError(f"an estimate without intervals: {fit.status.value}")
+    return Estimated(subject, pushes, fit)
 
 
 def before_any(found: Estimated) -> Scene:

@@ -55,6 +55,26 @@ def test_one_place_is_first_order_around_it() -> None:
     assert np.allclose(found, values + slopes[0] @ [0.2, -0.1])
 
 
+def test_a_difference_keeps_to_where_it_was_seen() -> None:
+    values, slopes = cubic(PLACES)
+    level = Kriging(PLACES, values, slopes, length=0.7, rising=False)
+    assert np.allclose(level.at(PLACES), values, atol=0.05)
+    far = PLACES[:1] + [[-3.0, 3.5], [4.0, 0.0]]
+    assert np.allclose(level.at(far), values[0], atol=1e-3)
+    assert not np.allclose(Kriging(PLACES, values, slopes).at(far), values[0], atol=0.5)
+
+
+def test_the_likeliest_length_is_that_over_which_a_function_changes() -> None:
+    x = np.linspace(-1.0, 1.0, 7)[:, None]
+    lengths = (0.3, 0.7, 1.5, 3.0)
+    chosen = []
+    for wave in (0.3, 3.0):
+        values, slopes = np.sin(x / wave), (np.cos(x / wave) / wave)[:, None]
+        found = [float(Kriging(x, values, slopes, one, rising=False).log_likelihood[0]) for one in lengths]
+        chosen.append(lengths[int(np.argmax(found))])
+    assert chosen[0] < 1.0 < chosen[1]
+
+
 @pytest.fixture(scope="module")
 def emulator(likely) -> Emulator:
     return likely.emulator

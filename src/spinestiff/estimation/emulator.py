@@ -21,6 +21,8 @@ from spinestiff.estimation.weighed import Reduced, Weights, reduced
 
 # Correlation length in log ratio: residuals change their course over a factor of seven or so.
 LENGTH = 2.0
+# Of what phi on a finer mesh differs by from phi on a coarser one: tried beside ``LENGTH``, the likeliest is taken.
+DIFFERENCE_LENGTHS = (1.4, 1.0, 0.7, 0.5)
 # Relative variance that keeps places close to each other, which first order has a little wrong, from being at odds.
 NUGGET = 1e-4
 # Of a difference's derivatives by its own values, in log ratio.
@@ -45,14 +47,24 @@ class Kriging:
 
     Parameters
     ----------
-    places : (K, P). values : (K, R). slopes : (K, R, P) or None: of the first place only, 0. Far from all places the
-        function rises as at the first one.
+    places : (K, P). values : (K, R). slopes : (K, R, P) or None: of the first place only, 0.
+    length : of correlation, in log ratio.
+    rising : far from all places the function rises as at the first one; else it is there what it is at the first one.
+
+    Attributes
+    ----------
+    log_likelihood : (R,) of what is known, as a Gaussian process of this length and of the likeliest size; give or take
+        a constant.
     """
 
-    def __init__(self, places: Floats, values: Floats, slopes: Floats | None) -> None:
-        self._places, self._sloped = places, slopes is not None
+    def __init__(
+        self, places: Floats, values: Floats, slopes: Floats | None, length: float = LENGTH, rising: bool = True
+    ) -> None:
+        self._places, self._sloped, self._length = places, slopes is not None, length
         self._base, self._value = places[0], values[0]
-        self._slope = np.zeros((values.shape[1], places.shape[1])) if slopes is None else slopes[0]
+        self._slope = np.zeros((values.shape[1], places.shape[1]))
+        if slopes is not None and rising:
+            self._slope = slopes[0]
         left = values - self._first_order(places)
         targets = left
         if slopes is not None:
@@ -60,7 +72,11 @@ class Kriging:
             targets = np.concatenate([left, change.transpose(2, 0, 1).reshape(-1, values.shape[1])])
         kernel = self._covariance(places, True)
         kernel[np.diag_indices_from(kernel)] *= 1.0 + NUGGET
-        self._solved = cho_solve(cho_factor(kernel + NUGGET * np.eye(len(kernel)), lower=True), targets)
+        factor = cho_factor(kernel + NUGGET * np.eye(len(kernel)), lower=True)
+        self._solved = cho_solve(factor, targets)
+        sizes = np.sum(targets * self._solved, axis=0) / len(kernel)
+        with np.errstate(divide="ignore"):
+            self.log_likelihood = -0.5 * len(kernel) * np.log(sizes) - np.sum(np.log(np.diag(factor[0])))
 
     def at(self, where: Floats) -> Floats:
         """(S, R) values at places (S, P)."""
@@ -77,20 +93,20 @@ class Kriging:
 
     def _covariance(self, where: Floats, own: bool) -> Floats:
         """Of values (and, for ``own``, slopes) at some places with values and slopes at the known ones."""
-        apart = (where[:, None] - self._places[None]) / LENGTH
+        apart = (where[:, None] - self._places[None]) / self._length
         value = np.exp(-0.5 * np.sum(apart**2, axis=2))
         if not self._sloped:
             return np.asarray(value)
         p = apart.shape[2]
         # d/dy k(x, y) = k (x - y) / l^2, d/dx k = -k (x - y) / l^2, d2/dx dy k = k (1 - dd^T) / l^2.
-        to_slope = [value * apart[..., j] / LENGTH for j in range(p)]
+        to_slope = [value * apart[..., j] / self._length for j in range(p)]
         top = np.hstack([value, *to_slope])
         if not own:
             return np.asarray(top)
         rows = [top]
         for i in range(p):
-            cross = [value * ((i == j) - apart[..., i] * apart[..., j]) / LENGTH**2 for j in range(p)]
-            rows.append(np.hstack([-value * apart[..., i] / LENGTH, *cross]))
+            cross = [value * ((i == j) - apart[..., i] * apart[..., j]) / self._length**2 for j in range(p)]
+            rows.append(np.hstack([-value * apart[..., i] / self._length, *cross]))
         return np.vstack(rows)
 
 
@@ -187,16 +203,26 @@ class Emulator:
         if prior_sds is not None:
             self._sds = prior_sds
 
-    def _difference(self, models: list[Reduced]) -> Kriging:
-        """Of phi (first) and the most probable nuisances at the kept places, from what the surface alone has there."""
+    def _difference(self, models: list[Reduced]) -> tuple[Kriging, Kriging]:
+        """Of phi, and of the most probable nuisances, at the kept places, from what the surface alone has there.
+
+        phi's may be one that goes over within a short way, which then keeps to where it was seen: carried on as far as
+        residuals are, it would dig holes where nothing was solved. One place tells no length.
+        """
         wanted = np.array([[_height(model), *model.nuisances] for model in models])
         slopes = np.array([np.vstack([model.ratios.T @ model.values, model.follow]) for model in models])
         steps = DIFFERENCE * np.eye(self.log_ratios.shape[1])
-        own, rising = self._on_surface(self.log_ratios), np.zeros_like(slopes)
+        own, climbing = self._on_surface(self.log_ratios), np.zeros_like(slopes)
         for i, step in enumerate(steps):
             ahead, behind = (self._on_surface(self.log_ratios + sign * step) for sign in (1.0, -1.0))
-            rising[:, :, i] = (ahead - behind) / (2.0 * DIFFERENCE)
-        return Kriging(self.log_ratios, wanted - own, slopes - rising)
+            climbing[:, :, i] = (ahead - behind) / (2.0 * DIFFERENCE)
+        apart, changing = wanted - own, slopes - climbing
+        ways = [(LENGTH, True)]
+        if len(models) > 1:
+            ways += [(length, False) for length in DIFFERENCE_LENGTHS]
+        phis = [Kriging(self.log_ratios, apart[:, :1], changing[:, :1], length, rising) for length, rising in ways]
+        likeliest = max(phis, key=lambda one: float(one.log_likelihood[0]))
+        return likeliest, Kriging(self.log_ratios, apart[:, 1:], changing[:, 1:])
 
     def _on_surface(self, where: Floats) -> Floats:
         phi, nuisances, _ = self._solved(where)
@@ -206,13 +232,13 @@ class Emulator:
         """(S,) at places (S, P)."""
         where = np.atleast_2d(log_ratios)
         phi = self._solved(where)[0]
-        return phi if self._added is None else np.asarray(phi + self._added.at(where)[:, 0])
+        return phi if self._added is None else np.asarray(phi + self._added[0].at(where)[:, 0])
 
     def nuisances(self, log_ratios: Floats) -> tuple[Floats, Floats]:
         """Most probable nuisances (M,) at a place (P,), and their covariance (M, M) there, in prior sds."""
         where = np.atleast_2d(log_ratios)
         _, found, inverse = self._solved(where, True)
-        most = found if self._added is None else found + self._added.at(where)[:, 1:]
+        most = found if self._added is None else found + self._added[1].at(where)
         return most[0], inverse[0]
 
     def _solved(self, where: Floats, covariance: bool = False) -> tuple[Floats, Floats, Floats]:
