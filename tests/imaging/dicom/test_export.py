@@ -11,7 +11,7 @@ from pydicom.tag import Tag
 from hospital import CANARY, export
 from spinestiff.errors import RadiographError
 from spinestiff.imaging.dicom.export import read_exported
-from spinestiff.imaging.dicom.tags import export_tags
+from spinestiff.imaging.dicom.person_tags import export_tags
 
 
 @pytest.fixture

@@ -10,8 +10,9 @@ from spinestiff.imaging.dicom.files import declared_modality, one_clear_line, re
 from spinestiff.imaging.dicom.layout import check_modality
 from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.dicom.orientation import BEAMS
+from spinestiff.imaging.dicom.person_tags import ExportTags, export_tags
 from spinestiff.imaging.dicom.reading import Scan, read_scan
-from spinestiff.imaging.dicom.tags import ExportTags, coded_word, export_tags
+from spinestiff.imaging.dicom.tags import coded_word
 from spinestiff.imaging.shown_view import ShownView, shown_view
 
 EVEN = 1e-3

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from spinestiff.imaging.dicom.files import one_clear_line, read_dataset
-from spinestiff.imaging.dicom.tags import identity_tags
+from spinestiff.imaging.dicom.person_tags import identity_tags
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
-"""The one place where tags are touched: everything that reading a radiograph needs, as plain Python values.
+"""Tags of a picture: everything that reading a radiograph needs, as plain Python values.
 
 What a radiofluoroscopic or angiographic file of the enhanced kind keeps in functional groups is found there, if all
-frames share it. Texts and numbers of the patient never leave this module: identities are kept as hashes.
+frames share it. Tags are touched here and in ``person_tags`` only; texts and numbers of the patient leave neither:
+identities are kept as hashes.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import datetime
 import hashlib
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -118,10 +119,10 @@ def read_tags(dataset: Dataset) -> Tags:
     signed = _integer(dataset, "PixelRepresentation", 0)
     if signed not in (0, 1):
         raise RadiographError(f"PixelRepresentation: found {signed}, wanted 0 or 1; export it again")
-    syntax = UID(str(_own(dataset.file_meta, "TransferSyntaxUID") or ""))
+    syntax = UID(str(own(dataset.file_meta, "TransferSyntaxUID") or ""))
     if not syntax:
         raise RadiographError("TransferSyntaxUID: missing, wanted how the pixels are coded; export it again")
-    kind = UID(str(_own(dataset, "SOPClassUID") or ""))
+    kind = UID(str(own(dataset, "SOPClassUID") or ""))
     instance = _number(dataset, "InstanceNumber")
     return Tags(
         modality=modality,
@@ -159,8 +160,8 @@ def read_tags(dataset: Dataset) -> Tags:
         times=_frame_times(dataset, frames),
         clock=_clock(dataset),
         instance=None if instance is None else int(instance),
-        identity=_hashed(dataset, "SOPInstanceUID"),
-        patient=_hashed(dataset, "PatientID"),
+        identity=hashed(dataset, "SOPInstanceUID"),
+        patient=hashed(dataset, "PatientID"),
     )
 
 
@@ -181,7 +182,7 @@ def shown(word: str) -> str:
     return {"": "none", "?": "an unlisted word"}.get(word, word)
 
 
-def _own(dataset: Dataset, keyword: str) -> Any:
+def own(dataset: Dataset, keyword: str) -> Any:
     """Of the dataset itself, where pydicom parses an element at its first use."""
     with named(keyword):
         return dataset.get(keyword)
@@ -190,7 +191,7 @@ def _own(dataset: Dataset, keyword: str) -> Any:
 def _value(dataset: Dataset, keyword: str) -> Any:
     """Of the dataset itself, or of the functional groups, where every frame has to have the same."""
     if keyword in dataset:
-        return _own(dataset, keyword)
+        return own(dataset, keyword)
     with named("the frames' functional groups"):
         found = [_grouped(group, keyword) for group in (dataset.get("SharedFunctionalGroupsSequence") or [])[:1]]
         found += [_grouped(group, keyword) for group in dataset.get("PerFrameFunctionalGroupsSequence") or []]
@@ -358,15 +359,15 @@ def _frame_times(dataset: Dataset, frames: int) -> tuple[float | None, ...]:
 def _clock(dataset: Dataset) -> float | None:
     """Seconds of the acquisition since the year 1, or since midnight without a date; None if the file doesn't tell."""
     # Read by hand: values like 17:58:00 of old systems are worth having, and a bad time is no reason to refuse.
-    moment = str(_own(dataset, "AcquisitionDateTime") or "")
+    moment = str(own(dataset, "AcquisitionDateTime") or "")
     date, time = (moment[:8], moment[8:]) if len(moment) > 8 else (
-        str(_own(dataset, "AcquisitionDate") or ""), str(_own(dataset, "AcquisitionTime") or "")
+        str(own(dataset, "AcquisitionDate") or ""), str(own(dataset, "AcquisitionTime") or "")
     )  # fmt: skip
-    seconds = _seconds(time)
-    return None if seconds is None else 86400.0 * (_ordinal(date) or 0) + seconds
+    seconds = seconds_of(time)
+    return None if seconds is None else 86400.0 * (ordinal(date) or 0) + seconds
 
 
-def _seconds(time: str) -> float | None:
+def seconds_of(time: str) -> float | None:
     """Since midnight."""
     found = re.match(r"(\d\d):?(\d\d)?:?(\d\d(?:\.\d+)?)?", time)
     if found is None:
@@ -375,7 +376,7 @@ def _seconds(time: str) -> float | None:
     return 3600.0 * hours + 60.0 * minutes + seconds
 
 
-def _ordinal(date: str) -> int | None:
+def ordinal(date: str) -> int | None:
     """Day since the year 1."""
     try:
         return datetime.date.fromisoformat(date.replace(".", "").strip()).toordinal()
@@ -383,134 +384,12 @@ def _ordinal(date: str) -> int | None:
         return None
 
 
-def identity_tags(dataset: Dataset) -> tuple[tuple[str, str], int | None, bool]:
-    """For ``identity.Identity``: hashes of the patient's number and of name with birth date, the day, whether the
-    patient was taken out."""
-    name, birth = (str(dataset.get(keyword) or "").strip() for keyword in ("PatientName", "PatientBirthDate"))
-    person = _hash(f"{name.casefold()}\0{birth}") if name and birth else ""
-    removed = str(dataset.get("PatientIdentityRemoved") or "").strip().upper() == "YES"
-    return (_hashed(dataset, "PatientID"), person), _day(str(dataset.get(key) or "") for key in _DAYS), removed
+def hashed(dataset: Dataset, keyword: str) -> str:
+    """Hash of a text; "" if there is none."""
+    value = str(own(dataset, keyword) or "").strip()
+    return hash_of(value) if value else ""
 
 
-_DAYS = ("AcquisitionDateTime", "AcquisitionDate", "ContentDate", "SeriesDate", "StudyDate")
-
-
-def _day(dates: Iterable[str]) -> int | None:
-    """The first that is one, as days since the year 1."""
-    return next((day for date in dates if (day := _ordinal(date.replace(".", "").strip()[:8])) is not None), None)
-
-
-@dataclass(frozen=True)
-class ExportTags:
-    """What a file of an export tells beside its picture; a value that can't be read counts as not told.
-
-    Attributes
-    ----------
-    patient, study, series : hashes, only to be compared; "" if not told.
-    moment : s of the exposure since the year 1, or since midnight; None if not told.
-    view : what the words of the series call it, "frontal" or "lateral"; None if nothing, or both.
-    use : the same, "rest" or "push".
-    age, age_source : years and the field that tells them. sex : "female" or "male".
-    day : of the exposure, since the year 1; None if not told.
-    description : of the study, in one line; to be shown to whoever chooses one, and kept nowhere.
-    """
-
-    patient: str = ""
-    study: str = ""
-    series: str = ""
-    moment: float | None = None
-    view: str | None = None
-    use: str | None = None
-    age: float | None = None
-    age_source: str = ""
-    sex: str | None = None
-    day: int | None = None
-    description: str = ""
-
-
-# Words by which series are named, in a few languages; whole words, dots taken out.
-_FRONTAL = frozenset({"ap", "pa", "frontal", "front", "coronal", "koronar", "anteroposterior", "posteroanterior"})
-_LATERAL = frozenset({"lat", "lateral", "ll", "rl", "sagittal", "seitlich", "profil", "profile", "perfil"})
-_REST = frozenset({"rest", "standing", "stehend", "neutral", "unloaded", "upright", "ruhe", "repos", "baseline"})
-_BENDING = frozenset({"bending", "bend"})
-_PUSH = _BENDING | {"push", "pushed", "pushing", "force", "load", "loaded", "druck", "kraft", "newton"}
-_AGE_UNITS = {"Y": 1.0, "M": 1.0 / 12.0, "W": 7.0 / 365.25, "D": 1.0 / 365.25}
-
-
-def export_tags(dataset: Dataset) -> ExportTags:
-    """What a file of an export tells beside its picture."""
-    words = _words(dataset)
-    # A lateral bending is a frontal picture.
-    sideways = bool(words & _LATERAL) and not words & _BENDING
-    view = _either("frontal", bool(words & _FRONTAL), "lateral", sideways)
-    use = _either("rest", bool(words & _REST), "push", bool(words & _PUSH))
-    age, source = _age(dataset)
-    sex = {"F": "female", "M": "male"}.get(_told(dataset, "PatientSex").upper())
-    patient, study, series = (_told(dataset, key) for key in ("PatientID", "StudyInstanceUID", "SeriesInstanceUID"))
-    return ExportTags(
-        _hash(patient) if patient else "",
-        _hash(study) if study else "",
-        _hash(series) if series else "",
-        _moment(dataset),
-        view,
-        use,
-        age,
-        source,
-        sex,
-        _day(_told(dataset, key) for key in _DAYS),
-        _line(_told(dataset, "StudyDescription")),
-    )
-
-
-def _line(text: str) -> str:
-    """A free text without what is no letter, at most as long as such a field may be."""
-    return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())[:64]
-
-
-def _either(one: str, is_one: bool, other: str, is_other: bool) -> str | None:
-    """What is told, if it is told alone."""
-    if is_one == is_other:
-        return None
-    return one if is_one else other
-
-
-def _told(dataset: Dataset, keyword: str) -> str:
-    try:
-        return str(dataset.get(keyword) or "").strip()
-    except Exception:  # what pydicom can't parse raises all sorts; such a value tells nothing
-        return ""
-
-
-def _words(dataset: Dataset) -> set[str]:
-    text = " ".join(_told(dataset, key) for key in ("SeriesDescription", "ProtocolName", "ViewPosition"))
-    return set(re.findall(r"[^\W\d_]+", text.casefold().replace(".", "")))
-
-
-def _moment(dataset: Dataset) -> float | None:
-    whole = _told(dataset, "AcquisitionDateTime")
-    pairs = [(whole[:8], whole[8:])]
-    pairs += [(_told(dataset, f"{of}Date"), _told(dataset, f"{of}Time")) for of in ("Acquisition", "Content", "Series")]
-    for date, time in pairs:
-        seconds = _seconds(time)
-        if seconds is not None:
-            day = _ordinal(date) or _day(_told(dataset, key) for key in _DAYS) or 0
-            return 86400.0 * day + seconds
-    return None
-
-
-def _age(dataset: Dataset) -> tuple[float | None, str]:
-    birth, day = _ordinal(_told(dataset, "PatientBirthDate")), _day(_told(dataset, key) for key in _DAYS)
-    if birth is not None and day is not None and 0 < day - birth <= 120 * 365:
-        return int(10.0 * (day - birth) / 365.25) / 10.0, "PatientBirthDate and the day of the exposure"
-    found = re.fullmatch(r"(\d{1,3})([YMWD])", _told(dataset, "PatientAge").upper())
-    years = 0.0 if found is None else round(int(found[1]) * _AGE_UNITS[found[2]], 1)
-    return (years, "PatientAge") if 0.0 < years <= 120.0 else (None, "")
-
-
-def _hashed(dataset: Dataset, keyword: str) -> str:
-    value = str(_own(dataset, keyword) or "").strip()
-    return _hash(value) if value else ""
-
-
-def _hash(text: str) -> str:
+def hash_of(text: str) -> str:
+    """What tells texts apart, without the text."""
     return hashlib.sha256(text.encode("utf-8", "replace")).hexdigest()
