@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial import cKDTree
 from typer.testing import CliRunner
 
-from spinestiff.anatomy import meshing
+from spinestiff.anatomy import carving, meshing
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.importing import import_torso
 from spinestiff.anatomy.importing.carried_skin import ROWS, _template_rows, refuse_bones_outside
@@ -260,7 +260,7 @@ def test_another_seed_is_another_mesh(template_bones):
         assert np.array_equal(one, same)
     shared = cKDTree(first[0]).query(other[0])[0] < 1e-6
     skinned = np.zeros(len(other[0]), dtype=bool)
-    skinned[meshing.boundary(other[1])] = True
+    skinned[carving.boundary(other[1])] = True
     assert (~skinned).sum() > 200
     assert not shared[~skinned].any()
     assert shared[skinned].mean() < 0.4  # this skin has few large triangles

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from spinestiff.anatomy.meshing import least_angles
-from spinestiff.anatomy.tetrahedra import dihedral_angles, signed_volumes
+from spinestiff.anatomy.tetrahedra import dihedral_angles, least_angles, signed_volumes
 
 REGULAR = np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, -1.0, -1.0], [-1.0, -1.0, 1.0]])
 CORNER = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])  # of a cube

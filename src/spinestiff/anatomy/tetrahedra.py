@@ -22,3 +22,9 @@ def dihedral_angles(p: Floats) -> Floats:
     first, second = np.triu_indices(4, 1)
     cosine = -np.einsum("...fi,...fi->...f", normal[..., first, :], normal[..., second, :])
     return np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def least_angles(p: Floats) -> Floats:
+    """(t,) degrees, the smallest dihedral angle of tetrahedra (t, 4, 3), or the smallest supplement of one."""
+    angles = dihedral_angles(p)
+    return np.minimum(angles, 180.0 - angles).min(-1)
