@@ -13,7 +13,8 @@ import numpy as np
 from improve import Tetrahedra, quality, volumes
 from scipy.spatial import Delaunay, cKDTree
 
-from spinestiff.anatomy.meshing import BURIED, GAP, farthest_points, pinched_corners, spread_in_bone, under_surface
+from spinestiff.anatomy.carving import pinched_corners
+from spinestiff.anatomy.meshing import BURIED, GAP, farthest_points, spread_in_bone, under_surface
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.template.assemble import Skeleton
 from spinestiff.anatomy.template.surfaces import Surface, inside, signed_volume
