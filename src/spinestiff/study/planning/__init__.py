@@ -1,1 +1,0 @@
-"""Which push to take next (docs/plan.md)."""
