@@ -13,7 +13,8 @@ Table 4, where ``spinestiff plan`` expects them before any push. Each is pushed 
 - "best three, one side": the same from the convex side alone.
 
 Promised is the factor either way of bending's 95 % interval that the plan expects, reached the one of the estimate that
-is then made (on the coarse mesh), to first order as a plan's are, and of the estimate's own interval.
+is then made (on the coarse mesh), to first order as a plan's are, and of the estimate's own interval. A log that exists
+is gone on with; the rows that are kept are benchmarks/results/plan.jsonl.
 """
 
 from __future__ import annotations
@@ -173,11 +174,17 @@ def summarised(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         entry: dict[str, Any] = {"pushes": arm, "people": len(own), "failed": len(rows) - len(whole)}
         for name in NAMES:
             reached = np.array([one[name]["reached"] for one in own])
+            widths = np.log([one[name]["interval"] for one in own])
             entry[name] = {
                 "reached": _median(reached),
                 "interval": _median([one[name]["interval"] for one in own]),
                 "open": sum(one[name]["open"] for one in own),
                 "inside": sum(one[name]["inside"] for one in own),
+                "narrower_than": {
+                    other: _narrower(widths, np.log([row[other][name]["interval"] for row in whole]))
+                    for other in ARMS
+                    if other != arm
+                },
             }
             if all("promised" in one for one in own):
                 promised = np.array([one["promised"][name] for one in own])
@@ -188,6 +195,11 @@ def summarised(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 }
         found.append(entry)
     return found
+
+
+def _narrower(widths: np.ndarray, others: np.ndarray) -> dict[str, float]:
+    """In how many people log widths are below others, and what share of them they are in the median."""
+    return {"people": int(np.sum(widths < others)), "share_of_width": _median(widths / others)}
 
 
 def _median(values: Sequence[float] | np.ndarray) -> float:

@@ -34,7 +34,8 @@ def test_radiographs_at_one_place_are_one_push_from_no_force_upwards():
 
 def person(seed, reached, promised):
     told = {name: {"reached": reached, "interval": 2.0, "open": False, "inside": True} for name in plan.NAMES}
-    planned = {**told, "promised": dict.fromkeys(plan.NAMES, promised)}
+    planned = {name: {**own, "interval": 2.0**0.5} for name, own in told.items()}
+    planned["promised"] = dict.fromkeys(plan.NAMES, promised)
     return {"seed": seed, "paper": told, **dict.fromkeys(plan.ARMS[1:], planned)}
 
 
@@ -42,7 +43,12 @@ def test_promised_and_reached_widths_are_compared_over_people_of_whom_all_is_kno
     rows = [person(1, 2.0, 2.0), person(2, 4.0, 2.0), person(3, 8.0, 2.0), {"seed": 4, "failed": "no equilibrium"}]
     paper, following, *_ = plan.summarised(rows)
     assert (paper["people"], paper["failed"], paper["pushes"]) == (3, 1, "paper")
+    beside = paper["tissue"].pop("narrower_than")
     assert paper["tissue"] == {"reached": 4.0, "interval": 2.0, "open": 0, "inside": 3}
+    assert list(beside) == list(plan.ARMS[1:])
+    assert beside["best three"] == {"people": 0, "share_of_width": 2.0}
+    assert following["tissue"]["narrower_than"]["paper"] == {"people": 3, "share_of_width": 0.5}
+    assert following["tissue"]["narrower_than"]["best three"] == {"people": 0, "share_of_width": 1.0}
     # Widths are logs of factors: 2, 4 and 8 are one, two and three times what was promised.
     assert following["tissue"]["promised"] == 2.0
     assert following["tissue"]["reached_over_promised_width"] == pytest.approx([1.2, 2.0, 2.8])
