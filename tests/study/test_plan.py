@@ -89,12 +89,15 @@ def test_a_narrower_wish_is_answered_from_the_same_equilibria(scene) -> None:
     both = replace(SMALL, ribs=(8.0,), views=("frontal",))
     left = replace(both, sides=("left",))
     carried = states.CarriedPushes(one, both)
-    found = proposal.composed(one, left, carried, widths.ExpectedWidths(one, both, carried))
+    expected = widths.ExpectedWidths(one, both, carried)
+    found = proposal.composed(one, left, carried, expected)
     alone = make_plan(one, left)
     assert [(p.side, p.force_n) for p in found.next] == [(p.side, p.force_n) for p in alone.next]
     assert {push.side for push in found.next} == {step.push.side for step in found.sequence} == {"left"}
     assert [p.expected_factor for p in found.next] == pytest.approx([p.expected_factor for p in alone.next], abs=0.002)
     assert len(found.sequence) == len(alone.sequence)
+    with pytest.raises(EquilibriumError, match="no push of 15 to 30 N leaves all vertebrae within 45 degrees"):
+        proposal.composed(one, replace(left, ribs=(6.0,)), carried, expected)
 
 
 def test_all_views_of_a_push_are_taken_once(scene) -> None:

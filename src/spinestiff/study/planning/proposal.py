@@ -16,7 +16,7 @@ import numpy as np
 from spinestiff.errors import SubjectError
 from spinestiff.observer import Observer
 from spinestiff.study.planning.scene import Scene
-from spinestiff.study.planning.states import MOST_TURN, CarriedPushes
+from spinestiff.study.planning.states import MOST_TURN, CarriedPushes, none_carried
 from spinestiff.study.planning.widths import ExpectedWidths, Width
 from spinestiff.study.planning.wish import RATIO_OF, ROUNDING, Candidate, Frame, Wish
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
@@ -57,9 +57,16 @@ class _Option:
 def composed(
     scene: Scene, wish: Wish, carried: CarriedPushes, widths: ExpectedWidths, say: Observer = lambda line: None
 ) -> Plan:
-    """The plan of a wish that allows no more than the one that ``carried`` and ``widths`` were made for."""
+    """The plan of a wish that allows no more than the one that ``carried`` and ``widths`` were made for.
+
+    Raises
+    ------
+    EquilibriumError : the torso can carry no push of this wish.
+    """
     frames = set(wish.frames)
     candidates = [one for one in carried.candidates if one.frame in frames and one.view in wish.views]
+    if not candidates:
+        raise none_carried(wish)
 
     def described(option: _Option) -> PlannedPush:
         frame, width = option.candidate.frame, option.width

@@ -41,6 +41,14 @@ def _at_rest(torso: TorsoModel, view: XRayView) -> Features:
     return state_features(torso, view, torso.rest_pose, silhouette_shares(torso, view, torso.rest_pose))
 
 
+def none_carried(wish: Wish) -> EquilibriumError:
+    """What is told where a torso carries no push of a wish."""
+    return EquilibriumError(
+        f"no push of {min(SHARES) * wish.limit_n:g} to {wish.limit_n:g} N leaves all vertebrae within "
+        f"{np.degrees(MOST_TURN):.0f} degrees; allow smaller forces with --limit"
+    )
+
+
 class CarriedPushes:
     """The frames that the torso can carry at all places, with their trials and states."""
 
@@ -100,10 +108,7 @@ class CarriedPushes:
             raise EquilibriumError("no equilibrium under the pushes that were taken, wherever the ratios may lie")
         self.frames = [frame for frame in planned if all(frame in there for there in found)]
         if not self.frames:
-            raise EquilibriumError(
-                f"no push of {min(SHARES) * wish.limit_n:g} to {wish.limit_n:g} N leaves all vertebrae within "
-                f"{np.degrees(MOST_TURN):.0f} degrees; allow smaller forces with --limit"
-            )
+            raise none_carried(wish)
         self.planned = {frame: planned[frame] for frame in self.frames}
         self.left_out = [frame for frame in planned if frame not in self.planned]
         count = len(self.known)
