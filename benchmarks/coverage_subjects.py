@@ -73,8 +73,9 @@ ANNOTATION_MM = 0.3
 KINDS = ("disc centres", "stiffening", "layers", "", "", "", "")
 RAISED = np.array([float(act == "height") for act in ACTS])
 WIDEST = 2.0  # standard deviations of a stiffness that is drawn
-Acquisition = Literal["paper", "three pushes", "four frames"]
+Acquisition = Literal["paper", "three pushes", "four frames", "both sides"]
 Side = Literal["left", "right"]
+OTHER: Mapping[Side, Side] = {"left": "right", "right": "left"}
 
 
 @dataclass(frozen=True)
@@ -84,13 +85,15 @@ class PlacedPush:
     Attributes
     ----------
     level : rib about which it is placed. frames : share of the largest force, and role.
-    side : None: the convex one. force_n : the largest; None: drawn, the same for all pushes.
+    side : None: the convex one, or with ``concave`` the other one. force_n : the largest; None: drawn, the same for all
+        pushes.
     """
 
     level: float
     frames: tuple[tuple[float, Role], ...]
     side: Side | None = None
     force_n: float | None = None
+    concave: bool = False
 
 
 PUSHES: Mapping[Acquisition, Mapping[str, PlacedPush]] = {
@@ -107,6 +110,12 @@ PUSHES: Mapping[Acquisition, Mapping[str, PlacedPush]] = {
         "high": PlacedPush(5.5, ((0.0, "unused"), (1.0, "training")), force_n=80.0),
         "middle": PlacedPush(8.0, ((0.0, "unused"), (2 / 3, "training"), (1.0, "training")), force_n=80.0),
         "low": PlacedPush(10.0, ((0.0, "unused"), (1.0, "training")), force_n=80.0),
+    },
+    # As plans propose for a target of bending before any push (plan.py): few frames, far apart, from both sides.
+    "both sides": {
+        "low": PlacedPush(10.2, ((0.0, "unused"), (1.0, "training")), force_n=80.0),
+        "other high": PlacedPush(5.2, ((0.0, "unused"), (1.0, "training")), force_n=80.0, concave=True),
+        "other low": PlacedPush(9.2, ((0.0, "unused"), (1.0, "training")), force_n=80.0, concave=True),
     },
 }
 
@@ -177,7 +186,7 @@ def make_subject(
         tilts(VERTEBRAE, projected(torso, nominal["frontal"], torso.rest_pose), nominal["frontal"])
     ).degrees
     convex: Side = "left" if cobb > 0.0 else "right"
-    sides = {name: push.side or convex for name, push in pushes.items()}
+    sides = {name: push.side or (OTHER[convex] if push.concave else convex) for name, push in pushes.items()}
     hand = None if not annotator else np.random.default_rng([17, seed, visit, annotator])
     own = _drawn_visit(torso, nominal, first, p, random, None if visit else hand)
     if visit:
