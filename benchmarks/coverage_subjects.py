@@ -114,8 +114,8 @@ PUSHES: Mapping[Acquisition, Mapping[str, PlacedPush]] = {
     # As plans propose for a target of bending before any push (plan.py): few frames, far apart, from both sides.
     "both sides": {
         "low": PlacedPush(10.2, ((0.0, "unused"), (1.0, "training")), force_n=80.0),
-        "other high": PlacedPush(5.2, ((0.0, "unused"), (1.0, "training")), force_n=80.0, concave=True),
-        "other low": PlacedPush(9.2, ((0.0, "unused"), (1.0, "training")), force_n=80.0, concave=True),
+        "other-high": PlacedPush(5.2, ((0.0, "unused"), (1.0, "training")), force_n=80.0, concave=True),
+        "other-low": PlacedPush(9.2, ((0.0, "unused"), (1.0, "training")), force_n=80.0, concave=True),
     },
 }
 
