@@ -122,7 +122,7 @@ class AnnotationSession:
     def _offered(self, name: str) -> bool:
         if not os.path.lexists(self.subject.image_path(name)):
             return False
-        check_radiograph_path(self.subject, name, one_by_one=name not in REST_IMAGES)
+        check_radiograph_path(self.subject, name)
         return True
 
     @property

@@ -39,6 +39,7 @@ from spinestiff.subject.records import ANNOTATION_FILE, RESULTS, SUBJECT_FILE
 from spinestiff.words import counted, pasted, push_named
 
 SHOWN_ALONE = 3
+MOST_FORCES_SHOWN = 12
 """Files of a folder that are left out for one reason: more share a row."""
 LEFT_OUT = "left out"
 WORTH_TELLING_N = 3.0
@@ -359,12 +360,23 @@ def _finish(out: Path, work: _Work, notes: Sequence[str]) -> None:
 
 
 def _push_words(push: dict[str, Any]) -> str:
-    forces = ", ".join("?" if force is None else f"{force:g}" for force in push["forces_n"])
+    forces = _force_words(push["forces_n"])
     told = {key: "?" if push[key] is None else push[key] if key == "side" else f"{push[key]:g}" for key in PUSH}
     return (
         f"{push_named(push['id'])}: {counted(len(push['forces_n']), 'frame')}, from the {told['side']}, "
-        f"rib {told['level']}, d21 {told['d21_mm']} mm, d31 {told['d31_mm']} mm, {forces} N"
+        f"rib {told['level']}, d21 {told['d21_mm']} mm, d31 {told['d31_mm']} mm, {forces}"
     )
+
+
+def _force_words(forces: Sequence[float | None]) -> str:
+    """Forces, one by one if they are few."""
+    if len(forces) <= MOST_FORCES_SHOWN:
+        return ", ".join("?" if force is None else f"{force:g}" for force in forces) + " N"
+    known = [force for force in forces if force is not None]
+    if not known:
+        return "? N"
+    lacking = f", unknown in {counted(len(forces) - len(known), 'frame')}" if len(known) < len(forces) else ""
+    return f"{min(known):g} to {max(known):g} N{lacking}"
 
 
 def _log_lines(name: str, logged: Logged) -> Iterator[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ PLAINEST = 0.5
 """Cells with less texture than this share of the median tell no motion."""
 
 
-def motion_course(frames: Sequence[NDArray[np.float32]]) -> Floats:
+def motion_course(frames: Iterable[NDArray[np.float32]]) -> Floats:
     """(F,) motion of the picture since the first frame, pixels: the course of the pattern that moves most.
 
     The flow from the first frame to each other one, averaged in cells, is split into patterns by singular values. The
@@ -28,17 +28,19 @@ def motion_course(frames: Sequence[NDArray[np.float32]]) -> Floats:
 
     Parameters
     ----------
-    frames : (H, W) each, of one size.
+    frames : (H, W) each, of one size; each is taken once.
     """
-    factor = max(1, -(-max(frames[0].shape) // LONGEST_SIDE))
-    small = [as_bytes(block_means(frame, factor)) for frame in frames]
+    small = []
+    for frame in frames:
+        factor = max(1, -(-max(frame.shape) // LONGEST_SIDE))
+        small.append(as_bytes(block_means(frame, factor)))
     first = small[0]
     flows = [np.zeros((*first.shape, 2), np.float32)]
     flows += [dense_flow(first, matched(frame, first)) for frame in small[1:]]
     cells = np.stack([_cells(flow) for flow in flows])
     rows, columns = np.gradient(first.astype(float))
     texture = _cells(np.hypot(rows, columns)[..., None])[..., 0]
-    kept = cells[:, texture >= PLAINEST * np.median(texture)].reshape(len(frames), -1).astype(float)
+    kept = cells[:, texture >= PLAINEST * np.median(texture)].reshape(len(small), -1).astype(float)
     left, sizes, _ = np.linalg.svd(kept, full_matrices=False)
     course: Floats = left[:, 0] * sizes[0] * factor / np.sqrt(kept.shape[1] / 2.0)
     course = course - course[0]

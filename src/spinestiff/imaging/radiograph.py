@@ -19,13 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 from spinestiff.arrays import read_only
 from spinestiff.errors import RadiographError
 from spinestiff.files import listed, regular_file
-from spinestiff.imaging.dicom.files import MOST_BYTES, declared_modality
+from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_MAPPED_BYTES, declared_modality
 from spinestiff.imaging.dicom.greys import DisplayCurve
 from spinestiff.imaging.dicom.layout import MODALITIES, MOST_FRAMES
 from spinestiff.imaging.dicom.millimetres import AGREEMENT, Geometry, Scale
 from spinestiff.imaging.dicom.ordering import ordered
 from spinestiff.imaging.dicom.orientation import lps_from_world, world_from_lps
-from spinestiff.imaging.dicom.reading import FrameFile, Scan, read_frames, read_scan
+from spinestiff.imaging.dicom.reading import FramesOnDisk, Scan, read_frames, read_scan
 from spinestiff.imaging.dicom.tags import coded_word, shown
 from spinestiff.imaging.dicom.writing import write_radiographs
 from spinestiff.imaging.projection import XRayView
@@ -96,8 +96,10 @@ def read_radiographs(
     geometry: Geometry | None = None,
     centre: ArrayLike = (0.0, 200.0, 0.0),
     within: Path | None = None,
-) -> tuple[Radiograph, ...]:
+) -> Sequence[Radiograph]:
     """The frames of a DICOM file, or of a folder of single-frame files, in order of time.
+
+    Frames of an uncompressed file of more than 512 MB, and of a folder of as much, are read when they are asked for.
 
     Parameters
     ----------
@@ -110,12 +112,7 @@ def read_radiographs(
     ------
     RadiographError : whatever is wrong with a file, in one line with its name.
     """
-    scans = read_scans(Path(path), geometry or Geometry(), within)
-    if len(scans) == 1:
-        return _radiographs(scans[0], centre)
-    return tuple(
-        _radiograph(scan, centre, 0, i, time_s) for i, (scan, time_s) in enumerate(zip(scans, times_of(scans)))
-    )
+    return _radiographs(read_scans(Path(path), geometry or Geometry(), within), centre)
 
 
 def open_radiographs(
@@ -125,33 +122,31 @@ def open_radiographs(
     centre: ArrayLike = (0.0, 200.0, 0.0),
     within: Path | None = None,
 ) -> Sequence[Radiograph]:
-    """Like ``read_radiographs``, but of a large uncompressed file every frame is read when it is asked for.
-
-    Such a file may hold more than ``read_radiographs`` takes, and its radiographs carry no hash of it.
+    """Like ``read_radiographs``, but every frame of an uncompressed file of 16 MB or more is read when it is asked for,
+    and its radiographs carry no hash of it.
 
     Raises
     ------
     RadiographError : as ``read_radiographs``; of single frames when they are read.
     """
     path = Path(path)
-    file = None if path.is_dir() else read_frames(path, geometry or Geometry(), within)
-    return (
-        read_radiographs(path, geometry=geometry, centre=centre, within=within)
-        if file is None
-        else _OneByOne(file, centre)
-    )
+    scan = None if path.is_dir() else read_frames(path, geometry or Geometry(), within)
+    if scan is None:
+        return read_radiographs(path, geometry=geometry, centre=centre, within=within)
+    return _radiographs((scan,), centre)
 
 
 class _OneByOne(Sequence[Radiograph]):
-    """Radiographs of a file, each read when it is asked for; the last few are kept."""
+    """Radiographs of which each is read when it is asked for; the last few are kept."""
 
-    def __init__(self, file: FrameFile, centre: ArrayLike) -> None:
-        self.file = file
-        self.centre = centre
+    def __init__(self, scans: Sequence[Scan], centre: ArrayLike) -> None:
+        self._where = [(scan, frame) for scan in scans for frame in range(len(scan.pixels))]
+        self._times = times_of(tuple(scans))
+        self._centre = centre
         self._kept: OrderedDict[int, Radiograph] = OrderedDict()
 
     def __len__(self) -> int:
-        return self.file.scan.layout.frames
+        return len(self._where)
 
     @overload
     def __getitem__(self, index: int) -> Radiograph: ...
@@ -162,7 +157,7 @@ class _OneByOne(Sequence[Radiograph]):
             return tuple(self[i] for i in range(*index.indices(len(self))))
         index = range(len(self))[index]
         if index not in self._kept:
-            found = _radiograph(self.file.frame(index), self.centre, 0, index, self.file.scan.tags.times[index])
+            found = _radiograph(*self._where[index], self._centre, index, self._times[index])
             self._kept[index] = found
             while len(self._kept) > KEPT:
                 self._kept.popitem(last=False)
@@ -204,20 +199,20 @@ def read_scans(path: Path, given: Geometry, within: Path | None = None) -> tuple
     files = candidates(path)
     for file in files:
         regular_file(file, RadiographError, within=within, name=file.name)
-    check_files(path.name, files)
+    large = check_files(path.name, files) > MOST_BYTES
     scans: list[Scan] = []
     for file in files:
-        scan = read_scan(file, given, within)
+        scan = read_scan(file, given, within, one_by_one=large)
         if len(files) > 1 and scan.layout.frames > 1:
             count = scan.layout.frames
             raise RadiographError(
                 f"{file.name}: found {count} frames, wanted 1, as it lies among {len(files)} files; keep it apart"
             )
         scans.append(scan)
-        if sum(scan.pixels.nbytes for scan in scans) > 2 * MOST_BYTES:
+        if sum(_in_memory(scan) for scan in scans) > 2 * MOST_BYTES:
             raise RadiographError(
-                f"{path.name}: found more than {MOST_BYTES // 2**20} MB of pixels in {len(files)} files, wanted less; "
-                "crop them, or take fewer"
+                f"{path.name}: found more than {MOST_BYTES // 2**20} MB of pixels in {len(files)} files, wanted less "
+                "of files that are compressed; export them uncompressed, or crop them"
             )
     return in_order(path.name, scans)
 
@@ -255,8 +250,12 @@ def candidates(folder: Path) -> list[Path]:
     return files
 
 
-def check_files(folder: str, files: Sequence[Path]) -> None:
-    """Raise RadiographError unless the regular files of a folder can be radiographs, and no more than are read.
+def check_files(folder: str, files: Sequence[Path]) -> int:
+    """Bytes of the regular files of a folder together.
+
+    Raises
+    ------
+    RadiographError : they can be no radiographs, or are more than are read.
 
     What they are goes before how many they are: a CT series is a CT series, of whatever size.
     """
@@ -274,11 +273,12 @@ def check_files(folder: str, files: Sequence[Path]) -> None:
     if len(files) > MOST_FRAMES:
         raise RadiographError(f"{folder}: found {len(files)} files, wanted at most {MOST_FRAMES}; take fewer")
     size = sum(file.stat().st_size for file in files)
-    if size > MOST_BYTES:
+    if size > MOST_MAPPED_BYTES:
         raise RadiographError(
             f"{folder}: found {size / 2**20:.0f} MB in {len(files)} files, wanted at most "
-            f"{MOST_BYTES // 2**20} MB; take fewer"
+            f"{MOST_MAPPED_BYTES // 2**20} MB; take fewer"
         )
+    return size
 
 
 def _check_series(scans: list[Scan]) -> None:
@@ -318,11 +318,18 @@ def _same_geometry(one: Scan, other: Scan) -> bool:
     return all(abs(a - b) <= AGREEMENT * b for a, b in zip(numbers[0], numbers[1]))
 
 
-def _radiographs(scan: Scan, centre: ArrayLike) -> tuple[Radiograph, ...]:
-    return tuple(_radiograph(scan, centre, i, i, scan.tags.times[i]) for i in range(scan.layout.frames))
+def _in_memory(scan: Scan) -> int:
+    """Bytes of pixels that are in memory."""
+    return 0 if isinstance(scan.pixels, FramesOnDisk) else sum(frame.nbytes for frame in scan.pixels)
 
 
-def _radiograph(scan: Scan, centre: ArrayLike, frame: int, number: int, time_s: float | None) -> Radiograph:
+def _radiographs(scans: tuple[Scan, ...], centre: ArrayLike) -> Sequence[Radiograph]:
+    """The frames of one file, or of single-frame files in order; in memory where their pixels are."""
+    found = _OneByOne(scans, centre)
+    return found if any(isinstance(scan.pixels, FramesOnDisk) for scan in scans) else tuple(found)
+
+
+def _radiograph(scan: Scan, frame: int, centre: ArrayLike, number: int, time_s: float | None) -> Radiograph:
     try:
         return Radiograph(
             scan.pixels[frame], scan.view(centre), scan.name, scan.sha256, number, time_s, scan.provenance, scan.display

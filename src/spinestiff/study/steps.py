@@ -102,7 +102,10 @@ def track_step(visit: Visit, say: Observer) -> None:
             say(f"push '{name}': {done} of {counted(total, 'frame')}")
 
         tracked = track(frames, annotated, progress)
-        supports = support_motion(frames, image_supports(subject, push.image))
+        marked = image_supports(subject, push.image)
+        if marked:
+            say(f"push '{push.id}': pelvis and shoulder")
+        supports = support_motion(frames, marked)
         said: dict[str, object] = {"millimetres": dict(frames[0].provenance), "annotated_frames": list(annotated)}
         said |= {"pedicles": marked_pedicles(subject, push, view), "sides": side_views(subject, push)}
         said |= {"markers": read_markers(subject, push, view)}

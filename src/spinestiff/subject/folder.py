@@ -19,7 +19,7 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError, SubjectGaps
 from spinestiff.files import check_output, regular_file, regular_files, write_json
-from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_HEADER_BYTES, MOST_MAPPED_BYTES
+from spinestiff.imaging.dicom.files import MOST_HEADER_BYTES, MOST_MAPPED_BYTES
 from spinestiff.imaging.features import VertebraCorners, picture_axes, view_kind
 from spinestiff.mechanics.loads import USUAL_LIMIT_N
 from spinestiff.subject.annotation_record import FURTHER_FRAME, FURTHER_VIEW, Annotation, ImageAnnotation
@@ -49,7 +49,7 @@ READ_AGAIN = (
     "parameters.json", "sensitivity.json",
 )  # fmt: skip
 """Files in ``results/`` that steps and tables read; the rest is for people."""
-MOST_INPUT_BYTES = MOST_BYTES + MOST_HEADER_BYTES
+MOST_INPUT_BYTES = MOST_MAPPED_BYTES + MOST_HEADER_BYTES
 """Of a file: the largest are radiographs."""
 
 
@@ -192,14 +192,12 @@ def read_unannotated(folder: str | Path) -> Subject:
     return Subject(folder, record, bare, _unusual(record), gaps)
 
 
-def check_radiograph_path(subject: Subject, image: str, one_by_one: bool = False) -> None:
+def check_radiograph_path(subject: Subject, image: str) -> None:
     """Raise SubjectError unless the radiograph of an image is there: files inside the subject folder, none too large.
 
-    A file is told from a pipe, a device and a link that leads elsewhere; it is not opened. ``one_by_one``: it may be as
-    large as a file of which single frames are read (``open_push``).
+    A file is told from a pipe, a device and a link that leads elsewhere; it is not opened.
     """
-    most = MOST_MAPPED_BYTES + MOST_HEADER_BYTES if one_by_one else MOST_INPUT_BYTES
-    _check_input(subject, subject.image_path(image), f"the radiograph of {image}", most)
+    _check_input(subject, subject.image_path(image), f"the radiograph of {image}")
 
 
 def write_subject(folder: str | Path, record: SubjectRecord) -> None:
@@ -244,21 +242,22 @@ def read_rest(subject: Subject, which: Literal["frontal", "lateral"]) -> Radiogr
     return frames[0]
 
 
-def read_push(subject: Subject, push: PushRecord) -> tuple[Radiograph, ...]:
-    """The radiographs of a push, one a frame in the order of its forces.
+def read_push(subject: Subject, push: PushRecord) -> Sequence[Radiograph]:
+    """The radiographs of a push, one a frame in the order of its forces; those of a sequence of more than 512 MB are
+    read when they are asked for.
 
     Raises
     ------
     SubjectError : the number of frames is not that of the forces.
     RadiographError : see ``read_radiographs``.
     """
-    frames = tuple(_read_images(subject, push.image, "frontal"))
+    frames = _read_images(subject, push.image, "frontal")
     check_frames(subject, push, len(frames))
     return frames
 
 
 def open_push(subject: Subject, push: PushRecord) -> Sequence[Radiograph]:
-    """Like ``read_push``, but of a large uncompressed file each frame is read when it is asked for.
+    """Like ``read_push``, but of an uncompressed file of 16 MB or more each frame is read when it is asked for.
 
     Raises
     ------
@@ -271,7 +270,7 @@ def open_push(subject: Subject, push: PushRecord) -> Sequence[Radiograph]:
     return frames
 
 
-def read_view(subject: Subject, push: PushRecord, view: FurtherViewRecord) -> tuple[Radiograph, ...]:
+def read_view(subject: Subject, push: PushRecord, view: FurtherViewRecord) -> Sequence[Radiograph]:
     """The radiographs of a push's frames from another side, one for each of the view's frames.
 
     Raises
@@ -279,7 +278,7 @@ def read_view(subject: Subject, push: PushRecord, view: FurtherViewRecord) -> tu
     SubjectError : another number of radiographs, or they are of another kind.
     RadiographError : see ``read_radiographs``.
     """
-    frames = tuple(_read_images(subject, push.view_image(view.frames[0], view.id), view.kind))
+    frames = _read_images(subject, push.view_image(view.frames[0], view.id), view.kind)
     if len(frames) != len(view.frames):
         raise SubjectError(
             f"{subject.folder / SUBJECT_FILE}: view '{view.id}' of push '{push.id}' names "
@@ -486,7 +485,7 @@ def check_output_beside(folder: Path, path: Path, option: str, *, force: bool) -
     check_output(path, option, inputs=inputs, closed=folder, but=results, force=force)
 
 
-def _check_input(subject: Subject, path: Path, what: str, most: int = MOST_INPUT_BYTES) -> None:
+def _check_input(subject: Subject, path: Path, what: str) -> None:
     """Raise SubjectError unless a file, or each file of a folder, may be read and no step writes there."""
     folder, results = subject.folder, subject.results
     if not os.path.lexists(path):
@@ -496,7 +495,7 @@ def _check_input(subject: Subject, path: Path, what: str, most: int = MOST_INPUT
         if not files:
             raise SubjectError(f"{path}: found an empty folder, wanted {what}")
     else:
-        regular_file(path, SubjectError, within=folder, cap_bytes=most)
+        regular_file(path, SubjectError, within=folder, cap_bytes=MOST_INPUT_BYTES)
     if path.resolve().is_relative_to(results.resolve()) or results.resolve().is_relative_to(path.resolve()):
         raise SubjectError(f"{path}: lies where results are written ({results}); move it elsewhere in the folder")
 

@@ -165,7 +165,7 @@ def _folder(folder: Path, top: Path) -> tuple[Inspection, ...]:
         except RadiographError as problem:
             found.append(Inspection(one, str(problem)))
         else:
-            scans.append(replace(scan, pixels=scan.pixels[:0]))  # 128 files of pixels would fill the memory
+            scans.append(replace(scan, pixels=()))  # 128 files of pixels would fill the memory
             found.append(Inspection(one, "", _seen((scan,)), scan.missing))
     if len(found) == 1 or len(scans) < len(found) or any(scan.layout.frames > 1 for scan in scans):
         return tuple(found)

@@ -18,6 +18,5 @@ def thumbnail(one: Exported, wide: int = WIDE, tall: int = TALL, part: str = "")
     them. Raises RadiographError where the file can no longer be read.
     """
     within = one.path.parent
-    frames = read_frames(one.path, Geometry(), within)
-    scan = read_scan(one.path, Geometry(), within) if frames is None else frames.frame(0)
+    scan = read_frames(one.path, Geometry(), within) or read_scan(one.path, Geometry(), within)
     return greys(scan.pixels[0], wide, tall, part)

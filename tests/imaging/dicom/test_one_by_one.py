@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
+
 import numpy as np
+import pydicom
 import pytest
 
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.dicom import reading
-from spinestiff.imaging.radiograph import KEPT, open_radiographs, read_radiographs
+from spinestiff.imaging import radiograph
+from spinestiff.imaging.dicom import files, reading
+from spinestiff.imaging.dicom.export import read_exported
+from spinestiff.imaging.motion import motion_course
+from spinestiff.imaging.radiograph import KEPT, open_radiographs, read_radiographs, read_scans
+from spinestiff.subject.intake.pictures import pixel_digest
 
 SERIES = (np.arange(6 * 40 * 36).reshape(6, 40, 36) * 7 % 4096).astype(np.uint16)
 
@@ -50,18 +57,75 @@ def test_only_the_frame_that_is_asked_for_is_read_and_few_stay(file, monkeypatch
     single = open_radiographs(file(SERIES))
     assert read == []
     assert [single[3].frame, single[3].frame] == [3, 3] and read == [40 * 36]
-    for radiograph in single:
-        assert radiograph.pixels.shape == (40, 36)
+    for one in single:
+        assert one.pixels.shape == (40, 36)
     assert len(single._kept) == KEPT < len(SERIES)
 
 
+def deflate(dataset):
+    dataset.file_meta.TransferSyntaxUID = pydicom.uid.DeflatedExplicitVRLittleEndian
+
+
 def test_a_coded_file_is_read_whole(file):
-    import pydicom
-
-    def deflate(dataset):
-        dataset.file_meta.TransferSyntaxUID = pydicom.uid.DeflatedExplicitVRLittleEndian
-
     assert len(open_radiographs(file(SERIES, change=deflate))) == 6
+
+
+@pytest.fixture
+def little_is_read_whole(monkeypatch):
+    """Files of more than one small frame are too large to be read whole."""
+    for module in (reading, files, radiograph):
+        monkeypatch.setattr(module, "MOST_BYTES", 3000)
+    monkeypatch.setattr(files, "MOST_HEADER_BYTES", 2000)
+
+
+def same_pictures(found, wanted):
+    for one, other in zip(found, wanted, strict=True):
+        np.testing.assert_array_equal(one.pixels, other.pixels)
+        assert (one.frame, one.time_s, one.sha256) == (other.frame, other.time_s, other.sha256)
+        assert (one.provenance, one.source) == (other.provenance, other.source)
+
+
+def test_a_file_too_large_to_be_read_whole_is_read_frame_by_frame(file, request):
+    path = file(SERIES)
+    whole = read_radiographs(path)
+    motion = motion_course(frame.pixels for frame in whole)
+    exported = read_exported(path, path.name, path.parent)
+    digest = pixel_digest(exported)
+    request.getfixturevalue("little_is_read_whole")
+    apart = read_radiographs(path)
+    assert isinstance(whole, tuple) and not isinstance(apart, tuple)
+    assert apart[0].sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    same_pictures(apart, whole)
+    (scan,) = read_scans(path, reading.Geometry())
+    np.testing.assert_array_equal(motion_course(iter(scan.pixels)), motion)
+    # What an export's files are told apart by is the same, too.
+    again = read_exported(path, path.name, path.parent)
+    assert (again.scan.sha256, again.tags, again.looks) == (exported.scan.sha256, exported.tags, exported.looks)
+    pixel_digest.__globals__["_digest"].cache_clear()
+    assert pixel_digest(again) == digest != ""
+
+
+def test_files_that_are_too_large_together_are_read_one_by_one(file, request):
+    for number in range(3):
+        folder = file(SERIES[number : number + 1], f"{number}.dcm", InstanceNumber=number).parent
+    whole = read_radiographs(folder)
+    request.getfixturevalue("little_is_read_whole")
+    apart = read_radiographs(folder)
+    assert isinstance(whole, tuple) and not isinstance(apart, tuple)
+    same_pictures(apart, whole)
+
+
+def test_of_a_coded_file_that_is_too_large_it_is_said_what_to_do(file, little_is_read_whole):
+    noise = np.random.default_rng(0).integers(0, 4096, SERIES.shape).astype(np.uint16)
+    with pytest.raises(RadiographError, match=r"a\.dcm: found 0 MB, wanted .* uncompressed DICOM.*; export it unc"):
+        read_radiographs(file(noise, change=deflate))
+
+
+@pytest.mark.usefixtures("little_is_read_whole")
+def test_of_a_large_file_one_grey_value_is_told(file):
+    path = file(np.full_like(SERIES, 700))
+    with pytest.raises(RadiographError, match="one grey value"):
+        read_exported(path, path.name, path.parent)
 
 
 @pytest.mark.parametrize("most", [0.0, 0.5, 0.97])

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.dicom.files import declared_modality, one_clear_line, read_dataset
+from spinestiff.imaging.dicom.files import declared_modality, one_clear_line, read_dataset, read_header
 from spinestiff.imaging.dicom.layout import check_modality
 from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.dicom.orientation import BEAMS
@@ -70,15 +74,25 @@ def read_exported(path: Path, name: str, within: Path) -> Exported:
                 check_modality(coded_word(modality))
         scan = read_scan(path, Geometry(), within)
         with one_clear_line(path.name):
-            tags = export_tags(read_dataset(path)[0])
+            header = read_header(path)
+            tags = export_tags(read_dataset(path)[0] if header is None else header[0])
     except RadiographError as problem:
         raise RadiographError(str(problem).removeprefix(f"{path.name}: ")) from None
-    low, high = float(scan.pixels.min()), float(scan.pixels.max())
-    if high - low <= EVEN * max(abs(low), abs(high)):
+    if _even(scan.pixels):
         raise RadiographError("shows nothing: the whole picture has one grey value")
     view, source = _view(scan, tags)
     looks = shown_view(scan.pixels[0])
-    return Exported(path, name, replace(scan, pixels=scan.pixels[:0]), tags, view, source, looks)
+    return Exported(path, name, replace(scan, pixels=()), tags, view, source, looks)
+
+
+def _even(frames: Sequence[NDArray[np.float32]]) -> bool:
+    """Whether all frames together have one grey value; no more of them are read than it takes to tell."""
+    low, high = np.inf, -np.inf
+    for frame in frames:
+        low, high = min(low, float(frame.min())), max(high, float(frame.max()))
+        if high - low > EVEN * max(abs(low), abs(high)):
+            return False
+    return True
 
 
 def _view(scan: Scan, tags: ExportTags) -> tuple[str | None, str]:

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from pydicom.dataset import Dataset, FileMetaDataset
 
 MOST_BYTES = 512 * 1024**2
-"""Of decoded pixels in a file, and of all files of a folder together."""
+"""Of a file that is read whole: of what is stored and of decoded pixels."""
 MOST_MAPPED_BYTES = 4 * 1024**3
-"""Of pixels in an uncompressed file of which one frame at a time is read."""
+"""Of pixels in an uncompressed file of which one frame at a time is read, and of all files of a folder together."""
 MOST_HEADER_BYTES = 2**20
 _DEFLATED = "1.2.840.10008.1.2.1.99"
 _DIRECTORY = "1.2.840.10008.1.3.10"
@@ -100,7 +100,10 @@ def read_dataset(path: Path) -> tuple[Dataset, str]:
     if not size:
         raise RadiographError("found an empty file, wanted a DICOM file; copy it again")
     if size > MOST_BYTES + MOST_HEADER_BYTES:
-        raise RadiographError(f"found {size / 2**20:.0f} MB, wanted at most {MOST_BYTES // 2**20} MB; crop it")
+        raise RadiographError(
+            f"found {size / 2**20:.0f} MB, wanted at most {MOST_BYTES // 2**20} MB unless it is uncompressed DICOM, of "
+            f"which {MOST_MAPPED_BYTES // 2**20} MB are read; export it uncompressed, or crop it"
+        )
     content = path.read_bytes()
     sha256 = hashlib.sha256(content).hexdigest()
     with named("the file's header"):

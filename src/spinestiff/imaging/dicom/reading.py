@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spinestiff.errors import RadiographError
-from spinestiff.files import regular_file
+from spinestiff.files import file_digest, regular_file
 from spinestiff.imaging.dicom.decoding import decoded, whole_bits
 from spinestiff.imaging.dicom.files import (
     MOST_BYTES,
@@ -38,7 +40,7 @@ class Scan:
     ----------
     name, sha256 : of the file.
     tags, layout : what it declares, checked.
-    pixels : (F, H, W) float32, bone bright.
+    pixels : F of (H, W) float32, bone bright; of a large uncompressed file each is read when it is asked for.
     display : how the file wants them shown; None if it does not say.
     greys : how the pixels came about, in words.
     distances, spacing, directions : None where something that the user can give is missing.
@@ -49,7 +51,7 @@ class Scan:
     sha256: str
     tags: Tags
     layout: Layout
-    pixels: NDArray[np.float32]
+    pixels: Sequence[NDArray[np.float32]]
     display: DisplayCurve | None
     greys: str
     distances: Distances | None
@@ -87,33 +89,69 @@ class Scan:
         )  # fmt: skip
 
 
-def read_scan(path: Path, given: Geometry, within: Path | None = None) -> Scan:
-    """A file, wholly read.
+class FramesOnDisk(Sequence[NDArray[np.float32]]):
+    """The frames of an uncompressed file, each read when it is asked for; none stays in memory.
+
+    Raises RadiographError where the file has become shorter.
+    """
+
+    def __init__(self, path: Path, start: int, layout: Layout, tags: Tags) -> None:
+        self.path, self.start, self.layout, self.tags = path, start, layout, tags
+
+    def __len__(self) -> int:
+        return self.layout.frames
+
+    @overload
+    def __getitem__(self, index: int) -> NDArray[np.float32]: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[NDArray[np.float32], ...]: ...
+    def __getitem__(self, index: int | slice) -> NDArray[np.float32] | tuple[NDArray[np.float32], ...]:
+        if isinstance(index, slice):
+            return tuple(self[i] for i in range(*index.indices(len(self))))
+        index, one = range(len(self))[index], replace(self.layout, frames=1)
+        kind = f"<{'i' if one.signed else 'u'}{one.allocated // 8}"
+        with one_clear_line(self.path.name):
+            stored = np.fromfile(self.path, kind, one.rows * one.columns, offset=self.start + index * one.frame_bytes)
+            check_native(one, stored.nbytes)
+            pixels: NDArray[np.float32] = bone_bright(whole_bits(stored, one), self.tags, one)[0][0]
+        return pixels
+
+
+def read_scan(path: Path, given: Geometry, within: Path | None = None, one_by_one: bool = False) -> Scan:
+    """A file, wholly read; frames of an uncompressed one that is too large for that are left on the disk.
 
     Parameters
     ----------
     within : folder that the file has to lie in, links followed.
+    one_by_one : whether to leave those of a smaller uncompressed file there, too, as many files together may be large.
 
     Raises
     ------
     RadiographError : whatever is wrong with it, in one line with its name.
     """
     status = regular_file(path, RadiographError, within=within, name=path.name)
+    large = status.st_size > MOST_BYTES
+    if large or one_by_one:
+        with one_clear_line(path.name):
+            # What is no radiograph is said to be none, not to be too large for one.
+            if modality := declared_modality(path):
+                check_modality(coded_word(modality))
+            if (scan := _on_disk(path, given)) is not None:
+                return replace(scan, sha256=file_digest(path))
     with one_clear_line(path.name):
-        # What is no radiograph is said to be none, not to be too large for one.
-        if status.st_size > MOST_BYTES and (modality := declared_modality(path)):
-            check_modality(coded_word(modality))
         dataset, sha256 = read_dataset(path)
         check_modality(code(dataset, "Modality"))
         tags = read_tags(dataset)
         layout = checked_layout(tags)
         far, pitch, axes, missing = _known(tags, given)
         pixels, display, greys = bone_bright(decoded(dataset, tags, layout), tags, layout)
-        return Scan(path.name, sha256, tags, layout, pixels, display, greys, far, pitch, axes, missing)
+        return Scan(path.name, sha256, tags, layout, tuple(pixels), display, greys, far, pitch, axes, missing)
 
 
-def read_frames(path: Path, given: Geometry, within: Path | None = None) -> FrameFile | None:
+def read_frames(path: Path, given: Geometry, within: Path | None = None) -> Scan | None:
     """A file whose frames can be read one by one, or None where it has to be read whole (coded, deflated or small).
+
+    The scan has no hash of the file, which would have to be read for it.
 
     Parameters
     ----------
@@ -127,45 +165,24 @@ def read_frames(path: Path, given: Geometry, within: Path | None = None) -> Fram
     if status.st_size < LEAST_BYTES:
         return None
     with one_clear_line(path.name):
-        header = read_header(path)
-        if header is None:
-            return None
-        dataset, start, length = header
-        check_modality(code(dataset, "Modality"))
-        tags = read_tags(dataset)
-        layout = checked_layout(tags, MOST_MAPPED_BYTES)
-        check_native(layout, length)
-        far, pitch, axes, missing = _known(tags, given)
-        blank = np.zeros((0, layout.rows, layout.columns), np.float32)
-        scan = Scan(path.name, "", tags, layout, blank, None, "", far, pitch, axes, missing)
-        return FrameFile(path, scan, start)
+        return _on_disk(path, given)
 
 
-@dataclass(frozen=True)
-class FrameFile:
-    """An uncompressed file whose frames are read one by one.
-
-    Attributes
-    ----------
-    scan : what it declares, without pixels and without a hash of the file, which would have to be read for it.
-    start : byte at which the pixels begin.
-    """
-
-    path: Path
-    scan: Scan
-    start: int
-
-    def frame(self, index: int) -> Scan:
-        """The scan with the pixels (1, H, W) of one frame. Raises RadiographError."""
-        layout = self.scan.layout
-        kind = f"<{'i' if layout.signed else 'u'}{layout.allocated // 8}"
-        with one_clear_line(self.path.name):
-            stored = np.fromfile(
-                self.path, kind, layout.rows * layout.columns, offset=self.start + index * layout.frame_bytes
-            )
-            check_native(replace(layout, frames=1), stored.nbytes)
-            pixels, display, greys = bone_bright(whole_bits(stored, replace(layout, frames=1)), self.scan.tags, layout)
-        return replace(self.scan, pixels=pixels, display=display, greys=greys)
+def _on_disk(path: Path, given: Geometry) -> Scan | None:
+    """An uncompressed file, its frames left where they are; None where it is none."""
+    header = read_header(path)
+    if header is None:
+        return None
+    dataset, start, length = header
+    check_modality(code(dataset, "Modality"))
+    tags = read_tags(dataset)
+    layout = checked_layout(tags, MOST_MAPPED_BYTES)
+    check_native(layout, length)
+    far, pitch, axes, missing = _known(tags, given)
+    nothing = np.zeros((0, layout.rows, layout.columns), np.uint16)
+    _, display, greys = bone_bright(nothing, tags, layout)
+    frames = FramesOnDisk(path, start, layout, tags)
+    return Scan(path.name, "", tags, layout, frames, display, greys, far, pitch, axes, missing)
 
 
 def _known(tags: Tags, given: Geometry) -> tuple[Distances | None, Spacing | None, Directions | None, tuple[str, ...]]:

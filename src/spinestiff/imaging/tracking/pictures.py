@@ -41,10 +41,15 @@ class Pictures:
 
     @staticmethod
     def of(frames: Sequence[Radiograph]) -> Pictures:
-        _check_frames(frames)
-        mm = float((frames[0].view.pixel_spacing / frames[0].view.magnification).mean())
+        if not frames:
+            raise TrackingError("no frames to track through; wanted at least the annotated one")
+        first = frames[0]
+        mm = float((first.view.pixel_spacing / first.view.magnification).mean())
         factor = max(1, int(FINEST_MM / mm))
-        images = [block_means(frame.pixels, factor) for frame in frames]
+        images = []
+        for number, frame in enumerate(frames):  # once: frames of a large file are read when they are asked for
+            _check_frame(number, frame, first)
+            images.append(block_means(frame.pixels, factor))
         middle, spread = images[0].mean(), images[0].std()
         if not spread > 0.0:
             raise TrackingError("the first frame is one grey value; wanted a radiograph")
@@ -115,20 +120,16 @@ def check_inside(points: Floats, shape: tuple[int, ...], frame: int, names: Sequ
             raise TrackingError(f"{name} lies outside frame {frame} of {shape[1]} columns and {shape[0]} rows")
 
 
-def _check_frames(frames: Sequence[Radiograph]) -> None:
-    if not frames:
-        raise TrackingError("no frames to track through; wanted at least the annotated one")
-    first = frames[0]
-    for k, frame in enumerate(frames):
-        if frame.pixels.shape != first.pixels.shape:
-            raise TrackingError(
-                f"frame {k} has shape {frame.pixels.shape}, frame 0 {first.pixels.shape}; wanted one size"
-            )
-        if not np.allclose(frame.view.pixel_spacing, first.view.pixel_spacing) or not np.isclose(
-            frame.view.magnification, first.view.magnification
-        ):
-            raise TrackingError(
-                f"frame {k} has another pixel spacing or magnification than frame 0; wanted one geometry"
-            )
-        if not np.isfinite(frame.pixels).all():
-            raise TrackingError(f"frame {k} holds pixels that are not finite")
+def _check_frame(number: int, frame: Radiograph, first: Radiograph) -> None:
+    if frame.pixels.shape != first.pixels.shape:
+        raise TrackingError(
+            f"frame {number} has shape {frame.pixels.shape}, frame 0 {first.pixels.shape}; wanted one size"
+        )
+    if not np.allclose(frame.view.pixel_spacing, first.view.pixel_spacing) or not np.isclose(
+        frame.view.magnification, first.view.magnification
+    ):
+        raise TrackingError(
+            f"frame {number} has another pixel spacing or magnification than frame 0; wanted one geometry"
+        )
+    if not np.isfinite(frame.pixels).all():
+        raise TrackingError(f"frame {number} holds pixels that are not finite")

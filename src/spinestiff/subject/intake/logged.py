@@ -66,7 +66,6 @@ def put_beside(log: ForceLog, files: Sequence[Path], name: str, offset_s: float 
     """
     scans = [scan for file in files for scan in read_scans(file, Geometry())]
     told = times_of(tuple(scans))
-    frames = [frame for scan in scans for frame in scan.pixels]
     times = np.array([np.nan if time is None else time for time in told])
     if not np.isfinite(times).all():
         raise SubjectError(
@@ -77,7 +76,7 @@ def put_beside(log: ForceLog, files: Sequence[Path], name: str, offset_s: float 
         raise SubjectError(
             f"{push_named(name)}: times of its frames do not grow, so a force log can't be put beside them"
         )
-    motion = motion_course(frames)
+    motion = motion_course(frame for scan in scans for frame in scan.pixels)
     logged = Logged(log, times, motion, match_log(log, times, motion))
     return logged if offset_s is None else at_offset(logged, name, offset_s)
 

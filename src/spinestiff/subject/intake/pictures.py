@@ -62,6 +62,11 @@ def pixel_digest(one: Exported) -> str:
 def _digest(path: Path, sha256: str) -> str:
     try:
         scan = read_scan(path, Geometry())
+        if scan.sha256 != sha256:
+            return ""
+        digest = hashlib.sha256()
+        for frame in scan.pixels:
+            digest.update(frame.tobytes())
     except RadiographError:
         return ""
-    return hashlib.sha256(scan.pixels.tobytes()).hexdigest() if scan.sha256 == sha256 else ""
+    return digest.hexdigest()
