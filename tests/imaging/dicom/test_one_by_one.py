@@ -74,7 +74,7 @@ def test_a_coded_file_is_read_whole(file):
 def little_is_read_whole(monkeypatch):
     """Files of more than one small frame are too large to be read whole."""
     for module in (reading, files, radiograph):
-        monkeypatch.setattr(module, "MOST_BYTES", 3000)
+        monkeypatch.setattr(module, "MOST_BYTES", 5000)
     monkeypatch.setattr(files, "MOST_HEADER_BYTES", 2000)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.dicom.files import declared_modality, one_clear_line, read_dataset, read_header
+from spinestiff.imaging.dicom.files import declared_modality, one_clear_line, read_tags_only
 from spinestiff.imaging.dicom.layout import check_modality
 from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.dicom.orientation import BEAMS
@@ -74,8 +74,7 @@ def read_exported(path: Path, name: str, within: Path) -> Exported:
                 check_modality(coded_word(modality))
         scan = read_scan(path, Geometry(), within)
         with one_clear_line(path.name):
-            header = read_header(path)
-            tags = export_tags(read_dataset(path)[0] if header is None else header[0])
+            tags = export_tags(read_tags_only(path))
     except RadiographError as problem:
         raise RadiographError(str(problem).removeprefix(f"{path.name}: ")) from None
     if _even(scan.pixels):

@@ -157,6 +157,17 @@ def read_header(path: Path) -> tuple[Dataset, int, int] | None:
     return dataset, start, min(int.from_bytes(told, "little"), path.stat().st_size - start)
 
 
+def read_tags_only(path: Path) -> Dataset:
+    """The dataset of a regular file, for tags alone: of an uncompressed one no pixel is read.
+
+    Raises
+    ------
+    RadiographError : as ``read_header`` and ``read_dataset``.
+    """
+    header = read_header(path)
+    return read_dataset(path)[0] if header is None else header[0]
+
+
 def declared_modality(path: Path) -> str:
     """Modality as a regular file's first bytes declare it, without reading the rest: a coded word, "" if not told.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from spinestiff.imaging.dicom.files import one_clear_line, read_dataset
+from spinestiff.imaging.dicom.files import one_clear_line, read_tags_only
 from spinestiff.imaging.dicom.person_tags import identity_tags
 
 
@@ -49,5 +49,4 @@ def read_identity(path: Path) -> Identity:
     RadiographError : the file can't be read; the line holds its name and nothing of the patient.
     """
     with one_clear_line(path.name):
-        dataset, _ = read_dataset(path)
-        return Identity(*identity_tags(dataset))
+        return Identity(*identity_tags(read_tags_only(path)))
