@@ -15,7 +15,7 @@ import pytest
 
 from hospital import CANARY, disc, export, gauged
 from spinestiff.app import questions
-from spinestiff.app.init import Asked, make_subject
+from spinestiff.app.init import Asked, force_words, make_subject
 from spinestiff.errors import OptionError, SpinestiffError
 from spinestiff.files import read_json
 from spinestiff.subject.folder import read_unannotated
@@ -595,3 +595,17 @@ def test_forces_with_which_there_is_no_estimate_are_asked_for_again(tmp_path, so
 def test_a_name_of_several_pushes_is_not_told_as_missing(spinestiff, tmp_path, source):
     done = spinestiff("init", tmp_path / "girl", source, "--log", "IM000001=gauge.csv")
     assert done.status == 2 and "'IM000001' names 2 pushes; write more of the file's path" in done.err
+
+
+@pytest.mark.parametrize(
+    ("forces", "words"),
+    [
+        ([0.0, None, 60.0], "0, ?, 60 N"),
+        ([None] * 40, "? N"),
+        ([0.0] * 10 + [20.0, 60.5] * 10, "0 to 60.5 N"),
+        ([0.0] * 20 + [None] * 3 + [60.0], "0 to 60 N, unknown in 3 frames"),
+    ],
+    ids=["few", "many unknown", "many", "some unknown"],
+)
+def test_forces_of_many_frames_are_told_by_the_least_and_the_largest(forces, words):
+    assert force_words(forces) == words

@@ -360,7 +360,7 @@ def _finish(out: Path, work: _Work, notes: Sequence[str]) -> None:
 
 
 def _push_words(push: dict[str, Any]) -> str:
-    forces = _force_words(push["forces_n"])
+    forces = force_words(push["forces_n"])
     told = {key: "?" if push[key] is None else push[key] if key == "side" else f"{push[key]:g}" for key in PUSH}
     return (
         f"{push_named(push['id'])}: {counted(len(push['forces_n']), 'frame')}, from the {told['side']}, "
@@ -368,7 +368,7 @@ def _push_words(push: dict[str, Any]) -> str:
     )
 
 
-def _force_words(forces: Sequence[float | None]) -> str:
+def force_words(forces: Sequence[float | None]) -> str:
     """Forces, one by one if they are few."""
     if len(forces) <= MOST_FORCES_SHOWN:
         return ", ".join("?" if force is None else f"{force:g}" for force in forces) + " N"
