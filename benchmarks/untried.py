@@ -47,30 +47,30 @@ def searched(seed: int, acquisition: Any) -> tuple[WeighedProblem, WeighedFit, M
     shaped = personalise(template, subject.rest)
     pushes = push_set(shaped.torso, subject.records, subject.tracked, known=Known(Priors(), shaped.covariance))
     kept: list[tuple[WeighedProblem, WeighedFit]] = []
-    told = fits._told
+    told = fits.told
 
     def keeping(asked: WeighedProblem, found: WeighedFit, *others: Any) -> Any:
         kept.append((asked, found))
         return told(asked, found, *others)
 
-    fits._told = keeping
+    fits.told = keeping
     try:
         fit_pushes(pushes, NAMES, START, extent="estimate")
     finally:
-        fits._told = told
+        fits.told = told
     return *kept[-1], subject.ratios, subject.kind
 
 
 def held_against(asked: WeighedProblem, found: WeighedFit, truth: Mapping[str, float], untried: float) -> list[float]:
     """Restricted log likelihood, p-value, standard deviations of both logs and their errors."""
     point, slope = found.point, found.slope
-    data, shipped = shipped_data(), asked._modes
+    data, shipped = shipped_data(), asked.moving._modes
     kinds = [name for name in data.kinds if name not in (*NOT_OF["coarse"], *LEFT_OUT)]
-    asked._modes = replace(data, untried=untried).combined(kinds)
+    asked.moving._modes = replace(data, untried=untried).combined(kinds)
     try:
         own = asked.covariance(point)
     finally:
-        asked._modes = shipped
+        asked.moving._modes = shipped
     seen = slice(0, asked.data)
     root = cholesky(own[seen, seen] + slope.nuisances[seen] @ slope.nuisances[seen].T, lower=True)
     free = point.values[seen] - slope.nuisances[seen] @ point.nuisances

@@ -1,0 +1,77 @@
+"""benchmarks/own_model.py: radiographs drawn from an estimate's own model, and what is summed up of their estimates."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from programs import benchmark
+from spinestiff.estimation.objective import make_target, residuals
+from spinestiff.study.visit import load_pushes, open_visit
+
+benchmark("coverage_subjects")
+own_model = benchmark("own_model")
+RATIOS = {"lateral_bending": 0.1, "tissue": 0.05}
+
+
+@pytest.fixture(scope="module")
+def asked(finished):
+    return own_model.asked_with(load_pushes(open_visit(finished.folder), "procrustes", "weighed"), RATIOS)
+
+
+def test_without_errors_the_drawn_corners_are_the_models_own(asked):
+    nothing = SimpleNamespace(normal=lambda size: np.zeros(size))
+    trials, torso = own_model.drawn(asked, nothing), asked.pushes.torso
+    point = asked.problem.solve(asked.log_ratios, np.zeros(len(asked.problem.unknowns)))
+    states = [*(found.state for found in point.evaluation.equilibria), *[torso.rest_pose] * len(trials)]
+    for trial, state in zip(trials, states):
+        assert residuals(torso, make_target(torso, trial), state).rmse < 0.02
+    # What was measured lies elsewhere: the person has other ratios.
+    assert point.evaluation.rmse > 0.5
+
+
+class ErrorsAlone:
+    """Random numbers for as many errors; nothing else is drawn."""
+
+    def __init__(self, seed, count):
+        self.random, self.count = np.random.default_rng(seed), count
+
+    def normal(self, size):
+        return self.random.normal(size=size) * (size == self.count)
+
+
+def test_errors_are_as_large_as_the_estimate_expects(asked):
+    size, draws = asked.problem.noise.size, 4
+    point = asked.problem.solve(asked.log_ratios, np.zeros(len(asked.problem.unknowns)))
+    expected = asked.problem.covariance(point)[:size, :size] - asked.problem.noise.parts["stance"]
+    squares = []
+    for seed in range(draws):
+        random = np.random.default_rng(seed)
+        silent = SimpleNamespace(
+            normal=lambda size, random=random: random.normal(size=size) * (size == expected.shape[0])
+        )
+        trials, torso = own_model.drawn(asked, silent), asked.pushes.torso
+        states = [*(found.state for found in point.evaluation.equilibria), *[torso.rest_pose] * len(trials)]
+        apart = [
+            channels.apply(residuals(torso, make_target(torso, trial), state).difference)
+            for trial, state, channels in zip(trials, states, asked.problem.noise.channels)
+        ]
+        squares.append(np.sum(np.concatenate(apart) ** 2))
+    assert np.mean(squares) == pytest.approx(np.trace(expected), rel=0.5)
+
+
+def test_errors_over_their_standard_deviations_are_summed_up_by_acquisition():
+    known = {"seed": 1, "acquisition": "both sides", "sds": [0.1, 0.1]}
+    rows = [
+        {**known, "errors": [0.3, -0.1], "joint": 7.0, "p_value": 0.5},
+        {**known, "errors": [-0.1, 0.1], "joint": 2.0, "p_value": 0.7},
+        {"seed": 2, "acquisition": "both sides", "failed": "no equilibrium"},
+    ]
+    (found,) = own_model.summarised(rows)
+    assert (found["estimates"], found["failed"], found["people"]) == (2, 1, 1)
+    assert found["rms_z"] == {"lateral_bending": pytest.approx(5.0**0.5, abs=1e-3), "tissue": 1.0}
+    assert found["mean_z"] == {"lateral_bending": 1.0, "tissue": 0.0}
+    assert found["inside95"] == {"lateral_bending": 1, "tissue": 2, "joint": 1}
+    assert (found["mean_joint"], found["median_p_value"]) == (4.5, 0.6)
