@@ -8,6 +8,7 @@ import numpy as np
 
 from spinestiff.arrays import Floats
 from spinestiff.estimation.budget import Budget, PriorChange, prior_changes, repeated_sds, variance_budget
+from spinestiff.estimation.discrepancy import pushed_site
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import Evaluation, TrialSet
 from spinestiff.estimation.fitted import NuisanceEstimate, Weighed
@@ -21,6 +22,9 @@ from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, reduced
 WORST_CONDITION = 1e12
 # Of a log ratio that the data say nothing of.
 LEAST_PRECISION = 1e-6
+# Share of synthetic people pushed from both sides whose 95 % interval of lateral bending holds the truth
+# (docs/coverage.md#pushes-from-both-sides).
+HELD_FROM_BOTH_SIDES = 0.77
 
 
 def told(
@@ -84,6 +88,18 @@ def trial_warnings(trial_set: TrialSet, default: Evaluation | None, point: Evalu
         if square:
             found.append(f"{name}: orientation by covariance means little for {', '.join(square)} (near-square box)")
     return found
+
+
+def both_sides_warnings(trial_set: TrialSet) -> list[str]:
+    """Intervals of bending that are too narrow, as where pushes come from both sides."""
+    bending = [group.name for group in trial_set.groups if "bending" in group.name]
+    sides = {pushed_site(t.load, p.torso)[0] for t, p in zip(trial_set.trials, trial_set.problems)}
+    if len(sides) < 2 or not bending:
+        return []
+    return [
+        f"pushes from both sides: the interval of {bending[0]} is too narrow; of synthetic people pushed so 95 % "
+        f"intervals held the truth in {100.0 * HELD_FROM_BOTH_SIDES:.0f} %"
+    ]
 
 
 def open_end_warnings(opens: Mapping[str, tuple[bool, bool]], bounds: tuple[float, float]) -> list[str]:
