@@ -3,7 +3,7 @@ import { button, h, svg } from "../../shared/dom";
 import { events, words } from "../../shared/net";
 import * as api from "./api";
 import { jobWords } from "./cards";
-import { act, lasted, link, problem, type Room, state } from "./page";
+import { act, anew, lasted, link, problem, reach, type Room, state } from "./page";
 
 const STEPS: [string, string][] = [
   ["track", "Follow the corners through the pushes"], ["response", "N per degree, without a model"], ["personalise", "Shape the torso to the radiographs"],
@@ -20,8 +20,8 @@ export async function run(key: string, stage: string): Promise<Room> {
   async function list(): Promise<void> {
     const jobs = await api.jobs(key);
     const over = jobs.filter((job) => !open(job));
-    history.replaceChildren(...(over.length ? [h("h2", {}, "History"), h("ul", { class: "history" }, ...over.map((job) => h("li", {},
-      h("details", { ontoggle: (event: Event) => void logOf(event, job) }, h("summary", {}, `${verbs[job.verb]?.title ?? job.verb}: ${jobWords(job)}${job.began && job.ended ? `, ${lasted(job.ended - job.began)}` : ""}`), h("pre", { tabindex: "0" })))))] : []));
+    anew(history, () => history.replaceChildren(...(over.length ? [h("h2", {}, "History"), h("ul", { class: "history" }, ...over.map((job) => h("li", {},
+      h("details", { ontoggle: (event: Event) => void logOf(event, job) }, h("summary", {}, `${verbs[job.verb]?.title ?? job.verb}: ${jobWords(job)}${job.began && job.ended ? `, ${lasted(job.ended - job.began)}` : ""}`), h("pre", { tabindex: "0" })))))] : [])));
     const active = jobs.find(open);
     for (const one of starts) one.disabled = active !== undefined || state.readOnly;
     if (active && active.id !== current) watch(active);
@@ -31,12 +31,14 @@ export async function run(key: string, stage: string): Promise<Room> {
     if (place.open && text && !text.textContent) text.textContent = (await api.log(job.id)).lines.join("\n") || "It said nothing.";
   }
 
-  function watch(first: api.Job): void {
+  /** `reached`: with the focus, since whoever has started it goes on here. */
+  function watch(first: api.Job, reached = false): void {
     stop.abort();
     stop = new AbortController();
     current = first.id;
     const { signal } = stop, view = new Live(first, verbs[first.verb]?.title ?? first.verb, key);
     live.replaceChildren(view.element);
+    if (reached) view.reach();
     clearInterval(clock);
     clock = window.setInterval(() => view.tick(), 1000);
     let at = 0, last = first;
@@ -75,7 +77,7 @@ export async function run(key: string, stage: string): Promise<Room> {
     const given: api.Values = {}, needs = verb !== "plan" && verb !== "view" && !ready;
     const start = button("Start", () => act(async () => {
       // Refused: another window has started one, which is shown.
-      try { watch(await api.start(key, verb, given)); } finally { await list(); }
+      try { watch(await api.start(key, verb, given), true); } finally { await list(); }
     }), { class: verb === "run" ? "main" : "", "aria-label": `Start: ${told.title}`, id: `start-${verb}` });
     starts.push(start);
     return h("div", { class: `verb${verb === "run" ? " first" : ""}` }, h("h3", {}, told.title), h("p", { class: "soft" }, `${told.about}${told.minutes ? ` Takes ${told.minutes}.` : ""}`),
@@ -167,9 +169,12 @@ class Live {
     this.state(job);
   }
 
+  reach(): void { reach(this.title); }
+
   state(job: api.Job): void {
     this.job = job;
     this.element.dataset["state"] = job.state;
+    if ((job.cancel || !open(job)) && document.activeElement === this.cancel) this.reach();
     this.cancel.hidden = !open(job);
     this.cancel.disabled = job.cancel;
     this.cancel.textContent = job.cancel ? "Cancelling …" : "Cancel";
