@@ -56,14 +56,15 @@ export function undoable(text: string, undo: () => Promise<void>): () => void {
   return () => { if (back.isConnected) close(); };
 }
 
-/** Do something that may fail; the button is off meanwhile, and has the focus again afterwards if nothing else has. */
+/** Do something that may fail; the button is off meanwhile. Nothing else having the focus then, the button has it again, or, if it is gone, the room. */
 export function act(what: () => Promise<void>, by?: HTMLButtonElement): void {
   const had = by !== undefined && document.activeElement === by;
   problem("");
   if (by) by.disabled = true;
   what().catch(problem).finally(() => {
     if (by) by.disabled = false;
-    if (had && [null, document.body, by].includes(document.activeElement as HTMLButtonElement | null)) by.focus({ preventScroll: true });
+    if (!had || (document.activeElement && document.activeElement !== document.body)) return;
+    if (by.isConnected) by.focus({ preventScroll: true }); else reach(need("room").querySelector("h1"));
   });
 }
 

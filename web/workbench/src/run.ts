@@ -23,8 +23,11 @@ export async function run(key: string, stage: string): Promise<Room> {
     anew(history, () => history.replaceChildren(...(over.length ? [h("h2", {}, "History"), h("ul", { class: "history" }, ...over.map((job) => h("li", {},
       h("details", { ontoggle: (event: Event) => void logOf(event, job) }, h("summary", {}, `${verbs[job.verb]?.title ?? job.verb}: ${jobWords(job)}${job.began && job.ended ? `, ${lasted(job.ended - job.began)}` : ""}`), h("pre", { tabindex: "0" })))))] : [])));
     const active = jobs.find(open);
-    for (const one of starts) one.disabled = active !== undefined || state.readOnly;
     if (active && active.id !== current) watch(active);
+    for (const one of starts) {
+      if (active && document.activeElement === one) reach(live.querySelector("h2"));
+      one.disabled = active !== undefined || state.readOnly;
+    }
   }
   async function logOf(event: Event, job: api.Job): Promise<void> {
     const place = event.target as HTMLDetailsElement, text = place.querySelector("pre");
