@@ -25,6 +25,7 @@ export async function run(key: string, stage: string): Promise<Room> {
     const active = jobs.find(open);
     if (active && active.id !== current) watch(active);
     for (const one of starts) {
+      // Whoever has started it goes on where it is shown.
       if (active && document.activeElement === one) reach(live.querySelector("h2"));
       one.disabled = active !== undefined || state.readOnly;
     }
@@ -34,14 +35,12 @@ export async function run(key: string, stage: string): Promise<Room> {
     if (place.open && text && !text.textContent) text.textContent = (await api.log(job.id)).lines.join("\n") || "It said nothing.";
   }
 
-  /** `reached`: with the focus, since whoever has started it goes on here. */
-  function watch(first: api.Job, reached = false): void {
+  function watch(first: api.Job): void {
     stop.abort();
     stop = new AbortController();
     current = first.id;
     const { signal } = stop, view = new Live(first, verbs[first.verb]?.title ?? first.verb, key);
     live.replaceChildren(view.element);
-    if (reached) view.reach();
     clearInterval(clock);
     clock = window.setInterval(() => view.tick(), 1000);
     let at = 0, last = first;
@@ -80,7 +79,7 @@ export async function run(key: string, stage: string): Promise<Room> {
     const given: api.Values = {}, needs = verb !== "plan" && verb !== "view" && !ready;
     const start = button("Start", () => act(async () => {
       // Refused: another window has started one, which is shown.
-      try { watch(await api.start(key, verb, given), true); } finally { await list(); }
+      try { watch(await api.start(key, verb, given)); } finally { await list(); }
     }), { class: verb === "run" ? "main" : "", "aria-label": `Start: ${told.title}`, id: `start-${verb}` });
     starts.push(start);
     return h("div", { class: `verb${verb === "run" ? " first" : ""}` }, h("h3", {}, told.title), h("p", { class: "soft" }, `${told.about}${told.minutes ? ` Takes ${told.minutes}.` : ""}`),
