@@ -116,3 +116,30 @@ def test_a_step_can_be_clicked_while_the_page_learns_something_new(tab, root, se
     tab.until("document.querySelector('h1').innerText.includes('Radiographs are missing')")
     tab.call("Input.dispatchMouseEvent", type="mouseReleased", buttons=0, **held)
     tab.until("location.hash.endsWith('/run')")
+
+
+def test_saved_is_said_of_what_was_typed_last(tab, root, served):
+    """A value is typed while the one before is on its way."""
+    load(tab, served.address)
+    go(tab, f"/subject/{served.key()}/values")
+    tab.run("""(() => {
+      const real = window.fetch;
+      window.asked = window.answered = 0;
+      window.fetch = async (place, given) => {
+        if (given?.method != 'PUT') return real(place, given);
+        window.asked++;
+        const answer = await real(place, given);
+        await new Promise(done => setTimeout(done, 700));
+        window.answered++;
+        return answer;
+      };
+    })()""")
+    fill(tab, "#f-age", "14")
+    tab.until("asked == 1")
+    fill(tab, "#f-height-cm", "151")
+    tab.until("answered == 1")
+    tab.settle()
+    assert not text(tab, ".saved").startswith("Saved")
+    tab.until("document.querySelector('.saved').innerText.startsWith('Saved')")
+    values = read_json(root / "girl" / "subject.json")
+    assert (values["age"], values["height_cm"]) == (14, 151)
