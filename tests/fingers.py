@@ -33,7 +33,7 @@ def tap_at(tab, place):
 def tap(tab, selector):
     """Tap the middle of a control, which has to be there."""
     named = json.dumps(selector)
-    tab.until(f"!!document.querySelector({named}) && !document.querySelector({named}).disabled")
+    tab.until(f"(e => e?.getClientRects().length && !e.disabled)(document.querySelector({named}))")
     tab.run(f"(document.querySelector({named}).scrollIntoView({{block: 'nearest'}}), 1)")
     tab.settle()
     at = tab.run(
