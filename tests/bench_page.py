@@ -5,8 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 
-from chromium import SHIFT
-
 
 def load(tab, address, state="open"):
     tab.loaded = False
@@ -82,23 +80,6 @@ def chosen(tab, selector, value):
     """As somebody picks an entry of a list."""
     pick = f"e.value = {json.dumps(value)}, e.dispatchEvent(new Event('change')), 1"
     tab.run(f"(e => ({pick}))(document.querySelector({json.dumps(selector)}))")
-
-
-def reach(tab, selector, backwards=False, most=120):
-    """Press Tab until what a selector names has the focus."""
-    tab.until(f"!!document.querySelector({json.dumps(selector)})")
-    for _ in range(most):
-        if tab.run(f"document.activeElement.matches({json.dumps(selector)})"):
-            return
-        tab.press("Tab", modifiers=SHIFT if backwards else 0)
-    raise AssertionError(f"{most} times Tab and not at {selector}")
-
-
-def typed(tab, selector, text):
-    """Reach a field by Tab and type into it, letter by letter; in a list, the first letters of its entry."""
-    reach(tab, selector)
-    for letter in text:
-        tab.press(letter)
 
 
 def box(*sizes):

@@ -11,6 +11,7 @@ import pytest
 
 from annotation_hands import Hands
 from chromium import ALT, CTRL, SHIFT, Tab, browser
+from fingers import touch
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.curves.cobb import REGIONS, read_cobb
 from spinestiff.curves.corner_files import read_corners
@@ -571,11 +572,6 @@ def test_another_window_is_told_and_destroys_nothing(page):
     page.tab.until("document.getElementById('saved').dataset.state == 'failed'")
     assert "another window has changed the annotation" in page.text("saved")
     assert list(page.disk()) == ["rest/frontal"]
-
-
-def touch(tab, kind, *places):
-    points = [{"x": x, "y": y, "id": i, "radiusX": 10, "radiusY": 10} for i, (x, y) in enumerate(places)]
-    tab.call("Input.dispatchTouchEvent", type=f"touch{kind}", touchPoints=points)
 
 
 def test_fingers_drag_corners_add_points_and_zoom(page):

@@ -1,23 +1,21 @@
-"""The workbench's page when things happen around it: a killed server, a second window, nobody's mouse."""
+"""The workbench's page when things happen around it: a killed server, a second window, a button that is held."""
 
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import sys
 from contextlib import contextmanager
 
-import numpy as np
 import pytest
 
-from bench_page import click, fill, go, load, reach, text, typed
+from bench_page import click, fill, go, load, text
 from chromium import Tab, browser
 from spinestiff.annotate.draft import DraftImage
 from spinestiff.files import read_json
 from spinestiff.loopback.serving import listening
 from spinestiff.subject.annotation_record import Annotation
-from spinestiff.subject.folder import read_annotation, read_subject, write_annotation
+from spinestiff.subject.folder import write_annotation
 from unannotated import drawn
 
 pytestmark = pytest.mark.skipif(
@@ -25,7 +23,6 @@ pytestmark = pytest.mark.skipif(
 )
 PROGRAM = [sys.executable, "-c", "from spinestiff.app.cli import main; main()", "serve"]
 SHAPING = "document.querySelector('.steps [data-kind=now]')?.innerText.includes('Shape the torso')"
-SPINE = ("T1", "T5", "T9", "L1", "L5")
 
 
 @contextmanager
@@ -105,74 +102,6 @@ def test_two_windows_on_one_subject(tab, root, served, tmp_path):
     assert len(served.bench.jobs.table.jobs()) == 1
 
 
-def annotate_by_keys(tab, image):
-    """Points along the spine, a proposal, a look at each vertebra."""
-    reach(tab, "#stage")
-    tab.press("p")
-    for pixel in drawn(image).clicks(*SPINE):
-        right, down = np.rint((pixel - np.array(tab.run("annotation.cursor"))) / 10.0).astype(int)
-        tab.press("ArrowRight" if right > 0 else "ArrowLeft", abs(right))
-        tab.press("ArrowDown" if down > 0 else "ArrowUp", abs(down))
-        tab.press("Enter")
-    tab.press("o")
-    tab.until("Object.keys(annotation.marks.vertebrae).length == 17")
-    tab.press("PageDown", 17)
-    tab.until("document.querySelector('#saved').innerText.startsWith('Saved')")
-
-
-@pytest.mark.slow
-def test_the_whole_way_by_keyboard_alone(tab, root, serve, tmp_path):
-    """From an export in a folder to a run: no mouse, no script that clicks; Tab, Enter, letters and arrows."""
-    shutil.copytree(root / "girl", tmp_path / "disc", ignore=shutil.ignore_patterns("*.json"))
-    shutil.rmtree(root / "girl")
-    with serve(root, jobs=True, sources=(tmp_path / "disc",)) as served:
-        load(tab, served.address)
-        reach(tab, "a[href='#/new']")
-        tab.press("Enter")
-        reach(tab, "#read-source")
-        tab.press("Enter")
-        typed(tab, "#name", "girl")
-        tab.press("Enter")
-        typed(tab, "#f-age", "13")
-        typed(tab, "#f-sex", "f")
-        typed(tab, "#f-height-cm", "157")
-        typed(tab, "#f-pushes-0--side", "r")
-        for field, value in (("level", "8"), ("d21-mm", "400"), ("d31-mm", "200")):
-            typed(tab, f"#f-pushes-0--{field}", value)
-        for frame, (force, role) in enumerate((("0", "u"), ("20", "t"), ("40", "v"))):
-            typed(tab, f"#f-pushes-0--forces-n-{frame}-", force)
-            typed(tab, f"#f-pushes-0--roles-{frame}-", role)
-        tab.until("document.querySelector('.saved').innerText == 'Saved. Everything is filled in.'")
-        reach(tab, ".way a[href^='/annotate/']", backwards=True)
-        tab.press("Enter")
-        tab.until("!!window.annotation && document.body.dataset.state == 'open'")
-        push = read_json(root / "girl" / "subject.json")["pushes"][0]
-        assert push["roles"] == ["unused", "training", "validation"] and push["forces_n"] == [0, 20, 40]
-        annotate_by_keys(tab, "rest/frontal")
-        for number, image in ((2, "rest/lateral"), (3, "push/a")):
-            reach(tab, f"#images li:nth-child({number}) button", backwards=True)
-            tab.press("Enter")
-            tab.until(
-                f"annotation.image == annotation.session.images[{number - 1}] && annotation.loaded == annotation.key"
-            )
-            annotate_by_keys(tab, image)
-        assert tab.run("annotation.missing") == []
-        reach(tab, "#back", backwards=True)
-        tab.press("Enter")
-        reach(tab, ".card a.main")
-        tab.press("Enter")
-        reach(tab, "#start-run")
-        tab.press("Enter")
-        tab.until(SHAPING, 90)
-        reach(tab, "#cancel", backwards=True)
-        tab.press("Enter")
-        tab.until("document.querySelector('.live')?.dataset.state == 'cancelled'", 30)
-        assert tab.complaints == []
-    marks = read_annotation(root / "girl" / "annotation.json").images
-    away = np.linalg.norm(marks["rest/frontal"].pixels() - drawn("rest/frontal").quads, axis=2)
-    assert np.median(away) < 4.0 and len(read_subject(root / "girl").annotation.images) == 3
-
-
 def test_a_step_can_be_clicked_while_the_page_learns_something_new(tab, root, served):
     """The button is down when the subject's state changes; when it is let go, the click still counts."""
     load(tab, served.address)
@@ -187,3 +116,30 @@ def test_a_step_can_be_clicked_while_the_page_learns_something_new(tab, root, se
     tab.until("document.querySelector('h1').innerText.includes('Radiographs are missing')")
     tab.call("Input.dispatchMouseEvent", type="mouseReleased", buttons=0, **held)
     tab.until("location.hash.endsWith('/run')")
+
+
+def test_saved_is_said_of_what_was_typed_last(tab, root, served):
+    """A value is typed while the one before is on its way."""
+    load(tab, served.address)
+    go(tab, f"/subject/{served.key()}/values")
+    tab.run("""(() => {
+      const real = window.fetch;
+      window.asked = window.answered = 0;
+      window.fetch = async (place, given) => {
+        if (given?.method != 'PUT') return real(place, given);
+        window.asked++;
+        const answer = await real(place, given);
+        await new Promise(done => setTimeout(done, 700));
+        window.answered++;
+        return answer;
+      };
+    })()""")
+    fill(tab, "#f-age", "14")
+    tab.until("asked == 1")
+    fill(tab, "#f-height-cm", "151")
+    tab.until("answered == 1")
+    tab.settle()
+    assert not text(tab, ".saved").startswith("Saved")
+    tab.until("document.querySelector('.saved').innerText.startsWith('Saved')")
+    values = read_json(root / "girl" / "subject.json")
+    assert (values["age"], values["height_cm"]) == (14, 151)

@@ -158,13 +158,13 @@ export class Panel {
       box.checked = there;
       box.disabled = app.frame > 0;
     }
-    need<HTMLButtonElement>("look-on").disabled = !unseen.length;
+    this.off("look-on", !unseen.length);
     put("look-on", unseen.length ? `Next to look at (${unseen.length} left)` : "Next to look at");
-    need<HTMLButtonElement>("undo").disabled = !app.canUndo;
-    need<HTMLButtonElement>("redo").disabled = !app.canRedo;
-    for (const id of ["names-up", "names-down"]) need<HTMLButtonElement>(id).disabled = app.frame > 0;
-    need<HTMLButtonElement>("clear-spine").disabled = !marks.spine.length;
-    need<HTMLButtonElement>("propose").disabled = !!app.busy || app.frame > 0;
+    this.off("undo", !app.canUndo);
+    this.off("redo", !app.canRedo);
+    for (const id of ["names-up", "names-down"]) this.off(id, app.frame > 0);
+    this.off("clear-spine", !marks.spine.length);
+    this.off("propose", !!app.busy || app.frame > 0);
     put("propose", app.busy || (Object.keys(app.kept).length ? "Propose the others again" : "Propose vertebrae"));
     put("spine-text", app.frame ? "Later frames are tracked." : `${marks.spine.length === 1 ? "1 point" : `${marks.spine.length} points`} along it${marks.spine.length < 3 ? "; a proposal needs three" : ""}.`);
     this.cobb();
@@ -172,6 +172,13 @@ export class Panel {
     this.missing();
     this.sliders();
     app.stage.canvas.setAttribute("aria-label", `${app.image.title}, ${Object.keys(shown).length} vertebrae marked`);
+  }
+
+  /** A button that can't be pressed now hands the focus to the radiograph, where keys do the same. */
+  private off(id: string, off: boolean): void {
+    const made = need<HTMLButtonElement>(id);
+    if (off && document.activeElement === made) this.app.stage.canvas.focus();
+    made.disabled = off;
   }
 
   private cobb(): void {
@@ -206,10 +213,10 @@ export class Panel {
     const doubtful = tracked.flatMap(([, quality]) => quality).filter((q) => q < app.session.lowest_quality).length;
     const pairs = Object.keys(app.marks.pedicles).length, pedicles = pairs ? `, pedicles of ${pairs} marked` : "";
     put("frame-text", `Frame ${words_}: ${source}${doubtful ? `, ${doubtful} corners doubtful or lost` : ""}${pedicles}`);
-    need<HTMLButtonElement>("frame-back").disabled = frame === 0;
-    need<HTMLButtonElement>("frame-on").disabled = frame === count - 1;
+    this.off("frame-back", frame === 0);
+    this.off("frame-on", frame === count - 1);
     const running = state?.state === "running", bar = need<HTMLProgressElement>("track-progress");
-    need<HTMLButtonElement>("track").disabled = running;
+    this.off("track", running);
     bar.style.visibility = running ? "visible" : "hidden";
     need("frame-text").title = need("frame-text").textContent ?? "";
     if (running) bar.value = state.done / Math.max(1, state.total);

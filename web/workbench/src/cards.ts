@@ -1,7 +1,7 @@
 // All subjects: what is missing, the last run, what was found.
 import { button, h } from "../../shared/dom";
 import * as api from "./api";
-import { act, link, pushNamed, type Room, state, sure, undoable, when } from "./page";
+import { act, anew, link, pushNamed, type Room, state, sure, undoable, when } from "./page";
 
 const NEXT: Record<api.Card["stage"], [string, string]> = {
   broken: ["Look at it", "values"], form: ["Fill in the values", "values"], radiographs: ["Add radiographs", "radiographs"], annotate: ["Annotate", "annotate"],
@@ -39,7 +39,7 @@ function one(card: api.Card, again: () => void): HTMLElement {
   const missing = card.stage === "done" ? [] : card.missing;
   const lines = result && !result.problem ? h("ul", { class: "found" }, ...result.lines.map((line) => h("li", {}, line))) : null;
   const doubts = result?.doubts?.length ? h("p", { class: "bad" }, `To distrust: ${result.doubts[0]}`) : null;
-  return h("article", { class: "card", "aria-label": card.name },
+  return h("article", { class: "card", id: `subject-${card.key}`, "aria-label": card.name },
     h("h2", {}, link(card.name, `/subject/${card.key}/${room === "annotate" ? "values" : room}`), badge(card)),
     h("p", { class: "soft" }, person(card)), lines, doubts,
     result && card.stale?.length ? h("p", { class: "warn" }, `Changed since this was found: ${card.stale.join(", ")}.`) : null,
@@ -58,12 +58,10 @@ export async function cards(): Promise<Room> {
   let timer = 0, over = false;
   const load = async (): Promise<void> => {
     const found = await api.subjects();
-    const focus = (document.activeElement as HTMLElement | null)?.closest("article")?.getAttribute("aria-label");
-    list.replaceChildren(...found.map((card) => one(card, () => void load())));
+    anew(list, () => list.replaceChildren(...found.map((card) => one(card, () => void load()))));
     if (!found.length) list.append(h("div", { class: "card empty" }, h("p", {}, "There is no subject here yet."),
       h("p", { class: "soft" }, "A subject is made from the radiographs that a hospital exports: one frontal picture at rest, perhaps a lateral one, and the pictures of at least one push with its forces."),
       state.readOnly ? null : h("a", { class: "button main", href: "#/new" }, "New subject")));
-    if (focus) list.querySelector<HTMLElement>(`[aria-label="${CSS.escape(focus)}"] a`)?.focus();
     clearTimeout(timer);
     if (!over && found.some((card) => card.job?.state === "running" || card.job?.state === "waiting")) timer = window.setTimeout(() => void load().catch(() => undefined), 3000);
   };
@@ -83,13 +81,13 @@ export async function trashRoom(): Promise<Room> {
   const list = h("div", { class: "cards" });
   const load = async (): Promise<void> => {
     const found = await api.trash();
-    list.replaceChildren(...found.map((one) => h("article", { class: "card", "aria-label": titleOf(one) }, h("h2", {}, titleOf(one)), h("p", { class: "soft" }, removedWords(one)),
+    anew(list, () => list.replaceChildren(...found.map((one) => h("article", { class: "card", "aria-label": titleOf(one) }, h("h2", {}, titleOf(one)), h("p", { class: "soft" }, removedWords(one)),
       state.readOnly ? null : h("div", { class: "row" }, button("Put back", () => act(async () => { await api.restore(one.key); await load(); }), { class: "main" }),
         button("Delete for good", () => act(async () => {
           if (!(await sure(`Delete ${titleOf(one)} for good? ${lostWords(one)} can't be brought back.`, "Delete"))) return;
           await api.deleteForGood(one.key);
           await load();
-        }))))));
+        })))))));
     if (!found.length) list.append(h("p", { class: "soft" }, "The trash is empty."));
   };
   await load();

@@ -8,7 +8,7 @@ import { markers, views } from "./beside";
 import { skin, trunk } from "./body";
 import { type Context, field, input, isSimple, plain, sayId, typed, wordsOf } from "./fields";
 import { gaugeLog } from "./gauge";
-import { act, pushNamed, type Room, sentence, state, undoable } from "./page";
+import { act, anew, pushNamed, type Room, sentence, state, undoable } from "./page";
 import { ratios } from "./ratios";
 import { scales } from "./scale";
 import { type Push, torso } from "./torso";
@@ -69,7 +69,8 @@ export async function values(key: string, next: HTMLElement): Promise<Room> {
       saved = text;
     }
     undo.disabled = !past.length;
-    tell("saved", judged.open.length ? `Saved. ${judged.open.length === 1 ? "One value is" : `${judged.open.length} values are`} still to be filled in.` : "Saved. Everything is filled in.");
+    // What was typed meanwhile is said to be saved once it is.
+    if (text === JSON.stringify(form.values)) tell("saved", judged.open.length ? `Saved. ${judged.open.length === 1 ? "One value is" : `${judged.open.length} values are`} still to be filled in.` : "Saved. Everything is filled in.");
     if (!over) document.dispatchEvent(new Event("subject-changed"));
   }
 
@@ -97,7 +98,7 @@ export async function values(key: string, next: HTMLElement): Promise<Room> {
     const pushes = (form.values["pushes"] ?? []) as api.Values[];
     const others = Object.keys(schema.properties ?? {}).filter((name) => !BY_HAND.has(name));
     const simple = others.filter((name) => name !== "torso" && isSimple(plain(told(name), form))), kept = others.filter((name) => !simple.includes(name) && form.values[name] !== undefined);
-    body.replaceChildren(
+    anew(body, () => body.replaceChildren(
       h("p", { id: "values-says", class: "says", role: "alert" }),
       h("fieldset", {}, h("legend", {}, "Person"), h("div", { class: "grid" }, ...PERSON.map((name) => field(form.values, name, name, told(name), context())))),
       ...pushes.map((push, number) => pushSet(push, number, plain(plain(told("pushes"), form).items ?? {}, form))),
@@ -108,7 +109,7 @@ export async function values(key: string, next: HTMLElement): Promise<Room> {
         h("div", { class: "grid" }, ...simple.map((name) => field(form.values, name, name, told(name), context())),
           field(form.values, "population", "population", { enum: form.choices.populations, default: "nobody’s" }, chosen())),
         ratios(form.values, context(), now),
-        kept.length ? h("p", { class: "soft" }, `Kept as they are in subject.json: ${kept.join(", ")}.`) : null), priors());
+        kept.length ? h("p", { class: "soft" }, `Kept as they are in subject.json: ${kept.join(", ")}.`) : null), priors()));
     judge(form);
     pictures(focus);
   }
@@ -162,7 +163,7 @@ export async function values(key: string, next: HTMLElement): Promise<Room> {
     const rows = forces.map((_, i) => h("tr", { onpaste: (event: Event) => pasted(event, i) }, h("th", { scope: "row" }, `Frame ${i}`),
       h("td", {}, input(forces, i, `${path}.forces_n[${i}]`, { type: "number" }, context(), `Force in frame ${i}, N`), h("span", { class: "unit" }, "N")), h("td", {}, role(i)),
       h("td", {}, h("small", { class: "says", id: sayId(`${path}.forces_n[${i}]`) }), h("small", { class: "says", id: sayId(`${path}.roles[${i}]`) }))));
-    return h("fieldset", { class: "push" }, h("legend", {}, sentence(pushNamed(String(push["id"] ?? number + 1)))),
+    return h("fieldset", { class: "push", id: `push-${number}` }, h("legend", {}, sentence(pushNamed(String(push["id"] ?? number + 1)))),
       h("p", { class: "says", id: sayId(path), role: "status" }),
       h("div", { class: "beside" }, h("div", {}, h("div", { class: "grid" }, ...PUSH.map((name) => field(push, name, `${path}.${name}`, told[name] ?? {}, context()))),
         h("table", { class: "frames" }, h("thead", {}, h("tr", {}, h("td", {}), h("th", { scope: "col" }, "Force on the ribs"), h("th", { scope: "col" }, "Use"), h("td", {}))), h("tbody", {}, ...rows)),

@@ -1,7 +1,7 @@
 // Radiographs on their way in: dropped, chosen or in a folder on the server's machine; what they are, and what to make of them.
 import { button, h } from "../../shared/dom";
 import * as api from "./api";
-import { act, problem, type Room, state, undoable } from "./page";
+import { act, anew, problem, type Room, state, undoable } from "./page";
 import { thumbnail } from "./picture";
 import { chosen, dropped, type Given, upload } from "./upload";
 
@@ -69,13 +69,13 @@ export async function intake(purpose: Purpose): Promise<Room> {
       // Something else was chosen meanwhile: its answer counts, whichever comes first.
       if (mine !== turn) return;
       answered = next;
-      below.replaceChildren(found(purpose, next, look, again, () => { uploads.length = 0; }));
+      anew(below, () => below.replaceChildren(found(purpose, next, look, again, () => { uploads.length = 0; })));
     } catch (error) {
       if (mine !== turn) return;
       asked = answered;
       throw error;
     } finally { if (mine === turn) said.textContent = ""; }
-    below.querySelector("h2")?.focus();
+    if (!document.activeElement?.closest("#found select, #found button")) below.querySelector("h2")?.focus();
   };
   files.addEventListener("change", () => { if (files.files) take(chosen(files.files)); });
   folder.addEventListener("change", () => { if (folder.files) take(chosen(folder.files)); });
@@ -121,7 +121,7 @@ export async function intake(purpose: Purpose): Promise<Room> {
 }
 
 function found(purpose: Purpose, asked: api.Asked, look: api.Look, again: Again, used: () => void): HTMLElement {
-  const title = h("h2", { tabindex: "-1" }, "What was found"), box = h("div", {}, title);
+  const title = h("h2", { tabindex: "-1" }, "What was found"), box = h("div", { id: "found" }, title);
   if (look.studies.length > 1) {
     const select = h("select", { id: "study" }, h("option", { value: "" }, "choose …"), ...look.studies.map(({ label, words }) => h("option", { value: label }, words)));
     select.value = look.study ?? "";
@@ -131,7 +131,7 @@ function found(purpose: Purpose, asked: api.Asked, look: api.Look, again: Again,
   if (look.files.length) box.append(sorted(purpose, asked, look, again));
   if (look.files.length || asked.origin === "none") box.append(...purpose.end(asked, look, again, used).filter((one) => one !== null));
   if (look.left_out.length) {
-    box.append(h("details", {}, h("summary", {}, `${look.left_out_in_all} other files are left out`),
+    box.append(h("details", {}, h("summary", {}, look.left_out_in_all === 1 ? "1 other file is left out" : `${look.left_out_in_all} other files are left out`),
       h("ul", {}, ...look.left_out.map(({ name, why }) => h("li", {}, `${name}: ${why}`)),
         look.left_out_in_all > look.left_out.length ? h("li", {}, `and ${look.left_out_in_all - look.left_out.length} more`) : null)));
   }

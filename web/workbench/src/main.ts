@@ -6,7 +6,7 @@ import * as api from "./api";
 import { cards, trashRoom } from "./cards";
 import { compare, table } from "./compare";
 import { newcomer } from "./newcomer";
-import { problem, type Room, state } from "./page";
+import { problem, reach, type Room, state } from "./page";
 import { subject } from "./subject";
 
 const ROOMS: [string, string][] = [["/", "Subjects"], ["/new", "New subject"], ["/compare", "Compare"], ["/table", "Table"], ["/trash", "Trash"]];
@@ -39,7 +39,7 @@ async function enter(): Promise<void> {
     now = next;
     need("room").replaceChildren(next.element);
     // A room begins at its top, whatever was scrolled to in the one before.
-    if (mine > 1) { need("room").focus({ preventScroll: true }); scrollTo(0, 0); }
+    if (mine > 1) { reach(next.element.querySelector("h1")); scrollTo(0, 0); }
     document.body.dataset["state"] = "open";
   } catch (error) {
     if (mine !== asked) return;

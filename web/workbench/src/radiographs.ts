@@ -3,7 +3,7 @@ import { button, h } from "../../shared/dom";
 import * as api from "./api";
 import { integers, typed } from "./fields";
 import { type Again, intake } from "./intake";
-import { act, link, type Room, state, undoable } from "./page";
+import { act, anew, link, type Room, state, undoable } from "./page";
 import { last, thumbnail } from "./picture";
 
 /** As the annotation page shows it; a file whose millimetres are not known yet as it is. */
@@ -16,11 +16,11 @@ export async function radiographs(key: string): Promise<Room> {
   const list = async (): Promise<string[]> => {
     const { files, rest, lacking } = await api.radiographs(key);
     for (const file of files) if (rest.includes(file.image)) there.dataset[viewOf(file.image)] = file.version;
-    there.replaceChildren(files.length ? h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Radiographs of the subject" },
+    anew(there, () => there.replaceChildren(files.length ? h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Radiographs of the subject" },
       h("table", {}, h("thead", {}, h("tr", {}, ...["Picture", "File", "Frames", "What it is", ...(state.readOnly ? [] : ["Other file"])].map((name) => h("th", { scope: "col" }, name)))),
         h("tbody", {}, ...files.map((file) => h("tr", {}, h("td", {}, thumbnail(`${key} ${file.image} ${file.version}`, () => shown(key, file.image), file.use)),
           h("td", { class: "path" }, file.name), h("td", {}, String(file.frames)), h("td", {}, file.use), state.readOnly ? null : h("td", {}, rest.includes(file.image) ? exchange(file.image) : null)))))) : h("p", { class: "soft" }, "There are no radiographs yet."),
-      lacking.length ? h("div", { class: "warn", id: "lacking" }, h("p", {}, "These files do not tell all of the X-ray geometry. What they lack is given in ", link("Values, X-ray geometry", `/subject/${key}/values`), ":"), h("ul", {}, ...lacking.map((line) => h("li", {}, line)))) : "");
+      lacking.length ? h("div", { class: "warn", id: "lacking" }, h("p", {}, "These files do not tell all of the X-ray geometry. What they lack is given in ", link("Values, X-ray geometry", `/subject/${key}/values`), ":"), h("ul", {}, ...lacking.map((line) => h("li", {}, line)))) : ""));
     return rest;
   };
   const exchange = (image: string): HTMLElement => button("Replace …", () => act(async () => {
@@ -43,7 +43,7 @@ export async function radiographs(key: string): Promise<Room> {
   const begin = (next: Room): void => {
     room?.leave?.();
     room = next;
-    if (over) next.leave?.(); else more.replaceChildren(next.element);
+    if (over) next.leave?.(); else anew(more, () => more.replaceChildren(next.element));
   };
   const changes = (asked: api.Asked, look: api.Look): HTMLElement | null => {
     if (look.studies.length > 1 && look.study === null) return null;

@@ -3,7 +3,7 @@ import { button, h, svg } from "../../shared/dom";
 import { events, words } from "../../shared/net";
 import * as api from "./api";
 import { jobWords } from "./cards";
-import { act, lasted, link, problem, type Room, state } from "./page";
+import { act, anew, lasted, link, problem, reach, type Room, state } from "./page";
 
 const STEPS: [string, string][] = [
   ["track", "Follow the corners through the pushes"], ["response", "N per degree, without a model"], ["personalise", "Shape the torso to the radiographs"],
@@ -20,11 +20,15 @@ export async function run(key: string, stage: string): Promise<Room> {
   async function list(): Promise<void> {
     const jobs = await api.jobs(key);
     const over = jobs.filter((job) => !open(job));
-    history.replaceChildren(...(over.length ? [h("h2", {}, "History"), h("ul", { class: "history" }, ...over.map((job) => h("li", {},
-      h("details", { ontoggle: (event: Event) => void logOf(event, job) }, h("summary", {}, `${verbs[job.verb]?.title ?? job.verb}: ${jobWords(job)}${job.began && job.ended ? `, ${lasted(job.ended - job.began)}` : ""}`), h("pre", { tabindex: "0" })))))] : []));
+    anew(history, () => history.replaceChildren(...(over.length ? [h("h2", {}, "History"), h("ul", { class: "history" }, ...over.map((job) => h("li", {},
+      h("details", { ontoggle: (event: Event) => void logOf(event, job) }, h("summary", {}, `${verbs[job.verb]?.title ?? job.verb}: ${jobWords(job)}${job.began && job.ended ? `, ${lasted(job.ended - job.began)}` : ""}`), h("pre", { tabindex: "0" })))))] : [])));
     const active = jobs.find(open);
-    for (const one of starts) one.disabled = active !== undefined || state.readOnly;
     if (active && active.id !== current) watch(active);
+    for (const one of starts) {
+      // Whoever has started it goes on where it is shown.
+      if (active && document.activeElement === one) reach(live.querySelector("h2"));
+      one.disabled = active !== undefined || state.readOnly;
+    }
   }
   async function logOf(event: Event, job: api.Job): Promise<void> {
     const place = event.target as HTMLDetailsElement, text = place.querySelector("pre");
@@ -167,9 +171,12 @@ class Live {
     this.state(job);
   }
 
+  reach(): void { reach(this.title); }
+
   state(job: api.Job): void {
     this.job = job;
     this.element.dataset["state"] = job.state;
+    if ((job.cancel || !open(job)) && document.activeElement === this.cancel) this.reach();
     this.cancel.hidden = !open(job);
     this.cancel.disabled = job.cancel;
     this.cancel.textContent = job.cancel ? "Cancelling …" : "Cancel";

@@ -10,10 +10,11 @@ export function torso(push: Push, focus: string): SVGElement {
   const side = push.side ?? "right", level = push.level ?? 8, from = side === "right" ? -1 : 1, y = rib(level), away = -from;
   const at = (x: number): number => MIDDLE + x;
   const mark = (name: string): string => (focus === name ? "t-on" : "t-off");
-  const dimension = (name: string, x: number, low: number, beside: number, words: string): SVGElement => svg("g", { class: `t-size ${mark(name)}` },
+  // Its words stand outside of its line, in a column that nothing else enters, however long they are.
+  const dimension = (name: string, x: number, low: number, words: string): SVGElement => svg("g", { class: `t-size ${mark(name)}` },
     svg("path", { d: `M${at(x - 5)} ${SHOULDER}h10M${at(x - 5)} ${low}h10M${at(x)} ${SHOULDER}V${low}` }),
     svg("path", { class: "t-head", d: `M${at(x)} ${SHOULDER}l-3.5 8h7zM${at(x)} ${low}l-3.5 -8h7z` }),
-    svg("text", { "text-anchor": "middle", transform: `translate(${at(beside)} ${(SHOULDER + low) / 2}) rotate(-90)` }, words));
+    svg("text", { "text-anchor": "middle", "dominant-baseline": "central", transform: `translate(${at(x + 15 * away)} ${(SHOULDER + low) / 2}) rotate(-90)` }, words));
   const ribs = Array.from({ length: 12 }, (_, i) => {
     const half = [36, 46, 54, 60, 64, 66, 67, 67, 65, 62, 50, 38][i] ?? 50, here = rib(i + 1), chosen = Math.abs(i + 1 - level) < 0.51;
     return svg("path", { class: chosen && push.level !== null ? `t-rib t-chosen ${mark("level")}` : "t-rib", d: `M${at(-half)} ${here + 4}Q${at(-half / 2)} ${here - 9} ${MIDDLE} ${here}Q${at(half / 2)} ${here - 9} ${at(half)} ${here + 4}` });
@@ -29,7 +30,7 @@ export function torso(push: Push, focus: string): SVGElement {
       svg("rect", { x: at(away * 84) - 7, y: SHOULDER - 13, width: 14, height: 26, rx: 3 }), svg("rect", { x: at(away * 84) - 7, y: PELVIS - 13, width: 14, height: 26, rx: 3 })),
     svg("g", { class: `t-push ${focus === "force" || focus === "side" || focus === "level" ? "t-on" : "t-off"}` },
       svg("path", { d: `M${start} ${y}H${tip}` }), svg("path", { class: "t-head", d: `M${tip} ${y}l${from * 11} -6v12z` }),
-      svg("text", { x: start, y: y - 9, "text-anchor": from < 0 ? "start" : "end" }, !push.force ? "push" : `${push.force} N`)),
-    dimension("d31", away * 108, y, away > 0 ? 102 : -99, size(push.d31, "d31")), dimension("d21", away * 132, PELVIS, away > 0 ? 146 : -139, size(push.d21, "d21")),
+      svg("text", { x: at(from * 84), y: y - 11, "text-anchor": from < 0 ? "end" : "start" }, !push.force ? "push" : `${push.force} N`)),
+    dimension("d31", away * 100, y, size(push.d31, "d31")), dimension("d21", away * 129, PELVIS, size(push.d21, "d21")),
     svg("text", { class: "t-side", x: 12, y: 330 }, "patient’s right"), svg("text", { class: "t-side", x: 288, y: 330, "text-anchor": "end" }, "patient’s left"));
 }
