@@ -435,9 +435,14 @@ def mesh_size(torso: TorsoModel) -> Mesh:
     return "coarse" if len(torso.tissue.rest_positions) < FINE_NODES else "fine"
 
 
+def pushed_side(load: LoadCase) -> str:
+    """The side of a push, from the way in which it acts."""
+    return "right" if load.total[0] >= 0.0 else "left"
+
+
 def pushed_site(load: LoadCase, torso: TorsoModel) -> tuple[str, float]:
     """Side and rib level of a push, from where its forces act on ribs; of another load, the ribs at its height."""
-    side = "right" if load.total[0] >= 0.0 else "left"
+    side = pushed_side(load)
     heights, sizes = load.points.positions(torso.rest_pose)[:, 1], np.linalg.norm(load.forces, axis=1)
     on_rib = np.array([torso.bone_names[bone] in RIBS for bone in load.points.bone], dtype=bool)
     share = sizes * on_rib if (sizes * on_rib).any() else sizes

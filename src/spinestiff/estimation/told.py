@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.estimation.budget import Budget, PriorChange, prior_changes, repeated_sds, variance_budget
-from spinestiff.estimation.discrepancy import pushed_site
+from spinestiff.estimation.discrepancy import pushed_side
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import Evaluation, TrialSet
 from spinestiff.estimation.fitted import NuisanceEstimate, Weighed
@@ -91,10 +92,10 @@ def trial_warnings(trial_set: TrialSet, default: Evaluation | None, point: Evalu
 
 
 def both_sides_warnings(trial_set: TrialSet) -> list[str]:
-    """Intervals of bending that are too narrow, as where pushes come from both sides."""
+    """Intervals of bending that are too narrow, as where a person is pushed from both sides."""
     bending = [group.name for group in trial_set.groups if "bending" in group.name]
-    sides = {pushed_site(t.load, p.torso)[0] for t, p in zip(trial_set.trials, trial_set.problems)}
-    if len(sides) < 2 or not bending:
+    sides = {pushed_side(trial.load) for trial in trial_set.trials}
+    if len(sides) < 2 or not bending or trial_set.problems[0].torso.vertebrae != VERTEBRAE:
         return []
     return [
         f"pushes from both sides: the interval of {bending[0]} is too narrow; of synthetic people pushed so 95 % "
