@@ -253,7 +253,11 @@ def test_what_is_no_radiograph_is_said_before_it_is_too_large(file):
         stream.truncate(600 * 2**20)  # sparse
     with pytest.raises(RadiographError, match=r"^a\.dcm: Modality: found CT, wanted a projection radiograph"):
         read_radiographs(path)
-    path = file(name="b.dcm")
+
+    def deflate(dataset):
+        dataset.file_meta.TransferSyntaxUID = pydicom.uid.DeflatedExplicitVRLittleEndian
+
+    path = file(name="b.dcm", change=deflate)
     with path.open("r+b") as stream:
         stream.truncate(600 * 2**20)
     with pytest.raises(RadiographError, match=r"^b\.dcm: found 600 MB, wanted at most 512 MB"):

@@ -1,5 +1,5 @@
 /*! spinestiff viewer, Apache-2.0; built from web/viewer, do not edit.
-sources sha256 708d6cf0c351ea3d90e4e50119e7da384e7f85c08e6c2fcd1553528193198c77
+sources sha256 b1ae8e0bed277f3e41c85ad3f6c06e4c45c5244de118b99fc288e91a272ebe70
 Contains three.js and its OrbitControls and Line2, under this licence:
 
 The MIT License
