@@ -14,7 +14,6 @@ errors nearly, so the stance counts for as many mm of them. ``--json`` prints wh
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from discrepancy_pairs import SEED, Bench, Modelled, Subject, modelled, personalised, subject_of
-from kept_rows import begun, keep, rows_of, tell
+from kept_rows import asked_for, begun, keep
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.arrays import Floats
@@ -86,27 +85,15 @@ def summarised(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--log", type=Path, help="a line a subject; what is there is left as it is")
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--subjects", type=int, default=12)
-    parser.add_argument("--summary", type=Path, nargs="+", metavar="FILE")
-    parser.add_argument("--write", action="store_true", help="store the summary in benchmarks/results/")
-    parser.add_argument("--json", action="store_true", help="print what is stored")
-    asked = parser.parse_args()
-    if asked.json:
-        print(RESULTS.read_text(encoding="utf-8"))
-    elif asked.summary:
-        tell(summarised(rows_of(asked.summary)), RESULTS if asked.write else None)
-    elif asked.log:
-        done = {row["subject"] for row in begun(asked.log)}
-        for number in range(asked.first, asked.first + asked.subjects):
-            if number not in done:
-                row = of_subject(subject_of(number))
-                keep(asked.log, row)
-                print(number, row.get("failed") or [row["annotation"], row["stance"]], row["cpu_s"], flush=True)
-    else:
-        parser.error("wanted --log FILE, --summary FILE... or --json")
+    asked = asked_for(__doc__, RESULTS, summarised, first=0, subjects=12)
+    if asked is None:
+        return
+    done = {row["subject"] for row in begun(asked.log)}
+    for number in range(asked.first, asked.first + asked.subjects):
+        if number not in done:
+            row = of_subject(subject_of(number))
+            keep(asked.log, row)
+            print(number, row.get("failed") or [row["annotation"], row["stance"]], row["cpu_s"], flush=True)
 
 
 if __name__ == "__main__":

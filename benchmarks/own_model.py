@@ -17,7 +17,6 @@ log that exists is gone on with; needs the extra ``[mesh]``. About 20 CPU s a dr
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from coverage_subjects import Acquisition, make_subject
-from kept_rows import begun, keep, rows_of, tell
+from kept_rows import asked_for, begun, keep
 
 from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.anatomy.template import template_torso
@@ -173,37 +172,24 @@ def summarised(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--log", type=Path)
-    parser.add_argument("--first", type=int, default=FIRST)
-    parser.add_argument("--people", type=int, default=6)
-    parser.add_argument("--draws", type=int, default=5)
-    parser.add_argument("--summary", type=Path, nargs="+", metavar="FILE")
-    parser.add_argument("--write", action="store_true", help="store the summary in benchmarks/results/")
-    parser.add_argument("--json", action="store_true", help="print what is stored")
-    asked = parser.parse_args()
-    if asked.json:
-        print(RESULTS.read_text(encoding="utf-8") if RESULTS.is_file() else "{}")
-    elif asked.summary:
-        tell({"acquisitions": summarised(rows_of(asked.summary))}, RESULTS if asked.write else None)
-    elif asked.log:
-        done = {(row["seed"], row["acquisition"], row["draw"]) for row in begun(asked.log)}
-        for seed in range(asked.first, asked.first + asked.people):
-            for acquisition in ACQUISITIONS:
-                todo = [draw for draw in range(asked.draws) if (seed, acquisition, draw) not in done]
-                if not todo:
-                    continue
-                try:
-                    person = asked_of(seed, acquisition)
-                except SpinestiffError as error:
-                    print(seed, acquisition, error, flush=True)
-                    continue
-                for draw in todo:
-                    row = run_one(seed, acquisition, person, draw)
-                    keep(asked.log, row)
-                    print(row, flush=True)
-    else:
-        parser.error("wanted --log FILE, --summary FILE... or --json")
+    asked = asked_for(__doc__, RESULTS, lambda rows: {"acquisitions": summarised(rows)}, first=FIRST, people=6, draws=5)
+    if asked is None:
+        return
+    done = {(row["seed"], row["acquisition"], row["draw"]) for row in begun(asked.log)}
+    for seed in range(asked.first, asked.first + asked.people):
+        for acquisition in ACQUISITIONS:
+            todo = [draw for draw in range(asked.draws) if (seed, acquisition, draw) not in done]
+            if not todo:
+                continue
+            try:
+                person = asked_of(seed, acquisition)
+            except SpinestiffError as error:
+                print(seed, acquisition, error, flush=True)
+                continue
+            for draw in todo:
+                row = run_one(seed, acquisition, person, draw)
+                keep(asked.log, row)
+                print(row, flush=True)
 
 
 if __name__ == "__main__":

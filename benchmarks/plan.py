@@ -19,7 +19,6 @@ is gone on with; the rows that are kept are benchmarks/results/plan.jsonl.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +27,7 @@ from typing import Any
 
 import numpy as np
 from coverage_subjects import PlacedPush, Subject, make_subject
-from kept_rows import begun, keep, rows_of, tell
+from kept_rows import asked_for, begun, keep
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import FitError, SpinestiffError
@@ -207,28 +206,16 @@ def _median(values: Sequence[float] | np.ndarray) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--log", type=Path)
-    parser.add_argument("--first", type=int, default=FIRST)
-    parser.add_argument("--people", type=int, default=40)
-    parser.add_argument("--summary", type=Path, nargs="+", metavar="FILE")
-    parser.add_argument("--write", action="store_true", help="store the summary in benchmarks/results/")
-    parser.add_argument("--json", action="store_true", help="print what is stored")
-    asked = parser.parse_args()
-    if asked.json:
-        print(RESULTS.read_text(encoding="utf-8") if RESULTS.is_file() else "{}")
-    elif asked.summary:
-        tell({"arms": summarised(rows_of(asked.summary))}, RESULTS if asked.write else None)
-    elif asked.log:
-        done = {row["seed"] for row in begun(asked.log)}
-        for seed in range(asked.first, asked.first + asked.people):
-            if seed in done:
-                continue
-            row = run_one(seed)
-            keep(asked.log, row)
-            print(seed, row.get("failed") or [row[arm]["lateral_bending"] for arm in ARMS], row["cpu_s"], flush=True)
-    else:
-        parser.error("wanted --log FILE, --summary FILE... or --json")
+    asked = asked_for(__doc__, RESULTS, lambda rows: {"arms": summarised(rows)}, first=FIRST, people=40)
+    if asked is None:
+        return
+    done = {row["seed"] for row in begun(asked.log)}
+    for seed in range(asked.first, asked.first + asked.people):
+        if seed in done:
+            continue
+        row = run_one(seed)
+        keep(asked.log, row)
+        print(seed, row.get("failed") or [row[arm]["lateral_bending"] for arm in ARMS], row["cpu_s"], flush=True)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ often an unchanged person is said to have changed; estimates that do not determi
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -25,7 +24,7 @@ from typing import Any
 
 import numpy as np
 from coverage_subjects import make_subject
-from kept_rows import begun, keep, rows_of, tell
+from kept_rows import asked_for, begun, keep
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
@@ -121,32 +120,18 @@ def summarised(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--log", type=Path)
-    parser.add_argument("--first", type=int, default=FIRST)
-    parser.add_argument("--people", type=int, default=40)
-    parser.add_argument("--visits", type=int, default=3)
-    parser.add_argument("--annotators", type=int, default=2)
-    parser.add_argument("--summary", type=Path, nargs="+", metavar="FILE")
-    parser.add_argument("--write", action="store_true", help="store the summary in benchmarks/results/")
-    parser.add_argument("--json", action="store_true", help="print what is stored")
-    asked = parser.parse_args()
-    if asked.json:
-        print(RESULTS.read_text(encoding="utf-8") if RESULTS.is_file() else "{}")
-    elif asked.summary:
-        tell(summarised(rows_of(asked.summary)), RESULTS if asked.write else None)
-    elif asked.log:
-        known = {(row["seed"], row["visit"], row["annotator"]) for row in begun(asked.log)}
-        for seed in range(asked.first, asked.first + asked.people):
-            for visit in range(asked.visits):
-                for annotator in range(asked.annotators):
-                    if (seed, visit, annotator) in known:
-                        continue
-                    row = run_one(seed, visit, annotator)
-                    keep(asked.log, row)
-                    print(seed, visit, annotator, row.get("failed") or row["estimate"], row.get("cpu_s"), flush=True)
-    else:
-        parser.error("wanted --log FILE, --summary FILE... or --json")
+    asked = asked_for(__doc__, RESULTS, summarised, first=FIRST, people=40, visits=3, annotators=2)
+    if asked is None:
+        return
+    known = {(row["seed"], row["visit"], row["annotator"]) for row in begun(asked.log)}
+    for seed in range(asked.first, asked.first + asked.people):
+        for visit in range(asked.visits):
+            for annotator in range(asked.annotators):
+                if (seed, visit, annotator) in known:
+                    continue
+                row = run_one(seed, visit, annotator)
+                keep(asked.log, row)
+                print(seed, visit, annotator, row.get("failed") or row["estimate"], row.get("cpu_s"), flush=True)
 
 
 if __name__ == "__main__":

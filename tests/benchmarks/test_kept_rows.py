@@ -30,6 +30,26 @@ def test_a_summary_is_printed_and_stored_where_asked(tmp_path, capsys) -> None:
     assert (tmp_path / "found.json").read_text() == capsys.readouterr().out
 
 
+def test_a_campaign_is_run_summed_up_or_printed(tmp_path, monkeypatch, capsys) -> None:
+    log, stored = tmp_path / "log.jsonl", tmp_path / "found.json"
+    rows.keep(log, {"seed": 1})
+
+    def asked(*words):
+        monkeypatch.setattr("sys.argv", ["program", *map(str, words)])
+        return rows.asked_for("What it does.", stored, lambda found: {"people": len(found)}, first=7, people=40)
+
+    given = asked("--log", log, "--people", 3)
+    assert (given.log, given.first, given.people) == (log, 7, 3)
+    assert asked("--json") is None and capsys.readouterr().out == "{}\n"
+    assert asked("--summary", log) is None and not stored.exists()
+    assert asked("--summary", log, log, "--write") is None and json.loads(stored.read_text())["people"] == 2
+    capsys.readouterr()
+    assert asked("--json") is None and json.loads(capsys.readouterr().out)["people"] == 2
+    with pytest.raises(SystemExit):
+        asked()
+    assert "wanted --log FILE" in capsys.readouterr().err
+
+
 def test_the_stance_counts_for_as_much_as_was_measured() -> None:
     stored = json.loads(stance.RESULTS.read_text(encoding="utf-8"))
     assert stored["stance_mm"] == pytest.approx(STANCE_MM, abs=0.05)

@@ -12,6 +12,7 @@ from spinestiff.errors import RadiographError
 from spinestiff.imaging import radiograph
 from spinestiff.imaging.dicom import files, reading
 from spinestiff.imaging.dicom.export import read_exported
+from spinestiff.imaging.dicom.identity import read_identity
 from spinestiff.imaging.motion import motion_course
 from spinestiff.imaging.radiograph import KEPT, open_radiographs, read_radiographs, read_scans
 from spinestiff.subject.intake.pictures import pixel_digest
@@ -103,6 +104,18 @@ def test_a_file_too_large_to_be_read_whole_is_read_frame_by_frame(file, request)
     assert (again.scan.sha256, again.tags, again.looks) == (exported.scan.sha256, exported.tags, exported.looks)
     pixel_digest.__globals__["_digest"].cache_clear()
     assert pixel_digest(again) == digest != ""
+
+
+def test_a_small_file_may_have_a_long_header(file, request):
+    def long_header(dataset):
+        dataset.private_block(0x0099, "LONG", create=True).add_new(1, "OB", bytes(3000))
+
+    path = file(SERIES[:1], change=long_header)
+    request.getfixturevalue("little_is_read_whole")
+    for module in (files, reading, radiograph):
+        request.getfixturevalue("monkeypatch").setattr(module, "MOST_BYTES", 50_000)
+    assert read_exported(path, path.name, path.parent).frames == 1
+    read_identity(path)
 
 
 def test_files_that_are_too_large_together_are_read_one_by_one(file, request):

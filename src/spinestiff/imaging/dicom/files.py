@@ -158,13 +158,13 @@ def read_header(path: Path) -> tuple[Dataset, int, int] | None:
 
 
 def read_tags_only(path: Path) -> Dataset:
-    """The dataset of a regular file, for tags alone: of an uncompressed one no pixel is read.
+    """The dataset of a regular file, for tags alone: of one too large to be read whole no pixel is read.
 
     Raises
     ------
     RadiographError : as ``read_header`` and ``read_dataset``.
     """
-    header = read_header(path)
+    header = read_header(path) if path.stat().st_size > MOST_BYTES else None
     return read_dataset(path)[0] if header is None else header[0]
 
 
