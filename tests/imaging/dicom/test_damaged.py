@@ -253,6 +253,11 @@ def test_what_is_no_radiograph_is_said_before_it_is_too_large(file):
         stream.truncate(600 * 2**20)  # sparse
     with pytest.raises(RadiographError, match=r"^a\.dcm: Modality: found CT, wanted a projection radiograph"):
         read_radiographs(path)
+    path = file(name="c.dcm")
+    with path.open("r+b") as stream:
+        stream.truncate(600 * 2**20)
+    with pytest.raises(RadiographError, match=r"^c\.dcm: found 600 MB behind the pixels, wanted none"):
+        read_radiographs(path)
 
     def deflate(dataset):
         dataset.file_meta.TransferSyntaxUID = pydicom.uid.DeflatedExplicitVRLittleEndian

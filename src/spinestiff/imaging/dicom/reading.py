@@ -15,6 +15,7 @@ from spinestiff.files import file_digest, regular_file
 from spinestiff.imaging.dicom.decoding import decoded, whole_bits
 from spinestiff.imaging.dicom.files import (
     MOST_BYTES,
+    MOST_HEADER_BYTES,
     MOST_MAPPED_BYTES,
     declared_modality,
     one_clear_line,
@@ -178,6 +179,9 @@ def _on_disk(path: Path, given: Geometry) -> Scan | None:
     tags = read_tags(dataset)
     layout = checked_layout(tags, MOST_MAPPED_BYTES)
     check_native(layout, length)
+    behind = path.stat().st_size - start - length
+    if behind > MOST_HEADER_BYTES:
+        raise RadiographError(f"found {behind / 2**20:.0f} MB behind the pixels, wanted none; copy the file again")
     far, pitch, axes, missing = _known(tags, given)
     nothing = np.zeros((0, layout.rows, layout.columns), np.uint16)
     _, display, greys = bone_bright(nothing, tags, layout)
