@@ -20,14 +20,9 @@ from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
-from discrepancy_pairs import OF_BASE, STANDARD_LAW, Bench, equal_ratios
+from discrepancy_pairs import OF_BASE, STANDARD_LAW, Bench, drawn_body, equal_ratios
 from judgement_subjects import (
     AGES,
-    KYPHOSIS_DEG,
-    LORDOSIS_DEG,
-    PERSON_SD,
-    SPINE_LENGTH_SD,
-    VERTEBRA_SD,
     drawn_drag,
     drawn_height,
     nominal_view,
@@ -40,8 +35,6 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RIB_ROTATION, parameter_group, stiffness_ratios
-from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.template.body import usual_mass
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, tilts
@@ -55,7 +48,6 @@ from spinestiff.mechanics.loads import LoadCase, rib_push
 from spinestiff.mechanics.places import shifted_shoulder
 from spinestiff.mechanics.supports import SupportKind, Supports
 from spinestiff.personalise.shape import place_vertebrae
-from spinestiff.personalise.sizes import resized
 from spinestiff.study.elastic_supports import SyntheticSupports, drawn_supports, elastic_supports, support_stiffness
 from spinestiff.study.spines import CURVES, curved_spine
 from spinestiff.subject.outcomes import TrackedPush
@@ -65,7 +57,6 @@ from spinestiff.subject.records import PushRecord, Role
 BENDING, TISSUE = (0.0075, 0.84), (0.029, 0.77)
 COBB_DEG = (10.0, 80.0)
 FORCE_N = (40.0, 80.0)
-MASS_SD = 0.15  # of the body over the usual one, in log; what the estimator is not told
 MOST_TILT = np.deg2rad(45.0)  # change of tilt at which a push ends
 LEAST_FORCE_N = 15.0
 ANNOTATION_MM = 0.3
@@ -349,16 +340,7 @@ def _drawn_visit(
 def _true_torso(
     random: np.random.Generator, height: float, age: float, sex: Literal["female", "male"], nodes: int, seed: int
 ) -> TorsoModel:
-    mass = usual_mass(height, age, sex) * float(np.exp(np.clip(random.normal(0.0, MASS_SD), -0.3, 0.3)))
-    body = template_torso(
-        height,
-        age_years=age,
-        sex=sex,
-        mass_kg=mass,
-        kyphosis_deg=float(random.uniform(*KYPHOSIS_DEG)),
-        lordosis_deg=float(random.uniform(*LORDOSIS_DEG)),
-    ).scaled(1.0 + float(np.clip(random.normal(0.0, SPINE_LENGTH_SD), -0.07, 0.07)))
-    body = resized(body, np.exp(random.normal(0.0, PERSON_SD) + random.normal(0.0, VERTEBRA_SD, (17, 3))))
+    body = drawn_body(random, height, age, sex)
     cobb = float(random.uniform(*COBB_DEG)) * float(random.choice([-1.0, 1.0]))
     curve = str(random.choice(list(CURVES)))
     return place_vertebrae(body, *curved_spine(body, cobb, curve), nodes=nodes, seed=seed)

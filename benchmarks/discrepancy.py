@@ -422,7 +422,8 @@ def draw(data: DiscrepancyData, path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scratch", type=Path, required=True, help="folder of pairs and meshes; a run goes on from it")
-    parser.add_argument("--subjects", type=int, default=40, help="to make pairs of")
+    parser.add_argument("--first", type=int, default=0, help="number of the first subject to make pairs of")
+    parser.add_argument("--subjects", type=int, default=24, help="to make pairs of")
     parser.add_argument("--evaluate", action="store_true", help="take the pairs that are there")
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
     parser.add_argument("--write", action="store_true", help="store data, results and picture")
@@ -431,7 +432,7 @@ def main() -> None:
     if not arguments.evaluate:
         arguments.scratch.mkdir(parents=True, exist_ok=True)
         say = (lambda line: None) if arguments.json else lambda line: print(line, flush=True)
-        discrepancy_pairs.run(path, arguments.subjects, arguments.scratch / "meshes", say)
+        discrepancy_pairs.run(path, arguments.first, arguments.subjects, say)
     results, data = evaluate(discrepancy_pairs.read(path))
     if arguments.json:
         print(json.dumps(results, indent=1))

@@ -1,11 +1,15 @@
 """Pairs of the model and of something that differs from it in one respect, pushed alike at equal true ratios.
 
-What ``discrepancy.py`` learns from. A subject is a body of 140 to 175 cm with a curve of 10 to 60 degrees, a bending
+What ``discrepancy.py`` learns from. A subject is a body of 140 to 175 cm with a curve of 10 to 80 degrees, a bending
 ratio of 0.0075 to 0.84 and a tissue modulus of 0.0075 to 0.2 times 0.58 MPa, both log-uniform. A pair is one kind of
 variant of one subject:
 
-    finer mesh       the truth on the fine mesh (10,000 nodes)
-    other mesh       the truth on a mesh of the coarse one's size from another seed (points in bones stay)
+    body             the truth is a person: of its own age, sex, mass, kyphosis and lordosis, with a spine of its own
+                     length and vertebrae of their own sizes. The model is what an estimate makes of that: the template
+                     of its height, age and sex, personalised from corners marked in two views (0.3 mm noise) of a
+                     person who stands as nobody was told
+    other mesh       the truth on a mesh of the coarse one's size, built anew in the curved skin with other points
+    finer mesh       the same with as many nodes as truths of the default chain have (15,000)
     disc centres     the truth's discs turn 3 to 12 mm farther behind
     rib joints       the truth's ribs turn 2 to 20 times more easily on their vertebrae (bench values: 11 times,
                      J Biomech 2024 163:111923)
@@ -16,14 +20,13 @@ variant of one subject:
     volume           the truth's Poisson ratio is 0.3 to 0.42 or 0.47 to 0.49 (the model's: 0.45)
     one-sided wall   the truth's back may leave the wall, which holds the model's
     push point       the truth is pushed 10 to 20 mm farther to the front or to the rear
-    proportions      the truth is a body of its own age, sex, mass, kyphosis and lordosis; the model is the template of
-                     its height, age and sex, which an estimate is told, with the truth's vertebral poses. What of the
-                     difference is as if all tissue were stiffer or softer is the trunk's size, an unknown of the
-                     estimate, and taken out by the model's derivative
     geometry         the model is what personalisation makes of the truth's corners in two views, 0.5 mm noise
-    fine to limit    the truth on a mesh of 26,000 nodes, the model on the fine mesh
-    other fine mesh  the truth on a mesh of the fine one's size from another seed (points in bones stay), the model on
-                     the fine mesh
+    fine to limit    the truth on a mesh of 26,000 nodes, built anew as for "other mesh", the model on the fine mesh
+    other fine mesh  the truth on a mesh of the fine one's size, built anew, the model on the fine mesh
+
+What of a difference is as if all tissue were stiffer or softer is an unknown of an estimate where it comes of a body's
+size or of a mesh (priors ``trunk`` and ``mesh``): of "body" and of the four meshes it is taken out by the model's
+derivative.
 
 Every pair is pushed at ribs 5, 7.5 and 10 of each side, once with half the force, and once at any level from 4 to 11.
 The force is one under which the model's vertebrae turn by 5 to 25 degrees against each other (near a log-uniform draw).
@@ -47,10 +50,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from judgement_subjects import standing
+from judgement_subjects import KYPHOSIS_DEG, LORDOSIS_DEG, PERSON_SD, SPINE_LENGTH_SD, VERTEBRA_SD, standing
 
 from spinestiff.anatomy.files import read_torso, write_torso
 from spinestiff.anatomy.names import INTERVERTEBRAL
@@ -71,7 +74,7 @@ from spinestiff.anatomy.torso import TissueMesh, TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError, SpinestiffError
 from spinestiff.estimation.discrepancy import CHANNELS as TURNS
-from spinestiff.estimation.discrepancy import SIDES, motion_size, plane_motion
+from spinestiff.estimation.discrepancy import SIDES, Mesh, motion_size, plane_motion
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.unknowns import ACTS, POWERS, SCALED, load_changes
 from spinestiff.imaging.features import VertebraCorners, picture_axes, silhouette_shares, state_features
@@ -84,6 +87,7 @@ from spinestiff.mechanics.neutral_zone import NeutralZone
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.mechanics.tissue import element_energies
 from spinestiff.personalise.shape import personalise, place_vertebrae
+from spinestiff.personalise.sizes import resized
 from spinestiff.study.spines import CURVES, curved_spine, rest_vertebrae
 
 ROOT = Path(__file__).parent.parent
@@ -94,8 +98,9 @@ from tissue_mesh import half_mesh, mirror, quadratic  # noqa: E402
 
 SEED = 20261122
 PELVIS = "level"
-HEIGHTS_CM, COBB_DEG = (140.0, 175.0), (10.0, 60.0)
-KYPHOSIS_DEG, LORDOSIS_DEG = (20.0, 50.0), (35.0, 60.0)
+HEIGHTS_CM, COBB_DEG = (140.0, 175.0), (10.0, 80.0)
+AGES = (10.0, 16.0)
+MASS_SD = 0.15  # of the body over the usual one, in log; what an estimate is not told
 BENDING = (0.0075, 0.84)
 TISSUE_MPA = (0.0075 * 0.58, 0.2 * 0.58)
 TILT_DEG = (5.0, 25.0)
@@ -104,16 +109,18 @@ GRID = tuple((side, level) for side in SIDES for level in LEVELS)
 OFF_GRID = (4.0, 11.0)
 ENERGY_LEVEL, ENERGY_FORCE_N = 8.0, 40.0
 EQUAL = 0.01  # of log ratios
-CORNER_NOISE_MM = 0.5
+CORNER_NOISE_MM, MARKED_MM = 0.5, 0.3
 UNDER_SKIN_MM, AROUND_SPINE_MM = 25.0, 55.0
-OTHER_SEEDS = (71, 1071, 2071)
 FINEST = 17.0  # mm between points inside
-# What a subject gets: twice all that cost a second or two, once one that costs more, every other time one of the rest.
-CHEAP = ("disc centres", "stiffening", "volume", "rib joints", "layers", "push point")
-DEARER = ("other mesh", "one-sided wall")
-DEAREST = ("geometry", "finer mesh", "proportions")
+# Nodes of a truth's mesh, asked for (it gets a tenth more or less).
+MESHES = {"other mesh": 2300, "finer mesh": 15_000, "other fine mesh": 10_000, "fine to limit": 26_000}
+# What a subject gets: so many of each of these, and every so many subjects one of the others.
+TIMES = {"body": 2, "other mesh": 1, "disc centres": 1, "stiffening": 1, "layers": 1}
+TIMES |= {"volume": 1, "rib joints": 1, "push point": 1}
+EVERY = {"geometry": 4, "finer mesh": 4, "one-sided wall": 4}
 LIMIT_KINDS = ("other fine mesh", "fine to limit")
-LIMIT_EVERY = 4  # subjects
+LIMIT_EVERY = 8  # subjects
+AS_TISSUE = ("body", *MESHES)  # of these, what is as if tissue were stiffer or softer is taken out
 # Kinds whose cause an estimate has among its own unknowns, and its prior's standard deviation in the unit of a slope;
 # the trunk's size is one that acts as the tissue's ratio does.
 EXPLICIT = {
@@ -122,7 +129,7 @@ EXPLICIT = {
     "push point": Priors().push_depth_mm,
 }
 TRUNK = Priors().trunk * float(np.linalg.norm(Priors().trunk_power))
-KINDS = (*CHEAP, *DEARER, *DEAREST)
+KINDS = (*TIMES, *EVERY)
 
 
 class Bench:
@@ -226,9 +233,9 @@ class Subject:
         """Of one of the subject's pairs, so that a kind gives the same pair whichever others are made."""
         return np.random.default_rng([SEED, self.number, *kind.encode(), *([draw] if draw else [])])
 
-    def shaped(self, template: TorsoModel) -> TorsoModel:
-        """A template with the subject's curve."""
-        return place_vertebrae(template, *curved_spine(template, self.cobb_deg, self.curve))
+    def shaped(self, template: TorsoModel, nodes: int | None = None, seed: int = 0) -> TorsoModel:
+        """A template with the subject's curve, on its own mesh or on a new one of about so many nodes."""
+        return place_vertebrae(template, *curved_spine(template, self.cobb_deg, self.curve), nodes=nodes, seed=seed)
 
 
 def subject_of(number: int) -> Subject:
@@ -394,18 +401,28 @@ OF_BASE: dict[str, Callable[[TorsoModel, np.random.Generator], tuple[Bench, dict
 }
 
 
-def other_body(subject: Subject, random: np.random.Generator) -> tuple[TorsoModel, TorsoModel, dict[str, Any]]:
-    """Truth and model of the kind "proportions"."""
-    age, sex = float(random.uniform(10.0, 18.0)), str(random.choice(["female", "male"]))
-    own: dict[str, Any] = {
-        "mass_kg": usual_mass(subject.height_cm, age, sex) * float(np.exp(random.normal(0.0, 0.12))),  # type: ignore[arg-type]
-        "kyphosis_deg": float(random.uniform(*KYPHOSIS_DEG)),
-        "lordosis_deg": float(random.uniform(*LORDOSIS_DEG)),
-    }
-    told: dict[str, Any] = {"age_years": age, "sex": sex}
-    truth = subject.shaped(template_torso(subject.height_cm, **told, **own))
-    model = place_vertebrae(template_torso(subject.height_cm, **told), *rest_vertebrae(truth))
-    return truth, model, {**told, **own}
+def drawn_body(random: np.random.Generator, height_cm: float, age: float, sex: Literal["female", "male"]) -> TorsoModel:
+    """A person of a height, an age and a sex, upright: mass, kyphosis, lordosis, length of the spine and sizes of the
+    vertebrae are their own."""
+    body = template_torso(
+        height_cm,
+        age_years=age,
+        sex=sex,
+        mass_kg=usual_mass(height_cm, age, sex) * float(np.exp(np.clip(random.normal(0.0, MASS_SD), -0.3, 0.3))),
+        kyphosis_deg=float(random.uniform(*KYPHOSIS_DEG)),
+        lordosis_deg=float(random.uniform(*LORDOSIS_DEG)),
+    ).scaled(1.0 + float(np.clip(random.normal(0.0, SPINE_LENGTH_SD), -0.07, 0.07)))
+    return resized(body, np.exp(random.normal(0.0, PERSON_SD) + random.normal(0.0, VERTEBRA_SD, (17, 3))))
+
+
+def own_body(subject: Subject, random: np.random.Generator) -> tuple[TorsoModel, TorsoModel, dict[str, Any]]:
+    """Truth and model of the kind "body"."""
+    age = float(random.uniform(*AGES))
+    sex: Literal["female", "male"] = "female" if random.uniform() < 0.8 else "male"
+    truth = subject.shaped(drawn_body(random, subject.height_cm, age, sex))
+    template = template_torso(float(round(subject.height_cm)), age_years=age, sex=sex)
+    model = personalised(truth, random, MARKED_MM, stance=random, template=template)
+    return truth, model, {"age_years": age, "sex": sex}
 
 
 def as_tissue(frames: list[dict[str, Any]]) -> float:
@@ -421,8 +438,10 @@ def personalised(
     random: np.random.Generator,
     noise_mm: float = CORNER_NOISE_MM,
     stance: np.random.Generator | None = None,
+    template: TorsoModel | None = None,
 ) -> TorsoModel:
-    """What personalisation makes of the truth's corners in a frontal and a lateral view.
+    """What personalisation makes of the truth's corners in a frontal and a lateral view, from a template or from the
+    usual one of the truth's height.
 
     The person stands as the views say, or otherwise as ``stance`` draws it.
     """
@@ -437,7 +456,7 @@ def personalised(
         corners = state_features(truth, real, truth.rest_pose, shares).corners
         noisy = corners + random.normal(0.0, noise_mm * view.magnification, corners.shape)
         pictures[name] = (VertebraCorners(truth.vertebrae, noisy), view)
-    return personalise(template_torso(truth.height_cm), pictures).torso
+    return personalise(template or template_torso(truth.height_cm), pictures).torso
 
 
 # Campaign
@@ -454,7 +473,7 @@ def equal_ratios(bench: Bench, wanted: StiffnessRatios) -> tuple[StiffnessRatios
     raise EquilibriumError(f"true ratios do not meet the model's: {np.exp(left).round(3).tolist()} of them")
 
 
-def pair(subject: Subject, kind: str, draw: int, base: tuple[Bench, Modelled], cache: Path) -> dict[str, Any]:
+def pair(subject: Subject, kind: str, draw: int, base: tuple[Bench, Modelled]) -> dict[str, Any]:
     """One pair as it is written."""
     random, (bench, model) = subject.random(kind, draw), base
     parameters: dict[str, Any] = {}
@@ -467,17 +486,16 @@ def pair(subject: Subject, kind: str, draw: int, base: tuple[Bench, Modelled], c
         truth = bench
         shaped = Bench(personalised(bench.torso, random))
         model = at_frames(shaped, subject, model.frames, (None,) * len(model.frames))
-    elif kind == "proportions":
-        body, reference, parameters = other_body(subject, random)
+    elif kind == "body":
+        body, found, parameters = own_body(subject, random)
         truth, starts = Bench(body), (None,) * len(model.frames)
-        model = at_frames(Bench(reference), subject, model.frames, starts)
+        model = at_frames(Bench(found), subject, model.frames, starts)
     else:
-        seed = int(random.choice(OTHER_SEEDS)) if kind == "other mesh" else OTHER_SEEDS[0]
-        names = {"other mesh": f"coarse {seed}", "other fine mesh": f"fine {seed}", "fine to limit": "finest"}
-        fine = kind == "finer mesh"
-        template = template_torso(subject.height_cm, "fine") if fine else on_mesh(names[kind], subject.height_cm, cache)
-        truth, starts = Bench(subject.shaped(template)), (None,) * len(model.frames)
-        parameters = {} if fine else {"mesh": names[kind]}
+        parameters = {"nodes": MESHES[kind], "seed": int(random.integers(1, 10**6))}
+        truth, starts = (
+            Bench(subject.shaped(template_torso(subject.height_cm), **parameters)),
+            (None,) * len(model.frames),
+        )
     frames = []
     for frame, start, motion, slope in zip(model.frames, starts, model.motions, model.slopes):
         load = truth.load(frame.side, frame.level, frame.force_n)
@@ -490,11 +508,11 @@ def pair(subject: Subject, kind: str, draw: int, base: tuple[Bench, Modelled], c
                 "slope": rounded(slope),
             }
         )
-    if kind == "proportions":
-        parameters["trunk"] = as_tissue(frames)
+    if kind in AS_TISSUE:
+        parameters["as_tissue"] = as_tissue(frames)
         for frame in frames:
             slope = np.array(frame["slope"])
-            frame["model"] = rounded(np.array(frame["model"]) + parameters["trunk"] * slope[..., 1])
+            frame["model"] = rounded(np.array(frame["model"]) + parameters["as_tissue"] * slope[..., 1])
     told = {key: value for key, value in subject.__dict__.items() if key != "number"}
     own = {"kind": kind, "draw": draw, "subject": subject.number}
     return {**own, **told, "parameters": parameters, "frames": frames}
@@ -507,21 +525,20 @@ def rounded(values: Floats) -> list[Any]:
     return values.tolist()
 
 
-def tasks(count: int) -> Iterator[tuple[int, str, tuple[tuple[str, int], ...]]]:
+def tasks(first: int, count: int) -> Iterator[tuple[int, Mesh, tuple[tuple[str, int], ...]]]:
     """Subject, mesh of its model, kinds with the number of their draw."""
-    for number in range(count):
-        dearest = (DEAREST[number // 2 % len(DEAREST)],) if number % 2 else ()
-        once = (*CHEAP, DEARER[number // 2 % len(DEARER)], *dearest)
-        yield number, "coarse", (*((kind, 0) for kind in once), *((kind, 1) for kind in CHEAP))
+    for number in range(first, first + count):
+        often = tuple((kind, draw) for kind, times in TIMES.items() for draw in range(times))
+        others = tuple((kind, 0) for place, (kind, every) in enumerate(EVERY.items()) if number % every == place)
+        yield number, "coarse", (*often, *others)
         if number % LIMIT_EVERY == LIMIT_EVERY - 1:
             yield number, "fine", tuple((kind, 0) for kind in LIMIT_KINDS)
 
 
-def run(path: Path, count: int, cache: Path, say: Callable[[str], None] = print) -> None:
-    """Make the pairs of the first ``count`` subjects; those that are in the file already are left as they are."""
-    cache.mkdir(parents=True, exist_ok=True)
+def run(path: Path, first: int, count: int, say: Callable[[str], None] = print) -> None:
+    """Make the pairs of ``count`` subjects; those that are in the file already are left as they are."""
     done = {(row["subject"], row["kind"], row["draw"]) for row in read(path)}
-    for number, mesh, kinds in tasks(count):
+    for number, mesh, kinds in tasks(first, count):
         todo = [(kind, draw) for kind, draw in kinds if (number, kind, draw) not in done]
         if not todo:
             continue
@@ -537,7 +554,7 @@ def run(path: Path, count: int, cache: Path, say: Callable[[str], None] = print)
         for kind, draw in todo:
             own = time.process_time()
             try:
-                row = pair(subject, kind, draw, base, cache)
+                row = pair(subject, kind, draw, base)
             except SpinestiffError as error:
                 row = {"kind": kind, "draw": draw, "subject": number, "failed": str(error)}
                 say(f"{number} {kind}: {error}")
