@@ -13,22 +13,20 @@ from __future__ import annotations
 
 import argparse
 import json
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from discrepancy_pairs import (
+    MESHES,
     OF_BASE,
-    OTHER_SEEDS,
     STANDARD_LAW,
     Bench,
     Subject,
     equal_ratios,
     modelled,
-    on_mesh,
-    other_body,
+    own_body,
     personalised,
     subject_of,
 )
@@ -43,7 +41,7 @@ from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.discrepancy import OUT_OF_PLANE_LENGTH, OUT_OF_PLANE_SD, TURN_ARM_MM, motion_size
 
 RESULTS = Path(__file__).parent / "results" / "discrepancy_out_of_plane.json"
-KINDS = ("disc centres", "stiffening", "layers", "other mesh", "geometry", "proportions")
+KINDS = ("disc centres", "stiffening", "layers", "other mesh", "geometry", "body")
 NAMES = ("shift to the front", "flexion", "axial turn")
 FARTHEST = 8  # vertebrae apart, of the correlations
 
@@ -56,7 +54,7 @@ def motion(bench: Bench, state: TorsoState) -> Floats:
     return np.column_stack([shift, TURN_ARM_MM * turn[:, :2]])
 
 
-def of_subject(subject: Subject, cache: Path) -> dict[str, list[Any]]:
+def of_subject(subject: Subject) -> dict[str, list[Any]]:
     """By kind, differences (frames, 17, 3) relative to the size of the frontal motion."""
     base = Bench(subject.shaped(template_torso(subject.height_cm)))
     model = modelled(base, subject)
@@ -64,21 +62,21 @@ def of_subject(subject: Subject, cache: Path) -> dict[str, list[Any]]:
     found: dict[str, list[Any]] = {}
     for kind in KINDS:
         try:
-            found[kind] = _differences(subject, kind, base, frames, cache).tolist()
+            found[kind] = _differences(subject, kind, base, frames).tolist()
         except SpinestiffError as error:
             print(f"{subject.number} {kind}: {error}")
     return found
 
 
-def _differences(subject: Subject, kind: str, base: Bench, frames: list[Any], cache: Path) -> Floats:
+def _differences(subject: Subject, kind: str, base: Bench, frames: list[Any]) -> Floats:
     found = []
-    for truth, true, own, state in pairs(subject, kind, base, frames, cache):
+    for truth, true, own, state in pairs(subject, kind, base, frames):
         found.append((motion(truth, true) - motion(own, state)) / motion_size(own.motion(state)))
     return np.array(found)
 
 
 def pairs(
-    subject: Subject, kind: str, base: Bench, frames: list[Any], cache: Path
+    subject: Subject, kind: str, base: Bench, frames: list[Any]
 ) -> Iterator[tuple[Bench, TorsoState, Bench, TorsoState]]:
     """Of each frame truth and its state, model and its state."""
     random, ratios, own = subject.random(kind), subject.ratios, base
@@ -88,12 +86,12 @@ def pairs(
             ratios, _ = equal_ratios(truth, subject.ratios)
     elif kind == "geometry":
         truth, own = base, Bench(personalised(base.torso, random))
-    elif kind == "proportions":
-        body, reference, _ = other_body(subject, random)
+    elif kind == "body":
+        body, reference, _ = own_body(subject, random)
         truth, own = Bench(body), Bench(reference)
     else:
-        name = f"coarse {int(random.choice(OTHER_SEEDS))}"
-        truth = Bench(subject.shaped(on_mesh(name, subject.height_cm, cache)))
+        seed = int(random.integers(1, 10**6))
+        truth = Bench(subject.shaped(template_torso(subject.height_cm), MESHES[kind], seed))
     for frame, state in frames:
         where = frame.side, frame.level, frame.force_n
         if own is not base:
@@ -127,12 +125,11 @@ def main() -> None:
     asked = parser.parse_args()
     if asked.rerun:
         rows = []
-        with tempfile.TemporaryDirectory() as cache:
-            for number in range(asked.subjects):
-                try:
-                    rows.append(of_subject(subject_of(number), Path(cache)))
-                except SpinestiffError as error:
-                    print(f"{number}: {error}")
+        for number in range(asked.subjects):
+            try:
+                rows.append(of_subject(subject_of(number)))
+            except SpinestiffError as error:
+                print(f"{number}: {error}")
         RESULTS.write_text(json.dumps(summary(rows), indent=1) + "\n", encoding="utf-8")
     stored = json.loads(RESULTS.read_text(encoding="utf-8"))
     if asked.json:

@@ -31,7 +31,7 @@ from discrepancy_pairs import FINEST, LEVELS, Bench, Frame, at_frames, on_mesh, 
 from spinestiff.anatomy.template import OWN_MESH, template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import EquilibriumError, SpinestiffError
-from spinestiff.estimation.discrepancy import LEFT_OUT, shipped_modes
+from spinestiff.estimation.discrepancy import shipped_modes
 
 RESULTS = Path(__file__).parent / "results" / "mesh_limit.json"
 MESHES = {"fine's family": "finest", "another": f"{FINEST:g} 71", "finest": "12.6 71", "synthetic subjects'": OWN_MESH}
@@ -93,7 +93,7 @@ def _force(bench: Bench, side: str, level: float, ratios: Any) -> float:
 
 def biases(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """By mesh: what the difference does to log bending and log tissue, over the subjects."""
-    modes, found = shipped_modes("fine", LEFT_OUT), {}
+    modes, found = shipped_modes("fine"), {}
     for mesh in MESHES:
         own = [row for row in rows if row["mesh"] == mesh and "failed" not in row]
         if not own:

@@ -27,7 +27,7 @@ from scipy.stats import chi2
 import spinestiff.estimation.fit as fits
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
-from spinestiff.estimation.discrepancy import LEFT_OUT, NOT_OF, shipped_data
+from spinestiff.estimation.discrepancy import EXPECTED, shipped_data
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem
 from spinestiff.personalise.shape import personalise
@@ -65,8 +65,7 @@ def held_against(asked: WeighedProblem, found: WeighedFit, truth: Mapping[str, f
     """Restricted log likelihood, p-value, standard deviations of both logs and their errors."""
     point, slope = found.point, found.slope
     data, shipped = shipped_data(), asked.moving._modes
-    kinds = [name for name in data.kinds if name not in (*NOT_OF["coarse"], *LEFT_OUT)]
-    asked.moving._modes = replace(data, untried=untried).combined(kinds)
+    asked.moving._modes = replace(data, untried=untried).combined(EXPECTED["coarse"])
     try:
         own = asked.covariance(point)
     finally:

@@ -78,7 +78,7 @@ def _pair(kind: str, number: int, scale: float = 0.03):
 
 @pytest.fixture(scope="module")
 def drawn():
-    return [_pair(kind, number) for kind in ("layers", "volume", "finer mesh") for number in range(8)]
+    return [_pair(kind, number) for kind in (*discrepancy.EXPECTED["coarse"], "volume") for number in range(8)]
 
 
 def test_a_kinds_moment_is_that_of_its_pairs_and_their_mirror_images(drawn) -> None:
@@ -119,14 +119,23 @@ def test_what_an_estimate_solves_for_is_covered_though_no_other_kind_has_it(draw
     assert bare < 0.5 and solved > 0.9
 
 
-def test_explained_modes_are_of_what_an_estimate_takes(drawn) -> None:
-    walls = [_pair("one-sided wall", number, scale=0.2) for number in range(4)]
-    data = discrepancy.learn([*drawn, *walls], 1.0, 0.3)
+def test_explained_modes_are_of_what_an_estimate_expects(drawn) -> None:
+    data = discrepancy.learn(drawn, 1.0, 0.3)
     found = discrepancy.explained(data, "coarse")
-    assert set(found["left_out_kind"]) == {"layers", "finer mesh"}
-    taken = data.combined(["layers", "finer mesh"]).modes.reshape(discrepancy.MODES, -1)
-    share = np.sum(taken[:4] ** 2) / sum(np.trace(data.kinds[kind].moment) for kind in ("layers", "finer mesh")) * 2.0
-    assert found["by_modes"][3] == pytest.approx(share, abs=1e-3)
+    shares = discrepancy.EXPECTED["coarse"]
+    assert set(found["left_out_kind"]) == set(found["parts"]) == set(shares)
+    traces = {kind: share * np.trace(data.kinds[kind].moment) for kind, share in shares.items()}
+    taken = data.combined(shares).modes.reshape(discrepancy.MODES, -1)
+    assert found["by_modes"][3] == pytest.approx(np.sum(taken[:4] ** 2) / sum(traces.values()), abs=1e-3)
+    assert found["parts"]["body"] == pytest.approx(traces["body"] / sum(traces.values()), abs=1e-4)
+
+
+def test_the_wall_is_tested_and_not_pooled(drawn) -> None:
+    walls = [_pair("one-sided wall", number, scale=0.9) for number in range(4)]
+    found = discrepancy.coverages(discrepancy.leave_one_out([*drawn, *walls], 1.0, 0.3))
+    assert found["by_kind"]["one-sided wall"]["both"] < 0.5 < found["pooled"]["both"]
+    assert found["pooled"]["estimates"] > found["pooled_without_unknowns"]["estimates"] > 0
+    assert sum(one["estimates"] for one in found["by_kind"].values()) - 24 == found["pooled"]["estimates"]
 
 
 def test_a_truth_that_left_the_branch_is_told(drawn) -> None:

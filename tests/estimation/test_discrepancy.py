@@ -10,6 +10,7 @@ import pytest
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import FitError
 from spinestiff.estimation.discrepancy import (
+    EXPECTED,
     MIRROR,
     DiscrepancyData,
     DiscrepancyFrame,
@@ -178,41 +179,51 @@ def test_data_that_cannot_be_are_refused(change, words) -> None:
         some_data(**change)
 
 
-def test_kinds_weigh_alike_and_untried_shapes_come_on_top() -> None:
+def test_kinds_add_up_by_their_shares_and_untried_shapes_come_on_top() -> None:
     none = np.zeros(SHAPE)
-    data = some_data(kinds={"layers": some_kind(1, remainder=none), "volume": some_kind(2, remainder=none)})
-    found = data.combined(["layers", "volume"])
+    kinds = {"layers": some_kind(1, remainder=none), "volume": some_kind(2, remainder=none, own_share=0.75)}
+    data = some_data(kinds=kinds)
+    found = data.combined({"layers": 1.0, "volume": 0.25})
     flat = found.modes.reshape(len(found.modes), -1)
     whole = flat.T @ flat + np.diag(found.remainder.ravel() ** 2)
-    mean = 2.0 * 0.5 * (data.kinds["layers"].moment + data.kinds["volume"].moment)
-    np.testing.assert_allclose(np.diag(whole), 1.3 * np.diag(mean))
-    np.testing.assert_allclose(whole - np.diag(np.diag(whole)), mean - np.diag(np.diag(mean)), atol=1e-12)
-    assert found.own_share == pytest.approx(0.25)
+    layers, volume = data.kinds["layers"].moment, 0.25 * data.kinds["volume"].moment
+    both = 2.0 * (layers + volume)
+    np.testing.assert_allclose(np.diag(whole), 1.3 * np.diag(both))
+    np.testing.assert_allclose(whole - np.diag(np.diag(whole)), both - np.diag(np.diag(both)), atol=1e-12)
+    sizes = np.trace(layers), np.trace(volume)
+    assert found.own_share == pytest.approx((0.25 * sizes[0] + 0.75 * sizes[1]) / sum(sizes))
 
 
 def test_an_unknown_kind_and_no_kind_are_refused() -> None:
     with pytest.raises(FitError, match="no discrepancy of the kind 'weather'; known are layers, volume"):
-        some_data().combined(["layers", "weather"])
-    with pytest.raises(FitError, match="no discrepancy of the kind 'weather'"):
-        shipped_modes("coarse", ("weather",))
+        some_data().combined({"layers": 1.0, "weather": 0.5})
     with pytest.raises(FitError, match="name one at least"):
-        some_data().combined([])
+        some_data().combined({})
     with pytest.raises(FitError, match="unknown tissue mesh 'medium'; known are coarse, fine"):
         shipped_modes("medium")
 
 
-def test_what_an_estimator_knows_is_left_out() -> None:
-    whole, less = shipped_modes("coarse"), shipped_modes("coarse", ("one-sided wall",))
-    assert np.sum(less.modes**2) < np.sum(whole.modes**2)
+@pytest.mark.parametrize("mesh", ["coarse", "fine"])
+def test_everybody_has_a_body_and_no_mesh(mesh) -> None:
+    shares, data = EXPECTED[mesh], shipped_data()
+    assert (
+        shares["body"] == 1.0
+        and sum(share for kind, share in shares.items() if "mesh" in kind or "limit" in kind) == 1.0
+    )
+    motion = frames_of(("right", 8.0), ("left", 5.0))
+    whole = covariance(motion, shipped_modes(mesh))
+    for kind in ("body", "stiffening"):
+        without = data.combined({name: share for name, share in shares.items() if name != kind})
+        assert np.trace(covariance(motion, without)) < np.trace(whole)
 
 
 def test_a_geometry_from_worse_corners_moves_otherwise_in_proportion() -> None:
     torso = template_torso(157, "coarse")
     half, whole = (geometry_modes(torso, mm) for mm in (0.25, 0.5))
-    alone = shipped_data().combined(["geometry"])
+    alone = shipped_data().combined({"geometry": 1.0})
     assert np.allclose(whole.modes, alone.modes) and np.allclose(whole.remainder, alone.remainder)
     assert np.allclose(half.modes, 0.5 * alone.modes) and np.allclose(half.remainder, 0.5 * alone.remainder)
-    # All kinds, each of them rarer, hold less of it.
+    # It is a part of what is expected.
     frames = [DiscrepancyFrame("left", 8.0, MOTION)]
     own, every = (discrepancy_columns(frames, modes).reshape(51, -1) for modes in (whole, shipped_modes("coarse")))
     share = np.trace(own @ own.T) / np.trace(every @ every.T)

@@ -255,7 +255,7 @@ def test_covariance_is_positive_and_its_parts_make_it_up(column, asked_marked) -
 
 
 def test_the_skins_discrepancy_goes_with_the_motion_and_fades_along_the_skin() -> None:
-    modes = shipped_modes("coarse", ())
+    modes = shipped_modes("coarse")
     frames = [DiscrepancyFrame("left", 8.0, size * np.ones((17, 3)) * [1.0, 0.2, 0.01]) for size in (1.0, 2.0)]
     points = np.array([[0.0, 0.0, 0.0], [0.0, 90.0, 0.0], [0.0, 0.0, 0.0]])
     found = skin_covariance(frames, modes, np.array([0, 0, 1]), points, 0.1).reshape(3, 3, 3, 3)

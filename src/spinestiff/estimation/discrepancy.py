@@ -3,7 +3,8 @@
 The shipped data (``data/discrepancy.npz``, docs/discrepancy.md) come from pairs of the model and a variant of it at
 equal true ratios; a kind of variant is another mesh, other joints, other tissue and so on. A difference of motion,
 divided by the size of the model's own motion, is a vector over push site, vertebra and channel. Its second moments,
-kind by kind, are combined to a few modes and a remainder of each entry by itself:
+kind by kind, each for the share of people who have it, are added up to a few modes and a remainder of each entry by
+itself:
 
     truth - model = size * sum_s w_s (sqrt(1 - o) sum_k z_k phi_ks + r_s) + size * sqrt(o) sum_k y_k sum_s w_s phi_ks,
 
@@ -42,15 +43,16 @@ SCHEMA = "spinestiff-discrepancy"
 SCHEMA_VERSION = 2
 SIDES = ("left", "right")
 Mesh = Literal["coarse", "fine"]
-# Kinds of variant that say nothing about an estimate on a mesh: they compare other meshes.
-NOT_OF: Mapping[Mesh, tuple[str, ...]] = {
-    "coarse": ("other fine mesh", "fine to limit"),
-    "fine": ("other mesh", "finer mesh"),
+# By the mesh that an estimate ends on, the kinds that it expects, and of how many people each. Everybody has a body
+# and a torso without a mesh's errors; other laws of discs and tissue are expected of one in seven each. Not here are
+# kinds that are among an estimate's own unknowns (``unknowns``: ribs, volume, depth), nor the wall: whether a back may
+# leave it is a choice of the model, which no covariance makes up for (docs/discrepancy.md).
+LAWS = dict.fromkeys(("disc centres", "stiffening", "layers"), 1.0 / 7.0)
+EXPECTED: Mapping[Mesh, Mapping[str, float]] = {
+    "coarse": {"body": 1.0, "other mesh": 0.5, "finer mesh": 0.5, **LAWS},
+    "fine": {"body": 1.0, "other fine mesh": 0.5, "fine to limit": 0.5, **LAWS},
 }
 MODES = 12  # of a covariance
-# What an estimate has among its own unknowns (``unknowns``: ribs, volume, depth), and the wall: whether a back may
-# leave it is a choice of the model, which no covariance makes up for (docs/discrepancy.md).
-LEFT_OUT = ("one-sided wall", "rib joints", "volume", "push point")
 # The kind whose models have a geometry that personalisation found from marked corners, and these corners' sd, mm.
 GEOMETRY, GEOMETRY_MM = "geometry", 0.5
 # A stance that nobody was told does to a geometry's motions what corners do that are off by so much, mm
@@ -156,7 +158,7 @@ class DiscrepancyData(ShortRepr):
     ----------
     levels : (S,) rib levels of the learnt sites, rising; each was learnt on the left and on the right.
     kinds : by name.
-    inflation : of the kinds' mean second moment, so that a kind that was not learnt is covered, too.
+    inflation : of the kinds' second moments together, so that a kind that was not learnt is covered, too.
     untried : variance in shapes that no kind has, over the variance of those that they have, at each entry.
     made : date and hash of the code that made them.
 
@@ -185,23 +187,24 @@ class DiscrepancyData(ShortRepr):
             if not 0.0 <= value <= LARGEST_ENTRY:
                 raise FitError(f"{what} {value:g}; wanted 0 to {LARGEST_ENTRY:g}")
 
-    def combined(self, kinds: Sequence[str]) -> DiscrepancyModes:
-        """The covariance that some kinds, weighing alike, give together.
+    def combined(self, shares: Mapping[str, float]) -> DiscrepancyModes:
+        """The covariance of people of whom each kind has its share (``EXPECTED``), independent of the others.
 
         Raises
         ------
         FitError : no kind, or one that was not learnt.
         """
-        for name in kinds:
+        for name in shares:
             if name not in self.kinds:
                 raise FitError(f"no discrepancy of the kind '{name}'; known are {', '.join(self.kinds)}")
-        if not kinds:
+        if not shares:
             raise FitError("a discrepancy of no kind; name one at least")
-        moments = [self.kinds[name].moment for name in kinds]
-        moment = self.inflation * np.mean(moments, axis=0)
+        kinds = [self.kinds[name] for name in shares]
+        moments = [share * kind.moment for share, kind in zip(shares.values(), kinds)]
+        moment = self.inflation * np.sum(moments, axis=0)
         sizes = np.array([np.trace(own) for own in moments])
-        own = float(sizes @ [self.kinds[name].own_share for name in kinds] / max(sizes.sum(), 1e-300))
-        shape = self.kinds[kinds[0]].remainder.shape
+        own = float(sizes @ [kind.own_share for kind in kinds] / max(sizes.sum(), 1e-300))
+        shape = kinds[0].remainder.shape
         values, vectors = np.linalg.eigh(moment)
         modes = (np.sqrt(np.maximum(values, 0.0)) * vectors).T[::-1][:MODES]
         diagonal = np.diag(moment)
@@ -388,23 +391,17 @@ def shipped_data() -> DiscrepancyData:
         return read_data(path)
 
 
-@lru_cache(maxsize=8)
-def shipped_modes(mesh: Mesh, without: tuple[str, ...] = ()) -> DiscrepancyModes:
-    """The covariance for an estimate that ends on the "coarse" or on the "fine" mesh, ``without`` some kinds.
-
-    A kind is left out where the estimator has its cause among its own unknowns.
+@lru_cache(maxsize=len(EXPECTED))
+def shipped_modes(mesh: Mesh) -> DiscrepancyModes:
+    """The covariance for an estimate that ends on the "coarse" or on the "fine" mesh.
 
     Raises
     ------
-    FitError : an unknown mesh or kind, or data that are missing or damaged.
+    FitError : an unknown mesh, or data that are missing or damaged.
     """
-    if mesh not in NOT_OF:
-        raise FitError(f"unknown tissue mesh '{mesh}'; known are {', '.join(NOT_OF)}")
-    data = shipped_data()
-    for name in without:
-        if name not in data.kinds:
-            raise FitError(f"no discrepancy of the kind '{name}'; known are {', '.join(data.kinds)}")
-    return data.combined([name for name in data.kinds if name not in (*NOT_OF[mesh], *without)])
+    if mesh not in EXPECTED:
+        raise FitError(f"unknown tissue mesh '{mesh}'; known are {', '.join(EXPECTED)}")
+    return shipped_data().combined(EXPECTED[mesh])
 
 
 def relative_covariance(motions: Sequence[Floats]) -> Floats:
@@ -415,18 +412,18 @@ def relative_covariance(motions: Sequence[Floats]) -> Floats:
 
 def modes_of(torso: TorsoModel) -> DiscrepancyModes | None:
     """What was learnt for a torso's mesh; None for one of other vertebrae than T1 to L5."""
-    return None if torso.vertebrae != VERTEBRAE else shipped_modes(mesh_size(torso), LEFT_OUT)
+    return None if torso.vertebrae != VERTEBRAE else shipped_modes(mesh_size(torso))
 
 
 def geometry_modes(torso: TorsoModel, corner_mm: float) -> DiscrepancyModes | None:
     """What a geometry that was found from corners of this standard deviation does to the motions, mm along an axis.
 
-    It is part of ``modes_of``, where all kinds are averaged; alone it is what another annotation brings. None for a
-    torso of other vertebrae than T1 to L5.
+    It is part of the kind "body" of ``modes_of``; alone it is what another annotation brings. None for a torso of other
+    vertebrae than T1 to L5.
     """
     if torso.vertebrae != VERTEBRAE:
         return None
-    found, scale = shipped_data().combined([GEOMETRY]), corner_mm / GEOMETRY_MM
+    found, scale = shipped_data().combined({GEOMETRY: 1.0}), corner_mm / GEOMETRY_MM
     return replace(found, modes=scale * found.modes, remainder=scale * found.remainder)
 
 
