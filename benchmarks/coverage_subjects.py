@@ -20,7 +20,17 @@ from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
-from discrepancy_pairs import OF_BASE, STANDARD_LAW, Bench, drawn_body, equal_ratios
+from discrepancy_pairs import (
+    FORCE_N,
+    LEAST_FORCE_N,
+    MOST_TILT,
+    OF_BASE,
+    STANDARD_LAW,
+    Bench,
+    drawn_body,
+    equal_ratios,
+    less_force,
+)
 from judgement_subjects import (
     AGES,
     drawn_drag,
@@ -56,9 +66,6 @@ from spinestiff.subject.records import PushRecord, Role
 # Ratios of the default moduli; tissue of 4.4 to 115 kPa.
 BENDING, TISSUE = (0.0075, 0.84), (0.029, 0.77)
 COBB_DEG = (10.0, 80.0)
-FORCE_N = (40.0, 80.0)
-MOST_TILT = np.deg2rad(45.0)  # change of tilt at which a push ends
-LEAST_FORCE_N = 15.0
 ANNOTATION_MM = 0.3
 # What a subject's body has that the model lacks; the four others are the kinds that all have.
 KINDS = ("disc centres", "stiffening", "layers", "", "", "", "")
@@ -225,7 +232,7 @@ def make_subject(
             bent = 2.0 * MOST_TILT
         if bent <= MOST_TILT:
             break
-        less = float(np.clip(MOST_TILT / bent, 0.5, 0.9))
+        less = less_force(bent)
         forces = {push: less * force for push, force in forces.items()}
         if min(forces.values()) < LEAST_FORCE_N:
             raise EquilibriumError(

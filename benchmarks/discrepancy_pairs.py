@@ -29,7 +29,8 @@ size or of a mesh (priors ``trunk`` and ``mesh``): of "body" and of the four mes
 derivative.
 
 Every pair is pushed at ribs 5, 7.5 and 10 of each side, once with half the force, and once at any level from 4 to 11.
-The force is one under which the model's vertebrae turn by 5 to 25 degrees against each other (near a log-uniform draw).
+The force is 40 to 80 N, a subject's own, and where its vertebrae would turn by more than 45 degrees against each other,
+or its torso does not carry that, as much of it as will do.
 The pelvis is held level, the opposite shoulder sideways.
 
 Equal true ratios. The ratio of a variant is the energy that its own law stores in the joints of "lateral_bending" (or
@@ -103,7 +104,9 @@ AGES = (10.0, 16.0)
 MASS_SD = 0.15  # of the body over the usual one, in log; what an estimate is not told
 BENDING = (0.0075, 0.84)
 TISSUE_MPA = (0.0075 * 0.58, 0.2 * 0.58)
-TILT_DEG = (5.0, 25.0)
+FORCE_N = (40.0, 80.0)
+MOST_TILT = np.deg2rad(45.0)  # change of tilt at which a push ends
+LEAST_FORCE_N = 15.0
 LEVELS = (5.0, 7.5, 10.0)
 GRID = tuple((side, level) for side in SIDES for level in LEVELS)
 OFF_GRID = (4.0, 11.0)
@@ -268,25 +271,38 @@ class Modelled:
     slopes: tuple[Floats, ...]
 
 
+def less_force(tilt: float) -> float:
+    """The share of a force to try next where it turns vertebrae by ``tilt`` against each other, rad."""
+    return float(np.clip(MOST_TILT / tilt, 0.5, 0.9))
+
+
+def carried(bench: Bench, side: str, level: float, force: float, ratios: StiffnessRatios) -> tuple[float, TorsoState]:
+    """As much of a force as bends the torso no farther than ``MOST_TILT``, N, and the state under it.
+
+    EquilibriumError where that is less than ``LEAST_FORCE_N``.
+    """
+    while force >= LEAST_FORCE_N:
+        try:
+            state = bench.solve(side, bench.load(side, level, force), ratios)
+            tilt = float(np.ptp(bench.motion(state)[:, 2]))
+        except EquilibriumError:
+            tilt = 2.0 * MOST_TILT
+        else:
+            if tilt <= MOST_TILT:
+                return force, state
+        force *= less_force(tilt)
+    raise EquilibriumError(f"bends by more than {np.rad2deg(MOST_TILT):.0f} degrees under any push at rib {level:.3g}")
+
+
 def modelled(bench: Bench, subject: Subject) -> Modelled:
-    """The frames of a subject, with the forces that turn the model's vertebrae far enough."""
+    """The frames of a subject, of forces that its model carries."""
     random, ratios = subject.random("frames"), subject.ratios
     half = int(random.integers(len(GRID)))
     sites = [("grid", side, level) for side, level in GRID]
     sites.append(("off grid", str(random.choice(SIDES)), float(random.uniform(*OFF_GRID))))
-    frames, states, force, tilt = [], [], 15.0, 0.0
+    most, frames, states = float(random.uniform(*FORCE_N)), [], []
     for use, side, level in sites:
-        wanted, state = float(np.exp(random.uniform(*np.log(TILT_DEG)))), None
-        for attempt in range(8):
-            force *= float(np.clip(wanted / tilt, 0.1, 10.0)) ** (1.0 if attempt < 3 else 0.5) if tilt else 1.0
-            # From the rest pose after too large a motion: it may belong to another branch.
-            state = bench.solve(side, bench.load(side, level, force), ratios, state if tilt < wanted else None)
-            turns = np.degrees(bench.motion(state)[:, 2])
-            tilt = float(turns.max() - turns.min())
-            if (attempt > 1 or abs(tilt / wanted - 1.0) < 0.25) and TILT_DEG[0] <= tilt <= TILT_DEG[1]:
-                break
-        else:
-            raise EquilibriumError(f"{tilt:.0f} degrees under {force:.0f} N at rib {level:.3g}, wanted {wanted:.0f}")
+        force, state = carried(bench, side, level, most, ratios)
         frames.append(Frame(use, side, level, force))
         states.append(state)
     frames.append(replace(frames[half], use="half", force_n=0.5 * frames[half].force_n))
