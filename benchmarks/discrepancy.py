@@ -1,10 +1,14 @@
 """How far may a person move from what the model says? Learnt from variants of the model, and tested on other kinds.
 
-``python benchmarks/discrepancy.py --scratch FOLDER [--subjects 40] [--evaluate] [--json] [--write]``
+    python benchmarks/discrepancy.py --scratch FOLDER [--first 0] [--subjects 24]
+    python benchmarks/discrepancy.py --learn FOLDER... [--write]
+    python benchmarks/discrepancy.py --json | --markdown
 
-Makes the pairs of ``discrepancy_pairs.py`` in the folder (it goes on from what is there; ``--evaluate`` takes them as
-they are), learns the covariance that ``spinestiff.estimation.discrepancy`` reads, and tests it. ``--write`` stores the
-data in the package, the figures in benchmarks/results/discrepancy.json and a picture of the first modes.
+The first makes the pairs of ``discrepancy_pairs.py`` in the folder and goes on from what is there; a second process
+with other subjects and another folder halves the time. ``--learn`` learns from the pairs of such folders the covariance
+that ``spinestiff.estimation.discrepancy`` reads, tests it and prints the figures; ``--write`` stores the data in the
+package, the figures in benchmarks/results/discrepancy.json and a picture of the first modes. ``--json`` prints that
+file, ``--markdown`` prints it as the tables of docs/discrepancy.md. Needs the extra ``[mesh]``.
 
 Learning. A pair is the vector of truth - model over six sites, vertebrae and channels, each site's part over the size
 of the model's motion there. Each pair counts twice, as it is and mirrored, since the template is symmetrical. Of each
@@ -56,7 +60,8 @@ from spinestiff.estimation.discrepancy import (
 RESULTS = Path(__file__).parent / "results" / "discrepancy.json"
 DATA = ROOT / "src" / "spinestiff" / "estimation" / "data" / "discrepancy.npz"
 FIGURE = ROOT / "docs" / "images" / "discrepancy_modes.png"
-KIND_MODES = 8
+PAIRS = "pairs.jsonl"
+KIND_MODES = 16
 INFLATION, UNTRIED = 1.0, 0.02
 TRIED = ((1.0, 0.0), (1.0, 0.3), (2.0, 0.02))
 WALL = "one-sided wall"
@@ -416,37 +421,75 @@ def draw(data: DiscrepancyData, path: Path) -> None:
     figure.savefig(path, dpi=90)
 
 
+def markdown(results: Mapping[str, Any]) -> str:
+    """The stored figures as the tables of docs/discrepancy.md."""
+    lines = ["| kind | pairs | relative | sideways, up, turn | own | left out: bending, tissue |", "|---" * 6 + "|"]
+    left_out = results["leave_one_kind_out"]
+    for kind, own in results["kinds"].items():
+        channels = ", ".join(f"{value:.0%}" for value in own["by_channel"].values())
+        lines.append(f"| {kind} | {own['pairs']} | {own['relative']:.1%} | {channels} | {own['own_share']:.2f} | ")
+        lines[-1] += f"{_shares(left_out['by_kind'][kind])} |"
+    lines += ["", "| mesh | 1, 4, 8, 12, 20 modes hold | parts |", "|---" * 3 + "|"]
+    for mesh, found in results["explained"].items():
+        held = ", ".join(f"{found['by_modes'][count - 1]:.0%}" for count in (1, 4, 8, 12, 20))
+        parts = ", ".join(f"{kind} {share:.0%}" for kind, share in found["parts"].items())
+        lines.append(f"| {mesh} | {held} | {parts} |")
+    lines += ["", "| tested | estimates | both | bending | tissue | joint region | median sd of the logs |"]
+    lines.append("|---" * 7 + "|")
+    tested = {"all but the wall": left_out["pooled"], "but for unknowns": left_out["pooled_without_unknowns"]}
+    for name, found in (tested | left_out["by_acquisition"]).items():
+        joint, sds = f"{found['joint']:.1%}", ", ".join(f"{sd:.2f}" for sd in found["median_sd"])
+        lines.append(f"| {name} | {found['estimates']} | {found['both']:.1%} | {found['lateral_bending']:.1%} | ")
+        lines[-1] += f"{found['tissue']:.1%} | {joint} | {sds} |"
+    lines += ["", "| inflation | untried | pooled, worst | median sd |", "|---" * 4 + "|"]
+    for one in results["other_settings"]:
+        worst, sds = "{} {:.1%}".format(*one["worst"]), ", ".join(f"{sd:.2f}" for sd in one["median_sd"])
+        lines.append(f"| {one['inflation']:g} | {one['untried']:g} | {one['both']:.1%}, {worst} | {sds} |")
+    return "\n".join(lines)
+
+
+def _shares(found: Mapping[str, Any]) -> str:
+    return f"{found['lateral_bending']:.1%}, {found['tissue']:.1%}"
+
+
+def show(results: Mapping[str, Any]) -> None:
+    """What was learnt and how it was tested, in lines."""
+    print(f"{results['pairs']} pairs of {results['subjects']} subjects")
+    for kind, found in results["kinds"].items():
+        tested_kind = results["leave_one_kind_out"]["by_kind"][kind]
+        print(f"{kind:16s} {found['pairs']:4d} pairs, {found['relative']:7.1%} of motion, left out: {tested_kind}")
+    print("pooled:", results["leave_one_kind_out"]["pooled"])
+    print("without unknowns:", results["leave_one_kind_out"]["pooled_without_unknowns"])
+    for setting in results["other_settings"]:
+        print(setting)
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scratch", type=Path, required=True, help="folder of pairs and meshes; a run goes on from it")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scratch", type=Path, help="folder of pairs to make; a run goes on from it")
     parser.add_argument("--first", type=int, default=0, help="number of the first subject to make pairs of")
     parser.add_argument("--subjects", type=int, default=24, help="to make pairs of")
-    parser.add_argument("--evaluate", action="store_true", help="take the pairs that are there")
-    parser.add_argument("--json", action="store_true", help="print the results as JSON")
+    parser.add_argument("--learn", type=Path, nargs="+", metavar="FOLDER", help="with pairs")
     parser.add_argument("--write", action="store_true", help="store data, results and picture")
-    arguments = parser.parse_args()
-    path = arguments.scratch / "pairs.jsonl"
-    if not arguments.evaluate:
-        arguments.scratch.mkdir(parents=True, exist_ok=True)
-        say = (lambda line: None) if arguments.json else lambda line: print(line, flush=True)
-        discrepancy_pairs.run(path, arguments.first, arguments.subjects, say)
-    results, data = evaluate(discrepancy_pairs.read(path))
-    if arguments.json:
-        print(json.dumps(results, indent=1))
+    parser.add_argument("--json", action="store_true", help="print what is stored")
+    parser.add_argument("--markdown", action="store_true", help="print it as tables")
+    asked = parser.parse_args()
+    if asked.json or asked.markdown:
+        stored = json.loads(RESULTS.read_text(encoding="utf-8"))
+        print(json.dumps(stored, indent=1) if asked.json else markdown(stored))
+    elif asked.scratch:
+        asked.scratch.mkdir(parents=True, exist_ok=True)
+        discrepancy_pairs.run(asked.scratch / PAIRS, asked.first, asked.subjects)
+    elif asked.learn:
+        results, data = evaluate([row for folder in asked.learn for row in discrepancy_pairs.read(folder / PAIRS)])
+        show(results)
+        if asked.write:
+            DATA.parent.mkdir(exist_ok=True)
+            write_data(DATA, data)
+            RESULTS.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+            draw(data, FIGURE)
     else:
-        print(f"{results['pairs']} pairs of {results['subjects']} subjects")
-        for kind, found in results["kinds"].items():
-            tested_kind = results["leave_one_kind_out"]["by_kind"][kind]
-            print(f"{kind:16s} {found['pairs']:4d} pairs, {found['relative']:7.1%} of motion, left out: {tested_kind}")
-        print("pooled:", results["leave_one_kind_out"]["pooled"])
-        print("without unknowns:", results["leave_one_kind_out"]["pooled_without_unknowns"])
-        for setting in results["other_settings"]:
-            print(setting)
-    if arguments.write:
-        DATA.parent.mkdir(exist_ok=True)
-        write_data(DATA, data)
-        RESULTS.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-        draw(data, FIGURE)
+        parser.error("wanted --scratch, --learn, --json or --markdown")
 
 
 if __name__ == "__main__":

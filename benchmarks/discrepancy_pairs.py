@@ -551,7 +551,7 @@ def tasks(first: int, count: int) -> Iterator[tuple[int, Mesh, tuple[tuple[str, 
             yield number, "fine", tuple((kind, 0) for kind in LIMIT_KINDS)
 
 
-def run(path: Path, first: int, count: int, say: Callable[[str], None] = print) -> None:
+def run(path: Path, first: int, count: int) -> None:
     """Make the pairs of ``count`` subjects; those that are in the file already are left as they are."""
     done = {(row["subject"], row["kind"], row["draw"]) for row in read(path)}
     for number, mesh, kinds in tasks(first, count):
@@ -565,7 +565,7 @@ def run(path: Path, first: int, count: int, say: Callable[[str], None] = print) 
         except SpinestiffError as error:
             for kind, draw in todo:
                 _append(path, {"kind": kind, "draw": draw, "subject": number, "failed": f"model: {error}"})
-            say(f"{number} {mesh}: {error}")
+            print(f"{number} {mesh}: {error}", flush=True)
             continue
         for kind, draw in todo:
             own = time.process_time()
@@ -573,9 +573,9 @@ def run(path: Path, first: int, count: int, say: Callable[[str], None] = print) 
                 row = pair(subject, kind, draw, base)
             except SpinestiffError as error:
                 row = {"kind": kind, "draw": draw, "subject": number, "failed": str(error)}
-                say(f"{number} {kind}: {error}")
+                print(f"{number} {kind}: {error}", flush=True)
             _append(path, {**row, "cpu_s": round(time.process_time() - own, 2)})
-        say(f"{number} {mesh}: {len(todo)} pairs, {time.process_time() - began:.0f} CPU s")
+        print(f"{number} {mesh}: {len(todo)} pairs, {time.process_time() - began:.0f} CPU s", flush=True)
 
 
 def read(path: Path) -> list[dict[str, Any]]:
