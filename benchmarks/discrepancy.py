@@ -37,7 +37,7 @@ from typing import Any
 
 import discrepancy_pairs
 import numpy as np
-from discrepancy_pairs import EXPLICIT, GRID, KINDS, LEVELS, LIMIT_KINDS, ROOT, TRUNK
+from discrepancy_pairs import EXPLICIT, FINE_EVERY, GRID, KINDS, LEVELS, ROOT, TRUNK
 
 from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
@@ -157,14 +157,14 @@ def learn_kind(pairs: Sequence[Pair]) -> KindModes:
 
 def learn(pairs: Sequence[Pair], inflation: float, untried: float, made: str = "") -> DiscrepancyData:
     """Everything that the package ships."""
-    known = {name: [pair for pair in pairs if pair.kind == name] for name in (*KINDS, *LIMIT_KINDS)}
+    known = {name: [pair for pair in pairs if pair.kind == name] for name in (*KINDS, *FINE_EVERY)}
     kinds = {name: learn_kind(own) for name, own in known.items() if own}
     return DiscrepancyData(np.array(LEVELS), kinds, inflation, untried, made)
 
 
 def others_of(kind: str) -> dict[str, float]:
     """What an estimate expects (``EXPECTED``) on the mesh that a kind speaks of, without that kind."""
-    expected = EXPECTED["fine" if kind in LIMIT_KINDS else "coarse"]
+    expected = EXPECTED["fine" if kind in FINE_EVERY else "coarse"]
     return {name: share for name, share in expected.items() if name != kind}
 
 

@@ -121,8 +121,7 @@ MESHES = {"other mesh": 2300, "finer mesh": 15_000, "other fine mesh": 10_000, "
 TIMES = {"body": 2, "other mesh": 1, "disc centres": 1, "stiffening": 1, "layers": 1}
 TIMES |= {"volume": 1, "rib joints": 1, "push point": 1}
 EVERY = {"geometry": 4, "finer mesh": 4, "one-sided wall": 4}
-LIMIT_KINDS = ("other fine mesh", "fine to limit")
-LIMIT_EVERY = 8  # subjects
+FINE_EVERY = {"other fine mesh": 3, "fine to limit": 8}  # with a model on the fine mesh
 AS_TISSUE = ("body", *MESHES)  # of these, what is as if tissue were stiffer or softer is taken out
 # Kinds whose cause an estimate has among its own unknowns, and its prior's standard deviation in the unit of a slope;
 # the trunk's size is one that acts as the tissue's ratio does.
@@ -547,8 +546,7 @@ def tasks(first: int, count: int) -> Iterator[tuple[int, Mesh, tuple[tuple[str, 
         often = tuple((kind, draw) for kind, times in TIMES.items() for draw in range(times))
         others = tuple((kind, 0) for place, (kind, every) in enumerate(EVERY.items()) if number % every == place)
         yield number, "coarse", (*often, *others)
-        if number % LIMIT_EVERY == LIMIT_EVERY - 1:
-            yield number, "fine", tuple((kind, 0) for kind in LIMIT_KINDS)
+        yield number, "fine", tuple((kind, 0) for kind, every in FINE_EVERY.items() if number % every == every - 1)
 
 
 def run(path: Path, first: int, count: int) -> None:

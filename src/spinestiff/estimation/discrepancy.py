@@ -43,14 +43,15 @@ SCHEMA = "spinestiff-discrepancy"
 SCHEMA_VERSION = 2
 SIDES = ("left", "right")
 Mesh = Literal["coarse", "fine"]
-# By the mesh that an estimate ends on, the kinds that it expects, and of how many people each. Everybody has a body
-# and a torso without a mesh's errors; other laws of discs and tissue are expected of one in seven each. Not here are
-# kinds that are among an estimate's own unknowns (``unknowns``: ribs, volume, depth), nor the wall: whether a back may
-# leave it is a choice of the model, which no covariance makes up for (docs/discrepancy.md).
+# By the mesh that an estimate ends on, the kinds that it expects, and of how many people each. Everybody has a body of
+# their own, and differs from a mesh as another mesh of its size does; other laws of discs and tissue are expected of
+# one in seven each. Not here are kinds that are among an estimate's own unknowns (``unknowns``: ribs, volume, depth),
+# nor the wall: whether a back may leave it is a choice of the model, which no covariance makes up for
+# (docs/discrepancy.md).
 LAWS = dict.fromkeys(("disc centres", "stiffening", "layers"), 1.0 / 7.0)
 EXPECTED: Mapping[Mesh, Mapping[str, float]] = {
-    "coarse": {"body": 1.0, "other mesh": 0.5, "finer mesh": 0.5, **LAWS},
-    "fine": {"body": 1.0, "other fine mesh": 0.5, "fine to limit": 0.5, **LAWS},
+    "coarse": {"body": 1.0, "other mesh": 1.0, **LAWS},
+    "fine": {"body": 1.0, "other fine mesh": 1.0, **LAWS},
 }
 MODES = 12  # of a covariance
 # The kind whose models have a geometry that personalisation found from marked corners, and these corners' sd, mm.
