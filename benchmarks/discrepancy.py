@@ -62,8 +62,8 @@ DATA = ROOT / "src" / "spinestiff" / "estimation" / "data" / "discrepancy.npz"
 FIGURE = ROOT / "docs" / "images" / "discrepancy_modes.png"
 PAIRS = "pairs.jsonl"
 KIND_MODES = 16
-INFLATION, UNTRIED = 1.0, 0.02
-TRIED = ((1.0, 0.0), (1.0, 0.3), (2.0, 0.02))
+INFLATION, UNTRIED = 1.0, 0.005
+TRIED = ((1.0, 0.0), (1.0, 0.3), (2.0, 0.005))
 WALL = "one-sided wall"
 BUCKLED = 1.0  # difference over motion in a frame
 # Of a corner along one axis, and of a vertebra as a whole, correlated over so many of them.

@@ -53,7 +53,7 @@ EXPECTED: Mapping[Mesh, Mapping[str, float]] = {
     "coarse": {"body": 1.0, "other mesh": 1.0, **LAWS},
     "fine": {"body": 1.0, "other fine mesh": 1.0, **LAWS},
 }
-MODES = 12  # of a covariance
+MODES = 40  # of a covariance
 # The kind whose models have a geometry that personalisation found from marked corners, and these corners' sd, mm.
 GEOMETRY, GEOMETRY_MM = "geometry", 0.5
 # A stance that nobody was told does to a geometry's motions what corners do that are off by so much, mm
