@@ -3,7 +3,8 @@
     python benchmarks/coverage.py --scenario NAME... [--logs FOLDER] [--first SEED] [--count N]
     python benchmarks/coverage.py --summary FILE...
     python benchmarks/coverage.py --store [NAME FILE...]
-    python benchmarks/coverage.py --json | --markdown | --rerun FOLDER
+    python benchmarks/coverage.py --json | --markdown [--figures FILE]
+    python benchmarks/coverage.py --rerun FOLDER
 
 The first makes and estimates a scenario's subjects and writes a line each as it goes; a log that exists is gone on
 with, and a second process with other seeds and another folder halves the time. Scenarios given together take turns, so
@@ -12,7 +13,8 @@ them. ``--summary`` prints how often the truth lies inside, by ratio and jointly
 tercile of the true ratio, by curve and by kind of body, with the standard errors of so many subjects
 (``counted_intervals.py``). ``--store`` keeps the figures of the kept logs, or a scenario's of others, in
 benchmarks/results/coverage.json, ``--json`` prints that file, ``--markdown`` prints it as the tables of
-docs/coverage.md, and ``--rerun`` repeats the seeds of the kept logs, each made as its row says. All of it is synthetic.
+docs/coverage.md (``--figures`` another such file), and ``--rerun`` repeats the seeds of the kept logs, each made as its
+row says. All of it is synthetic.
 Needs the extra ``[mesh]``: every truth has a tissue mesh of its own.
 
 Settings were chosen while the scenarios called "settings" were looked at; the seeds of the others are run once and
@@ -285,9 +287,9 @@ def log_of(name: str) -> Path:
     return LOGS / f"{name.replace(' ', '_').replace(',', '').replace(chr(39), '')}.jsonl"
 
 
-def stored() -> list[dict[str, Any]]:
+def stored(path: Path = RESULTS) -> list[dict[str, Any]]:
     """The stored campaigns, in the order of ``SCENARIOS``."""
-    found: list[dict[str, Any]] = json.loads(RESULTS.read_text()) if RESULTS.is_file() else []
+    found: list[dict[str, Any]] = json.loads(path.read_text()) if path.is_file() else []
     order = list(SCENARIOS)
     return sorted(found, key=lambda entry: order.index(entry["scenario"]))
 
@@ -314,6 +316,7 @@ def main() -> None:
     parser.add_argument("--store", nargs="*", metavar=("SCENARIO", "FILE"))
     parser.add_argument("--json", action="store_true", help="print what is stored")
     parser.add_argument("--markdown", action="store_true", help="print it as the tables of docs/coverage.md")
+    parser.add_argument("--figures", type=Path, default=RESULTS, metavar="FILE", help="what these two print")
     parser.add_argument(
         "--rerun", type=Path, metavar="FOLDER", help="repeat the seeds of the kept logs, logs in a folder"
     )
@@ -321,9 +324,9 @@ def main() -> None:
     if (asked.scenario or asked.rerun) and find_spec("mmgpy") is None:
         parser.error('the truths\' meshes need pip install -e ".[mesh]"')
     if asked.json:
-        print(json.dumps(stored(), indent=1))
+        print(json.dumps(stored(asked.figures), indent=1))
     elif asked.markdown:
-        print(markdown(stored()))
+        print(markdown(stored(asked.figures)))
     elif asked.summary:
         show(summarised("logs", read_logs(asked.summary)))
     elif asked.store:
