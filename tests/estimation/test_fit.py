@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-import programs
 from spinestiff.anatomy.stiffness import RATIO_BOUNDS, parameter_group
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError, FitError
@@ -21,7 +19,7 @@ from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.estimation.status import FitStatus
-from spinestiff.estimation.told import HELD_FROM_BOTH_SIDES, both_sides_warnings, unsettled_warnings
+from spinestiff.estimation.told import unsettled_warnings
 from spinestiff.estimation.unknowns import ACTS
 from spinestiff.estimation.weighed import WeighedProblem
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
@@ -370,24 +368,3 @@ def test_an_estimate_beside_a_jump_is_told_with_how_near_it_is() -> None:
     assert warning.endswith("settled to 0.09 standard deviations")
     assert not unsettled_warnings(SimpleNamespace(short=0.03), likely, ("tissue",))
     assert not unsettled_warnings(None, None, ("tissue",))
-
-
-def test_bending_from_pushes_on_both_sides_is_told_to_be_less_certain() -> None:
-    torso = template_torso(157.0, "coarse")
-    names = {name: SimpleNamespace(name=name) for name in ("lateral_bending", "tissue")}
-
-    def told(sides: str, *wanted: str) -> list[str]:
-        trials = [SimpleNamespace(load=rib_push(torso, side, 8, 40.0)) for side in sides.split()]
-        problems = [SimpleNamespace(torso=torso)] * len(trials)
-        groups = [names[name] for name in wanted]
-        return both_sides_warnings(SimpleNamespace(trials=trials, problems=problems, groups=groups))
-
-    (warning,) = told("left right", "lateral_bending", "tissue")
-    assert warning.startswith("pushes from both sides: the interval of lateral_bending is too narrow")
-    assert told("left left", "lateral_bending") == told("left right", "tissue") == []
-
-
-def test_how_often_it_held_is_what_was_counted() -> None:
-    stored = json.loads((programs.FOLDER / "results" / "coverage.json").read_text(encoding="utf-8"))
-    (counted,) = (one for one in stored if one["scenario"] == "pushes as planned")
-    assert counted["coverage95"]["lateral_bending"] == pytest.approx(HELD_FROM_BOTH_SIDES, abs=0.005)

@@ -31,7 +31,6 @@ from spinestiff.estimation.ratio_priors import ratio_prior
 from spinestiff.estimation.search import lbfgsb
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.told import (
-    both_sides_warnings,
     open_end_warnings,
     ratio_covariance,
     told,
@@ -162,7 +161,6 @@ def fit_stiffness(
         bounds=(float(bounds[0]), float(bounds[1])),
         warnings=(
             *trial_warnings(trial_set, default, point),
-            *(both_sides_warnings(trial_set) if method == "weighed" else ()),
             *open_end_warnings(opens, bounds),
             *unsettled_warnings(found, likely, names),
         ),

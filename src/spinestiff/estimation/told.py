@@ -6,10 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.estimation.budget import Budget, PriorChange, prior_changes, repeated_sds, variance_budget
-from spinestiff.estimation.discrepancy import pushed_side
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import Evaluation, TrialSet
 from spinestiff.estimation.fitted import NuisanceEstimate, Weighed
@@ -23,9 +21,6 @@ from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, reduced
 WORST_CONDITION = 1e12
 # Of a log ratio that the data say nothing of.
 LEAST_PRECISION = 1e-6
-# Share of synthetic people pushed from both sides whose 95 % interval of lateral bending holds the truth
-# (docs/coverage.md#pushes-from-both-sides).
-HELD_FROM_BOTH_SIDES = 0.82
 
 
 def told(
@@ -89,18 +84,6 @@ def trial_warnings(trial_set: TrialSet, default: Evaluation | None, point: Evalu
         if square:
             found.append(f"{name}: orientation by covariance means little for {', '.join(square)} (near-square box)")
     return found
-
-
-def both_sides_warnings(trial_set: TrialSet) -> list[str]:
-    """Intervals of bending that are too narrow, as where a person is pushed from both sides."""
-    bending = [group.name for group in trial_set.groups if "bending" in group.name]
-    sides = {pushed_side(trial.load) for trial in trial_set.trials}
-    if len(sides) < 2 or not bending or trial_set.problems[0].torso.vertebrae != VERTEBRAE:
-        return []
-    return [
-        f"pushes from both sides: the interval of {bending[0]} is too narrow; of synthetic people pushed so 95 % "
-        f"intervals held the truth in {100.0 * HELD_FROM_BOTH_SIDES:.0f} %"
-    ]
 
 
 def open_end_warnings(opens: Mapping[str, tuple[bool, bool]], bounds: tuple[float, float]) -> list[str]:
