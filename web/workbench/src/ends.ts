@@ -49,6 +49,8 @@ export function ends(key: string, image: string, given: Point[], done: (ends: [P
   const look = ([column, row]: Point): void => act(async () => {
     if (!all) return;
     const { rows, columns } = all;
+    part = null;  // until the new one is here: nobody clicks in the old one
+    draw();
     const from = (at: number, most: number): number => Math.max(0, Math.min(Math.round(at - PART / 2), most - PART));
     const [left, top] = [from(column, columns), from(row, rows)], [right, bottom] = [Math.min(columns, left + PART), Math.min(rows, top + PART)];
     part = await ask(PART, PART, [left, top, right, bottom].join(","));
