@@ -231,6 +231,10 @@ def test_a_known_length_is_typed_or_clicked_in_the_picture(tab, root, serve):
             point = tuple(tab.run(f"({at})(document.querySelector('{selector}').getBoundingClientRect())"))
             tab.drag(point, point)
 
+        # A slow machine: the enlarged part of before is no longer there to be clicked in.
+        tab.run(
+            "(window.fetch = (f => (...a) => new Promise(r => setTimeout(() => r(f(...a)), 400)))(window.fetch), 1)"
+        )
         for along in (0.25, 0.5):
             press(".ends", along)
             tab.until("!document.querySelector('.near').hidden")
