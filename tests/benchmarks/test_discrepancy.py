@@ -9,6 +9,7 @@ import pytest
 
 from programs import benchmark
 from spinestiff.anatomy.template import template_torso
+from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.discrepancy import MIRROR
 from spinestiff.mechanics.contact import solve_with_contact
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -46,6 +47,42 @@ def test_a_variants_ratios_are_sought_until_the_true_ones_are_the_models(bench) 
     assert found.values[0] != pytest.approx(0.3, rel=0.1)
     np.testing.assert_allclose(stiffer.true_ratios(found), wanted.values * np.exp(left), rtol=1e-6)
     assert np.abs(left).max() < pairs.EQUAL
+
+
+class Yielding:
+    """Stands for a bench whose vertebrae turn by ``degrees`` a newton, and that carries no more than ``most`` newtons."""
+
+    def __init__(self, degrees: float, most: float = np.inf) -> None:
+        self.degrees, self.most = degrees, most
+
+    def load(self, side, level, force):
+        return force
+
+    def solve(self, side, load, ratios):
+        if load > self.most:
+            raise EquilibriumError("gives way")
+        return load
+
+    def motion(self, state):
+        return np.outer(np.linspace(0.0, 1.0, 17), [0.0, 0.0, np.deg2rad(self.degrees * state)])
+
+
+def test_a_push_has_as_much_force_as_the_torso_carries() -> None:
+    assert pairs.carried(Yielding(0.5), "left", 8.0, 60.0, None) == (60.0, 60.0)
+    force, state = pairs.carried(Yielding(1.0), "left", 8.0, 60.0, None)
+    assert force == state and 40.0 < force <= 45.0
+    assert 20.0 < pairs.carried(Yielding(0.1, most=40.0), "left", 8.0, 60.0, None)[0] <= 40.0
+    with pytest.raises(EquilibriumError, match="more than 45 degrees under any push at rib 8"):
+        pairs.carried(Yielding(4.0), "left", 8.0, 60.0, None)
+
+
+def test_everybody_and_every_kind_has_a_turn() -> None:
+    made = list(pairs.tasks(0, 24))
+    assert [number for number, mesh, _ in made if mesh == "coarse"] == list(range(24))
+    count = {kind: sum((kind, 0) in kinds for *_, kinds in made) for kind in (*pairs.KINDS, *pairs.FINE_EVERY)}
+    assert count["body"] == count["other mesh"] == 24 and sum(("body", 1) in kinds for *_, kinds in made) == 24
+    assert count["geometry"] == count["finer mesh"] == count["one-sided wall"] == 6
+    assert count["other fine mesh"] == 8 and count["fine to limit"] == 3
 
 
 def test_slopes_are_derivatives_of_motions(bench) -> None:
