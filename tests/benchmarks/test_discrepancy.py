@@ -50,7 +50,7 @@ def test_a_variants_ratios_are_sought_until_the_true_ones_are_the_models(bench) 
 
 
 class Yielding:
-    """Stands for a bench whose vertebrae turn by ``degrees`` a newton, and that carries no more than ``most`` newtons."""
+    """In place of a bench: its vertebrae turn by ``degrees`` a newton, and it carries no more than ``most`` newtons."""
 
     def __init__(self, degrees: float, most: float = np.inf) -> None:
         self.degrees, self.most = degrees, most
