@@ -45,18 +45,15 @@ model's motion by its derivative.
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from judgement_subjects import KYPHOSIS_DEG, LORDOSIS_DEG, PERSON_SD, SPINE_LENGTH_SD, VERTEBRA_SD, standing
+from judgement_subjects import AGES, KYPHOSIS_DEG, LORDOSIS_DEG, PERSON_SD, SPINE_LENGTH_SD, VERTEBRA_SD, standing
 
-from spinestiff.anatomy.files import read_torso, write_torso
 from spinestiff.anatomy.names import INTERVERTEBRAL
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import (
@@ -68,7 +65,6 @@ from spinestiff.anatomy.stiffness import (
     stiffness_ratios,
 )
 from spinestiff.anatomy.template import template_torso
-from spinestiff.anatomy.template.assemble import assemble, build_skeleton
 from spinestiff.anatomy.template.body import usual_mass
 from spinestiff.anatomy.template.options import with_options
 from spinestiff.anatomy.torso import TissueMesh, TorsoModel
@@ -92,15 +88,10 @@ from spinestiff.personalise.sizes import resized
 from spinestiff.study.spines import CURVES, curved_spine, rest_vertebrae
 
 ROOT = Path(__file__).parent.parent
-sys.path.insert(0, str(ROOT / "tools"))
-
-import build_torso  # noqa: E402
-from tissue_mesh import half_mesh, mirror, quadratic  # noqa: E402
 
 SEED = 20261122
 PELVIS = "level"
 HEIGHTS_CM, COBB_DEG = (140.0, 175.0), (10.0, 80.0)
-AGES = (10.0, 16.0)
 MASS_SD = 0.15  # of the body over the usual one, in log; what an estimate is not told
 BENDING = (0.0075, 0.84)
 TISSUE_MPA = (0.0075 * 0.58, 0.2 * 0.58)
@@ -114,7 +105,6 @@ ENERGY_LEVEL, ENERGY_FORCE_N = 8.0, 40.0
 EQUAL = 0.01  # of log ratios
 CORNER_NOISE_MM, MARKED_MM = 0.5, 0.3
 UNDER_SKIN_MM, AROUND_SPINE_MM = 25.0, 55.0
-FINEST = 17.0  # mm between points inside
 # Nodes of a truth's mesh, asked for (it gets a tenth more or less).
 MESHES = {"other mesh": 2300, "finer mesh": 15_000, "other fine mesh": 10_000, "fine to limit": 26_000}
 # What a subject gets: so many of each of these, and every so many subjects one of the others.
@@ -323,32 +313,6 @@ def at_frames(
 # Variants
 
 
-@lru_cache(maxsize=8)
-def _family(name: str, cache: Path) -> TorsoModel:
-    """The template on a mesh that does not ship, kept in a folder; names: 'coarse SEED', 'fine SEED', 'finest' or, with
-    mm between points inside as for the family of ``mesh_convergence``, '12.6 SEED'."""
-    path = cache / f"{name.replace(' ', '_')}.npz"
-    if not path.exists():
-        size, _, seed = name.partition(" ")
-        known = build_torso.SPACINGS
-        inside = FINEST if size == "finest" else None if size in known else float(size)
-        spacing = known[size] if inside is None else build_torso.family_spacing(inside)
-        skeleton = build_skeleton()
-        half = half_mesh(skeleton, spacing, int(seed or build_torso.SEED))
-        nodes, elements, bones = quadratic(*mirror(half), skeleton, build_torso.NEAR * spacing.inside)
-        write_torso(path, assemble(skeleton, nodes, elements, bones))
-    stored = read_torso(path)
-    like = template_torso(stored.height_cm)
-    mu, lambda_ = (np.full(len(stored.tissue.elements), m[0]) for m in (like.tissue.lame_mu, like.tissue.lame_lambda))
-    return replace(stored, joints=like.joints, tissue=replace(stored.tissue, lame_mu=mu, lame_lambda=lambda_))
-
-
-def on_mesh(name: str, height_cm: float, cache: Path) -> TorsoModel:
-    """The reference body at a height on a mesh that does not ship."""
-    torso = _family(name, cache)
-    return torso.scaled(height_cm / torso.height_cm)
-
-
 def disc_centres(base: TorsoModel, random: np.random.Generator) -> tuple[Bench, dict[str, Any]]:
     shift = float(random.uniform(3.0, 12.0))
     return Bench(with_options(base, disc_shift_mm=shift)), {"shift_mm": shift}
@@ -507,10 +471,8 @@ def pair(subject: Subject, kind: str, draw: int, base: tuple[Bench, Modelled]) -
         model = at_frames(Bench(found), subject, model.frames, starts)
     else:
         parameters = {"nodes": MESHES[kind], "seed": int(random.integers(1, 10**6))}
-        truth, starts = (
-            Bench(subject.shaped(template_torso(subject.height_cm), **parameters)),
-            (None,) * len(model.frames),
-        )
+        truth = Bench(subject.shaped(template_torso(subject.height_cm), **parameters))
+        starts = (None,) * len(model.frames)
     frames = []
     for frame, start, motion, slope in zip(model.frames, starts, model.motions, model.slopes):
         load = truth.load(frame.side, frame.level, frame.force_n)

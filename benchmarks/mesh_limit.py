@@ -19,22 +19,39 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
+import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from discrepancy import Pair, pair_of, weighed
-from discrepancy_pairs import FINEST, LEVELS, Bench, Frame, at_frames, on_mesh, rounded, subject_of
+from discrepancy_pairs import LEVELS, ROOT, Bench, Frame, at_frames, rounded, subject_of
 
+from spinestiff.anatomy.files import read_torso, write_torso
 from spinestiff.anatomy.template import OWN_MESH, template_torso
+from spinestiff.anatomy.template.assemble import assemble, build_skeleton
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import EquilibriumError, SpinestiffError
 from spinestiff.estimation.discrepancy import shipped_modes
 
+sys.path.insert(0, str(ROOT / "tools"))
+
+import build_torso
+from tissue_mesh import half_mesh, mirror, quadratic
+
 RESULTS = Path(__file__).parent / "results" / "mesh_limit.json"
-MESHES = {"fine's family": "finest", "another": f"{FINEST:g} 71", "finest": "12.6 71", "synthetic subjects'": OWN_MESH}
+FINEST = 17.0  # mm between points inside
+# Of the truths: mm between points inside, as in the family of ``mesh_convergence``, and seed.
+MESHES = {
+    "fine's family": f"{FINEST:g} {build_torso.SEED}",
+    "another": f"{FINEST:g} 71",
+    "finest": "12.6 71",
+    "synthetic subjects'": OWN_MESH,
+}
 TILT_DEG = 12.0
 ASKED = (0.1, 0.03)  # of log bending, log tissue
 
@@ -72,7 +89,27 @@ def run_subject(number: int, meshes: Sequence[str], cache: Path) -> list[dict[st
 
 
 def _on(mesh: str, height_cm: float, cache: Path) -> TorsoModel:
-    return template_torso(height_cm, mesh) if mesh == OWN_MESH else on_mesh(mesh, height_cm, cache)
+    """The reference body at a height, on a mesh of ``MESHES``."""
+    if mesh == OWN_MESH:
+        return template_torso(height_cm, mesh)
+    torso = _family(mesh, cache)
+    return torso.scaled(height_cm / torso.height_cm)
+
+
+@lru_cache(maxsize=8)
+def _family(name: str, cache: Path) -> TorsoModel:
+    """The template on a mesh that does not ship, kept in a folder."""
+    path = cache / f"{name.replace(' ', '_')}.npz"
+    if not path.exists():
+        inside, seed = name.split()
+        spacing, skeleton = build_torso.family_spacing(float(inside)), build_skeleton()
+        half = half_mesh(skeleton, spacing, int(seed))
+        nodes, elements, bones = quadratic(*mirror(half), skeleton, build_torso.NEAR * spacing.inside)
+        write_torso(path, assemble(skeleton, nodes, elements, bones))
+    stored = read_torso(path)
+    like = template_torso(stored.height_cm)
+    mu, lambda_ = (np.full(len(stored.tissue.elements), m[0]) for m in (like.tissue.lame_mu, like.tissue.lame_lambda))
+    return replace(stored, joints=like.joints, tissue=replace(stored.tissue, lame_mu=mu, lame_lambda=lambda_))
 
 
 def _force(bench: Bench, side: str, level: float, ratios: Any) -> float:
