@@ -323,6 +323,8 @@ def main() -> None:
     asked = parser.parse_args()
     if (asked.scenario or asked.rerun) and find_spec("mmgpy") is None:
         parser.error('the truths\' meshes need pip install -e ".[mesh]"')
+    if asked.figures != RESULTS and not asked.figures.is_file():
+        parser.error(f"{asked.figures}: no such file")
     if asked.json:
         print(json.dumps(stored(asked.figures), indent=1))
     elif asked.markdown:

@@ -481,7 +481,12 @@ def main() -> None:
         asked.scratch.mkdir(parents=True, exist_ok=True)
         discrepancy_pairs.run(asked.scratch / PAIRS, asked.first, asked.subjects)
     elif asked.learn:
-        results, data = evaluate([row for folder in asked.learn for row in discrepancy_pairs.read(folder / PAIRS)])
+        rows = [row for folder in asked.learn for row in discrepancy_pairs.read(folder / PAIRS)]
+        made = {row["kind"] for row in rows if "failed" not in row}
+        lacking = [kind for kind in (*KINDS, *FINE_EVERY) if kind not in made]
+        if lacking:
+            parser.error(f"no pairs of the kinds {', '.join(lacking)} in {', '.join(map(str, asked.learn))}; make more")
+        results, data = evaluate(rows)
         show(results)
         if asked.write:
             DATA.parent.mkdir(exist_ok=True)
