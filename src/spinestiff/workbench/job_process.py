@@ -46,6 +46,8 @@ def start_job(table: Path, job: str, folder: Path, arguments: list[str], log: Pa
     with contextlib.suppress(OSError):  # it ended at once: it will be found lost
         process.stdin.write(json.dumps(task).encode() + b"\n")
         process.stdin.close()
+    # Waited for as long as the server lives: no zombie is left, and where the server ends first the process goes on.
+    threading.Thread(target=process.wait, daemon=True).start()
     return process
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import subprocess
 import threading
 from collections.abc import Mapping
 from pathlib import Path
@@ -31,7 +30,6 @@ class Jobs:
     def __init__(self, root: Root, side_by_side: int = 1) -> None:
         self.root, self.side_by_side = root, side_by_side
         self.table = JobTable(root.own / "jobs.sqlite")
-        self._started: list[subprocess.Popen[bytes]] = []
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -76,7 +74,6 @@ class Jobs:
 
     def look(self) -> None:
         """Start what can be started."""
-        self._started = [process for process in self._started if process.poll() is None]
         self.table.give_up_lost()
         while (job := self.table.take(self.side_by_side)) is not None:
             try:
@@ -87,4 +84,4 @@ class Jobs:
             log = self.log(job.id)
             log.parent.mkdir(parents=True, exist_ok=True)
             arguments = command_of(job.verb, job.options)
-            self._started.append(start_job(self.table.path, job.id, folder, arguments, log))
+            start_job(self.table.path, job.id, folder, arguments, log)
