@@ -66,8 +66,9 @@ from spinestiff.imaging.tracking.quality import quality_of
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push
 from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.pose import align_view, posed
-from spinestiff.personalise.shape import personalise, place_vertebrae
+from spinestiff.personalise.shape import personalise
 from spinestiff.study.elastic_supports import drawn_supports, elastic_supports, support_stiffness
 from spinestiff.study.spines import curved_spine
 from spinestiff.study.synthetic_markers import spread_markers

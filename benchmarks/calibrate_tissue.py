@@ -34,7 +34,7 @@ from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push
 from spinestiff.mechanics.supports import PELVES, three_point_supports
-from spinestiff.personalise.shape import place_vertebrae
+from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.study.seven import paper
 from spinestiff.study.spines import CURVES, curved_spine
 

@@ -49,7 +49,7 @@ from coverage_subjects import Acquisition, Subject, make_subject
 
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError, SpinestiffError
-from spinestiff.estimation.discrepancy import Mesh
+from spinestiff.estimation.discrepancy_data import Mesh
 from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import WIDTH_FACTOR, Profile

@@ -57,7 +57,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, rib_push
 from spinestiff.mechanics.places import shifted_shoulder
 from spinestiff.mechanics.supports import SupportKind, Supports
-from spinestiff.personalise.shape import place_vertebrae
+from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.study.elastic_supports import SyntheticSupports, drawn_supports, elastic_supports, support_stiffness
 from spinestiff.study.spines import CURVES, curved_spine
 from spinestiff.subject.outcomes import TrackedPush

@@ -6,7 +6,7 @@
 
 The first makes the pairs of ``discrepancy_pairs.py`` in the folder and goes on from what is there; a second process
 with other subjects and another folder halves the time. ``--learn`` learns from the pairs of such folders the covariance
-that ``spinestiff.estimation.discrepancy`` reads, tests it and prints the figures; ``--write`` stores the data in the
+that ``spinestiff.estimation.discrepancy_data`` reads, tests it and prints the figures; ``--write`` stores the data in the
 package, the figures in benchmarks/results/discrepancy.json and a picture of the first modes. ``--json`` prints that
 file, ``--markdown`` prints it as the tables of docs/discrepancy.md. Needs the extra ``[mesh]``.
 
@@ -43,19 +43,14 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.arrays import Floats
 from spinestiff.estimation.discrepancy import (
     CHANNELS,
-    EXPECTED,
     MIRROR,
-    MODES,
     SIDES,
-    DiscrepancyData,
     DiscrepancyFrame,
     DiscrepancyModes,
-    KindModes,
-    Mesh,
     discrepancy_columns,
     motion_size,
-    write_data,
 )
+from spinestiff.estimation.discrepancy_data import EXPECTED, MODES, DiscrepancyData, KindModes, Mesh, write_data
 
 RESULTS = Path(__file__).parent / "results" / "discrepancy.json"
 DATA = ROOT / "src" / "spinestiff" / "estimation" / "data" / "discrepancy.npz"

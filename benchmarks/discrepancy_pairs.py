@@ -71,7 +71,8 @@ from spinestiff.anatomy.torso import TissueMesh, TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError, SpinestiffError
 from spinestiff.estimation.discrepancy import CHANNELS as TURNS
-from spinestiff.estimation.discrepancy import SIDES, Mesh, motion_size, plane_motion
+from spinestiff.estimation.discrepancy import SIDES, motion_size, plane_motion
+from spinestiff.estimation.discrepancy_data import Mesh
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.unknowns import ACTS, POWERS, SCALED, load_changes
 from spinestiff.imaging.features import VertebraCorners, picture_axes, silhouette_shares, state_features
@@ -83,7 +84,8 @@ from spinestiff.mechanics.loads import LoadCase, rib_push
 from spinestiff.mechanics.neutral_zone import NeutralZone
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.mechanics.tissue import element_energies
-from spinestiff.personalise.shape import personalise, place_vertebrae
+from spinestiff.personalise.placing import place_vertebrae
+from spinestiff.personalise.shape import personalise
 from spinestiff.personalise.sizes import resized
 from spinestiff.study.spines import CURVES, curved_spine, rest_vertebrae
 

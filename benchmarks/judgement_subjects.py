@@ -40,8 +40,9 @@ from spinestiff.imaging.tracking.quality import quality_of
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
+from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.pose import posed
-from spinestiff.personalise.shape import Personalised, personalise, place_vertebrae
+from spinestiff.personalise.shape import Personalised, personalise
 from spinestiff.personalise.sizes import resized
 from spinestiff.study.spines import CURVES, curved_spine
 from spinestiff.study.synthetic import BENDING_RANGE, TISSUE_RANGE

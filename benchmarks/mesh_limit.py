@@ -36,7 +36,7 @@ from spinestiff.anatomy.template import OWN_MESH, template_torso
 from spinestiff.anatomy.template.assemble import assemble, build_skeleton
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import EquilibriumError, SpinestiffError
-from spinestiff.estimation.discrepancy import shipped_modes
+from spinestiff.estimation.discrepancy_data import shipped_modes
 
 sys.path.insert(0, str(ROOT / "tools"))
 

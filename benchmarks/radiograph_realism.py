@@ -35,7 +35,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.imaging.synthetic.acquisition import DEFAULT_ACQUISITION, Acquisition, acquire
-from spinestiff.personalise.shape import place_vertebrae
+from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.study.spines import curved_spine
 
 RESULT = Path(__file__).parent / "results" / "radiograph_realism.json"

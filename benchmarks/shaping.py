@@ -4,7 +4,7 @@
 goes to the log, and a run that was stopped goes on from it.
 
 Spines are those that ``benchmarks/personalisation.py`` takes, at its body heights (139 to 180 cm). Curves are all kinds
-of ``study.spines.CURVES`` at ``CURVED``. Each torso is made by ``personalise.shape.place_vertebrae`` from the coarse
+of ``study.spines.CURVES`` at ``CURVED``. Each torso is made by ``personalise.placing.place_vertebrae`` from the coarse
 and the fine template and from the synthetic subjects' own. Told of each: whether the tissue mesh was kept or built anew
 and why, its quality, how far the vertebrae are from where they were wanted, and CPU seconds.
 """
@@ -27,8 +27,8 @@ import numpy as np
 
 from spinestiff.anatomy.template import MESHES, OWN_MESH, template_torso
 from spinestiff.errors import SpinestiffError, SubjectError
+from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.quality import SMALLEST_DIHEDRAL_DEG, SMALLEST_J, mesh_quality
-from spinestiff.personalise.shape import place_vertebrae
 from spinestiff.study.spines import CURVES, curved_spine, real_spine
 
 # Cobb angle and body height of each kind of curve.

@@ -35,7 +35,7 @@ from spinestiff.imaging.synthetic.detector import Exposure
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.personalise.shape import place_vertebrae
+from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.study.spines import curved_spine
 
 FRAME_TIME_S = 0.25

@@ -27,7 +27,7 @@ from scipy.stats import chi2
 import spinestiff.estimation.fit as fits
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
-from spinestiff.estimation.discrepancy import EXPECTED, shipped_data
+from spinestiff.estimation.discrepancy_data import EXPECTED, shipped_data
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem
 from spinestiff.personalise.shape import personalise

@@ -37,7 +37,8 @@ from spinestiff.imaging.projection import XRayView, frontal_view, lateral_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load, rib_push
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.personalise.shape import personalise, place_vertebrae
+from spinestiff.personalise.placing import place_vertebrae
+from spinestiff.personalise.shape import personalise
 from spinestiff.study.planning.scene import POPULATION
 from spinestiff.study.spines import curved_spine
 

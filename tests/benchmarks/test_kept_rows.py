@@ -7,7 +7,7 @@ import json
 import pytest
 
 from programs import benchmark
-from spinestiff.estimation.discrepancy import STANCE_MM
+from spinestiff.estimation.discrepancy_data import STANCE_MM
 
 rows = benchmark("kept_rows")
 stance = benchmark("discrepancy_stance")

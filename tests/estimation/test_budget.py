@@ -18,7 +18,7 @@ from spinestiff.estimation.budget import (
     repeated_sds,
     variance_budget,
 )
-from spinestiff.estimation.discrepancy import STANCE_MM
+from spinestiff.estimation.discrepancy_data import STANCE_MM
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.weighed import reduced
 

@@ -10,17 +10,19 @@ import pytest
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import FitError
 from spinestiff.estimation.discrepancy import (
-    EXPECTED,
     MIRROR,
-    DiscrepancyData,
     DiscrepancyFrame,
     DiscrepancyModes,
-    KindModes,
     as_corners,
     discrepancy_columns,
-    geometry_modes,
     motion_size,
     plane_motion,
+)
+from spinestiff.estimation.discrepancy_data import (
+    EXPECTED,
+    DiscrepancyData,
+    KindModes,
+    geometry_modes,
     read_data,
     shipped_data,
     shipped_modes,

@@ -11,14 +11,8 @@ from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import FitError
 from spinestiff.estimation.budget import covariance_parts
-from spinestiff.estimation.discrepancy import (
-    SKIN_LENGTH_MM,
-    SKIN_SD,
-    DiscrepancyFrame,
-    motion_size,
-    shipped_modes,
-    skin_covariance,
-)
+from spinestiff.estimation.discrepancy import SKIN_LENGTH_MM, SKIN_SD, DiscrepancyFrame, motion_size, skin_covariance
+from spinestiff.estimation.discrepancy_data import shipped_modes
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.forecast import forecast
 from spinestiff.estimation.objective import SkinMarkers, Trial

@@ -19,8 +19,8 @@ from spinestiff.estimation.discrepancy import (
     DiscrepancyFrame,
     motion_size,
     out_of_plane_columns,
-    shipped_modes,
 )
+from spinestiff.estimation.discrepancy_data import shipped_modes
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.forecast import forecast
 from spinestiff.estimation.objective import Picture, Trial, make_target

@@ -9,6 +9,7 @@ from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load
 from spinestiff.personalise.image_terms import Shape, shape_of
+from spinestiff.personalise.placing import pulled
 from spinestiff.personalise.prior import (
     ENERGY_SCALE,
     OWN_SIZE_SD,
@@ -18,7 +19,6 @@ from spinestiff.personalise.prior import (
     pelvis_on_springs,
     regulariser,
 )
-from spinestiff.personalise.shape import _pulled
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_it_is_the_energy_left_when_all_else_follows(problem, prior):
     random = np.random.default_rng(3)
     smooth = np.sin(np.linspace(0.0, np.pi, 17))[:, None] * [1.0, 0.1, -0.6]
     moved = displaced(rest, smooth + random.normal(0.0, 0.02, (17, 3)), random.normal(0.0, 2e-3, (17, 3)))
-    state = _pulled(problem, torso.rest_pose, moved.positions, moved.rotations, (1e5,))
+    state = pulled(problem, torso.rest_pose, moved.positions, moved.rotations, (1e5,))
     bones = torso.vertebra_bones
     reached = Shape(state.bone_positions[bones], state.bone_rotations[bones], *[np.zeros((17, 3))] * 3)
     stiffness, terms = problem.potential.stiffness(regulariser(torso)), problem.all_terms(no_load())
@@ -79,7 +79,7 @@ def test_away_from_rest_it_pulls_back(problem, prior):
     torso = problem.torso
     rest = shape_of(torso, torso.rest_pose)
     moved = displaced(rest, np.linspace(2.0, 0.0, 17)[:, None] * [1.0, 0.0, 0.0], np.zeros((17, 3)))
-    state = _pulled(problem, torso.rest_pose, moved.positions, moved.rotations, (1e4,))
+    state = pulled(problem, torso.rest_pose, moved.positions, moved.rotations, (1e4,))
     there = elastic_prior(problem, state)
     bones = torso.vertebra_bones
     reached = Shape(state.bone_positions[bones], state.bone_rotations[bones], *[np.zeros((17, 3))] * 3)

@@ -18,9 +18,10 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load, rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise.measured_skin import TrunkSize, skin_at_sizes, trunk_sizes, with_trunk_sizes
+from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.quality import mesh_quality
 from spinestiff.personalise.rebuild import can_rebuild, node_spacing, skin_of, with_new_tissue, without_tissue
-from spinestiff.personalise.shape import personalise, place_vertebrae
+from spinestiff.personalise.shape import personalise
 from spinestiff.study.spines import curved_spine, rest_vertebrae
 
 VIEWS = {"frontal": frontal_view(), "lateral": lateral_view()}

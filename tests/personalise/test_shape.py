@@ -18,8 +18,9 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load, rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise import shape
+from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.quality import SMALLEST_DIHEDRAL_DEG, mesh_quality
-from spinestiff.personalise.shape import personalise, place_vertebrae
+from spinestiff.personalise.shape import personalise
 from spinestiff.personalise.sizes import resized
 from spinestiff.study.spines import curved_spine, rest_vertebrae
 

@@ -18,7 +18,8 @@ from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.personalise.shape import personalise, place_vertebrae
+from spinestiff.personalise.placing import place_vertebrae
+from spinestiff.personalise.shape import personalise
 from spinestiff.study.judgement import failed, judge, outlying_notes
 from spinestiff.study.judgement.limits import LIMITS
 from spinestiff.study.judgement.rest_shape import RestShape

@@ -15,7 +15,7 @@ from spinestiff.curves.tilts import cobb_angle, tilts, tilts_from_points
 from spinestiff.errors import SubjectError
 from spinestiff.imaging.features import silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view
-from spinestiff.personalise.shape import place_vertebrae
+from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.study.spines import CURVES, SECONDARY, curved_spine, real_spine, rest_vertebrae, torso_from_lps
 
 COLUMNS = ("id", "level", "keypoint", "x_mm", "y_mm", "z_mm")

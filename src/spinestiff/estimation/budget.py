@@ -10,7 +10,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 
 from spinestiff.arrays import Floats
-from spinestiff.estimation.discrepancy import STANCE_MM
+from spinestiff.estimation.discrepancy_data import STANCE_MM
 from spinestiff.estimation.emulator import Emulator, Place
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights
 

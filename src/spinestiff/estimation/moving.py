@@ -18,14 +18,13 @@ from spinestiff.estimation.discrepancy import (
     DiscrepancyFrame,
     as_corners,
     discrepancy_columns,
-    geometry_modes,
-    modes_of,
     out_of_plane_columns,
     plane_motion,
     pushed_site,
     relative_covariance,
     skin_covariance,
 )
+from spinestiff.estimation.discrepancy_data import geometry_modes, modes_of
 from spinestiff.estimation.evaluation import Evaluation, TrialSet
 from spinestiff.estimation.noise import Noise
 from spinestiff.estimation.point import WeighedPoint

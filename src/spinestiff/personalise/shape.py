@@ -14,8 +14,6 @@ from typing import Literal
 
 import numpy as np
 
-from spinestiff.anatomy.points import PointsOnBones
-from spinestiff.anatomy.rotation import cross_matrix, exp_so3
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
@@ -24,22 +22,21 @@ from spinestiff.imaging.features import VertebraCorners, view_kind
 from spinestiff.imaging.pedicles import PediclePoints
 from spinestiff.imaging.projection import XRayView
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.mechanics.loads import no_load
-from spinestiff.mechanics.terms import PointSprings, Term
 from spinestiff.observer import Observer
 from spinestiff.personalise.adjustment import WRONG_WEIGHT, Adjusted, adjust
+from spinestiff.personalise.alignment import aligned, moved_whole
 from spinestiff.personalise.fitness import VertebraFit, check_pictures, vertebra_fits
 from spinestiff.personalise.image_terms import (
     UNKNOWNS,
     ImagePoints,
-    Shape,
     image_points,
     own_boxes,
     shape_of,
 )
 from spinestiff.personalise.measured_skin import TrunkSize, skin_at_sizes, trunk_sizes, with_trunk_sizes
+from spinestiff.personalise.placing import pulled
 from spinestiff.personalise.pose import ViewPose, posed
-from spinestiff.personalise.prior import elastic_prior, pelvis_on_springs, regulariser
+from spinestiff.personalise.prior import elastic_prior, pelvis_on_springs
 from spinestiff.personalise.quality import MeshQuality, require_quality
 from spinestiff.personalise.rebuild import NODES, can_rebuild, skin_of, with_new_tissue, without_tissue
 from spinestiff.personalise.scan import SkinScan
@@ -53,19 +50,10 @@ MeshPath = Literal["kept", "rebuilt", "finer"]
 # lean seen at rest is the person's own (about 3 degrees from one to the next) rather than the stance of the moment
 # (about 0.7 degrees). The frontal view says what is frontal, so only the lateral one has a yaw.
 SHIFT_SD, ROLL_SD, YAW_SD = 200.0, np.deg2rad(0.7), np.deg2rad(3.0)
-# How far a body may be from the template's place in a room of known views, mm and rad (about x, y, z), and how far its
-# spine's length from the template's at that height (log). As one body the template does not turn about the vertical:
-# its kyphosis, seen aside, would pass for the patient's scoliosis. Yaw comes with the vertebrae's own poses.
-PLACE_SD, TURN_SD, LENGTH_SD = 50.0, (0.1, 0.0, 0.1), 0.06
-COARSE_SDS = (50.0, 16.0)
 # Log of a spine's length along its vertebrae, over that from end to end, that is worth another adjustment.
 SAME_LENGTH = 0.002
 # Springs at the box corners that bring the vertebrae to their places, N/mm, from loose to tight.
-PULLS, PLACING_PULLS = (30.0, 1000.0), (3.0, 100.0, 1000.0)
-# How far, mm, a vertebra may stay from where it is placed, if its mesh bears no more.
-PLACED_MM = 0.5
-# N; a geometry needs no equilibrium to the last digit.
-SHAPE_TOLERANCE = 1e-3
+PULLS = (30.0, 1000.0)
 # Beyond this share a vertebra's motion is the prior's more than its own images'.
 CARRIED = 0.5
 
@@ -186,65 +174,6 @@ def personalise(
         return replace(found, mesh="finer", warnings=(*found.warnings, NEW_MESH["finer"]))
 
 
-def place_vertebrae(
-    torso: TorsoModel,
-    positions: Floats,
-    rotations: Floats,
-    stiffness: Sequence[float] = PLACING_PULLS,
-    *,
-    nodes: int | None = None,
-    seed: int = 0,
-    observer: Observer | None = None,
-) -> TorsoModel:
-    """The torso with its vertebrae at given 3D poses, ribs, shoulder girdle and tissue carried along, at rest.
-
-    Where the tissue mesh does not bear that, a new one of about as many nodes is built in the carried skin, as in
-    ``personalise`` (extra [mesh]).
-
-    Parameters
-    ----------
-    positions : (V, 3) mm, world positions of the vertebrae's origins.
-    rotations : (V, 3, 3) world_from_bone.
-    stiffness : N/mm of the springs at the box corners, in rising steps. Where the mesh does not bear a step, the one
-        before will do if it leaves less than ``PLACED_MM``.
-    nodes : about how many (``rebuild.NODES``) a new mesh has, which is built in any case. seed : of its points.
-    observer : is told when a mesh is built.
-
-    Raises
-    ------
-    EquilibriumError : the vertebrae can't be brought there.
-    TorsoError : the mesh does not bear that and no new one can be built.
-    """
-    problem = EquilibriumProblem(torso, pelvis_on_springs(torso))
-    placed, state = torso, torso.rest_pose
-    failure: TorsoError | None = None
-    for pull in stiffness:
-        state = _pulled(problem, state, positions, rotations, (pull,))
-        if nodes is not None:
-            continue
-        try:
-            moved = torso.rebased(state)
-            require_quality(moved)
-        except TorsoError as error:
-            failure = error
-        else:
-            placed, failure = moved, None
-    if nodes is None:
-        off = np.linalg.norm(placed.rest_pose.bone_positions[torso.vertebra_bones] - positions, axis=1).max()
-        if failure is None or off <= PLACED_MM:
-            return placed
-        nodes = len(torso.tissue.rest_positions)
-    if not can_rebuild(torso):
-        why = f"{failure}: the tissue mesh can't be carried to this spine" if failure else "a new tissue mesh is wanted"
-        raise TorsoError(f'{why}; pip install "spinestiff[mesh]" lets one be built')
-    if observer and failure:
-        observer(f"{failure}; building a new mesh")
-    bare, without = without_tissue(torso, state)
-    made = with_new_tissue(bare.rebased(without), skin_of(torso, state), torso, state, observer, nodes=nodes, seed=seed)
-    require_quality(made)
-    return made
-
-
 class _Fit:
     """One fit: what was annotated, and the steps from a template to the subject."""
 
@@ -271,7 +200,7 @@ class _Fit:
         points = self.points(base)
         sized = replace(resized(base, np.exp(first.shape.log_sizes)), vertebra_boxes=own_boxes(base, first.shape))
         problem = EquilibriumProblem(sized, pelvis_on_springs(sized))
-        state = _pulled(problem, sized.rest_pose, first.shape.positions, first.shape.rotations, PULLS)
+        state = pulled(problem, sized.rest_pose, first.shape.positions, first.shape.rotations, PULLS)
         self.say("torso moved to the radiographs")
         start = replace(
             first.shape,
@@ -284,7 +213,7 @@ class _Fit:
         if (after & ~before).any():
             # What the first adjustment could explain is not wrong: the energy's new tangent led away from it.
             final = first
-        state = _pulled(problem, state, final.shape.positions, final.shape.rotations, PULLS[-1:])
+        state = pulled(problem, state, final.shape.positions, final.shape.rotations, PULLS[-1:])
         boxes = own_boxes(base, final.shape)
 
         def finished(moved: TorsoModel, at: TorsoState) -> TorsoModel:
@@ -318,14 +247,14 @@ class _Fit:
         The rigid template's factor is that of the distances across the spine, of which a curve takes some away (80
         degrees: a tenth).
         """
-        base, poses, length = self.aligned(template)
+        base, poses, length = aligned(template, self.points(template), self.pose_sd, self.known)
         first = self.first(base, poses)
         longer = self.straightened(base, first.shape.positions)
         if abs(np.log(longer)) > SAME_LENGTH:
             base, length = base.scaled(longer), longer * length
             if self.known:
                 middle = base.rest_pose.bone_positions[base.vertebra_bones].mean(0)
-                base = _moved_whole(base, np.eye(3), (1.0 / longer - 1.0) * middle, np.zeros(3))
+                base = moved_whole(base, np.eye(3), (1.0 / longer - 1.0) * middle, np.zeros(3))
             first = self.first(base, first.poses)
         self.say(f"spine {length:.3f} times the template's length")
         return base, first, length
@@ -386,48 +315,6 @@ class _Fit:
             image_points(base, view, corners, self.pedicles.get(name))
             for name, (corners, view) in self.pictures.items()
         )
-
-    def aligned(self, template: TorsoModel) -> tuple[TorsoModel, Floats, float]:
-        """The template at the spine's length and the body's place, the views' poses, and the length's factor.
-
-        Gauss and Newton with the adjustment's robust loss, over log length, the body's shift and turn (known views)
-        and each view's stance (estimated ones).
-        """
-        rest = template.rest_pose
-        shape = shape_of(template, rest)
-        points = self.points(template)
-        middle = shape.positions.mean(0)
-        body_sd = np.full(7, 0.0)
-        body_sd[0] = LENGTH_SD
-        if self.known:
-            body_sd[1:4], body_sd[4:] = PLACE_SD, TURN_SD
-        sd = np.concatenate([body_sd, self.pose_sd.ravel()])
-        free = np.flatnonzero(sd > 0.0)
-        value, turn = np.zeros(len(sd)), np.eye(3)
-        for corner_sd in (*COARSE_SDS, COARSE_SDS[-1]):
-            for _ in range(8):
-                at = _carried(shape, middle, value, turn)
-                hessian, slope = np.diag(1.0 / sd[free] ** 2), (value[free] / sd[free] ** 2)
-                for number, view in enumerate(points):
-                    residual, own, nuisance = view.linearised(at, value[7:].reshape(-1, 4)[number])
-                    weight = np.sqrt((1.0 + np.sum(residual**2, 1) / (4.0 * corner_sd) ** 2) ** -2) / corner_sd
-                    jacobian = np.zeros((len(view), 2, len(sd)))
-                    jacobian[:, :, :7] = own @ _rigid(at, middle, value)[view.vertebra]
-                    jacobian[:, :, 7 + 4 * number : 11 + 4 * number] = nuisance
-                    scaled = (weight[:, None, None] * jacobian).reshape(-1, len(sd))[:, free]
-                    hessian += scaled.T @ scaled
-                    slope += scaled.T @ (weight[:, None] * residual).ravel()
-                step = np.zeros(len(sd))
-                step[free] = -np.linalg.solve(hessian, slope)
-                value = value + step
-                turn = exp_so3(step[4:7]) @ turn
-                if np.abs(step[free] / sd[free]).max() < 1e-6:
-                    break
-        length = float(np.exp(value[0]))
-        torso = template.scaled(length)
-        if self.known:
-            torso = _moved_whole(torso, turn, value[1:4], length * middle)
-        return torso, value[7:].reshape(-1, 4), length
 
     def result(
         self,
@@ -491,59 +378,3 @@ class _Fit:
                         "was set aside; check its annotation"
                     )
         return tuple(lines)
-
-
-def _carried(shape: Shape, middle: Floats, value: Floats, turn: Floats) -> Shape:
-    scale = np.exp(value[0])
-    places = scale * (shape.positions - middle) @ turn.T + scale * middle + value[1:4]
-    return replace(
-        shape,
-        positions=places,
-        rotations=turn @ shape.rotations,
-        log_sizes=np.full_like(shape.log_sizes, value[0]),
-    )
-
-
-def _rigid(shape: Shape, middle: Floats, value: Floats) -> Floats:
-    """(V, 15, 7) derivative of a vertebra's unknowns in log length, the body's shift and its turn."""
-    slope = np.zeros((len(shape.positions), UNKNOWNS, 7))
-    slope[:, :3, 0] = shape.positions - value[1:4]
-    slope[:, 6:9, 0] = 1.0
-    slope[:, :3, 1:4] = np.eye(3)
-    slope[:, :3, 4:] = -cross_matrix(shape.positions - np.exp(value[0]) * middle - value[1:4])
-    slope[:, 3:6, 4:] = np.eye(3)
-    return slope
-
-
-def _moved_whole(torso: TorsoModel, turn: Floats, shift: Floats, about: Floats) -> TorsoModel:
-    rest = torso.rest_pose
-    moved = [(p - about) @ turn.T + about + shift for p in (rest.bone_positions, rest.tissue_positions)]
-    return torso.rebased(TorsoState(moved[0], turn @ rest.bone_rotations, moved[1]))
-
-
-def _pulled(
-    problem: EquilibriumProblem, start: TorsoState, positions: Floats, rotations: Floats, stiffness: Sequence[float]
-) -> TorsoState:
-    """The state with the vertebrae at given poses and all else in equilibrium with them."""
-    torso = problem.torso
-    count = len(torso.vertebrae)
-    bone = np.repeat(torso.vertebra_bones, 8)
-    offset = torso.vertebra_boxes.reshape(-1, 3)
-    goal = np.repeat(positions, 8, axis=0) + np.einsum("nij,nj->ni", np.repeat(rotations, 8, axis=0), offset)
-    points = PointsOnBones(np.repeat(bone, 3), np.repeat(offset, 3, axis=0))
-    directions = np.tile(np.eye(3), (8 * count, 1))
-    state = start
-    for k in stiffness:
-        springs = PointSprings(points, np.repeat(goal, 3, axis=0), directions, np.full(len(points), k))
-        state = _relaxed(problem, [springs], state)
-    return state
-
-
-def _relaxed(problem: EquilibriumProblem, terms: Sequence[Term], start: TorsoState) -> TorsoState:
-    ratios = regulariser(problem.torso)
-    found = problem.with_terms(terms).solve(no_load(), ratios, start, tolerance=SHAPE_TOLERANCE)
-    if not found.converged:
-        raise EquilibriumError(
-            f"the template can't be brought to the radiographs: {found.status.value}; check corners, spacing and height"
-        )
-    return found.state

@@ -24,7 +24,7 @@ from spinestiff.files import read_text
 from spinestiff.formats import json_text
 from spinestiff.imaging.features import ORIENTATIONS, Orientation
 from spinestiff.observer import Observer
-from spinestiff.personalise.shape import place_vertebrae
+from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.study.refits import Basis, basis_of, converged
 from spinestiff.study.trials import fit_pushes
 from spinestiff.study.visit import Visit, has_start, pushes_on, torso_on

@@ -42,9 +42,9 @@ from spinestiff.mechanics.push import push_heights
 from spinestiff.mechanics.supports import Supports
 from spinestiff.observer import Observer, heard
 from spinestiff.parallel import in_parallel
+from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.prior import OWN_PEDICLE_SD, PERSON_PEDICLE_SD
 from spinestiff.personalise.quality import mesh_quality
-from spinestiff.personalise.shape import place_vertebrae
 from spinestiff.study.elastic_supports import (
     SupportStiffness,
     SyntheticSupports,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from spinestiff.anatomy.torso import TorsoModel
-from spinestiff.estimation.discrepancy import mesh_size
+from spinestiff.estimation.discrepancy_data import mesh_size
 from spinestiff.estimation.fitted import StiffnessFit
 from spinestiff.estimation.profiles import region_rise
 from spinestiff.estimation.unknowns import ACTS, PLACING, UNITS

@@ -25,8 +25,8 @@ from spinestiff.formats import json_text
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.projection import XRayView
 from spinestiff.observer import Observer
+from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.pose import align_view
-from spinestiff.personalise.shape import place_vertebrae
 from spinestiff.study.runner import ALL_STEPS, Step
 from spinestiff.study.steps import outputs_of_shape, personalise_step
 from spinestiff.study.visit import START, Visit

@@ -26,7 +26,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.observer import Observer
-from spinestiff.personalise.shape import place_vertebrae
+from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.study.assessment import extrapolated
 from spinestiff.study.parameters import default_gradients
 from spinestiff.study.predictions import REST, Prediction, Predictions
