@@ -5,8 +5,8 @@
     python benchmarks/discrepancy.py --json | --markdown
 
 The first makes the pairs of ``discrepancy_pairs.py`` in the folder and goes on from what is there; a second process
-with other subjects and another folder halves the time. ``--learn`` learns from the pairs of such folders the covariance
-that ``spinestiff.estimation.discrepancy_data`` reads, tests it and prints the figures; ``--write`` stores the data in the
+with other subjects and another folder halves the time. ``--learn`` learns from the pairs of such folders what
+``spinestiff.estimation.discrepancy_data`` reads, tests it and prints the figures; ``--write`` stores the data in the
 package, the figures in benchmarks/results/discrepancy.json and a picture of the first modes. ``--json`` prints that
 file, ``--markdown`` prints it as the tables of docs/discrepancy.md. Needs the extra ``[mesh]``.
 

@@ -1,13 +1,14 @@
 """Is anything lost, made twice or left half written when a cohort's run is killed again and again?
 
-``python benchmarks/kill_resume.py [--subjects 1000 --kills 100 --parent-kills 10 --faults 200 --jobs 2] [--seed 0]
-[--json] [--write]``: a cohort of small subjects, whose results a reduced model makes (a few files that the inputs
-decide, in some tens of milliseconds), is run twice:
+``python benchmarks/kill_resume.py [--subjects 1000 --kills 100 --parent-kills 10 --faults 200 --parent-faults 20
+--jobs 2] [--seed 0] [--json] [--write]``: a cohort of small subjects, whose results a reduced model makes (a few files
+that the inputs decide, in some tens of milliseconds), is run twice:
 
     undisturbed  once from the start to the end
     disturbed    processes of participants are killed (SIGKILL) at random times, so is the process that started them
                  (then the same command is given again), and every so many calls of the file system that write, name or
-                 flush something fail with one of EIO, ENOSPC and EDQUOT. At last the command is given undisturbed.
+                 flush something fail with one of EIO, ENOSPC and EDQUOT, in the participants' processes and in the
+                 one that started them. At last the command is given undisturbed.
 
 and then the figures say
 
@@ -50,8 +51,9 @@ from spinestiff.files import write_json, write_text
 
 RESULTS = Path(__file__).parent / "results"
 RUNNER = "kill_resume:reduced"
-FAULTS = "KILL_RESUME_FAULTS"
-"""Of the environment: file that injected faults are noted in, and one call in how many fails, e.g. "faults.log:150"."""
+FAULTS, PARENT_FAULTS = "KILL_RESUME_FAULTS", "KILL_RESUME_PARENT_FAULTS"
+"""Of the environment, for participants' processes and for the one that starts them: file that injected faults are noted
+in, and one call in how many fails, e.g. "faults.log:150"."""
 ERRORS = (errno.EIO, errno.ENOSPC, errno.EDQUOT)
 
 
@@ -77,9 +79,9 @@ def reduced(folder: Path, participant: str, settings: dict[str, Any], say: Any) 
     write_row(folder / "results" / "row.json", row)
 
 
-def fail_now_and_then() -> None:
-    """In a participant's process: calls of the file system that fail, as the environment asks."""
-    log, _, often = os.environ[FAULTS].rpartition(":")
+def fail_now_and_then(asked: str) -> None:
+    """Calls of the file system that fail in this process, as ``FAULTS`` of the environment asks."""
+    log, _, often = asked.rpartition(":")
     draw = random.Random(os.urandom(8))
     note = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
 
@@ -100,7 +102,7 @@ def fail_now_and_then() -> None:
 
 
 if FAULTS in os.environ and __name__ != "__main__":
-    fail_now_and_then()
+    fail_now_and_then(os.environ[FAULTS])
 
 
 def make(folder: Path, count: int) -> None:
@@ -121,6 +123,8 @@ def as_parent(source: Path, target: Path, jobs: int, seconds: float) -> None:
     """What ``spinestiff cohort`` does, with the reduced model."""
     from spinestiff.cohort.overview import write_overview
 
+    if PARENT_FAULTS in os.environ:
+        fail_now_and_then(os.environ[PARENT_FAULTS])
     try:
         participants = read_participants(source)
         summary = run_participants(Cohort(source, target, participants, order_of(seconds)), jobs)
@@ -130,12 +134,10 @@ def as_parent(source: Path, target: Path, jobs: int, seconds: float) -> None:
     sys.exit(3 if summary.failed else 0)
 
 
-def started(source: Path, target: Path, asked: argparse.Namespace, faults: str | None) -> subprocess.Popen[bytes]:
+def started(source: Path, target: Path, asked: argparse.Namespace, faults: dict[str, str]) -> subprocess.Popen[bytes]:
     """The parent as a process of its own."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path[1:]])}
-    environment.pop(FAULTS, None)
-    if faults is not None:
-        environment[FAULTS] = faults
+    environment = {name: value for name, value in environment.items() if name not in (FAULTS, PARENT_FAULTS)} | faults
     command = [sys.executable, __file__, "--as-parent", str(source), str(target)]
     command += ["--jobs", str(asked.jobs), "--seconds", str(asked.seconds)]
     return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
@@ -166,7 +168,7 @@ def contents(folder: Path, participants: tuple[str, ...]) -> dict[str, str]:
     }
 
 
-def disturb(source: Path, target: Path, log: Path, asked: argparse.Namespace, undisturbed: float) -> dict[str, Any]:
+def disturb(source: Path, target: Path, logs: Path, asked: argparse.Namespace, undisturbed: float) -> dict[str, Any]:
     """Run the cohort under kills and faults until all that was asked for has happened, then to its end."""
     draw = random.Random(asked.seed)
     participants = read_participants(source)
@@ -174,16 +176,18 @@ def disturb(source: Path, target: Path, log: Path, asked: argparse.Namespace, un
     said: Counter[str] = Counter()
     harmed: Counter[str] = Counter()
     unmended: set[str] = set()
-    faults = f"{log}:{asked.every}"
+    log, parents_log = logs / "faults.log", logs / "parent_faults.log"
+    faults = {FAULTS: f"{log}:{asked.every}", PARENT_FAULTS: f"{parents_log}:{asked.parent_every}"}
 
-    def noted() -> int:
+    def noted(log: Path) -> int:
         return len(log.read_text(encoding="ascii").splitlines()) if log.exists() else 0
 
     # So that all of it happens while about four fifths of the participants are run for the first time.
     pace = 0.8 * undisturbed / (asked.kills + asked.parent_kills + 1)
     while True:
-        enough = kills >= asked.kills and parents >= asked.parent_kills and noted() >= asked.faults
-        process = started(source, target, asked, None if enough else faults)
+        enough = kills >= asked.kills and parents >= asked.parent_kills
+        enough = enough and noted(log) >= asked.faults and noted(parents_log) >= asked.parent_faults
+        process = started(source, target, asked, {} if enough else faults)
         starts += 1
         while process.poll() is None:
             time.sleep(draw.uniform(0.0, 2.0) * pace)
@@ -202,9 +206,9 @@ def disturb(source: Path, target: Path, log: Path, asked: argparse.Namespace, un
         error = process.stderr.read().decode() if process.stderr is not None else ""
         if process.returncode > 0:
             lines = error.splitlines()
-            no_room = len(lines) == 1 and lines[0].startswith("stopped: ")
+            stopped = len(lines) == 1 and lines[0].startswith("stopped: ")
             failed = "participants failed" if process.returncode == 3 else lines[-1]
-            said["no room, in one line" if no_room else failed] += 1
+            said["stopped, in one line" if stopped else failed] += 1
         if enough:
             break
         if process.returncode == 0:
@@ -215,7 +219,8 @@ def disturb(source: Path, target: Path, log: Path, asked: argparse.Namespace, un
                 path = target / name / "results" / draw.choice(("estimate.json", "row.json", DONE_FILE))
                 path.write_bytes(path.read_bytes()[:-10])
     return {
-        "kills": kills, "parent_kills": parents, "io_faults": noted(), "starts": starts, "said": dict(said),
+        "kills": kills, "parent_kills": parents, "io_faults": noted(log), "parent_io_faults": noted(parents_log),
+        "starts": starts, "said": dict(said),
         "torn": sorted(torn), "harmed": harmed, "last_status": process.returncode,
     }  # fmt: skip
 
@@ -243,6 +248,8 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--parent-kills", type=int, default=10)
     parser.add_argument("--faults", type=int, default=200)
+    parser.add_argument("--parent-faults", type=int, default=20)
+    parser.add_argument("--parent-every", type=int, default=150, help="the same of the process that starts the others")
     parser.add_argument("--every", type=int, default=100, help="one call of the file system in so many fails")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=0.03, help="that the reduced model sleeps")
@@ -259,13 +266,13 @@ def main() -> None:
         make(source, asked.subjects)
         participants = read_participants(source)
         began = time.perf_counter()
-        whole = started(source, place / "whole", asked, None)
+        whole = started(source, place / "whole", asked, {})
         status = whole.wait()
         undisturbed = time.perf_counter() - began
         if status:
             raise SystemExit(whole.stderr.read().decode() if whole.stderr is not None else "")
         began = time.perf_counter()
-        happened = disturb(source, place / "torn", place / "faults.log", asked, undisturbed)
+        happened = disturb(source, place / "torn", place, asked, undisturbed)
         disturbed = time.perf_counter() - began
         wanted, found = contents(place / "whole", participants), contents(place / "torn", participants)
         table = (place / "torn" / "cohort.csv").read_text(encoding="utf-8").splitlines()[1:]
@@ -278,6 +285,7 @@ def main() -> None:
             "kills": happened["kills"],
             "parent_kills": happened["parent_kills"],
             "io_faults": happened["io_faults"],
+            "parent_io_faults": happened["parent_io_faults"],
             "lost": len(lost | {line.split(",")[0] for line in table if line.split(",")[1] != "done"}),
             "duplicated": sum(count > 1 for count in rows.values()) + done_twice(place / "torn", happened["harmed"]),
             "half_written": len(torn) + len(left),

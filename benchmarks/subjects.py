@@ -12,7 +12,8 @@ validation at full force and at a second rib. A row holds the corner RMSE by pre
 The first and the third are also told of the forecast, the estimate's prediction with the errors that training frames
 show.
 
-``python benchmarks/subjects.py FOLDER [--spines CSV] [--write]`` (six minutes a subject; FOLDER takes the subjects).
+``python benchmarks/subjects.py FOLDER [--spines CSV] [--write]`` (five minutes a subject; FOLDER takes the subjects);
+``--markdown`` instead of FOLDER prints what is stored as the tables of docs/validation.md.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import datetime
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +43,8 @@ from spinestiff.subject.run_record import read_outcome
 
 RATIOS, FORCE_N = (0.10, 0.04), 60.0
 SPINES = 6
+RESULTS = Path(__file__).parent / "results" / "subjects.json"
+SHOWN = ("rest", "default", "extrapolation", "single_ratio", "fit", "forecast", "fitted_supports", "truth")
 BASELINES = ("rest", "default", "extrapolation", "single_ratio")
 
 
@@ -106,12 +110,39 @@ def _at_most(error: float | None, factor: float, other: float | None, more: floa
     return error is not None and other is not None and error <= factor * other + more
 
 
+def markdown(rows: list[dict[str, Any]]) -> str:
+    """The errors and the estimates as tables."""
+    lines = ["| subject | rest Cobb | frame | " + " | ".join(name.replace("_", " ") for name in SHOWN) + " |"]
+    lines.append("|---" * (3 + len(SHOWN)) + "|")
+    for row in rows:
+        for push, frame in (("main", "full force"), ("second", "second rib")):
+            who = (row["subject"], f"{row['rest_cobb_deg']:+.1f}°") if push == "main" else ("", "")
+            errors = [f"{row['rmse_mm'][push][name]:.2f}" for name in SHOWN]
+            lines.append("| " + " | ".join((*who, frame, *errors)) + " |")
+    names = {"lateral_bending": "bending", "tissue": "tissue"}
+    verdicts = ("near_oracle", "near_oracle_forecast", "default_worse", "beats_baselines", "truth_inside")
+    lines += ["", "| subject | " + " | ".join(f"{names[name]}, 95 %" for name in names) + " | "]
+    lines[-1] += " | ".join(name.replace("_", " ") for name in verdicts) + " |"
+    lines.append("|---" * (1 + len(names) + len(verdicts)) + "|")
+    for row in rows:
+        found = ["{:.3g}, {:.2g} to {:.2g}".format(*row["ratios"][name]) for name in names]
+        said = ["yes" if row[name] else "no" for name in verdicts]
+        lines.append("| " + " | ".join((row["subject"], *found, *said)) + " |")
+    return "\n".join(lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--spines", type=Path)
     parser.add_argument("--write", action="store_true", help="store the result in benchmarks/results/")
+    parser.add_argument("--markdown", action="store_true", help="print what is stored as tables")
     arguments = parser.parse_args()
+    if arguments.markdown:
+        print(markdown(json.loads(RESULTS.read_text(encoding="utf-8"))["subjects"]))
+        return
+    if arguments.folder is None:
+        parser.error("FOLDER or --markdown is wanted")
     recipes = {"demo": Recipe(seed=0, ratios=RATIOS, force_n=FORCE_N)}
     if arguments.spines:
         for number, (spine_id, angle) in enumerate(most_curved(arguments.spines, SPINES), start=1):
@@ -127,9 +158,8 @@ def main() -> None:
             rows.append({"subject": name, "failed": str(error)})
         print(json.dumps(rows[-1]), flush=True)
     if arguments.write:
-        path = Path(__file__).parent / "results" / "subjects.json"
         result = {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), "subjects": rows}
-        path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        RESULTS.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -94,9 +94,19 @@ HOMES: dict[str, tuple[str, ...]] = {
     "torch": ("interop/torch.py",),
     "jax": ("interop/jax.py",),
     "distributed": ("cohort/cluster.py", "cohort/cluster_task.py"),
+    "nvmath": ("mechanics/cudss.py",),
+    "cuda": ("mechanics/cudss.py",),
 }
 # Packages of extras, and the extra: what needs one says so in one line, and interop is imported by nothing.
-EXTRAS = {"torch": "torch", "jax": "jax", "mmgpy": "mesh", "pyfebio": "febio", "distributed": "cluster"}
+EXTRAS = {
+    "torch": "torch",
+    "jax": "jax",
+    "mmgpy": "mesh",
+    "pyfebio": "febio",
+    "distributed": "cluster",
+    "nvmath": "gpu",
+    "cuda": "gpu",
+}
 # The distribution that holds a package, where it is named otherwise.
 DISTRIBUTIONS = {
     "cv2": "opencv-python-headless",
@@ -105,6 +115,8 @@ DISTRIBUTIONS = {
     "PIL": "pillow",
     "jpeg_ls": "pyjpegls",
     "openjpeg": "pylibjpeg-openjpeg",
+    "nvmath": "nvmath-python",
+    "cuda": "nvmath-python",  # which brings cuda-bindings
 }
 NEEDS_AN_EXTRA = {"torch_equilibrium", "jax_equilibrium"}
 EMPTY_NAMES = re.compile(r"manager|handler|helper|utils?\b|utilities|misc", re.IGNORECASE)
@@ -286,11 +298,12 @@ def test_every_dependency_is_declared_and_used() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     declared = {re.split(r"[<>=~!; \[]", line)[0] for line in project["dependencies"]}
     packages = {found.target.split(".")[0] for path in MODULES for found in imports(path)}
-    used = {DISTRIBUTIONS.get(package, package) for package in packages - sys.stdlib_module_names - {"spinestiff"}}
-    assert declared == used - EXTRAS.keys()
+    packages -= sys.stdlib_module_names | {"spinestiff"}
+    assert declared == {DISTRIBUTIONS.get(package, package) for package in packages - EXTRAS.keys()}
     for package, extra in EXTRAS.items():
-        assert package in used
-        assert package in [re.split(r"[<>=~!; \[]", line)[0] for line in project["optional-dependencies"][extra]]
+        assert package in packages
+        listed = [re.split(r"[<>=~!; \[]", line)[0] for line in project["optional-dependencies"][extra]]
+        assert DISTRIBUTIONS.get(package, package) in listed
 
 
 def test_nothing_imports_what_needs_an_extra() -> None:

@@ -52,6 +52,7 @@ EXTRAS = (
         "the documentation site",
     ),
     Extra("cluster", ("distributed", "dask-jobqueue"), "spinestiff cohort --scheduler: a Dask cluster"),
+    Extra("gpu", ("nvmath-python",), "SPINESTIFF_SOLVER=cudss: factorisations on an NVIDIA GPU (Linux)"),
     Extra("oracles", ("opensim", "mujoco", "felupe", "scikit-fem"), "programs that tests compare answers with"),
     Extra(
         "test", ("pytest", "pytest-xdist", "hypothesis", "mpmath", "ruff", "mypy", "hatchling"), "tests, lint and types"

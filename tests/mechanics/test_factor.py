@@ -11,6 +11,8 @@ import pytest
 import scipy.sparse as sp
 
 from spinestiff.errors import EquilibriumError
+from spinestiff.mechanics import factor as factor_module
+from spinestiff.mechanics.cudss import GpuFailure
 from spinestiff.mechanics.factor import Analysis, Factor, default_backend
 
 BACKENDS = sorted({default_backend(), "superlu"})
@@ -161,3 +163,75 @@ def test_the_environment_chooses_the_backend(monkeypatch):
     monkeypatch.setenv("SPINESTIFF_SOLVER", "superlu")
     assert default_backend() == "superlu"
     assert Analysis(np.array([0, 1]), np.array([0])).backend == "superlu"
+
+
+# The solver on a GPU, without one: what it does not do, the processor does. With one: tests/mechanics/test_cudss.py,
+# and all tests above with SPINESTIFF_SOLVER=cudss.
+
+
+class _Broken:
+    """A factor on a GPU that says it is positive definite, whatever it is, and solves as it is told."""
+
+    positive_definite = True
+
+    def __init__(self, solve):
+        self.solve = solve
+
+
+def _gone(rhs):
+    raise GpuFailure("the GPU said cudaErrorMemoryAllocation")
+
+
+def _broken_analysis(monkeypatch, full, factor):
+    monkeypatch.setattr(factor_module, "_require_gpu", lambda: None)
+    monkeypatch.setattr(factor_module.CudssAnalysis, "factor", factor)
+    indptr, indices, values = _lower(full)
+    return Analysis(indptr, indices, "cudss").factor(values)
+
+
+def test_a_gpu_that_is_asked_for_and_not_there_is_told(monkeypatch):
+    def none():
+        raise GpuFailure("no NVIDIA GPU is here")
+
+    factor_module._require_gpu.cache_clear()
+    monkeypatch.setattr(factor_module, "require_gpu", none)
+    monkeypatch.setenv(CHOICE, "cudss")
+    with pytest.raises(EquilibriumError, match="'cudss' has no GPU to use: no NVIDIA GPU is here"):
+        default_backend()
+    with pytest.raises(EquilibriumError, match="no NVIDIA GPU is here"):
+        Analysis(*_lower(_matrix(6.0))[:2], "cudss")
+    factor_module._require_gpu.cache_clear()
+
+
+@pytest.mark.parametrize("shift", [6.0, 0.5])
+def test_a_matrix_that_the_gpu_does_not_factorise(monkeypatch, shift):
+    def fails(self, values):
+        raise GpuFailure("the GPU said cudaErrorMemoryAllocation")
+
+    full = _matrix(shift)
+    factor = _broken_analysis(monkeypatch, full, fails)
+    rhs = np.random.default_rng(1).normal(size=(25, 2))
+    assert factor.solve(rhs) == pytest.approx(np.linalg.solve(full, rhs), rel=1e-9)
+    assert factor.positive_definite == (np.linalg.eigvalsh(full).min() > 0.0)
+
+
+@pytest.mark.parametrize(
+    "solve", [_gone, lambda rhs: np.full_like(rhs, np.nan), lambda rhs: 0.9 * rhs], ids=["fails", "nan", "wrong"]
+)
+@pytest.mark.parametrize("shift", [6.0, 0.5])
+def test_a_right_side_that_the_gpu_does_not_solve(monkeypatch, solve, shift):
+    full = _matrix(shift)
+    factor = _broken_analysis(monkeypatch, full, lambda self, values: _Broken(solve))
+    rhs = np.random.default_rng(1).normal(size=25)
+    assert factor.solve(rhs) == pytest.approx(np.linalg.solve(full, rhs), rel=1e-9)
+    # Nor is what it said of the matrix believed any longer.
+    assert factor.positive_definite == (np.linalg.eigvalsh(full).min() > 0.0)
+    assert factor.inverse(rhs) == pytest.approx(np.linalg.solve(full, rhs), rel=1e-6)
+
+
+def test_a_singular_matrix_on_a_gpu_is_told_as_one_on_the_processor(monkeypatch):
+    full = _matrix(6.0)
+    full[3], full[:, 3] = 0.0, 0.0
+    factor = _broken_analysis(monkeypatch, full, lambda self, values: _Broken(lambda rhs: rhs))
+    with pytest.raises(EquilibriumError, match="singular"):
+        factor.solve(np.ones(25))

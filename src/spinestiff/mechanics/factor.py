@@ -1,13 +1,17 @@
 """Symmetric sparse factorisation: analyse a pattern once, factor many value arrays. The only place that knows a solver.
 
-Backends: "rslab" (LDL^T, Bunch-Kaufman, inertia reported) and "superlu" (SciPy's LU without row exchanges). Without
-exchanges a symmetric matrix has U = D L^T, so the signs of U's diagonal are the inertia (Sylvester's law); where
-SuperLU had to exchange rows the count does not hold, and the matrix is reported as not positive definite.
+Backends: "rslab" (LDL^T, Bunch-Kaufman, inertia reported), "superlu" (SciPy's LU without row exchanges) and, where it
+is asked for, "cudss" (LDL^T on an NVIDIA GPU; what fails there is done by rslab). Without exchanges a symmetric matrix
+has U = D L^T, so the signs of U's diagonal are the inertia (Sylvester's law); where SuperLU had to exchange rows the
+count does not hold, and the matrix is reported as not positive definite.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Callable
+from functools import lru_cache
 from types import ModuleType
 from typing import Protocol
 
@@ -18,6 +22,7 @@ import scipy.sparse.linalg as spla
 
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import EquilibriumError
+from spinestiff.mechanics.cudss import CudssAnalysis, GpuFailure, require_gpu
 from spinestiff.parallel import own_threads
 
 # A free body's six rigid modes pass a factorisation in silence and give |x| ~ 1e15; the residual shows it.
@@ -25,7 +30,7 @@ RESIDUAL_LIMIT = 1e-8
 # A solution of a very stiff and very soft matrix may leave more than that by rounding alone, but not more than this.
 LARGEST_ROUNDING = 1e-5
 EPSILON = float(np.finfo(float).eps)
-BACKENDS = ("rslab", "superlu")
+BACKENDS = ("rslab", "superlu", "cudss")
 # Of one factorisation; more gain nothing at these sizes. The factor is the same for any number.
 MOST_THREADS = 4
 
@@ -42,7 +47,7 @@ class Factor:
     Parameters
     ----------
     lower : the matrix's lower triangle, rows and columns times ``scale`` (n,).
-    backend : its factor.
+    backend : its factor. spare : makes another one, if that fails a right-hand side.
 
     Attributes
     ----------
@@ -52,9 +57,12 @@ class Factor:
 
     iterative = False
 
-    def __init__(self, lower: sp.csc_array, backend: _Backend, scale: Floats) -> None:
+    def __init__(
+        self, lower: sp.csc_array, backend: _Backend, scale: Floats, spare: Callable[[], _Backend] | None = None
+    ) -> None:
         self._lower = lower
         self._backend = backend
+        self._spare = spare
         self._scale = scale
         self._largest = float(np.abs(lower.data).max(initial=0.0))
         self.positive_definite = backend.positive_definite
@@ -74,7 +82,7 @@ class Factor:
         b = (rhs.T * self._scale).T
         size = np.abs(b).max(axis=0, initial=0.0)
         error = np.full_like(size, np.inf)
-        best = x = self._backend.solve(b)
+        best = x = self._solved(b)
         for _ in range(4):
             residual = b - self._product(x)
             found = np.abs(residual).max(axis=0, initial=0.0)
@@ -84,11 +92,14 @@ class Factor:
             best, error = np.where(better, x, best), np.where(better, found, error)
             if (error <= tolerance * size).all():
                 break
-            x = x + self._backend.solve(residual)
+            x = x + self._solved(residual)
         rounding = 16.0 * EPSILON * self._largest * np.abs(best).max(axis=0, initial=0.0)
         solved = error <= max(RESIDUAL_LIMIT, tolerance) * size
         solved |= (error <= rounding) & (rounding <= LARGEST_ROUNDING * size)
         if not solved.all():
+            if self._spare is not None:
+                self._take_spare(self._spare)
+                return self.solve(rhs, tolerance)
             relative = np.divide(error, size, out=np.zeros_like(error), where=~solved)
             raise EquilibriumError(
                 f"the stiffness matrix is singular (relative residual {relative.max():.1e}): "
@@ -98,7 +109,21 @@ class Factor:
 
     def inverse(self, rhs: Floats) -> Floats:
         """As ``solve``, without a look at the residual: for steps that are judged by what they bring about."""
-        return (self._backend.solve((rhs.T * self._scale).T).T * self._scale).T
+        return (self._solved((rhs.T * self._scale).T).T * self._scale).T
+
+    def _solved(self, b: Floats) -> Floats:
+        if self._spare is None:
+            return self._backend.solve(b)
+        with contextlib.suppress(GpuFailure):
+            found = self._backend.solve(b)
+            if np.isfinite(found).all():
+                return found
+        return self._take_spare(self._spare).solve(b)
+
+    def _take_spare(self, spare: Callable[[], _Backend]) -> _Backend:
+        self._backend, self._spare = spare(), None
+        self.positive_definite = self._backend.positive_definite
+        return self._backend
 
     def _product(self, x: Floats) -> Floats:
         return symmetric_product(self._lower.indptr, self._lower.indices, self._lower.data, x)
@@ -133,7 +158,8 @@ class Analysis:
     Parameters
     ----------
     indptr, indices : compressed columns of the lower triangle.
-    backend : "rslab" or "superlu"; default: the environment's SPINESTIFF_SOLVER, else rslab where it is installed.
+    backend : "rslab", "superlu" or "cudss"; default: the environment's SPINESTIFF_SOLVER, else rslab where it is
+        installed.
     scale : (n,) units in which unknowns compare, e.g. 1 for mm and 1/30 for rad at an arm of 30 mm; default: ones.
     """
 
@@ -146,8 +172,12 @@ class Analysis:
         self.backend = backend or default_backend()
         if self.backend not in BACKENDS:
             raise EquilibriumError(f"unknown sparse solver '{self.backend}'; wanted one of {', '.join(BACKENDS)}")
-        if self.backend == "rslab":
+        if self.backend != "superlu":
             self._symbolic = _rslab().analyze(sp.csc_matrix(self._pattern), path="ldlt")
+        self._gpu = None
+        if self.backend == "cudss":
+            _require_gpu()
+            self._gpu = CudssAnalysis(indptr, indices)
 
     def factor(self, values: Floats) -> Factor:
         """Factorise the matrix with these ``values`` in the pattern.
@@ -160,15 +190,18 @@ class Analysis:
             raise EquilibriumError("the stiffness matrix holds a value that is not finite")
         matrix = self._pattern.copy()
         matrix.data = values * self._scale_of_value
+        if self._gpu is not None:
+            with contextlib.suppress(GpuFailure):
+                return Factor(matrix, self._gpu.factor(matrix.data), self._scale, lambda: self._on_processor(matrix))
+        return Factor(matrix, self._on_processor(matrix), self._scale)
+
+    def _on_processor(self, matrix: sp.csc_array) -> _Backend:
         try:
-            backend: _Backend = (
-                _Rslab(self._symbolic.factor(matrix.data, threads=min(own_threads(), MOST_THREADS)))
-                if self.backend == "rslab"
-                else _SuperLU(matrix)
-            )
+            if self.backend == "superlu":
+                return _SuperLU(matrix)
+            return _Rslab(self._symbolic.factor(matrix.data, threads=min(own_threads(), MOST_THREADS)))
         except RuntimeError as error:
             raise EquilibriumError(f"the stiffness matrix is singular ({error}); a part is held by nothing") from error
-        return Factor(matrix, backend, self._scale)
 
 
 def default_backend() -> str:
@@ -177,12 +210,23 @@ def default_backend() -> str:
     if chosen:
         if chosen not in BACKENDS:
             raise EquilibriumError(f"SPINESTIFF_SOLVER names '{chosen}'; wanted one of {', '.join(BACKENDS)}")
+        if chosen == "cudss":
+            _require_gpu()
         return chosen
     try:
         _rslab()
     except ImportError:
         return "superlu"
     return "rslab"
+
+
+@lru_cache(maxsize=1)
+def _require_gpu() -> None:
+    """Raise EquilibriumError without a GPU; asked for once."""
+    try:
+        require_gpu()
+    except GpuFailure as error:
+        raise EquilibriumError(f"the sparse solver 'cudss' has no GPU to use: {error}") from None
 
 
 def _rslab() -> ModuleType:

@@ -1,0 +1,229 @@
+"""Symmetric factorisation on an NVIDIA GPU: the backend "cudss" of ``factor`` (extra [gpu], NVIDIA's cuDSS).
+
+An analysis of cuDSS belongs to one factor at a time, and takes as long as twenty factorisations. So a pattern's
+analyses are kept when their factors are gone, for the next ones, and there are as many of them as factors that live at
+once. Matrices are factorised one by one: several at once (cuDSS's uniform batch) gain little, and come without their
+inertia (docs/performance.md).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import weakref
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spinestiff.arrays import Floats, Ints
+
+Short = NDArray[np.int32]
+
+SYMMETRIC, UPPER, ZERO_BASED, COLUMN_MAJOR = 1, 2, 0, 0
+ANALYSIS, FACTORISATION, SOLVE = 3, 4, 1008
+INFO, PIVOTS_CHANGED, INERTIA = 0, 2, 3
+REAL, INTEGER = 1, 10
+
+
+class GpuFailure(RuntimeError):
+    """What the GPU did not do: no GPU, no memory left, or an error of cuDSS."""
+
+
+def require_gpu() -> None:
+    """Raise GpuFailure if there is no GPU, or not what drives it."""
+    try:
+        from cuda.bindings import runtime
+        from nvmath.bindings import cudss
+    except ImportError as error:
+        raise GpuFailure(f'{error}; pip install "spinestiff[gpu]"') from None
+    try:
+        (count,) = _done(runtime.cudaGetDeviceCount())
+        cudss.get_property(0)
+    except (RuntimeError, OSError) as error:
+        raise GpuFailure(" ".join(str(error).split())) from None
+    if not count:
+        raise GpuFailure("no NVIDIA GPU is here")
+
+
+class CudssAnalysis:
+    """One lower-triangular pattern, for many value arrays.
+
+    Parameters
+    ----------
+    indptr, indices : compressed columns of the lower triangle: the compressed rows of the upper one.
+    """
+
+    def __init__(self, indptr: Ints, indices: Ints) -> None:
+        self._indptr: Short = indptr.astype(np.int32)
+        self._indices: Short = indices.astype(np.int32)
+        self._free: list[_Analysed] = []
+        self._lock = Lock()
+
+    def factor(self, values: Floats) -> CudssFactor:
+        """Factorise the matrix with these ``values`` in the pattern.
+
+        Raises
+        ------
+        GpuFailure : it can't be done there.
+        """
+        with self._lock:
+            place = self._free.pop() if self._free else None
+        place = place or _Analysed(self._indptr, self._indices)
+        return CudssFactor(place, values, self._give_back)
+
+    def _give_back(self, place: _Analysed) -> None:
+        with self._lock:
+            self._free.append(place)
+
+
+class CudssFactor:
+    """A factorised matrix.
+
+    Attributes
+    ----------
+    positive_definite : whether all eigenvalues are positive, by the inertia, and no pivot had to be changed.
+    """
+
+    def __init__(self, place: _Analysed, values: Floats, give_back: Any) -> None:
+        self._place = place
+        self.positive_definite = place.factorise(values)
+        weakref.finalize(self, give_back, place)
+
+    def solve(self, rhs: Floats) -> Floats:
+        """Solution for (n,) or (n, k), one right side at a time. Raises GpuFailure."""
+        if rhs.ndim == 1:
+            return self._place.solve(rhs)
+        return np.stack([self._place.solve(column) for column in rhs.T], axis=1)
+
+
+class _Analysed:
+    """An analysed pattern on the GPU, with room for one matrix's values and factor, and for one right side."""
+
+    def __init__(self, indptr: Short, indices: Short) -> None:
+        from nvmath.bindings import cudss
+
+        self._cudss, self._lock, self._size = cudss, Lock(), len(indptr) - 1
+        self._failures = (GpuFailure, cudss.cuDSSError)
+        owned = self._owned = _Owned()
+        # However it ends: also where it is not made whole.
+        weakref.finalize(self, owned.free)
+        try:
+            self._stream = owned.stream()
+            self._handle = owned.made(cudss.destroy, cudss.create())
+            cudss.set_stream(self._handle, self._stream)
+            self._settings = owned.made(cudss.config_destroy, cudss.config_create())
+            self._data = owned.made(
+                lambda data: cudss.data_destroy(self._handle, data), cudss.data_create(self._handle)
+            )
+            rows, columns = owned.copied(indptr, self._stream), owned.copied(indices, self._stream)
+            self._values = owned.room(8 * len(indices))
+            self._rhs, self._solution = owned.room(8 * self._size), owned.room(8 * self._size)
+            self._matrix = owned.made(
+                cudss.matrix_destroy,
+                cudss.matrix_create_csr(
+                    self._size, self._size, len(indices), rows, 0, columns, self._values,
+                    INTEGER, INTEGER, REAL, SYMMETRIC, UPPER, ZERO_BASED,
+                ),
+            )  # fmt: skip
+            self._b, self._x = (
+                owned.made(
+                    cudss.matrix_destroy,
+                    cudss.matrix_create_dn(self._size, 1, self._size, room, REAL, COLUMN_MAJOR),
+                )
+                for room in (self._rhs, self._solution)
+            )
+            self._run(ANALYSIS)
+        except self._failures as error:
+            raise GpuFailure(str(error)) from error
+
+    def factorise(self, values: Floats) -> bool:
+        """Whether the matrix with these values is positive definite."""
+        with self._lock:
+            try:
+                self._owned.copy_in(self._values, values, self._stream)
+                self._run(FACTORISATION)
+                if (failed := self._said(INFO, 1)[0]) != 0:
+                    raise GpuFailure(f"cuDSS could not factorise a matrix (info {failed})")
+                positive, negative = self._said(INERTIA, 2)
+                changed = self._said(PIVOTS_CHANGED, 1)[0]
+            except self._failures as error:
+                raise GpuFailure(str(error)) from error
+        return bool(positive == self._size and negative == 0 and changed == 0)
+
+    def solve(self, rhs: Floats) -> Floats:
+        found = np.empty(self._size)
+        with self._lock:
+            try:
+                self._owned.copy_in(self._rhs, rhs, self._stream)
+                self._run(SOLVE)
+                self._owned.copy_out(found, self._solution, self._stream)
+            except self._failures as error:
+                raise GpuFailure(str(error)) from error
+        return found
+
+    def _run(self, phase: int) -> None:
+        self._cudss.execute(self._handle, phase, self._settings, self._data, self._matrix, self._x, self._b)
+        self._owned.wait(self._stream)
+
+    def _said(self, what: int, count: int) -> Short:
+        """Whole numbers that cuDSS keeps of the last factorisation."""
+        found, written = np.zeros(count, np.int32), np.zeros(1, np.uint64)
+        self._cudss.data_get(self._handle, self._data, what, found.ctypes.data, found.nbytes, written.ctypes.data)
+        return found
+
+
+class _Owned:
+    """Memory and objects on the GPU, freed together in the reverse order."""
+
+    def __init__(self) -> None:
+        from cuda.bindings import runtime
+
+        self._runtime = runtime
+        self._last: list[tuple[Any, Any]] = []
+
+    def made(self, destroy: Any, what: Any) -> Any:
+        self._last.append((destroy, what))
+        return what
+
+    def free(self) -> None:
+        while self._last:
+            destroy, what = self._last.pop()
+            with contextlib.suppress(Exception):  # CUDA may have ended before
+                destroy(what)
+
+    def stream(self) -> int:
+        (stream,) = _done(self._runtime.cudaStreamCreate())
+        self.made(self._runtime.cudaStreamDestroy, stream)
+        return int(stream)
+
+    def room(self, size: int) -> int:
+        (place,) = _done(self._runtime.cudaMalloc(size))
+        return int(self.made(self._runtime.cudaFree, place))
+
+    def copied(self, values: Short, stream: int) -> int:
+        place = self.room(values.nbytes)
+        self.copy_in(place, values, stream)
+        return place
+
+    def copy_in(self, place: int, values: Floats | Short, stream: int) -> None:
+        content = np.ascontiguousarray(values)
+        kind = self._runtime.cudaMemcpyKind.cudaMemcpyHostToDevice
+        _done(self._runtime.cudaMemcpyAsync(place, content.ctypes.data, content.nbytes, kind, stream))
+        self.wait(stream)
+
+    def copy_out(self, found: Floats, place: int, stream: int) -> None:
+        kind = self._runtime.cudaMemcpyKind.cudaMemcpyDeviceToHost
+        _done(self._runtime.cudaMemcpyAsync(found.ctypes.data, place, found.nbytes, kind, stream))
+        self.wait(stream)
+
+    def wait(self, stream: int) -> None:
+        _done(self._runtime.cudaStreamSynchronize(stream))
+
+
+def _done(answer: tuple[Any, ...]) -> tuple[Any, ...]:
+    """What a call of CUDA's runtime gave. Raises GpuFailure where it failed."""
+    error, *found = answer
+    if int(error):
+        raise GpuFailure(f"the GPU said {getattr(error, 'name', error)}")
+    return tuple(found)
