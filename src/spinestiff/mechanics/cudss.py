@@ -57,8 +57,8 @@ class CudssAnalysis:
     def __init__(self, indptr: Ints, indices: Ints) -> None:
         self._indptr: Short = indptr.astype(np.int32)
         self._indices: Short = indices.astype(np.int32)
+        # Without a lock: what gives a place back may run in the middle of ``factor``, as a factor is collected.
         self._free: list[_Analysed] = []
-        self._lock = Lock()
 
     def factor(self, values: Floats) -> CudssFactor:
         """Factorise the matrix with these ``values`` in the pattern.
@@ -67,14 +67,11 @@ class CudssAnalysis:
         ------
         GpuFailure : it can't be done there.
         """
-        with self._lock:
-            place = self._free.pop() if self._free else None
-        place = place or _Analysed(self._indptr, self._indices)
-        return CudssFactor(place, values, self._give_back)
-
-    def _give_back(self, place: _Analysed) -> None:
-        with self._lock:
-            self._free.append(place)
+        try:
+            place = self._free.pop()
+        except IndexError:
+            place = _Analysed(self._indptr, self._indices)
+        return CudssFactor(place, values, self._free.append)
 
 
 class CudssFactor:
@@ -110,12 +107,11 @@ class _Analysed:
         weakref.finalize(self, owned.free)
         try:
             self._stream = owned.stream()
-            self._handle = owned.made(cudss.destroy, cudss.create())
+            handle = self._handle = owned.made(cudss.destroy, cudss.create())
             cudss.set_stream(self._handle, self._stream)
             self._settings = owned.made(cudss.config_destroy, cudss.config_create())
-            self._data = owned.made(
-                lambda data: cudss.data_destroy(self._handle, data), cudss.data_create(self._handle)
-            )
+            # Not by way of this object: what frees it must not keep it.
+            self._data = owned.made(lambda data: cudss.data_destroy(handle, data), cudss.data_create(handle))
             rows, columns = owned.copied(indptr, self._stream), owned.copied(indices, self._stream)
             self._values = owned.room(8 * len(indices))
             self._rhs, self._solution = owned.room(8 * self._size), owned.room(8 * self._size)
