@@ -1,4 +1,4 @@
-"""What a stance that nobody was told does to motions, by way of the geometry: ``discrepancy.STANCE_MM``.
+"""What a stance that nobody was told does to motions, by way of the geometry: ``discrepancy_data.STANCE_MM``.
 
     python benchmarks/discrepancy_stance.py --log FILE [--first N] [--subjects N]
     python benchmarks/discrepancy_stance.py --summary FILE... [--write]

@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
+import logging
 import os
 import platform
 import statistics
@@ -43,7 +44,6 @@ from spinestiff.mechanics.supports import three_point_supports
 
 RESULTS = Path(__file__).parent / "results" / "gpu.json"
 BATCHES = (1, 2, 4, 8, 16, 32)
-UNIFORM_BATCH = 18
 START = (0.3, 0.08)
 
 
@@ -101,13 +101,13 @@ def on_processor(tangent: Tangent) -> dict[str, float]:
 def on_gpu(tangent: Tangent) -> dict[str, float]:
     """By the backend "cudss"."""
     analysis = gpu.CudssAnalysis(tangent.pattern.indptr, tangent.pattern.indices)
-    place = gpu._Analysed(analysis._indptr, analysis._indices)
-    place.factorise(tangent.scaled)
+    slot = gpu._Slot(analysis._indptr, analysis._indices)
+    slot.factorise(tangent.scaled)
     return {
-        "analysis_ms": milliseconds(gpu._Analysed, analysis._indptr, analysis._indices, repeats=3),
-        "factorisation_ms": milliseconds(place.factorise, tangent.scaled, repeats=20),
-        "solve_ms": milliseconds(place.solve, tangent.rhs, repeats=20),
-        "residual": tangent.residual(place.solve(tangent.rhs), tangent.rhs),
+        "analysis_ms": milliseconds(gpu._Slot, analysis._indptr, analysis._indices, repeats=3),
+        "factorisation_ms": milliseconds(slot.factorise, tangent.scaled, repeats=20),
+        "solve_ms": milliseconds(slot.solve, tangent.rhs, repeats=20),
+        "residual": tangent.residual(slot.solve(tangent.rhs), tangent.rhs),
     }
 
 
@@ -119,34 +119,36 @@ class UniformBatch:
 
         self.cudss, self.count, self.size = cudss, count, len(indptr) - 1
         owned = self.owned = gpu._Owned()
-        self.stream, self.handle = owned.stream(), owned.made(cudss.destroy, cudss.create())
+        self.stream = owned.stream()
+        handle = self.handle = owned.keep(cudss.destroy, cudss.create())
         cudss.set_stream(self.handle, self.stream)
-        self.settings = owned.made(cudss.config_destroy, cudss.config_create())
-        number = np.array([count], cudss.get_config_param_dtype(UNIFORM_BATCH))
-        cudss.config_set(self.settings, UNIFORM_BATCH, number.ctypes.data, number.nbytes)
-        self.data = owned.made(lambda data: cudss.data_destroy(self.handle, data), cudss.data_create(self.handle))
+        self.settings = owned.keep(cudss.config_destroy, cudss.config_create())
+        size = int(cudss.ConfigParam.UBATCH_SIZE)
+        number = np.array([count], cudss.get_config_param_dtype(size))
+        cudss.config_set(self.settings, size, number.ctypes.data, number.nbytes)
+        self.data = owned.keep(lambda data: cudss.data_destroy(handle, data), cudss.data_create(handle))
         self.values = owned.room(8 * count * len(indices))
         self.rhs, self.solution = (owned.room(8 * count * self.size) for _ in range(2))
         rows, columns = (owned.copied(part, self.stream) for part in (indptr, indices))
-        kind = (gpu.INTEGER, gpu.INTEGER, gpu.REAL, gpu.SYMMETRIC, gpu.UPPER, gpu.ZERO_BASED)
         n = self.size
+        kind, of_vector = gpu.kind_of_matrix(cudss), gpu.kind_of_vector(cudss)
         matrix = cudss.matrix_create_csr(n, n, len(indices), rows, 0, columns, self.values, *kind)
-        vectors = [cudss.matrix_create_dn(n, 1, n, at, gpu.REAL, gpu.COLUMN_MAJOR) for at in (self.solution, self.rhs)]
-        self.matrices = [owned.made(cudss.matrix_destroy, one) for one in (matrix, *vectors)]
-        self.run(gpu.ANALYSIS)
+        vectors = [cudss.matrix_create_dn(n, 1, n, at, *of_vector) for at in (self.solution, self.rhs)]
+        self.matrices = [owned.keep(cudss.matrix_destroy, one) for one in (matrix, *vectors)]
+        self.run(cudss.Phase.ANALYSIS)
 
     def run(self, phase: int) -> None:
-        self.cudss.execute(self.handle, phase, self.settings, self.data, *self.matrices)
+        self.cudss.execute(self.handle, int(phase), self.settings, self.data, *self.matrices)
         self.owned.wait(self.stream)
 
     def factorise(self, values: np.ndarray) -> None:
         self.owned.copy_in(self.values, values, self.stream)
-        self.run(gpu.FACTORISATION)
+        self.run(self.cudss.Phase.FACTORIZATION)
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         found = np.empty_like(rhs)
         self.owned.copy_in(self.rhs, rhs, self.stream)
-        self.run(gpu.SOLVE)
+        self.run(self.cudss.Phase.SOLVE)
         self.owned.copy_out(found, self.solution, self.stream)
         return found
 
@@ -154,7 +156,12 @@ class UniformBatch:
         found, written = np.zeros(2 * self.count, np.int32), np.zeros(1, np.uint64)
         try:
             self.cudss.data_get(
-                self.handle, self.data, gpu.INERTIA, found.ctypes.data, found.nbytes, written.ctypes.data
+                self.handle,
+                self.data,
+                int(self.cudss.DataParam.INERTIA),
+                found.ctypes.data,
+                found.nbytes,
+                written.ctypes.data,
             )
         except self.cudss.cuDSSError:
             return False
@@ -183,9 +190,22 @@ def in_batches(tangent: Tangent) -> list[dict[str, Any]]:
     return rows
 
 
+class Left(logging.Handler):
+    """What the GPU did not do."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.reasons: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.reasons.append(record.getMessage())
+
+
 def estimated(mesh: str, backend: str) -> dict[str, Any]:
     """Search and intervals of one subject."""
     os.environ["SPINESTIFF_SOLVER"] = backend
+    left = Left()
+    logging.getLogger("spinestiff.mechanics.factor").addHandler(left)
     problem = subject(0, mesh)
     walls, cpus = [time.perf_counter()], [time.process_time()]
     found = search(problem, problem.solve(np.log(START), np.zeros(len(problem.unknowns))), LIMITS, MOST_EVALUATIONS)
@@ -194,6 +214,7 @@ def estimated(mesh: str, backend: str) -> dict[str, Any]:
     walls, cpus = [*walls, time.perf_counter()], [*cpus, time.process_time()]
     return {
         "status": found.status.name,
+        "left_to_the_processor": left.reasons,
         "factorisations": problem.trial_set.cost.factorisations,
         "search_s": round(walls[1] - walls[0], 2),
         "search_cpu_s": round(cpus[1] - cpus[0], 2),

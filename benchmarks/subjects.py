@@ -12,7 +12,7 @@ validation at full force and at a second rib. A row holds the corner RMSE by pre
 The first and the third are also told of the forecast, the estimate's prediction with the errors that training frames
 show.
 
-``python benchmarks/subjects.py FOLDER [--spines CSV] [--write]`` (five minutes a subject; FOLDER takes the subjects);
+``python benchmarks/subjects.py FOLDER [--spines CSV] [--write]`` (four to seven minutes a subject, kept in FOLDER);
 ``--markdown`` instead of FOLDER prints what is stored as the tables of docs/validation.md.
 """
 
@@ -114,21 +114,23 @@ def markdown(rows: list[dict[str, Any]]) -> str:
     """The errors and the estimates as tables."""
     lines = ["| subject | rest Cobb | frame | " + " | ".join(name.replace("_", " ") for name in SHOWN) + " |"]
     lines.append("|---" * (3 + len(SHOWN)) + "|")
-    for row in rows:
+    made = [row for row in rows if "failed" not in row]
+    for row in made:
         for push, frame in (("main", "full force"), ("second", "second rib")):
             who = (row["subject"], f"{row['rest_cobb_deg']:+.1f}°") if push == "main" else ("", "")
-            errors = [f"{row['rmse_mm'][push][name]:.2f}" for name in SHOWN]
+            found = [row["rmse_mm"][push][name] for name in SHOWN]
+            errors = ["-" if one is None else f"{one:.2f}" for one in found]
             lines.append("| " + " | ".join((*who, frame, *errors)) + " |")
     names = {"lateral_bending": "bending", "tissue": "tissue"}
     verdicts = ("near_oracle", "near_oracle_forecast", "default_worse", "beats_baselines", "truth_inside")
     lines += ["", "| subject | " + " | ".join(f"{names[name]}, 95 %" for name in names) + " | "]
     lines[-1] += " | ".join(name.replace("_", " ") for name in verdicts) + " |"
     lines.append("|---" * (1 + len(names) + len(verdicts)) + "|")
-    for row in rows:
+    for row in made:
         found = ["{:.3g}, {:.2g} to {:.2g}".format(*row["ratios"][name]) for name in names]
         said = ["yes" if row[name] else "no" for name in verdicts]
         lines.append("| " + " | ".join((row["subject"], *found, *said)) + " |")
-    return "\n".join(lines)
+    return "\n".join([*lines, *(f"\n{row['subject']}: {row['failed']}" for row in rows if "failed" in row)])
 
 
 def main() -> None:

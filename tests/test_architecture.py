@@ -306,6 +306,21 @@ def test_every_dependency_is_declared_and_used() -> None:
         assert DISTRIBUTIONS.get(package, package) in listed
 
 
+def test_what_tools_benchmarks_and_examples_import_is_there() -> None:
+    """Not all of them are run here."""
+    wrong = []
+    for path in sorted(
+        path for folder in ("tools", "benchmarks", "examples") for path in (ROOT / folder).rglob("*.py")
+    ):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "spinestiff":
+                home = importlib.import_module(node.module)
+                for name in (alias.name for alias in node.names):
+                    if not hasattr(home, name) and importlib.util.find_spec(f"{node.module}.{name}") is None:
+                        wrong.append(f"{path.relative_to(ROOT)}:{node.lineno}: {node.module} has no {name}")
+    assert not wrong, "\n".join(wrong)
+
+
 def test_nothing_imports_what_needs_an_extra() -> None:
     wrong = [
         f"{ids(path)}:{found.line} imports {found.target}"

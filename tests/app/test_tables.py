@@ -11,6 +11,8 @@ import pytest
 
 from spinestiff import versions
 from spinestiff.app import doctor, tables
+from spinestiff.mechanics import factor
+from spinestiff.mechanics.cudss import GpuFailure
 from spinestiff.mechanics.factor import default_backend
 from spinestiff.study.repeatability import Repeatability, Scatter
 from spinestiff.study.seven.tables import paper_tables
@@ -195,6 +197,17 @@ def test_doctor(printed, monkeypatch):
     assert bare.count("MISSING: pip install it") == len(versions.LIBRARIES)
     assert row_of(bare, "dicom") == ["dicom", "JPEG Lossless radiographs", "not installed: python-gdcm"]
     assert bare.count("not installed: ") == len(versions.EXTRAS)
+
+
+def test_doctor_without_the_solver_that_is_asked_for(printed, monkeypatch):
+    def none():
+        raise GpuFailure('no GPU; pip install "spinestiff[gpu]"')
+
+    monkeypatch.setattr(factor, "require_gpu", none)
+    factor._require_gpu.cache_clear()
+    monkeypatch.setenv("SPINESTIFF_SOLVER", "cudss")
+    text = " ".join(printed(doctor.doctor_tables(doctor.examine())[0]).split())
+    assert "NONE: the sparse solver 'cudss' has no GPU to use: no GPU; pip install \"spinestiff[gpu]\"" in text
 
 
 def test_doctor_knows_every_extra_and_what_it_installs():

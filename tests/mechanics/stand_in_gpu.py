@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 import ctypes
+import enum
 import types
 
 import numpy as np
 import scipy.sparse as sp
+
+# Other numbers than cuDSS's own, so that none is taken for granted.
+ENUMS = {
+    "Phase": {"ANALYSIS": 53, "FACTORIZATION": 54, "SOLVE": 55},
+    "DataParam": {"INFO": 61, "NPIVOTS": 62, "INERTIA": 63},
+    "DataType": {"R_64F": 71, "R_32I": 72},
+    "MatrixType": {"SYMMETRIC": 81},
+    "MatrixViewType": {"UPPER": 82},
+    "IndexBase": {"ZERO": 83},
+    "Layout": {"COL_MAJOR": 84},
+}
 
 
 class CuDSSError(Exception):
@@ -37,6 +49,8 @@ class StandIn:
         runtime.cudaStreamCreate = lambda: (0, self._made("stream"))
         runtime.cudaStreamDestroy = self.cudaFree
         cudss.cuDSSError = CuDSSError
+        for name, values in ENUMS.items():
+            setattr(cudss, name, enum.IntEnum(name, values))
         cudss.get_property = lambda which: 0
         cudss.create = lambda: self._made("handle")
         cudss.set_stream = lambda handle, stream: None
@@ -87,12 +101,12 @@ class StandIn:
             raise CuDSSError("INTERNAL_ERROR (6)")
         found = self.live[data]
         n, _, entries, rows, _, columns, values, *kind = self.live[matrix]
-        assert kind == [10, 10, 1, 1, 2, 0]  # int32, int32, float64, symmetric, upper, from zero
+        assert kind == [72, 72, 71, 81, 82, 83]
         pattern = (self._read(columns, entries, np.int32), self._read(rows, n + 1, np.int32))
-        if phase == 3:
+        if phase == 53:
             self.analyses += 1
             found["analysed"] = [part.copy() for part in pattern]
-        elif phase == 4:
+        elif phase == 54:
             assert all(map(np.array_equal, found["analysed"], pattern))
             upper = sp.csr_array((self._read(values, entries, float).copy(), *pattern), shape=(n, n))
             found["full"] = (upper + sp.triu(upper, 1).T).toarray()
@@ -104,6 +118,6 @@ class StandIn:
         eigenvalues = np.linalg.eigvalsh(self.live[data]["full"])
         zero = int((np.abs(eigenvalues) < 1e-9).sum())
         signs = [int((eigenvalues > 0.0).sum()), int((eigenvalues < 0.0).sum())]
-        said = np.array({0: [self.info], 2: [zero], 3: signs}[what], np.int32)
+        said = np.array({61: [self.info], 62: [zero], 63: signs}[what], np.int32)
         assert said.nbytes == size
         ctypes.memmove(place, said.ctypes.data, size)

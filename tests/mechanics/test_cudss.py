@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gc
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -67,12 +68,12 @@ def test_factors_that_live_at_once_and_analyses_that_are_used_again(gpu):
         assert factor.solve(rhs) == pytest.approx(np.linalg.solve(full, rhs), rel=1e-9)
         assert factor.solve(rhs[:, 1]) == pytest.approx(np.linalg.solve(full, rhs[:, 1]), rel=1e-9)
     assert analysis._free == []
-    place = one._place
+    slot = one._slot
     del one, factor
     gc.collect()
-    assert analysis._free == [place]
+    assert analysis._free == [slot]
     again = analysis.factor(other_lower.data)
-    assert again._place is place
+    assert again._slot is slot
     assert again.solve(rhs) == pytest.approx(np.linalg.solve(other_full, rhs), rel=1e-9)
     if gpu is not None:
         assert gpu.analyses == 2
@@ -101,13 +102,31 @@ def test_nothing_is_left_of_what_has_no_room(stand_in, room):
     assert factor.solve(np.ones(40)) == pytest.approx(np.linalg.solve(full, np.ones(40)), rel=1e-9)
 
 
-@pytest.mark.parametrize("phase", [3, 4, 1008])
-def test_an_error_there_leaves_it_to_the_processor(stand_in, phase):
+@pytest.mark.parametrize("phase", [53, 54, 55])
+def test_an_error_there_leaves_it_to_the_processor(stand_in, phase, caplog):
     lower, full = matrix(1)
     stand_in.fails = {phase}
+    factor_module._tell.cache_clear()
     factor = Analysis(lower.indptr, lower.indices, "cudss").factor(lower.data)
     assert factor.solve(np.ones(40)) == pytest.approx(np.linalg.solve(full, np.ones(40)), rel=1e-9)
     assert factor.positive_definite
+    assert [record.message for record in caplog.records] == [
+        "the processor does what the GPU did not: INTERNAL_ERROR (6)"
+    ]
+
+
+def test_two_threads_on_one_pattern(stand_in):
+    lowers, fulls = zip(*(matrix(seed) for seed in range(8)))
+    analysis = Analysis(lowers[0].indptr, lowers[0].indices, "cudss")
+    rhs = np.random.default_rng(0).normal(size=40)
+
+    def solved(number):
+        return [analysis.factor(lowers[number].data).solve(rhs) for _ in range(10)]
+
+    with ThreadPoolExecutor(4) as pool:
+        for found, full in zip(pool.map(solved, range(8)), fulls):
+            assert np.array(found) == pytest.approx(np.tile(np.linalg.solve(full, rhs), (10, 1)), rel=1e-9)
+    assert 1 <= stand_in.analyses <= 4
 
 
 def test_what_cudss_says_that_it_could_not_factorise(stand_in):

@@ -6,16 +6,17 @@ import platform
 import sys
 from typing import Any
 
+from rich.markup import escape
 from rich.table import Table
 
 from spinestiff.app import tables
+from spinestiff.errors import EquilibriumError
 from spinestiff.versions import EXTRAS, LIBRARIES, installed
 
 
 def examine() -> dict[str, Any]:
     """What there is on this machine, as JSON."""
     from spinestiff.anatomy.template import MESHES, template_torso
-    from spinestiff.mechanics.factor import default_backend
     from spinestiff.parallel import threads
     from spinestiff.subject.program import program
 
@@ -25,7 +26,7 @@ def examine() -> dict[str, Any]:
         "python": sys.version.split()[0],
         "system": platform.platform(),
         "libraries": {name: installed(name) for name in LIBRARIES},
-        "sparse_solver": default_backend(),
+        "sparse_solver": sparse_solver(),
         "threads": threads(),
         "extras": {
             extra.name: {"use": extra.use, "installed": {name: installed(name) for name in extra.libraries}}
@@ -38,6 +39,16 @@ def examine() -> dict[str, Any]:
     }
 
 
+def sparse_solver() -> str:
+    """Which is in use, or why none is."""
+    from spinestiff.mechanics.factor import default_backend
+
+    try:
+        return default_backend()
+    except EquilibriumError as error:
+        return f"NONE: {error}"
+
+
 def doctor_tables(found: dict[str, Any]) -> tuple[Table, Table]:
     """What is installed, and the extras."""
     first = tables.table("spinestiff doctor", "what", "found", left=("found",))
@@ -46,7 +57,7 @@ def doctor_tables(found: dict[str, Any]) -> tuple[Table, Table]:
     first.add_row("system", found["system"])
     for name, version in found["libraries"].items():
         first.add_row(name, version or "MISSING: pip install it")
-    first.add_row("sparse solver in use", found["sparse_solver"])
+    first.add_row("sparse solver in use", escape(found["sparse_solver"]))
     first.add_row("threads", str(found["threads"]))
     for mesh, size in found["meshes"].items():
         first.add_row(f"template mesh '{mesh}'", f"{size['nodes']} nodes, {size['joints']} joints")

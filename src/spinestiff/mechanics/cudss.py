@@ -1,6 +1,6 @@
 """Symmetric factorisation on an NVIDIA GPU: the backend "cudss" of ``factor`` (extra [gpu], NVIDIA's cuDSS).
 
-An analysis of cuDSS belongs to one factor at a time, and takes as long as twenty factorisations. So a pattern's
+An analysis of cuDSS belongs to one factor at a time, and takes as long as about fifteen factorisations. So a pattern's
 analyses are kept when their factors are gone, for the next ones, and there are as many of them as factors that live at
 once. Matrices are factorised one by one: several at once (cuDSS's uniform batch) gain little, and come without their
 inertia (docs/performance.md).
@@ -19,11 +19,6 @@ from numpy.typing import NDArray
 from spinestiff.arrays import Floats, Ints
 
 Short = NDArray[np.int32]
-
-SYMMETRIC, UPPER, ZERO_BASED, COLUMN_MAJOR = 1, 2, 0, 0
-ANALYSIS, FACTORISATION, SOLVE = 3, 4, 1008
-INFO, PIVOTS_CHANGED, INERTIA = 0, 2, 3
-REAL, INTEGER = 1, 10
 
 
 class GpuFailure(RuntimeError):
@@ -46,6 +41,18 @@ def require_gpu() -> None:
         raise GpuFailure("no NVIDIA GPU is here")
 
 
+def kind_of_matrix(cudss: Any) -> tuple[int, ...]:
+    """How cuDSS calls compressed rows of a symmetric matrix's upper triangle, numbered from zero."""
+    integer, real = cudss.DataType.R_32I, cudss.DataType.R_64F
+    kind = (integer, integer, real, cudss.MatrixType.SYMMETRIC, cudss.MatrixViewType.UPPER, cudss.IndexBase.ZERO)
+    return tuple(map(int, kind))
+
+
+def kind_of_vector(cudss: Any) -> tuple[int, ...]:
+    """How cuDSS calls a right side and a solution."""
+    return int(cudss.DataType.R_64F), int(cudss.Layout.COL_MAJOR)
+
+
 class CudssAnalysis:
     """One lower-triangular pattern, for many value arrays.
 
@@ -58,7 +65,7 @@ class CudssAnalysis:
         self._indptr: Short = indptr.astype(np.int32)
         self._indices: Short = indices.astype(np.int32)
         # Without a lock: what gives a place back may run in the middle of ``factor``, as a factor is collected.
-        self._free: list[_Analysed] = []
+        self._free: list[_Slot] = []
 
     def factor(self, values: Floats) -> CudssFactor:
         """Factorise the matrix with these ``values`` in the pattern.
@@ -68,10 +75,10 @@ class CudssAnalysis:
         GpuFailure : it can't be done there.
         """
         try:
-            place = self._free.pop()
+            slot = self._free.pop()
         except IndexError:
-            place = _Analysed(self._indptr, self._indices)
-        return CudssFactor(place, values, self._free.append)
+            slot = _Slot(self._indptr, self._indices)
+        return CudssFactor(slot, values, self._free.append)
 
 
 class CudssFactor:
@@ -82,19 +89,19 @@ class CudssFactor:
     positive_definite : whether all eigenvalues are positive, by the inertia, and no pivot had to be changed.
     """
 
-    def __init__(self, place: _Analysed, values: Floats, give_back: Any) -> None:
-        self._place = place
-        self.positive_definite = place.factorise(values)
-        weakref.finalize(self, give_back, place)
+    def __init__(self, slot: _Slot, values: Floats, give_back: Any) -> None:
+        self._slot = slot
+        self.positive_definite = slot.factorise(values)
+        weakref.finalize(self, give_back, slot)
 
     def solve(self, rhs: Floats) -> Floats:
         """Solution for (n,) or (n, k), one right side at a time. Raises GpuFailure."""
         if rhs.ndim == 1:
-            return self._place.solve(rhs)
-        return np.stack([self._place.solve(column) for column in rhs.T], axis=1)
+            return self._slot.solve(rhs)
+        return np.stack([self._slot.solve(column) for column in rhs.T], axis=1)
 
 
-class _Analysed:
+class _Slot:
     """An analysed pattern on the GPU, with room for one matrix's values and factor, and for one right side."""
 
     def __init__(self, indptr: Short, indices: Short) -> None:
@@ -107,29 +114,28 @@ class _Analysed:
         weakref.finalize(self, owned.free)
         try:
             self._stream = owned.stream()
-            handle = self._handle = owned.made(cudss.destroy, cudss.create())
+            handle = self._handle = owned.keep(cudss.destroy, cudss.create())
             cudss.set_stream(self._handle, self._stream)
-            self._settings = owned.made(cudss.config_destroy, cudss.config_create())
+            self._settings = owned.keep(cudss.config_destroy, cudss.config_create())
             # Not by way of this object: what frees it must not keep it.
-            self._data = owned.made(lambda data: cudss.data_destroy(handle, data), cudss.data_create(handle))
+            self._data = owned.keep(lambda data: cudss.data_destroy(handle, data), cudss.data_create(handle))
             rows, columns = owned.copied(indptr, self._stream), owned.copied(indices, self._stream)
             self._values = owned.room(8 * len(indices))
             self._rhs, self._solution = owned.room(8 * self._size), owned.room(8 * self._size)
-            self._matrix = owned.made(
+            self._matrix = owned.keep(
                 cudss.matrix_destroy,
                 cudss.matrix_create_csr(
-                    self._size, self._size, len(indices), rows, 0, columns, self._values,
-                    INTEGER, INTEGER, REAL, SYMMETRIC, UPPER, ZERO_BASED,
+                    self._size, self._size, len(indices), rows, 0, columns, self._values, *kind_of_matrix(cudss),
                 ),
             )  # fmt: skip
             self._b, self._x = (
-                owned.made(
+                owned.keep(
                     cudss.matrix_destroy,
-                    cudss.matrix_create_dn(self._size, 1, self._size, room, REAL, COLUMN_MAJOR),
+                    cudss.matrix_create_dn(self._size, 1, self._size, room, *kind_of_vector(cudss)),
                 )
                 for room in (self._rhs, self._solution)
             )
-            self._run(ANALYSIS)
+            self._run(cudss.Phase.ANALYSIS)
         except self._failures as error:
             raise GpuFailure(str(error)) from error
 
@@ -138,11 +144,12 @@ class _Analysed:
         with self._lock:
             try:
                 self._owned.copy_in(self._values, values, self._stream)
-                self._run(FACTORISATION)
-                if (failed := self._said(INFO, 1)[0]) != 0:
+                self._run(self._cudss.Phase.FACTORIZATION)
+                said = self._cudss.DataParam
+                if (failed := self._said(said.INFO, 1)[0]) != 0:
                     raise GpuFailure(f"cuDSS could not factorise a matrix (info {failed})")
-                positive, negative = self._said(INERTIA, 2)
-                changed = self._said(PIVOTS_CHANGED, 1)[0]
+                positive, negative = self._said(said.INERTIA, 2)
+                changed = self._said(said.NPIVOTS, 1)[0]
             except self._failures as error:
                 raise GpuFailure(str(error)) from error
         return bool(positive == self._size and negative == 0 and changed == 0)
@@ -152,20 +159,20 @@ class _Analysed:
         with self._lock:
             try:
                 self._owned.copy_in(self._rhs, rhs, self._stream)
-                self._run(SOLVE)
+                self._run(self._cudss.Phase.SOLVE)
                 self._owned.copy_out(found, self._solution, self._stream)
             except self._failures as error:
                 raise GpuFailure(str(error)) from error
         return found
 
     def _run(self, phase: int) -> None:
-        self._cudss.execute(self._handle, phase, self._settings, self._data, self._matrix, self._x, self._b)
+        self._cudss.execute(self._handle, int(phase), self._settings, self._data, self._matrix, self._x, self._b)
         self._owned.wait(self._stream)
 
     def _said(self, what: int, count: int) -> Short:
         """Whole numbers that cuDSS keeps of the last factorisation."""
         found, written = np.zeros(count, np.int32), np.zeros(1, np.uint64)
-        self._cudss.data_get(self._handle, self._data, what, found.ctypes.data, found.nbytes, written.ctypes.data)
+        self._cudss.data_get(self._handle, self._data, int(what), found.ctypes.data, found.nbytes, written.ctypes.data)
         return found
 
 
@@ -178,7 +185,7 @@ class _Owned:
         self._runtime = runtime
         self._last: list[tuple[Any, Any]] = []
 
-    def made(self, destroy: Any, what: Any) -> Any:
+    def keep(self, destroy: Any, what: Any) -> Any:
         self._last.append((destroy, what))
         return what
 
@@ -190,12 +197,12 @@ class _Owned:
 
     def stream(self) -> int:
         (stream,) = _done(self._runtime.cudaStreamCreate())
-        self.made(self._runtime.cudaStreamDestroy, stream)
+        self.keep(self._runtime.cudaStreamDestroy, stream)
         return int(stream)
 
     def room(self, size: int) -> int:
         (place,) = _done(self._runtime.cudaMalloc(size))
-        return int(self.made(self._runtime.cudaFree, place))
+        return int(self.keep(self._runtime.cudaFree, place))
 
     def copied(self, values: Short, stream: int) -> int:
         place = self.room(values.nbytes)

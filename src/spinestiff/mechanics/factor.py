@@ -8,7 +8,7 @@ count does not hold, and the matrix is reported as not positive definite.
 
 from __future__ import annotations
 
-import contextlib
+import logging
 import os
 from collections.abc import Callable
 from functools import lru_cache
@@ -33,6 +33,9 @@ EPSILON = float(np.finfo(float).eps)
 BACKENDS = ("rslab", "superlu", "cudss")
 # Of one factorisation; more gain nothing at these sizes. The factor is the same for any number.
 MOST_THREADS = 4
+
+
+_log = logging.getLogger(__name__)
 
 
 class _Backend(Protocol):
@@ -97,8 +100,9 @@ class Factor:
         solved = error <= max(RESIDUAL_LIMIT, tolerance) * size
         solved |= (error <= rounding) & (rounding <= LARGEST_ROUNDING * size)
         if not solved.all():
-            if self._spare is not None:
-                self._take_spare(self._spare)
+            if (spare := self._spare) is not None:
+                _tell("a solution left a residual")
+                self._take_spare(spare)
                 return self.solve(rhs, tolerance)
             relative = np.divide(error, size, out=np.zeros_like(error), where=~solved)
             raise EquilibriumError(
@@ -112,13 +116,17 @@ class Factor:
         return (self._solved((rhs.T * self._scale).T).T * self._scale).T
 
     def _solved(self, b: Floats) -> Floats:
-        if self._spare is None:
+        spare = self._spare
+        if spare is None:
             return self._backend.solve(b)
-        with contextlib.suppress(GpuFailure):
+        try:
             found = self._backend.solve(b)
             if np.isfinite(found).all():
                 return found
-        return self._take_spare(self._spare).solve(b)
+            _tell("a solution was not finite")
+        except GpuFailure as error:
+            _tell(str(error))
+        return self._take_spare(spare).solve(b)
 
     def _take_spare(self, spare: Callable[[], _Backend]) -> _Backend:
         self._backend, self._spare = spare(), None
@@ -191,8 +199,10 @@ class Analysis:
         matrix = self._pattern.copy()
         matrix.data = values * self._scale_of_value
         if self._gpu is not None:
-            with contextlib.suppress(GpuFailure):
+            try:
                 return Factor(matrix, self._gpu.factor(matrix.data), self._scale, lambda: self._on_processor(matrix))
+            except GpuFailure as error:
+                _tell(str(error))
         return Factor(matrix, self._on_processor(matrix), self._scale)
 
     def _on_processor(self, matrix: sp.csc_array) -> _Backend:
@@ -227,6 +237,12 @@ def _require_gpu() -> None:
         require_gpu()
     except GpuFailure as error:
         raise EquilibriumError(f"the sparse solver 'cudss' has no GPU to use: {error}") from None
+
+
+@lru_cache(maxsize=16)
+def _tell(reason: str) -> None:
+    """Say once of each reason that the processor did what was asked of the GPU."""
+    _log.warning("the processor does what the GPU did not: %s", reason)
 
 
 def _rslab() -> ModuleType:

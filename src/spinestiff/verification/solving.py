@@ -1,4 +1,4 @@
-"""Checks of how an equilibrium is found: Newton's convergence, descent, what is refused, and both sparse solvers."""
+"""Checks of how an equilibrium is found: Newton's convergence, descent, what is refused, and the sparse solvers."""
 
 from __future__ import annotations
 
