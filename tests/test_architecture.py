@@ -90,7 +90,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "rich": ("app/*",),
     "trimesh": ("anatomy/*",),
     "meshio": ("anatomy/*",),
-    "mmgpy": ("anatomy/meshing.py",),
+    "mmgpy": ("anatomy/mmg.py",),
     "pyfebio": ("anatomy/export/feb.py",),
     "torch": ("interop/torch.py",),
     "jax": ("interop/jax.py",),

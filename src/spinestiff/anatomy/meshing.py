@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from spinestiff.anatomy.carving import boundary, carved
+from spinestiff.anatomy.mmg import NO_MMG, VOLUME_TOLERANCE, mmg
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.solids import dense_points, enclosed
 from spinestiff.anatomy.template.surfaces import Surface, signed_volume
@@ -26,14 +27,9 @@ from spinestiff.observer import Observer
 from spinestiff.words import counted
 
 GROUP = "spinestiff.meshers"
-NO_MMG = 'meshing needs MMG; install it with pip install "spinestiff[mesh]"'
 DEFAULT_MESHER = "mmg"
 SPACINGS_MM = (9.0, 60.0)
 LEAST_ANGLE_DEG = 5.0
-WANTED_ANGLE_DEG = 10.0
-HAUSDORFF_MM = 3.0  # of the skin from its triangles, where these may change
-EDGE_DEG = 20.0  # between two triangles of the skin: a larger angle is an edge, and stays one
-VOLUME_TOLERANCE = 0.02
 # Spacings to try one after another, as shares of the wanted one: a mesh's quality depends on its size by chance.
 TRIED_SHARES = (1.0, 0.95, 1.04, 0.9, 1.08, 0.86)
 # Distances as shares of the spacing inside: along a bone and on the skin, as in the template's fine mesh.
@@ -97,43 +93,6 @@ def find_mesher(name: str) -> Mesher:
     if find_spec("mmgpy") is None:
         raise TorsoError(NO_MMG)
     return mmg
-
-
-def mmg(points: Floats, tetrahedra: Ints, required: Ints) -> tuple[Floats, Ints]:
-    """Better tetrahedra by MMG (through mmgpy): required points stay, sizes and the boundary about as they are.
-
-    Raises
-    ------
-    TorsoError : the extra [mesh] is not installed, or MMG fails.
-    """
-    try:
-        import mmgpy
-    except ImportError:
-        raise TorsoError(NO_MMG) from None
-    best: tuple[float, Floats, Ints] | None = None
-    whole = np.abs(signed_volumes(points[tetrahedra])).sum()
-    # First inside alone; where that leaves flat elements, the skin's triangles may change, too: with edges between
-    # them kept, then as if they stood for a smooth surface, which bulges over them.
-    for options in ({"nosurf": 1}, {"hausd": HAUSDORFF_MM, "ar": EDGE_DEG}, {"hausd": HAUSDORFF_MM}):
-        mesh = mmgpy.MmgMesh3D()
-        mesh.set_mesh_size(vertices=len(points), tetrahedra=len(tetrahedra))
-        mesh.set_vertices(np.ascontiguousarray(points, dtype=np.float64))
-        mesh.set_tetrahedra(np.ascontiguousarray(tetrahedra, dtype=np.int32))
-        mesh.set_required_vertices(np.ascontiguousarray(required, dtype=np.int32))
-        try:
-            mesh.remesh(optim=1, verbose=-1, **options)
-        except Exception as error:  # whatever MMG says, another set of points may do
-            raise TorsoError(f"MMG failed ({' '.join(str(error).split())[:120]})") from None
-        found = np.asarray(mesh.get_vertices(), dtype=float), np.asarray(mesh.get_tetrahedra(), dtype=np.int64)
-        corners = found[0][found[1]]
-        angle = float(least_angles(corners).min())
-        grown = abs(float(np.abs(signed_volumes(corners)).sum() / whole) - 1.0) > 0.5 * VOLUME_TOLERANCE
-        if best is None or (angle > best[0] and not grown):
-            best = (angle, *found)
-        if best[0] >= WANTED_ANGLE_DEG:
-            break
-    assert best is not None
-    return best[1:]
 
 
 def mesh_tissue(
