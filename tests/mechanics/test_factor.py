@@ -235,3 +235,11 @@ def test_a_singular_matrix_on_a_gpu_is_told_as_one_on_the_processor(monkeypatch)
     factor = _broken_analysis(monkeypatch, full, lambda self, values: _Broken(lambda rhs: rhs))
     with pytest.raises(EquilibriumError, match="singular"):
         factor.solve(np.ones(25))
+
+
+@pytest.mark.parametrize("solve", [_gone, lambda rhs: np.full_like(rhs, np.nan)], ids=["fails", "nan"])
+def test_a_step_that_the_gpu_does_not_solve(monkeypatch, solve):
+    """Nobody looks at its residual."""
+    full = _matrix(6.0)
+    factor = _broken_analysis(monkeypatch, full, lambda self, values: _Broken(solve))
+    assert factor.inverse(np.ones(25)) == pytest.approx(np.linalg.solve(full, np.ones(25)), rel=1e-9)
