@@ -242,7 +242,10 @@ def main() -> None:
     if asked.json:
         print(RESULTS.read_text(encoding="utf-8"), end="")
         return
-    gpu.require_gpu()
+    try:
+        gpu.require_gpu()
+    except gpu.GpuFailure as error:
+        parser.error(str(error))
     result: dict[str, Any] = {
         "date": datetime.date.today().isoformat(),
         "gpu": name_of_gpu(),

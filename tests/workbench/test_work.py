@@ -316,14 +316,19 @@ def alive(pid):
         return False
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
-def test_a_job_whose_process_is_killed_takes_the_command_along(root, tmp_path):
+def check_of_the_girl(root, log):
+    """The process of a job that has been taken."""
     bench = open_root(root)
     table = JobTable(bench.own / "jobs.sqlite")
     table.make()
     job = table.add(bench.key_of("girl"), "run", {})
     table.take(1)
-    process = start_job(table.path, job.id, root / "girl", ["check"], tmp_path / "log")
+    return start_job(table.path, job.id, root / "girl", ["check"], log)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
+def test_a_job_whose_process_is_killed_takes_the_command_along(root, tmp_path):
+    process = check_of_the_girl(root, tmp_path / "log")
 
     def children():
         with open(f"/proc/{process.pid}/task/{process.pid}/children", encoding="utf-8") as file:
@@ -337,12 +342,7 @@ def test_a_job_whose_process_is_killed_takes_the_command_along(root, tmp_path):
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
 def test_a_process_of_a_job_that_nobody_looks_at_leaves_nothing(root, tmp_path):
-    bench = open_root(root)
-    table = JobTable(bench.own / "jobs.sqlite")
-    table.make()
-    job = table.add(bench.key_of("girl"), "run", {})
-    table.take(1)
-    number = start_job(table.path, job.id, root / "girl", ["check"], tmp_path / "log").pid
+    number = check_of_the_girl(root, tmp_path / "log").pid
     gc.collect()  # a process that still runs would be told as a warning, which is an error here
     os.kill(number, signal.SIGKILL)
     wait_for(lambda: not Path(f"/proc/{number}").exists())
