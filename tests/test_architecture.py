@@ -63,6 +63,8 @@ HOMES: dict[str, tuple[str, ...]] = {
     "rslab": ("mechanics/factor.py",),
     "matplotlib": (
         "study/report/figures.py",
+        "study/report/overlay.py",
+        "study/report/curve_pictures.py",
         "study/report/beside.py",
         "study/report/certainty_pictures.py",
         "study/report/clinician_picture.py",

@@ -11,7 +11,7 @@ from spinestiff.annotate.server import session_record
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.image_quality import ImageQuality
 from spinestiff.study.frame_selection import FrameQuality, Proposal
-from spinestiff.study.report.content import _frame_title
+from spinestiff.study.report.frame_content import _frame_title
 from spinestiff.study.report.frame_strip import Row, draw_strip
 from unannotated import drawn
 

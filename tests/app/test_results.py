@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from spinestiff.files import read_json
-from spinestiff.study.report.content import prediction_content
+from spinestiff.study.report.frame_content import prediction_content
 from spinestiff.study.report.pictures import curve_changes
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.visit import open_visit

@@ -23,7 +23,7 @@ from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.mechanics.contact import OneSidedProblem
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.study import steps, truth, wording, written
-from spinestiff.study.report.content import result_content
+from spinestiff.study.report.estimate_content import result_content
 from spinestiff.study.runner import ALL_STEPS, run_steps
 from spinestiff.study.steps import assess_step, stored_predictions, usual_ratios, view_step
 from spinestiff.study.truth import read_truth

@@ -11,7 +11,7 @@ from spinestiff import plot
 from spinestiff.imaging.projection import lateral_view
 from spinestiff.study.predictions import Prediction, Predictions, Solved, predictions_of
 from spinestiff.study.report.beside import MarkerMotion, beside_pictures, beside_rows, draw_markers, pedicles_in
-from spinestiff.study.report.content import MODELS
+from spinestiff.study.report.frame_content import MODELS
 
 
 def test_every_sight_is_told_with_its_distance_to_each_model(beside: Predictions) -> None:

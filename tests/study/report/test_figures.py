@@ -10,25 +10,10 @@ import pytest
 from matplotlib.colors import to_hex
 
 from spinestiff.errors import SpinestiffError
-from spinestiff.study.report.figures import (
-    FIT,
-    MEASURED,
-    MEASURED_ON_DARK,
-    SIMULATED_ON_DARK,
-    BudgetBars,
-    CurveChange,
-    Overlay,
-    Panel,
-    RatioMap,
-    TiltChange,
-    as_png,
-    as_svg,
-    draw_budget,
-    draw_curve_changes,
-    draw_overlay,
-    draw_ratio_map,
-    draw_tilt_changes,
-)
+from spinestiff.study.report.certainty_pictures import BudgetBars, RatioMap, draw_budget, draw_ratio_map
+from spinestiff.study.report.curve_pictures import CurveChange, TiltChange, draw_curve_changes, draw_tilt_changes
+from spinestiff.study.report.figures import FIT, MEASURED, MEASURED_ON_DARK, SIMULATED_ON_DARK, as_png, as_svg
+from spinestiff.study.report.overlay import Overlay, Panel, draw_overlay
 
 NAMES = ("T10", "T11", "T12")
 

@@ -33,7 +33,7 @@ from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study.predictions import Model, predict, stored, write_solved
 from spinestiff.study.report import page as report
 from spinestiff.study.report import pictures as drawing
-from spinestiff.study.report.content import _strip, budget_bars
+from spinestiff.study.report.estimate_content import _strip, budget_bars
 from spinestiff.study.report.page import write_report
 from spinestiff.study.report.viewer.page import script_hash
 from spinestiff.study.sensitivity import force_percent

@@ -9,20 +9,18 @@ import pytest
 from matplotlib.figure import Figure
 
 from spinestiff.study.report import figures
-from spinestiff.study.report.certainty_pictures import ProfileCurve, SupportPlace, draw_profiles, draw_support_places
-from spinestiff.study.report.figures import (
+from spinestiff.study.report.certainty_pictures import (
     BudgetBars,
-    CurveChange,
+    ProfileCurve,
     RatioMap,
-    TiltChange,
-    as_svg,
+    SupportPlace,
     draw_budget,
-    draw_curve_changes,
+    draw_profiles,
     draw_ratio_map,
-    draw_tilt_changes,
-    part_tick_labels,
-    plain_ticks,
+    draw_support_places,
 )
+from spinestiff.study.report.curve_pictures import CurveChange, TiltChange, draw_curve_changes, draw_tilt_changes
+from spinestiff.study.report.figures import as_svg, part_tick_labels, plain_ticks
 from spinestiff.study.report.theme import DARK, ON_RADIOGRAPH, colours_of, dark_style, for_page
 
 LINE = np.array([[0.0, 0.0], [60.0, -12.0]])

@@ -18,8 +18,9 @@ from spinestiff.arrays import Floats
 from spinestiff.estimation.objective import Residuals, Target, residuals
 from spinestiff.estimation.sights import MarkerTarget, PedicleTarget, Sight, further_sights, sight_residuals
 from spinestiff.study.predictions import Prediction, Predictions
-from spinestiff.study.report.content import MODELS
-from spinestiff.study.report.figures import FIT, MEASURED, NO_POINTS, STYLE, Overlay, Panel, draw_overlay
+from spinestiff.study.report.figures import FIT, MEASURED, STYLE
+from spinestiff.study.report.frame_content import MODELS
+from spinestiff.study.report.overlay import NO_POINTS, Overlay, Panel, draw_overlay
 from spinestiff.study.report.placing import pixel_mm, pixels_of, sides_of
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import fixed

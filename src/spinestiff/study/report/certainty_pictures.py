@@ -1,9 +1,10 @@
-"""Pictures of how sure a result is: the likelihood along each ratio, and where the supports were in each frame."""
+"""Pictures of how sure a result is: likelihood along each ratio and of both, unknowns' costs, supports."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -12,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from spinestiff.arrays import Floats
-from spinestiff.study.report.figures import FIT, MEASURED, STYLE, TRUTH, plain_ticks
+from spinestiff.study.report.figures import DEFAULT, FIT, MEASURED, STYLE, TRUTH, plain_ticks
 
 HIGHEST = 2.5  # of what is drawn of a profile, in rises of an interval's end
 
@@ -51,6 +52,44 @@ class SupportPlace:
     before: float
     seen: tuple[float, float] | None
     predicted: bool
+
+
+@dataclass(frozen=True)
+class RatioMap:
+    """What is known about two ratios.
+
+    Attributes
+    ----------
+    names : (2,) as shown on the axes.
+    estimate : (2,).
+    region : (n, 2) edge of the 95 % joint region; empty = not available.
+    path : (n, 2) accepted steps from the start to the estimate.
+    bounds : what the fit was allowed; the axes end there.
+    intervals : (2,) ends of each ratio's 95 % interval; None = none was found.
+    truth : (2,) true ratios, where known.
+    """
+
+    names: tuple[str, str]
+    estimate: Floats
+    region: Floats
+    path: Floats
+    bounds: tuple[float, float]
+    intervals: tuple[tuple[float | None, float | None], ...] = ()
+    truth: Floats | None = None
+
+
+@dataclass(frozen=True)
+class BudgetBars:
+    """What unknowns do to the variance of ratios.
+
+    Attributes
+    ----------
+    unknowns : (n,) in words, the most costly first.
+    shares : ratio, in words -> (n, 2) shares of its variance: what the unknown adds alone, what knowing it takes away.
+    """
+
+    unknowns: tuple[str, ...]
+    shares: Mapping[str, Floats]
 
 
 def draw_profiles(profiles: Sequence[ProfileCurve]) -> Figure:
@@ -127,3 +166,81 @@ def _support_handles() -> list[Line2D]:
         Line2D([], [], color=MEASURED, marker="s", markersize=5, linestyle="none", label="tracked, ± one sd"),
         Line2D([], [], color="#DDDDDD", linewidth=8, label="known before, ± one sd"),
     ]  # fmt: skip
+
+
+def draw_budget(bars: BudgetBars) -> Figure:
+    """Two bars an unknown, one panel a ratio."""
+    count, rows = len(bars.shares), np.arange(len(bars.unknowns))
+    with rc_context(STYLE):
+        figure = Figure(figsize=(2.9 + 3.4 * count, 1.4 + 0.42 * len(rows)), layout="constrained")
+        axes = figure.subplots(1, count, squeeze=False, sharey=True)[0]
+        handles: list[Any] = []
+        for axis, (title, shares) in zip(axes, bars.shares.items()):
+            handles = [
+                axis.barh(
+                    rows - 0.19, 100.0 * shares[:, 0], 0.36, color="#A9A9A9", label="adds where all else is known"
+                ),
+                axis.barh(rows + 0.19, 100.0 * shares[:, 1], 0.36, color=FIT, label="would go away if it were known"),
+            ]
+            axis.set_title(title, fontsize=11)
+            axis.set_xlabel("percent of the variance")
+            axis.set_xlim(0.0, max(1.05 * axis.get_xlim()[1], 5.0))
+            axis.set_ylim(len(rows) - 0.5, -0.5)
+            axis.grid(visible=False, axis="y")
+        axes[0].set_yticks(rows, bars.unknowns)
+        figure.legend(handles=handles, loc="outside lower center", ncols=2)
+    return figure
+
+
+def draw_ratio_map(ratios: RatioMap) -> Figure:
+    """The 95 % joint region of two ratios on logarithmic axes, and the way the fit took there."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(8.4, 4.3), layout="constrained")
+        whole, near = figure.subplots(1, 2)
+        for axis in (whole, near):
+            _draw_region(axis, ratios)
+            axis.set_xscale("log")
+            axis.set_yscale("log")
+            axis.set_xlabel(f"ratio, {ratios.names[0]}")
+        whole.set_ylabel(f"ratio, {ratios.names[1]}")
+        whole.plot(*ratios.path.T, color="#444444", linewidth=1.2, marker=".", markersize=6, label="accepted steps")
+        whole.plot(1.0, 1.0, marker="s", markersize=7, color=DEFAULT, linestyle="none", label="default (1, 1)")
+        whole.set_title("Steps of the fit", fontsize=11)
+        near.set_title("95 % joint region", fontsize=11)
+        points = [ratios.estimate[None], *([ratios.region] if len(ratios.region) else [])]
+        points += [] if ratios.truth is None else [ratios.truth[None]]
+        _zoom(near, np.vstack(points), ratios.bounds)
+        _zoom(whole, np.vstack([*points, ratios.path, np.ones((1, 2))]), ratios.bounds)
+        for axis in (whole, near):
+            for which in "xy":
+                plain_ticks(axis, which)
+        handles, labels = whole.get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    return figure
+
+
+def _draw_region(axis: Axes, ratios: RatioMap) -> None:
+    if len(ratios.region):
+        axis.fill(*ratios.region.T, facecolor=FIT, alpha=0.18, linewidth=0)
+        axis.plot(*np.vstack([ratios.region, ratios.region[:1]]).T, color=FIT, linewidth=1.6, label="95 % joint region")
+    for which, (low, high) in enumerate(ratios.intervals):
+        if low is not None and high is not None:
+            bar = np.tile(ratios.estimate[:, None], 2)
+            bar[which] = low, high
+            label = "95 % interval of each" if which == 0 else None
+            mark = "|" if which == 0 else "_"
+            axis.plot(*bar, color=FIT, linewidth=2.2, marker=mark, markersize=12, label=label, zorder=4)
+    axis.plot(*ratios.estimate, marker="o", markersize=8, color=FIT, linestyle="none", label="estimate", zorder=5)
+    if ratios.truth is not None:
+        axis.plot(*ratios.truth, marker="*", markersize=13, color=TRUTH, linestyle="none", label="truth", zorder=6)
+
+
+def _zoom(axis: Axes, points: Floats, bounds: tuple[float, float]) -> None:
+    # A region may run far out of what the fit was allowed; nobody needs to see where it ends.
+    points = np.log(np.clip(points, *bounds))
+    low, high = points.min(0), points.max(0)
+    # At least a factor of 1.3 to each side of the middle, so that a tiny region is seen as tiny.
+    middle, half = 0.5 * (low + high), np.maximum(0.62 * (high - low), np.log(1.3))
+    limits = np.clip(np.exp([middle - half, middle + half]), *bounds)
+    axis.set_xlim(*limits[:, 0])
+    axis.set_ylim(*limits[:, 1])

@@ -15,7 +15,8 @@ import numpy as np
 from spinestiff.curves.changes import change_words
 from spinestiff.curves.pushes import rest_reading
 from spinestiff.study.planning.words import NONE_PAYS, TITLES, VIEW_WORDS, now_of, pays, size_of, width
-from spinestiff.study.report.content import BENDING_BAND, bending_line, comparison_content, stale_plan
+from spinestiff.study.report.estimate_content import BENDING_BAND, bending_line, stale_plan
+from spinestiff.study.report.frame_content import comparison_content
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import (
     PLAIN,

@@ -19,8 +19,8 @@ from spinestiff.imaging.features import FEATURE_SHAPE, state_features, vertebra_
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.report.clinician import picture_words
-from spinestiff.study.report.content import expected_change
 from spinestiff.study.report.figures import MEASURED_ON_DARK, PERCENTILES, SIMULATED_ON_DARK, STYLE, WHITE_ON_DARK
+from spinestiff.study.report.frame_content import expected_change
 from spinestiff.study.report.placing import pixel_mm, push_arrow, sides_of
 from spinestiff.study.visit import Visit
 from spinestiff.subject.assessment_outcome import Assessment

@@ -18,23 +18,25 @@ from spinestiff.study.predictions import Predictions
 from spinestiff.study.report.beside import beside_pictures, beside_rows, pixels_in
 from spinestiff.study.report.clinician import clinician_content
 from spinestiff.study.report.clinician_picture import moments
-from spinestiff.study.report.content import (
+from spinestiff.study.report.estimate_content import (
     certainty_content,
     check_rows,
-    comparison_content,
-    geometry_content,
-    millimetre_rows,
-    prediction_content,
     reaction_rows,
     response_content,
     result_content,
     sensitivity_content,
     stale_plan,
     subject_content,
-    support_rows,
     uncertainty_content,
 )
 from spinestiff.study.report.figures import as_png, as_svg
+from spinestiff.study.report.frame_content import (
+    comparison_content,
+    geometry_content,
+    millimetre_rows,
+    prediction_content,
+    support_rows,
+)
 from spinestiff.study.report.pdf import PDF_FILE
 from spinestiff.study.report.pictures import (
     Drawn,

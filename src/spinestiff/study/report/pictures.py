@@ -19,22 +19,19 @@ from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.study.planning.words import TITLES, push_words, size_of, width
 from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.report.beside import pedicles_in
-from spinestiff.study.report.certainty_pictures import ProfileCurve, draw_profiles, draw_support_places
-from spinestiff.study.report.content import MODELS, budget_bars, support_places
-from spinestiff.study.report.figures import (
-    NO_POINTS,
+from spinestiff.study.report.certainty_pictures import (
     BudgetBars,
-    CurveChange,
-    Overlay,
-    Panel,
+    ProfileCurve,
     RatioMap,
-    TiltChange,
     draw_budget,
-    draw_curve_changes,
-    draw_overlay,
+    draw_profiles,
     draw_ratio_map,
-    draw_tilt_changes,
+    draw_support_places,
 )
+from spinestiff.study.report.curve_pictures import CurveChange, TiltChange, draw_curve_changes, draw_tilt_changes
+from spinestiff.study.report.estimate_content import budget_bars, support_places
+from spinestiff.study.report.frame_content import MODELS
+from spinestiff.study.report.overlay import NO_POINTS, Overlay, Panel, draw_overlay
 from spinestiff.study.report.placing import pixel_mm, pixels_of, push_arrow, sides_of
 from spinestiff.study.report.plan_picture import draw_plan
 from spinestiff.study.report.tornado_picture import draw_tornado
