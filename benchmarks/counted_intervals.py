@@ -45,14 +45,19 @@ Masks = dict[str, np.ndarray]
 
 
 def read_logs(paths: Sequence[Path]) -> list[dict[str, Any]]:
-    """All lines of some logs, with z and joint rises in units of the present width factor; ends are as they were.
+    """All lines of some logs, ready to be counted."""
+    return countable(rows_of(paths))
+
+
+def countable(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Lines of logs with z and joint rises in units of the present width factor; ends are as they were.
 
     ``inside`` says which 95 % intervals hold the truth: by their ends, or by z where they had another width factor.
     A profile rises no more than phi itself does where the truth is, so that what was solved there is a bound of z:
     beyond an interval's ends the profile is extrapolated.
     """
-    rows = rows_of(paths)
-    for row in rows:
+    found = [dict(row) for row in rows]
+    for row in found:
         before = row.get("width_factor", 1.0) / WIDTH_FACTOR
         for key in ("joint", "joint_solved"):
             if row.get(key) is not None:
@@ -63,7 +68,7 @@ def read_logs(paths: Sequence[Path]) -> list[dict[str, Any]]:
             row["z"] = [float(np.clip(before * z, -most, most)) for z in row["z"]]
             ends = [low <= row["ratios"][name] <= high for name, low, high in zip(NAMES, row["low"], row["high"])]
             row["inside"] = ends if before == 1.0 else _inside(np.array(row["z"]), 0.95).tolist()
-    return rows
+    return found
 
 
 def parts(rows: Sequence[Row]) -> dict[str, Masks]:

@@ -18,12 +18,16 @@ RATIOS = {"lateral_bending": 0.1, "tissue": 0.05}
 
 @pytest.fixture(scope="module")
 def asked(finished):
-    return own_model.asked_with(load_pushes(open_visit(finished.folder), "procrustes", "weighed"), RATIOS)
+    return own_model.asked_with(load_pushes(open_visit(finished.folder), "procrustes", "weighed"), RATIOS, 30.0)
+
+
+def own_trials(asked, random):
+    return [item.trial for item in own_model.drawn(asked, random).fitted]
 
 
 def test_without_errors_the_drawn_corners_are_the_models_own(asked):
     nothing = SimpleNamespace(normal=lambda size: np.zeros(size))
-    trials, torso = own_model.drawn(asked, nothing), asked.pushes.torso
+    trials, torso = own_trials(asked, nothing), asked.pushes.torso
     point = asked.problem.solve(asked.log_ratios, np.zeros(len(asked.problem.unknowns)))
     states = [*(found.state for found in point.evaluation.equilibria), *[torso.rest_pose] * len(trials)]
     for trial, state in zip(trials, states):
@@ -48,7 +52,7 @@ def test_errors_are_those_that_the_estimate_expects(asked):
     expected = asked.problem.covariance(point)[:size, :size] - asked.problem.noise.parts["stance"]
     values, vectors = np.linalg.eigh(expected)
     for seed in range(2):
-        trials, torso = own_model.drawn(asked, ErrorsAlone(seed, size)), asked.pushes.torso
+        trials, torso = own_trials(asked, ErrorsAlone(seed, size)), asked.pushes.torso
         states = [*(found.state for found in point.evaluation.equilibria), *[torso.rest_pose] * len(trials)]
         apart = np.concatenate(
             [
@@ -60,16 +64,13 @@ def test_errors_are_those_that_the_estimate_expects(asked):
         assert np.linalg.norm(apart - errors) < 0.05 * np.linalg.norm(errors)
 
 
-def test_errors_over_their_standard_deviations_are_summed_up_by_acquisition():
-    known = {"seed": 1, "acquisition": "both sides", "sds": [0.1, 0.1]}
-    rows = [
-        {**known, "errors": [0.3, -0.1], "joint": 7.0, "p_value": 0.5},
-        {**known, "errors": [-0.1, 0.1], "joint": 2.0, "p_value": 0.7},
-        {"seed": 2, "acquisition": "both sides", "failed": "no equilibrium"},
-    ]
-    (found,) = own_model.summarised(rows)
-    assert (found["estimates"], found["failed"], found["people"]) == (2, 1, 1)
-    assert found["rms_z"] == {"lateral_bending": pytest.approx(5.0**0.5, abs=1e-3), "tissue": 1.0}
-    assert found["mean_z"] == {"lateral_bending": 1.0, "tissue": 0.0}
-    assert found["inside95"] == {"lateral_bending": 1, "tissue": 2, "joint": 1}
-    assert (found["mean_joint"], found["median_p_value"]) == (4.5, 0.6)
+def test_an_estimate_of_drawn_corners_is_counted(asked):
+    row = own_model.run_one(5, "paper", asked, 0)
+    assert row["ratios"] == RATIOS
+    failed = {"seed": 6, "acquisition": "paper", "draw": 0, "ratios": RATIOS, "kind": "", "failed": "no equilibrium"}
+    (found,) = own_model.summed_up([row, failed])["acquisitions"]
+    assert (found["scenario"], found["subjects"], found["without_estimate"]) == ("paper", 1, 1)
+    (z,) = [row["z"][0]]
+    assert found["lateral_bending"]["all"]["rms_z"] == pytest.approx(abs(z), abs=1e-3)
+    assert found["coverage95"]["lateral_bending"] == float(row["low"][0] <= 0.1 <= row["high"][0])
+    assert found["median_factor"]["tissue"] == pytest.approx((row["high"][1] / row["low"][1]) ** 0.5, abs=1e-3)
