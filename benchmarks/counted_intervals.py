@@ -37,6 +37,7 @@ KINDS = {
     "stiffening": "discs with a neutral zone",
 }
 """What else a body has that the model lacks, by its name in a row."""
+FIRST_TOLD = ("coarse pair, three pushes", "coarse pair, the paper's acquisition")
 LEAST_BY_PART = 30  # subjects of a campaign whose parts are told one by one in Markdown
 QUANTILES = ("evaluations", "factorisations", "cpu_s", "p_value", "tracking_factor", "rmse_mm")
 
@@ -275,6 +276,19 @@ def markdown(entries: Sequence[Row]) -> str:
             continue
         lines += ["", f"**{entry['scenario'].capitalize()}**, {entry['subjects']} subjects:", "", *by_part(entry)]
     return "\n".join(lines)
+
+
+def headline(entries: Sequence[Row]) -> str:
+    """What pages say first: of the fresh campaigns with three pushes and with the paper's single one."""
+    three, single = (next(one for one in entries if one["scenario"] == name) for name in FIRST_TOLD)
+    (bending, tissue, both), (bending1, tissue1, both1) = (
+        [round(entry["coverage95"][name] * entry["subjects"]) for name in (*NAMES, JOINT)] for entry in (three, single)
+    )
+    return (
+        f"**Of {three['subjects']} synthetic subjects with three pushes 95 % intervals held the truth in {bending} "
+        f"(lateral bending) and {tissue} (tissue), of {single['subjects']} with the paper's single push in {bending1} "
+        f"and {tissue1}; the joint region of both held it in {both} and {both1}.**"
+    )
 
 
 def by_part(entry: Row) -> list[str]:

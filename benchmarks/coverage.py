@@ -12,9 +12,9 @@ that a body of both is meshed once. Logs are kept in benchmarks/results/coverage
 them. ``--summary`` prints how often the truth lies inside, by ratio and jointly, for closed and for open intervals, by
 tercile of the true ratio, by curve and by kind of body, with the standard errors of so many subjects
 (``counted_intervals.py``). ``--store`` keeps the figures of the kept logs, or a scenario's of others, in
-benchmarks/results/coverage.json, ``--json`` prints that file, ``--markdown`` prints it as the tables of
-docs/coverage.md (``--figures`` another such file), and ``--rerun`` repeats the seeds of the kept logs, each made as its
-row says. All of it is synthetic.
+benchmarks/results/coverage.json, ``--json`` prints that file, ``--markdown`` prints it as the first words of the
+pages and the tables of docs/coverage.md (``--figures`` another such file), and ``--rerun`` repeats the seeds of the kept
+logs, each made as its row says. All of it is synthetic.
 Needs the extra ``[mesh]``: every truth has a tissue mesh of its own.
 
 Settings were chosen while the scenarios called "settings" were looked at; the seeds of the others are run once and
@@ -42,7 +42,7 @@ if __name__ == "__main__":
 else:
     raise ImportError("a command, not the package of this name that numba looks for")
 
-from counted_intervals import NAMES, markdown, read_logs, show, summarised
+from counted_intervals import NAMES, headline, markdown, read_logs, show, summarised
 from coverage_rendered import rendered_subject
 from coverage_subjects import Acquisition, Subject, make_subject
 from told_intervals import solved_at_truth, told
@@ -279,7 +279,7 @@ def main() -> None:
     if asked.json:
         print(json.dumps(stored(asked.figures), indent=1))
     elif asked.markdown:
-        print(markdown(stored(asked.figures)))
+        print(headline(stored(asked.figures)), markdown(stored(asked.figures)), sep="\n\n")
     elif asked.summary:
         show(summarised("logs", read_logs(asked.summary)))
     elif asked.store:

@@ -106,6 +106,12 @@ def test_the_pages_tables_hold_each_part_with_its_number_and_its_error(monkeypat
     assert len(counting.markdown([entry]).splitlines()) == 3
 
 
+def test_the_first_words_of_the_pages_are_the_stored_campaigns():
+    said = counting.headline(json.loads((ROOT / "benchmarks/results/coverage.json").read_text()))
+    for page in ("README.md", "docs/index.md", "docs/results.md"):
+        assert said in (ROOT / page).read_text(encoding="utf-8"), f"{page} says other than: {said}"
+
+
 def test_people_of_one_stiffness_have_no_thirds(rows):
     same = [{**row, "ratios": {"lateral_bending": 0.07, "tissue": 0.04}} for row in rows]
     entry = counting.summarised("one stiffness", same)
@@ -120,13 +126,11 @@ def test_a_campaign_is_repeated_with_the_seeds_and_settings_of_its_rows(monkeypa
     monkeypatch.setitem(sys.modules, "coverage", None)
     monkeypatch.syspath_prepend(str(script.parent))
     program = runpy.run_path(str(script), run_name="__main__")
-    asked = {
-        (log.name, seed): (scenario.nodes, scenario.acquisition) for seed, scenario, log in program["kept"](tmp_path)
-    }
-    log = program["log_of"]("settings, three pushes")
-    rows = [json.loads(line) for line in log.read_text().splitlines()]
-    assert len(rows) > 100 and len({row["nodes"] for row in rows}) > 1
-    assert {key: asked[log.name, key] for key in (row["seed"] for row in rows)} == {
-        row["seed"]: (row["nodes"], row["acquisition"]) for row in rows
-    }
-    assert {log.parent for *_, log in program["kept"](tmp_path)} == {tmp_path}
+    monkeypatch.setitem(program["kept"].__globals__, "LOGS", tmp_path)
+    log, again = program["log_of"]("settings, the paper's acquisition"), tmp_path / "again"
+    made = {20230: 2300, 801: 3000}
+    rows = [{**subject(seed), "acquisition": "paper", "nodes": nodes, "mesh": "coarse", "first": 500, "count": 230}
+            for seed, nodes in made.items()]  # fmt: skip
+    log.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    asked = [(seed, scenario.nodes, scenario.acquisition, path) for seed, scenario, path in program["kept"](again)]
+    assert asked == [(seed, nodes, "paper", again / log.name) for seed, nodes in made.items()]
