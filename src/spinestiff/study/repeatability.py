@@ -31,6 +31,7 @@ from typing import Literal
 import numpy as np
 from scipy.stats import chi2, norm
 
+from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
 from spinestiff.study.visit import Visit
 from spinestiff.study.wording import number
@@ -283,18 +284,16 @@ def repeatability(visits: Sequence[VisitEstimate], of: Repeated = "visits") -> R
                 _refuse_copy(first, later)
             else:
                 _refuse_other_pictures(first, later)
-    scatter = {}
-    for name in names:
-        one = _scatter(name, repeated)
-        if one is not None:
-            scatter[name] = one
+    sums = {name: np.array([_sums(name, person) for person in repeated]) for name in names}
+    scatter = {name: _scatter(each.sum(axis=0)) for name, each in sums.items()}
     changes = []
-    for found in repeated:
+    for i, found in enumerate(repeated):
         # By the scatter of others: a change of this person's own is no scatter.
-        others = {name: _scatter(name, [other for other in repeated if other is not found]) for name in names}
+        others = {name: _scatter(np.delete(each, i, axis=0).sum(axis=0)) for name, each in sums.items()}
         wider = {name: one.wider if one is not None and one.degrees >= ENOUGH else 1.0 for name, one in others.items()}
         changes += [_change(name, found[0], later, wider[name]) for later in found[1:] for name in names]
-    return Repeatability(of, scatter, tuple(changes), tuple(visits))
+    told = {name: one for name, one in scatter.items() if one is not None}
+    return Repeatability(of, told, tuple(changes), tuple(visits))
 
 
 def _shortly_named(visits: Sequence[VisitEstimate]) -> list[VisitEstimate]:
@@ -345,22 +344,30 @@ def _alike(first: VisitEstimate, later: VisitEstimate) -> bool:
     )
 
 
-def _scatter(name: str, people: Sequence[Sequence[VisitEstimate]]) -> Scatter | None:
-    """Of a ratio; visits that pushed otherwise than the person's first one differ by what is the person's own, too."""
-    alike = [[visit.ratios[name] for visit in person if _alike(person[0], visit)] for person in people]
-    known = [[ratio for ratio in person if ratio.known] for person in alike]
-    left_out = sum(map(len, people)) - sum(map(len, known))
-    known = [person for person in known if len(person) > 1]
-    if not known:
+def _sums(name: str, person: Sequence[VisitEstimate]) -> tuple[float, ...]:
+    """What a person adds to the scatter of a ratio: squares about the mean log, as many as the estimates' errors let
+    expect, the same in units of these errors, repetitions, and estimates left out.
+
+    Visits that pushed otherwise than the person's first one are left out: they differ by what is the person's own, too.
+    """
+    alike = [visit.ratios[name] for visit in person if _alike(person[0], visit)]
+    known = [ratio for ratio in alike if ratio.known]
+    left_out = float(len(person) - len(known))
+    if len(known) < 2:
+        return 0.0, 0.0, 0.0, 0.0, left_out
+    x = np.log([ratio.value for ratio in known])
+    sds = np.array([ratio.sd_on(upper=bool(log < x.mean())) for ratio, log in zip(known, x)])
+    expected = float(np.sum(sds**2) * (1.0 - 1.0 / len(known)))
+    q = float(np.sum(((x - np.average(x, weights=1.0 / sds**2)) / sds) ** 2))
+    return float(np.sum((x - x.mean()) ** 2)), expected, q, len(known) - 1.0, left_out
+
+
+def _scatter(sums: Floats) -> Scatter | None:
+    """From the sums of people (``_sums``); None where nobody has two estimates to compare."""
+    squares, expected, q, repetitions, left_out = (float(one) for one in sums)
+    if not repetitions:
         return None
-    squares = expected = q = 0.0
-    for person in known:
-        x = np.log([ratio.value for ratio in person])
-        sds = np.array([ratio.sd_on(upper=bool(log < x.mean())) for ratio, log in zip(person, x)])
-        squares += float(np.sum((x - x.mean()) ** 2))
-        expected += float(np.sum(sds**2) * (1.0 - 1.0 / len(person)))
-        q += float(np.sum(((x - np.average(x, weights=1.0 / sds**2)) / sds) ** 2))
-    degrees = sum(len(person) - 1 for person in known)
+    degrees = int(repetitions)
     within, wanted = float(np.sqrt(squares / degrees)), float(np.sqrt(expected / degrees))
     below = float(chi2.cdf(q, degrees))
     return Scatter(
@@ -372,7 +379,7 @@ def _scatter(name: str, people: Sequence[Sequence[VisitEstimate]]) -> Scatter | 
         float(np.exp(TWO_SIDED * np.sqrt(2.0) * within)),
         float(np.exp(TWO_SIDED * np.sqrt(2.0) * wanted)),
         2.0 * min(below, 1.0 - below),
-        left_out,
+        int(left_out),
     )
 
 
