@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 from spinestiff.anatomy.tetrahedra import dihedral_angles
 from spinestiff.anatomy.torso import TET10_EDGES, TorsoModel
@@ -133,8 +132,6 @@ def test_a_spine_of_80_degrees_gets_a_new_mesh(template):
     assert len(placed.tissue.rest_positions) == pytest.approx(len(template.tissue.rest_positions), rel=0.5)
     again = place_vertebrae(template, *wanted)
     assert np.array_equal(again.tissue.rest_positions, placed.tissue.rest_positions)
-    other = place_vertebrae(template, *wanted, seed=1)
-    assert cKDTree(placed.tissue.rest_positions).query(other.tissue.rest_positions)[0].mean() > 1.0
 
 
 def test_both_pictures_are_met(shaped):

@@ -66,8 +66,9 @@ def _saved(figure: Figure, kind: str, metadata: dict[str, None]) -> bytes:
 
 
 def part_tick_labels(figure: Figure) -> None:
-    """Hide each tick label that would touch the one before it; the tick itself stays."""
+    """Hide each tick label that would touch the one before it; the tick itself stays, and so does the layout."""
     figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # what was worked out just now holds for what follows
     for axes in figure.axes:
         for side, along in ((axes.xaxis, 0), (axes.yaxis, 1)):
             last = -np.inf
