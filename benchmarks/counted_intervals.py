@@ -279,8 +279,11 @@ def markdown(entries: Sequence[Row]) -> str:
 
 
 def headline(entries: Sequence[Row]) -> str:
-    """What pages say first: of the fresh campaigns with three pushes and with the paper's single one."""
-    three, single = (next(one for one in entries if one["scenario"] == name) for name in FIRST_TOLD)
+    """What pages say first: of the fresh campaigns with three pushes and with the paper's single one; "" without."""
+    found = {one["scenario"]: one for one in entries}
+    if not found.keys() >= set(FIRST_TOLD):
+        return ""
+    three, single = (found[name] for name in FIRST_TOLD)
     (bending, tissue, both), (bending1, tissue1, both1) = (
         [round(entry["coverage95"][name] * entry["subjects"]) for name in (*NAMES, JOINT)] for entry in (three, single)
     )

@@ -266,7 +266,7 @@ def main() -> None:
     parser.add_argument("--summary", type=Path, nargs="+", metavar="FILE")
     parser.add_argument("--store", nargs="*", metavar=("SCENARIO", "FILE"))
     parser.add_argument("--json", action="store_true", help="print what is stored")
-    parser.add_argument("--markdown", action="store_true", help="print it as the tables of docs/coverage.md")
+    parser.add_argument("--markdown", action="store_true", help="print it as the pages have it")
     parser.add_argument("--figures", type=Path, default=RESULTS, metavar="FILE", help="what these two print")
     parser.add_argument(
         "--rerun", type=Path, metavar="FOLDER", help="repeat the seeds of the kept logs, logs in a folder"
@@ -279,7 +279,8 @@ def main() -> None:
     if asked.json:
         print(json.dumps(stored(asked.figures), indent=1))
     elif asked.markdown:
-        print(headline(stored(asked.figures)), markdown(stored(asked.figures)), sep="\n\n")
+        found = stored(asked.figures)
+        print(headline(found), markdown(found), sep="\n\n")
     elif asked.summary:
         show(summarised("logs", read_logs(asked.summary)))
     elif asked.store:
@@ -288,10 +289,9 @@ def main() -> None:
             parser.error(f"--store wants one of {', '.join(SCENARIOS)}, and logs")
         store(counted(name, [Path(path) for path in paths]))
     elif asked.store is not None:
-        for name in SCENARIOS:
-            if log_of(name).is_file():
-                store(counted(name, [log_of(name)]))
-        for entry in stored():
+        entries = [counted(name, [log_of(name)]) for name in SCENARIOS if log_of(name).is_file()]
+        RESULTS.write_text(json.dumps(entries, indent=1) + "\n")
+        for entry in entries:
             show(entry)
     elif asked.rerun:
         campaign(kept(asked.rerun))

@@ -18,7 +18,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
         os.environ.setdefault(setting, "1")
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # Started in a script's background a process is deaf to SIGINT, and so is all that it starts.
+    # Started in a script's background a process is deaf to SIGINT, and so is all that it starts; tests send it some.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import numpy as np

@@ -142,6 +142,7 @@ def test_a_report_that_is_there_shows_the_new_plan(spinestiff, subject, monkeypa
 
 def test_a_plan_is_of_the_estimate_and_pushes_that_it_was_made_from(spinestiff, subject):
     assert spinestiff("plan", subject, "--limit", 30, "--ribs", 8, "--side", "left", "--views", "frontal").status == 0
+    assert {push["view"] for push in read_json(subject / "results" / "plan.json")["next"]} == {"frontal"}
     path = subject / "subject.json"
     content = read_json(path)
     content["pushes"][0]["level"] += 1.0

@@ -51,8 +51,6 @@ class Interrupting(importlib.abc.MetaPathFinder):
         if name == {place!r}:
             os.kill(os.getpid(), signal.SIGINT)
 sys.meta_path.insert(0, Interrupting())
-# A shell starts what runs in its background deaf to Ctrl-C.
-signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.argv = ["spinestiff", "doctor"]
 from spinestiff.app.start import main
 main()

@@ -70,7 +70,7 @@ def test_an_estimate_of_drawn_corners_is_counted(asked):
     failed = {"seed": 6, "acquisition": "paper", "draw": 0, "ratios": RATIOS, "kind": "", "failed": "no equilibrium"}
     (found,) = own_model.summed_up([row, failed])["acquisitions"]
     assert (found["scenario"], found["subjects"], found["without_estimate"]) == ("paper", 1, 1)
-    (z,) = [row["z"][0]]
+    z = own_model.countable([row])[0]["z"][0]
     assert found["lateral_bending"]["all"]["rms_z"] == pytest.approx(abs(z), abs=1e-3)
     assert found["coverage95"]["lateral_bending"] == float(row["low"][0] <= 0.1 <= row["high"][0])
     assert found["median_factor"]["tissue"] == pytest.approx((row["high"][1] / row["low"][1]) ** 0.5, abs=1e-3)

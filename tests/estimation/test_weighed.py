@@ -345,9 +345,13 @@ def test_a_ratio_outside_the_limits_ends_at_them(column, clean) -> None:
 
 
 def test_small_steps_are_as_long_as_those_before_say(found) -> None:
-    """Along one direction, in which a step falls short by a factor or swings, one such step ends there."""
+    """Along one direction, in which a step falls short by a factor or swings, one such step ends there.
+
+    A step that grows leads away from where it would vanish, and goes far.
+    """
     before = np.random.default_rng(0).normal(size=found.slope.ratios.shape[1] + found.slope.nuisances.shape[1])
-    for fit_for, wanted in ((0.01, mode.MOST_SHARE), (0.25, 4.0), (1.0, 1.0), (2.0, 0.5), (40.0, mode.LEAST_SHARE)):
+    least, most = mode.LEAST_SHARE, mode.MOST_SHARE
+    for fit_for, wanted in ((-0.1, most), (0.01, most), (0.25, 4.0), (1.0, 1.0), (2.0, 0.5), (40.0, least)):
         for taken in (1.0, 0.5, 2.0):
             left = (1.0 - taken * fit_for) * before
             share = mode._relaxed(left, before, taken, found.slope, found.weights)

@@ -128,7 +128,8 @@ def search(
 def _relaxed(wished: Floats, before: Floats, taken: float, slope: WeighedSlope, weights: Weights) -> float:
     """The share to take of a step of a fixed-point iteration, (P + M,), after so much was taken of the one ``before``.
 
-    Where one direction decides, it ends there (Irons and Tuck 1969).
+    Where one direction decides, it ends there (Irons and Tuck 1969). A step that has grown leads away from a place
+    where it would vanish, as on a ridge between two valleys; then as much as may be is taken.
     """
     ratios, change = weights.whiten(slope.ratios), wished - before
     p = ratios.shape[1]
@@ -136,8 +137,10 @@ def _relaxed(wished: Floats, before: Floats, taken: float, slope: WeighedSlope, 
     def product(a: Floats, b: Floats) -> float:
         return float((ratios @ a[:p]) @ (ratios @ b[:p]) + a[p:] @ b[p:])
 
-    share = -taken * product(before, change) / max(product(change, change), 1e-300)
-    return float(np.clip(share, LEAST_SHARE, MOST_SHARE))
+    along = product(before, change)
+    if along >= 0.0:
+        return MOST_SHARE
+    return float(np.clip(-taken * along / max(product(change, change), 1e-300), LEAST_SHARE, MOST_SHARE))
 
 
 def _pairs(places: list[Place]) -> tuple[tuple[WeighedPoint, WeighedSlope], ...]:

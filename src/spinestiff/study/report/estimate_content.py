@@ -39,7 +39,6 @@ from spinestiff.study.wording import (
     moved_sd,
     number,
     ratio_title,
-    response_texts,
     short_span,
     span_in_words,
     unknown_title,
@@ -47,7 +46,6 @@ from spinestiff.study.wording import (
 from spinestiff.subject.assessment_outcome import Assessment, Comparison
 from spinestiff.subject.estimate_outcome import Check, Estimate, PlainStiffness, RatioEstimate, Reactions
 from spinestiff.subject.outcome_parts import Determination, Quantity
-from spinestiff.subject.outcomes import Responses
 from spinestiff.subject.plan_outcome import Plan
 from spinestiff.subject.run_record import changed_inputs
 from spinestiff.subject.sensitivity_outcome import Sensitivity
@@ -80,6 +78,10 @@ PROFILES = {
     "at a bound": "Most likely at the fit’s bound.",
     "several minima": "Likely in several places with less likely ones between: the value is one of them.",
 }
+
+SUPPORT_UNITS = ((180.0 / np.pi, "°"), (1.0, " mm"))
+"""By which obliquity and shoulder are shown: factor and unit."""
+
 MOST_BARS = 10
 MOST_PANELS = 4  # of the variance budget's picture
 NUMBERED = (0.01, 0.1, 1.0, 5.0)  # ticks of a strip
@@ -89,14 +91,6 @@ MOVED_SD = 0.2  # of a ratio's log, by other priors: what is worth a row
 def subject_content(visit: Visit) -> dict[str, Any]:
     """Whose report it is."""
     return {"id": visit.subject.record.id, "synthetic": visit.truth is not None}
-
-
-def response_content(responses: Responses) -> dict[str, Any]:
-    """What each push says without a model, and the gauge's errors that were assumed."""
-    return {
-        "pushes": [{"name": name, "texts": response_texts(push)} for name, push in responses.pushes.items()],
-        "gauge": f"{100.0 * responses.gauge_scale_sd:g} % and {responses.gauge_zero_sd_n:g} N",
-    }
 
 
 def result_content(visit: Visit, estimate: Estimate, assessment: Assessment) -> dict[str, Any]:
@@ -320,7 +314,6 @@ def support_places(predictions: Predictions, estimate: Estimate) -> dict[str, di
     return frames
 
 
-SUPPORT_UNITS = ((180.0 / np.pi, "°"), (1.0, " mm"))
 
 
 def _support_rows(frames: Mapping[str, Mapping[str, SupportPlace]]) -> list[dict[str, str]]:

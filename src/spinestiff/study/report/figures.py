@@ -48,12 +48,12 @@ STYLE: dict[Any, Any] = {
 
 
 def as_png(figure: Figure) -> bytes:
-    """The figure as PNG."""
+    """The figure as PNG; its layout stays as it is then."""
     return _saved(figure, "png", {"Software": None})
 
 
 def as_svg(figure: Figure) -> bytes:
-    """The figure as SVG, letters as outlines, without a date."""
+    """The figure as SVG, letters as outlines, without a date; its layout stays as it is then."""
     return _saved(figure, "svg", {"Date": None, "Creator": None, "Format": None, "Type": None})
 
 

@@ -1,4 +1,4 @@
-"""What the report says of the frames: held-out ones beside predictions, supports, and the rest geometry."""
+"""What the report says of pushes and frames: response, predictions, supports as tracked, geometry and millimetres."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from spinestiff.curves.changes import change_words
-from spinestiff.study.wording import MISSING, fixed, forecast_lines, listed
+from spinestiff.study.wording import MISSING, fixed, forecast_lines, listed, response_texts
 from spinestiff.subject.assessment_outcome import Assessment, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.geometry_outcome import GeometryRecord
 from spinestiff.subject.outcome_parts import PoseRecord
-from spinestiff.subject.outcomes import Tracked
+from spinestiff.subject.outcomes import Responses, Tracked
 
 PREDICTORS = {
     "rest": "No motion: the rest pose",
@@ -29,6 +29,14 @@ PREDICTORS = {
 INFORMED = ("truth", "fitted_supports")
 EQUAL_MM = 0.1  # mean errors that differ by less are called equal
 MODELS = {"rest": "Rest pose, no motion", "default": "Default stiffness", "fit": "Estimated stiffness"}
+
+
+def response_content(responses: Responses) -> dict[str, Any]:
+    """What each push says without a model, and the gauge's errors that were assumed."""
+    return {
+        "pushes": [{"name": name, "texts": response_texts(push)} for name, push in responses.pushes.items()],
+        "gauge": f"{100.0 * responses.gauge_scale_sd:g} % and {responses.gauge_zero_sd_n:g} N",
+    }
 
 
 def comparison_content(assessment: Assessment) -> dict[str, Any]:

@@ -22,7 +22,6 @@ from spinestiff.study.report.estimate_content import (
     certainty_content,
     check_rows,
     reaction_rows,
-    response_content,
     result_content,
     sensitivity_content,
     stale_plan,
@@ -35,6 +34,7 @@ from spinestiff.study.report.frame_content import (
     geometry_content,
     millimetre_rows,
     prediction_content,
+    response_content,
     support_rows,
 )
 from spinestiff.study.report.pdf import PDF_FILE
