@@ -24,7 +24,6 @@ reported. Which seeds a scenario has is told by its rows, and stored as ``seeds`
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import sys
 import tempfile
@@ -32,7 +31,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
-from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -44,26 +42,21 @@ else:
 
 from counted_intervals import NAMES, headline, markdown, read_logs, show, summarised
 from coverage_rendered import rendered_subject
-from coverage_subjects import Acquisition, Subject, make_subject
+from coverage_subjects import START, Acquisition, make_subject, seen_by
+from kept_rows import code, keep
 from told_intervals import solved_at_truth, told
 
-from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.discrepancy_data import Mesh
 from spinestiff.estimation.fitted import StiffnessFit
-from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import WIDTH_FACTOR
-from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess
 from spinestiff.study.forecasts import forecasts
 from spinestiff.study.predictions import Model, predict
-from spinestiff.study.trials import Known, PushSet, fit_from_coarse, push_set
+from spinestiff.study.trials import PushSet, fit_from_coarse
 
 RESULTS = Path(__file__).parent / "results" / "coverage.json"
 LOGS = RESULTS.with_suffix("")
-DIGITS = 5  # of a log's numbers
-ROOT = Path(__file__).parent.parent
-START = {"lateral_bending": 0.07, "tissue": 0.04}
 
 
 @dataclass(frozen=True)
@@ -94,22 +87,6 @@ SCENARIOS = {
     "settings, the paper's acquisition": Scenario("paper", 2300, "coarse", 500, 230),
     "settings, default chain": Scenario("three pushes", 15000, "fine", 100, 60),
 }
-
-
-@lru_cache(maxsize=1)
-def code() -> str:
-    """Hash of what a subject and its estimate are made with."""
-    patterns = (
-        "benchmarks/coverage_*.py",
-        "benchmarks/judgement_subjects.py",
-        "benchmarks/discrepancy_pairs.py",
-        "src/spinestiff/estimation/data/*",
-        *(f"src/spinestiff/study/{name}.py" for name in ("elastic_supports", "trials", "forecasts", "predictions")),
-    )
-    rooms = ("anatomy", "mechanics", "estimation", "imaging", "personalise")
-    patterns += tuple(f"src/spinestiff/{room}/**/*.py" for room in rooms)
-    files = [path for pattern in patterns for path in sorted(ROOT.glob(pattern))]
-    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:12]
 
 
 @dataclass(frozen=True)
@@ -177,13 +154,6 @@ def predicted(pushes: PushSet, fit: StiffnessFit) -> list[dict[str, Any]]:
     ]
 
 
-def seen_by(subject: Subject, mesh: Mesh) -> PushSet:
-    """The subject's pushes on the torso that personalisation makes of it."""
-    template = template_torso(subject.height_cm, mesh, age_years=subject.age, sex=subject.sex)
-    shaped = personalise(template, subject.rest)
-    return push_set(shaped.torso, subject.records, subject.tracked, known=Known(Priors(), shaped.covariance))
-
-
 Wanted = tuple[int, Scenario, Path]  # a seed, how its subject is made, its log
 
 
@@ -219,18 +189,8 @@ def campaign(asked: Sequence[Wanted]) -> None:
         if (log, seed) in known:
             continue
         row = run_one(seed, scenario)
-        with log.open("a") as stream:
-            stream.write(json.dumps(rounded(row)) + "\n")
+        keep(log, row)
         print(log.stem, seed, row.get("not made") or row.get("failed") or row.get("z"), row.get("cpu_s"), flush=True)
-
-
-def rounded(value: Any) -> Any:
-    """A row, or a part of it, with as many digits as a log keeps."""
-    if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}")
-    if isinstance(value, Mapping):
-        return {key: rounded(part) for key, part in value.items()}
-    return [rounded(part) for part in value] if isinstance(value, list | tuple) else value
 
 
 def log_of(name: str) -> Path:

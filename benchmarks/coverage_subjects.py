@@ -45,10 +45,12 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.rotation import exp_so3
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.stiffness import RIB_ROTATION, parameter_group, stiffness_ratios
+from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import EquilibriumError
+from spinestiff.estimation.discrepancy_data import Mesh
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.unknowns import ACTS, LAMBDA_SHARE, changed_load, load_changes
 from spinestiff.imaging.features import VertebraCorners
@@ -58,14 +60,18 @@ from spinestiff.mechanics.loads import LoadCase, rib_push
 from spinestiff.mechanics.places import shifted_shoulder
 from spinestiff.mechanics.supports import SupportKind, Supports
 from spinestiff.personalise.placing import place_vertebrae
+from spinestiff.personalise.shape import personalise
 from spinestiff.study.elastic_supports import SyntheticSupports, drawn_supports, elastic_supports, support_stiffness
 from spinestiff.study.spines import CURVES, curved_spine
+from spinestiff.study.trials import Known, PushSet, push_set
 from spinestiff.subject.outcomes import TrackedPush
 from spinestiff.subject.records import PushRecord, Role
 
 # Ratios of the default moduli; tissue of 4.4 to 115 kPa.
 BENDING, TISSUE = (0.0075, 0.84), (0.029, 0.77)
 COBB_DEG = (10.0, 80.0)
+START = {"lateral_bending": 0.07, "tissue": 0.04}
+"""Ratios where a fit of a subject begins, Table 4's mean."""
 ANNOTATION_MM = 0.3
 # What a subject's body has that the model lacks; the four others are the kinds that all have.
 KINDS = ("disc centres", "stiffening", "layers", "", "", "", "")
@@ -259,6 +265,13 @@ def make_subject(
             )
         )
     return Subject(seed, round(height, 0), age, sex, float(cobb), ratios, kind, own.rest, tuple(records), tracked)
+
+
+def seen_by(subject: Subject, mesh: Mesh) -> PushSet:
+    """The subject's pushes on the torso that personalisation makes of it."""
+    template = template_torso(subject.height_cm, mesh, age_years=subject.age, sex=subject.sex)
+    shaped = personalise(template, subject.rest)
+    return push_set(shaped.torso, subject.records, subject.tracked, known=Known(Priors(), shaped.covariance))
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import argparse
 import datetime
+import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
+
+DIGITS = 5  # of a log's numbers
+ROOT = Path(__file__).parent.parent
 
 
 def rows_of(paths: Iterable[Path]) -> list[dict[str, Any]]:
@@ -21,9 +26,35 @@ def begun(log: Path) -> list[dict[str, Any]]:
 
 
 def keep(log: Path, row: Mapping[str, Any]) -> None:
-    """Put a row at the end of a log."""
+    """Put a row at the end of a log, its numbers with as many digits as a log keeps."""
     with log.open("a") as stream:
-        stream.write(json.dumps(row) + "\n")
+        stream.write(json.dumps(rounded(row)) + "\n")
+
+
+def rounded(value: Any) -> Any:
+    """A row, or a part of it, with ``DIGITS`` digits."""
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}")
+    if isinstance(value, Mapping):
+        return {key: rounded(part) for key, part in value.items()}
+    return [rounded(part) for part in value] if isinstance(value, list | tuple) else value
+
+
+@lru_cache(maxsize=1)
+def code() -> str:
+    """Hash of what a subject and its estimate are made with."""
+    patterns = (
+        "benchmarks/coverage_*.py",
+        "benchmarks/told_intervals.py",
+        "benchmarks/judgement_subjects.py",
+        "benchmarks/discrepancy_pairs.py",
+        "src/spinestiff/estimation/data/*",
+        *(f"src/spinestiff/study/{name}.py" for name in ("elastic_supports", "trials", "forecasts", "predictions")),
+    )
+    rooms = ("anatomy", "mechanics", "estimation", "imaging", "personalise")
+    patterns += tuple(f"src/spinestiff/{room}/**/*.py" for room in rooms)
+    files = [path for pattern in patterns for path in sorted(ROOT.glob(pattern))]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:12]
 
 
 def tell(summary: Mapping[str, Any], stored: Path | None) -> None:

@@ -26,25 +26,21 @@ from typing import Any
 
 import numpy as np
 from counted_intervals import NAMES, countable, summarised
-from coverage_subjects import Acquisition, make_subject
-from kept_rows import asked_for, begun, keep
+from coverage_subjects import START, Acquisition, make_subject, seen_by
+from kept_rows import asked_for, begun, code, keep
 from told_intervals import solved_at_truth, told
 
 from spinestiff.anatomy.regions import parameter_groups
-from spinestiff.anatomy.template import template_torso
 from spinestiff.arrays import Floats
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.objective import residuals
-from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.estimation.weighed import WeighedProblem
 from spinestiff.imaging.features import VertebraCorners
-from spinestiff.personalise.shape import personalise
-from spinestiff.study.trials import Known, PushSet, fit_pushes, push_set
+from spinestiff.study.trials import PushSet, fit_pushes
 
 RESULTS = Path(__file__).parent / "results" / "own_model.json"
-START = {"lateral_bending": 0.07, "tissue": 0.04}
 ACQUISITIONS: tuple[Acquisition, ...] = ("paper", "three pushes", "both sides")
 FIRST, NODES = 71000, 2300
 NUISANCES_BY = (0.0, 0.5, 1.0)  # shares of the drawn unknowns, on the way to their equilibria
@@ -63,10 +59,7 @@ class Asked:
 def asked_of(seed: int, acquisition: Acquisition) -> Asked:
     """Raises SpinestiffError where there is no such person."""
     subject = make_subject(seed, acquisition, NODES)
-    template = template_torso(subject.height_cm, "coarse", age_years=subject.age, sex=subject.sex)
-    shaped = personalise(template, subject.rest)
-    pushes = push_set(shaped.torso, subject.records, subject.tracked, known=Known(Priors(), shaped.covariance))
-    return asked_with(pushes, subject.ratios, subject.cobb_deg)
+    return asked_with(seen_by(subject, "coarse"), subject.ratios, subject.cobb_deg)
 
 
 def asked_with(pushes: PushSet, ratios: Mapping[str, float], cobb_deg: float) -> Asked:
@@ -118,7 +111,7 @@ def run_one(seed: int, acquisition: Acquisition, asked: Asked, draw: int) -> dic
     """An estimate from drawn corners, as a line of the log."""
     truth = dict(zip(NAMES, np.exp(asked.log_ratios).round(6).tolist()))
     row: dict[str, Any] = {"seed": seed, "acquisition": acquisition, "draw": draw, "ratios": truth, "kind": ""}
-    row |= {"cobb_deg": round(asked.cobb_deg, 1), "width_factor": WIDTH_FACTOR}
+    row |= {"cobb_deg": round(asked.cobb_deg, 1), "code": code(), "width_factor": WIDTH_FACTOR}
     began = time.process_time()
     try:
         pushes = drawn(asked, np.random.default_rng([5, seed, ACQUISITIONS.index(acquisition), draw]))

@@ -26,28 +26,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coverage_subjects import PlacedPush, Subject, make_subject
+from coverage_subjects import START, PlacedPush, Subject, make_subject, seen_by
 from kept_rows import asked_for, begun, keep
 
-from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import FitError, SpinestiffError
 from spinestiff.estimation.fitted import StiffnessFit
-from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.mechanics.push import Rig
 from spinestiff.personalise.pose import align_view
-from spinestiff.personalise.shape import personalise
 from spinestiff.study.planning.proposal import composed, make_plan
 from spinestiff.study.planning.scene import Scene, places_of_draws, population_places
 from spinestiff.study.planning.states import CarriedPushes
 from spinestiff.study.planning.widths import ExpectedWidths
 from spinestiff.study.planning.wish import COMFORT_N, Wish
-from spinestiff.study.trials import Known, PushSet, fit_pushes, push_set
+from spinestiff.study.trials import PushSet, fit_pushes
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlannedView
 
 RESULTS = Path(__file__).parent / "results" / "plan.json"
 NAMES = ("lateral_bending", "tissue")
-START = {"lateral_bending": 0.07, "tissue": 0.04}
 # Standard deviation of the true ratios' logs about START: Table 4's bending, and its tissue.
 SPREAD = {"lateral_bending": 1.3, "tissue": 0.9}
 FIRST, NODES, FRAMES = 8000, 2300, 3
@@ -72,10 +68,7 @@ class Estimated:
 def estimated(seed: int, visit: int, placed: Mapping[str, PlacedPush], ratios: Mapping[str, float]) -> Estimated:
     """A person at a visit with these pushes. Raises SpinestiffError where it can't be pushed or estimated."""
     subject = make_subject(seed, placed, NODES, visit, ratios=ratios)
-    template = template_torso(subject.height_cm, "coarse", age_years=subject.age, sex=subject.sex)
-    shaped = personalise(template, subject.rest)
-    known = Known(Priors(), shaped.covariance)
-    pushes = push_set(shaped.torso, subject.records, subject.tracked, known=known)
+    pushes = seen_by(subject, "coarse")
     fit = fit_pushes(pushes, NAMES, START, extent="intervals")
     if fit.likely is None:
         raise FitError(f"an estimate without intervals: {fit.status.value}")

@@ -23,20 +23,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coverage_subjects import make_subject
+from coverage_subjects import START, make_subject, seen_by
 from kept_rows import asked_for, begun, keep
 
-from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
-from spinestiff.estimation.priors import Priors
-from spinestiff.personalise.shape import personalise
 from spinestiff.study.repeatability import VisitEstimate, VisitRatio, repeatability
-from spinestiff.study.trials import Known, fit_pushes, push_set
+from spinestiff.study.trials import fit_pushes
 from spinestiff.subject.outcome_parts import Quantity
 
 RESULTS = Path(__file__).parent / "results" / "repeatability.json"
 NAMES = ("lateral_bending", "tissue")
-START = {"lateral_bending": 0.07, "tissue": 0.04}
 FIRST, NODES = 7000, 2300
 
 
@@ -46,11 +42,7 @@ def run_one(seed: int, visit: int, annotator: int) -> dict[str, Any]:
     began = time.process_time()
     try:
         subject = make_subject(seed, "three pushes", NODES, visit, annotator)
-        template = template_torso(subject.height_cm, "coarse", age_years=subject.age, sex=subject.sex)
-        shaped = personalise(template, subject.rest)
-        known = Known(Priors(), shaped.covariance)
-        pushes = push_set(shaped.torso, subject.records, subject.tracked, known=known)
-        fit = fit_pushes(pushes, NAMES, START, extent="intervals")
+        fit = fit_pushes(seen_by(subject, "coarse"), NAMES, START, extent="intervals")
     except SpinestiffError as error:
         return {**row, "failed": str(error)}
     weighed = fit.weighed

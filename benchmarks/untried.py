@@ -18,24 +18,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from coverage_subjects import make_subject
+from coverage_subjects import START, make_subject, seen_by
 from rich.console import Console
 from rich.table import Table
 from scipy.linalg import cholesky, solve_triangular
 from scipy.stats import chi2
 
 import spinestiff.estimation.fit as fits
-from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.discrepancy_data import EXPECTED, shipped_data
-from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem
-from spinestiff.personalise.shape import personalise
-from spinestiff.study.trials import Known, fit_pushes, push_set
+from spinestiff.study.trials import fit_pushes
 
 RESULTS = Path(__file__).parent / "results" / "untried.json"
 NAMES = ("lateral_bending", "tissue")
-START = {"lateral_bending": 0.07, "tissue": 0.04}
 # Shares of the variance.
 UNTRIED = tuple(0.3 * share**2 for share in (1.0, 0.5, 0.25, 0.12, 0.0))
 
@@ -43,9 +39,7 @@ UNTRIED = tuple(0.3 * share**2 for share in (1.0, 0.5, 0.25, 0.12, 0.0))
 def searched(seed: int, acquisition: Any) -> tuple[WeighedProblem, WeighedFit, Mapping[str, float], str]:
     """A subject's problem and where its search ended, with the true ratios and what else the body has."""
     subject = make_subject(seed, acquisition, 3000)
-    template = template_torso(subject.height_cm, "coarse", age_years=subject.age, sex=subject.sex)
-    shaped = personalise(template, subject.rest)
-    pushes = push_set(shaped.torso, subject.records, subject.tracked, known=Known(Priors(), shaped.covariance))
+    pushes = seen_by(subject, "coarse")
     kept: list[tuple[WeighedProblem, WeighedFit]] = []
     told = fits.told
 

@@ -82,6 +82,12 @@ def stub_report(visit, predictions, say):
         visit.file(name).write_text("page", encoding="utf-8")
 
 
+def pytest_collection_modifyitems(items):
+    """Files with slow tests first: a file's tests stay together, so that a long file at the end leaves cores idle."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @pytest.fixture(scope="session")
 def cheap_recipe():
     from spinestiff.imaging.synthetic.acquisition import Acquisition

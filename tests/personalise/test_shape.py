@@ -16,7 +16,7 @@ from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load, rib_push
 from spinestiff.mechanics.supports import three_point_supports
-from spinestiff.personalise import shape
+from spinestiff.personalise import placing, shape
 from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.quality import SMALLEST_DIHEDRAL_DEG, mesh_quality
 from spinestiff.personalise.shape import personalise
@@ -132,6 +132,20 @@ def test_a_spine_of_80_degrees_gets_a_new_mesh(template):
     assert len(placed.tissue.rest_positions) == pytest.approx(len(template.tissue.rest_positions), rel=0.5)
     again = place_vertebrae(template, *wanted)
     assert np.array_equal(again.tissue.rest_positions, placed.tissue.rest_positions)
+
+
+def test_a_new_mesh_has_the_asked_seed_and_size(template, monkeypatch):
+    class Enough(Exception):
+        pass
+
+    def made(*args, nodes, seed, **kwargs):
+        raise Enough(nodes, seed)
+
+    monkeypatch.setattr(placing, "can_rebuild", lambda torso: True)
+    monkeypatch.setattr(placing, "with_new_tissue", made)
+    with pytest.raises(Enough) as asked:
+        place_vertebrae(template, *rest_vertebrae(template), nodes=3000, seed=5)
+    assert asked.value.args == (3000, 5)
 
 
 def test_both_pictures_are_met(shaped):
