@@ -89,6 +89,9 @@ def asked_for(
     if asked.json:
         print(stored.read_text(encoding="utf-8") if stored.is_file() else "{}")
     elif asked.summary:
+        for log in asked.summary:
+            if not log.is_file():
+                parser.error(f"{log}: no such file")
         tell(summed_up(rows_of(asked.summary)), stored if asked.write else None)
     elif asked.log:
         return asked

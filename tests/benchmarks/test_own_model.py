@@ -65,12 +65,17 @@ def test_errors_are_those_that_the_estimate_expects(asked):
 
 
 def test_an_estimate_of_drawn_corners_is_counted(asked):
-    row = own_model.run_one(5, "paper", asked, 0)
+    row = own_model.run_one(5, "paper", asked)
     assert row["ratios"] == RATIOS
-    failed = {"seed": 6, "acquisition": "paper", "draw": 0, "ratios": RATIOS, "kind": "", "failed": "no equilibrium"}
+    failed = {"seed": 6, "acquisition": "paper", "ratios": RATIOS, "kind": "", "failed": "no equilibrium"}
     (found,) = own_model.summed_up([row, failed])["acquisitions"]
     assert (found["scenario"], found["subjects"], found["without_estimate"]) == ("paper", 1, 1)
     z = own_model.countable([row])[0]["z"][0]
     assert found["lateral_bending"]["all"]["rms_z"] == pytest.approx(abs(z), abs=1e-3)
     assert found["coverage95"]["lateral_bending"] == float(row["low"][0] <= 0.1 <= row["high"][0])
     assert found["median_factor"]["tissue"] == pytest.approx((row["high"][1] / row["low"][1]) ** 0.5, abs=1e-3)
+
+
+def test_rows_without_intervals_are_refused_and_the_stored_summary_stays():
+    with pytest.raises(SystemExit, match="no row has an interval to count; nothing was written"):
+        own_model.summed_up([{"seed": 1, "acquisition": "paper", "errors": [0.1, 0.2], "sds": [0.1, 0.1]}])

@@ -9,6 +9,7 @@ import pytest
 
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
+from spinestiff.study.repeat_words import repeatability_lines
 from spinestiff.study.repeatability import (
     LEAST_REACH,
     TWO_SIDED,
@@ -16,7 +17,6 @@ from spinestiff.study.repeatability import (
     VisitRatio,
     estimate_of,
     repeatability,
-    repeatability_lines,
 )
 from spinestiff.study.report.figures import as_png
 from spinestiff.study.report.repeat_picture import draw_repeatability

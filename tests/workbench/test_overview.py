@@ -14,7 +14,8 @@ import pytest
 from bench_page import click, go, load, text
 from chromium import browser
 from spinestiff.files import read_json, write_json
-from spinestiff.study.repeatability import estimate_of, repeatability, repeatability_lines
+from spinestiff.study.repeat_words import repeatability_lines
+from spinestiff.study.repeatability import estimate_of, repeatability
 from spinestiff.study.report.clinician import stiffness
 from spinestiff.study.visit import open_visit
 from spinestiff.study.wording import RATIO_TITLES, TIMES_DEFAULT, told_stiffness

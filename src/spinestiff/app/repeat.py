@@ -10,7 +10,8 @@ from typing import Any
 from spinestiff.app import tables
 from spinestiff.errors import SubjectError
 from spinestiff.files import write_bytes, write_json
-from spinestiff.study.repeatability import Repeatability, estimate_of, repeatability, repeatability_lines
+from spinestiff.study.repeat_words import repeatability_lines
+from spinestiff.study.repeatability import Repeatability, estimate_of, repeatability
 from spinestiff.study.visit import open_visit
 
 

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from spinestiff.anatomy.template import template_torso
 from spinestiff.estimation.evaluation import acted
 from spinestiff.study.predictions import predicted_acts
-from spinestiff.study.report.viewer.scene import Scene, packed, scene_record, skin_faces, unpacked, visit_scene
+from spinestiff.study.report.viewer.packing import packed, scene_record, skin_faces, unpacked
+from spinestiff.study.report.viewer.scene import Scene, visit_scene
 from spinestiff.study.steps import estimated_model
 
 

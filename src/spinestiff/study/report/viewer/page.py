@@ -19,7 +19,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from spinestiff import __version__
 from spinestiff.mechanics.supports import SupportKind
-from spinestiff.study.report.viewer.scene import MODELS, PushScene, Scene, scene_record
+from spinestiff.study.report.viewer.packing import scene_record
+from spinestiff.study.report.viewer.scene import MODELS, PushScene, Scene
 
 MODEL_TITLES = {"fit": "Estimated stiffness", "default": "Default stiffness"}
 ROLE_TITLES = {"training": "training", "validation": "held out", "unused": "not used"}

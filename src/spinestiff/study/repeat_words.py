@@ -1,0 +1,57 @@
+"""What repeated estimates say of scatter and change, in sentences."""
+
+from __future__ import annotations
+
+from spinestiff.study.repeatability import UNLIKELY, Change, Repeatability, Repeated
+from spinestiff.study.wording import number
+from spinestiff.words import counted
+
+
+def repeatability_lines(found: Repeatability) -> list[str]:
+    """What it says, in sentences."""
+    what = "visit" if found.of == "visits" else "annotation"
+    lines = [
+        f"{one.label}: compared with nothing: no other {what} has its id {one.subject!r}; where it is the same "
+        "person's, give both one id in subject.json"
+        for one in found.alone
+    ]
+    who = "of one unchanged person" if found.of == "visits" else "from two annotations of the same radiographs"
+    for name, one in found.scatter.items():
+        lines.append(
+            f"{name}: two estimates {who} differ by less than a factor of {number(one.detectable_factor)} (95 %, from "
+            f"{counted(one.degrees, 'repetition')}); the estimates' own errors let expect {number(one.expected_factor)}"
+            if one.degrees > 1
+            else f"{name}: one repetition tells nothing of how far two estimates {who} differ; their own errors "
+            f"let expect less than a factor of {number(one.expected_factor)} (95 %)"
+        )
+        if one.left_out:
+            lines.append(
+                f"{name}: {counted(one.left_out, 'estimate')} left out: doubtful, not determined, or not pushed alike"
+            )
+        if one.p_value < UNLIKELY:
+            more = "more" if one.within_sd_log > one.expected_sd_log else "less"
+            lines.append(
+                f"{name}: estimates scatter {more} than their own errors let expect (p {one.p_value:.2g}): sd of the "
+                f"log {number(one.within_sd_log, 2)} against {number(one.expected_sd_log, 2)}"
+            )
+    return lines + [change_words(change, found.of) for change in found.changes]
+
+
+def change_words(change: Change, of: Repeated = "visits") -> str:
+    """Whether a ratio changed between two visits, or two annotations disagree."""
+    what = f"{change.subject}, {change.name}, {change.first} to {change.visit}"
+    interval = f"{number(change.low, 2)} to {number(change.high, 2)}"
+    if not change.alike:
+        what += " (not pushed alike)"
+    if change.verdict == "can't be told":
+        return f"{what}: can't be told; an estimate is doubtful, or its radiographs do not determine the ratio"
+    size = number(max(change.factor, 1.0 / change.factor))
+    if of == "annotators":
+        found = "disagree by more than annotation explains" if change.verdict == "changed" else "agree"
+        return f"{what}: annotations {found}, a factor of {size} ({interval})"
+    if change.verdict == "changed":
+        return f"{what}: changed, {'stiffer' if change.factor > 1.0 else 'softer'} by a factor of {size} ({interval})"
+    return (
+        f"{what}: no change shown ({interval} times as stiff); one by less than a factor of "
+        f"{number(change.detectable_factor)} would not show"
+    )
