@@ -57,6 +57,13 @@ def test_solves_one_and_many_right_hand_sides(backend):
     assert (factor.solve(np.zeros(25)) == 0.0).all()
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_no_right_hand_sides_have_no_solutions(backend):
+    indptr, indices, values = _lower(_matrix(6.0))
+    factor = Analysis(indptr, indices, backend).factor(values)
+    assert factor.solve(np.zeros((25, 0))).shape == factor.inverse(np.zeros((25, 0))).shape == (25, 0)
+
+
 def test_each_column_is_refined_by_its_own_size():
     """A small right-hand side beside a large one is solved as well as alone."""
     full = _matrix(6.0)

@@ -116,6 +116,8 @@ class Factor:
         return (self._solved((rhs.T * self._scale).T).T * self._scale).T
 
     def _solved(self, b: Floats) -> Floats:
+        if not b.size:
+            return b  # no solver takes a block without columns
         spare = self._spare
         if spare is None:
             return self._backend.solve(b)
