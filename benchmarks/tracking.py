@@ -44,7 +44,7 @@ LK = {"winSize": (21, 21), "maxLevel": 4, "criteria": (3, 30, 0.01)}
 
 def ours(moving: Moving, further: Mapping[int, VertebraCorners] | None = None) -> tuple[Floats, Floats]:
     """Corners (F, Nv, 4, 2) in pixels and quality (F, Nv, 4)."""
-    tracked = track(moving.frames, {0: moving.first, **(further or {})})  # type: ignore[arg-type]
+    tracked = track(moving.frames, {0: moving.first, **(further or {})})
     view = moving.frames[0].view
     return np.stack([view.pixels(c.corners) for c in tracked]), np.stack([c.quality for c in tracked])
 
@@ -249,15 +249,15 @@ def _pooled_line(name: str, group: Found) -> str:
 
 def evidence(moving: Moving) -> tuple[Floats, Floats]:
     """Terms (n, 3) and errors (n,) in mm of all visible corners that were found."""
-    pictures = Pictures.of(moving.frames)  # type: ignore[arg-type]
-    bodies = [Body.of_vertebra(quad) for quad in pictures.binned(moving.truth[0])]
+    pictures, view = Pictures.of(moving.frames), moving.frames[0].view
+    bodies = [Body.of_vertebra(quad) for quad in pictures.binned(view.from_pixels(moving.truth[0]))]
     poses, seen = follow(pictures, bodies, range(len(moving.frames)), chained=True)
     terms, errors = [], []
     for k in range(1, len(moving.frames)):
         for i, found in enumerate(seen[k]):
             if found is None:
                 continue
-            places = pictures.unbinned(bodies[i].placed(poses[k, i], bodies[i].marks))
+            places = view.pixels(pictures.unbinned(bodies[i].placed(poses[k, i], bodies[i].marks)))
             error = np.linalg.norm(places - moving.truth[k, i], axis=-1) * moving.pixel_mm
             use = moving.visible[k, i]
             terms.append(found.terms()[use])

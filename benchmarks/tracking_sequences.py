@@ -28,7 +28,8 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.imaging.features import VertebraCorners, box_sizes, silhouette_shares, state_features
-from spinestiff.imaging.projection import XRayView, frontal_view
+from spinestiff.imaging.projection import frontal_view
+from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.synthetic.acquisition import Acquisition, Gauge, acquire
 from spinestiff.imaging.synthetic.collimation import Collimation
 from spinestiff.imaging.synthetic.detector import Exposure
@@ -46,14 +47,6 @@ MARGIN_PX = 6.0  # of a corner that counts as seen
 
 
 @dataclass(frozen=True)
-class Frame:
-    """What tracking takes of a radiograph."""
-
-    pixels: np.ndarray
-    view: XRayView
-
-
-@dataclass(frozen=True)
 class Moving:
     """A sequence and its truth.
 
@@ -68,7 +61,7 @@ class Moving:
     """
 
     name: str
-    frames: tuple[Frame, ...]
+    frames: tuple[Radiograph, ...]
     vertebrae: tuple[str, ...]
     truth: Floats
     visible: np.ndarray
@@ -165,7 +158,7 @@ def modelled(case: Case) -> Moving:
     pushed = cobb_angle(tilts(VERTEBRAE, seen(states[-1]), view)).degrees
     return Moving(
         case.name,
-        tuple(Frame(np.asarray(picture, dtype=np.float32), view) for picture in pictures),
+        tuple(Radiograph(np.asarray(picture, dtype=np.float32), view) for picture in pictures),
         tuple(np.array(VERTEBRAE)[annotated]),
         truth[:, annotated],
         visible[:, annotated],
@@ -236,7 +229,7 @@ def _warped(name: str, image: np.ndarray, quads: Floats, ordered: np.ndarray, wi
         moved[..., 0] += aside[:, None]
         moved[..., 1] += 0.15 * bow * (1.0 - 2.0 * height[:, None])
         truth.append(moved)
-        frames.append(Frame(_exposed(_carried(image, quads, moved), random, first=k == 0), view))
+        frames.append(Radiograph(_exposed(_carried(image, quads, moved), random, first=k == 0), view))
     truth = np.stack(truth)
     visible = ((truth > MARGIN_PX) & (truth < np.array(image.shape[::-1]) - 1 - MARGIN_PX)).all(-1)
     return Moving(name, tuple(frames), tuple(np.array(VERTEBRAE)[ordered]), truth, visible, 0.0)

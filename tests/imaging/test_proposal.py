@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -54,6 +55,23 @@ def test_a_person_of_another_width_and_size_is_found():
     drawn = phantom(size=1.2, mm=0.8, shape=(600, 448))
     found = propose_boxes(radiograph(drawn), drawn.clicks(*CLICKED), VERTEBRAE)
     assert np.median(errors(found, drawn.quads, 0.8)) < 1.0
+
+
+@pytest.mark.parametrize(("wide", "tall"), [(1.4, 1.0), (1.0, 1.4)])
+def test_pixels_need_not_be_square(wide, tall):
+    drawn = phantom(bend=22.0)
+    shown = radiograph(drawn)
+    rows, columns = (int(n / times) for n, times in zip(drawn.pixels.shape, (tall, wide)))
+    to_old = np.array([[wide, 0.0, 0.0], [0.0, tall, 0.0]])
+    pixels = cv2.warpAffine(shown.pixels, to_old, (columns, rows), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    view = replace(shown.view, shape=(rows, columns), pixel_spacing=shown.view.pixel_spacing * [wide, tall])
+    there, kept = np.array([wide, tall]), {"T8": drawn.quads[7] / [wide, tall]}
+    found = propose_boxes(Radiograph(pixels, view), drawn.clicks(*CLICKED) / there, VERTEBRAE, kept)
+    np.testing.assert_array_equal(found[7], kept["T8"])
+    usual = propose_boxes(shown, drawn.clicks(*CLICKED), VERTEBRAE, {"T8": drawn.quads[7]})
+    assert np.median(errors(found * there, usual)) < 0.15
+    leans = leans_of(view, {"T8": found[7], "T3": found[2]})
+    assert leans == pytest.approx(leans_of(shown.view, {"T8": drawn.quads[7], "T3": found[2] * there}), abs=1e-9)
 
 
 def test_part_of_a_spine_is_proposed_between_its_own_ends():

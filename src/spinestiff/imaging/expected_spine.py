@@ -54,8 +54,8 @@ class ExpectedSpine:
     ) -> ExpectedSpine:
         """The template as it is seen in ``view`` with the middle of these vertebrae about the pixel ``middle`` (2,).
 
-        ``leans``: how far vertebrae lean to the side, rad, as a frontal radiograph tells; others lean as their
-        neighbours do, or not. From the side a vertebra that leans looks taller, and its disc lower.
+        The view's pixels are square. ``leans``: how far vertebrae lean to the side, rad, as a frontal radiograph tells;
+        others lean as their neighbours do, or not. From the side one that leans looks taller, and its disc lower.
 
         Raises
         ------
@@ -70,7 +70,7 @@ class ExpectedSpine:
         # A curve needs three points.
         line = middles if len(middles) > 2 else np.stack([middles[0], middles.mean(axis=0), middles[1]])
         curve = SpineCurve.through(line, picture_axes(view)[0])
-        scale = float(np.mean(view.magnification / view.pixel_spacing))
+        scale = float(view.magnification / view.pixel_spacing[0])
         seen = curve.coordinates(corners.reshape(-1, 2)).reshape(corners.shape) / scale
         upper, lower = seen[:, 0] - seen[:, 1], seen[:, 3] - seen[:, 2]
         plates = np.stack([seen[:, :2].mean(axis=1), seen[:, 2:].mean(axis=1)], axis=1).reshape(-1, 2)

@@ -84,7 +84,8 @@ def _typical_ratio(table: Floats) -> Floats:
 def _measured(frame: Radiograph, corners: VertebraCorners) -> _Measured:
     import cv2
 
-    mm = float((frame.view.pixel_spacing / frame.view.magnification).mean())
+    frame = frame.squared()
+    mm = float(frame.view.pixel_spacing[0] / frame.view.magnification)
     image = np.asarray(frame.pixels, dtype=np.float32)
     scales = [max(sigma / mm, 0.6) for sigma in (FINE_MM, COARSE_MM)]
     fine, coarse = (cv2.GaussianBlur(image, (0, 0), scale) for scale in scales)

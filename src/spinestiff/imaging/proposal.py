@@ -89,18 +89,21 @@ def propose_boxes(
     TrackingError : too few points, points outside the radiograph, fewer than two vertebrae, names out of order.
     """
     first, up = picture_axes(radiograph.view)
-    clicks = _checked(radiograph, points, up)
-    expected = ExpectedSpine.of(vertebrae, radiograph.view, 0.5 * (clicks[0] + clicks[-1]), leans)
+    # Of a picture with square pixels, from here on.
+    square = radiograph.squared()
+    stretch = radiograph.view.pixel_spacing / square.view.pixel_spacing
+    clicks = _checked(radiograph, points, up) * stretch
+    expected = ExpectedSpine.of(vertebrae, square.view, 0.5 * (clicks[0] + clicks[-1]), leans)
     curve = SpineCurve.through(clicks, first)
     scale = curve.length / expected.length
-    strip = Strip.along(radiograph.pixels, curve, scale, expected.length)
+    strip = Strip.along(square.pixels, curve, scale, expected.length)
     rows, aside = strip.rows, _middle(strip, expected, curve.coordinates(clicks)[:, 0] / scale)
     for _ in range(ROUNDS):
         curve = curve.beside(rows * scale, aside * scale)
         scale = curve.length / expected.length
-        strip = Strip.along(radiograph.pixels, curve, scale, expected.length)
+        strip = Strip.along(square.pixels, curve, scale, expected.length)
         given = {
-            list(vertebrae).index(name): curve.coordinates(np.asarray(quad, dtype=float)) / scale
+            list(vertebrae).index(name): curve.coordinates(np.asarray(quad, dtype=float) * stretch) / scale
             for name, quad in (kept or {}).items()
             if name in vertebrae
         }
@@ -116,7 +119,7 @@ def propose_boxes(
         walls = walls + free[:, None] * sides
     places = places + RISE * np.tile([1.0, -1.0], len(places) // 2)
     corners = np.stack([places[:, None] + walls * np.tan(tilts)[:, None], walls], axis=2).reshape(-1, 4, 2)
-    boxes = curve.at(corners[..., 0] * scale, corners[..., 1] * scale)[:, [0, 1, 3, 2]]
+    boxes = curve.at(corners[..., 0] * scale, corners[..., 1] * scale)[:, [0, 1, 3, 2]] / stretch
     for name, quad in (kept or {}).items():
         if name in vertebrae:
             boxes[list(vertebrae).index(name)] = quad
@@ -128,7 +131,7 @@ def leans_of(view: XRayView, vertebrae: Mapping[str, ArrayLike]) -> dict[str, fl
     first, up = picture_axes(view)
     found = {}
     for name, quad in vertebrae.items():
-        a, b, c, d = np.asarray(quad, dtype=float)
+        a, b, c, d = view.from_pixels(quad)
         across = a + d - b - c
         found[name] = float(np.arctan2(across @ up, across @ first))
     return found

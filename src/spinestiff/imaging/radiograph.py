@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import overload
@@ -23,7 +23,7 @@ from spinestiff.imaging.dicom.files import MOST_BYTES, MOST_MAPPED_BYTES, declar
 from spinestiff.imaging.dicom.greys import DisplayCurve
 from spinestiff.imaging.dicom.layout import MODALITIES, MOST_FRAMES
 from spinestiff.imaging.dicom.millimetres import AGREEMENT, Geometry, Scale
-from spinestiff.imaging.dicom.ordering import ordered
+from spinestiff.imaging.dicom.ordering import dated, ordered
 from spinestiff.imaging.dicom.orientation import lps_from_world, world_from_lps
 from spinestiff.imaging.dicom.reading import FramesOnDisk, Scan, read_frames, read_scan
 from spinestiff.imaging.dicom.tags import coded_word, shown
@@ -47,6 +47,8 @@ __all__ = [
     "write_radiographs",
 ]
 
+SQUARE = 1e-3
+"""Share by which the two pitches of a picture may differ and its pixels still count as square."""
 KEPT = 4
 """Frames of a large file that stay in memory."""
 
@@ -88,6 +90,27 @@ class Radiograph:
         black, white = np.percentile(self.pixels, (0.5, 99.5))
         shown: NDArray[np.float32] = np.clip((self.pixels - black) / max(white - black, 1e-6), 0.0, 1.0)
         return shown
+
+    def squared(self) -> Radiograph:
+        """The same picture with square pixels of the finer pitch: in it turns and distances are as on the detector.
+
+        Millimetres on the detector stay what they are. Itself where its pixels are square.
+        """
+        import cv2
+
+        side = float(self.view.pixel_spacing.min())
+        stretch = self.view.pixel_spacing / side
+        if stretch.max() - 1.0 < SQUARE:
+            return self
+        # The first pixel's centre stays, and with it what millimetres are counted from.
+        columns, rows = (np.floor((np.array(self.view.shape[::-1]) - 1.0) * stretch + 1e-6) + 1.0).astype(int)
+        back = np.diag(1.0 / stretch)
+        pixels = cv2.warpAffine(
+            self.pixels, np.hstack([back, np.zeros((2, 1))]), (int(columns), int(rows)),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE,
+        )  # fmt: skip
+        view = replace(self.view, pixel_spacing=np.array([side, side]), shape=(int(rows), int(columns)))
+        return replace(self, pixels=np.asarray(pixels, dtype=np.float32), view=view)
 
 
 def read_radiographs(
@@ -180,8 +203,8 @@ def times_of(scans: tuple[Scan, ...]) -> tuple[float | None, ...]:
     """Seconds since the first frame, of the frames of one file or of single-frame files in order."""
     if len(scans) == 1:
         return scans[0].tags.times
-    clocks = [scan.tags.clock for scan in scans]
-    if any(clock is None for clock in clocks):
+    clocks = dated([scan.tags.clock for scan in scans])
+    if clocks is None or any(clock is None for clock in clocks):
         return (None,) * len(scans)
     return tuple((clock or 0.0) - (clocks[0] or 0.0) for clock in clocks)
 
@@ -292,10 +315,11 @@ def _check_series(scans: list[Scan]) -> None:
             raise RadiographError(f"{scan.name}: found {found}, wanted {wanted} like {first.name}; keep them apart")
         if scan.tags.patient != first.tags.patient:
             raise RadiographError(f"{scan.name}: found another patient than in {first.name}; keep them apart")
-        if scan.directions is not None and first.directions is not None and (
-            scan.directions.axes[0] != first.directions.axes[0]
-        ).any():  # fmt: skip
-            raise RadiographError(f"{scan.name}: found another orientation than that of {first.name}; keep them apart")
+        if scan.directions is not None and first.directions is not None:
+            mine, its = np.array(scan.directions.axes), np.array(first.directions.axes)
+            if (mine != its).any():
+                what = "orientation" if (mine[:2] != its[:2]).any() else "direction of the beam"
+                raise RadiographError(f"{scan.name}: found another {what} than that of {first.name}; keep them apart")
         if not _same_geometry(scan, first):
             raise RadiographError(
                 f"{scan.name}: found another X-ray geometry than that of {first.name}; keep them apart"

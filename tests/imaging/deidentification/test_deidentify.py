@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import logging
 import re
+import subprocess
+import sys
 import warnings
 from io import BytesIO
 from pathlib import Path
@@ -14,7 +17,16 @@ import pydicom
 import pytest
 from openjpeg.utils import encode_array
 from pydicom.encaps import encapsulate
-from pydicom.uid import UID, ExplicitVRBigEndian, JPEG2000Lossless, JPEGBaseline8Bit, JPEGLSLossless, RLELossless
+from pydicom.pixels.decoders.base import Decoder
+from pydicom.uid import (
+    UID,
+    ExplicitVRBigEndian,
+    JPEG2000Lossless,
+    JPEGBaseline8Bit,
+    JPEGLosslessSV1,
+    JPEGLSLossless,
+    RLELossless,
+)
 
 from spinestiff.errors import RadiographError
 from spinestiff.imaging.deidentification.allow_list import KEPT
@@ -143,6 +155,61 @@ def test_compressed_overlays_above_the_stored_bits_are_refused(tmp_path):
     dataset.PixelData = encapsulate([jpeg_2000(pixels)])
     with pytest.raises(RadiographError, match="bits above those stored"):
         deidentify(saved(dataset), KEY)
+
+
+def lossless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pixels: np.ndarray) -> tuple[bytes, list[list[str]]]:
+    """A file declared as JPEG Lossless of 12 bits, for which GDCM's child process would give these pixels; and the
+    command lines of the children that are started."""
+    dataset, _ = coded(tmp_path, "jpeg")
+    stream = with_segment(jpeg(smooth(8)), 0xFE).replace(b"\xff\xc0", b"\xff\xc3", 1)
+    dataset.PixelData = encapsulate([stream + b"\0" * (len(stream) % 2)])
+    dataset.file_meta.TransferSyntaxUID = JPEGLosslessSV1
+    dataset.BitsAllocated, dataset.BitsStored, dataset.HighBit = 16, 12, 11
+    children = []
+
+    def run(command, **_):
+        children.append(command)
+        return subprocess.CompletedProcess(command, 0, pixels.astype("<u2").tobytes(), b"")
+
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: object())
+    monkeypatch.setattr(subprocess, "run", run)
+    return saved(dataset), children
+
+
+def test_jpeg_lossless_is_decoded_in_a_child(tmp_path, monkeypatch):
+    content, children = lossless(tmp_path, monkeypatch, smooth(12))
+    found = deidentify(content, KEY)
+    assert children == [[sys.executable, "-P", "-m", "spinestiff.imaging.dicom.lossless"]]
+    np.testing.assert_array_equal(found.frames[0], smooth(12))
+    new = pydicom.dcmread(BytesIO(found.content))
+    assert new.file_meta.TransferSyntaxUID == JPEGLosslessSV1
+    stream = jpeg(smooth(8)).replace(b"\xff\xc0", b"\xff\xc3", 1)
+    assert new.PixelData == encapsulate([without_comments(stream).content])
+    assert CANARY in content and CANARY not in found.content
+    content, _ = lossless(tmp_path, monkeypatch, smooth(12) | np.uint16(0x8000))
+    with pytest.raises(RadiographError, match="bits above those stored"):
+        deidentify(content, KEY)
+
+
+def test_jpeg_lossless_without_gdcm_names_the_extra(tmp_path, monkeypatch):
+    content, children = lossless(tmp_path, monkeypatch, smooth(12))
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(RadiographError, match=r"JPEG Lossless needs GDCM.*pip install 'spinestiff\[dicom\]'"):
+        deidentify(content, KEY)
+    assert children == []
+
+
+@pytest.mark.parametrize("kind", ["jpeg", "jpeg-ls", "jpeg-2000", "rle"])
+def test_no_decoder_is_chosen_by_what_is_installed(tmp_path, monkeypatch, kind):
+    """The library takes GDCM for every coding where it is there."""
+    if kind == "rle":
+        dataset, pixels = plain(tmp_path), smooth(12)
+        dataset.compress(RLELossless, generate_instance_uid=False)
+    else:
+        dataset, pixels = coded(tmp_path, kind)
+    for name in ("as_array", "as_buffer", "iter_array", "iter_buffer"):
+        monkeypatch.setattr(Decoder, name, None)
+    np.testing.assert_array_equal(deidentify(saved(dataset), KEY).frames[0], pixels)
 
 
 def test_rle_becomes_uncompressed(tmp_path):

@@ -71,6 +71,21 @@ def test_a_coded_file_is_read_whole(file):
     assert len(open_radiographs(file(SERIES, change=deflate))) == 6
 
 
+def overlaid(dataset):
+    dataset.add_new(0x60000010, "US", 36)
+    dataset.add_new(0x60000011, "US", 40)
+    dataset.add_new(0x50003000, "OW", bytes(files.MOST_HEADER_BYTES + 1))
+
+
+def test_a_file_whose_pixels_begin_late_is_read_whole_where_it_is_small_enough(file, monkeypatch):
+    path = file(SERIES, change=overlaid)
+    found = open_radiographs(path)
+    assert isinstance(found, tuple) and len(found) == 6
+    monkeypatch.setattr(files, "MOST_BYTES", 2**20)
+    with pytest.raises(RadiographError, match=r"a\.dcm: found a header of 1 MB, wanted a radiograph"):
+        open_radiographs(path)
+
+
 @pytest.fixture
 def little_is_read_whole(monkeypatch):
     """Files of more than one small frame are too large to be read whole."""

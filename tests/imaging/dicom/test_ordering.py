@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from spinestiff.errors import RadiographError
-from spinestiff.imaging.dicom.ordering import ordered
+from spinestiff.imaging.dicom.ordering import DAY_S, ordered
 from spinestiff.imaging.radiograph import read_radiographs
 
 NAMES = ("a", "b", "c")
+TODAY = 739_000 * DAY_S
 
 
 @pytest.mark.parametrize(
@@ -22,6 +23,9 @@ NAMES = ("a", "b", "c")
         ((1.0, 2.0, 1.0), (2, 3, 1), [2, 0, 1]),
         ((None, None, None), (3, 1, 2), [1, 2, 0]),
         ((3.0, 1.0, 2.0), (None, 1, 1), [1, 2, 0]),
+        # A file without a date among those of one day is of that day.
+        ((TODAY + 1.0, 2.0, TODAY + 3.0), (None, None, None), [0, 1, 2]),
+        ((TODAY + 3.0, TODAY + DAY_S + 1.0, TODAY + 1.0), (None, None, None), [2, 0, 1]),
     ],
 )
 def test_by_time_then_number(clocks, numbers, order):
@@ -57,11 +61,23 @@ def test_names_decide_where_no_file_has_anything_else():
         ((1.0, 2.0, 1.0), (1, 2, 1), "a and c have the same acquisition time and instance number"),
         ((None, 2.0, 1.0), (1, 2, 1), "a and c have the same instance number"),
         ((None, 2.0, 1.0), (1, None, 2), "the order is unknown"),
+        ((TODAY, 2.0, TODAY + DAY_S), (1, 2, 3), "files of several days among some without a date"),
     ],
 )
 def test_an_unknown_order_is_refused(clocks, numbers, message):
     with pytest.raises(RadiographError, match=f"push: .*{message}"):
         ordered("push", NAMES, clocks, numbers)
+
+
+def test_times_count_from_the_first_frame_where_a_date_is_missing(file, tmp_path):
+    for number, date in enumerate(("20260303", "", "20260303")):
+        pixels = np.full((1, 40, 36), 7, np.uint16)
+        pixels[0, number] = 9
+        file(
+            pixels, f"{number}.dcm", AcquisitionDate=date, AcquisitionTime=f"1000{5 * number:02d}", InstanceNumber=None
+        )
+    found = read_radiographs(tmp_path)
+    assert [(one.source, one.time_s) for one in found] == [("0.dcm", 0.0), ("1.dcm", 5.0), ("2.dcm", 10.0)]
 
 
 def test_a_folder_of_too_many_files_is_refused_before_reading(tmp_path):
@@ -83,6 +99,8 @@ def test_the_same_image_twice_is_refused(file, tmp_path):
     [
         ({"PatientID": "SECRET"}, "found another patient than in a.dcm"),
         ({"PatientOrientation": ["R", "F"]}, "found another orientation than that of a.dcm"),
+        ({"PatientOrientation": ["L", "H"]}, "found another orientation than that of a.dcm"),
+        ({"ViewPosition": "PA"}, "found another direction of the beam than that of a.dcm"),
         ({"DistanceSourceToDetector": "1600"}, "found another X-ray geometry than that of a.dcm"),
         ({"ImagerPixelSpacing": ["0.5", "0.5"]}, "found another X-ray geometry than that of a.dcm"),
     ],

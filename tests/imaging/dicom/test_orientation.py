@@ -27,6 +27,9 @@ def viewed(code: str):
     [
         ({"ViewPosition": "RL"}, None, [-1, 0, 0], "DICOM ViewPosition RL"),
         ({"ViewPosition": ""}, viewed(RIGHT_LATERAL), [-1, 0, 0], "DICOM ViewPosition RL"),
+        # What is no view position of DICOM says nothing, and hides no code.
+        ({"ViewPosition": "RLAT"}, viewed(RIGHT_LATERAL), [-1, 0, 0], "DICOM ViewPosition RL"),
+        ({"ViewPosition": "RLAT"}, None, [1, 0, 0], "assumed right to left"),
         ({"ViewPosition": "", "ImageLaterality": "R"}, None, [-1, 0, 0], "DICOM laterality R"),
         ({"ViewPosition": "", "Laterality": "L"}, None, [1, 0, 0], "DICOM laterality L"),
         ({"ViewPosition": "", "ImageLaterality": "U"}, None, [1, 0, 0], "assumed right to left"),

@@ -48,7 +48,7 @@ def decoded(dataset: Dataset, tags: Tags, layout: Layout) -> NDArray[Any]:
     else:
         frames = checked_frames(layout, tags, coded_frames(dataset, layout.frames))
         try:
-            pixels = _uncoded(tags.syntax, layout, frames)
+            pixels = uncoded(tags.syntax, layout, frames)
         except (RadiographError, MemoryError):
             raise
         except Exception:  # codecs have no error of their own
@@ -102,7 +102,13 @@ def coded_frames(dataset: Dataset, count: int) -> list[bytes]:
     return [b"".join(fragments[first:end]) for first, end in zip(starts, [*starts[1:], len(fragments)])]
 
 
-def _uncoded(syntax: str, layout: Layout, frames: list[bytes]) -> NDArray[Any]:
+def uncoded(syntax: str, layout: Layout, frames: list[bytes]) -> NDArray[Any]:
+    """All bits of coded frames, those above the stored ones too, in the width and sign that are declared.
+
+    Raises
+    ------
+    RadiographError : GDCM or our own decoder refuses them. Whatever another codec raises passes.
+    """
     kind = f"{'i' if layout.signed else 'u'}{layout.allocated // 8}"
     if syntax in JPEG_LOSSLESS:
         return np.frombuffer(decode_lossless(syntax, layout, frames), dtype=f"<{kind}")

@@ -121,7 +121,8 @@ def read_dataset(path: Path) -> tuple[Dataset, str]:
 
 
 def read_header(path: Path) -> tuple[Dataset, int, int] | None:
-    """A regular file without reading its pixels, or None where it is not uncompressed, little endian DICOM.
+    """A regular file without reading its pixels, or None where it has to be read whole: it is not uncompressed, little
+    endian DICOM, or its pixels begin far behind its start and it is small enough for that.
 
     Returns
     -------
@@ -130,7 +131,7 @@ def read_header(path: Path) -> tuple[Dataset, int, int] | None:
 
     Raises
     ------
-    RadiographError : damaged, or a header longer than any.
+    RadiographError : damaged, or so large a file with a header longer than any.
     """
     from pydicom.dataelem import DataElement
     from pydicom.errors import InvalidDicomError
@@ -147,6 +148,8 @@ def read_header(path: Path) -> tuple[Dataset, int, int] | None:
         dataset = read_partial(file, stop_when=lambda tag, vr, length: tag >= _PIXELS)
         at = file.tell()
         if at > MOST_HEADER_BYTES:
+            if path.stat().st_size <= MOST_BYTES:
+                return None
             raise RadiographError(f"found a header of {at / 2**20:.0f} MB, wanted a radiograph; export it again")
         head = file.read(12)
     told = head[4:8] if syntax == _IMPLICIT else head[8:12]

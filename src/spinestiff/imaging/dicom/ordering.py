@@ -8,6 +8,8 @@ from collections.abc import Sequence
 
 from spinestiff.errors import RadiographError
 
+DAY_S = 86400.0
+
 
 def ordered(
     folder: str, names: Sequence[str], clocks: Sequence[float | None], numbers: Sequence[int | None]
@@ -19,7 +21,7 @@ def ordered(
     ----------
     folder : for messages.
     names : of the files, each once.
-    clocks : s, of the acquisition.
+    clocks : s, of the acquisition, with its day or of the day alone.
     numbers : InstanceNumber.
 
     Warns
@@ -28,9 +30,15 @@ def ordered(
 
     Raises
     ------
-    RadiographError : two files can't be told apart in order.
+    RadiographError : two files can't be told apart in order; some are of different days and others of no day.
     """
     indices = range(len(names))
+    of_days = dated(clocks)
+    if of_days is None:
+        raise RadiographError(
+            f"{folder}: files of several days among some without a date, so the order is unknown; keep days apart"
+        )
+    clocks = of_days
     timed = all(clock is not None for clock in clocks)
     counted = all(number is not None for number in numbers)
     if unnumbered(clocks, numbers):
@@ -62,6 +70,17 @@ def ordered(
         elif in_order != sorted(in_order):
             _warn(f"{folder}: acquisition times and instance numbers disagree; ordered by time")
     return order
+
+
+def dated(clocks: Sequence[float | None]) -> list[float | None] | None:
+    """Clocks, s, that compare: where only some have a day, the others' is the same. None where that is not one day."""
+    days = {int(clock // DAY_S) for clock in clocks if clock is not None}
+    if days <= {0} or 0 not in days:
+        return list(clocks)
+    if len(days) > 2:
+        return None
+    (day,) = days - {0}
+    return [clock if clock is None or clock >= DAY_S else clock + DAY_S * day for clock in clocks]
 
 
 def unnumbered(clocks: Sequence[float | None], numbers: Sequence[int | None]) -> bool:

@@ -331,7 +331,7 @@ def _view_position(dataset: Dataset) -> str:
         coded = _VIEW_CODES.get(str(items[0].get("CodeValue", "")), "") if items else ""
     if word in _VIEW_CODES.values() and coded and word != coded:
         raise RadiographError(f"ViewPosition: found {word}, wanted {coded} as ViewCodeSequence says; correct either")
-    return word or coded
+    return word if word in _VIEW_CODES.values() else coded or word
 
 
 def _frame_times(dataset: Dataset, frames: int) -> tuple[float | None, ...]:

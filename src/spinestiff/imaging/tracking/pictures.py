@@ -1,4 +1,4 @@
-"""The pixels of a sequence in the form that tracking takes: checked, binned, matched in brightness, filtered."""
+"""The pixels of a sequence in the form that tracking takes: checked, square, binned, matched, filtered."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from spinestiff.arrays import Floats
 from spinestiff.errors import TrackingError
 
 if TYPE_CHECKING:
+    from spinestiff.imaging.projection import XRayView
     from spinestiff.imaging.radiograph import Radiograph
 
 Image = NDArray[np.float32]
@@ -26,42 +27,47 @@ SHADING_MM = 3.0
 
 @dataclass(frozen=True)
 class Pictures:
-    """The frames' pixels, binned by a whole factor where they are finer than tracking needs.
+    """The frames' pixels, square, and binned by a whole factor where they are finer than tracking needs.
 
     Attributes
     ----------
     images : (F) of (H, W), in standard deviations of the first.
-    factor : pixels of a frame along the side of a bin.
-    mm : a bin's side at the patient plane.
+    view : of the frames with square pixels.
+    factor : such pixels along the side of a bin.
     """
 
     images: tuple[Image, ...]
+    view: XRayView
     factor: int
-    mm: float
+
+    @property
+    def mm(self) -> float:
+        """A bin's side at the patient plane."""
+        return float(self.view.pixel_spacing[0] / self.view.magnification) * self.factor
 
     @staticmethod
     def of(frames: Sequence[Radiograph]) -> Pictures:
         if not frames:
             raise TrackingError("no frames to track through; wanted at least the annotated one")
         first = frames[0]
-        mm = float((first.view.pixel_spacing / first.view.magnification).mean())
-        factor = max(1, int(FINEST_MM / mm))
+        view = first.squared().view
+        factor = max(1, int(FINEST_MM * view.magnification / float(view.pixel_spacing[0])))
         images = []
         for number, frame in enumerate(frames):  # once: frames of a large file are read when they are asked for
             _check_frame(number, frame, first)
-            images.append(block_means(frame.pixels, factor))
+            images.append(block_means(frame.squared().pixels, factor))
         middle, spread = images[0].mean(), images[0].std()
         if not spread > 0.0:
             raise TrackingError("the first frame is one grey value; wanted a radiograph")
-        return Pictures(tuple((image - middle) / spread for image in images), factor, mm * factor)
+        return Pictures(tuple((image - middle) / spread for image in images), view, factor)
 
-    def binned(self, pixels: Floats) -> Floats:
-        """Positions in the frames to positions in ``images``."""
-        return np.asarray((pixels - 0.5 * (self.factor - 1)) / self.factor)
+    def binned(self, detector_mm: Floats) -> Floats:
+        """Positions on the detector, mm, to positions in ``images``."""
+        return np.asarray((self.view.pixels(detector_mm) - 0.5 * (self.factor - 1)) / self.factor)
 
     def unbinned(self, bins: Floats) -> Floats:
         """Inverse of ``binned``."""
-        return np.asarray(bins * self.factor + 0.5 * (self.factor - 1))
+        return self.view.from_pixels(bins * self.factor + 0.5 * (self.factor - 1))
 
 
 def block_means(pixels: Image, factor: int) -> Image:
@@ -131,5 +137,3 @@ def _check_frame(number: int, frame: Radiograph, first: Radiograph) -> None:
         raise TrackingError(
             f"frame {number} has another pixel spacing or magnification than frame 0; wanted one geometry"
         )
-    if not np.isfinite(frame.pixels).all():
-        raise TrackingError(f"frame {number} holds pixels that are not finite")

@@ -126,26 +126,27 @@ def support_motion(frames: Sequence[Radiograph], points: Mapping[str, Floats]) -
         check_inside(where, frames[0].pixels.shape, 0, (f"a {name} point",) * len(where))
     owners = np.array([name for name, where in groups.items() for _ in where])
     radius = SUPPORT_RADIUS_MM / pictures.mm
-    bodies = [Body.of_square(point, radius) for where in groups.values() for point in pictures.binned(where)]
+    view = frames[0].view
+    places = {name: view.from_pixels(where) for name, where in groups.items()}
+    bodies = [Body.of_square(point, radius) for where in places.values() for point in pictures.binned(where)]
     bodies = [_under_the_skin(body, pictures) for body in bodies]
     poses, evidence = follow(pictures, bodies, range(len(frames)), chained=False)
     # A point's error is predicted as a distance; half of its square belongs to each axis.
     sds = np.array([[np.inf if e is None else float(predicted_error(e)[0]) for e in row] for row in evidence])
     sds = np.hypot(sds / np.sqrt(2.0), [FLESH_MM[name] for name in owners])
     sds[0] = np.array([FLESH_MM[name] for name in owners])
-    view = frames[0].view
     to_world = view.detector_axes[:, :2]
     shifts = poses[:, :, 1:] * pictures.mm @ to_world
     found = []
-    for name, where in groups.items():
+    for name, where in places.items():
         mine = owners == name
-        places = view.to_patient_plane(view.from_pixels(where))
+        spots = view.to_patient_plane(where)
         mean, error = _mean(shifts[:, mine], sds[:, mine])
-        turns = [_turn(places @ to_world, moved, sd) for moved, sd in zip(shifts[:, mine], sds[:, mine])]
+        turns = [_turn(spots @ to_world, moved, sd) for moved, sd in zip(shifts[:, mine], sds[:, mine])]
         turn, turn_error = np.array([each or (0.0, 0.0) for each in turns]).T
         turn_seen = np.array([each is not None for each in turns])
         seen = np.isfinite(sds[:, mine]).any(axis=1)
-        away = float(np.abs(places[:, 0]).max()) / view.source_to_patient
+        away = float(np.abs(spots[:, 0]).max()) / view.source_to_patient
         if name == "shoulder":
             # What the limit allows for counts as two standard errors.
             error = np.hypot(error, 0.5 * away * DEPTH_OF_SLIDE * np.abs(mean[:, 1]))

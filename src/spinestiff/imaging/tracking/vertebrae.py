@@ -75,13 +75,12 @@ def track(
 
     sightings: dict[tuple[int, str], list[_Sighting]] = {}
     for start, corners in annotated.items():
-        pixels = view.pixels(corners.corners)
         for step in (1, -1):
             ends = _ends(start, corners, annotated, len(frames), step)
             order = range(start, max(ends, key=lambda end: abs(end - start)), step)
-            moved, errors = _followed(pictures, pixels, order, advance)
+            moved, errors = _followed(pictures, corners.corners, order, advance)
             for k, frame in enumerate(order[1:], 1):
-                error = np.where(inside(moved[k], shape), errors[k], np.inf)
+                error = np.where(inside(view.pixels(moved[k]), shape), errors[k], np.inf)
                 for i, name in enumerate(corners.vertebrae):
                     if (ends[i] - frame) * step > 0:
                         sighting = _Sighting(abs(frame - start), moved[k, i], error[i], corners.quality[i])
@@ -98,8 +97,7 @@ def track(
                 row = given.vertebrae.index(name)
                 places[i], qualities[i] = given.corners[row], given.quality[row]
             else:
-                pixels, qualities[i] = _combined(sightings[frame, name], pictures.mm / pictures.factor)
-                places[i] = view.from_pixels(pixels)
+                places[i], qualities[i] = _combined(sightings[frame, name], view.magnification)
         tracked.append(VertebraCorners(names, places, qualities))
     others = [corners for frame, corners in enumerate(tracked) if frame not in annotated]
     if others and not any(corners.usable.any() for corners in others):
@@ -116,8 +114,8 @@ class _Sighting:
     Attributes
     ----------
     distance : frames in between.
-    corners : (4, 2) pixels.
-    error : (4,) predicted, mm; infinite if lost.
+    corners : (4, 2) mm on the detector.
+    error : (4,) predicted, mm at the patient plane; infinite if lost.
     given : (4,) quality in the annotated frame.
     """
 
@@ -139,10 +137,11 @@ def _ends(
 
 
 def _followed(
-    pictures: Pictures, pixels: Floats, order: Sequence[int], advance: Callable[[int], None]
+    pictures: Pictures, corners: Floats, order: Sequence[int], advance: Callable[[int], None]
 ) -> tuple[Floats, Floats]:
-    """Corners (len(order), Nv, 4, 2), pixels, and their predicted errors (len(order), Nv, 4), mm, infinite if lost."""
-    bodies = [Body.of_vertebra(quad) for quad in pictures.binned(pixels)]
+    """Corners (len(order), Nv, 4, 2), mm on the detector, from those of the first frame (Nv, 4, 2), and their predicted
+    errors (len(order), Nv, 4), mm at the patient plane, infinite if lost."""
+    bodies = [Body.of_vertebra(quad) for quad in pictures.binned(corners)]
     poses, seen = follow(pictures, bodies, order, chained=True, observer=advance)
     moved = [[body.placed(pose, body.marks) for body, pose in zip(bodies, row)] for row in poses]
     lost = np.full(CORNERS, np.inf)
@@ -150,8 +149,8 @@ def _followed(
     return pictures.unbinned(np.array(moved)), np.array(errors)
 
 
-def _combined(sightings: Sequence[_Sighting], mm: float) -> tuple[Floats, Floats]:
-    """Corners (4, 2), quality (4,) of a vertebra followed from one or two annotated frames; a pixel is ``mm``."""
+def _combined(sightings: Sequence[_Sighting], magnification: float) -> tuple[Floats, Floats]:
+    """Corners (4, 2) mm on the detector, quality (4,) of a vertebra followed from one or two annotated frames."""
     corners = np.stack([sighting.corners for sighting in sightings])
     variance = np.stack([sighting.error for sighting in sightings]) ** 2
     near = 1.0 / np.array([sighting.distance for sighting in sightings])
@@ -159,7 +158,7 @@ def _combined(sightings: Sequence[_Sighting], mm: float) -> tuple[Floats, Floats
     weight = near[:, None] * (1.0 / (variance + SMALLEST_MM**2) + 1e-9)
     share = weight / weight.sum(axis=0)
     place = np.einsum("sk,ski->ki", share, corners)
-    apart = np.sum((corners - place) ** 2, axis=2) * mm**2
+    apart = np.sum((corners - place) ** 2, axis=2) / magnification**2
     own = share**2 * np.where(np.isinf(variance), 0.0, variance)
     error = np.sqrt(np.sum(own + share * apart, axis=0))
     error[np.isinf(variance).all(axis=0)] = np.inf
