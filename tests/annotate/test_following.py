@@ -29,7 +29,7 @@ def marked(image, *levels):
 @pytest.fixture
 def annotated(session):
     images = {name: marked(name) for name in ("rest/frontal", "rest/lateral", PUSH)}
-    session.save(Draft(schema_version=1, images=images), 0)
+    session.save(Draft(schema_version=1, images=images), session.revision)
     return session
 
 
@@ -50,8 +50,17 @@ def test_an_earlier_run_is_shown_until_its_input_changes(annotated):
     stored = json.loads((annotated.subject.results / "tracked.json").read_text(encoding="utf-8"))
     for frame, kept in zip(record["frames"], stored["pushes"]["a"]["frames"], strict=True):
         np.testing.assert_allclose(list(frame["vertebrae"].values()), kept["corners_px"], atol=0.006)
-    annotated.save(Draft(schema_version=1, images={**annotated.marks, PUSH: marked(PUSH, *VERTEBRAE[1:])}), 1)
+    annotated.save(
+        Draft(schema_version=1, images={**annotated.marks, PUSH: marked(PUSH, *VERTEBRAE[1:])}), annotated.revision
+    )
     assert Follower(annotated).state(PUSH).state == "none"
+
+
+def test_what_a_later_run_finds_is_shown(annotated):
+    follower = Follower(annotated)
+    assert follower.state(PUSH) == Following()
+    run_steps(open_visit(annotated.subject.folder), ("track",))
+    assert follower.state(PUSH).state == "done"
 
 
 @pytest.mark.parametrize("damage", ["{}", "null", "[]", "", "half", "a digit", "another version"])
@@ -76,7 +85,7 @@ def test_a_damaged_run_is_shown_as_none(annotated, damage):
 
 def test_every_annotated_frame_is_a_start(annotated, monkeypatch):
     images = {**annotated.marks, f"{PUSH}/2": marked(f"{PUSH}/2", "T9")}
-    annotated.save(Draft(schema_version=1, images=images), 1)
+    annotated.save(Draft(schema_version=1, images=images), annotated.revision)
     asked = []
     stand_in(monkeypatch, lambda frames, starts, observer: asked.append((len(frames), dict(starts))) or ())
     follower = Follower(annotated)

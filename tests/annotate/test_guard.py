@@ -23,7 +23,7 @@ DATA = [
     ("GET", "/api/track?image=push/a"),
     ("POST", "/api/track"),
 ]
-EMPTY = {"revision": 0, "draft": {"schema_version": 1, "images": {}}}
+EMPTY = {"revision": "", "draft": {"schema_version": 1, "images": {}}}
 
 
 @pytest.mark.parametrize(("method", "path"), DATA)
@@ -34,7 +34,7 @@ def test_nothing_is_given_or_taken_without_the_token(served, method, path):
         assert set(json.loads(body)) == {"error"}
     assert served.ask(method, path, EMPTY if method != "GET" else None, {TOKEN_HEADER: None})[0] == 403
     # With it the same request comes through to where it is judged by its content.
-    assert served.ask(method, path, EMPTY if method != "GET" else None)[0] in (200, 422)
+    assert served.ask(method, path, EMPTY if method != "GET" else None)[0] in (200, 409, 422)
     assert not served.session.annotation_path.exists() or method == "PUT"
 
 
@@ -128,7 +128,7 @@ def test_large_bodies_without_a_length_are_refused_too(served):
         pass  # The server hung up while the rest was being sent; the request was not answered.
     finally:
         connection.close()
-    assert served.session.revision == 0
+    assert not served.session.draft_path.exists() and not served.session.annotation_path.exists()
 
 
 @pytest.mark.parametrize("method", ["DELETE", "PATCH", "OPTIONS", "POST", "TRACE", "HEAD"])
@@ -163,17 +163,17 @@ def test_no_path_comes_from_the_page(served, image):
     for path in ("/../subject.json", "/%2e%2e/subject.json", "/page/index.html", "/subject.json", f"/{quote(image)}x"):
         assert served.ask("GET", path)[0] == 404, path
     marks = {"vertebrae": {}, "supports": {}, "pedicles": {}, "spine": [[1, 1]]}
-    saved = {"revision": 0, "draft": {"schema_version": 1, "images": {image: marks}}}
+    saved = {"revision": served.session.revision, "draft": {"schema_version": 1, "images": {image: marks}}}
     assert served.ask("PUT", "/api/annotation", saved)[0] == 422
     assert not served.session.draft_path.exists()
 
 
 @pytest.mark.parametrize(
     "body",
-    [b"", b"[]", b"{", b"\xff\xfe", b'{"revision": 0}', b'{"revision": NaN, "draft": {}}', b"[" * 100_000,
-     b'{"revision": 0, "revision": 0, "draft": {"schema_version": 1, "images": {}}}',
-     b'{"revision": 0, "draft": {"schema_version": 1, "images": {"rest/frontal": {"vertebrae": {"T1": [[1e400,1]]}}}}}',
-     b'{"revision": 0, "draft": {"schema_version": 1, "images": {"rest/frontal": {"spine": [[1e9,1]]}}}}'],
+    [b"", b"[]", b"{", b"\xff\xfe", b'{"revision": ""}', b'{"revision": NaN, "draft": {}}', b"[" * 100_000,
+     b'{"revision": "", "revision": "", "draft": {"schema_version": 1, "images": {}}}',
+     b'{"revision":"", "draft": {"schema_version": 1, "images": {"rest/frontal": {"vertebrae": {"T1": [[1e400,1]]}}}}}',
+     b'{"revision": "", "draft": {"schema_version": 1, "images": {"rest/frontal": {"spine": [[1e9,1]]}}}}'],
 )  # fmt: skip
 def test_what_is_no_request_of_the_page_is_refused_in_a_line(served, body):
     for method, path in DATA:

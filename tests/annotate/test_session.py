@@ -17,13 +17,14 @@ from spinestiff.annotate.server import session_record
 from spinestiff.annotate.session import AnnotationSession, ChangedElsewhere
 from spinestiff.curves.cobb import read_cobb
 from spinestiff.curves.corner_files import read_corners
+from spinestiff.curves.pushes import rest_reading
 from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json
 from spinestiff.imaging.projection import lateral_view
 from spinestiff.imaging.radiograph import write_radiographs
 from spinestiff.study.steps import marked_pedicles
-from spinestiff.subject.folder import push_corners, read_annotation, read_rest, read_subject
+from spinestiff.subject.folder import image_corners, push_corners, read_annotation, read_rest, read_subject
 from unannotated import CANARY, MM, drawn
 
 ALL = ("rest/frontal", "rest/lateral", "push/a")
@@ -52,7 +53,7 @@ def test_a_folder_without_annotation_opens_empty(session):
 
 
 def test_a_complete_annotation_is_one_that_all_other_steps_read(session):
-    assert session.save(whole(), 0) == 1
+    assert session.save(whole(), session.revision) == session.revision
     assert on_disk(session) == {"subject.json", "annotation.json"}
     assert session.missing(session.marks) == []
     subject = read_subject(session.subject.folder)
@@ -62,37 +63,37 @@ def test_a_complete_annotation_is_one_that_all_other_steps_read(session):
 
 def test_few_vertebrae_wait_in_a_draft_and_come_back(session):
     few = marked("rest/frontal", "T1", "T2", "T3")
-    session.save(draft(rest__frontal=few), 0)
+    session.save(draft(rest__frontal=few), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.draft.json"}
     assert AnnotationSession(session.subject.folder).marks == {"rest/frontal": few}
     assert "3 vertebrae, wanted at least 8" in session.missing(session.marks)[0]
     # The eighth makes it an annotation, and the draft goes.
     eight = marked("rest/frontal", *VERTEBRAE[:8])
-    session.save(draft(rest__frontal=eight), 1)
+    session.save(draft(rest__frontal=eight), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.json"}
     assert AnnotationSession(session.subject.folder).marks == {"rest/frontal": eight}
 
 
 def test_a_proposal_waits_in_the_draft_until_every_vertebra_was_looked_at(session):
     proposed = marked("rest/frontal").model_copy(update={"unseen": ("T1", "L5")})
-    session.save(draft(rest__frontal=proposed), 0)
+    session.save(draft(rest__frontal=proposed), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.draft.json"}
     assert "rest/frontal: 2 of 17 vertebrae are proposed and not looked at yet" in session.missing(session.marks)
     assert AnnotationSession(session.subject.folder).marks["rest/frontal"].unseen == ("T1", "L5")
     # What is no longer there needs no look.
     gone = {name: quad for name, quad in proposed.vertebrae.items() if name != "L5"}
     seen = proposed.model_copy(update={"unseen": ("L5",), "vertebrae": gone})
-    session.save(draft(rest__frontal=seen), 1)
+    session.save(draft(rest__frontal=seen), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.json"}
     assert "unseen" not in session.annotation_path.read_text(encoding="utf-8")
 
 
 def test_the_ends_of_the_points_along_the_spine_wait_in_the_draft_alone(session):
     proposed = marked("rest/frontal").model_copy(update={"unseen": ("T1",), "ends": ("T1", "L5")})
-    session.save(draft(rest__frontal=proposed), 0)
+    session.save(draft(rest__frontal=proposed), session.revision)
     assert AnnotationSession(session.subject.folder).marks["rest/frontal"].ends == ("T1", "L5")
     assert session_record(session)["marks"]["rest/frontal"]["ends"] == ["T1", "L5"]
-    session.save(draft(rest__frontal=proposed.model_copy(update={"unseen": ()})), 1)
+    session.save(draft(rest__frontal=proposed.model_copy(update={"unseen": ()})), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.json"}
     assert "ends" not in session.annotation_path.read_text(encoding="utf-8")
 
@@ -108,7 +109,7 @@ def test_a_push_is_called_push_once(session):
 
 def test_a_lateral_proposal_is_told_how_vertebrae_lean(session):
     assert session.leans("rest/lateral") == {}
-    session.save(draft(rest__frontal=marked("rest/frontal", "T5", "T6")), 0)
+    session.save(draft(rest__frontal=marked("rest/frontal", "T5", "T6")), session.revision)
     leans = session.leans("rest/lateral")
     quads = drawn("rest/frontal").named("T5")["T5"]
     assert set(leans) == {"T5", "T6"} and session.leans("rest/frontal") == {} == session.leans("push/a")
@@ -116,9 +117,9 @@ def test_a_lateral_proposal_is_told_how_vertebrae_lean(session):
 
 
 def test_an_image_that_is_taken_apart_moves_to_the_draft_and_the_others_stay(session):
-    session.save(whole(), 0)
+    session.save(whole(), session.revision)
     images = dict(session.marks) | {"push/a": marked("push/a", "T4")}
-    session.save(Draft(schema_version=1, images=images), 1)
+    session.save(Draft(schema_version=1, images=images), session.revision)
     assert set(read_annotation(session.annotation_path).images) == {"rest/frontal", "rest/lateral"}
     assert AnnotationSession(session.subject.folder).marks == images
 
@@ -127,7 +128,7 @@ def test_a_crash_between_the_two_files_loses_nothing(session, monkeypatch):
     """Whichever write fails, what was saved before is found again or what was to be saved."""
     from spinestiff.annotate import session as module
 
-    session.save(draft(rest__frontal=marked("rest/frontal", "T1")), 0)
+    session.save(draft(rest__frontal=marked("rest/frontal", "T1")), session.revision)
     before, after = session.marks, draft(rest__frontal=marked("rest/frontal"), push__a=marked("push/a", "T1"))
 
     def fail(*_):
@@ -137,36 +138,52 @@ def test_a_crash_between_the_two_files_loses_nothing(session, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(module, broken, fail)
             with pytest.raises(SubjectError, match="no space"):
-                session.save(after, 1)
+                session.save(after, session.revision)
         assert AnnotationSession(session.subject.folder).marks in (before, after.images)
     session = AnnotationSession(session.subject.folder)
-    session.save(after, 0)
+    session.save(after, session.revision)
     assert AnnotationSession(session.subject.folder).marks == after.images
 
 
 def test_two_windows_do_not_overwrite_each_other(session):
-    session.save(whole(), 0)
-    with pytest.raises(ChangedElsewhere, match="another window"):
-        session.save(draft(rest__frontal=marked("rest/frontal", "T1")), 0)
+    first = session.revision
+    session.save(whole(), first)
+    with pytest.raises(ChangedElsewhere, match="another window or program"):
+        session.save(draft(rest__frontal=marked("rest/frontal", "T1")), first)
     assert set(session.marks) == set(ALL)
 
 
 def test_what_another_program_wrote_is_not_overwritten(session):
-    session.save(whole(), 0)
+    session.save(whole(), session.revision)
     text = session.annotation_path.read_text(encoding="utf-8")
     session.annotation_path.write_text(text.replace("\n", "\n "), encoding="utf-8")
     with pytest.raises(ChangedElsewhere, match=r"annotation\.json was changed by another program"):
-        session.save(draft(), 1)
+        session.save(draft(), session.revision)
     session.reload()
-    session.save(draft(rest__frontal=marked("rest/frontal")), 1)
+    session.save(draft(rest__frontal=marked("rest/frontal")), session.revision)
     assert set(read_annotation(session.annotation_path).images) == {"rest/frontal"}
+
+
+def test_a_page_from_before_another_programs_marks_saves_nothing_once_they_are_read(session):
+    session.save(whole(), session.revision)
+    before = session.revision
+    other = AnnotationSession(session.subject.folder)
+    other.save(draft(rest__frontal=marked("rest/frontal", *VERTEBRAE[:9])), other.revision)
+    session.reload()  # as when a second window is opened
+    with pytest.raises(ChangedElsewhere, match="another window or program"):
+        session.save(whole(), before)
+    assert list(read_annotation(session.annotation_path).images["rest/frontal"].vertebrae) == list(VERTEBRAE[:9])
+    # What is there is the same to both.
+    assert session.revision == other.revision
+    session.save(whole(), other.revision)
+    assert session.revision == before
 
 
 def test_wrong_corners_are_named_and_wait_in_the_draft(session):
     quads = drawn("rest/frontal").named()
     quads["T7"] = [quads["T7"][i] for i in (1, 0, 3, 2)]
     crossed = DraftImage.model_validate_json(json.dumps({"vertebrae": quads}))
-    session.save(draft(rest__frontal=crossed), 0)
+    session.save(draft(rest__frontal=crossed), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.draft.json"}
     (line, *_) = session.missing(session.marks)
     assert line.startswith("rest/frontal: ") and "T7" in line
@@ -178,7 +195,7 @@ def test_wrong_corners_are_named_and_wait_in_the_draft(session):
 def test_the_angle_is_the_one_that_spinestiff_cobb_reads(session):
     marks = marked("rest/frontal")
     judged = session.judged("rest/frontal", marks)
-    session.save(draft(rest__frontal=marks), 0)
+    session.save(draft(rest__frontal=marks), session.revision)
     (image,) = read_corners(session.annotation_path)
     read = read_cobb(image)
     assert judged.cobb.curves == read.curves and judged.cobb.patient_left == read.patient_left == "right"
@@ -194,16 +211,57 @@ def test_the_angle_is_the_one_that_spinestiff_cobb_reads(session):
     assert session.judged("rest/lateral", marked("rest/lateral")).cobb is None
 
 
+def test_the_angle_of_pixels_that_are_not_square_is_that_of_spinestiff_cobb(unannotated):
+    path = unannotated / "rest/frontal.dcm"
+    dataset = pydicom.dcmread(path)
+    rows, columns = dataset.ImagerPixelSpacing
+    dataset.ImagerPixelSpacing = [rows, round(1.4 * columns, 6)]
+    dataset.save_as(path)
+    session = AnnotationSession(unannotated)
+    session.save(whole(), session.revision)
+    read = rest_reading(read_subject(unannotated)).largest
+    shown = session.judged("rest/frontal", marked("rest/frontal")).cobb.largest
+    assert shown.angle.degrees == pytest.approx(read.angle.degrees, abs=1e-9)
+    assert (shown.angle.upper, shown.angle.lower) == (read.angle.upper, read.angle.lower)
+    assert shown.sd_deg == pytest.approx(read.sd_deg, rel=1e-6)
+
+
+def test_a_radiograph_that_stands_on_its_head_can_be_complete(unannotated):
+    """The fit reads its corners; only files of other programs, and so the angle, have no words for them."""
+    path = unannotated / "rest/frontal.dcm"
+    dataset = pydicom.dcmread(path)
+    dataset.PixelData = np.flip(dataset.pixel_array, 0).tobytes()
+    dataset.PatientOrientation = ["L", "H"]
+    dataset.save_as(path)
+    last = dataset.Rows - 1
+    quads = {name: [[x, last - y] for x, y in quad] for name, quad in drawn("rest/frontal").named().items()}
+    turned = DraftImage.model_validate({"vertebrae": quads})
+    session = AnnotationSession(unannotated)
+    judged = session.judged("rest/frontal", turned)
+    assert (judged.vertebrae, judged.problem, judged.cobb) == (17, "", None)
+    session.save(Draft(schema_version=1, images={**whole().images, "rest/frontal": turned}), session.revision)
+    assert session.missing(session.marks) == []
+    subject = read_subject(unannotated)
+    assert len(image_corners(subject, "rest/frontal", read_rest(subject, "frontal").view)) == 17
+    with pytest.raises(SubjectError, match="stands on its head"):
+        exported(session, "csv")
+    # What is wrong with it is told as of any other.
+    upside = session.judged("rest/frontal", marked("rest/frontal"))
+    assert "the superior corners lie below" in upside.problem
+
+
 def test_points_that_do_not_belong_there_are_said_to(session):
     supports = marked("rest/frontal").model_copy(update={"supports": {"pelvis": ((1.0, 2.0),)}})
     assert "supports" in session.judged("rest/frontal", supports).problem
 
 
 def test_a_later_frame_is_annotated_by_one_vertebra(session):
-    session.save(Draft(schema_version=1, images={**whole().images, "push/a/2": marked("push/a/2", "T9")}), 0)
+    session.save(
+        Draft(schema_version=1, images={**whole().images, "push/a/2": marked("push/a/2", "T9")}), session.revision
+    )
     assert list(read_annotation(session.annotation_path).images["push/a/2"].vertebrae) == ["T9"]
     with pytest.raises(SubjectError, match="the push has 3 frames"):
-        session.save(draft(push__a__3=marked("push/a", "T9")), 1)
+        session.save(draft(push__a__3=marked("push/a", "T9")), session.revision)
 
 
 def pedicles_of(image, *levels):
@@ -219,7 +277,7 @@ def pedicles_of(image, *levels):
 def test_pedicles_alone_annotate_a_later_frame_and_are_what_tracking_reads(session):
     pairs = pedicles_of("push/a/2", "T8", "T9")
     pedicles = DraftImage(pedicles=pairs)
-    session.save(Draft(schema_version=1, images={**whole().images, "push/a/2": pedicles}), 0)
+    session.save(Draft(schema_version=1, images={**whole().images, "push/a/2": pedicles}), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.json"} and session.missing(session.marks) == []
     subject = read_subject(session.subject.folder)
     push = subject.push("a")
@@ -235,13 +293,13 @@ def test_pedicles_alone_annotate_a_later_frame_and_are_what_tracking_reads(sessi
 def test_a_pedicle_that_is_only_guessed_waits_in_the_draft(session):
     pairs = pedicles_of("rest/frontal", "T8", "T9")
     guessed = marked("rest/frontal").model_copy(update={"pedicles": pairs, "guessed": {"T9": 1}})
-    session.save(draft(rest__frontal=guessed), 0)
+    session.save(draft(rest__frontal=guessed), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.draft.json"}
     assert "rest/frontal: one pedicle of T9 is only guessed yet" in " ".join(session.missing(session.marks))
     assert AnnotationSession(session.subject.folder).marks["rest/frontal"].guessed == {"T9": 1}
     # A guess of what is no longer there needs no look.
     gone = guessed.model_copy(update={"pedicles": pedicles_of("rest/frontal", "T8")})
-    session.save(draft(rest__frontal=gone), 1)
+    session.save(draft(rest__frontal=gone), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.json"}
     assert "guessed" not in session.annotation_path.read_text(encoding="utf-8")
 
@@ -257,11 +315,11 @@ def test_pedicles_that_are_swapped_or_outside_are_said_to_be_before_a_fit_reads_
 
 
 def test_a_radiograph_that_can_not_be_read_keeps_its_annotation(session):
-    session.save(whole(), 0)
+    session.save(whole(), session.revision)
     (session.subject.folder / "rest/lateral.dcm").write_bytes(b"no DICOM")
     session = AnnotationSession(session.subject.folder)
     assert any(line.startswith("rest/lateral: ") for line in session.missing(session.marks))
-    session.save(whole(), 0)
+    session.save(whole(), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.json"}
     assert set(read_annotation(session.annotation_path).images) == set(ALL)
 
@@ -293,7 +351,7 @@ def test_a_folder_that_is_not_complete_can_be_annotated_and_says_what_it_lacks(u
     ]
     record = session_record(session)
     assert [image["forces"] for image in record["images"]] == [[None], [0.0, None, 40.0]]
-    session.save(draft(push__a=marked("push/a")), 0)
+    session.save(draft(push__a=marked("push/a")), session.revision)
     assert on_disk(session) == {"subject.json", "annotation.json"}
     data |= {"age": 13, "height_cm": 157}
     data["pushes"][0] |= {"level": 8, "forces_n": [0, 20, 40]}
@@ -343,10 +401,10 @@ def test_a_draft_reads_what_it_writes():
 
 @pytest.mark.parametrize("form", ["csv", "slicer"])
 def test_corners_go_out_and_come_back(session, form):
-    session.save(whole(), 0)
+    session.save(whole(), session.revision)
     text = exported(session, form).decode()
     assert CANARY not in text
-    session.save(draft(), 1)
+    session.save(draft(), session.revision)
     marks, said = imported(session, {"csv": "a.CSV", "slicer": "a.mrk.json"}[form], text, "rest/frontal")
     assert said == []
     assert {name: image.vertebrae for name, image in marks.items()} == {
@@ -355,7 +413,7 @@ def test_corners_go_out_and_come_back(session, form):
 
 
 def test_the_csv_is_as_seen_in_the_image(session):
-    session.save(draft(rest__frontal=marked("rest/frontal", "T1", "T2")), 0)
+    session.save(draft(rest__frontal=marked("rest/frontal", "T1", "T2")), session.revision)
     rows = [line.split(",") for line in exported(session, "csv").decode().split()[1:5]]
     places = {row[2]: (float(row[3]), float(row[4])) for row in rows}
     assert places["top_left"][0] < places["top_right"][0] and places["top_left"][1] < places["bottom_left"][1]
@@ -363,7 +421,7 @@ def test_the_csv_is_as_seen_in_the_image(session):
 
 def test_an_import_keeps_what_the_file_does_not_hold(session):
     before = marked("rest/frontal", "T1").model_copy(update={"pedicles": {"T1": ((2.0, 1.0), (1.0, 1.0))}})
-    session.save(draft(rest__frontal=before), 0)
+    session.save(draft(rest__frontal=before), session.revision)
     text = "image,level,corner,x,y\n" + "".join(
         f"other.png,T2,{corner},{x},{y}\n"
         for corner, x, y in [("top_left", 1, 1), ("top_right", 9, 1), ("bottom_right", 9, 9), ("bottom_left", 1, 9)]
@@ -454,13 +512,13 @@ def test_nothing_to_export_is_said(session):
 def test_a_save_that_failed_can_be_tried_again(session, monkeypatch):
     from spinestiff.annotate import session as module
 
-    session.save(draft(rest__frontal=marked("rest/frontal", "T1")), 0)
+    session.save(draft(rest__frontal=marked("rest/frontal", "T1")), session.revision)
     with monkeypatch.context() as patch:
         patch.setattr(module, "write_annotation", lambda *_: (_ for _ in ()).throw(SubjectError("no space")))
         with pytest.raises(SubjectError, match="no space"):
-            session.save(whole(), 1)
+            session.save(whole(), session.revision)
     # The draft was written before that, by this very program.
-    assert session.save(whole(), 1) == 2
+    assert session.save(whole(), session.revision) == session.revision
     assert set(read_annotation(session.annotation_path).images) == set(ALL)
 
 
@@ -500,7 +558,8 @@ def test_a_vertebra_that_sets_the_millimetres_can_be_marked_first(unannotated):
         "rest/frontal": {"vertebra": "L1", "width_mm": 42}, "push/a": {"vertebra": "L2", "width_mm": 44},
         "rest/lateral": {"vertebra": "L1", "width_mm": 30}}}}), encoding="utf-8")  # fmt: skip
     session = AnnotationSession(unannotated)
-    assert session.save(whole(), 0) == 1 and session.missing(session.marks) == []
+    session.save(whole(), session.revision)
+    assert session.missing(session.marks) == []
     # What the file tells counts where it tells something.
     spacing = session.frames("rest/lateral")[0].view.pixel_spacing
     np.testing.assert_allclose(spacing, MM * 1500.0 / 1340.0, rtol=1e-6)

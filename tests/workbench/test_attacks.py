@@ -114,6 +114,29 @@ def test_names_of_files_are_no_paths(served, name):
     assert len(inside) == 1 and inside[0].resolve().is_relative_to(place / "files")
 
 
+LONG = "\U00020bb7" * 90
+CLASHING = {LONG: b"0", "DICOM": b"1", "DICOM/IM1": b"2", "dicom/IM2": b"3", "a/b/c": b"4", "A/B": b"5", "a/b/d": b"6"}
+
+
+@pytest.mark.parametrize("as_zip", [False, True])
+def test_files_and_folders_of_one_name_stay_apart_and_names_fit_the_disk(served, as_zip):
+    key = served.upload({"all.zip": packed(CLASHING.items())} if as_zip else CLASHING)
+    places = served.bench.uploads.whole(key)
+    found = {path.relative_to(places[-1]).as_posix(): path.read_bytes() for path in places[-1].rglob("*")
+             if path.is_file()}  # fmt: skip
+    found = {name.removeprefix("0/"): content for name, content in found.items()}
+    assert found == {"\U00020bb7" * 50: b"0", "DICOM": b"1", "DICOM-2/IM1": b"2", "dicom-2/IM2": b"3",
+                     "a/b/c": b"4", "A/B-2": b"5", "a/b/d": b"6"}  # fmt: skip
+
+
+def test_a_folder_of_a_files_name_is_one_folder_in_a_later_announcement_too(served):
+    uploads = served.bench.uploads
+    key = uploads.begin()
+    uploads.announce(key, [("DICOM", 1), ("DICOM/IM1", 1)])
+    paths = [one["path"] for one in uploads.announce(key, [("DICOM/IM2", 1), ("DICOM/IM1", 1)])]
+    assert paths == ["DICOM", "DICOM-2/IM1", "DICOM-2/IM2", "DICOM-2/IM1-2"]
+
+
 def test_a_name_that_comes_thousands_of_times_is_counted_on(monkeypatch):
     class Counted(set):
         asked = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 
 import numpy as np
 import pytest
@@ -18,7 +19,8 @@ from spinestiff.subject.intake.adding import read_standing
 from spinestiff.subject.intake.collecting import collect
 from spinestiff.subject.lock import sole_run
 from spinestiff.subject.run_record import record_step, step_record
-from spinestiff.workbench import marks, replacing, trash
+from spinestiff.workbench import marks, push_removal, replacing, trash
+from spinestiff.workbench.marks import texts_of
 from spinestiff.workbench.trash import Trash
 from unannotated import drawn
 
@@ -134,19 +136,71 @@ def test_a_page_that_shows_the_picture_before_saves_nothing(served, root, tmp_pa
     assert before[0] != after[0] and before[1:] == after[1:]
     again = served.good("GET", f"{page}/session")
     sent = {"revision": again["revision"], "draft": {"schema_version": 1, "images": {}}}
-    assert served.good("PUT", f"{page}/annotation", sent)["revision"] == again["revision"] + 1
+    # Nothing was marked before, and nothing is now.
+    assert served.good("PUT", f"{page}/annotation", sent)["revision"] == again["revision"]
 
 
 def test_an_annotation_that_is_open_elsewhere_notices_the_new_picture(root, served, tmp_path):
     session = AnnotationSession(root / "girl")
-    old = np.array(session.frames("rest/frontal")[0].pixels)
+    before, old = session.revision, np.array(session.frames("rest/frontal")[0].pixels)
     replaced(served, wish(served, tmp_path)[0])
     with pytest.raises(ChangedElsewhere, match="was replaced meanwhile"):
-        session.save(Draft(schema_version=1, images={}), 0)
+        session.save(Draft(schema_version=1, images={}), before)
     session.reload()
-    assert session.revision == 1
+    assert session.revision != before
     new = session.frames("rest/frontal")[0].pixels
     assert new.shape != old.shape or not np.array_equal(new, old)
+
+
+def test_marks_that_are_saved_while_a_radiograph_is_copied_stay(served, girl, tmp_path, monkeypatch):
+    session, real = AnnotationSession(girl), replacing.copy_known
+    later = session.marks["push/a"].model_copy(update={"supports": {"pelvis": ((9.0, 9.0),)}})
+    moved = Draft(schema_version=1, images={**session.marks, "push/a": later})
+
+    def slow(*asked):
+        real(*asked)
+        session.save(moved, session.revision)
+
+    monkeypatch.setattr(replacing, "copy_known", slow)
+    replaced(served, wish(served, tmp_path)[0])
+    images = read_json(girl / "annotation.json")["images"]
+    assert set(images) == {"rest/lateral", "push/a"} and images["push/a"]["supports"] == {"pelvis": [[9.0, 9.0]]}
+
+
+@pytest.mark.parametrize("act", ["replace", "remove a push", "return a push"])
+def test_a_page_saves_before_or_after_marks_change_places_and_never_between(served, girl, tmp_path, monkeypatch, act):
+    trash = served.bench.trash
+    source = export(tmp_path / "new" / "I9", "frontal", patient="", time="114500")
+    key = trash.remove_push(girl, "a")[0] if act == "return a push" else ""
+    session, refused = AnnotationSession(girl), []
+    images = {name: image for name, image in session.marks.items() if name != "rest/lateral"}
+
+    def save():
+        try:
+            session.save(Draft(schema_version=1, images=images), session.revision)
+        except ChangedElsewhere as error:
+            refused.append(error)
+
+    page = threading.Thread(target=save)
+
+    def slow(folder):
+        found = texts_of(folder)
+        page.start()
+        page.join(0.3)
+        return found
+
+    for module in (replacing, push_removal):
+        monkeypatch.setattr(module, "texts_of", slow)
+    if act == "replace":
+        trash.replace(girl, "rest/frontal", source, file_digest(source))
+    elif act == "remove a push":
+        trash.remove_push(girl, "a")
+    else:
+        trash.restore(key)
+    page.join(20)
+    assert len(refused) == 1
+    left = {"replace": {"push/a"}, "remove a push": {"rest/frontal"}, "return a push": {"rest/frontal", "push/a"}}
+    assert set(read_json(girl / "annotation.json")["images"]) == {*left[act], "rest/lateral"}
 
 
 def test_what_can_not_take_the_place_is_refused_and_changes_nothing(served, girl, tmp_path, monkeypatch):

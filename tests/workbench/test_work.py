@@ -7,6 +7,7 @@ import io
 import json
 import os
 import re
+import shutil
 import signal
 import sys
 import time
@@ -21,8 +22,9 @@ from asking import wait_for
 from hospital import disc, export, gauged
 from spinestiff.annotate.draft import DraftImage
 from spinestiff.app.plan import wish_of
-from spinestiff.errors import OptionError
+from spinestiff.errors import OptionError, SubjectError
 from spinestiff.files import read_json, write_json
+from spinestiff.imaging.radiograph import read_radiographs
 from spinestiff.subject.annotation_record import Annotation
 from spinestiff.subject.folder import read_subject, read_unannotated, write_annotation
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
@@ -142,6 +144,32 @@ def test_folders_on_the_machine_are_those_that_were_named(root, serve, tmp_path)
         assert served.good("POST", "/api/subjects", asked)["key"] == served.key("new")
 
 
+def test_names_that_are_no_utf8_are_shown_and_hide_nothing(root, serve, tmp_path):
+    latin = os.fsdecode(b"M\xfcller")
+    try:
+        shutil.copytree(root / "girl", root / latin)
+    except OSError:
+        pytest.skip("this file system takes UTF-8 names alone")
+    for name in ("frontal", "lateral"):
+        (tmp_path / "exports" / latin).mkdir(parents=True, exist_ok=True)
+        shutil.copy(root / "girl" / "rest" / f"{name}.dcm", tmp_path / "exports" / latin / f"{latin}-{name}.dcm")
+    with serve(root, sources=(tmp_path / "exports",)) as served:
+        cards = served.good("GET", "/api/subjects")["subjects"]
+        assert [(one["name"], one["stage"]) for one in cards] == [("M%FCller", "annotate"), ("girl", "annotate")]
+        status, _, table = served.ask("GET", "/api/table.csv")
+        assert status == 200 and [row.split(",")[0] for row in table.decode().splitlines()[1:]] == ["M%FCller", "girl"]
+        assert len(served.good("GET", f"/annotate/{served.key(latin)}/api/session")["images"]) == 3
+        (_, source) = served.good("GET", "/api/sources")["sources"]
+        asked = {"origin": "source", "key": source["key"]}
+        files = served.good("POST", "/api/look", asked)["files"]
+        assert [one["name"] for one in files] == ["M%FCller-frontal.dcm", "M%FCller-lateral.dcm"]
+        # By what was shown they are found again.
+        wide = {**asked, "name": files[0]["name"]}
+        assert served.ask("POST", "/api/look/picture", wide)[0] == 200
+        chosen = {**asked, "frontal": files[0]["name"]}
+        assert served.good("POST", "/api/look", chosen)["files"][0]["use"] == "rest, frontal"
+
+
 # The form.
 
 
@@ -233,6 +261,29 @@ def test_cards_say_what_comes_next(served, root):
 
 
 # Jobs.
+
+
+@pytest.mark.parametrize("broken", ["rest", "results"])
+def test_a_subject_that_can_not_be_read_hides_no_other(served, root, monkeypatch, broken):
+    shutil.copytree(root / "girl", root / "boy")
+    real = Path.stat
+
+    def closed(path, **options):
+        if path.is_relative_to(root / "boy" / broken):
+            raise PermissionError(13, "Permission denied", str(path))
+        return real(path, **options)
+
+    for name in ("boy", "girl"):
+        annotated(root / name)
+        (root / name / "results").mkdir()
+        (root / name / "results" / "estimate.json").write_text("{}", encoding="utf-8")
+        subject = read_subject(root / name)
+        record_step(subject, "report", step_record(subject, ("rest/frontal.dcm", "pushes/a.dcm"), {}), [])
+    monkeypatch.setattr(Path, "stat", closed)
+    boy, girl = served.good("GET", "/api/subjects")["subjects"]
+    assert girl["stage"] == "run" and girl["missing"] == []
+    assert boy["name"] == "boy" and "ermission" in " ".join([*boy["missing"], *[str(boy.get("result"))]])
+    assert served.ask("GET", "/api/table.csv")[0] == 200
 
 
 def test_one_job_at_a_time_a_subject_and_a_cancelled_one_that_waits(served):
@@ -418,9 +469,46 @@ def test_zip_files_that_nobody_fetches_do_not_stay(served, root, serve, monkeypa
         patch.setattr(parcel, "room_bytes", lambda _: 1000)
         status, said = served.json("POST", f"/api/subjects/{served.key()}/zip", {"nameless": False})
         assert status == 422 and "no room on the disk" in said["error"] and not list(parcels.iterdir())
-    pack()
+    ticket = pack()
+    # Another server of the same folder, which changes nothing.
     with serve(root, read_only=True):
+        pass
+    assert served.ask("GET", f"/parcel/{ticket}")[0] == 200
+    pack()
+    with serve(root):
         assert not parcels.exists()
+
+
+@pytest.mark.parametrize("beside", ["", "README.txt"])
+def test_a_zip_file_without_names_keeps_frames_in_their_order(root, tmp_path, beside):
+    """No file has a time or a number: the order is that of names as people read them."""
+    values, frames = read_json(root / "girl" / "subject.json"), root / "girl" / "pushes" / "a"
+    frames.mkdir()
+    for number in range(11):
+        dataset = pydicom.dcmread(root / "girl" / "rest" / "frontal.dcm")
+        pixels = dataset.pixel_array.copy()
+        pixels[0, 0] = number
+        dataset.PixelData = pixels.tobytes()
+        dataset.SOPInstanceUID = dataset.file_meta.MediaStorageSOPInstanceUID = f"1.2.3.{number}"
+        for name in ("AcquisitionTime", "AcquisitionDateTime", "ContentTime", "InstanceNumber"):
+            if name in dataset:
+                delattr(dataset, name)
+        dataset.save_as(frames / f"img{number + 1}.dcm")
+    values["pushes"][0] |= {
+        "frames": "pushes/a", "forces_n": [6.0 * number for number in range(11)],
+        "roles": [*["unused"] * 10, "training"],
+    }  # fmt: skip
+    write_json(root / "girl" / "subject.json", values)
+    if beside:  # passed by, as by whoever reads the frames
+        (frames / beside).write_text("eleven frames", encoding="utf-8")
+    with zipfile.ZipFile(nameless_parcel(root / "girl", tmp_path / "parcels", True)) as zipped:
+        zipped.extractall(tmp_path / "bare")
+    push = read_unannotated(tmp_path / "bare").pushes[0]
+    with pytest.warns(UserWarning, match="ordered by file name"):
+        shown = read_radiographs(tmp_path / "bare" / push.frames)
+    assert list(push.forces_n) == [6.0 * number for number in range(11)]
+    stored = [pydicom.dcmread(tmp_path / "bare" / push.frames / f"{number:03d}.dcm") for number in range(11)]
+    assert [int(one.pixel_array[0, 0]) for one in stored] == list(range(11)) and len(shown) == 11
 
 
 def content_of(folder):
@@ -441,6 +529,46 @@ def test_what_is_removed_can_be_put_back(served, root):
     assert served.good("GET", "/api/trash")["trash"] == []
 
 
+def test_a_subject_whose_folder_has_any_name_can_be_put_back(served, root):
+    (root / "girl").rename(root / "visit 1, girl")
+    before, key = content_of(root / "visit 1, girl"), served.key("visit 1, girl")
+    trash = served.good("DELETE", f"/api/subjects/{key}")["trash"]
+    assert served.good("POST", f"/api/trash/{trash}/restore", {})["key"] == key
+    assert content_of(root / "visit 1, girl") == before and served.good("GET", "/api/trash")["trash"] == []
+    # A new one's name stays as the report takes it.
+    with pytest.raises(SubjectError, match="wanted"):
+        served.bench.root.new_subject("visit 2")
+
+
+def test_a_page_saves_on_the_marks_that_it_has_however_often_its_room_is_made(served, root, serve):
+    page = f"/annotate/{served.key()}/api"
+
+    def save(client, revision, count):
+        quads = dict(list(drawn("rest/frontal").named().items())[:count])
+        draft = {"schema_version": 1, "images": {"rest/frontal": {"vertebrae": quads}}}
+        status, said = client.json("PUT", f"{page}/annotation", {"revision": revision, "draft": draft})
+        return status, said.get("revision")
+
+    def marked_now():
+        return len(read_json(root / "girl" / "annotation.draft.json")["images"]["rest/frontal"]["vertebrae"])
+
+    old = revision = served.good("GET", f"{page}/session")["revision"]
+    for count in (3, 4, 5):
+        status, revision = save(served, revision, count)
+        assert status == 200
+    # Others are looked at meanwhile, and no room is kept for this one.
+    for name in "bcde":
+        shutil.copytree(root / "girl", root / name)
+        served.good("GET", f"/annotate/{served.key(name)}/api/session")
+    assert save(served, old, 1)[0] == 409 and marked_now() == 5
+    status, revision = save(served, revision, 6)
+    assert status == 200 and marked_now() == 6
+    # The same where the server is started anew.
+    with serve(root) as again:
+        assert save(again, old, 1)[0] == 409
+        assert save(again, revision, 7)[0] == 200 and marked_now() == 7
+
+
 def test_the_annotation_page_is_a_room_of_its_own(served, root):
     page = f"/annotate/{served.key()}"
     status, headers, body = served.ask("GET", f"{page}/", headers={"x-spinestiff-token": None})
@@ -451,7 +579,7 @@ def test_the_annotation_page_is_a_room_of_its_own(served, root):
     marks = {"vertebrae": drawn("rest/frontal").named()}
     draft = {"schema_version": 1, "images": {"rest/frontal": marks}}
     sent = {"revision": session["revision"], "draft": draft}
-    assert served.good("PUT", f"{page}/api/annotation", sent)["revision"] == session["revision"] + 1
+    assert served.good("PUT", f"{page}/api/annotation", sent)["revision"] != session["revision"]
     assert set(read_json(root / "girl" / "annotation.json")["images"]) == {"rest/frontal"}
     # Values that change while somebody annotates: the marks stay.
     form = served.good("GET", f"/api/subjects/{served.key()}/form")

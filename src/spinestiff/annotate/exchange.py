@@ -1,4 +1,4 @@
-"""Corners of a session to and from files of other programs: CSV and Slicer markups (``study.corner_files``)."""
+"""Corners of a session to and from files of other programs: CSV and Slicer markups (``curves.corner_files``)."""
 
 from __future__ import annotations
 

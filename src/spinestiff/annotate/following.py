@@ -46,9 +46,9 @@ class Follower:
     def state(self, image: str) -> Following:
         """How far the tracking of a push has come; before the first run, what ``spinestiff track`` last found."""
         with self._lock:
-            if image not in self._runs:
-                self._runs[image] = 0, self._stored(image)
-            return self._runs[image][1]
+            if image in self._runs:
+                return self._runs[image][1]
+        return self._stored(image)
 
     def _stored(self, image: str) -> Following:
         folder = self.session.subject.folder

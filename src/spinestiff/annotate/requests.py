@@ -16,7 +16,7 @@ from spinestiff.subject.records import VertebraName
 class Save(Sent):
     """All marks of the folder, made on revision ``revision``."""
 
-    revision: Annotated[int, Field(ge=0)]
+    revision: Annotated[str, Field(max_length=64)]
     draft: Draft
 
 

@@ -7,9 +7,10 @@ import os
 import re
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from threading import RLock
+from threading import Lock, RLock
 
 import numpy as np
 from pydantic import ValidationError
@@ -65,6 +66,9 @@ STAND_IN = ScaleRecord(object_mm=6.0, object_px=((0.0, 0.0), (40.0, 0.0)), plane
 """A pixel 0.15 mm wide, where millimetres come from a vertebra still to be marked; no length is shown or kept."""
 SHOWN = 3
 """Of the values that subject.json does not know yet; ``spinestiff inspect`` lists all."""
+Pictures = tuple[tuple[str, int, int, int], ...]
+_WRITING: dict[Path, AbstractContextManager[object]] = {}
+_WRITING_LOCK = Lock()
 
 
 @dataclass(frozen=True)
@@ -75,12 +79,22 @@ class Judged:
     ----------
     vertebrae : how many have corners.
     problem : why the image is not complete, in words; empty where it is.
-    cobb : what ``spinestiff cobb`` reads, in frontal images with two vertebrae or more that can be read.
+    cobb : what ``spinestiff cobb`` reads, in frontal images with two vertebrae or more that can be read and do not
+        stand on their heads.
     """
 
     vertebrae: int
     problem: str
     cobb: CobbReading | None
+
+
+@dataclass(frozen=True)
+class _OnDisk:
+    """What marks are made on: the rest radiographs, and digests of ``annotation.json`` and the draft."""
+
+    pictures: Pictures
+    annotation: str
+    draft: str
 
 
 class AnnotationSession:
@@ -90,10 +104,11 @@ class AnnotationSession:
     ----------
     folder : with ``subject.json``, complete or not, and at least one radiograph; ``annotation.json`` may be missing, a
         draft is taken up.
-    revision : of the marks as they are on disk. A page saves on the revision that it was given, and on no other.
 
     Attributes
     ----------
+    revision : a hash of ``subject.json``, the rest radiographs and the marks as they were read or saved, the same in
+        every session of the same files. A page saves on the revision that it was given, and on no other.
     images : names of those that are there. absent : of those that a fit needs and that are not there yet.
     views : names of radiographs of pushes from other sides, and whether a fit needs their marks.
 
@@ -102,7 +117,8 @@ class AnnotationSession:
     SubjectError : the folder can't be annotated, in one line.
     """
 
-    def __init__(self, folder: str | Path, revision: int = 0) -> None:
+    def __init__(self, folder: str | Path) -> None:
+        self._made_of = _digest(Path(folder) / SUBJECT_FILE)
         self.subject = read_unannotated(folder)
         wanted = annotatable(self.subject.record)
         self.views = annotatable_views(self.subject.record)
@@ -112,11 +128,10 @@ class AnnotationSession:
         if not self.images:
             raise SubjectError(f"{folder}: no radiograph to annotate; wanted {', '.join(REST_IMAGES.values())}")
         self.lock = RLock()
-        self.revision = revision
         self._frames: OrderedDict[str, Sequence[Radiograph]] = OrderedDict()
         self._views: dict[str, XRayView] = {}
         self._drafted: dict[str, DraftImage] = {}
-        self._pictures = pictures_on_disk(self.subject.folder)
+        self._seen = self._on_disk()
         self.reload()
 
     def _offered(self, name: str) -> bool:
@@ -136,14 +151,14 @@ class AnnotationSession:
     def reload(self) -> None:
         """Take what is on disk: the draft if there is one, else ``annotation.json``, else nothing.
 
-        Where another rest radiograph has taken the place of one, pages that show the old one can no longer save.
+        Where it is not what was there, another rest radiograph included, pages that show that can no longer save.
         """
-        with self.lock:
-            if self._pictures != (pictures := pictures_on_disk(self.subject.folder)):
-                self._pictures = pictures
+        with self.lock, writing(self.subject.folder):
+            # Before anything is read: what is written meanwhile is noticed by the next save.
+            found = self._on_disk()
+            if self._seen.pictures != found.pictures:
                 self._frames.clear()
                 self._views.clear()
-                self.revision += 1
             images: dict[str, DraftImage] = {}
             if self.annotation_path.is_file():
                 images |= _drafted(read_annotation(self.annotation_path))
@@ -151,9 +166,10 @@ class AnnotationSession:
             images |= self._drafted
             self._refuse_unknown(images)
             self.marks = images
-            self._seen = self._on_disk()
+            self._seen = found
+            self.revision = self._token()
 
-    def save(self, draft: Draft, revision: int) -> int:
+    def save(self, draft: Draft, revision: str) -> str:
         """Write what the page holds, each file whole or not at all; returns the new revision.
 
         Raises
@@ -161,14 +177,17 @@ class AnnotationSession:
         ChangedElsewhere : another window or program has written since ``revision``, or replaced a rest radiograph.
         SubjectError : an unknown image, or a file can't be written.
         """
-        with self.lock:
+        with self.lock, writing(self.subject.folder):
             if revision != self.revision:
-                raise ChangedElsewhere("another window has changed the annotation; reload this page to go on")
-            if self._pictures != pictures_on_disk(self.subject.folder):
+                raise ChangedElsewhere(
+                    "another window or program has changed the annotation; reload this page to go on"
+                )
+            found = self._on_disk()
+            if self._seen.pictures != found.pictures:
                 raise ChangedElsewhere(
                     "a radiograph at rest was replaced meanwhile; reload this page to mark the new one"
                 )
-            if self._seen != self._on_disk():
+            if self._seen != found:
                 raise ChangedElsewhere(
                     f"{ANNOTATION_FILE} was changed by another program; reload this page to go on from there"
                 )
@@ -186,7 +205,7 @@ class AnnotationSession:
             finally:
                 self._seen = self._on_disk()
             self.marks = marked
-            self.revision += 1
+            self.revision = self._token()
             return self.revision
 
     def frames(self, name: str) -> Sequence[Radiograph]:
@@ -323,9 +342,13 @@ class AnnotationSession:
         return ImageCorners(name, levels, seen, "", "px", side)
 
     def _cobb(self, name: str, marks: DraftImage) -> CobbReading | None:
-        if view_kind(self.view(name)) != "frontal" or len(marks.vertebrae) < 2:
+        view = self.view(name)
+        if view_kind(view) != "frontal" or not upright(view) or len(marks.vertebrae) < 2:
             return None
-        reading = read_cobb(self.seen(name, marks))
+        seen = self.seen(name, marks)
+        # Angles are those of the body: of pixels that are not square, as tall as they are wide.
+        square = view.pixel_spacing / view.pixel_spacing[0]
+        reading = read_cobb(replace(seen, corners=seen.corners * square))
         return None if reading.largest is None else reading
 
     def _refuse_unknown(self, names: Iterable[str]) -> None:
@@ -339,11 +362,21 @@ class AnnotationSession:
             self.draft_path.unlink(missing_ok=True)
         self._drafted = images
 
-    def _on_disk(self) -> tuple[str, str]:
-        return _digest(self.annotation_path), _digest(self.draft_path)
+    def _on_disk(self) -> _OnDisk:
+        return _OnDisk(pictures_on_disk(self.subject.folder), _digest(self.annotation_path), _digest(self.draft_path))
+
+    def _token(self) -> str:
+        return hashlib.sha256(repr((self._made_of, self._seen)).encode()).hexdigest()
 
 
-def pictures_on_disk(folder: Path) -> tuple[tuple[str, int, int, int], ...]:
+def writing(folder: Path) -> AbstractContextManager[object]:
+    """Held by whatever in this program writes a subject's marks or puts a radiograph in another's place: what was read
+    is still there when it writes. Other programs are told by what they have written."""
+    with _WRITING_LOCK:
+        return _WRITING.setdefault(folder.resolve(), RLock())
+
+
+def pictures_on_disk(folder: Path) -> Pictures:
     """What tells the rest radiographs of a subject from others in their places, without reading them: of each that is
     there its name, number in the file system, size and time of change."""
     found = {name: folder / place for name, place in REST_IMAGES.items()}
@@ -366,6 +399,11 @@ def image_of(name: str) -> str:
     return name if name in REST_IMAGES or re.fullmatch(FURTHER_VIEW, name) else "/".join(name.split("/")[:2])
 
 
+def upright(view: XRayView) -> bool:
+    """Whether the head is up in the picture."""
+    return bool(picture_axes(view)[1][1] <= 0.0)
+
+
 def first_on(view: XRayView) -> Side:
     """The side of the image where the patient's left, in a lateral image the front, is seen.
 
@@ -373,10 +411,9 @@ def first_on(view: XRayView) -> Side:
     ------
     SubjectError : the radiograph stands on its head, for which files of other programs have no words.
     """
-    first, up = picture_axes(view)
-    if up[1] > 0.0:
+    if not upright(view):
         raise SubjectError("the radiograph stands on its head; such corners can't be exchanged")
-    return "right" if first[0] > 0.0 else "left"
+    return "right" if picture_axes(view)[0][0] > 0.0 else "left"
 
 
 def _drafted(annotation: Annotation) -> dict[str, DraftImage]:

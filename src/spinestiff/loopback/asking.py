@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, TypeVar
+import json
+import re
+from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -28,6 +30,8 @@ async def _body(request: Request) -> bytes:
 
 
 Body = Annotated[bytes, Depends(_body)]
+_NO_UTF8 = re.compile("[\ud800-\udfff]")
+"""How Python keeps such bytes in a name: as halves of a surrogate pair."""
 
 
 def sent(body: bytes, kind: type[S]) -> S:
@@ -43,27 +47,40 @@ def sent(body: bytes, kind: type[S]) -> S:
         raise SubjectError(f"the request: {complaint_of(error)}") from None
 
 
+def sendable(text: str) -> str:
+    """Text that can be sent: bytes of a file's name that are no UTF-8 stand there as in an address, e.g. "M%FCller"."""
+    return _NO_UTF8.sub(lambda one: f"%{ord(one[0]) & 0xFF:02X}", text)
+
+
+class Told(JSONResponse):
+    """JSON, ``sendable`` whatever names of files it holds."""
+
+    def render(self, content: Any) -> bytes:
+        """The body."""
+        return sendable(json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"))).encode()
+
+
 def bare_application() -> FastAPI:
     """An application without pages of its own, whose failures are one line of JSON each."""
-    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None, default_response_class=Told)
 
     @app.exception_handler(SpinestiffError)
-    def refused(_: Request, error: Exception) -> JSONResponse:
+    def refused(_: Request, error: Exception) -> Told:
         statuses: tuple[tuple[type[Exception], int], ...] = (
             (ChangedElsewhere, 409),
             (InUseError, 409),
             (NotThere, 404),
         )
         status = next((status for kind, status in statuses if isinstance(error, kind)), 422)
-        return JSONResponse({"error": " ".join(str(error).split())}, status)
+        return Told({"error": " ".join(str(error).split())}, status)
 
     @app.exception_handler(RequestValidationError)
-    def malformed(_: Request, error: Exception) -> JSONResponse:
-        return JSONResponse({"error": "the request is not one of this page's"}, 422)
+    def malformed(_: Request, error: Exception) -> Told:
+        return Told({"error": "the request is not one of this page's"}, 422)
 
     @app.exception_handler(OSError)
-    def unwritten(_: Request, error: Exception) -> JSONResponse:
+    def unwritten(_: Request, error: Exception) -> Told:
         assert isinstance(error, OSError)
-        return JSONResponse({"error": f"a file can't be read or written ({error.strerror})"}, 500)
+        return Told({"error": f"a file can't be read or written ({error.strerror})"}, 500)
 
     return app

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
@@ -10,13 +9,12 @@ from pathlib import Path
 
 from fastapi import FastAPI, Response
 from fastapi.concurrency import run_in_threadpool
-from fastapi.responses import JSONResponse
 
 from spinestiff.annotate.server import PAGE, application
 from spinestiff.annotate.session import AnnotationSession, pictures_on_disk
 from spinestiff.errors import NotThere, SpinestiffError
 from spinestiff.files import file_digest
-from spinestiff.loopback.asking import bare_application
+from spinestiff.loopback.asking import Told, bare_application
 from spinestiff.loopback.guard import App, Message, Receive, Send
 from spinestiff.loopback.serving import shipped
 from spinestiff.subject.records import SUBJECT_FILE
@@ -47,13 +45,11 @@ class AnnotationRooms:
                 app = await run_in_threadpool(self._room, key)
             except SpinestiffError as error:
                 words = {"error": " ".join(str(error).split())}
-                app = JSONResponse(words, 404 if isinstance(error, NotThere) else 422)
+                app = Told(words, 404 if isinstance(error, NotThere) else 422)
         await app({**scope, "path": f"/{rest}", "root_path": ""}, receive, send)
 
     def _room(self, key: str) -> FastAPI:
         """The application of a subject, made anew where ``subject.json`` or a rest radiograph is another than it was.
-
-        Its first revision is of these files, so that a page that was loaded from others saves nothing here.
 
         Raises SpinestiffError.
         """
@@ -61,9 +57,7 @@ class AnnotationRooms:
         with self._lock:
             made_of = f"{file_digest(folder / SUBJECT_FILE)} {pictures_on_disk(folder)}"
             if folder not in self._rooms or self._rooms[folder][0] != made_of:
-                # Below 2^48, so that JSON's numbers hold it and all that follow.
-                first = int(hashlib.sha256(made_of.encode()).hexdigest()[:12], 16)
-                self._rooms[folder] = made_of, application(AnnotationSession(folder, first))
+                self._rooms[folder] = made_of, application(AnnotationSession(folder))
             self._rooms.move_to_end(folder)
             while len(self._rooms) > MOST:
                 self._rooms.popitem(last=False)

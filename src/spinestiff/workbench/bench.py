@@ -63,7 +63,7 @@ def open_bench(
         Parcels(root.own / "parcels"),
         read_only,
     )
-    bench.parcels.clear()
     if not read_only:
+        bench.parcels.clear()
         bench.jobs.table.make()
     return bench

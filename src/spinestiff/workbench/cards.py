@@ -42,24 +42,24 @@ def card(key: str, folder: Path, job: Job | None) -> dict[str, Any]:
     """A subject as JSON; whatever is wrong with it is told in the card, not raised."""
     about: dict[str, Any] = {"key": key, "name": folder.name, "job": None if job is None else job.record()}
     try:
-        subject = read_unannotated(folder)
+        return about | _told(read_unannotated(folder))
     except (SpinestiffError, OSError) as error:
         return {**about, "stage": "broken", "stage_words": STAGES["broken"], "missing": [_one_line(error, folder)]}
+
+
+def _told(subject: Subject) -> dict[str, Any]:
     record, unknown = subject.record, {gap.key for gap in subject.gaps if gap.push is None}
-    about |= {
-        "id": record.id,
-        "age": None if "age" in unknown else record.age,
-        "sex": None if "sex" in unknown else record.sex,
-        "height_cm": None if "height_cm" in unknown else record.height_cm,
-        "pushes": len(record.pushes),
-    }
     stage, missing = _stage(subject)
     found = result(subject)
     changed = [] if found is None else stale(subject, changed_lately)
     if stage == "run" and found is not None and "problem" not in found and not changed:
         stage = "done"
     return {
-        **about,
+        "id": record.id,
+        "age": None if "age" in unknown else record.age,
+        "sex": None if "sex" in unknown else record.sex,
+        "height_cm": None if "height_cm" in unknown else record.height_cm,
+        "pushes": len(record.pushes),
         "stage": stage,
         "stage_words": STAGES[stage],
         "missing": missing,

@@ -6,28 +6,53 @@ import re
 from collections.abc import Iterable
 
 MOST_PARTS, LONGEST_PART = 12, 80
+MOST_BYTES = 200
+"""Of a part in UTF-8, so that a number and an end still fit into the 255 that file systems take."""
 _RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
 
 
 class Names:
-    """Harmless names, each given once, in whatever case its letters are."""
+    """Harmless names of files, each given once, in whatever case its letters are; no folder on the way is a file."""
 
     def __init__(self, taken: Iterable[str] = ()) -> None:
-        self._taken = {name.casefold() for name in taken}
+        self._taken: set[str] = set()
+        self._folders: set[str] = set()
         self._counts: dict[str, int] = {}
+        for name in taken:
+            self._take(name)
 
     def new(self, name: str) -> str:
-        """``harmless``, with a number where that is taken."""
-        first = harmless(name)
-        # The same name may come thousands of times: counting goes on where it ended.
-        found, count = first, self._counts.get(first.casefold(), 1)
-        while found.casefold() in self._taken:
-            count += 1
-            stem, dot, end = first.rpartition(".")
-            found = f"{stem}-{count}{dot}{end}" if dot and "/" not in end and stem else f"{first}-{count}"
-        self._counts[first.casefold()] = count
-        self._taken.add(found.casefold())
+        """``harmless``, with a number where that is taken, or a folder of it a file."""
+        *folders, last = harmless(name).split("/")
+        place = ""
+        for folder in folders:
+            place = f"{self._free(place + folder, folder=True)}/"
+        found = self._free(place + last)
+        self._take(found)
         return found
+
+    def _free(self, first: str, folder: bool = False) -> str:
+        # The same name may come thousands of times: counting goes on where it ended.
+        key = f"{first.casefold()}/" if folder else first.casefold()
+        count = self._counts.get(key, 1)
+        while (found := _numbered(first, count, folder)).casefold() in self._taken or (
+            not folder and found.casefold() in self._folders
+        ):
+            count += 1
+        self._counts[key] = count
+        return found
+
+    def _take(self, name: str) -> None:
+        plain = name.casefold()
+        self._taken.add(plain)
+        self._folders.update(plain[:at] for at, letter in enumerate(plain) if letter == "/")
+
+
+def _numbered(first: str, count: int, folder: bool) -> str:
+    if count == 1:
+        return first
+    stem, dot, end = first.rpartition(".")
+    return f"{stem}-{count}{dot}{end}" if not folder and dot and "/" not in end and stem else f"{first}-{count}"
 
 
 def harmless(name: str) -> str:
@@ -35,7 +60,7 @@ def harmless(name: str) -> str:
     parts = []
     for part in re.split(r"[/\\]", name[:2000]):
         plain = "".join(c if c.isalnum() or c in " ._-+()^=," else "_" for c in part).strip(" .")[:LONGEST_PART]
-        plain = plain.rstrip(" .")
+        plain = plain.encode("utf-8", "ignore")[:MOST_BYTES].decode("utf-8", "ignore").rstrip(" .")
         if plain:
             parts.append(f"_{plain}" if _RESERVED.fullmatch(plain) else plain)
     return "/".join(parts[-MOST_PARTS:]) or "file"

@@ -6,13 +6,14 @@ import hashlib
 import hmac
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from spinestiff.errors import NotThere, SpinestiffError, SubjectError
 from spinestiff.files import listed
 from spinestiff.imaging.dicom.export import Exported
+from spinestiff.loopback.asking import sendable
 from spinestiff.subject.gaps import PERSON
 from spinestiff.subject.intake import making
 from spinestiff.subject.intake.adding import TABLE
@@ -87,14 +88,17 @@ class Export:
 
 
 def read_export(places: Sequence[Path]) -> Export:
-    """Read what lies in folders. Raises SpinestiffError, without names of the folders."""
+    """Read what lies in folders, by names as a page sends them back. Raises SpinestiffError, without names of the
+    folders."""
     try:
-        return Export(*collect(places))
+        found, refused = collect(places)
     except SpinestiffError as error:
         words = str(error)
         for place in places:
             words = words.replace(str(place), "the upload")
         raise type(error)(words) from None
+    named = tuple(replace(one, name=sendable(one.name)) for one in found)
+    return Export(named, tuple(replace(one, name=sendable(one.name)) for one in refused))
 
 
 def looked_at(export: Export, wish: Wish) -> dict[str, Any]:

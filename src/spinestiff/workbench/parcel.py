@@ -8,6 +8,7 @@ import secrets
 import shutil
 import threading
 import time
+import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -15,10 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from spinestiff.errors import RadiographError, SubjectError
-from spinestiff.files import read_json, regular_files, trouble
+from spinestiff.files import read_json, trouble
 from spinestiff.formats import json_text
 from spinestiff.imaging.deidentification.deidentify import deidentify
 from spinestiff.imaging.deidentification.pseudonyms import Key, random_key
+from spinestiff.imaging.dicom.millimetres import Geometry
+from spinestiff.imaging.radiograph import read_scans
 from spinestiff.subject.folder import MOST_INPUT_BYTES, read_annotation, read_unannotated
 from spinestiff.subject.records import ANNOTATION_FILE, REST_IMAGES, SUBJECT_FILE
 from spinestiff.workbench.marks import XRAY_KEYS
@@ -143,10 +146,13 @@ def nameless_parcel(folder: Path, place: Path, burned_in_ok: bool) -> Path:
 
 
 def _copied(path: Path, folder: Path, name: str, key: Key, burned_in_ok: bool) -> tuple[str, dict[str, bytes]]:
-    """Radiographs of a file or folder under a new name."""
+    """Radiographs of a file or folder under a new name; of a folder those that are read, in their order."""
     if not path.is_dir():
         return f"{name}.dcm", {f"{name}.dcm": _freed(path, folder, key, burned_in_ok, name)}
-    inside = list(regular_files(path, SubjectError, within=folder, cap_bytes=MOST_INPUT_BYTES))
+    with warnings.catch_warnings():
+        # Of their order; whoever reads the subject is told, too.
+        warnings.simplefilter("ignore")
+        inside = [path / scan.name for scan in read_scans(path, Geometry(), within=folder)]
     return name, {
         f"{name}/{number:03d}.dcm": _freed(one, folder, key, burned_in_ok, name) for number, one in enumerate(inside)
     }

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from spinestiff.annotate.session import writing
 from spinestiff.errors import NotThere, SubjectError
 from spinestiff.files import trouble
 from spinestiff.subject.gaps import check_open_record
@@ -69,7 +70,7 @@ def remove_push(folder: Path, push: str, keep: Callable[[RemovedPush], object]) 
     InUseError : a run is at work on the subject. NotThere : no such push.
     SubjectError : without it the schema does not allow the others; a file that can't be read or written.
     """
-    with sole_run(folder):
+    with sole_run(folder), writing(folder):
         texts = texts_of(folder)
         before = contents_of(texts)
         pushes = before[SUBJECT_FILE]["pushes"]
@@ -102,7 +103,7 @@ def return_push(folder: Path, removed: RemovedPush) -> None:
     InUseError : a run is at work on the subject.
     SubjectError : its name is taken, or the schema does not allow it for another reason; a file that can't be written.
     """
-    with sole_run(folder):
+    with sole_run(folder), writing(folder):
         texts = texts_of(folder)
         before = contents_of(texts)
         pushes = list(before[SUBJECT_FILE]["pushes"])

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from spinestiff.annotate.session import writing
 from spinestiff.errors import SubjectError
 from spinestiff.files import copy_known, trouble
 from spinestiff.imaging.dicom.export import Exported
@@ -159,32 +160,39 @@ def exchange(folder: Path, image: str, source: Path, sha256: str, marks: Marks, 
     with sole_run(folder):
         if target.is_symlink() or target.parent.is_symlink():
             raise SubjectError(f"{REST_IMAGES[image]}: is a link, which is not replaced; put a file there by hand")
-        texts = texts_of(folder)
-        before = contents_of(texts)
-        bare, gone = parted(before, image)
-        after = joined(bare, image, marks)
-        there = target.exists()
-        place: Path | None = None
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             copy_known(source, draft, sha256, "the radiograph")
-            if there:
-                place = keep(gone)
-            write_changed(folder, before, bare)
-            if place is not None:
-                target.rename(place)
-            draft.rename(target)
-            write_changed(folder, bare, after)
-        except BaseException as problem:
-            if not there:
-                target.unlink(missing_ok=True)
-            elif place is not None and place.exists():
-                place.replace(target)
-            put_back(folder, texts)
-            if isinstance(problem, OSError):
-                raise SubjectError(
-                    f"the radiograph can't be replaced ({trouble(problem)}); nothing was changed"
-                ) from None
-            raise
+            # Marks may be saved while a large file is copied, and none from here on.
+            with writing(folder):
+                _exchange(folder, image, draft, marks, keep)
+        except OSError as problem:
+            raise SubjectError(f"the radiograph can't be replaced ({trouble(problem)}); nothing was changed") from None
         finally:
             draft.unlink(missing_ok=True)
+
+
+def _exchange(folder: Path, image: str, draft: Path, marks: Marks, keep: Callable[[Marks], Path]) -> None:
+    """The same with the copy, ``draft``, whoever else would write the marks kept out."""
+    target = folder / REST_IMAGES[image]
+    texts = texts_of(folder)
+    before = contents_of(texts)
+    bare, gone = parted(before, image)
+    after = joined(bare, image, marks)
+    there = target.exists()
+    place: Path | None = None
+    try:
+        if there:
+            place = keep(gone)
+        write_changed(folder, before, bare)
+        if place is not None:
+            target.rename(place)
+        draft.rename(target)
+        write_changed(folder, bare, after)
+    except BaseException:
+        if not there:
+            target.unlink(missing_ok=True)
+        elif place is not None and place.exists():
+            place.replace(target)
+        put_back(folder, texts)
+        raise

@@ -74,6 +74,13 @@ class Root:
         """Where a new subject goes. Raises SubjectError for what is no name of one, or is taken."""
         if not re.fullmatch(IDENTIFIER, name):
             raise SubjectError(f"name: found {name[:64]!r}, wanted {WANTED_ID}")
+        return self.free(name)
+
+    def free(self, name: str) -> Path:
+        """The place of a folder of this name, which any file system's folder may have. Raises SubjectError where it is
+        taken, or is a path."""
+        if Path(name).name != name:
+            raise SubjectError(f"name: found {name[:64]!r}, wanted the name of a folder")
         if any(one.name.casefold() == name.casefold() for one in listed(self.path, SubjectError)):
             raise SubjectError("name: there is a folder of that name already; wanted another name")
         return self.path / name

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from fastapi import FastAPI, Response
 from pydantic import Field
 
-from spinestiff.loopback.asking import Body, Sent, sent
+from spinestiff.loopback.asking import Body, Sent, sendable, sent
 from spinestiff.subject.folder import read_unannotated
 from spinestiff.workbench.bench import Bench
 from spinestiff.workbench.cards import card
@@ -60,7 +60,7 @@ def add_subjects(app: FastAPI, bench: Bench) -> None:
     @app.get("/api/table.csv")
     def table() -> Response:
         found = [card(key, folder, None) for key, folder in root.subjects()]
-        return Response(overview_csv(found), media_type="text/csv; charset=utf-8")
+        return Response(sendable(overview_csv(found)), media_type="text/csv; charset=utf-8")
 
     @app.get("/api/subjects/{key}")
     def subject(key: str) -> dict[str, Any]:

@@ -152,7 +152,7 @@ class Trash:
             return self.root.key_of(name), None
         if not (place / RECORD).is_file():
             inside = self._subject(place)
-            target = self.root.new_subject(inside.name)
+            target = self.root.free(inside.name)
             inside.rename(target)
             place.rmdir()
             return self.root.key_of(target.name), None

@@ -5,7 +5,7 @@ import type { ImageMarks, Marks, Point, Quad } from "./marks";
 
 export interface ImageInfo { name: string; title: string; kind: "frontal" | "lateral"; forces: (number | null)[]; roles: (string | null)[] }
 export interface Session {
-  version: string; subject: string; vertebrae: string[]; lowest_quality: number; images: ImageInfo[]; marks: Marks; revision: number; missing: string[];
+  version: string; subject: string; vertebrae: string[]; lowest_quality: number; images: ImageInfo[]; marks: Marks; revision: string; missing: string[];
 }
 export interface Grey {
   rows: number; columns: number; window: [number, number]; kind: string; first: Point; up: Point; pixel_mm: Point;
@@ -22,7 +22,7 @@ const query = (values: Record<string, string | number>): string =>
   new URLSearchParams(Object.entries(values).map(([key, value]) => [key, String(value)])).toString();
 
 export const session = (): Promise<Session> => get("api/session");
-export const save = (marks: Marks, revision: number): Promise<{ revision: number; missing: string[] }> =>
+export const save = (marks: Marks, revision: string): Promise<{ revision: string; missing: string[] }> =>
   send("PUT", "api/annotation", { revision, draft: { schema_version: 1, images: marks } });
 export const judge = (image: string, marks: ImageMarks): Promise<Judged> => send("POST", "api/judge", { image, marks });
 export const propose = (

@@ -95,7 +95,9 @@ export class App {
       this.stage.load(grey, same);
       this.loaded = asked;
       if (image.forces.length > 1 && !same) void this.pictures.ahead(image.name, this.frame, image.forces.length, most);
-      if (this.isPush && !this.tracking[name]) this.watch(name, await api.tracking(name));
+      // Somebody may have tracked it meanwhile, by a command or in the workbench.
+      const told = this.tracking[name]?.state;
+      if (this.isPush && (!told || (told === "none" && !same))) this.watch(name, await api.tracking(name));
     } catch (error) {
       if (asked === this.key) this.says.problem(words(error), () => this.key !== asked || this.loaded === asked);
     }

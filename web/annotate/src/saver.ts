@@ -12,7 +12,7 @@ export class Saver {
   private timer = 0;
 
   constructor(
-    private revision: number,
+    private revision: string,
     private readonly say: (state: "saving" | "saved" | "failed", words: string) => void,
     private readonly missing: (lines: string[]) => void,
   ) {
