@@ -7,6 +7,7 @@ import json
 import os
 import re
 import socket
+import time
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from spinestiff.files import (
     whole_folder,
     write_bytes,
     write_json,
+    write_text,
 )
 from spinestiff.formats import parse_csv, parse_json
 
@@ -153,6 +155,24 @@ def test_what_is_no_json_is_told_in_words_of_the_file(text, words):
         parse_json(text, "a.json")
 
 
+@pytest.mark.parametrize("text", ['{"a": "%s" "b"}', '{"a": 1 %s', '{"a": "1",%s}', '{"a": "%s,%s'])
+def test_a_text_of_many_digits_is_refused_as_fast_as_it_is_read(text):
+    began = time.process_time()
+    with pytest.raises(SubjectError, match=r"^a\.json: not JSON at line 1"):
+        parse_json(text.replace("%s", "1" * 10**5), "a.json")
+    # Milliseconds where each digit is looked at once; a minute where each is looked at from all before it.
+    assert time.process_time() - began < 2.0
+
+
+@pytest.mark.parametrize("digits", [20, 21])
+def test_a_decimal_comma_is_told_in_numbers_that_somebody_types(digits):
+    number = f"{'1' * digits},{'2' * digits}"
+    with pytest.raises(SubjectError) as caught:
+        parse_json(f'{{"a": {number}}}', "a.json")
+    told = f"found {number}, wanted a decimal point ({number.replace(',', '.')})"
+    assert (told in str(caught.value)) == (digits == 20) and str(caught.value).count("\n") == 0
+
+
 @pytest.mark.parametrize("read", [read_text, read_exported_text])
 def test_a_spreadsheets_own_format_is_told_from_text(tmp_path, read):
     path = tmp_path / "pushes.csv"
@@ -194,6 +214,15 @@ def test_written_json_is_sorted_and_plain(tmp_path):
     write_json(path, {"b": np.array([1.5, 2.0]), "a": {"z": np.float64(0.1), "y": np.int64(3)}, "c": (1, None)})
     assert read_json(path) == {"a": {"y": 3, "z": 0.1}, "b": [1.5, 2.0], "c": [1, None]}
     assert list(json.loads(path.read_text())) == ["a", "b", "c"]
+
+
+def test_names_that_are_no_utf8_are_written_by_their_codes(tmp_path):
+    name = os.fsdecode(b"M\xfcller \xc3\xa4.dcm")
+    write_json(tmp_path / "a.json", {"frames": name})
+    assert "M\\udcfcller ä.dcm" in (tmp_path / "a.json").read_text(encoding="utf-8")
+    assert read_json(tmp_path / "a.json") == {"frames": name}
+    write_text(tmp_path / "a.csv", f"file\n{name}\n")
+    assert read_text(tmp_path / "a.csv") == "file\nM\\udcfcller ä.dcm\n"
 
 
 @pytest.mark.parametrize("bad", [float("nan"), np.array([1.0, np.inf]), {1, 2}, object()])

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from spinestiff.errors import ChangedElsewhere, SpinestiffError, SubjectError
-from spinestiff.formats import json_text, parse_json
+from spinestiff.formats import encodable, json_text, parse_json
 
 LARGEST_JSON = 10 * 2**20
 """Bytes. A subject's files are a few kilobytes; anything larger is another file or an accident."""
@@ -117,7 +117,7 @@ def write_json(path: Path, data: Any) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file as UTF-8, whole or not at all. Raises SubjectError if it can't be written."""
-    write_bytes(path, text.encode("utf-8"))
+    write_bytes(path, encodable(text).encode("utf-8"))
 
 
 def check_writable(folder: Path, what: str) -> None:

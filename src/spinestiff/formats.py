@@ -16,6 +16,8 @@ from spinestiff.errors import SubjectError
 from spinestiff.words import counted
 
 _LONGEST_SHOWN = 60
+_MOST_DIGITS = 20
+"""On either side of a decimal comma, in a number of JSON."""
 SEPARATORS = (";", "\t", ",")
 """Of fields in tables that people make, in the order in which a header is tried."""
 
@@ -63,7 +65,10 @@ def parse_json(text: str, name: str) -> Any:
 
 def _json_fault(text: str, error: json.JSONDecodeError) -> str:
     """What is wrong, in words of the file rather than of Python's parser."""
-    before, after = re.search(r"\d+,$", text[: error.pos]), re.match(r"\d+", text[error.pos :])
+    # Longer numbers are none that somebody typed, and looking through all of a text's digits would take for ever.
+    beside = _MOST_DIGITS + 2
+    before = re.search(rf"(?<!\d)\d{{1,{_MOST_DIGITS}}},$", text[max(error.pos - beside, 0) : error.pos])
+    after = re.match(rf"\d{{1,{_MOST_DIGITS}}}(?!\d)", text[error.pos : error.pos + beside])
     if before and after:
         found = before[0] + after[0]
         return f"found {found}, wanted a decimal point ({found.replace(',', '.')})"
@@ -143,7 +148,15 @@ def _separator(text: str, columns: Sequence[str], optional: Sequence[str]) -> st
 
 def json_text(data: Any) -> str:
     """``data`` as JSON, the same text from the same data. Raises ValueError or TypeError for what JSON lacks."""
-    return json.dumps(data, sort_keys=True, indent=1, allow_nan=False, ensure_ascii=False, default=_plain)
+    return encodable(json.dumps(data, sort_keys=True, indent=1, allow_nan=False, ensure_ascii=False, default=_plain))
+
+
+def encodable(text: str) -> str:
+    r"""Text as UTF-8 can hold it: what stands for a byte of a file's name that is no UTF-8 is told by its code.
+
+    As ``\udcfc``, which in JSON is the same text when it is read again.
+    """
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def _plain(value: Any) -> Any:

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from spinestiff.errors import SpinestiffError
+from spinestiff.formats import encodable
 from spinestiff.observer import LOGGER
 from spinestiff.subject.folder import Subject
 from spinestiff.subject.program import program
@@ -103,7 +104,7 @@ class _Lines(logging.Handler):
     def write(self, content: dict[str, Any]) -> None:
         if "text" in content:
             content["text"] = self._scrub.sub("…", content["text"])
-        line = json.dumps(content, ensure_ascii=False) + "\n"
+        line = encodable(json.dumps(content, ensure_ascii=False)) + "\n"
         if self._file is None:
             self._waiting.append(line)
             return

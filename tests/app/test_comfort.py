@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 from typer.main import get_command
@@ -16,6 +17,8 @@ from spinestiff.app import cli
 from spinestiff.app.settings_file import settings_of
 from spinestiff.errors import FitError, OptionError
 from spinestiff.files import read_json
+from spinestiff.observer import LOGGER
+from spinestiff.run_log import run_log
 from spinestiff.study import steps
 from spinestiff.subject.program import program
 
@@ -203,6 +206,16 @@ def test_a_failed_run_says_so_in_its_log_and_names_nobody(spinestiff, subject, m
     assert lines[-1]["text"] == "…/… of …, …: 0.57 of … in main is bad"
     for word in ("Doe", "DOE", "4711", str(named)):
         assert word not in path.read_text(encoding="utf-8")
+
+
+def test_names_that_are_no_utf8_are_in_the_log_by_their_codes(tmp_path):
+    name = os.fsdecode(b"M\xfcller")
+    subject = SimpleNamespace(folder=tmp_path, results=tmp_path / "results", record=SimpleNamespace(id="girl"))
+    with run_log(subject, "track", {"out": name}):
+        logging.getLogger(LOGGER).info("track", extra={"event": "begin"})
+        logging.getLogger(LOGGER).info(f"{name}: dark")
+    _, lines = logged(tmp_path)
+    assert (lines[0]["settings"], lines[2]["text"], lines[3]["outcome"]) == ({"out": name}, f"{name}: dark", "done")
 
 
 def test_an_interrupted_run_has_the_lines_so_far(spinestiff, subject, monkeypatch):

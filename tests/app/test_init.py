@@ -361,6 +361,54 @@ def test_what_is_open_is_filled_and_nothing_else_changes(spinestiff, tmp_path, s
     assert "no such file; name the DICOM files" in spinestiff("init", tmp_path / "nowhere").err
 
 
+def without_distances(folder):
+    """Leave ``d21_mm`` and ``d31_mm`` out of every push of a subject, and its height open; returns what is left."""
+    path = folder / "subject.json"
+    data = json.loads(path.read_text())
+    for push in data["pushes"]:
+        del push["d21_mm"], push["d31_mm"]
+    path.write_text(json.dumps({**data, "height_cm": None}))
+    return data
+
+
+def test_distances_that_are_left_out_are_shown_as_unknown_and_stay_so(spinestiff, tmp_path, source):
+    out = tmp_path / "girl"
+    spinestiff("init", out, source, "--age", 13)
+    left = without_distances(out)
+    done = spinestiff("init", out, "--height", 157)
+    assert done.status == 0, done.err
+    assert "push-1: 3 frames, from the ?, rib ?, d21 ? mm, d31 ? mm, ?, ?, ? N" in done.out
+    assert "sex is missing" in done.out.partition("open still")[2]
+    assert json.loads((out / "subject.json").read_text()) == {**left, "height_cm": 157.0}
+    done = spinestiff("init", out, "--d21", 400)
+    assert done.status == 0 and "d21_mm: 400.0 for 2 pushes alike" in done.out
+
+
+def test_distances_that_are_left_out_are_asked_for_on_a_terminal(spinestiff, tmp_path, source, monkeypatch):
+    out = tmp_path / "girl"
+    spinestiff("init", out, source, *PERSON)
+    left = without_distances(out)
+    given = {"height_cm,": ["157"], "d21_mm,": ["", "400"], "d31_mm,": ["", "66"]}
+    said = answering(monkeypatch, **{key: ["", ""] for key in ("side,", "level,", "force of each")}, **given)
+    make_subject(out, [], Asked(Given(), may_ask=True))
+    assert sum("d21_mm, vertical distance" in question for question in said) == 2
+    one, two = left["pushes"]
+    filled = {**left, "height_cm": 157.0, "pushes": [one, {**two, "d21_mm": 400.0, "d31_mm": 66.0}]}
+    assert json.loads((out / "subject.json").read_text()) == filled
+
+
+def test_geometry_that_is_null_is_filled_as_geometry_that_is_left_out(spinestiff, tmp_path, source):
+    out = tmp_path / "girl"
+    spinestiff("init", out, source, *PERSON)
+    path = out / "subject.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "xray": {"imager_pixel_mm": None, "images": None}}))
+    done = spinestiff("init", out, "--imager-pixel", 0.4, "--source-patient", "rest/lateral=1700")
+    assert done.status == 0 and "stays" not in done.out, done.err
+    assert json.loads(path.read_text())["xray"] == {
+        "imager_pixel_mm": 0.4, "images": {"rest/lateral": {"source_patient_mm": 1700.0}}
+    }  # fmt: skip
+
+
 # Logs of gauges
 
 

@@ -8,6 +8,8 @@ import sys
 
 import pytest
 
+from hospital import export
+
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals, pipes and devices of Unix")
 PROGRAM = [sys.executable, "-c", "from spinestiff.app.start import main; main()"]
 
@@ -39,6 +41,24 @@ def test_an_output_that_takes_nothing(line, status, err):
         pytest.skip("a device of Linux")
     ended = shell(line)
     assert (ended.returncode, ended.stderr) == (status, err)
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="names of files are UTF-8 there")
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("inspect in", r"not one sequence: M\udcfcller b.dcm"),
+        ("init girl in --no-questions", r"M\udcfcller a.dcm 1 0 rest, frontal"),
+        ('init "$(printf "M\\374ller")" in --no-questions --id girl', r"next: spinestiff annotate M\udcfcller"),
+    ],
+)
+def test_names_of_files_that_are_no_text_are_told_by_their_codes(tmp_path, line, words):
+    """As in the UTF-8 locale of a country, where Python refuses to print such a name."""
+    for name, kind in ((b"M\xfcller a.dcm", "frontal"), (b"M\xfcller b.dcm", "lateral")):
+        export(tmp_path / "in" / kind, kind).rename(tmp_path / "in" / os.fsdecode(name))
+    ended = shell(f"cd '{tmp_path}'; export PYTHONIOENCODING=utf-8:strict; \"$@\" {line}")
+    assert (ended.returncode, "Traceback" in ended.stderr) == (0, False)
+    assert words in " ".join(ended.stdout.split())
 
 
 @pytest.mark.parametrize("place", ["typer", "numpy", "scipy.sparse"])

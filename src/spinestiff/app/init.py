@@ -361,7 +361,8 @@ def _finish(out: Path, work: _Work, notes: Sequence[str]) -> None:
 
 def _push_words(push: dict[str, Any]) -> str:
     forces = force_words(push["forces_n"])
-    told = {key: "?" if push[key] is None else push[key] if key == "side" else f"{push[key]:g}" for key in PUSH}
+    known = {key: push.get(key) for key in PUSH}
+    told = {key: "?" if value is None else value if key == "side" else f"{value:g}" for key, value in known.items()}
     return (
         f"{push_named(push['id'])}: {counted(len(push['forces_n']), 'frame')}, from the {told['side']}, "
         f"rib {told['level']}, d21 {told['d21_mm']} mm, d31 {told['d31_mm']} mm, {forces}"

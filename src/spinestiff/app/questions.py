@@ -27,7 +27,7 @@ def on_terminal() -> bool:
 def ask_open(
     data: dict[str, Any], keys: Mapping[str, str], where: str, ask: Callable[[str], str] | None = None
 ) -> None:
-    """Ask for the values of ``PERSON`` or ``PUSH`` that are None, and put the answers there.
+    """Ask for the values of ``PERSON`` or ``PUSH`` that are None or left out, and put the answers there.
 
     Parameters
     ----------
@@ -35,8 +35,10 @@ def ask_open(
     ask : gives the answer to a question; None: the terminal.
     """
     for key in keys:
-        if data[key] is None:
-            data[key] = asked(f"{where}{key}, {keys[key]}", partial(_value, key, data), ask)
+        if data.get(key) is None:
+            answer = asked(f"{where}{key}, {keys[key]}", partial(_value, key, data), ask)
+            if answer is not None:
+                data[key] = answer
 
 
 def ask_forces(

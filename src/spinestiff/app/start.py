@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from contextlib import suppress
@@ -37,7 +38,9 @@ def main() -> None:
 
 
 def _open_standard_files() -> None:
-    """A standard file that was closed is nowhere: else the next file to be opened would be taken for it."""
+    """A standard file that was closed is nowhere: else the next file to be opened would be taken for it. One that is
+    open takes any text.
+    """
     for number in (0, 1, 2):
         try:
             os.fstat(number)
@@ -46,6 +49,10 @@ def _open_standard_files() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (until the program's end)
+        stream = getattr(sys, name)
+        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            # Names of files that are no text in this encoding, and signs that a console lacks, are told by their codes.
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _end(message: str, status: int) -> None:

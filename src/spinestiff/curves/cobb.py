@@ -1,8 +1,8 @@
 """Cobb angles of an image: its largest one, its curves by region, their signs, and what corner noise makes of them.
 
-The largest angle is that of any two vertebrae (``metrics.cobb_angle``). The other curves hang on it: above it the curve
-that ends where it begins and bends the other way, and so on to the head; below it likewise. Each curve belongs to the
-region of its apex. docs/cobb.md has the definitions with their sources.
+The largest angle is that of any two vertebrae (``curves.tilts.cobb_angle``). The other curves hang on it: above it the
+curve that ends where it begins and bends the other way, and so on to the head; below it likewise. Each curve belongs to
+the region of its apex. docs/cobb.md has the definitions with their sources.
 """
 
 from __future__ import annotations
@@ -244,7 +244,7 @@ def spine_curves(
 
     Raises
     ------
-    SpinestiffError : as ``metrics.tilts_from_points`` does.
+    SpinestiffError : as ``curves.tilts.tilts_from_points`` does.
     """
     spine = tilts_from_points(levels, points, DEFINITIONS[definition])
     main = cobb_angle(spine)

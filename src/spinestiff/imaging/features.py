@@ -40,7 +40,6 @@ SIZE_LIMITS = (0.4, 2.5)
 # A vertebra in a picture: this many corners, with (u, v) each. Arrays of features are (V, *FEATURE_SHAPE).
 CORNERS = 4
 FEATURE_SHAPE = (CORNERS, 2)
-FEATURE_COUNT = 2 * CORNERS
 # Corner order: (superior 0 or inferior 1, first 0 or second 1).
 _LEVEL = np.array([0, 0, 1, 1])
 _SIDE = np.array([0, 1, 1, 0])

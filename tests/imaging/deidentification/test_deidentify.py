@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import logging
 import re
 import subprocess
@@ -157,9 +158,18 @@ def test_compressed_overlays_above_the_stored_bits_are_refused(tmp_path):
         deidentify(saved(dataset), KEY)
 
 
+@pytest.mark.parametrize("kind", ["jpeg-2000", "jpeg-ls"])
+def test_signed_values_whose_bits_above_are_clear_pass(tmp_path, kind):
+    dataset, pixels = coded(tmp_path, kind)
+    dataset.PixelRepresentation = 1
+    assert pixels.max() > 2047
+    found = deidentify(saved(dataset), KEY)
+    np.testing.assert_array_equal(found.frames[0], (pixels.astype(np.int16) << 4) >> 4)
+
+
 def lossless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pixels: np.ndarray) -> tuple[bytes, list[list[str]]]:
     """A file declared as JPEG Lossless of 12 bits, for which GDCM's child process would give these pixels; and the
-    command lines of the children that are started."""
+    command lines of the children that are started, each followed by the number of bits it is to keep."""
     dataset, _ = coded(tmp_path, "jpeg")
     stream = with_segment(jpeg(smooth(8)), 0xFE).replace(b"\xff\xc0", b"\xff\xc3", 1)
     dataset.PixelData = encapsulate([stream + b"\0" * (len(stream) % 2)])
@@ -167,8 +177,9 @@ def lossless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pixels: np.ndarray
     dataset.BitsAllocated, dataset.BitsStored, dataset.HighBit = 16, 12, 11
     children = []
 
-    def run(command, **_):
-        children.append(command)
+    def run(command, **given):
+        options = json.loads(given["input"].partition(b"\n")[0])["options"]
+        children.append([*command, options["bits_stored"]])
         return subprocess.CompletedProcess(command, 0, pixels.astype("<u2").tobytes(), b"")
 
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: object())
@@ -179,7 +190,7 @@ def lossless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pixels: np.ndarray
 def test_jpeg_lossless_is_decoded_in_a_child(tmp_path, monkeypatch):
     content, children = lossless(tmp_path, monkeypatch, smooth(12))
     found = deidentify(content, KEY)
-    assert children == [[sys.executable, "-P", "-m", "spinestiff.imaging.dicom.lossless"]]
+    assert children == [[sys.executable, "-P", "-m", "spinestiff.imaging.dicom.lossless", 16]]
     np.testing.assert_array_equal(found.frames[0], smooth(12))
     new = pydicom.dcmread(BytesIO(found.content))
     assert new.file_meta.TransferSyntaxUID == JPEGLosslessSV1

@@ -21,9 +21,9 @@ from spinestiff.errors import RadiographError
 from spinestiff.imaging.deidentification.allow_list import CLASSES, KEPT, VIEW_CODES, listed, one_of, ruled
 from spinestiff.imaging.deidentification.codestreams import without_comments
 from spinestiff.imaging.deidentification.pseudonyms import Key, moment
-from spinestiff.imaging.dicom.decoding import coded_frames
+from spinestiff.imaging.dicom.decoding import coded_frames, uncoded
 from spinestiff.imaging.dicom.files import MOST_BYTES, quiet
-from spinestiff.imaging.dicom.layout import MODALITIES
+from spinestiff.imaging.dicom.layout import MODALITIES, Layout
 from spinestiff.words import counted
 
 if TYPE_CHECKING:
@@ -192,22 +192,31 @@ def _add_pixels(new: Dataset, old: Dataset) -> NDArray[Any]:
     new.file_meta = FileMetaDataset()
     new.file_meta.TransferSyntaxUID = syntax
     new.add_new("PixelData", old["PixelData"].VR, old.PixelData)
-    if syntax in _CODED:
-        coded = [without_comments(frame) for frame in coded_frames(old, count)]
+    # Decoded from what the new file holds: nothing else in the old one can disturb it, and what is passed on is seen to
+    # work.
+    if syntax in _PLAIN:
+        if len(old.PixelData) < _pixel_bytes(new):
+            raise RadiographError("pixel data cut short; copy the file again")
+        frames = _native(new)
+    else:
+        coded = coded_frames(old, count)
         if len(coded) != count:
             raise RadiographError(
                 f"{counted(len(coded), 'coded frame')}, but {count} are declared; copy the file again"
             )
-        if any((stream.rows, stream.columns, stream.components) != (*shape[1:], 1) for stream in coded):
-            raise RadiographError("a coded frame has another size than the file declares; export it uncompressed")
-        new.PixelData = encapsulate([stream.content for stream in coded])
-    elif syntax in _PLAIN and len(old.PixelData) < _pixel_bytes(new):
-        raise RadiographError("pixel data cut short; copy the file again")
-    # Decoded from the new file: nothing else in the old one can disturb it, and what is passed on is seen to work.
-    frames = _decoded(new).reshape(shape)
+        if syntax in _CODED:
+            streams = [without_comments(frame) for frame in coded]
+            if any((stream.rows, stream.columns, stream.components) != (*shape[1:], 1) for stream in streams):
+                raise RadiographError("a coded frame has another size than the file declares; export it uncompressed")
+            coded = [stream.content for stream in streams]
+            new.PixelData = encapsulate(coded)
+        frames = _decoded(new, coded)
+    frames = frames.reshape(shape)
     clean = _stored_bits(frames, int(new.BitsStored), bool(new.get("PixelRepresentation", 0)))
     if syntax in _CODED:
-        if (clean != frames).any():
+        # Of signed values some decoders leave the bits above clear, as they are in the stream; others extend the sign.
+        above = frames.view(f"u{frames.dtype.itemsize}") >> int(new.BitsStored)
+        if above.any() and (clean != frames).any():
             raise RadiographError("bits above those stored are in use, as old overlays did; export it uncompressed")
         new["PixelData"].VR = "OB"
         new["PixelData"].is_undefined_length = True
@@ -220,16 +229,26 @@ def _add_pixels(new: Dataset, old: Dataset) -> NDArray[Any]:
     return clean
 
 
-def _decoded(new: Dataset) -> NDArray[Any]:
+def _native(new: Dataset) -> NDArray[Any]:
     """All bits that are there, those above the stored ones too."""
     new.pixel_array_options(correct_unused_bits=False)
+    pixels = np.asarray(new.pixel_array)
+    return pixels.astype(pixels.dtype.newbyteorder("="))
+
+
+def _decoded(new: Dataset, coded: list[bytes]) -> NDArray[Any]:
+    """The same of coded frames, by the decoders that read radiographs."""
+    allocated, signed = int(new.BitsAllocated), bool(new.get("PixelRepresentation", 0))
+    # All of them as stored: GDCM would clear what lies above.
+    layout = Layout(len(coded), int(new.Rows), int(new.Columns), allocated, allocated, signed)
     try:
-        pixels = np.asarray(new.pixel_array)
-    except (NotImplementedError, RuntimeError, AttributeError, ImportError):
+        return uncoded(new.file_meta.TransferSyntaxUID, layout, coded)
+    except (RadiographError, MemoryError):
+        raise
+    except Exception:  # codecs have no error of their own
         raise RadiographError(
             "its pixels can't be decoded, so nobody could look for burned-in text; export it uncompressed"
         ) from None
-    return pixels.astype(pixels.dtype.newbyteorder("="))
 
 
 def _stored_bits(frames: NDArray[Any], stored: int, signed: bool) -> NDArray[Any]:

@@ -117,7 +117,7 @@ def name_pushes(data: dict[str, Any], sorting: Sorting, taken: Iterable[str] = (
 
 def _rename_geometry(data: dict[str, Any], before: str | None, name: str) -> None:
     """A push's X-ray geometry of its own stays with it under another name."""
-    images = data.get("xray", {}).get("images", {})
+    images = data.get("xray", {}).get("images") or {}
     if before != name and f"push/{before}" in images:
         images[f"push/{name}"] = images.pop(f"push/{before}")
 
@@ -145,7 +145,7 @@ def fill(data: dict[str, Any], given: Given) -> list[str]:
                 notes.append(f"{push_named(push['id'])}, {key}: stays {push[key]}, {value} was given for all pushes")
     for key, value in given.xray.items():
         there = data.setdefault("xray", {})
-        if there.setdefault(key, value) != value:
+        if _put(there, key, value) != value:
             notes.append(f"xray.{key}: stays {there[key]}, {value} was given; change it in {SUBJECT_FILE}")
     return notes
 
@@ -163,11 +163,18 @@ def fill_images(data: dict[str, Any], given: Given) -> list[str]:
             if image not in known:
                 option = f"--{key.removesuffix('_mm').replace('_', '-')} {image[:80]}={value:g}"
                 raise OptionError(f"{option}: no such picture; wanted one of {', '.join(known)}")
-            there = data.setdefault("xray", {}).setdefault("images", {}).setdefault(image, {})
-            if there.setdefault(key, value) != value:
+            there = _put(data.setdefault("xray", {}), "images", {}).setdefault(image, {})
+            if _put(there, key, value) != value:
                 place = f"xray.images.{image}.{key}"
                 notes.append(f"{place}: stays {there[key]}, {value} was given; change it in {SUBJECT_FILE}")
     return notes
+
+
+def _put(there: dict[str, Any], key: str, value: Any) -> Any:
+    """Put a value where a key is left out or None; returns what is there then."""
+    if there.get(key) is None:
+        there[key] = value
+    return there[key]
 
 
 def _geometry_images(push: Mapping[str, Any]) -> list[str]:
