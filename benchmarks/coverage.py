@@ -48,7 +48,7 @@ from told_intervals import solved_at_truth, told
 
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.discrepancy_data import Mesh
-from spinestiff.estimation.fitted import StiffnessFit
+from spinestiff.estimation.fitted import FitEnd, StiffnessFit
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.study.assessment import assess
 from spinestiff.study.forecasts import forecasts
@@ -146,8 +146,7 @@ def predicted(pushes: PushSet, fit: StiffnessFit) -> list[dict[str, Any]]:
         return []
     models = {"default": Model(), "fit": Model.of(fit)}
     predictions = predict(pushes, models, {}, lambda line: None, ("default",))
-    values, known = fit.ratios.as_dict(), fit.standard_nuisances
-    expected = forecasts(predictions, values, known, fit.weighed.tracking_factor)
+    expected = forecasts(predictions, FitEnd.of(fit))
     return [
         {"fit_mm": frame.rmse_mm["fit"], **({} if frame.forecast is None else frame.forecast.model_dump())}
         for frame in assess(predictions, expected)

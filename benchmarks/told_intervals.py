@@ -9,7 +9,7 @@ import numpy as np
 from counted_intervals import NAMES
 
 from spinestiff.errors import EquilibriumError
-from spinestiff.estimation.fitted import StiffnessFit
+from spinestiff.estimation.fitted import FitEnd, StiffnessFit
 from spinestiff.estimation.profiles import WIDTH_FACTOR, Profile
 from spinestiff.study.trials import PushSet, rise_of
 
@@ -20,7 +20,7 @@ def solved_at_truth(pushes: PushSet, fit: StiffnessFit, truth: Mapping[str, floa
         return {}
     try:
         states = [one.state for one in fit.equilibria]
-        rise = rise_of(pushes, fit.ratios.as_dict(), fit.standard_nuisances, truth, rmse_mm=fit.rmse_mm, starts=states)
+        rise = rise_of(pushes, FitEnd.of(fit), truth, rmse_mm=fit.rmse_mm, starts=states)
     except EquilibriumError:
         return {"joint_solved": None}
     return {"joint_solved": rise / WIDTH_FACTOR**2}

@@ -13,7 +13,9 @@ from spinestiff.estimation.budget import (
     PERSONAL,
     STANCE,
     TRACKING,
+    _changed,
     covariance_parts,
+    linear_sds,
     prior_changes,
     repeated_sds,
     variance_budget,
@@ -135,3 +137,21 @@ def test_a_visit_finds_the_geometry_in_another_stance_too(asked, found, monkeypa
     by_marks, by_both = (after - before for before, after in zip(plain, more, strict=True))
     assert (by_marks > 0.0).all()
     assert np.allclose(by_both / by_marks, 1.0 + (STANCE_MM / asked.priors.annotation_mm) ** 2)
+
+
+def test_what_the_data_can_not_part_is_not_known() -> None:
+    precise = linear_sds(np.diag([100.0, 4.0]))
+    np.testing.assert_allclose(precise, [0.1, 0.5], rtol=1e-5)
+    assert linear_sds(100.0 * np.ones((2, 2))).min() > 100.0
+
+
+def test_where_another_prior_bends_the_likelihood_down_nothing_is_known_but_the_bounds(found) -> None:
+    class Hill:
+        """A likelihood that falls along one ratio from its least, as where it ends at a bound."""
+
+        def phi(self, where):
+            return 50.0 * (where[:, 0] - np.log(0.3)) ** 2 - 0.01 * (where[:, 1] - np.log(10.0)) ** 2
+
+    limits = (np.log(0.01), np.log(10.0))
+    change = _changed("trunk size", 2.0, Hill(), found, limits)
+    assert change.sd == pytest.approx((0.1, limits[1] - limits[0]), rel=1e-3)

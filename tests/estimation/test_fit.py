@@ -15,8 +15,10 @@ from spinestiff.estimation import fit as fitting
 from spinestiff.estimation import profiles
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.estimation.fit import fit_stiffness, likelihood_rise
+from spinestiff.estimation.fitted import FitEnd
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.point import WeighedPoint
+from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.told import unsettled_warnings
@@ -247,8 +249,9 @@ def test_history_observer_and_losses(column, noisy) -> None:
     assert accepted[-1].rmse_mm == pytest.approx(fit.rmse_mm)
     assert fit.cost.seconds > 0.0
     paper = fit_stiffness(column.problem, noisy, method="paper", bounds=BOUNDS)
-    assert list(paper.loss_history) == sorted(paper.loss_history, reverse=True)
-    assert paper.loss_history[-1] == pytest.approx(0.5 * sum(np.sum(r.values**2) for r in paper.residuals))
+    losses = [step.loss for step in paper.history if step.accepted]
+    assert losses == sorted(losses, reverse=True)
+    assert losses[-1] == pytest.approx(0.5 * sum(np.sum(r.values**2) for r in paper.residuals))
 
 
 def test_a_search_ends_as_near_as_asked(column, noisy, whole) -> None:
@@ -273,24 +276,49 @@ def test_the_rise_at_other_ratios_is_that_of_the_interval(column, noisy, whole) 
     """At an end of an interval, with the other ratio as the profile has it: 3.84 for a width factor of 1."""
     profile, end = whole.likely.profiles[0], whole.likely.high[0]
     others = np.array([end, np.interp(end, profile.log_ratios, profile.others[:, 1])])
-    nuisances = {nuisance.name: nuisance.standard for nuisance in whole.weighed.nuisances}
     loaded = [column.problem] * len(noisy)
-    estimate = whole.ratios.as_dict()
-    rise = likelihood_rise(loaded, noisy, estimate, nuisances, dict(zip(estimate, np.exp(others), strict=True)))
+    end = FitEnd.of(whole)
+    rise = likelihood_rise(loaded, noisy, end, dict(zip(end.ratios, np.exp(others), strict=True)))
     assert rise == pytest.approx(3.84 * WIDTH_FACTOR**2, abs=0.25)
     states = [one.state for one in whole.equilibria]
-    again = likelihood_rise(loaded, noisy, estimate, nuisances, estimate, rmse_mm=1.001 * whole.rmse_mm, starts=states)
+    again = likelihood_rise(loaded, noisy, end, end.ratios, rmse_mm=1.001 * whole.rmse_mm, starts=states)
     assert again == pytest.approx(0.0, abs=1e-4)
+
+
+def test_the_rise_is_weighed_as_the_fit_was(column, noisy) -> None:
+    """With a vertebra that counts less."""
+    corners = noisy[2].corners.corners.copy()
+    corners[4] += [2.5, 0.0]
+    shown = replace(noisy[2].corners, corners=corners)
+    trials = [*noisy[:2], replace(noisy[2], corners=shown)]
+    fit = fit_stiffness(column.problem, trials, bounds=BOUNDS, extent="intervals")
+    assert [name for _, name, _ in fit.weighed.outlying] == ["L1"]
+    end, at = FitEnd.of(fit), np.log(fit.ratios.values) + [0.4, -0.1]
+    emulated = 2.0 * float(fit.likely.emulator.phi(at)[0] - fit.likely.emulator.phi(np.log(fit.ratios.values))[0])
+    states = [one.state for one in fit.equilibria]
+    others = dict(zip(end.ratios, np.exp(at)))
+    rise = likelihood_rise([column.problem] * len(trials), trials, end, others, starts=states)
+    assert emulated > 1.0
+    assert rise == pytest.approx(emulated, rel=0.1)
+
+
+def test_nothing_but_the_ratios_may_be_unknown(column, clean) -> None:
+    """Intervals of a fit without nuisances."""
+    acting = ("force_scale", "force_offset_n", "direction_deg", "push_height_mm", "push_depth_mm", "breathing_mm")
+    acting += ("obliquity_deg", "shoulder_mm", "frame_obliquity_deg", "frame_shoulder_mm", "trunk", "rib_joints")
+    acting += ("tissue_volume", "mesh", "source_distance")
+    priors = Priors(**dict.fromkeys(acting, 0.0))
+    fit = fit_stiffness(column.problem, clean, bounds=BOUNDS, priors=priors)
+    assert not fit.weighed.nuisances
+    low, high = fit.intervals95["tissue"]
+    assert low < 0.4 < high < 0.5
 
 
 def test_an_estimate_whose_equilibria_are_not_found_again_has_no_rise(column, noisy, whole) -> None:
     """A soft spine may have two under one push."""
-    nuisances = {nuisance.name: nuisance.standard for nuisance in whole.weighed.nuisances}
-    estimate = whole.ratios.as_dict()
+    end = FitEnd.of(whole)
     with pytest.raises(EquilibriumError, match=r"not found again: corners off by .* mm, in the fit by"):
-        likelihood_rise(
-            [column.problem] * len(noisy), noisy, estimate, nuisances, estimate, rmse_mm=1.05 * whole.rmse_mm
-        )
+        likelihood_rise([column.problem] * len(noisy), noisy, end, end.ratios, rmse_mm=1.05 * whole.rmse_mm)
 
 
 def test_ends_that_were_not_solved_are_told(column, clean, whole, monkeypatch) -> None:

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from spinestiff.estimation.fit import forecast_unseen
+from spinestiff.estimation.fitted import FitEnd
 from spinestiff.estimation.forecast import forecast
 from spinestiff.imaging.features import VertebraCorners
 
@@ -45,6 +47,32 @@ def test_what_all_radiographs_share_is_expected_again(column) -> None:
     plain, aside = of(column, trials), of(column, [moved(trial, [5.0, 2.0]) for trial in trials])
     assert np.abs(aside.found - plain.found).max() > 5.0
     assert np.allclose(aside.corner_errors, plain.corner_errors, atol=0.05)
+
+
+def test_outlying_vertebrae_count_as_little_as_in_the_fit(column) -> None:
+    """T12 of the frame of 40 N was followed wrongly, by 3 mm."""
+    trials = seen(column, tracking=0.05)
+    corners = trials[1].corners.corners.copy()
+    corners[3] += [3.0, 0.0]
+    trials[1] = replace(
+        trials[1], corners=VertebraCorners(trials[1].corners.vertebrae, corners, trials[1].corners.quality)
+    )
+    fitted = [trials[i] for i in (0, 1, 3)]
+    asked = column.weighed(fitted)
+    found = column.searched(asked)
+    outlying = asked.outlying(found.weights.inflation)
+    assert [(label, name) for label, name, _ in outlying] == [("push 1 40 N", "T12")]
+    np.testing.assert_allclose(asked.inflation(outlying), found.weights.inflation)
+    end = FitEnd(
+        dict(zip(("lateral_bending", "tissue"), np.exp(found.point.log_ratios))),
+        dict(zip(asked.unknowns.names, found.point.nuisances)),
+        found.weights.tracking_factor,
+        tuple(outlying),
+    )
+    problems = [column.problem] * 4
+    ours, plain = (forecast_unseen(problems, trials, [2], one)[0] for one in (end, replace(end, outlying=())))
+    at_it = np.abs(ours.corner_errors[3]).max()
+    assert at_it < 0.2 < 0.5 * np.abs(plain.corner_errors[3]).max()
 
 
 def test_without_errors_the_radiograph_is_as_expected(column, clean) -> None:

@@ -121,6 +121,15 @@ def test_a_picture_or_a_sequence_moves_as_a_whole(noise, targets, part, groups, 
     assert rank == len(set(groups)) * np.count_nonzero(size)
 
 
+def test_a_posture_is_the_same_where_an_end_vertebra_is_lost(column, noisy, noise) -> None:
+    lost = replace(noisy[2], corners=noisy[2].corners.selected(noisy[2].corners.vertebrae[1:]))
+    fewer = column.weighed([*noisy[:2], lost]).noise
+    whole = column.weighed(noisy).noise
+    # Loaded frames of 40 and 100 N, then the unloaded one; of the second the uppermost vertebra is gone.
+    kept = np.delete(np.arange(whole.size), np.arange(CHANNELS) + whole.of(1).start)
+    np.testing.assert_allclose(fewer.parts["posture"], whole.parts["posture"][np.ix_(kept, kept)], atol=1e-12)
+
+
 def test_rest_geometry_is_what_a_wrong_rest_pose_shows_in_all_frames(column, targets) -> None:
     """Against features of a torso whose vertebrae lie elsewhere; differences."""
     torso, random = column.torso, np.random.default_rng(2)

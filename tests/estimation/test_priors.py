@@ -24,6 +24,8 @@ def test_each_standard_deviation_is_explained() -> None:
         ({"stance_mm": np.inf}, "prior stance_mm inf"),
         ({"trunk_power": (2.0, -1.0)}, "prior trunk_power"),
         ({"annotation_mm": 0.0}, "prior annotation_mm 0; wanted above 0"),
+        ({"marking_mm": 0.0}, "prior marking_mm 0; wanted above 0"),
+        ({"pedicle_mm": 0.0}, "prior pedicle_mm 0; wanted above 0"),
         ({"tracking_mm": 0.0}, "prior tracking_mm 0"),
         ({"tracking_length": 0.0}, "prior tracking_length 0"),
         ({"support_force_n": 0.0}, "prior support_force_n 0"),

@@ -10,6 +10,7 @@ import pytest
 from spinestiff.anatomy.regions import parameter_groups, torso_ratios
 from spinestiff.errors import FitError
 from spinestiff.estimation.fit import fit_stiffness, likelihood_rise
+from spinestiff.estimation.fitted import FitEnd
 from spinestiff.estimation.linear import MOST_PROFILED
 from spinestiff.estimation.noise import restricted_factor
 from spinestiff.estimation.priors import Priors
@@ -19,7 +20,7 @@ from spinestiff.estimation.weighed import WeighedProblem, reduced
 
 BOUNDS = (0.01, 10.0)
 PARTS = {"lateral_bending@T9-T12": 0.2, "lateral_bending@lumbar": 0.6, "tissue": 0.4}
-KEPT = ("tracking_length", "support_force_n", "marker_mm")
+KEPT = ("tracking_length", "support_force_n", "marker_mm", "marking_mm", "pedicle_mm")
 LEVELS = ("lateral_bending@levels", "tissue")
 
 
@@ -183,9 +184,7 @@ def test_a_wide_prior_moves_an_estimate_by_what_the_data_leave_open(column, nois
     problems = [column.problem] * len(noisy)
     estimate = told.ratios.as_dict()
     rises = [
-        likelihood_rise(
-            problems, noisy, estimate, told.standard_nuisances, {**estimate, "lateral_bending": 10.0}, population=name
-        )
+        likelihood_rise(problems, noisy, FitEnd.of(told), {**estimate, "lateral_bending": 10.0}, population=name)
         for name in (None, "koutras2025")
     ]
     held_there = ((np.log(10.0) - people.mean) / people.sd) ** 2 - ((after - people.mean) / people.sd) ** 2

@@ -11,9 +11,11 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.anatomy.stiffness import parameter_group
 from spinestiff.anatomy.template import template_torso
+from spinestiff.estimation.discrepancy import pushed_site
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.unknowns import (
     ACTS,
+    LOADING,
     acts_by_name,
     changed_load,
     is_fitted,
@@ -23,6 +25,7 @@ from spinestiff.estimation.unknowns import (
 )
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
+from spinestiff.mechanics.push import PushSite, Rig, push_load
 
 # What belongs to pictures and not to pushes.
 OF_PICTURES = (
@@ -199,3 +202,21 @@ def test_ribs_that_are_fitted_are_no_unknown() -> None:
     halves = parameter_groups(torso, ("tissue@thorax", "tissue@abdomen"))
     assert not is_fitted("volume", halves, torso)
     assert is_fitted("volume", (*halves, *parameter_groups(torso, ("tissue_lambda",))), torso)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("force_n", [20.0, 60.0])
+def test_dead_loads_have_the_side_size_and_height_of_their_push(side, force_n) -> None:
+    """F1 and F2 take all of F3 up, so that all together are rounding."""
+    torso = template_torso(157.0, "coarse")
+    site = PushSite(side, 8.5, 412.3, 188.7)
+    dead, alone = (push_load(torso, site, force_n, Rig(pelvis)) for pelvis in ("dead-loads", "level"))
+    assert dead.size == pytest.approx(2.0 * alone.size)
+    assert pushed_site(dead, torso) == (side, pytest.approx(8.5))
+    changes, wanted = load_changes(dead, torso.rest_pose), load_changes(alone, torso.rest_pose)
+    of = dict(zip(LOADING, changes))
+    # The gauge's error is that of F3, with which F1 and F2 grow.
+    assert np.abs(of["offset"].forces[:2]).sum() == pytest.approx(1.0)
+    for name, one in zip(LOADING[2:], wanted[2:]):
+        np.testing.assert_allclose(of[name].forces, one.forces, err_msg=name)
+    assert np.abs(of["height"].forces).max() > 0.01

@@ -10,13 +10,16 @@ from scipy.stats import kstest, multivariate_normal
 
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation import mode
+from spinestiff.estimation.mode import search
 from spinestiff.estimation.noise import TRACKED
 from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.priors import Priors
+from spinestiff.estimation.sights import marked_anew
 from spinestiff.estimation.status import FitStatus
 from spinestiff.estimation.unknowns import ACTS
 from spinestiff.estimation.weighed import WeighedFit, phi, reduced
 from spinestiff.imaging.features import VertebraCorners
+from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.places import SupportPlace
 
 EXACT = Priors(
@@ -140,6 +143,77 @@ def test_a_loaded_frame_marked_by_hand_errs_anew(column, noisy) -> None:
     assert np.allclose(marked, np.diag(wanted))
     assert not noise.tracking()[noise.of(last)].any()
     assert "marks set by hand" not in column.weighed(noisy).noise.parts
+
+
+def followed(trials, marked, **sources):
+    """Trials of which those ``marked`` were set by hand, others followed from the one that ``sources`` say."""
+    return [
+        replace(
+            trial,
+            annotated=i in marked,
+            followed_from="" if i in marked else trials[sources.get(f"of{i}", marked[0])].label,
+        )
+        for i, trial in enumerate(trials)
+    ]
+
+
+def test_what_is_followed_from_a_second_mark_shares_its_error(column) -> None:
+    """The frame of 40 N is marked by hand once more, that of 70 N followed from it, and that of 100 N from rest."""
+    trials = followed(column.trials(forces=(40.0, 70.0, 100.0)), (0, 1), of2=1)
+    assert marked_anew(trials, ["push 1"] * 4) == (None, 1, 1, None)
+    asked = column.weighed(trials)
+    part, sd = asked.noise.parts["marks set by hand"], Priors().marking_mm
+    # The loaded ones come first.
+    first, second, other, rest = (asked.noise.of(i) for i in range(4))
+    ones = np.eye(first.stop - first.start)
+    for a, b in ((first, first), (first, second), (second, second)):
+        np.testing.assert_allclose(part[a, b], sd**2 * ones)
+    assert not part[:, other].any() and not part[:, rest].any()
+
+
+def test_the_first_mark_of_a_sequence_is_its_annotation(column) -> None:
+    trials = column.trials(forces=(40.0, 70.0))
+    sequences = ["push 1"] * 3
+    assert marked_anew(trials, sequences) == (None, None, None)
+    # A loaded frame alone, marked first though another one has no load; one whose marked frame is not here.
+    assert marked_anew(followed(trials, (1,)), sequences) == (None, None, None)
+    gone = [replace(trial, annotated=False, followed_from="push 1 frame 9") for trial in trials]
+    assert marked_anew(gone, sequences) == (None, None, None)
+    assert marked_anew([trials[0], *gone[1:]], sequences) == (None, 4, 4)
+    # Another push's are by themselves.
+    assert marked_anew(followed(trials, (0, 2)), ["push 1", "push 1", "push 2"]) == (None, None, None)
+
+
+def test_two_unloaded_frames_may_be_marked_by_hand(column, noisy) -> None:
+    """Before and after the push: what differs between them is the hand."""
+    trials = [*noisy, replace(noisy[0], label="after")]
+    asked = column.weighed(trials)
+    found = column.searched(asked)
+    assert found.status is FitStatus.CONVERGED
+    assert np.abs(found.point.log_ratios - np.log([0.3, 0.4])).max() < 0.5
+
+
+def test_what_nothing_holds_is_not_measured_against_a_place(column, noisy) -> None:
+    """A hinged pelvis turns as the forces have it."""
+    supports = column.problem.supports
+    held = supports.held.copy()
+    held[column.torso.bone("pelvis"), 5] = False
+    hinged = replace(column, problem=EquilibriumProblem(column.torso, replace(supports, held=held)))
+    measured = with_supports(noisy, obliquity=(np.deg2rad(-3.0), np.deg2rad(0.3)))
+    asked = hinged.weighed(measured, replace(Priors(), obliquity_deg=0.0, frame_obliquity_deg=0.0))
+    assert asked.size == hinged.weighed(noisy).size
+    # Where it is held, a place that it can't have is a contradiction.
+    level = column.weighed(measured, replace(Priors(), obliquity_deg=0.0, frame_obliquity_deg=0.0))
+    assert level.size > column.weighed(noisy).size
+
+
+def test_a_short_step_is_tried_before_the_search_ends(column, asked, found, monkeypatch) -> None:
+    monkeypatch.setattr(mode, "_relaxed", lambda *args: mode.LEAST_SHARE)
+    start = asked.solve(found.point.log_ratios + 0.3, found.point.nuisances, found.point)
+    again = search(asked, start, column.limits, 100)
+    assert again.status is FitStatus.CONVERGED
+    # Each step goes a tenth of the way, also where little is left of it.
+    assert again.short < np.sqrt(2.0 * mode.NEARLY)
 
 
 def test_a_common_scale_of_stiffness_is_never_known_better_than_the_force(column) -> None:

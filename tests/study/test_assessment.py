@@ -89,6 +89,21 @@ def test_extrapolation_is_linear_in_the_force(torso, pushes):
     assert moved[..., 1] == pytest.approx(np.zeros((14, 4)), abs=1e-9)
 
 
+def test_the_frame_that_motions_are_measured_from_is_no_prediction(torso, rest):
+    """A push without an unloaded frame, of which the least force is held out."""
+    forces, roles = (20.0, 30.0, 40.0), ("validation", "training", "training")
+    push = PushRecord(
+        id="main", side="right", level=8.0, d21_mm=400.0, d31_mm=200.0, frames="main.dcm", forces_n=forces, roles=roles
+    )
+    frames = [shifted(rest, mm) for mm in (0.0, 1.0, 2.0)]
+    found = push_set(torso, [push], {"main": tracked_push(frontal_view(), forces, frames)})
+    (item,) = found.of_role("validation")
+    assert extrapolated(found, item) is None
+    assert predictions_of(found, {}).measured_change(item) is None
+    assert predictions_of(found, {}).measured_change(found.training[0]) is not None
+    assert any("push 'main' frame 0: held out, but the frame of the least force" in line for line in found.warnings)
+
+
 def test_extrapolation_takes_each_vertebra_from_the_frames_that_show_it(torso, rest):
     without = rest.selected(tuple(v for v in rest.vertebrae if v not in ("T7", "L2")))
     never = rest.selected(tuple(v for v in rest.vertebrae if v != "L2"))

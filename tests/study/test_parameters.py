@@ -9,9 +9,10 @@ import pytest
 
 from results import altered
 from spinestiff.anatomy.regions import torso_ratios
-from spinestiff.errors import SubjectError
+from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.estimation.objective import make_target
 from spinestiff.imaging.features import state_features
+from spinestiff.study import parameters
 from spinestiff.study.parameter_words import TITLES, gradient_rows, parameter_lines
 from spinestiff.study.parameters import (
     SIX,
@@ -119,6 +120,21 @@ def test_a_frame_left_out_is_forecast_from_the_others(basis, pushes, fit) -> Non
     assert 0.0 < score.training_rmse_mm < score.left_out_rmse_mm < 3.0
     assert 0.0 < score.held_out_rmse_mm < 3.0
     assert score.aic == pytest.approx(-2.0 * fit.weighed.log_likelihood + 4.0)
+
+
+def test_a_held_out_frame_without_a_forecast_takes_no_score_of_those_left_out(basis, pushes, fit, monkeypatch) -> None:
+    forecast = parameters._forecast_errors
+
+    def failing(pushes, unseen, *args):
+        if unseen[0].role == "validation":
+            raise EquilibriumError("no equilibrium")
+        return forecast(pushes, unseen, *args)
+
+    monkeypatch.setattr(parameters, "_forecast_errors", failing)
+    score = model_score(basis, pushes, fit, cross_folds(pushes)[1], lambda line: None)
+    assert score.left_out_rmse_mm > 0.0
+    assert score.held_out_rmse_mm is None
+    assert score.note == "frames held out: no equilibrium"
 
 
 def test_what_is_left_out_is_not_fitted(pushes) -> None:

@@ -8,6 +8,7 @@ import pytest
 from spinestiff.anatomy.regions import torso_ratios
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
+from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.study.plain import plain_stiffness
 from spinestiff.subject.estimate_outcome import RatioEstimate
 
@@ -91,7 +92,7 @@ def test_of_several_ratios_the_interval_is_to_first_order(torso):
     covariance = np.array([[0.04, -0.03], [-0.03, 0.09]])
     found = plain_stiffness(torso, ratios, estimates, covariance)
     lumbar = found["lateral_bending_lumbar"]
-    factor = np.exp(1.96 * np.sqrt(0.04 + 0.09 - 2.0 * 0.03))
+    factor = np.exp(WIDTH_FACTOR * 1.96 * np.sqrt(0.04 + 0.09 - 2.0 * 0.03))
     assert (lumbar.low, lumbar.high) == pytest.approx((lumbar.value / factor, lumbar.value * factor))
     assert lumbar.ratio is None
     assert found["lateral_bending_thoracic"].ratio == "lateral_bending"

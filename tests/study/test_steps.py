@@ -23,6 +23,7 @@ from spinestiff.files import file_digest, read_json, write_json
 from spinestiff.mechanics.contact import OneSidedProblem
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.study import steps, truth, wording, written
+from spinestiff.study.forecasts import fit_end
 from spinestiff.study.report.estimate_content import result_content
 from spinestiff.study.runner import ALL_STEPS, run_steps
 from spinestiff.study.steps import assess_step, stored_predictions, usual_ratios, view_step
@@ -518,10 +519,10 @@ def test_other_parameters_and_a_population_asked_in_subject_json(subject, finish
     assert page["bending"] is not None
     # In the measure that the fit had, its population included, and at its own equilibria.
     compared = []
-    monkeypatch.setattr(truth, "rise_of", lambda *args: compared.append(args[3:]) or 1.0)
+    monkeypatch.setattr(truth, "rise_of", lambda *args: compared.append(args[1:]) or 1.0)
     truth.compare_with_truth(record, load_pushes(visit, "procrustes", "weighed"), visit.truth)
     wanted = {names[0]: true_bending, "tissue": read_truth(visit.truth)["tissue"]}
-    assert compared == [(wanted, "koutras2025", record.training_rmse_mm.fit, None)]
+    assert compared == [(fit_end(record), wanted, "koutras2025", record.training_rmse_mm.fit, None)]
 
 
 def test_many_ratios_say_how_their_intervals_were_found(finished):

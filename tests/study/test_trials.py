@@ -156,6 +156,15 @@ def followed(side, frame, quality, start=0):
     return side.model_copy(update={"pictures": tuple(pictures)})
 
 
+def test_frames_say_from_which_marked_one_they_were_followed(torso, corners):
+    push = tracked(corners, corners, corners, corners, corners).model_copy(update={"annotated_frames": (0, 3)})
+    forces = (0.0, 10.0, 20.0, 30.0, 40.0)
+    found = push_set(torso, [record(forces, ("unused", *("training",) * 4))], {"main": push})
+    first, again = (f"push 'main' frame {i}" for i in (0, 3))
+    assert [item.trial.followed_from for item in found.trials] == ["", first, again, "", again]
+    assert [item.trial.annotated for item in found.trials] == [True, False, False, True, False]
+
+
 def test_corners_followed_in_a_view_say_from_where_and_are_left_out_where_they_were_lost(torso, corners):
     side = followed(aside(torso, (0, 1, 2)), 2, 0.8)
     push = tracked(corners, corners, corners).model_copy(update={"sides": (side,)})

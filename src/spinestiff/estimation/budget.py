@@ -21,6 +21,8 @@ PERSONAL = (DISCREPANCY, "trunk size", "rib joints", "tissue's volume", "tissue 
 # What is anew where the same radiographs are annotated again.
 ANNOTATED = ("annotation", "marks set by hand", "rest geometry")
 SMALLEST_MM = 0.02
+# Of a log ratio that the data say nothing of.
+LEAST_PRECISION = 1e-6
 
 
 @dataclass(frozen=True)
@@ -66,15 +68,18 @@ def variance_budget(problem: WeighedProblem, fit: WeighedFit) -> Budget:
     def spread(covariance: Floats) -> tuple[float, ...]:
         root = cholesky(covariance, lower=True)
         whitened = solve_triangular(root, fit.slope.ratios, lower=True)
-        precision = whitened.T @ whitened
-        scale = np.sqrt(np.maximum(np.diag(precision), 1e-300))
-        return tuple(np.sqrt(np.maximum(np.diag(np.linalg.pinv(precision / np.outer(scale, scale))), 0.0)) / scale)
+        return tuple(linear_sds(whitened.T @ whitened))
 
     whole = base + sum(part for name, part in parts.items() if name != STANCE)
     rows = [
         BudgetRow(name, spread(base + part), spread(whole - part)) for name, part in parts.items() if name != STANCE
     ]
     return Budget(tuple(rows), spread(whole), spread(base))
+
+
+def linear_sds(precision: Floats) -> Floats:
+    """(P,) standard deviations of log ratios, to first order; large where ``precision`` (P, P) can't part them."""
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(precision + LEAST_PRECISION * np.eye(len(precision))))))
 
 
 def covariance_parts(problem: WeighedProblem, fit: WeighedFit) -> dict[str, Floats]:
@@ -161,6 +166,8 @@ def _changed(name: str, factor: float, emulator: Emulator, fit: WeighedFit, limi
     gradients = [
         (height(best + step * axis)[1] - height(best - step * axis)[1]) / (2.0 * step) for axis in np.eye(count)
     ]
-    curvature = 0.5 * (np.array(gradients) + np.array(gradients).T)
-    sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(curvature)), 0.0))
+    values, axes = np.linalg.eigh(0.5 * (np.array(gradients) + np.array(gradients).T))
+    # No ratio is known less well than anywhere within the bounds.
+    values = np.maximum(values, (limits[1] - limits[0]) ** -2)
+    sd = np.sqrt(np.diag(axes / values @ axes.T))
     return PriorChange(name, factor, tuple(np.exp(best).tolist()), tuple(sd.tolist()))

@@ -202,7 +202,7 @@ def relative_covariance(motions: Sequence[Floats]) -> Floats:
 
 def pushed_side(load: LoadCase) -> str:
     """The side of a push, from the way in which it acts."""
-    return "right" if load.total[0] >= 0.0 else "left"
+    return "right" if load.push.total[0] >= 0.0 else "left"
 
 
 def pushed_site(load: LoadCase, torso: TorsoModel) -> tuple[str, float]:

@@ -69,7 +69,9 @@ class Kriging:
         targets = left
         if slopes is not None:
             change = slopes - self._slope
-            targets = np.concatenate([left, change.transpose(2, 0, 1).reshape(-1, values.shape[1])])
+            targets = np.concatenate(
+                [left, change.transpose(2, 0, 1).reshape(slopes.shape[0] * slopes.shape[2], values.shape[1])]
+            )
         kernel = self._covariance(places, True)
         kernel[np.diag_indices_from(kernel)] *= 1.0 + NUGGET
         factor = cho_factor(kernel + NUGGET * np.eye(len(kernel)), lower=True)

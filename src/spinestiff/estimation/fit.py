@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import cholesky
 
 from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.anatomy.state import TorsoState
@@ -19,7 +20,7 @@ from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError, FitError, NoMinimum
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import Evaluation, OnFitStep, TrialSet
-from spinestiff.estimation.fitted import METHODS, Method, StiffnessFit, Weighed
+from spinestiff.estimation.fitted import METHODS, FitEnd, Method, StiffnessFit, Weighed
 from spinestiff.estimation.forecast import Forecast, forecast
 from spinestiff.estimation.linear import MOST_PROFILED, linear_ratios
 from spinestiff.estimation.mode import CLOSE_SD, MOST_FACTORISATIONS, search
@@ -37,7 +38,7 @@ from spinestiff.estimation.told import (
     trial_warnings,
     unsettled_warnings,
 )
-from spinestiff.estimation.weighed import WeighedFit, WeighedProblem
+from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights
 from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 
@@ -171,8 +172,7 @@ def fit_stiffness(
 def likelihood_rise(
     problems: Sequence[EquilibriumProblem],
     trials: Sequence[Trial],
-    estimate: Mapping[str, float],
-    nuisances: Mapping[str, float],
+    estimate: FitEnd,
     others: Mapping[str, float],
     orientation: Orientation = "procrustes",
     priors: Priors | None = None,
@@ -182,11 +182,11 @@ def likelihood_rise(
     rmse_mm: float | None = None,
     starts: Sequence[TorsoState] | None = None,
 ) -> float:
-    """By how much twice the negative log likelihood is higher at other ratios than at an estimate.
+    """By how much twice the negative log likelihood is higher at other ratios than at an estimate, weighed as it was.
 
     Parameters
     ----------
-    estimate, nuisances : of a weighed fit of these trials; nuisances in prior standard deviations, by name.
+    estimate : where a weighed fit of these trials ended.
     others : by the estimate's names.
     rmse_mm : of that fit. A soft spine may have two equilibria under one push; the fit's error tells whether its own
         were found again. starts : the fit's states of the loaded trials to solve from; default rest.
@@ -195,27 +195,23 @@ def likelihood_rise(
     ------
     EquilibriumError : there is no equilibrium at one of the two, or the estimate's are others than the fit's.
     """
-    groups = parameter_groups(problems[0].torso, tuple(estimate))
+    groups = parameter_groups(problems[0].torso, tuple(estimate.ratios))
     asked = _asked(problems, trials, groups, orientation, None, priors, geometry, taped, population)
-    best = np.log(list(estimate.values()))
-    point = asked.solve(best, np.array([nuisances.get(name, 0.0) for name in asked.unknowns.names]), starts=starts)
+    point = _at_end(asked, estimate, starts)
     if rmse_mm is not None and abs(point.evaluation.rmse - rmse_mm) > SAME_RMSE * rmse_mm:
         raise EquilibriumError(
             f"the estimate's equilibria are not found again: corners off by {point.evaluation.rmse:.3g} mm, "
             f"in the fit by {rmse_mm:.3g} mm"
         )
-    slope = asked.slope(point)
-    found = WeighedFit(point, slope, asked.weights(point, slope, None), FitStatus.CONVERGED, ())
-    return rise_at(asked, found, np.log([others[name] for name in estimate]))
+    found = WeighedFit(point, asked.slope(point), _weights_of(asked, point, estimate), FitStatus.CONVERGED, ())
+    return rise_at(asked, found, np.log([others[name] for name in estimate.ratios]))
 
 
 def forecast_unseen(
     problems: Sequence[EquilibriumProblem],
     trials: Sequence[Trial],
     unseen: Sequence[int],
-    estimate: Mapping[str, float],
-    nuisances: Mapping[str, float],
-    tracking_factor: float,
+    estimate: FitEnd,
     orientation: Orientation = "procrustes",
     priors: Priors | None = None,
     geometry: Floats | None = None,
@@ -228,19 +224,32 @@ def forecast_unseen(
     Parameters
     ----------
     unseen : their numbers among the trials; all are under load.
-    estimate, nuisances, tracking_factor : of the fit; nuisances in prior standard deviations, by name.
+    estimate : where the fit ended.
     starts : states of the loaded trials to solve from.
 
     Raises
     ------
     EquilibriumError : there is no equilibrium at the estimate.
     """
-    groups = parameter_groups(problems[0].torso, tuple(estimate))
+    groups = parameter_groups(problems[0].torso, tuple(estimate.ratios))
     asked = _asked(problems, trials, groups, orientation, None, priors, geometry, taped, population)
     loaded = [i for i, trial in enumerate(trials) if trial.load.size > 0.0]
-    known = np.array([nuisances.get(name, 0.0) for name in asked.unknowns.names])
-    point = asked.solve(np.log(list(estimate.values())), known, starts=starts)
-    return forecast(asked, point, asked.slope(point), tracking_factor, [loaded.index(i) for i in unseen])
+    point = _at_end(asked, estimate, starts)
+    numbers, inflation = [loaded.index(i) for i in unseen], asked.inflation(estimate.outlying)
+    return forecast(asked, point, asked.slope(point), estimate.tracking_factor, numbers, inflation)
+
+
+def _at_end(asked: WeighedProblem, estimate: FitEnd, starts: Sequence[TorsoState] | None) -> WeighedPoint:
+    """The trials where a fit ended."""
+    nuisances = np.array([estimate.nuisances.get(name, 0.0) for name in asked.unknowns.names])
+    return asked.solve(np.log(list(estimate.ratios.values())), nuisances, starts=starts)
+
+
+def _weights_of(asked: WeighedProblem, point: WeighedPoint, estimate: FitEnd) -> Weights:
+    """The weights that a fit ended with."""
+    inflation = asked.inflation(estimate.outlying)
+    covariance = asked.covariance(point, estimate.tracking_factor, inflation)
+    return Weights(cholesky(covariance, lower=True), estimate.tracking_factor, inflation)
 
 
 def _asked(

@@ -43,6 +43,34 @@ class NuisanceEstimate:
     prior_sd: float
 
 
+Outlying = tuple[tuple[str, str, float], ...]
+"""Trial, vertebra, by how much its own error is larger than usual."""
+
+
+@dataclass(frozen=True)
+class FitEnd:
+    """Where a weighed fit ended, as what is asked of it later needs it.
+
+    Attributes
+    ----------
+    ratios : by name. nuisances : by name, in prior standard deviations.
+    tracking_factor : by which tracking's errors are larger than predicted.
+    outlying : vertebrae that count less.
+    """
+
+    ratios: Mapping[str, float]
+    nuisances: Mapping[str, float]
+    tracking_factor: float
+    outlying: Outlying = ()
+
+    @classmethod
+    def of(cls, fit: StiffnessFit) -> FitEnd:
+        """Of a weighed fit."""
+        assert fit.weighed is not None
+        found = fit.weighed
+        return cls(fit.ratios.as_dict(), fit.standard_nuisances, found.tracking_factor, found.outlying)
+
+
 @dataclass(frozen=True, repr=False)
 class Weighed(ShortRepr):
     """What only the weighed fit tells.
@@ -53,7 +81,7 @@ class Weighed(ShortRepr):
     acts : (T, len(ACTS)) of each loaded trial, ``unknowns.ACTS``.
     p_value : of residuals as large, before any scale or weight is fitted.
     tracking_factor : by which tracking's errors are larger than predicted.
-    outlying : (trial, vertebra, by how much its own error is larger than usual), names.
+    outlying : vertebrae that count less.
     likely : intervals, profiles and draws; None if not asked for. budget, changes : the same.
     held : name -> what was held of the ratios themselves before the fit; empty: they were flat in log.
     data_sd : (P,) standard deviations of the log ratios without that, to first order.
@@ -68,7 +96,7 @@ class Weighed(ShortRepr):
     acts: Floats
     p_value: float
     tracking_factor: float
-    outlying: tuple[tuple[str, str, float], ...]
+    outlying: Outlying
     likely: Likely | None
     budget: Budget | None
     changes: tuple[PriorChange, ...]
@@ -138,11 +166,6 @@ class StiffnessFit(ShortRepr):
         sd = np.sqrt(np.diag(self.covariance))
         with np.errstate(invalid="ignore"):
             return np.asarray(self.covariance / np.outer(sd, sd))
-
-    @property
-    def loss_history(self) -> tuple[float, ...]:
-        """Loss at the start and after each accepted step."""
-        return tuple(step.loss for step in self.history if step.accepted)
 
     @property
     def standard_nuisances(self) -> dict[str, float]:

@@ -77,7 +77,12 @@ class Forecast(ShortRepr):
 
 
 def forecast(
-    problem: WeighedProblem, point: WeighedPoint, slope: WeighedSlope, tracking_factor: float, unseen: Sequence[int]
+    problem: WeighedProblem,
+    point: WeighedPoint,
+    slope: WeighedSlope,
+    tracking_factor: float,
+    unseen: Sequence[int],
+    inflation: Floats | None = None,
 ) -> tuple[Forecast, ...]:
     """The unseen ones among the loaded trials of a problem, at the place where a fit of the others ended.
 
@@ -85,9 +90,10 @@ def forecast(
     ----------
     tracking_factor : what the fit found of the size of tracking's errors.
     unseen : their numbers among the loaded trials.
+    inflation : (n of channels,) what the fit found of vertebrae's own variance; default 1.
     """
     noise = problem.noise
-    covariance = problem.covariance(point, tracking_factor) + slope.nuisances @ slope.nuisances.T
+    covariance = problem.covariance(point, tracking_factor, inflation) + slope.nuisances @ slope.nuisances.T
     values = point.values - slope.nuisances @ point.nuisances
     rows = [np.arange(problem.size)[noise.of(i)] for i in unseen]
     hidden = np.concatenate([*rows, *(problem.further_rows(i) for i in unseen)])

@@ -79,6 +79,7 @@ def search(
         wished = np.concatenate([step, nuisances - point.nuisances])
         if last is not None and predicted < SMALL:
             share = _relaxed(wished, *last, slope, weights)
+            shortest = min(shortest, share)
         while moved is None and share >= shortest:
             if evaluations >= max_evaluations:
                 return WeighedFit(point, slope, weights, FitStatus.ITERATION_LIMIT, _pairs(visited), short)

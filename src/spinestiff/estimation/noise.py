@@ -15,7 +15,7 @@ out. Of markers on the skin all three coordinates are channels (``marker_noise``
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -188,7 +188,7 @@ class Noise:
         stance_roll = float(np.deg2rad(priors.stance_deg))
         roll = float(np.deg2rad(priors.place_deg))
         self.parts["place in the picture"] = _outer(self._places(self._trial, priors.place_mm, roll, 0.0))
-        self.parts["posture"] = _outer(self._waves(sequence, float(np.deg2rad(priors.posture_deg))))
+        self.parts["posture"] = _outer(self._waves(sequence, float(np.deg2rad(priors.posture_deg)), still))
         self.parts["stance"] = _outer(self._places(sequence, priors.stance_mm, stance_roll, priors.stance_scale))
         if geometry is not None:
             jacobian = self.pose_jacobian(still, len(geometry) // 6).reshape(self.size, -1)
@@ -298,18 +298,24 @@ class Noise:
                 columns.append(column)
         return np.stack(columns, axis=1) if columns else np.zeros((self.size, 0))
 
-    def _waves(self, of: Ints, bend: float) -> Floats:
+    def _waves(self, of: Ints, bend: float, still: Sequence[SightResiduals]) -> Floats:
         """(n, 3 k) columns: the spine of each group of radiographs bent sideways by smooth waves.
 
-        A wave's steepest tilts differ by ``bend`` rad, and its vertebrae turn with it.
+        A wave's steepest tilts differ by ``bend`` rad, and its vertebrae turn with it. It runs over all vertebrae that
+        the group shows, where they are at rest, so that it is the same in each radiograph.
         """
         columns = []
         for group in self._groups(of) if bend else ():
+            mine = [(i, target) for i, target in self._pictures if of[self.ends[i]] == group]
+            heights: dict[int, float] = {}
+            for i, target in mine:
+                if isinstance(target, Target):
+                    resting = (target.z + still[i].difference).mean(axis=1) @ picture_axes(target.trial.view)[1]
+                    heights |= dict(zip(target.rows.tolist(), resting.tolist()))
             for half_waves in (1, 2, 3):
                 column = np.zeros(self.size)
-                for i, target in self._pictures:
-                    if of[self.ends[i]] == group:
-                        column[self.of(i)] = self.channels[i].apply(_wave(target, half_waves, bend))
+                for i, target in mine:
+                    column[self.of(i)] = self.channels[i].apply(_wave(target, half_waves, bend, heights))
                 columns.append(column)
         return np.stack(columns, axis=1) if columns else np.zeros((self.size, 0))
 
@@ -384,19 +390,21 @@ def _place_change(z: Floats, kind: int) -> Floats:
     return z if z.ndim == 2 else np.broadcast_to(z.mean(axis=1, keepdims=True), z.shape)
 
 
-def _wave(target: PictureSight, half_waves: int, bend: float) -> Floats:
-    """(Nv, 4, 2) mm, how a wave along the picture moves a target's boxes; (P, 2) of pedicles, with their vertebrae."""
-    boxes = target if isinstance(target, Target) else target.boxes
+def _wave(target: PictureSight, half_waves: int, bend: float, heights: Mapping[int, float]) -> Floats:
+    """(Nv, 4, 2) mm, how a wave along the picture moves a target's boxes; (P, 2) of pedicles, with their vertebrae.
+
+    ``heights``: mm in the picture, of vertebrae at rest, from whose lowest to whose highest the wave runs.
+    """
     left, up = picture_axes(target.trial.view)
-    middle = boxes.z.mean(axis=1)
-    height = middle @ up
-    length = max(float(np.ptp(height)), 1e-9)
-    top = height.max()
     if isinstance(target, PedicleTarget):
-        # Of vertebrae whose corners are not marked the pedicles' own height.
-        at = {int(row): place for row, place in zip(boxes.rows, middle)}
+        # Vertebrae whose corners are not marked turn about the pedicles themselves.
+        at = {int(row): place for row, place in zip(target.boxes.rows, target.boxes.z.mean(axis=1))}
         middle = np.array([at.get(int(row), place) for row, place in zip(target.rows, target.z)])
-        height = middle @ up
+    else:
+        middle = target.z.mean(axis=1)
+    height = np.array([heights.get(int(row), place @ up) for row, place in zip(target.rows, middle)])
+    bottom, top = min(heights.values()), max(heights.values())
+    length = max(top - bottom, 1e-9)
     phase = np.pi * half_waves * (top - height) / length
     tilt = 0.5 * bend * np.cos(phase)
     aside = -0.5 * bend * length / (np.pi * half_waves) * np.sin(phase)

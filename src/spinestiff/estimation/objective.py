@@ -108,6 +108,8 @@ class Trial(ShortRepr):
     push : frames of one push carry the same name here; they share the error of the gauge and of the pushed point.
         Default: the label, so that every trial is its own push.
     annotated : the corners were set by hand in this radiograph; others' were tracked.
+    followed_from : label of the frame from whose corners tracking followed these; empty: from those that were set by
+        hand first of the push, or set by hand here.
     supports : measured "obliquity" (rad) and "shoulder" (mm), see ``mechanics.places.SupportPlace``, each with its
         standard deviation.
     pedicles : marked in this radiograph. further : other radiographs of the same equilibrium. markers : on the skin,
@@ -124,6 +126,7 @@ class Trial(ShortRepr):
     pedicles: PediclePoints | None = None
     further: tuple[Picture, ...] = ()
     markers: SkinMarkers | None = None
+    followed_from: str = ""
 
     def __post_init__(self) -> None:
         if not self.push:
@@ -148,6 +151,7 @@ class Trial(ShortRepr):
             pedicles=picture.pedicles,
             further=(),
             markers=None,
+            followed_from=picture.followed_from,
         )
 
 

@@ -11,6 +11,17 @@ import numpy as np
 
 from spinestiff.errors import FitError
 
+ABOVE_0 = (
+    "annotation_mm",
+    "marking_mm",
+    "pedicle_mm",
+    "marker_mm",
+    "tracking_mm",
+    "tracking_length",
+    "support_force_n",
+)
+"""Priors that can't be 0: without these errors two sights of one thing contradict each other."""
+
 
 @dataclass(frozen=True)
 class Priors:
@@ -128,7 +139,7 @@ class Priors:
             found = np.atleast_1d(getattr(self, field.name))
             if not (np.isfinite(found).all() and (found >= 0.0).all()):
                 raise FitError(f"prior {field.name} {getattr(self, field.name)}; wanted finite numbers from 0")
-        for name in ("annotation_mm", "marker_mm", "tracking_mm", "tracking_length", "support_force_n"):
+        for name in ABOVE_0:
             if not getattr(self, name) > 0.0:
                 raise FitError(f"prior {name} {getattr(self, name):g}; wanted above 0")
         for whole, part in (("obliquity_deg", "frame_obliquity_deg"), ("shoulder_mm", "frame_shoulder_mm")):

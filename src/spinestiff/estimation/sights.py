@@ -162,7 +162,8 @@ def further_sights(
     """
     found: list[FurtherSight] = []
     count = len(targets)
-    marked = _marked_anew([picture for target in targets for picture in target.trial.further])
+    # Numbers that none of the trials' own corners has (``marked_anew``).
+    marked = _marked_aside([picture for target in targets for picture in target.trial.further], 2 * count)
     for number, (torso, target) in enumerate(zip(torsos, targets)):
         if target.trial.pedicles is not None:
             found.append(FurtherSight(number, _pedicle_target(torso, target), number, OWN))
@@ -179,12 +180,35 @@ def further_sights(
     return tuple(found)
 
 
-def _marked_anew(pictures: Sequence[Picture]) -> Iterator[int]:
-    """``FurtherSight.marked`` of the corners of each radiograph from another side."""
-    by_hand = {(one.sequence, one.label): i for i, one in enumerate(pictures) if not one.followed_from}
+def marked_anew(trials: Sequence[Trial], sequences: Sequence[str]) -> tuple[int | None, ...]:
+    """``FurtherSight.marked`` of the trials' own corners, ``sequences`` as ``FurtherSight.sequence``, of each.
+
+    None: what was marked first in its sequence, an unloaded frame before a loaded one, and all that was followed from
+    it: its error is the sequence's. What is marked in another frame errs anew, and so does what was followed from
+    there.
+    """
+    by_hand = {(sequences[i], one.label): i for i, one in enumerate(trials) if one.annotated and one.label}
+    sources: list[int | None] = []
+    for i, (one, sequence) in enumerate(zip(trials, sequences)):
+        source: int | None = i if one.annotated else None
+        if one.followed_from and not one.annotated:
+            # The frame that was marked need not be among these.
+            source = by_hand.setdefault((sequence, one.followed_from), len(trials) + i)
+        sources.append(source)
+    first: dict[str, int] = {}
+    for i in sorted(range(len(trials)), key=lambda i: (not trials[i].annotated, trials[i].load.size > 0.0)):
+        if (known := sources[i]) is not None:
+            first.setdefault(sequences[i], known)
+    return tuple(None if source == first.get(sequence) else source for source, sequence in zip(sources, sequences))
+
+
+def _marked_aside(pictures: Sequence[Picture], number: int) -> Iterator[int]:
+    """``FurtherSight.marked``, from ``number`` on, of the corners of each radiograph from another side."""
+    by_hand = {(one.sequence, one.label): number + i for i, one in enumerate(pictures) if not one.followed_from}
     for i, one in enumerate(pictures):
         # The radiograph that was marked need not be among these.
-        yield by_hand.setdefault((one.sequence, one.followed_from), len(pictures) + i) if one.followed_from else i
+        anew = number + len(pictures) + i
+        yield by_hand.setdefault((one.sequence, one.followed_from), anew) if one.followed_from else number + i
 
 
 def sight_residuals(torso: TorsoModel, target: Sight, state: TorsoState) -> SightResiduals:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from spinestiff.arrays import Floats
-from spinestiff.estimation.budget import Budget, PriorChange, prior_changes, repeated_sds, variance_budget
+from spinestiff.estimation.budget import Budget, PriorChange, linear_sds, prior_changes, repeated_sds, variance_budget
 from spinestiff.estimation.emulator import Place
 from spinestiff.estimation.evaluation import Evaluation, TrialSet
 from spinestiff.estimation.fitted import NuisanceEstimate, Weighed
@@ -19,8 +19,6 @@ from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, reduced
 
 # Of the ratios' precision: beyond, what parts two combinations of ratios is rounding.
 WORST_CONDITION = 1e12
-# Of a log ratio that the data say nothing of.
-LEAST_PRECISION = 1e-6
 
 
 def told(
@@ -49,7 +47,7 @@ def told(
         found.point.evaluation.acts,
         asked.p_value(found.point, found.slope),
         found.weights.tracking_factor,
-        _outlying(asked, found),
+        tuple(asked.outlying(found.weights.inflation)),
         likely,
         budget,
         changes,
@@ -142,20 +140,8 @@ def _nuisances(asked: WeighedProblem, found: WeighedFit) -> tuple[NuisanceEstima
     return tuple(result)
 
 
-def _outlying(asked: WeighedProblem, found: WeighedFit) -> tuple[tuple[str, str, float], ...]:
-    result = []
-    for i in range(asked.trials):
-        target, channels = asked.noise.seen[i].target, asked.noise.channels[i]
-        inflation = found.weights.inflation[asked.noise.of(i)].reshape(len(channels.rows), -1)[:, 0]
-        for name, factor in zip(target.trial.corners.vertebrae, inflation):
-            if factor > 1.0:
-                result.append((target.trial.label or f"trial {i + 1}", name, float(np.sqrt(factor))))
-    return tuple(result)
-
-
 def _data_sd(asked: WeighedProblem, found: WeighedFit) -> Floats:
-    precision = _data_precision(asked, found)
-    return np.asarray(np.sqrt(np.diag(np.linalg.inv(precision + LEAST_PRECISION * np.eye(len(precision))))))
+    return linear_sds(_data_precision(asked, found))
 
 
 def _data_precision(asked: WeighedProblem, found: WeighedFit) -> Floats:

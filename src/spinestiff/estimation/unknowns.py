@@ -22,6 +22,7 @@ from spinestiff.estimation.priors import Priors
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.places import SupportPlace
+from spinestiff.mechanics.supports import SupportKind
 
 ACTS = (
     "force",
@@ -131,10 +132,10 @@ def unknowns_of(
     """
     p = priors
     loaded = np.array([trial.load.size > 0.0 for trial in trials], dtype=bool)
-    force = np.array([trial.load.size for trial in trials])
+    force = np.array([trial.load.push.size for trial in trials])
     pushes = np.array([trial.push or f"trial {i + 1}" for i, trial in enumerate(trials)])
     sides = np.array([_side(trial.load) for trial in trials])
-    held = np.array([q.supports.held[q.torso.bone("pelvis")].all() for q in problems], dtype=bool)
+    held, padded = (np.array([is_placed(act, q) for q in problems], dtype=bool) for act in PLACING)
     on_bones = np.array([len(trial.load.nodes) == 0 for trial in trials], dtype=bool)
     found: list[Unknown] = []
 
@@ -155,7 +156,7 @@ def unknowns_of(
     per_newton = force / max(p.support_force_n, 1e-300)
     for act, total, own, unit in (
         ("obliquity", np.deg2rad(p.obliquity_deg), np.deg2rad(p.frame_obliquity_deg), held),
-        ("shoulder", p.shoulder_mm, p.frame_shoulder_mm, np.ones(len(trials), dtype=bool)),
+        ("shoulder", p.shoulder_mm, p.frame_shoulder_mm, padded),
     ):
         elastic = float(np.sqrt(max(total**2 - own**2, 0.0)))
         for side in dict.fromkeys(sides[loaded]):
@@ -172,7 +173,7 @@ def unknowns_of(
             float(np.deg2rad(p.frame_obliquity_deg)),
             one & held,
         )
-        add(f"shoulder in {label}", "shoulder of a frame", "shoulder", p.frame_shoulder_mm, one)
+        add(f"shoulder in {label}", "shoulder of a frame", "shoulder", p.frame_shoulder_mm, one & padded)
     trunk = p.trunk_taped if taped else p.trunk
     for name, power in zip(("breadth", "depth"), p.trunk_power):
         add(f"trunk {name}", "trunk size", "tissue", trunk * power, loaded)
@@ -183,6 +184,14 @@ def unknowns_of(
     add("tissue mesh", "tissue mesh", "tissue", p.mesh, loaded)
     add("source distance", "source distance", "motion", p.source_distance, loaded)
     return Unknowns(tuple(found), len(trials))
+
+
+def is_placed(act: str, problem: EquilibriumProblem) -> bool:
+    """Whether a problem's supports put a torso where ``act``, of ``PLACING``, says; else forces leave it somewhere."""
+    supports = problem.supports
+    if act == "obliquity":
+        return bool(supports.held[problem.torso.bone("pelvis")].all())
+    return SupportKind.SHOULDER in supports.kinds
 
 
 def is_fitted(act: str, groups: Sequence[ParameterGroup], torso: TorsoModel) -> bool:
@@ -210,19 +219,21 @@ def acts_by_name(unknowns: Unknowns, known: Mapping[str, float]) -> Floats:
 
 def _side(load: LoadCase) -> str:
     """Where a push comes from: its force drives the spine to the other side."""
-    return "right" if load.total[0] >= 0.0 else "left"
+    return "right" if load.push.total[0] >= 0.0 else "left"
 
 
 def load_changes(load: LoadCase, rest: TorsoState) -> tuple[LoadCase, ...]:
     """What is added to ``load`` per unit of each of the six acts on the load; nothing acts on an unloaded torso."""
     if load.size == 0.0:
         return (load,) * len(LOADING)
-    moved = [_turned(load, axis) for axis in (2, 1)]
+    push = load.push
+    moved = [_turned(push, axis) for axis in (2, 1)]
     if len(load.nodes):
         # The height of forces on tissue nodes is no single point's.
         still = load.scaled(0.0)
-        return (load, load.scaled(1.0 / load.size), *moved, still, still)
-    return (load, load.scaled(1.0 / load.size), *moved, push_height_change(load, rest), _deeper(load, rest))
+        return (load, load.scaled(1.0 / push.size), *moved, still, still)
+    # What holds against the push grows with it, and stays where it is.
+    return (load, load.scaled(1.0 / push.size), *moved, push_height_change(push, rest), _deeper(push, rest))
 
 
 def changed_load(load: LoadCase, changes: Sequence[LoadCase], acts: Floats) -> LoadCase:

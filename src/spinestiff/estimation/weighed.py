@@ -14,7 +14,7 @@ What is held of the ratios themselves, if anything (``ratio_priors``), is rows o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,16 +30,16 @@ from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.ratio_priors import RatioPrior
 from spinestiff.estimation.sights import (
-    OWN,
     MarkerResiduals,
     MarkerTarget,
     PedicleTarget,
     SightResiduals,
     further_sights,
+    marked_anew,
     sight_residuals,
 )
 from spinestiff.estimation.status import FitStatus
-from spinestiff.estimation.unknowns import ACTS, Unknowns, unknowns_of
+from spinestiff.estimation.unknowns import ACTS, Unknowns, is_placed, unknowns_of
 from spinestiff.imaging.features import Orientation
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 
@@ -100,15 +100,11 @@ class WeighedProblem:
         at_rest: list[SightResiduals] = [
             residuals(p.torso, target, p.torso.rest_pose) for p, target in zip(problems, both)
         ]
+        sequences = [target.trial.push or f"trial {i + 1}" for i, target in enumerate(both)]
+        marked = marked_anew([target.trial for target in both], sequences)
         seen = [
-            Seen(
-                target,
-                target.trial.push or f"trial {i + 1}",
-                target.trial.annotated,
-                # Frames of a push without load are marked first; a loaded one that is marked, too, errs anew.
-                marked=OWN if target.trial.annotated and target.trial.load.size > 0.0 else None,
-            )
-            for i, target in enumerate(both)
+            Seen(target, sequence, target.trial.annotated, marked=mark)
+            for target, sequence, mark in zip(both, sequences, marked)
         ]
         further = further_sights([problem.torso for problem in problems], both, orientation)
         for one in further:
@@ -138,6 +134,8 @@ class WeighedProblem:
             (i, ACTS.index(name), value, sd)
             for i, trial in enumerate(trial_set.trials)
             for name, (value, sd) in trial.supports.items()
+            # What nothing holds is where the forces leave it, which the model says by itself.
+            if is_placed(name, trial_set.problems[i])
         ]
         self.data = self.noise.size + len(self._measured)
         self.size = self.data + len(self.ratio_prior.rows)
@@ -249,12 +247,35 @@ class WeighedProblem:
         rest[channels, channels] += self.noise.tracking(factor, inflation)
         return Weights(cholesky(rest, lower=True), factor, inflation)
 
-    def covariance(self, point: WeighedPoint, tracking_factor: float = 1.0) -> Floats:
-        """(n, n) of all residuals at given nuisances, with tracking's errors ``tracking_factor`` times as predicted."""
+    def outlying(self, inflation: Floats) -> list[tuple[str, str, float]]:
+        """Trials and vertebrae whose own errors are larger than usual by ``inflation`` (n,), and by how much."""
+        found = []
+        for i, (label, names) in enumerate(self._named()):
+            factors = inflation[self.noise.of(i)].reshape(len(names), -1)[:, 0]
+            found += [(label, name, float(np.sqrt(factor))) for name, factor in zip(names, factors) if factor > 1.0]
+        return found
+
+    def inflation(self, outlying: Iterable[tuple[str, str, float]]) -> Floats:
+        """(n,) inverse of ``outlying``; of trials and vertebrae that are not there it is 1."""
+        known = {(label, name): factor**2 for label, name, factor in outlying}
+        found = np.ones(self.noise.size)
+        for i, (label, names) in enumerate(self._named()):
+            mine = found[self.noise.of(i)].reshape(len(names), -1)
+            mine *= np.array([known.get((label, name), 1.0) for name in names])[:, None]
+        return found
+
+    def _named(self) -> list[tuple[str, tuple[str, ...]]]:
+        """Label and vertebrae of each trial's own radiograph."""
+        trials = [self.noise.seen[i].target.trial for i in range(self.trials)]
+        return [(trial.label or f"trial {i + 1}", trial.corners.vertebrae) for i, trial in enumerate(trials)]
+
+    def covariance(self, point: WeighedPoint, tracking_factor: float = 1.0, inflation: Floats | None = None) -> Floats:
+        """(n, n) of all residuals at given nuisances, with tracking's errors ``tracking_factor`` times as predicted and
+        ``inflation`` (n,) of a vertebra's own variance."""
         whole = np.eye(self.size)
         channels = slice(0, self.noise.size)
         whole[channels, channels] = self._constant + self.moving.discrepancy(point) + self.moving.drag(point)
-        whole[channels, channels] += self.noise.tracking(tracking_factor)
+        whole[channels, channels] += self.noise.tracking(tracking_factor, inflation)
         return whole
 
     def as_expected(self, point: WeighedPoint) -> Weights:

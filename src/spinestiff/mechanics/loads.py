@@ -33,6 +33,7 @@ class LoadCase(ShortRepr):
     label : for messages and tables.
     nodes : (M,) free tissue nodes, as rows of ``TorsoState.tissue_positions``; see ``tissue_load``.
     node_forces : (M, 3) N.
+    against : how many of the last points carry what holds the torso against the push, as dead loads F1 and F2 do.
     """
 
     points: PointsOnBones
@@ -40,6 +41,7 @@ class LoadCase(ShortRepr):
     label: str = ""
     nodes: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     node_forces: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    against: int = 0
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -59,6 +61,14 @@ class LoadCase(ShortRepr):
         """(3,) N, the sum of all forces."""
         return self.forces.sum(axis=0) + self.node_forces.sum(axis=0)
 
+    @property
+    def push(self) -> LoadCase:
+        """Without what holds against it."""
+        if not self.against:
+            return self
+        count = len(self.points) - self.against
+        return replace(self, points=self.points[np.arange(count)], forces=self.forces[:count], against=0)
+
     def moment(self, state: TorsoState) -> Floats:
         """(3,) N mm, the moment of all forces about the world's origin in ``state``."""
         on_bones = np.cross(self.points.positions(state), self.forces).sum(axis=0)
@@ -70,6 +80,13 @@ class LoadCase(ShortRepr):
     def energy(self, state: TorsoState) -> float:
         on_nodes = float(np.sum(self.node_forces * state.tissue_positions[self.nodes]))
         return -float(np.sum(self.forces * self.points.positions(state))) - on_nodes
+
+    def require_on(self, state: TorsoState) -> None:
+        """Raise TorsoError unless ``state`` has the bones and the free nodes that this load acts on."""
+        kinds = (("bone", self.points.bone, state.bone_positions), ("free node", self.nodes, state.tissue_positions))
+        for what, acting, present in kinds:
+            if acting.max(initial=-1) >= len(present):
+                raise TorsoError(f"a load acts on {what} {acting.max()}, but the torso has {len(present)}")
 
     def blocks(self, state: TorsoState) -> TermBlocks:
         on_bones = point_blocks(self.points, state, -self.forces, None)
@@ -125,7 +142,7 @@ def rib_push(
 
     Raises
     ------
-    TorsoError : unknown side, level outside 1-12, negative force.
+    TorsoError : unknown side, level outside 1-12, negative force, a torso without the landmark "rib_lateral".
     """
     if force_n > USUAL_LIMIT_N:
         warnings.warn(
@@ -149,7 +166,7 @@ def rib_load(
     upper = min(int(level), 11)
     share = level - upper
     rows = [RIBS.index(f"R{upper + i}_{side[0].upper()}") for i in (0, 1)]
-    lateral = torso.landmarks["rib_lateral"][rows]
+    lateral = torso.landmark("rib_lateral")[rows]
     places = lateral.positions(torso.rest_pose) + np.array([0.0, 0.0, anterior_mm])
     points = PointsOnBones.at(torso.rest_pose, lateral.bone, places)
     forces = np.zeros((2, 3))

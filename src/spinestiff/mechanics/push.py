@@ -97,11 +97,11 @@ def push_load(torso: TorsoModel, site: PushSite, force_n: float, rig: Rig, label
     if site.d21_mm is None or site.d31_mm is None:
         raise TorsoError(f"{label or 'a push'}: d21 or d31 is not known; dead loads at shoulder and pelvis need both")
     f1, f2 = three_point_reactions(force_n, site.d21_mm, site.d31_mm)
-    parts = (push.points, held_shoulder(torso, site.side), torso.landmarks["pelvis_belt"])
+    parts = (push.points, held_shoulder(torso, site.side), torso.landmark("pelvis_belt"))
     points = PointsOnBones(np.concatenate([p.bone for p in parts]), np.concatenate([p.offset for p in parts]))
     against = np.zeros((2, 3))
     against[:, 0] = -PUSH_DIRECTION[site.side] * np.array([f1, f2])
-    return LoadCase(points, np.vstack([push.forces, against]), label)
+    return LoadCase(points, np.vstack([push.forces, against]), label, against=len(against))
 
 
 def push_heights(torso: TorsoModel, side: str, level: float) -> tuple[float, float, float]:
@@ -120,7 +120,7 @@ def push_heights(torso: TorsoModel, side: str, level: float) -> tuple[float, flo
 def support_forces(torso: TorsoModel, load: LoadCase, equilibrium: Equilibrium) -> SupportForces:
     """What shoulder, pelvis and wall do in an equilibrium under ``load``, whose forces on them count as theirs."""
     pelvis = torso.bone("pelvis")
-    shoulders = torso.landmarks["humerus_head"].bone
+    shoulders = torso.landmark("humerus_head").bone
     held = next(r for r in equilibrium.reactions if r.kind is SupportKind.HELD and r.name == "pelvis")
     shoulder = sum(r.force[0] for r in equilibrium.reactions if r.kind is SupportKind.SHOULDER)
     pulls = [-r.force[2] for r in equilibrium.reactions if r.kind is SupportKind.WALL]

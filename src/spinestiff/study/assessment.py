@@ -107,7 +107,8 @@ def extrapolated(pushes: PushSet, item: PushTrial) -> tuple[tuple[str, ...], Flo
 
     Returns
     -------
-    Vertebra names and (n, 4, 2) mm at the patient plane; None without a training frame under force.
+    Vertebra names and (n, 4, 2) mm at the patient plane; None without a training frame under force, and of the frame
+    of a push's least force, from which motions are measured.
     """
     numerator: dict[str, Floats] = {}
     squares: dict[str, float] = {}
@@ -118,6 +119,8 @@ def extrapolated(pushes: PushSet, item: PushTrial) -> tuple[tuple[str, ...], Flo
             numerator[name] = numerator.get(name, np.zeros((4, 2))) + force * (now[name] - start[name])
             squares[name] = squares.get(name, 0.0) + force**2
     reference = pushes.reference(item.push)
+    if reference.frame == item.frame:
+        return None
     base, force = _measured(pushes, reference), _signed(item, reference)
     names = tuple(n for n in item.trial.corners.vertebrae if n in base and squares.get(n, 0.0) > 0.0)
     if not names:
@@ -135,7 +138,7 @@ def _alike(pushes: PushSet, item: PushTrial) -> Sequence[PushTrial]:
 
 def _side(item: PushTrial) -> float:
     """Above 0 for a push from the right; 0 without a force."""
-    return float(np.sign(item.trial.load.forces[:, 0].sum()))
+    return float(np.sign(item.trial.load.push.total[0]))
 
 
 def _signed(item: PushTrial, reference: PushTrial) -> float:

@@ -8,25 +8,23 @@ import numpy as np
 
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.estimation.fit import forecast_unseen
+from spinestiff.estimation.fitted import FitEnd
 from spinestiff.estimation.forecast import Forecast
 from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.trials import PushSet, PushTrial
 from spinestiff.subject.assessment_outcome import ForecastRecord
+from spinestiff.subject.estimate_outcome import Estimate
 
 
 def forecasts(
-    predictions: Predictions,
-    ratios: Mapping[str, float],
-    nuisances: Mapping[str, float],
-    tracking_factor: float,
-    population: str | None = None,
+    predictions: Predictions, estimate: FitEnd, population: str | None = None
 ) -> dict[tuple[str, int], Forecast]:
     """Of every frame held out that the estimate predicts, by push and frame.
 
     Parameters
     ----------
     predictions : with those of the model "fit".
-    ratios, nuisances, tracking_factor, population : of a weighed fit of the training frames.
+    estimate, population : of a weighed fit of the training frames.
 
     Raises
     ------
@@ -36,16 +34,14 @@ def forecasts(
     solved = {(frame.item.push, frame.item.frame): frame.solved.get("fit") for frame in predictions.frames}
     states = {key: found.state for key, found in solved.items() if found is not None}
     items = [frame.item for frame in unseen]
-    found = forecast_frames(predictions.pushes, items, ratios, nuisances, tracking_factor, population, states)
+    found = forecast_frames(predictions.pushes, items, estimate, population, states)
     return {(item.push, item.frame): one for item, one in zip(items, found)}
 
 
 def forecast_frames(
     pushes: PushSet,
     unseen: Sequence[PushTrial],
-    ratios: Mapping[str, float],
-    nuisances: Mapping[str, float],
-    tracking_factor: float,
+    estimate: FitEnd,
     population: str | None = None,
     states: Mapping[tuple[str, int], TorsoState] | None = None,
 ) -> tuple[Forecast, ...]:
@@ -71,9 +67,7 @@ def forecast_frames(
         [pushes.problems[item.push] for item in items],
         [item.trial for item in items],
         range(len(seen), len(items)),
-        ratios,
-        nuisances,
-        tracking_factor,
+        estimate,
         pushes.orientation,
         pushes.known.priors,
         pushes.known.geometry,
@@ -81,6 +75,12 @@ def forecast_frames(
         population,
         [known.get((item.push, item.frame), pushes.torso.rest_pose) for item in items if item.force_n > 0.0],
     )
+
+
+def fit_end(estimate: Estimate) -> FitEnd:
+    """Where the weighed fit of a written estimate ended."""
+    nuisances = {one.name: one.standard for one in estimate.nuisances}
+    return FitEnd(estimate.values, nuisances, estimate.tracking_factor or 1.0, estimate.outlying_vertebrae)
 
 
 def forecast_record(frame: Prediction, forecast: Forecast, levels: tuple[str, str] | None) -> ForecastRecord:

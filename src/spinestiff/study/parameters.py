@@ -11,7 +11,7 @@ from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.arrays import Floats
 from spinestiff.errors import EquilibriumError, FitError, SpinestiffError, SubjectError
 from spinestiff.estimation.evaluation import TrialSet
-from spinestiff.estimation.fitted import StiffnessFit
+from spinestiff.estimation.fitted import FitEnd, StiffnessFit
 from spinestiff.observer import Observer
 from spinestiff.study.forecasts import forecast_frames
 from spinestiff.study.refits import Basis, basis_of, converged
@@ -249,6 +249,7 @@ def model_score(
             errors += _forecast_errors(less, fold, found, basis.estimate.population)
         except (FitError, EquilibriumError) as error:
             notes.append(f"without {_named(fold)}: {error}")
+    left_out = None if notes else _rmse(errors)
     held_out = [item for item in pushes.of_role("validation") if item.force_n > 0.0]
     outside = list[Floats]()
     try:
@@ -263,7 +264,7 @@ def model_score(
         sd_log={name: finite(float(sd)) for name, sd in zip(fit.names, sds)},
         extreme=extreme(fit),
         training_rmse_mm=fit.rmse_mm,
-        left_out_rmse_mm=_rmse(errors) if len(notes) == 0 else None,
+        left_out_rmse_mm=left_out,
         held_out_rmse_mm=_rmse(outside),
         aic=-2.0 * fit.weighed.log_likelihood + 2.0 * len(fit.names),
         note="; ".join(notes),
@@ -288,17 +289,8 @@ def _forecast_errors(
     pushes: PushSet, unseen: Sequence[PushTrial], fit: StiffnessFit, population: str | None
 ) -> list[Floats]:
     """(Nv, 4, 2) mm of each unseen frame: what a fit of the training frames forecasts, less what was measured."""
-    assert fit.weighed is not None
     states = {(t.push, t.frame): equilibrium.state for t, equilibrium in zip(pushes.training, fit.equilibria)}
-    found = forecast_frames(
-        pushes,
-        unseen,
-        fit.ratios.as_dict(),
-        fit.standard_nuisances,
-        fit.weighed.tracking_factor,
-        population,
-        states,
-    )
+    found = forecast_frames(pushes, unseen, FitEnd.of(fit), population, states)
     return [one.corner_errors for one in found]
 
 

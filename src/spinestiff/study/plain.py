@@ -9,6 +9,7 @@ import numpy as np
 from spinestiff.anatomy.stiffness import NMM_PER_NM, ParameterGroup, StiffnessRatios
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
+from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.subject.estimate_outcome import PlainStiffness, RatioEstimate
 from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Quantity
 
@@ -72,7 +73,7 @@ def _plain(
         ends = estimates[ratio].scaled(value / estimates[ratio].value)
     elif covariance is not None and sum(shares[name] for name in scaling) > 1.0 - 1e-9:
         weights = np.array(list(shares.values()))
-        factor = float(np.exp(HALF_WIDTH_95 * np.sqrt(weights @ covariance @ weights)))
+        factor = float(np.exp(WIDTH_FACTOR * HALF_WIDTH_95 * np.sqrt(weights @ covariance @ weights)))
         if np.isfinite(factor):
             ends = Quantity(value=value, low=value / factor, high=value * factor)
     return PlainStiffness(**{**ends.model_dump(), "value": value}, unit=unit, ratio=ratio)

@@ -152,8 +152,10 @@ class Predictions:
         return found.states.get(name)
 
     def measured_change(self, item: PushTrial) -> CobbChange | None:
-        """The measured change of the Cobb angle from the push's least force."""
+        """The measured change of the Cobb angle from the push's least force; None of the frame of that force."""
         reference = self.pushes.reference(item.push)
+        if reference.frame == item.frame:
+            return None
         alike = self.pushes.annotated_frame(reference) == self.pushes.annotated_frame(item)
         return change_between(item.trial.view, reference.trial.corners, item.trial.corners, same_origin=alike)
 

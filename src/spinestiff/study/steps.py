@@ -31,7 +31,7 @@ from spinestiff.personalise.pose import posed
 from spinestiff.personalise.scan import SkinScan, read_scan
 from spinestiff.personalise.shape import personalise
 from spinestiff.study.assessment import assess, single_ratio
-from spinestiff.study.forecasts import forecasts
+from spinestiff.study.forecasts import fit_end, forecasts
 from spinestiff.study.frame_selection import frame_qualities, propose
 from spinestiff.study.judgement import failed, judge_inputs
 from spinestiff.study.parameters import parameter_study
@@ -398,7 +398,7 @@ def assess_step(visit: Visit, say: Observer) -> None:
     if estimate.tracking_factor is not None:
         say("what the training frames let expect of those held out")
         try:
-            expected = forecasts(predictions, estimate.values, fit.known, estimate.tracking_factor, estimate.population)
+            expected = forecasts(predictions, fit_end(estimate), estimate.population)
         except EquilibriumError as error:
             say(f"no forecast: {error}")
     assessment = Assessment(frames=assess(predictions, expected), notes=tuple(_support_notes(visit, predictions)))

@@ -14,7 +14,7 @@ from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import FitError, SubjectError, TrackingError
 from spinestiff.estimation.evaluation import OnFitStep
 from spinestiff.estimation.fit import Extent, fit_stiffness, likelihood_rise
-from spinestiff.estimation.fitted import Method, StiffnessFit
+from spinestiff.estimation.fitted import FitEnd, Method, StiffnessFit
 from spinestiff.estimation.mode import CLOSE_SD
 from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Picture, SkinMarkers, Trial
 from spinestiff.estimation.priors import Priors
@@ -210,6 +210,11 @@ def push_set(
                 f"push '{push.id}': its least force is {push.forces_n[least]:g} N, so that where the patient stood "
                 "is read under load; record a frame without force"
             )
+            if push.roles[least] == "validation":
+                warnings.append(
+                    f"push '{push.id}' frame {least}: held out, but the frame of the least force, by which the picture "
+                    "is placed and from which changes are measured: no prediction of it is one of the unseen"
+                )
         try:
             view, poses[push.id] = align_view(torso, torso.rest_pose, found.view.view(), corners[least])
         except TrackingError as error:
@@ -217,12 +222,14 @@ def push_set(
         aside, told = _pictures_aside(torso, push, found)
         warnings += told
         markers = _markers(torso, push, found, view, known or Known())
+        marked = found.annotated_frames or (0,)
         for index, (frame, force, role) in enumerate(zip(found.frames, push.forces_n, push.roles)):
             label = f"push '{push.id}' frame {index}"
             if frame.support_note and role != "unused":
                 warnings.append(f"{label}: {frame.support_note}; the paper leaves such a frame out")
             load = push_load(torso, site, force, rig, label)
-            by_hand = index in (found.annotated_frames or (0,))
+            by_hand = index in marked
+            source = min(marked, key=lambda frame: abs(frame - index))
             trial = Trial(
                 load,
                 corners[index],
@@ -234,6 +241,7 @@ def push_set(
                 next((marks.points(view) for marks in found.pedicles if marks.frame == index), None),
                 tuple(picture for frame_of, picture in aside if frame_of == index),
                 None if markers is None else markers[index],
+                "" if by_hand else f"push '{push.id}' frame {source}",
             )
             lost = len(found.vertebrae) - len(trial.corners)
             if index not in usable:
@@ -386,8 +394,7 @@ def fit_from_coarse(
 
 def rise_of(
     pushes: PushSet,
-    estimate: Mapping[str, float],
-    nuisances: Mapping[str, float],
+    estimate: FitEnd,
     others: Mapping[str, float],
     population: str | None = None,
     rmse_mm: float | None = None,
@@ -398,7 +405,6 @@ def rise_of(
         [pushes.problems[t.push] for t in pushes.fitted],
         [t.trial for t in pushes.fitted],
         estimate,
-        nuisances,
         others,
         pushes.orientation,
         pushes.known.priors,

@@ -9,6 +9,7 @@ from spinestiff.anatomy.regions import AT
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.files import read_json
+from spinestiff.study.forecasts import fit_end
 from spinestiff.study.trials import PushSet, rise_of
 from spinestiff.subject.assessment_outcome import Comparison
 from spinestiff.subject.estimate_outcome import Estimate
@@ -82,9 +83,8 @@ def compare_with_truth(
     if size is None:
         return unknown
     try:
-        nuisances = {one.name: one.standard for one in estimate.nuisances}
         distance2 = rise_of(
-            pushes, estimate.values, nuisances, wanted, estimate.population, estimate.training_rmse_mm.fit, starts
+            pushes, fit_end(estimate), wanted, estimate.population, estimate.training_rmse_mm.fit, starts
         )
     except EquilibriumError:
         return unknown

@@ -28,6 +28,7 @@ from spinestiff.study.plain import plain_stiffness
 from spinestiff.study.trials import PushSet, seen_beside
 from spinestiff.study.visit import Visit
 from spinestiff.subject.estimate_outcome import (
+    OF_FRAME,
     QUICK_LOOK,
     BudgetRecord,
     CombinationRecord,
@@ -224,7 +225,7 @@ def _weighed(pushes: PushSet, fit: StiffnessFit) -> dict[str, object]:
         ),
         "p_value": found.p_value,
         "tracking_factor": found.tracking_factor,
-        "outlying": {f"{vertebra} in {label}": size for label, vertebra, size in found.outlying},
+        "outlying": {f"{vertebra}{OF_FRAME}{label}": size for label, vertebra, size in found.outlying},
     }
 
 

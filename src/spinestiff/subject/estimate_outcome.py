@@ -19,6 +19,8 @@ from spinestiff.subject.outcome_parts import (
     determination,
 )
 
+OF_FRAME = " in "
+"""Between a vertebra and its frame, where both name one thing."""
 QUICK_LOOK = "a quick look"
 """How the note of an estimate on a coarse mesh begins."""
 
@@ -229,7 +231,7 @@ class Estimate(OutcomeFile):
     prior_changes : other priors, other estimates.
     best_known : the combination of ratios that is known best; None where a ratio alone is.
     p_value : of residuals as large, if all errors are as expected. tracking_factor : by which tracking's were larger.
-    outlying : vertebrae whose own errors were larger than usual, and by how much.
+    outlying : vertebrae whose own errors were larger than usual, and by how much: "T9 in push 'main' frame 2".
     poses : by push.
     notes : what a reader must know that is no sign of a mistake.
     """
@@ -291,6 +293,12 @@ class Estimate(OutcomeFile):
     def failed(self) -> tuple[Check, ...]:
         """The checks that failed."""
         return tuple(check for check in self.checks if check.passed is False)
+
+    @property
+    def outlying_vertebrae(self) -> tuple[tuple[str, str, float], ...]:
+        """Frame, vertebra and factor of each of ``outlying``."""
+        parted = [(name.partition(OF_FRAME), factor) for name, factor in self.outlying.items()]
+        return tuple((frame, vertebra, factor) for (vertebra, _, frame), factor in parted)
 
     @property
     def values(self) -> dict[str, float]:

@@ -314,8 +314,6 @@ def support_places(predictions: Predictions, estimate: Estimate) -> dict[str, di
     return frames
 
 
-
-
 def _support_rows(frames: Mapping[str, Mapping[str, SupportPlace]]) -> list[dict[str, str]]:
     rows = []
     for title, own in frames.items():

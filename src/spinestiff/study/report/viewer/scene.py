@@ -187,7 +187,7 @@ def visit_scene(title: str, predictions: Predictions, levels: Mapping[str, tuple
                 steps[name].append(step)
         largest = max(trials, key=lambda t: t.force_n)
         load = largest.trial.load
-        unit = load.scaled(1.0 / load.size) if load.size else load
+        unit = load.scaled(1.0 / load.push.size) if load.size else load
         side, level = levels[push]
         models = {name: tuple(found) for name, found in steps.items() if len(found) > 1}
         further = {_view_id(one.sequence): one.view for trial in trials for one in trial.trial.further}
