@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import json
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from itertools import permutations, product
 
 import numpy as np
 import pytest
@@ -22,6 +24,9 @@ from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.stiffness import TABLE_1
 from spinestiff.app.cli import app
 from spinestiff.errors import TorsoError
+from spinestiff.verification.models import make_torso
+
+SIGNS = list(product((1.0, -1.0), repeat=3))
 
 
 @pytest.fixture(scope="module")
@@ -97,8 +102,12 @@ def test_mjcf_holds_a_spring_a_direction_and_closes_every_loop(template, tmp_pat
 
 @pytest.mark.parametrize("kind", ["mjcf", "feb"])
 def test_formats_whose_springs_are_at_rest_as_written_refuse_another_state(template, moved, tmp_path, kind):
-    with pytest.raises(TorsoError, match="is written at rest"):
-        export_torso(template, tmp_path / "torso", kind, moved)
+    """Moved altogether, and each of what makes a state alone."""
+    rest = template.rest_pose
+    parts = [replace(rest, **{key: getattr(moved, key)}) for key in ("bone_positions", "bone_rotations")]
+    for state in (moved, *parts, replace(rest, tissue_positions=moved.tissue_positions)):
+        with pytest.raises(TorsoError, match="is written at rest"):
+            export_torso(template, tmp_path / "torso", kind, state)
     assert not list(tmp_path.iterdir())
 
 
@@ -135,6 +144,24 @@ def test_angles_and_quaternions_are_those_of_the_rotation():
         v = np.array(v)
         cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
         np.testing.assert_allclose((w**2 - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross, r, atol=1e-12)
+
+
+def test_angles_of_every_frame_along_the_axes_are_those_of_the_rotation():
+    """At y = 90 degrees x and z turn about the same axis."""
+    frames = [np.eye(3)[list(order)] * np.array(signs)[:, None] for order in permutations(range(3)) for signs in SIGNS]
+    frames = [frame for frame in frames if np.linalg.det(frame) > 0.0]
+    assert len(frames) == 24
+    leaning = exp_so3(np.array([0.0, 0.0, 0.7])) @ exp_so3(np.array([0.0, np.pi / 2, 0.0]))
+    for r in (*frames, exp_so3(np.array([0.4, 0.0, 0.0])) @ exp_so3(np.array([0.0, np.pi / 2, 0.0])), leaning):
+        x, y, z = (exp_so3(a * e) for a, e in zip(xyz_angles(r), np.eye(3)))
+        np.testing.assert_allclose(x @ y @ z, r, atol=1e-9)
+
+
+def test_glb_of_a_torso_without_surfaces_is_refused(tmp_path):
+    bare = make_torso(np.eye(3), [(0, 1), (1, 2)], np.ones((1, 6)))
+    with pytest.raises(TorsoError, match=r"^this torso has no surfaces, [^\n]*$"):
+        export_torso(bare, tmp_path / "torso.glb", "glb")
+    assert not list(tmp_path.iterdir())
 
 
 def test_masses_are_those_of_bones(template):

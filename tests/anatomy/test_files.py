@@ -1,4 +1,6 @@
 import json
+import zipfile
+from io import BytesIO
 
 import numpy as np
 import pytest
@@ -97,6 +99,10 @@ def test_another_schema_version_is_refused(path):
         {"joints_parent": np.array([[1]])},
         {"header": np.array('{"schema": "spinestiff-torso"}')},
         {"height_cm": np.array("tall")},
+        {"height_cm": np.array(np.nan)},
+        {"surface_sizes": np.array([[-5, 4]] + [[0, 0]] * 48)},
+        {"rest_bone_positions": np.zeros((49, 3), dtype=complex)},
+        {"header": np.array("[" * 100_000)},
     ],
     ids=lambda change: next(iter(change)),
 )
@@ -105,6 +111,60 @@ def test_damaged_content_is_refused_in_one_line(path, change):
     with pytest.raises(TorsoError, match=r"torso\.npz") as caught:
         read_torso(path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("place", [(0, 0), (0, 1), (48, 0)])
+def test_sizes_of_surfaces_that_do_not_add_up_are_refused(torso, path, place):
+    sizes = np.array([(len(s.vertices), len(s.faces)) for s in torso.bone_surfaces])
+    sizes[place] += 3
+    rewritten(path, surface_sizes=sizes)
+    with pytest.raises(TorsoError, match=r"torso\.npz is damaged: the sizes of the bones' surfaces don't add up"):
+        read_torso(path)
+
+
+@pytest.mark.parametrize("words", [[1, 2], "T1", {"T1": 0}])
+def test_names_that_are_no_list_of_words_are_refused(path, words):
+    with np.load(path) as stored:
+        header = json.loads(str(stored["header"]))
+    for key in ("bone_names", "vertebrae", "joint_names", "joint_kinds", "landmarks"):
+        rewritten(path, header=np.array(json.dumps({**header, key: words})))
+        with pytest.raises(TorsoError, match=rf"torso\.npz is damaged: {key} is no list of words$"):
+            read_torso(path)
+
+
+def _with_array_of(shape, path):
+    """The file with a header of ``joints_parent`` that promises an array of ``shape``."""
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    stream = BytesIO()
+    np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    parts["joints_parent.npy"] = stream.getvalue() + bytes(64)
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in parts.items():
+            archive.writestr(name, content)
+
+
+def _with_bytes(path, central, local, value):
+    """The file with a byte of the first part's entries in the archive changed."""
+    content = bytearray(path.read_bytes())
+    content[content.find(b"PK\x01\x02") + central] = content[content.find(b"PK\x03\x04") + local] = value
+    path.write_bytes(bytes(content))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda path: _with_array_of((10**15, 3), path),
+        lambda path: _with_array_of((2**62, 4), path),
+        lambda path: _with_bytes(path, 8, 6, 1),
+        lambda path: _with_bytes(path, 10, 8, 99),
+    ],
+    ids=["more than any memory", "more than can be counted", "encrypted", "unknown compression"],
+)
+def test_archives_that_cannot_be_unpacked_are_refused_in_one_line(path, damage):
+    damage(path)
+    with pytest.raises(TorsoError, match=r"^[^\n]*torso\.npz is no torso file, or it is damaged \([^\n]*\)$"):
+        read_torso(path)
 
 
 def test_a_truncated_file_is_refused(path):

@@ -58,6 +58,7 @@ def test_rubber_fills_what_blocks_and_gaps_leave() -> None:
         ({"stiffness": (1.0, 1.0, 0.0)}, "not above 0"),
         ({"marks_mm": (31.0, 19.0)}, "marks 31 mm apart on blocks of 30 mm width"),
         ({"rubber": replace(RUBBER, depth_mm=20.0)}, "rubber of 20 mm depth round blocks of 20 mm"),
+        *(({"rubber": replace(RUBBER, spacing_mm=s)}, f"grid lines {s:g} mm apart") for s in (0.0, -1.0, np.nan)),
     ],
 )
 def test_what_is_no_column_is_refused(changes, words) -> None:

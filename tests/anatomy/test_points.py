@@ -73,3 +73,9 @@ def test_wrong_shapes_are_refused():
 def test_points_are_read_only(points):
     with pytest.raises(ValueError):
         points.offset[0, 0] = 1.0
+
+
+def test_a_point_on_a_negative_bone_is_refused():
+    """NumPy would take -1 for the last bone."""
+    with pytest.raises(TorsoError, match=r"^a point rides on bone -1; wanted numbers from 0$"):
+        PointsOnBones(np.array([0, -1]), np.zeros((2, 3)))

@@ -147,6 +147,7 @@ def test_what_a_torso_has_not_is_refused(torso):
         expanded(torso, ["sternum_clavicle@levels"])
     with pytest.raises(TorsoError, match="'lateral_bending@T8-T9' is named twice"):
         expanded(torso, ["lateral_bending@T8-T9", "lateral_bending@levels"])
-    others = replace(torso, bone_names=tuple(f"bone {i}" for i in range(len(torso.bone_names))))
+    names = tuple(f"bone {i}" for i in range(len(torso.bone_names)))
+    others = replace(torso, bone_names=names, vertebrae=tuple(names[i] for i in torso.vertebra_bones))
     with pytest.raises(TorsoError, match="no joint between T12 and L1 in this torso"):
         parameter_groups(others, ["tissue@thorax"])

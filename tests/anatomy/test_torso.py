@@ -160,7 +160,7 @@ def test_an_inverted_element_is_refused_by_number():
 
 @pytest.mark.parametrize(
     ("elements", "message"),
-    [(np.array([[0, 1, 2, 9]]), "node 9"), (np.array([[0, 1, 2]]), "3 nodes"), (np.array([[-1, 1, 2, 3]]), "node")],
+    [(np.array([[0, 1, 2, 9]]), "node 9"), (np.array([[0, 1, 2]]), "3 nodes"), (np.array([[-1, 1, 2, 3]]), "node -1")],
 )
 def test_impossible_elements_are_refused(elements, message):
     with pytest.raises(TorsoError, match=message):
@@ -190,11 +190,41 @@ def test_impossible_joints_are_refused(rest, change, message):
         ({"vertebra_boxes": np.ones((2, 8, 3))}, "vertebra_boxes"),
         ({"tissue": mesh(bones=(0, 0, -1, -1, 5))}, "bone 5"),
         ({"tissue": mesh(bones=(0, 0, 0, -1, 1))}, "free nodes"),
+        ({"tissue": mesh(bones=(0, 0, -2, -1, 1))}, "a node names bone -2, but there are 2"),
+        ({"landmarks": {"tip": PointsOnBones(np.array([2]), np.ones((1, 3)))}}, "a landmark names bone 2"),
+        ({"vertebrae": ("X1",)}, "no bone 'X1'"),
+        ({"height_cm": 0.0}, "height of 0 cm; wanted a finite one above 0"),
+        ({"height_cm": np.nan}, "height of nan cm"),
+        ({"height_cm": np.inf}, "height of inf cm"),
     ],
 )
 def test_torsos_that_do_not_fit_together_are_refused(torso, change, message):
     with pytest.raises(TorsoError, match=message):
         replace(torso, **change)
+
+
+@pytest.mark.parametrize("side", ["parent", "child"])
+def test_a_joint_of_a_negative_bone_is_refused(torso, side):
+    with pytest.raises(TorsoError, match="a joint names bone -1, but there are 2"):
+        replace(torso, joints=replace(torso.joints, **{side: [-1]}))
+
+
+def test_a_negative_shear_modulus_is_refused_and_none_is_not(torso):
+    with pytest.raises(TorsoError, match="element 1 has a negative shear modulus"):
+        replace(torso.tissue, lame_mu=[0.1, -0.1])
+    assert replace(torso.tissue, lame_mu=[0.1, 0.0]).lame_mu[1] == 0.0
+
+
+@pytest.mark.parametrize("vertex", [4, -1])
+def test_a_face_of_a_vertex_that_there_is_not_is_refused(vertex):
+    with pytest.raises(TorsoError, match=f"a face of a surface names vertex {vertex}, but there are 4"):
+        BoneSurface(CORNERS[:4], [[0, 2, vertex]])
+
+
+def test_landmarks_by_name(torso):
+    assert torso.landmark("tip") is torso.landmarks["tip"]
+    with pytest.raises(TorsoError, match=r"^no landmark 'wall' in this torso; there are tip$"):
+        torso.landmark("wall")
 
 
 def test_bones_by_name(torso):

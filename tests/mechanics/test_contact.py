@@ -12,11 +12,11 @@ from spinestiff.anatomy.state import retract
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError
-from spinestiff.mechanics.contact import OneSidedProblem, solve_with_contact, switched
+from spinestiff.mechanics.contact import OneSidedProblem, solve_with_contact
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import LoadCase, no_load, rib_push
 from spinestiff.mechanics.places import SupportPlace
-from spinestiff.mechanics.supports import SupportKind, Supports, three_point_supports
+from spinestiff.mechanics.supports import SupportKind, Supports, switched, three_point_supports
 from spinestiff.mechanics.terms import PointSprings
 from spinestiff.verification.models import make_torso
 

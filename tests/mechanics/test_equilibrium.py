@@ -360,6 +360,30 @@ def test_other_springs_share_the_pattern_and_other_holds_are_refused(torso, prob
         problem.with_supports(replace(problem.supports, held=~problem.supports.held))
 
 
+def test_supports_of_bones_that_there_are_not_are_refused(torso, problem):
+    supports = problem.supports
+    for rows, bones in ((supports.held[:-1], 2), (np.vstack([supports.held, supports.held[:1]]), 4)):
+        with pytest.raises(TorsoError, match=f"^supports hold {bones} bones, but the torso has 3$"):
+            EquilibriumProblem(torso, replace(supports, held=rows))
+    far = replace(supports.springs, points=PointsOnBones(np.array([3]), np.zeros((1, 3))))
+    for build in (lambda s: EquilibriumProblem(torso, s), problem.with_supports):
+        with pytest.raises(TorsoError, match=r"^a support's spring holds bone 3, but the torso has 3$"):
+            build(replace(supports, springs=far))
+
+
+def test_a_load_on_what_the_torso_lacks_is_refused(torso, problem, soft):
+    nodes, last = len(torso.tissue.free_nodes), len(torso.tissue.free_nodes) - 1
+    found = problem.solve(no_load(), soft).require()
+    for load, what in (
+        (LoadCase(PointsOnBones(np.array([3]), np.zeros((1, 3))), np.ones((1, 3))), "bone 3, but the torso has 3"),
+        (replace(no_load(), nodes=[nodes], node_forces=np.ones((1, 3))), f"free node {nodes}, but .* has {nodes}"),
+    ):
+        for use in (problem.solve, lambda load, ratios: problem.linearise(found, load, ratios)):
+            with pytest.raises(TorsoError, match=f"^a load acts on {what}$"):
+                use(load, soft)
+    assert problem.solve(replace(no_load(), nodes=[last], node_forces=np.full((1, 3), 1e-3)), soft).converged
+
+
 @pytest.mark.parametrize("tissue", [RATIO_BOUNDS[0], 0.02, 0.2, RATIO_BOUNDS[1]])
 @pytest.mark.parametrize("bending", RATIO_BOUNDS)
 def test_the_whole_range_of_ratios_is_solved(torso, problem, tissue, bending):

@@ -12,8 +12,12 @@ from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.template import template_torso
 from spinestiff.anatomy.torso import TissueMesh, TorsoModel
 from spinestiff.errors import EquilibriumError
+from spinestiff.mechanics.assembly import Law
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.joints import JointLaw, joint_energies, joint_hessians
+from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.mechanisms import mechanisms, require_no_mechanism
+from spinestiff.mechanics.neutral_zone import NeutralZone
 from spinestiff.mechanics.potential import Potential
 from spinestiff.mechanics.supports import SupportKind, Supports, three_point_supports
 from spinestiff.mechanics.terms import PointSprings, TermBlocks
@@ -249,7 +253,7 @@ def test_an_image_term_holds_a_bone_as_a_support_does():
 
 
 class Pad:
-    """Springs of k N/mm, all ways, from free nodes to where they are at rest."""
+    """Springs of k N/mm, all ways or k (3,) along the axes, from free nodes to where they are at rest."""
 
     def __init__(self, torso, nodes, k):
         self.nodes, self.k, self.rest = nodes, k, torso.rest_pose.tissue_positions[nodes]
@@ -274,6 +278,148 @@ def test_a_pad_on_tissue_nodes_holds_a_torso_and_bears_its_load():
     pad, load = Pad(torso, far, 2.0), toy_load(1.0)
     found = EquilibriumProblem(torso, free, (pad,)).solve(load).require()
     assert -pad.blocks(found.state).node_gradient.sum(0) == pytest.approx(-load.total, abs=1e-8)
+
+
+class OwnJoints(JointLaw):
+    """Joints of a table beside the torso's, with the table's stiffness whatever the ratios."""
+
+    def secant(self, state, stiffness):
+        return self.joints.stiffness
+
+    def hessians(self, state, stiffness):
+        return joint_hessians(self.joints, state, self.joints.stiffness)
+
+    def energy(self, at, stiffness):
+        return float(joint_energies(self.joints, at.state, self.joints.stiffness).sum()), np.inf
+
+    def add_shares(self, at, stiffness, groups, columns):
+        pass
+
+    def share_products(self, at, stiffness, groups, direction):
+        return np.zeros(len(groups))
+
+
+class Strut(Law):
+    """k |u - u0|^2 / 2 of what lies between free node and bone's origin, or, for no bone, the world's."""
+
+    def __init__(self, node, bone, k):
+        self.node, self.bone, self.k = node, bone, k
+
+    def pairs(self, unknowns):
+        return super().pairs(unknowns) if self.bone is None else np.array([[self.bone, unknowns.bones + self.node]])
+
+    def energy(self, at, stiffness):
+        across = at.state.tissue_positions[self.node] - self._rest(at)
+        return 0.5 * self.k * float(across @ across), np.inf
+
+    def _rest(self, at):
+        rest, now = at.unknowns.torso.rest_pose, at.state
+        moved = 0.0 if self.bone is None else now.bone_positions[self.bone] - rest.bone_positions[self.bone]
+        return rest.tissue_positions[self.node] + moved
+
+    def add_gradient(self, at, stiffness, gradient):
+        force = self.k * (at.state.tissue_positions[self.node] - self._rest(at))
+        at.unknowns.node_rows(gradient)[self.node] += force
+        if self.bone is not None:
+            at.unknowns.bone_rows(gradient)[self.bone, :3] -= force
+
+    def add_hessian(self, at, stiffness, tangent, offsets, project):
+        tangent.nodes[self.node] += self.k * np.eye(3)
+        if self.bone is not None:
+            tangent.bones[self.bone, :3, :3] += self.k * np.eye(3)
+            row, column = np.array([at.unknowns.bones + self.node]), np.array([self.bone])
+            tangent.add(np.hstack([-self.k * np.eye(3), np.zeros((3, 3))])[None], row, column, offsets)
+
+
+CHAIN = np.array([[0.0, 0, 0], [5.0, 30.0, -8.0], [-4.0, 61.0, 3.0]])
+
+
+def chains(stiffness=STIFF):
+    """Three bones, both joints in the table; the first alone; and the second as a law."""
+    both = make_torso(CHAIN, [(0, 1), (1, 2)], np.array([STIFF, stiffness]))
+    first = make_torso(CHAIN, [(0, 1)], STIFF)
+    return both, first, OwnJoints(make_torso(CHAIN, [(1, 2)], stiffness).joints)
+
+
+def first_held():
+    return holds(np.arange(3)[:, None] < np.full(6, 1))
+
+
+def test_a_law_of_ones_own_holds_as_a_joint_does():
+    both, first, law = chains()
+    supports = first_held()
+    assert sum(m.modes for m in mechanisms(first, supports)) == 6
+    assert mechanisms(first, supports, laws=(law,)) == ()
+    load = LoadCase(PointsOnBones(np.array([2]), np.array([[0.0, 5.0, 2.0]])), np.array([[8.0, 1.0, -3.0]]))
+    wanted = EquilibriumProblem(both, supports).solve(load).require().state
+    found = EquilibriumProblem(first, supports, laws=(law,)).solve(load).require().state
+    np.testing.assert_allclose(found.bone_positions, wanted.bone_positions, atol=1e-7)
+
+
+@pytest.mark.parametrize("slack", [[0], [1, 5], [3, 4, 5], [0, 1, 2, 4]])
+def test_a_law_holds_no_more_than_it_curves(slack):
+    stiffness = STIFF.copy()
+    stiffness[slack] = 0.0
+    both, first, law = chains(stiffness)
+    (wanted,) = mechanisms(both, first_held())
+    (found,) = mechanisms(first, first_held(), laws=(law,))
+    assert (found.bones, found.modes) == (wanted.bones, wanted.modes) == (("bone2",), len(slack))
+
+
+def test_a_law_between_bones_holds_nothing_to_the_ground():
+    _, first, law = chains()
+    (found,) = mechanisms(first, holds(np.zeros((3, 6), dtype=bool)), laws=(law,))
+    assert found.modes == 6
+    assert found.text == "the whole torso is held by no support (six free motions)"
+
+
+def test_a_neutral_zone_holds_nothing_at_rest():
+    slack = np.array([10.0, 20.0, 30.0, 1e3, 2e3, 0.0])
+    torso = make_torso(CHAIN, [(0, 1), (1, 2)], np.array([STIFF, slack]))
+    zone = NeutralZone(torso.joints, np.ones((2, 6), dtype=bool), 0.05, 1.0)
+    found, wanted = (mechanisms(torso, first_held(), laws=laws) for laws in ((zone,), ()))
+    assert found == wanted != ()
+
+
+def test_laws_on_tissue_nodes_hold_a_torso():
+    """Struts from three free nodes to the ground; one leaves the turns about its node."""
+    torso = toy_torso(0, 10)
+    free = holds(np.zeros((3, 6), dtype=bool))
+    nodes = (0, 9, len(torso.rest_pose.tissue_positions) - 1)
+    assert mechanisms(torso, free, laws=[Strut(node, None, 2.0) for node in nodes]) == ()
+    (turns,) = mechanisms(torso, free, laws=[Strut(nodes[0], None, 2.0)])
+    assert turns.modes == 3
+
+
+def with_a_loose_node():
+    """The toy torso with one more free node, which no element has; its number among the free ones."""
+    torso = toy_torso(0, 10)
+    mesh = torso.tissue
+    places = np.vstack([mesh.rest_positions, [[0.0, 200.0, 0.0]]])
+    mesh = replace(mesh, rest_positions=places, bone_of_node=np.append(mesh.bone_of_node, -1))
+    pose = replace(torso.rest_pose, tissue_positions=places[mesh.free_nodes])
+    return replace(torso, tissue=mesh, rest_pose=pose), len(mesh.free_nodes) - 1
+
+
+def test_a_loose_node_may_be_held_by_a_term_or_a_law():
+    torso, node = with_a_loose_node()
+    supports = toy_supports(torso)
+    (loose,) = mechanisms(torso, supports)
+    assert loose.text.endswith("belongs to no element with stiffness")
+    pad, strut = Pad(torso, np.array([node]), 2.0), Strut(node, 1, 2.0)
+    assert mechanisms(torso, supports, terms=(pad,)) == ()
+    assert mechanisms(torso, supports, laws=(strut,)) == ()
+    for problem in (EquilibriumProblem(torso, supports, (pad,)), EquilibriumProblem(torso, supports, laws=(strut,))):
+        assert problem.solve(toy_load()).converged
+    with pytest.raises(EquilibriumError, match="belongs to no element with stiffness"):
+        EquilibriumProblem(torso, supports).solve(toy_load())
+
+
+def test_a_loose_node_that_is_held_two_ways_only_is_named():
+    torso, node = with_a_loose_node()
+    rail = Pad(torso, np.array([node]), np.array([2.0, 0.0, 2.0]))
+    (loose,) = mechanisms(torso, toy_supports(torso), terms=(rail,))
+    assert loose.modes == 3
 
 
 def test_the_error_is_one_line_with_names_and_what_is_left_out(bare):

@@ -75,6 +75,22 @@ def test_an_indefinite_matrix_is_noticed_and_not_solved(problems):
         problems[1].numeric_factor(values)
 
 
+def test_a_residual_that_the_iteration_only_believes_is_not_believed(problems, monkeypatch):
+    """Conjugate gradients update their residual, which can lose touch with the true one."""
+    factor = problems[1].numeric_factor(_tangent(problems[1]))
+    iterate = factor._conjugate_gradients
+
+    def drifted(b, goal, limit):
+        x, definite, error = iterate(b, goal, limit)
+        return x * (1.0 + 1e-6), definite, error
+
+    rhs = np.ones(problems[0].potential.dofs)
+    factor.solve(rhs)
+    monkeypatch.setattr(factor, "_conjugate_gradients", drifted)
+    with pytest.raises(EquilibriumError, match=r"leaves a relative residual of \d\.\de-0[67]"):
+        factor.solve(rhs)
+
+
 def test_equilibria_and_gradients_are_the_same(torso, problems):
     load = toy_load(5.0)
     found = [problem.solve_linearised(load) for problem in problems]

@@ -126,6 +126,31 @@ def test_a_hinged_pelvis_refuses_an_obliquity_and_takes_a_shoulder(torso):
     assert pushed.supports.springs.targets[0, 0] == hinged.supports.springs.targets[0, 0] + 3.0
 
 
+def test_a_hinged_pelvis_keeps_the_turn_of_a_start(torso, soft):
+    """A place of the shoulder says nothing about a pelvis that is free to turn."""
+    supports = placed_supports(torso)
+    held = supports.held.copy()
+    held[torso.bone("pelvis"), 5] = False
+    hinged = EquilibriumProblem(torso, replace(supports, held=held))
+    found = hinged.solve(toy_load(), soft).require()
+    assert abs(place_of_pelvis(torso, found.state)) > 0.05
+    again = hinged.with_place(AT_REST).solve(toy_load(), soft, start=found.state).require()
+    assert again.iterations == 0
+    assert _apart(found.state, again.state) == 0.0
+
+
+def test_a_soft_torso_on_a_hinge_is_solved_from_an_equilibrium_near_by():
+    """Turned back as a whole to a level pelvis, this start leads past the equilibrium and folds."""
+    torso = template_torso(157.0, "coarse")
+    hinged = EquilibriumProblem(torso, three_point_supports(torso, "right", pelvis="hinge"))
+    load, ratios = rib_push(torso, "right", 8.0, 80.0), stiffness_ratios({"lateral_bending": 0.04, "tissue": 0.03})
+    near = hinged.solve(load, ratios, largest_turn=np.pi / 2).require()
+    placed = hinged.with_place(SupportPlace(shoulder_mm=0.5))
+    found = placed.solve(load, ratios, start=near.state, largest_turn=np.pi / 2)
+    assert found.status is SolveStatus.CONVERGED
+    assert np.abs(found.state.bone_positions - near.state.bone_positions).max() < 20.0
+
+
 @pytest.mark.parametrize(
     "place", [(0.501, 0.0), (-0.501, 0.0), (0.0, 100.1), (0.0, -100.1), (np.nan, 0.0), (0.0, np.nan), (np.inf, 0.0)]
 )
@@ -149,6 +174,24 @@ def test_places_replace_each_other_and_do_not_add_up(problem, soft):
     back = twice.with_place(AT_REST).solve(toy_load(), soft).require().state
     assert _apart(back, problem.solve(toy_load(), soft).require().state) < 1e-8
     assert problem.place is None  # none of it is the first problem's
+
+
+def test_other_supports_are_held_at_the_problems_place(problem, soft):
+    supports = problem.supports
+    again = problem.with_place(ASKEW).with_supports(supports)
+    assert again.place == ASKEW
+    wanted = problem.with_place(ASKEW).solve(toy_load(), soft).require().state
+    assert _apart(wanted, again.solve(toy_load(), soft).require().state) == 0.0
+    back = again.with_place(AT_REST).supports.springs.targets
+    np.testing.assert_allclose(back, supports.springs.targets, atol=1e-12)
+
+
+def test_springs_that_do_not_act_stay_at_the_problems_place(problem):
+    placed = problem.with_place(ASKEW)
+    off = placed.with_acting(np.array([True, False]))
+    assert off.place == ASKEW
+    assert off.supports.springs.stiffness.tolist() == [placed.supports.springs.stiffness[0], 0.0]
+    np.testing.assert_array_equal(off.supports.springs.targets, placed.supports.springs.targets)
 
 
 def test_a_linearisation_at_another_place_leads_to_the_same_state(problem, soft):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import TorsoError
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push, three_point_reactions
+from spinestiff.mechanics.places import shifted_shoulder
 from spinestiff.mechanics.supports import SupportKind, Supports, three_point_supports
 from spinestiff.mechanics.terms import PointSprings
 
@@ -71,6 +74,33 @@ def test_names_and_springs_must_match():
     )
     with pytest.raises(TorsoError, match="1 support springs but 0 names"):
         Supports(np.zeros((1, 6), dtype=bool), springs, ())
+
+
+def test_kinds_may_be_words(torso):
+    supports = three_point_supports(torso, "right")
+    words = replace(supports, kinds=tuple(map(str, supports.kinds)))
+    assert words.kinds == supports.kinds
+    assert all(isinstance(kind, SupportKind) for kind in words.kinds)
+    assert shifted_shoulder(words, 5.0).springs.targets[0, 0] == supports.springs.targets[0, 0] + 5.0
+
+
+def test_a_kind_that_there_is_not_is_refused(torso):
+    supports = three_point_supports(torso, "right", wall=False)
+    with pytest.raises(TorsoError, match=r"^support of an unknown kind: 'pad' [^\n]*; there are held, shoulder, "):
+        replace(supports, kinds=("pad",))
+
+
+def test_a_torso_without_the_landmarks_is_refused(torso):
+    """E.g. a phantom."""
+    for name, make in (
+        ("humerus_head", lambda t: three_point_supports(t, "right")),
+        ("wall", lambda t: three_point_supports(t, "right")),
+        ("rib_lateral", lambda t: rib_push(t, "right", 8.0, 40.0)),
+    ):
+        less = replace(torso, landmarks={k: v for k, v in torso.landmarks.items() if k != name})
+        with pytest.raises(TorsoError, match=f"^no landmark '{name}' in this torso; there are "):
+            make(less)
+    assert three_point_supports(replace(torso, landmarks={}), "right", pelvis="dead-loads").names == ()
 
 
 def test_eq1_eq2_three_point_reactions_hold_for_the_simulated_torso(torso):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spinestiff.errors import TorsoError
-from spinestiff.personalise.measured_skin import TrunkSize, trunk_sizes, with_trunk_sizes
+from spinestiff.personalise.measured_skin import TrunkSize, trunk_misses, trunk_sizes, with_trunk_sizes
 from spinestiff.personalise.quality import mesh_quality
 
 LEVELS = ("T9", "L3")
@@ -54,8 +54,34 @@ def test_bones_stay_and_the_mesh_is_good(template, fitted):
     assert mesh_quality(fitted).good
 
 
+def _changed(template, factors):
+    own, _ = trunk_sizes(template, tuple(factors))
+    return {v: TrunkSize(own[v].breadth_mm * b, own[v].depth_mm * d) for v, (b, d) in factors.items()}
+
+
+def test_levels_that_share_triangles_come_to_the_tape_too(template):
+    """Each round of stretching at one spoils the other by some of it."""
+    wanted = _changed(template, {"T12": (1.006, 0.993), "L1": (1.033, 1.005)})
+    fitted = with_trunk_sizes(template, wanted)
+    assert max(miss for _, miss in trunk_misses(fitted, wanted).values()) < 0.5
+    assert mesh_quality(fitted).good
+
+
+def test_what_a_coarse_mesh_does_not_bear_is_said(template):
+    """Neighbours that differ by 4 % within one edge of the skin: to reach them, elements would have to turn over."""
+    wanted = _changed(template, {"L3": (0.961, 0.936), "L4": (0.988, 1.021)})
+    fitted = with_trunk_sizes(template, wanted)
+    assert mesh_quality(fitted).good
+    found, _ = trunk_sizes(fitted, ("L3",))
+    misses = trunk_misses(fitted, wanted)
+    assert misses["L3"][0] == found["L3"]
+    assert misses["L3"][1] == pytest.approx(found["L3"].breadth_mm - wanted["L3"].breadth_mm)
+    assert misses["L3"][1] > 2.0
+
+
 def test_nothing_measured_changes_nothing(template):
     assert with_trunk_sizes(template, {}) is template
+    assert trunk_misses(template, {}) == {}
 
 
 def test_a_skin_inside_the_ribs_is_refused(template):

@@ -17,6 +17,7 @@ from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import no_load, rib_push
 from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.personalise import placing, shape
+from spinestiff.personalise.measured_skin import TrunkSize, trunk_sizes
 from spinestiff.personalise.placing import place_vertebrae
 from spinestiff.personalise.quality import SMALLEST_DIHEDRAL_DEG, mesh_quality
 from spinestiff.personalise.shape import personalise
@@ -279,6 +280,19 @@ def test_the_front_alone_is_enough_with_a_warning(template, girl, from_the_front
     view = NOMINAL["frontal"]
     assert np.array_equal(from_the_front.views["frontal"].source, view.source)
     assert from_the_front.poses["frontal"].shift.tolist() == [0.0, 0.0]
+
+
+def test_a_skin_that_misses_the_tape_is_told_with_a_kept_mesh_too(template, see):
+    own, _ = trunk_sizes(template, ("L3", "L4"))
+    factors = {"L3": (0.961, 0.936), "L4": (0.988, 1.021)}
+    trunk = {v: TrunkSize(own[v].breadth_mm * b, own[v].depth_mm * d) for v, (b, d) in factors.items()}
+    view = NOMINAL["frontal"]
+    found = personalise(template, {"frontal": (see(template, view), view)}, geometry="known", trunk=trunk)
+    assert found.mesh == "kept"
+    size = trunk_sizes(found.torso, ("L3",))[0]["L3"]
+    assert size.breadth_mm > trunk["L3"].breadth_mm + 2.0
+    told = f"the skin at L3 is {size.breadth_mm:.0f} by {size.depth_mm:.0f} mm, not {trunk['L3'].breadth_mm:g} by "
+    assert any(line.startswith(told) for line in found.warnings)
 
 
 def test_a_finer_mesh_is_tried_where_one_fails(template, shaped, see, monkeypatch):

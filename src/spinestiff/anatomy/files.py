@@ -23,6 +23,10 @@ _JOINT_FIELDS = ("parent", "child", "parent_position", "parent_axes", "child_pos
 _TISSUE_FIELDS = ("rest_positions", "elements", "bone_of_node", "lame_mu", "lame_lambda")
 _STATE_FIELDS = ("bone_positions", "bone_rotations", "tissue_positions")
 _COORDINATES = ("rest_bone_positions", "rest_tissue_positions", "tissue_rest_positions", "surface_vertices")
+# Of a damaged or encrypted archive, of arrays of an impossible size or type, of parts that are missing or don't fit.
+_UNREADABLE = (
+    BadZipFile, zlib.error, ValueError, EOFError, LookupError, TypeError, AttributeError, MemoryError, RuntimeError
+)  # fmt: skip
 FARTHEST_MM = 10_000.0
 """Of a coordinate; no body reaches as far from where it stands."""
 
@@ -78,14 +82,14 @@ def read_torso(path: str | Path) -> TorsoModel:
             arrays = {key: stored[key] for key in stored.files}
     except OSError as error:
         raise TorsoError(f"{path}: {(error.strerror or 'unreadable').lower()}; name a file of write_torso") from None
-    except (BadZipFile, zlib.error, ValueError, EOFError, KeyError, TypeError, AttributeError) as error:
+    except _UNREADABLE as error:
         raise TorsoError(f"{path} is no torso file, or it is damaged ({_one_line(error)})") from None
     header = _header(path, arrays)
     try:
         return _torso(header, arrays)
     except TorsoError as error:
         raise TorsoError(f"{path} is damaged: {error}") from None
-    except (KeyError, ValueError, IndexError, TypeError) as error:
+    except _UNREADABLE as error:
         raise TorsoError(f"{path} is damaged: {_one_line(error)} is missing or unreadable") from None
 
 
@@ -97,7 +101,7 @@ def _header(path: str | Path, arrays: dict[str, Any]) -> dict[str, Any]:
     try:
         header = json.loads(str(arrays["header"]))
         schema, version = header["schema"], header["schema_version"]
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError, RecursionError):
         raise TorsoError(f"{path} is no torso file: its header can't be read") from None
     if schema != SCHEMA:
         raise TorsoError(f"{path} is no torso file: schema '{schema}', wanted '{SCHEMA}'")
@@ -107,24 +111,26 @@ def _header(path: str | Path, arrays: dict[str, Any]) -> dict[str, Any]:
 
 
 def _torso(header: dict[str, Any], arrays: dict[str, Any]) -> TorsoModel:
-    names = tuple(header["bone_names"])
+    complex_one = next((key for key, array in arrays.items() if array.dtype.kind == "c"), None)
+    if complex_one is not None:
+        raise TorsoError(f"{complex_one} holds complex numbers")
     places = [arrays[key] for key in _COORDINATES if key in arrays and arrays[key].dtype.kind == "f"]
     farthest = max((float(np.abs(array).max(initial=0.0)) for array in places), default=0.0)
     if farthest > FARTHEST_MM:
         raise TorsoError(f"found a coordinate of {farthest:.3g} mm, wanted at most {FARTHEST_MM:g}")
     joints = JointTable(
-        tuple(header["joint_names"]),
-        tuple(header["joint_kinds"]),
+        _words(header, "joint_names"),
+        _words(header, "joint_kinds"),
         **{key: arrays[f"joints_{key}"] for key in _JOINT_FIELDS},
     )
     tissue = TissueMesh(**{key: arrays[f"tissue_{key}"] for key in _TISSUE_FIELDS})
     rest = TorsoState(**{key: arrays[f"rest_{key}"] for key in _STATE_FIELDS})
     landmarks = {
         key: PointsOnBones(arrays[f"landmark_{key}_bone"], arrays[f"landmark_{key}_offset"])
-        for key in header["landmarks"]
+        for key in _words(header, "landmarks")
     }
     return TorsoModel(
-        bone_names=names,
+        bone_names=_words(header, "bone_names"),
         rest_pose=rest,
         joints=joints,
         tissue=tissue,
@@ -132,17 +138,26 @@ def _torso(header: dict[str, Any], arrays: dict[str, Any]) -> TorsoModel:
         bone_surfaces=_surfaces(arrays),
         landmarks=landmarks,
         height_cm=float(arrays["height_cm"]),
-        vertebrae=tuple(header["vertebrae"]),
+        vertebrae=_words(header, "vertebrae"),
     )
+
+
+def _words(header: dict[str, Any], key: str) -> tuple[str, ...]:
+    words = header[key]
+    if not (isinstance(words, list) and all(isinstance(word, str) for word in words)):
+        raise TorsoError(f"{key} is no list of words")
+    return tuple(words)
 
 
 def _surfaces(arrays: dict[str, Any]) -> tuple[BoneSurface, ...]:
     sizes = arrays["surface_sizes"]
     if not len(sizes):
         return ()
+    vertices, faces = arrays["surface_vertices"], arrays["surface_faces"]
     ends = np.cumsum(sizes, axis=0)
-    vertices = np.split(arrays["surface_vertices"], ends[:-1, 0])
-    faces = np.split(arrays["surface_faces"], ends[:-1, 1])
+    if sizes.min() < 0 or tuple(ends[-1]) != (len(vertices), len(faces)):
+        raise TorsoError("the sizes of the bones' surfaces don't add up to the vertices and faces there are")
+    vertices, faces = np.split(vertices, ends[:-1, 0]), np.split(faces, ends[:-1, 1])
     return tuple(BoneSurface(v, f) for v, f in zip(vertices, faces))
 
 

@@ -43,5 +43,4 @@ def _joints() -> tuple[JointName, ...]:
 
 
 JOINTS = _joints()
-JOINT_INDEX = {str(joint): i for i, joint in enumerate(JOINTS)}
 INTERVERTEBRAL = ("thoracic", "lumbar")

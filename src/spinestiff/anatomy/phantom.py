@@ -84,6 +84,8 @@ class Column(ShortRepr):
             if mark > block:
                 raise TorsoError(f"marks {mark:g} mm apart on blocks of {block:g} mm {what}; wanted at most that")
         if self.rubber is not None:
+            if not self.rubber.spacing_mm > 0.0:
+                raise TorsoError(f"grid lines {self.rubber.spacing_mm:g} mm apart in the rubber; wanted more than 0")
             for own, block, what in zip(
                 (self.rubber.width_mm, self.rubber.depth_mm), (self.block_mm[0], self.block_mm[2]), ("width", "depth")
             ):

@@ -32,27 +32,34 @@ COLOURS = {
     "c": "#b4cdb0",
     "h": "#d3b1ab",
 }
+OTHER_COLOUR = "#e0d3b8"  # of bones that the template doesn't have
 LANDSCAPE, DPI = (17.0, 9.0), 80
 
 
 def _colour(name: str) -> tuple[float, float, float]:
-    return to_rgb("#cdb4c6" if name == "sternum" else COLOURS[name[0]])
+    return to_rgb("#cdb4c6" if name == "sternum" else COLOURS.get(name[:1], OTHER_COLOUR))
 
 
 def draw_skin(ax: Axes, torso: TorsoModel, across: int, sign: float) -> None:
-    """The outline of the skin as a grey area."""
+    """The outline of the skin, if there is tissue, as a grey area."""
+    ax.set_aspect("equal")
     skin = torso.tissue.rest_positions[torso.tissue.boundary_faces()[:, :3]]
+    if not len(skin):
+        return
     flat: Any = np.stack([sign * skin[..., across], skin[..., 1]], -1)
     ax.add_collection(PolyCollection(flat, facecolors="#eeeef2", edgecolors="#eeeef2", linewidths=0.3))
-    ax.set_aspect("equal")
     ax.set_xlim(flat[..., 0].min() - 15, flat[..., 0].max() + 15)
     ax.set_ylim(flat[..., 1].min() - 15, flat[..., 1].max() + 15)
     ax.tick_params(labelsize=7)
 
 
 def draw_bones(ax: Axes, torso: TorsoModel, view: View, alpha: float = 1.0) -> None:
-    """The bones, shaded and sorted by depth."""
+    """The bones, shaded and sorted by depth; of a torso without bone surfaces, dots where its bones are."""
     _, across, sign, viewer = view
+    if not torso.bone_surfaces:
+        places = torso.rest_pose.bone_positions
+        ax.plot(sign * places[:, across], places[:, 1], "o", color="#3b4a5a", markersize=4.0, alpha=alpha)
+        return
     direction = np.array(viewer)
     polygons: list[Any] = []
     depth, colours = [], []
@@ -108,12 +115,9 @@ def small_figure(torso: TorsoModel) -> Figure:
 
 
 def draw_front(axis: Axes, torso: TorsoModel) -> None:
-    """Skin and bones from the front; of a torso without bone surfaces, where its bones are."""
+    """Skin and bones from the front."""
     draw_skin(axis, torso, 0, 1.0)
-    if torso.bone_surfaces:
-        draw_bones(axis, torso, FRONT)
-    else:
-        axis.plot(*torso.rest_pose.bone_positions[:, :2].T, "o", color="#3b4a5a", markersize=4.0)
+    draw_bones(axis, torso, FRONT)
 
 
 def scan_figure(torso: TorsoModel, points: Floats) -> Figure:

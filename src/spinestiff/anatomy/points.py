@@ -26,6 +26,10 @@ class PointsOnBones(ShortRepr):
     ----------
     bone : (P,) index into the torso's bones.
     offset : (P, 3) mm in the bone's frame.
+
+    Raises
+    ------
+    TorsoError : a negative bone.
     """
 
     bone: Ints
@@ -34,6 +38,8 @@ class PointsOnBones(ShortRepr):
     def __post_init__(self) -> None:
         object.__setattr__(self, "bone", read_only("bone", self.bone, (None,), TorsoError, np.int64))
         object.__setattr__(self, "offset", read_only("offset", self.offset, (len(self.bone), 3), TorsoError))
+        if len(self.bone) and self.bone.min() < 0:
+            raise TorsoError(f"a point rides on bone {self.bone.min()}; wanted numbers from 0")
 
     def __len__(self) -> int:
         return len(self.bone)

@@ -118,7 +118,10 @@ def levels_of(name: str) -> tuple[int, ...]:
 
 
 def joint_levels(torso: TorsoModel) -> Ints:
-    """(J,) the level of each joint, -1 for those of the shoulder girdle and of bones with other names."""
+    """(J,) the level of each joint, -1 for those of the shoulder girdle and of bones with other names.
+
+    A joint of a rib with a scapula (``template.options``) is of the rib's level, as all of a rib's.
+    """
     found = np.full(len(torso.joints), -1, dtype=np.int64)
     chain = (*VERTEBRAE, "pelvis")
     for i, ends in enumerate(zip(torso.joints.parent.tolist(), torso.joints.child.tolist())):

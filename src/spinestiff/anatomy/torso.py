@@ -95,11 +95,14 @@ class TissueMesh(ShortRepr):
             raise TorsoError(f"elements have {elements.shape[1]} nodes, wanted 4 or 10")
         n, t = len(self.rest_positions), len(elements)
         if t and (elements.min() < 0 or elements.max() >= n):
-            raise TorsoError(f"elements name node {int(elements.max())}, but the mesh has {n}")
+            strange = int(elements.min() if elements.min() < 0 else elements.max())
+            raise TorsoError(f"elements name node {strange}, but the mesh has nodes 0 to {n - 1}")
         set_(self, "elements", elements)
         set_(self, "bone_of_node", read_only("bone_of_node", self.bone_of_node, (n,), TorsoError, np.int64))
         for key in ("lame_mu", "lame_lambda"):
             set_(self, key, read_only(key, getattr(self, key), (t,), TorsoError))
+        if (self.lame_mu < 0.0).any():
+            raise TorsoError(f"element {int(np.argmin(self.lame_mu))} has a negative shear modulus")
         volumes = self.corner_volumes()
         if t and volumes.min() <= 0.0:
             worst = int(np.argmin(volumes))
@@ -139,6 +142,10 @@ class BoneSurface(ShortRepr):
     def __post_init__(self) -> None:
         object.__setattr__(self, "vertices", read_only("vertices", self.vertices, (None, 3), TorsoError))
         object.__setattr__(self, "faces", read_only("faces", self.faces, (None, 3), TorsoError, np.int64))
+        n = len(self.vertices)
+        strange = self.faces[(self.faces < 0) | (self.faces >= n)]
+        if len(strange):
+            raise TorsoError(f"a face of a surface names vertex {strange[0]}, but there are {n}")
 
 
 @dataclass(frozen=True, repr=False)
@@ -179,9 +186,15 @@ class TorsoModel(ShortRepr):
             raise TorsoError(f"{b} bones, but {poses} poses, {surfaces} surfaces")
         check_rotations("rest rotation of bone", self.rest_pose.bone_rotations, self.bone_names)
         joined, tied = np.concatenate([self.joints.parent, self.joints.child]), self.tissue.bone_of_node
-        for bones, what in ((joined, "joint"), (tied, "node")):
-            if len(bones) and int(np.max(bones)) >= b:
-                raise TorsoError(f"a {what} names bone {int(np.max(bones))}, but there are {b}")
+        marked = [("landmark", points.bone, 0) for points in self.landmarks.values()]
+        for what, bones, least in (("joint", joined, 0), ("node", tied, -1), *marked):
+            strange = bones[(bones < least) | (bones >= b)]
+            if len(strange):
+                raise TorsoError(f"a {what} names bone {strange[0]}, but there are {b}")
+        for name in self.vertebrae:
+            self.bone(name)
+        if not 0.0 < self.height_cm < np.inf:
+            raise TorsoError(f"height of {self.height_cm:g} cm; wanted a finite one above 0")
         if len(self.rest_pose.tissue_positions) != len(self.tissue.free_nodes):
             raise TorsoError("the rest pose and the tissue mesh differ in the number of free nodes")
         boxes = read_only("vertebra_boxes", self.vertebra_boxes, (len(self.vertebrae), 8, 3), TorsoError)
@@ -194,6 +207,14 @@ class TorsoModel(ShortRepr):
             return self.bone_names.index(name)
         except ValueError:
             raise TorsoError(f"no bone '{name}' in this torso") from None
+
+    def landmark(self, name: str) -> PointsOnBones:
+        """A landmark's points by name; raises TorsoError for one that this torso lacks."""
+        try:
+            return self.landmarks[name]
+        except KeyError:
+            known = ", ".join(self.landmarks) or "none"
+            raise TorsoError(f"no landmark '{name}' in this torso; there are {known}") from None
 
     @property
     def vertebra_bones(self) -> Ints:

@@ -9,7 +9,7 @@ they do not depend on the order in which springs are let go and caught again.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
@@ -56,12 +56,6 @@ class ContactEquilibrium(ShortRepr):
         for key in ("one_sided", "touching"):
             object.__setattr__(self, key, read_only(key, getattr(self, key), (count,), EquilibriumError, bool))
         object.__setattr__(self, "gap", read_only("gap", self.gap, (count,), EquilibriumError))
-
-
-def switched(supports: Supports, acting: np.ndarray) -> Supports:
-    """The supports with zero stiffness where ``acting`` (S,) is False."""
-    springs = supports.springs
-    return replace(supports, springs=replace(springs, stiffness=np.where(acting, springs.stiffness, 0.0)))
 
 
 class OneSidedProblem(EquilibriumProblem):
@@ -123,7 +117,7 @@ class OneSidedProblem(EquilibriumProblem):
         return _settled(self.supports, self.ONE_SIDED, solve, first, start).equilibrium
 
     def _with(self, touching: np.ndarray) -> Self:
-        return self.with_supports(switched(self.supports, touching))
+        return self.with_acting(touching)
 
     def _touching(self, state: TorsoState, tolerance: float) -> np.ndarray:
         """(S,) bool, springs that are pressed in ``state``, or lie on the wall to within a force of ``tolerance``."""
@@ -154,11 +148,11 @@ def solve_with_contact(
     _springs_of(supports, one_sided)
 
     def solve(touching: np.ndarray, begin: TorsoState | Linearisation | None) -> Equilibrium:
-        return problem.with_supports(switched(supports, touching)).solve(load, ratios, begin).require()
+        return problem.with_acting(touching).solve(load, ratios, begin).require()
 
     everywhere = np.ones(len(supports.names), dtype=bool)
     settled = _settled(supports, one_sided, solve, everywhere, start, max_rounds, one_at_a_time)
-    final = problem.with_supports(switched(supports, settled.touching))
+    final = problem.with_acting(settled.touching)
     return ContactEquilibrium(
         settled.equilibrium, final, supports.of_kind(one_sided), settled.touching, settled.gap, settled.rounds
     )

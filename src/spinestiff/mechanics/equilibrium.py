@@ -48,7 +48,8 @@ class EquilibriumProblem(System):
         max_iterations : of each attempt.
         tolerance : residual to reach, N; default: 1e-10 of the load or 1e-8 N, the larger.
         largest_turn : rad, of a bone from its place at rest; where one turns farther the solve ends as ``FOLDED``.
-        most_factorisations : of all attempts together; after so many the solve ends as ``ITERATION_LIMIT``.
+        most_factorisations : of all attempts together; the solve ends as ``ITERATION_LIMIT`` after the step that has
+            exceeded them.
 
         Held degrees of freedom stay where the start has them, so that bones can be moved to where they are wanted; with
         a ``place`` (``with_place``) the pelvis is turned to it first, and the start with it.

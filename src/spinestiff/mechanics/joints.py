@@ -100,6 +100,14 @@ class JointLaw(ScaledLaw):
     def __init__(self, joints: JointTable) -> None:
         self.joints = joints
 
+    def secant(self, state: TorsoState, stiffness: Stiffness) -> Floats:
+        """(J, 6) force over strain of each direction; proportional to the direction's ``Stiffness.joints``."""
+        return stiffness.joints
+
+    def hessians(self, state: TorsoState, stiffness: Stiffness) -> Floats:
+        """(J, 12, 12) second derivative of the energy of each joint."""
+        return joint_hessians(self.joints, state, stiffness.joints)
+
     def pairs(self, unknowns: Unknowns) -> Ints:
         return np.stack([self.joints.parent, self.joints.child], 1)
 
@@ -107,11 +115,11 @@ class JointLaw(ScaledLaw):
         return float(joint_energies(self.joints, at.state, stiffness.joints).sum()), np.inf
 
     def add_gradient(self, at: Place, stiffness: Stiffness, gradient: Floats) -> None:
-        self._add(at, joint_gradients(self.joints, at.state, stiffness.joints), gradient)
+        self._add(at, joint_gradients(self.joints, at.state, self.secant(at.state, stiffness)), gradient)
 
     def add_hessian(self, at: Place, stiffness: Stiffness, tangent: Tangent, offsets: Ints, project: bool) -> None:
         parent, child = self.joints.parent, self.joints.child
-        blocks = joint_hessians(self.joints, at.state, stiffness.joints)
+        blocks = self.hessians(at.state, stiffness)
         blocks = positive_part(blocks) if project else blocks
         tangent.add(blocks[:, :6, :6].copy(), parent, parent)
         tangent.add(blocks[:, 6:, 6:].copy(), child, child)
@@ -119,7 +127,7 @@ class JointLaw(ScaledLaw):
         tangent.add(lower, np.maximum(parent, child), np.minimum(parent, child), offsets)
 
     def add_shares(self, at: Place, stiffness: Stiffness, groups: Sequence[ParameterGroup], columns: Floats) -> None:
-        shares = joint_gradient_shares(self.joints, at.state, stiffness.joints)
+        shares = joint_gradient_shares(self.joints, at.state, self.secant(at.state, stiffness))
         for group, column in zip(groups, columns.T):
             self._add(at, np.einsum("js,jsd->jd", group.joints, shares), column)
 
@@ -128,7 +136,7 @@ class JointLaw(ScaledLaw):
     ) -> Floats:
         rows = at.unknowns.bone_rows(direction)
         along = np.hstack([rows[self.joints.parent], rows[self.joints.child]])
-        shares = joint_gradient_shares(self.joints, at.state, stiffness.joints)
+        shares = joint_gradient_shares(self.joints, at.state, self.secant(at.state, stiffness))
         products = np.einsum("jsd,jd->js", shares, along)
         return np.array([products[group.joints].sum() for group in groups])
 

@@ -7,6 +7,10 @@ stiffness > 0, the tied nodes (three directions each), the held degrees of freed
 
     s = (n, (x x n) / L)  along n at a point x,      s = (0, n)  about n.
 
+Further laws of an energy couple bodies as their Hessian W at rest says: bodies a and b by -W_ab, which is what a law of
+the two alone resists with, and a body with the ground by its row's sum, which is zero where a shift or a turn of
+everything costs nothing.
+
 Only the range of such a matrix counts. Bodies that cannot move against each other are welded to one; the null space
 of what is left holds the mechanisms. Forces at rest and loads stiffen nothing here: a pendulum is a mechanism.
 """
@@ -26,12 +30,15 @@ from spinestiff.anatomy.rotation import cross_matrix
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import EquilibriumError
-from spinestiff.mechanics.assembly import ROTATION_LENGTH, Stiffness
+from spinestiff.mechanics.assembly import ROTATION_LENGTH, Law, Place, Stiffness, Tangent, Unknowns, build_pattern
+from spinestiff.mechanics.potential import Potential
 from spinestiff.mechanics.supports import Supports
-from spinestiff.mechanics.terms import Term
+from spinestiff.mechanics.terms import Term, TermBlocks
 
 # Share of the largest eigenvalue below which one counts as zero: of one connection, and of all that is left.
 ZERO, ALL_ZERO = 1e-9, 1e-11
+# Of (dt, L dw), in which twists are, to (dt, dw), in which Hessians are.
+_SCALE = np.array([1.0, 1.0, 1.0, *3 * [1.0 / ROTATION_LENGTH]])
 JOINT_AXES = ("x", "y", "z", "alpha", "beta", "gamma")
 WORLD_AXES = ("lateral (x)", "vertical (y)", "AP (z)")
 LONGEST_LIST = 5  # names, and mechanisms, in one message
@@ -71,25 +78,33 @@ class _Tissue(NamedTuple):
 
 
 def mechanisms(
-    torso: TorsoModel, supports: Supports, stiffness: Stiffness | None = None, terms: Sequence[Term] = ()
+    torso: TorsoModel,
+    supports: Supports,
+    stiffness: Stiffness | None = None,
+    terms: Sequence[Term] = (),
+    laws: Sequence[Law] = (),
 ) -> tuple[Mechanism, ...]:
     """All mechanisms of a torso at rest on its supports: loose nodes, free pieces, then what moves inside.
 
     Parameters
     ----------
     stiffness : which joint axes and which elements have any; default: the torso's own.
-    terms : further energies of bones and nodes, e.g. image terms; what they curve at rest, either way, counts as
-        resisted.
+    terms, laws : further energies of single bones and nodes, e.g. image terms, and of several; what they curve at
+        rest, either way, counts as resisted.
     """
-    system = _System(torso, supports, stiffness, terms)
+    system = _System(torso, supports, stiffness, terms, laws)
     return (*system.loose_nodes(), *system.free_pieces(), *system.inner())
 
 
 def require_no_mechanism(
-    torso: TorsoModel, supports: Supports, stiffness: Stiffness | None = None, terms: Sequence[Term] = ()
+    torso: TorsoModel,
+    supports: Supports,
+    stiffness: Stiffness | None = None,
+    terms: Sequence[Term] = (),
+    laws: Sequence[Law] = (),
 ) -> None:
     """Raise EquilibriumError, in one line that names bones and joints, if there is a mechanism."""
-    found = mechanisms(torso, supports, stiffness, terms)
+    found = mechanisms(torso, supports, stiffness, terms, laws)
     if found:
         more = f"; and {len(found) - LONGEST_LIST} more" if len(found) > LONGEST_LIST else ""
         raise EquilibriumError(
@@ -101,7 +116,12 @@ class _System:
     """Bodies: bones, then pieces of tissue, then the ground."""
 
     def __init__(
-        self, torso: TorsoModel, supports: Supports, stiffness: Stiffness | None, terms: Sequence[Term]
+        self,
+        torso: TorsoModel,
+        supports: Supports,
+        stiffness: Stiffness | None,
+        terms: Sequence[Term],
+        laws: Sequence[Law],
     ) -> None:
         self.torso, self.supports = torso, supports
         rest, mesh = torso.rest_pose, torso.tissue
@@ -124,12 +144,15 @@ class _System:
         self.tied_bone, self.tied_node = owner[tied], node[tied]
         shared = np.concatenate([np.flatnonzero(tied), np.flatnonzero(touching)])
         partner = np.concatenate([owner[tied], first_piece[node[touching]]])
+        self.curvature = _curvature(torso, laws, stiffness) if laws else None
+        self.terms = [term.blocks(rest) for term in terms]
         self.links = _joined(
             [
                 self._joint_links(),
                 self._shared_points(partner, piece[shared], mesh.rest_positions[node[shared]]),
                 self._support_links(),
-                *(self._term_links(term) for term in terms),
+                *(self._term_links(blocks) for blocks in self.terms),
+                *([] if self.curvature is None else [self._law_links(self.curvature)]),
             ]
         )
         names = self.ground + 1
@@ -137,8 +160,10 @@ class _System:
         self.part = connected_components(graph, directed=False)[1]
 
     def loose_nodes(self) -> list[Mechanism]:
-        """Free nodes that no stiff element holds."""
+        """Free nodes that no stiff element, term or law holds."""
         loose = self.tissue.loose
+        if len(loose):
+            loose = loose[~self._held_nodes()[np.searchsorted(self.torso.tissue.free_nodes, loose)]]
         if not len(loose):
             return []
         node = int(loose[0])
@@ -147,6 +172,19 @@ class _System:
         what += f" at {_place(place)}" + ("" if len(loose) == 1 else ")")
         verb = "belongs" if len(loose) == 1 else "belong"
         return [Mechanism((), 3 * len(loose), f"{what} {verb} to no element with stiffness")]
+
+    def _held_nodes(self) -> np.ndarray:
+        """(F,) bool, free nodes that terms and laws hold all ways."""
+        resist = np.zeros((len(self.torso.tissue.free_nodes), 3, 3))
+        for blocks in self.terms:
+            np.add.at(resist, blocks.node, _range(blocks.node_hessian))
+        if self.curvature is not None:
+            blocks_of_three = self.curvature.tobsr((3, 3))
+            row = np.repeat(np.arange(len(blocks_of_three.indptr) - 1), np.diff(blocks_of_three.indptr))
+            own = (row == blocks_of_three.indices) & (row >= 2 * self.bones)
+            resist[row[own] - 2 * self.bones] += _range(blocks_of_three.data[own])
+        held: np.ndarray = np.linalg.eigvalsh(resist)[:, 0] > ZERO
+        return held
 
     def free_pieces(self) -> list[Mechanism]:
         """Parts that are connected with the ground by nothing."""
@@ -325,20 +363,66 @@ class _System:
         bones = np.concatenate([bone, springs.points.bone[stiff]])
         return _Links(bones, np.full(len(bones), self.ground), rows[:, :, None] * rows[:, None, :])
 
-    def _term_links(self, term: Term) -> _Links:
-        blocks = term.blocks(self.torso.rest_pose)
-        scale = np.array([1.0, 1.0, 1.0, *3 * [1.0 / ROTATION_LENGTH]])
-        carried = np.tile(np.eye(6), (len(blocks.bone), 1, 1))
-        arms = self.torso.rest_pose.bone_positions[blocks.bone] - self.middle
-        carried[:, :3, 3:] = -cross_matrix(arms) / ROTATION_LENGTH
-        resist = np.swapaxes(carried, 1, 2) @ _range(scale[:, None] * blocks.hessian * scale) @ carried
-        mesh = self.torso.tissue
-        nodes = mesh.free_nodes[blocks.node]
-        carried = np.tile(np.eye(3, 6), (len(nodes), 1, 1))
-        carried[:, :, 3:] = -cross_matrix(mesh.rest_positions[nodes] - self.middle) / ROTATION_LENGTH
+    def _term_links(self, blocks: TermBlocks) -> _Links:
+        carried = self._bone_motion(blocks.bone)
+        resist = np.swapaxes(carried, 1, 2) @ _range(_SCALE[:, None] * blocks.hessian * _SCALE) @ carried
+        nodes = self.torso.tissue.free_nodes[blocks.node]
+        carried = self._node_motion(nodes)
         resist = np.concatenate([resist, np.swapaxes(carried, 1, 2) @ _range(blocks.node_hessian) @ carried])
         body = np.concatenate([blocks.bone, self.first_piece[nodes]])
         return _Links(body, np.full(len(body), self.ground), resist)
+
+    def _law_links(self, curvature: sp.csr_array) -> _Links:
+        """What laws of a ``curvature`` (dofs, dofs) at rest resist, between bodies and against the ground."""
+        bones, nodes, bodies = np.arange(self.bones), self.torso.tissue.free_nodes, self.ground + 1
+        on_bones = sp.bsr_array(
+            (_SCALE[:, None] * self._bone_motion(bones), bones, np.arange(len(bones) + 1)),
+            shape=(6 * len(bones), 6 * bodies),
+        )
+        on_nodes = sp.bsr_array(
+            (self._node_motion(nodes), self.first_piece[nodes], np.arange(len(nodes) + 1)),
+            shape=(3 * len(nodes), 6 * bodies),
+        )
+        motion = sp.vstack([on_bones, on_nodes]).tocsr()
+        blocks = (motion.T @ curvature @ motion).tocsr().tobsr((6, 6))
+        first, second = np.repeat(np.arange(bodies), np.diff(blocks.indptr)), blocks.indices
+        own = np.zeros((bodies, 6, 6))
+        np.add.at(own, first, blocks.data)
+        own[np.abs(own).max(axis=(1, 2)) <= ZERO * np.abs(blocks.data).max(initial=0.0)] = 0.0
+        pair = first < second
+        resist = np.concatenate([-blocks.data[pair], own])
+        ends = (
+            np.concatenate([first[pair], np.arange(bodies)]),
+            np.concatenate([second[pair], np.full(bodies, self.ground)]),
+        )
+        return _Links(*ends, _range(0.5 * (resist + np.swapaxes(resist, 1, 2))))
+
+    def _bone_motion(self, bones: Ints) -> Floats:
+        """(n, 6, 6) of bones' (dt, L dw) by the twist of each."""
+        motion = np.tile(np.eye(6), (len(bones), 1, 1))
+        arms = self.torso.rest_pose.bone_positions[bones] - self.middle
+        motion[:, :3, 3:] = -cross_matrix(arms) / ROTATION_LENGTH
+        return motion
+
+    def _node_motion(self, nodes: Ints) -> Floats:
+        """(n, 3, 6) of mesh nodes by the twist of each one's body."""
+        motion = np.tile(np.eye(3, 6), (len(nodes), 1, 1))
+        motion[:, :, 3:] = -cross_matrix(self.torso.tissue.rest_positions[nodes] - self.middle) / ROTATION_LENGTH
+        return motion
+
+
+def _curvature(torso: TorsoModel, laws: Sequence[Law], stiffness: Stiffness | None) -> sp.csr_array:
+    """(dofs, dofs) Hessian of laws at rest."""
+    stiffness = Potential(torso).stiffness(None) if stiffness is None else stiffness
+    unknowns = Unknowns(torso)
+    pairs = [law.pairs(unknowns) for law in laws]
+    pattern = build_pattern(np.concatenate(pairs), unknowns.sizes)
+    at, tangent = Place(unknowns, torso.rest_pose), Tangent(unknowns, pattern)
+    for law, own in zip(laws, pairs):
+        law.add_hessian(at, stiffness, tangent, pattern.offset(*own.T), False)
+    shape = (unknowns.dofs, unknowns.dofs)
+    lower = sp.csc_array((tangent.finished(False), pattern.indices, pattern.indptr), shape=shape)
+    return sp.csr_array(lower + sp.tril(lower, -1).T)
 
 
 def _stiff_tissue(torso: TorsoModel, stiffness: Stiffness | None) -> _Tissue:

@@ -54,7 +54,7 @@ class Run:
 
     ``always_factorise``: the tangent at an equilibrium is factorised in any case, since it is wanted (``tangent``).
     ``largest_turn``: rad; the solve ends where a bone has turned farther from its place at rest.
-    ``most_factorisations``: of all attempts, after which the solve ends.
+    ``most_factorisations``: of all attempts; the solve ends after the step that has exceeded them.
     """
 
     def __init__(

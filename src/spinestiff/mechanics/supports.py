@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class Supports(ShortRepr):
     held : (B, 6) bool, bone DoFs (dt, dw; world axes) that stay where a solve's start has them: at rest by default.
     springs : points held along a direction.
     names : (S,) what each spring holds, for messages.
-    kinds : (S,) what each spring stands for; none given: ``SupportKind.SPRING`` for all.
+    kinds : (S,) what each spring stands for, also as its word; none given: ``SupportKind.SPRING`` for all.
     """
 
     held: np.ndarray
@@ -52,7 +52,11 @@ class Supports(ShortRepr):
     def __post_init__(self) -> None:
         object.__setattr__(self, "held", read_only("held", self.held, (None, 6), TorsoError, bool))
         count = len(self.springs.points)
-        object.__setattr__(self, "kinds", self.kinds or (SupportKind.SPRING,) * count)
+        try:
+            kinds = tuple(SupportKind(kind) for kind in self.kinds) or (SupportKind.SPRING,) * count
+        except ValueError as error:
+            raise TorsoError(f"support of an unknown kind: {error}; there are {', '.join(SupportKind)}") from None
+        object.__setattr__(self, "kinds", kinds)
         for what, found in (("names", self.names), ("kinds", self.kinds)):
             if len(found) != count:
                 raise TorsoError(f"{count} support springs but {len(found)} {what}")
@@ -60,6 +64,12 @@ class Supports(ShortRepr):
     def of_kind(self, kind: SupportKind) -> np.ndarray:
         """(S,) bool, springs of a kind."""
         return np.array([own is kind for own in self.kinds], dtype=bool)
+
+
+def switched(supports: Supports, acting: np.ndarray) -> Supports:
+    """The supports with zero stiffness where ``acting`` (S,) is False."""
+    springs = supports.springs
+    return replace(supports, springs=replace(springs, stiffness=np.where(acting, springs.stiffness, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -78,7 +88,7 @@ class Reaction:
 
 def held_shoulder(torso: TorsoModel, side: str) -> PointsOnBones:
     """The humeral head that bears a push on ``side``: the opposite one."""
-    return torso.landmarks["humerus_head"][[("right", "left").index(side)]]
+    return torso.landmark("humerus_head")[[("right", "left").index(side)]]
 
 
 def three_point_supports(torso: TorsoModel, side: str, pelvis: str = "level", wall: bool = True) -> Supports:
@@ -93,7 +103,7 @@ def three_point_supports(torso: TorsoModel, side: str, pelvis: str = "level", wa
 
     Raises
     ------
-    TorsoError : unknown side or pelvis mode.
+    TorsoError : unknown side or pelvis mode, or the torso lacks the landmark "humerus_head" or, with ``wall``, "wall".
     """
     if side not in ("left", "right"):
         raise TorsoError(f"push side '{side}'; wanted 'left' or 'right'")
@@ -106,7 +116,7 @@ def three_point_supports(torso: TorsoModel, side: str, pelvis: str = "level", wa
         return Supports(held, PointSprings(nothing, np.empty((0, 3)), np.empty((0, 3)), np.empty(0)), ())
     rows = [(SupportKind.SHOULDER, held_shoulder(torso, side), 0)]
     if wall:
-        back = torso.landmarks["wall"]
+        back = torso.landmark("wall")
         rows += [(SupportKind.WALL, back[[i]], 2) for i in range(len(back))]
     kinds = tuple(kind for kind, _, _ in rows)
     points = PointsOnBones(np.concatenate([p.bone for _, p, _ in rows]), np.concatenate([p.offset for _, p, _ in rows]))

@@ -14,16 +14,16 @@ import numpy as np
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
-from spinestiff.errors import EquilibriumError
+from spinestiff.errors import EquilibriumError, TorsoError
 from spinestiff.mechanics.assembly import ROTATION_LENGTH, Law, Stiffness
 from spinestiff.mechanics.factor import Analysis, Factor
 from spinestiff.mechanics.kinematics import Kinematics
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.mechanisms import require_no_mechanism
 from spinestiff.mechanics.multilevel import MANY_DOFS, TWO_LEVEL, TwoLevelAnalysis, corner_prolongation
-from spinestiff.mechanics.places import SupportPlace, held_pelvis, shifted_shoulder, turned_with_pelvis
+from spinestiff.mechanics.places import OBLIQUITY, SupportPlace, held_pelvis, shifted_shoulder, turned_with_pelvis
 from spinestiff.mechanics.potential import Potential
-from spinestiff.mechanics.supports import Reaction, SupportKind, Supports
+from spinestiff.mechanics.supports import Reaction, SupportKind, Supports, switched
 from spinestiff.mechanics.terms import Term
 
 RELATIVE_TOLERANCE = 1e-10
@@ -51,6 +51,10 @@ class System(ShortRepr):
         taken where none is named and there are more than 80,000 unknowns.
     laws : further energies that couple bones or nodes (``mechanics.assembly.Law``).
 
+    Raises
+    ------
+    TorsoError : supports of another number of bones.
+
     Attributes
     ----------
     potential : energy, gradient and Hessian.
@@ -69,9 +73,10 @@ class System(ShortRepr):
         backend: str | None = None,
         laws: Sequence[Law] = (),
     ) -> None:
+        _require_fitting(supports, len(torso.bone_names))
         self.torso = torso
         self.supports = supports
-        self.terms = tuple(terms)
+        self.terms, self.laws = tuple(terms), tuple(laws)
         self.place: SupportPlace | None = None
         self.potential = Potential(torso, laws)
         self.kinematics = Kinematics(torso, supports)
@@ -106,14 +111,23 @@ class System(ShortRepr):
         return other
 
     def with_supports(self, supports: Supports) -> Self:
-        """The same on other springs; shares pattern and analysis.
+        """The same on other springs, given as at rest; keeps the ``place``, shares pattern and analysis.
 
         Raises
         ------
-        EquilibriumError : other degrees of freedom are held.
+        EquilibriumError : other degrees of freedom are held. TorsoError : a spring on a bone that there is not.
         """
         if not np.array_equal(supports.held, self.supports.held):
             raise EquilibriumError("the supports hold other degrees of freedom than the problem's; build a new problem")
+        _require_fitting(supports, len(self.torso.bone_names))
+        return self._on(shifted_shoulder(supports, self.place.shoulder_mm) if self.place else supports)
+
+    def with_acting(self, acting: np.ndarray) -> Self:
+        """The same without the stiffness of springs that don't act; ``acting`` (S,) bool."""
+        return self._on(switched(self.supports, acting))
+
+    def _on(self, supports: Supports) -> Self:
+        """The same on these springs as they are."""
         other = self.with_terms(self.terms)
         other.supports = supports
         return other
@@ -128,23 +142,26 @@ class System(ShortRepr):
         if place.obliquity:
             held_pelvis(self.torso, self.supports)
         before = self.place.shoulder_mm if self.place else 0.0
-        other = self.with_supports(shifted_shoulder(self.supports, place.shoulder_mm - before))
+        other = self._on(shifted_shoulder(self.supports, place.shoulder_mm - before))
         other.place, other._held_with = place, self._held_with  # what is held stays so in another place
         return other
 
     def placed(self, state: TorsoState) -> TorsoState:
-        """The state with the pelvis where it is held."""
-        return state if self.place is None else turned_with_pelvis(self.torso, state, self.place.obliquity)
+        """The state with the pelvis where it is held; on a hinge it stands where the state has it."""
+        if self.place is None or not self.supports.held[self.torso.bone("pelvis"), OBLIQUITY]:
+            return state
+        return turned_with_pelvis(self.torso, state, self.place.obliquity)
 
     def all_terms(self, load: LoadCase) -> tuple[Term, ...]:
-        """The load, the supports' springs and the further terms."""
+        """Load, springs of the supports and further terms. Raises TorsoError for a load on what the torso lacks."""
+        load.require_on(self.torso.rest_pose)
         return (load, self.supports.springs, *self.terms)
 
     def require_held(self, stiffness: Stiffness) -> None:
         """Raise EquilibriumError, naming it, if a part of the torso can move freely at rest; asked once a stiffness."""
         present = (stiffness.joints > 0.0, stiffness.mu > 0.0)
         if self._held_with is None or not all(map(np.array_equal, self._held_with, present)):
-            require_no_mechanism(self.torso, self.supports, stiffness, self.terms)
+            require_no_mechanism(self.torso, self.supports, stiffness, self.terms, self.laws)
             self._held_with = present
 
     def free(self, values: Floats) -> Floats:
@@ -201,3 +218,11 @@ class System(ShortRepr):
         yield f"{len(self.supports.names)} springs"
         yield f"{len(self.terms)} further terms"
         yield self.backend
+
+
+def _require_fitting(supports: Supports, bones: int) -> None:
+    if len(supports.held) != bones:
+        raise TorsoError(f"supports hold {len(supports.held)} bones, but the torso has {bones}")
+    last = supports.springs.points.bone.max(initial=-1)
+    if last >= bones:
+        raise TorsoError(f"a support's spring holds bone {last}, but the torso has {bones}")

@@ -10,13 +10,17 @@ import numpy as np
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, Ints
 from spinestiff.errors import TorsoError
+from spinestiff.personalise.quality import mesh_quality
 from spinestiff.personalise.sizes import spread
 
 # A trunk that differs more from the carried one is a mistake, or another person's.
 FACTOR_LIMITS = (0.75, 1.35)
 # mm beyond the measured levels over which the skin goes back to the carried one.
 FADE_MM = 150.0
-ROUNDS = 4
+# mm off the measures at which the skin counts as there, and rounds of stretching until then: where the tissue does not
+# bear the skin that all of them lead to, what fewer lead to is taken, which is farther off.
+MISS_MM = 0.5
+ROUNDS = (30, 10, 4)
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,8 @@ def with_trunk_sizes(torso: TorsoModel, wanted: Mapping[str, TrunkSize]) -> Tors
     """The torso with its skin at the ``wanted`` extents, at the heights of the bones they are named by.
 
     Between levels factors go over linearly in height, beyond them they fade to 1. Bones stay where they are; free
-    tissue between them and the skin follows harmonically.
+    tissue between them and the skin follows harmonically. The skin comes as near to the extents as the mesh bears while
+    its quality is good, to within 0.5 mm if it can; ``trunk_misses`` says how near.
 
     Raises
     ------
@@ -62,15 +67,32 @@ def with_trunk_sizes(torso: TorsoModel, wanted: Mapping[str, TrunkSize]) -> Tors
     faces = mesh.boundary_faces()
     skin = np.unique(faces)
     skin = skin[mesh.bone_of_node[skin] < 0]
-    moved = np.zeros_like(mesh.rest_positions)
-    moved[skin] = (skin_at_sizes(torso, mesh.rest_positions, faces[:, :3], wanted) - mesh.rest_positions)[skin]
-    try:
-        return with_moved_skin(torso, skin, moved)
-    except TorsoError as error:
-        raise TorsoError(
-            f"the skin can't come to the trunk's extents at {', '.join(wanted)}: the ribs, which they don't move, "
-            f"leave no room for the tissue between ({error}); check the measures or leave them out"
-        ) from None
+    found, reason = None, ""
+    for rounds in ROUNDS:
+        points = skin_at_sizes(torso, mesh.rest_positions, faces[:, :3], wanted, rounds)
+        moved = np.zeros_like(mesh.rest_positions)
+        moved[skin] = (points - mesh.rest_positions)[skin]
+        try:
+            found = with_moved_skin(torso, skin, moved)
+        except TorsoError as error:
+            reason = str(error)
+            continue
+        if mesh_quality(found).good:
+            return found
+    if found is not None:
+        return found
+    raise TorsoError(
+        f"the skin can't come to the trunk's extents at {', '.join(wanted)}: the ribs, which they don't move, "
+        f"leave no room for the tissue between ({reason}); check the measures or leave them out"
+    )
+
+
+def trunk_misses(torso: TorsoModel, wanted: Mapping[str, TrunkSize]) -> dict[str, tuple[TrunkSize, float]]:
+    """The skin's extents at each wanted level, and by how many mm the farther off of the two misses."""
+    if not wanted:
+        return {}
+    own, _ = trunk_sizes(torso, tuple(wanted))
+    return {level: (own[level], _farthest(own, {level: size})) for level, size in wanted.items()}
 
 
 def with_moved_skin(torso: TorsoModel, skin: Ints, moved: Floats) -> TorsoModel:
@@ -90,8 +112,13 @@ def with_moved_skin(torso: TorsoModel, skin: Ints, moved: Floats) -> TorsoModel:
     return replace(torso, tissue=replace(mesh, rest_positions=nodes), rest_pose=pose)
 
 
-def skin_at_sizes(torso: TorsoModel, points: Floats, faces: Ints, wanted: Mapping[str, TrunkSize]) -> Floats:
+def skin_at_sizes(
+    torso: TorsoModel, points: Floats, faces: Ints, wanted: Mapping[str, TrunkSize], rounds: int = ROUNDS[0]
+) -> Floats:
     """(n, 3) mm, the vertices of a closed skin (points (n, 3), faces (m, 3)) around ``torso`` at the wanted extents.
+
+    A round stretches the skin by what is lacking at the levels; levels near by share triangles and spoil each other's
+    extents, so that it takes several. They end after ``rounds``, or where the skin is within 0.5 mm.
 
     Raises
     ------
@@ -111,11 +138,19 @@ def skin_at_sizes(torso: TorsoModel, points: Floats, faces: Ints, wanted: Mappin
                     f"{what.removesuffix('_mm')} at {level} is {getattr(wanted[level], what):g} mm, {ratio:.2f} times "
                     f"the skin's ({getattr(own[level], what):.0f} mm); wanted {low} to {high} times: check the measure"
                 )
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         own, middles = _extents(points, faces, heights)
+        if _farthest(own, wanted) < MISS_MM:
+            break
         factors = [(wanted[v].breadth_mm / own[v].breadth_mm, wanted[v].depth_mm / own[v].depth_mm) for v in levels]
         points = _stretched(points, np.array(list(heights.values())), np.array(factors), middles)
     return points
+
+
+def _farthest(own: Mapping[str, TrunkSize], wanted: Mapping[str, TrunkSize]) -> float:
+    """mm by which an extent at a wanted level is off, at most."""
+    pairs = [(own[level], size) for level, size in wanted.items()]
+    return max(max(abs(a.breadth_mm - b.breadth_mm), abs(a.depth_mm - b.depth_mm)) for a, b in pairs)
 
 
 def _stretched(points: Floats, heights: Floats, factors: Floats, middles: Floats) -> Floats:

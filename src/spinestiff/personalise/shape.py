@@ -33,7 +33,7 @@ from spinestiff.personalise.image_terms import (
     own_boxes,
     shape_of,
 )
-from spinestiff.personalise.measured_skin import TrunkSize, skin_at_sizes, trunk_sizes, with_trunk_sizes
+from spinestiff.personalise.measured_skin import TrunkSize, skin_at_sizes, trunk_misses, with_trunk_sizes
 from spinestiff.personalise.placing import pulled
 from spinestiff.personalise.pose import ViewPose, posed
 from spinestiff.personalise.prior import elastic_prior, pelvis_on_springs
@@ -61,8 +61,8 @@ NEW_MESH: Mapping[MeshPath, str] = {
     "rebuilt": "the tissue mesh could not be carried to the subject's shape; a new one was built in the subject's skin",
     "finer": "the coarse tissue mesh could not be carried to the subject's shape; the fine one was used",
 }
-# mm by which a trunk may miss its tape before somebody is told.
-TAPE_MM = 5.0
+# mm by which a trunk may miss its tape before somebody is told: a hundredth of it, as which the estimate takes it.
+TAPE_MM = 2.0
 
 MOTIONS = ("sideways", "height", "front to back", "sagittal tilt", "axial rotation", "coronal tilt")
 
@@ -223,7 +223,9 @@ class _Fit:
         mesh: MeshPath = "kept"
         new: tuple[str, ...] = ()
         try:
-            torso, scanned = self.scanned(with_trunk_sizes(finished(sized, state), self.trunk))
+            torso = with_trunk_sizes(finished(sized, state), self.trunk)
+            new = self.missed(torso)
+            torso, scanned = self.scanned(torso)
             quality = require_quality(torso)
         except TorsoError as error:
             if not can_rebuild(sized):
@@ -233,9 +235,9 @@ class _Fit:
             vertices, faces = skin_of(sized, state)
             skin = (skin_at_sizes(bare, vertices, faces, self.trunk), faces)
             nodes = int(np.clip(len(sized.tissue.rest_positions), *NODES))
-            torso, missed = self.to_tape(with_new_tissue(bare, skin, sized, state, self.say, nodes=nodes))
+            torso = self.to_tape(with_new_tissue(bare, skin, sized, state, self.say, nodes=nodes))
+            mesh, new = "rebuilt", (NEW_MESH["rebuilt"], *self.missed(torso))
             torso, scanned = self.scanned(torso)
-            mesh, new = "rebuilt", (NEW_MESH["rebuilt"], *missed)
             quality = require_quality(torso)
         self.say(f"{quality}; tissue mesh {mesh}, {len(torso.tissue.rest_positions)} nodes")
         found = self.result(torso, final, points, length, quality, scanned)
@@ -292,22 +294,23 @@ class _Fit:
         self.say(str(fit))
         return moved, fit
 
-    def to_tape(self, torso: TorsoModel) -> tuple[TorsoModel, tuple[str, ...]]:
-        """A new mesh, whose skin is some mm off, with the skin at the trunk's extents; what is still off, in words."""
+    def to_tape(self, torso: TorsoModel) -> TorsoModel:
+        """A new mesh, whose skin is some mm off, with the skin at the trunk's extents if it bears that."""
         try:
             moved = with_trunk_sizes(torso, self.trunk)
             require_quality(moved)
-            return moved, ()
+            return moved
         except TorsoError:
-            own, _ = trunk_sizes(torso, tuple(self.trunk))
-        missed = [
-            f"the skin at {level} is {size.breadth_mm:.0f} by {size.depth_mm:.0f} mm, not {wanted.breadth_mm:g} by "
-            f"{wanted.depth_mm:g} mm: the bones there leave no room"
-            for level, wanted in self.trunk.items()
-            if max(abs((size := own[level]).breadth_mm - wanted.breadth_mm), abs(size.depth_mm - wanted.depth_mm))
-            > TAPE_MM
-        ]
-        return torso, tuple(missed)
+            return torso
+
+    def missed(self, torso: TorsoModel) -> tuple[str, ...]:
+        """Where the skin is off the trunk's extents, in words."""
+        return tuple(
+            f"the skin at {level} is {size.breadth_mm:.0f} by {size.depth_mm:.0f} mm, not "
+            f"{self.trunk[level].breadth_mm:g} by {self.trunk[level].depth_mm:g} mm: bones or tissue mesh leave no room"
+            for level, (size, miss) in trunk_misses(torso, self.trunk).items()
+            if miss > TAPE_MM
+        )
 
     def points(self, base: TorsoModel) -> tuple[ImagePoints, ...]:
         """What is annotated, on the vertebrae of ``base``."""

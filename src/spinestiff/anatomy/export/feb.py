@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from spinestiff.anatomy.export.rigid import require_rest
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
@@ -54,8 +55,7 @@ def content(torso: TorsoModel, state: TorsoState) -> bytes:
     ------
     TorsoError : the extra [febio] is not installed, or a state that is not rest.
     """
-    if np.abs(state.bone_positions - torso.rest_pose.bone_positions).max(initial=0.0) > 1e-9:
-        raise TorsoError("FEB is written at rest: its springs are at rest as it is written; export without a state")
+    require_rest("FEB", torso, state)
     try:
         import pyfebio as fe
     except ImportError:

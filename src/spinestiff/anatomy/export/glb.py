@@ -6,6 +6,7 @@ import numpy as np
 
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
+from spinestiff.errors import TorsoError
 
 _MM = 1e-3
 _SKIN = (222, 200, 186, 70)
@@ -20,7 +21,12 @@ _COLOURS = {
 
 
 def content(torso: TorsoModel, state: TorsoState) -> bytes:
-    """The file: a node a bone by name and "skin"; metres (glTF's unit), y up, z to the patient's front."""
+    """The file: a node a bone by name and "skin"; metres (glTF's unit), y up, z to the patient's front.
+
+    Raises TorsoError for a torso without surfaces.
+    """
+    if not (torso.bone_surfaces or len(torso.tissue.elements)):
+        raise TorsoError("this torso has no surfaces, of bones or of tissue, that a GLB could show")
     import trimesh
     from trimesh.visual.material import PBRMaterial
 

@@ -7,12 +7,11 @@ from collections import deque
 
 import numpy as np
 
-from spinestiff.anatomy.export.rigid import masses, numbers
+from spinestiff.anatomy.export.rigid import masses, numbers, require_rest
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
-from spinestiff.errors import TorsoError
 
 _M = 1e-3
 _GHOST_KG = 1e-4
@@ -20,13 +19,16 @@ ROOT = "pelvis"
 
 
 def content(torso: TorsoModel, state: TorsoState) -> bytes:
-    """The file, at rest and whatever the state: MuJoCo's springs are at rest in the pose that the file is written in.
+    """The file, at rest: MuJoCo's springs are at rest in the pose that is written.
 
     The first bone of the tree (the pelvis, where there is one) is fixed to the world. Slides and hinges act in the
     joint's frame, slides first. A joint that would close a loop ends on a small body of its own, welded to its bone.
+
+    Raises
+    ------
+    TorsoError : a state that is not rest.
     """
-    if np.abs(state.bone_positions - torso.rest_pose.bone_positions).max(initial=0.0) > 1e-9:
-        raise TorsoError("MJCF is written at rest: its springs are at rest as it is written; export without a state")
+    require_rest("MJCF", torso, state)
     rest, table = torso.rest_pose, torso.joints
     names = torso.bone_names
     root = names.index(ROOT) if ROOT in names else 0

@@ -12,12 +12,15 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 
 _M = 1e-3
+_LOCKED = 1e-9  # cos y, below which x and z turn about the same axis
 _COORDINATES = ("rx", "ry", "rz", "tx", "ty", "tz")
 
 
 def xyz_angles(rotation: Floats) -> Floats:
-    """(3,) rad, body-fixed x-y-z angles of a rotation (3, 3): R = Rx Ry Rz."""
+    """(3,) rad, body-fixed x-y-z angles of a rotation (3, 3): R = Rx Ry Rz; z = 0 where y is a right angle."""
     y = np.arcsin(np.clip(rotation[0, 2], -1.0, 1.0))
+    if np.hypot(rotation[1, 2], rotation[2, 2]) < _LOCKED:
+        return np.array([np.arctan2(rotation[2, 1], rotation[1, 1]), y, 0.0])
     return np.array([np.arctan2(-rotation[1, 2], rotation[2, 2]), y, np.arctan2(-rotation[0, 1], rotation[0, 0])])
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.template.surfaces import signed_volume
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
+from spinestiff.errors import TorsoError
 
 # About that of whole bones with their marrow. The equilibria here are static: masses only keep other programs content.
 BONE_KG_PER_MM3 = 1.3e-6
@@ -26,6 +28,13 @@ def masses(torso: TorsoModel) -> tuple[Floats, Floats]:
         others = [i for i in range(3) if i != axis]
         inertia[:, axis] = 0.2 * mass * square[:, others].sum(1)
     return mass, inertia
+
+
+def require_rest(what: str, torso: TorsoModel, state: TorsoState) -> None:
+    """Raise TorsoError where a bone or a node is not at rest in ``state``: a format's springs are, as it is written."""
+    parts = ("bone_positions", "bone_rotations", "tissue_positions")
+    if any(np.abs(getattr(state, part) - getattr(torso.rest_pose, part)).max(initial=0.0) > 1e-9 for part in parts):
+        raise TorsoError(f"{what} is written at rest: its springs are at rest as it is written; export without a state")
 
 
 def numbers(values: Floats) -> str:
