@@ -208,7 +208,9 @@ def test_a_failed_run_says_so_in_its_log_and_names_nobody(spinestiff, subject, m
         assert word not in path.read_text(encoding="utf-8")
 
 
-def test_names_that_are_no_utf8_are_in_the_log_by_their_codes(tmp_path):
+def test_names_that_are_no_utf8_are_in_the_log_by_their_codes(tmp_path, monkeypatch):
+    # Nor in what pytest keeps of logs, which its workers send as UTF-8.
+    monkeypatch.setattr(logging.getLogger(LOGGER), "propagate", False)
     name = os.fsdecode(b"M\xfcller")
     subject = SimpleNamespace(folder=tmp_path, results=tmp_path / "results", record=SimpleNamespace(id="girl"))
     with run_log(subject, "track", {"out": name}):
