@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from spinestiff.anatomy.state import TorsoState, retract
+from spinestiff.estimation.channels import CHANNELS, Channels
 from spinestiff.estimation.noise import (
-    CHANNELS,
     DRAG_LENGTH,
     DRAG_OWN,
     DRAG_TURN,
     TRACKED,
     USUAL,
-    Channels,
     Noise,
     Seen,
     restricted_factor,

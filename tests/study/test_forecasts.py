@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from spinestiff.estimation.channels import Channels
 from spinestiff.estimation.forecast import Forecast
-from spinestiff.estimation.noise import Channels
 from spinestiff.study.forecasts import forecast_record
 from spinestiff.study.wording import forecast_lines
 from spinestiff.subject.assessment_outcome import Assessment

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from spinestiff.arrays import Floats, Ints, ShortRepr
-from spinestiff.estimation.noise import CHANNELS, Channels
+from spinestiff.estimation.channels import CHANNELS, Channels
 from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.weighed import WeighedProblem
 

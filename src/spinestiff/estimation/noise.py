@@ -22,7 +22,8 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize_scalar
 
-from spinestiff.arrays import Floats, Ints, ShortRepr
+from spinestiff.arrays import Floats, Ints
+from spinestiff.estimation.channels import CHANNELS, Channels, channels_of
 from spinestiff.estimation.marker_noise import SeenMarkers, marker_parts
 from spinestiff.estimation.objective import Target
 from spinestiff.estimation.priors import Priors
@@ -39,7 +40,6 @@ from spinestiff.estimation.sights import (
 from spinestiff.imaging.features import picture_axes
 from spinestiff.imaging.tracking.quality import error_of
 
-CHANNELS = 3
 # Errors of a tracked vertebra's shifts along columns and rows and of its turn, over the predicted error of one of its
 # corners along one axis: corners are followed as a body. Measured on synthetic sequences (benchmarks/tracking_drag.py).
 TRACKED = np.array([1.3, 0.85, 1.6])
@@ -53,68 +53,6 @@ WIDEST_FACTOR = 3.0
 DRAG_OWN, DRAG_LENGTH = (0.5, 0.6), (3.5, 2.0)
 DRAG_TURN = 1.0
 _VERTICAL = np.array([0.0, 1.0, 0.0])
-
-
-@dataclass(frozen=True, repr=False)
-class Channels(ShortRepr):
-    """From the corners of a radiograph's vertebrae to their channels.
-
-    Attributes
-    ----------
-    basis : (Nv, 3, 4, 2), orthonormal rows.
-    rows : (Nv,) the vertebrae among the torso's.
-    arms : (Nv,) mm, what a turn of 1 rad gives the third channel.
-    """
-
-    basis: Floats
-    rows: Ints
-    arms: Floats
-
-    @property
-    def each(self) -> int:
-        """How many a vertebra has."""
-        return CHANNELS
-
-    @classmethod
-    def of(cls, target: Target) -> Channels:
-        """Of a target's vertebrae."""
-        arms = target.z - target.z.mean(axis=1, keepdims=True)
-        turn = np.stack([-arms[..., 1], arms[..., 0]], -1)
-        sizes = np.linalg.norm(turn, axis=(1, 2))
-        turn = turn / sizes[:, None, None]
-        shift = np.zeros((2, len(arms), 4, 2))
-        shift[0, :, :, 0] = shift[1, :, :, 1] = 0.5
-        return cls(np.stack([*shift, turn], axis=1), target.rows, sizes)
-
-    def apply(self, features: Floats) -> Floats:
-        """(3 Nv, ...) channels of features (Nv, 4, 2, ...), vertebra by vertebra."""
-        found = np.einsum("vcki,vki...->vc...", self.basis, features)
-        return found.reshape(CHANNELS * len(self.rows), *features.shape[3:])
-
-    def turning(self, upper: int, lower: int) -> Floats:
-        """(3 Nv,) weights of the channels that give the turn of vertebra ``upper`` against ``lower``, rad."""
-        weights = np.zeros(CHANNELS * len(self.rows))
-        for row, sign in ((upper, 1.0), (lower, -1.0)):
-            weights[CHANNELS * row + 2] = sign / self.arms[row]
-        return weights
-
-
-@dataclass(frozen=True, repr=False)
-class PointChannels(ShortRepr):
-    """From points to their channels, which are their coordinates.
-
-    Attributes
-    ----------
-    rows : (P,) the points' vertebrae among the torso's, or numbers of markers.
-    each : how many a point has.
-    """
-
-    rows: Ints
-    each: int = 2
-
-    def apply(self, features: Floats) -> Floats:
-        """(each P, ...) channels of features (P, each, ...), point by point."""
-        return np.asarray(features.reshape(self.each * len(self.rows), *features.shape[2:]))
 
 
 @dataclass(frozen=True)
@@ -167,7 +105,7 @@ class Noise:
         self._pictures = tuple(
             (i, one.target) for i, one in enumerate(seen) if not isinstance(one.target, MarkerTarget)
         )
-        self.channels = tuple(_channels(one.target) for one in seen)
+        self.channels = tuple(channels_of(one.target) for one in seen)
         counts = [one.each * len(one.rows) for one in self.channels]
         self.ends = np.concatenate([[0], np.cumsum(counts)])
         self.size = int(self.ends[-1])
@@ -364,12 +302,6 @@ class Noise:
                         column = columns.setdefault(key, np.zeros(self.size))
                         column[where] = sd * way * slopes[number, :, axis]
         return np.stack(list(columns.values()), axis=1) if columns else np.zeros((self.size, 0))
-
-
-def _channels(target: Sight) -> Channels | PointChannels:
-    if isinstance(target, Target):
-        return Channels.of(target)
-    return PointChannels(target.rows, target.z.shape[1])
 
 
 def _by_group(column: Floats, of: Ints) -> Floats:

@@ -11,6 +11,7 @@ import numpy as np
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
+from spinestiff.curves.pushes import annotated_frame
 from spinestiff.errors import FitError, SubjectError, TrackingError
 from spinestiff.estimation.evaluation import OnFitStep
 from spinestiff.estimation.fit import Extent, fit_stiffness, likelihood_rise
@@ -222,14 +223,13 @@ def push_set(
         aside, told = _pictures_aside(torso, push, found)
         warnings += told
         markers = _markers(torso, push, found, view, known or Known())
-        marked = found.annotated_frames or (0,)
         for index, (frame, force, role) in enumerate(zip(found.frames, push.forces_n, push.roles)):
             label = f"push '{push.id}' frame {index}"
             if frame.support_note and role != "unused":
                 warnings.append(f"{label}: {frame.support_note}; the paper leaves such a frame out")
             load = push_load(torso, site, force, rig, label)
-            by_hand = index in marked
-            source = min(marked, key=lambda frame: abs(frame - index))
+            source = annotated_frame(found, index)
+            by_hand = source == index
             trial = Trial(
                 load,
                 corners[index],
