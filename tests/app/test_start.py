@@ -78,3 +78,9 @@ main()
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert (ended.returncode, ended.stdout) == (130, "")
     assert ended.stderr == "spinestiff: stopped; results of finished steps are kept\n"
+
+
+def test_python_runs_it_by_its_name():
+    """Where the installed program is not on the path."""
+    found = subprocess.run([sys.executable, "-m", "spinestiff", "--version"], capture_output=True, text=True, check=True)
+    assert found.stdout == subprocess.run([*PROGRAM, "--version"], capture_output=True, text=True, check=True).stdout

@@ -21,7 +21,7 @@ from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.estimation.status import FitStatus
-from spinestiff.estimation.told import unsettled_warnings
+from spinestiff.estimation.told import partial_inverse, unsettled_warnings
 from spinestiff.estimation.unknowns import ACTS
 from spinestiff.estimation.weighed import WeighedProblem
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
@@ -167,6 +167,20 @@ def test_a_ratio_outside_the_bounds_ends_at_the_bound_and_says_so(column, clean,
         assert any("lateral_bending: the radiographs also allow ratios below 0.35" in w for w in fit.warnings)
 
 
+def test_a_covariance_is_infinite_only_where_nothing_is_known() -> None:
+    inf = np.inf
+    assert partial_inverse(np.diag([4.0, 0.0, 1.0])) == pytest.approx(
+        np.array([[0.25, inf, 0.0], [inf, inf, inf], [0.0, inf, 1.0]])
+    )
+    sum_alone = partial_inverse(np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 2.0]]))
+    assert np.isinf(sum_alone).tolist() == [[True] * 3, [True] * 3, [True, True, False]]
+    assert sum_alone[2, 2] == pytest.approx(0.5)
+    for nothing in (np.zeros((2, 2)), np.full((2, 2), np.nan)):
+        assert np.isinf(partial_inverse(nothing)).all()
+    rows = np.random.default_rng(0).normal(size=(9, 3)) * [1.0, 30.0, 1e-3]
+    assert partial_inverse(rows.T @ rows) == pytest.approx(np.linalg.inv(rows.T @ rows), rel=1e-9)
+
+
 def test_ratios_that_the_radiographs_cannot_tell_are_named_so(column, clean) -> None:
     """Shear front to back does next to nothing in the frontal plane; bending under another name does nothing new."""
     names = ("lateral_bending", "tissue", "sagittal_shear")
@@ -179,7 +193,10 @@ def test_ratios_that_the_radiographs_cannot_tell_are_named_so(column, clean) -> 
     same = ("lateral_bending", "intervertebral_bending", "tissue")
     twice = fit_stiffness(column.problem, clean, same, bounds=BOUNDS, extent="intervals")
     assert twice.status is FitStatus.NOT_IDENTIFIABLE
-    assert np.isinf(twice.covariance).all()
+    assert np.isinf(twice.covariance[:2]).all()
+    assert np.isinf(twice.covariance[2]).tolist() == [True, True, False]
+    once = fit_stiffness(column.problem, clean, same[::2], bounds=BOUNDS, extent="intervals")
+    assert twice.covariance[2, 2] == pytest.approx(once.covariance[1, 1], rel=0.01)
     assert np.prod(twice.ratios.values[:2]) == pytest.approx(0.3, rel=0.01)
     for low, high in list(twice.intervals95.values())[:2]:
         assert low == pytest.approx(0.025, rel=0.2)

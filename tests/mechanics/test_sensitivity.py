@@ -9,7 +9,7 @@ import pytest
 
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.stiffness import stiffness_ratios
-from spinestiff.errors import EquilibriumError
+from spinestiff.errors import EquilibriumError, TorsoError
 from spinestiff.mechanics.equilibrium import EquilibriumProblem, SolveStatus
 from spinestiff.mechanics.loads import LoadCase
 from spinestiff.verification.blocks import holds
@@ -67,6 +67,15 @@ def test_eq6_a_group_is_the_sum_of_its_parts(case):
     whole = tangent.forward(stiffness_ratios({"tissue": 1.0}, kinds).groups)
     parts = tangent.forward(stiffness_ratios({"tissue_mu": 1.0, "tissue_lambda": 1.0}, kinds).groups)
     assert parts.sum(1) == pytest.approx(whole[:, 0], abs=1e-10 * np.abs(whole).max())
+
+
+def test_groups_of_another_torso_are_told(case):
+    problem, _, _, _, tangent = case
+    other = stiffness_ratios({"lateral_bending": 1.0}, problem.torso.joints.kinds[:1]).groups
+    gradient = np.ones(len(tangent.forward()))
+    for asked in (lambda: tangent.forward(other), lambda: tangent.adjoint(gradient, other)):
+        with pytest.raises(TorsoError, match="'lateral_bending' names 1 joints, the torso has 2"):
+            asked()
 
 
 def test_raising_every_stiffness_is_lowering_the_load(case):

@@ -94,6 +94,12 @@ class ParameterGroup(ShortRepr):
         if self.elements is not None:
             object.__setattr__(self, "elements", read_only("elements", self.elements, (None,), TorsoError, bool))
 
+    def joints_of(self, count: int) -> np.ndarray:
+        """(J, 6) bool, the entries of a table of ``count`` joints; TorsoError if they are another torso's."""
+        if len(self.joints) != count:
+            raise TorsoError(f"'{self.name}' names {len(self.joints)} joints, the torso has {count}")
+        return self.joints
+
     def elements_of(self, count: int) -> np.ndarray:
         """(T,) bool, the elements of a mesh of ``count`` elements; TorsoError if they are another mesh's."""
         if self.elements is None:
@@ -188,9 +194,7 @@ class StiffnessRatios(ShortRepr):
         """(J, 6) joint stiffness times every ratio that applies to an entry; TorsoError for a group of other joints."""
         scaled = np.array(stiffness)
         for group, value in zip(self.groups, self.values):
-            if len(group.joints) != len(scaled):
-                raise TorsoError(f"'{group.name}' names {len(group.joints)} joints, the torso has {len(scaled)}")
-            scaled[group.joints] *= value
+            scaled[group.joints_of(len(scaled))] *= value
         return scaled
 
     def scale_tissue(self, mu: Floats, lambda_: Floats) -> tuple[Floats, Floats]:

@@ -19,6 +19,8 @@ from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, reduced
 
 # Of the ratios' precision: beyond, what parts two combinations of ratios is rounding.
 WORST_CONDITION = 1e12
+# Of a ratio's direction that lies where nothing is known: below, rounding of the eigenvectors.
+SHARE_OF_UNKNOWN = 1e-9
 
 
 def told(
@@ -62,11 +64,20 @@ def told(
 
 
 def ratio_covariance(found: WeighedFit) -> Floats:
-    """(P, P) of the log ratios, to first order; infinite where the data can't part them."""
-    precision = _precision(found)
-    if not np.linalg.cond(precision) < WORST_CONDITION:
+    """(P, P) of the log ratios, to first order; rows and columns of ratios that the data can't part are infinite."""
+    return partial_inverse(_precision(found))
+
+
+def partial_inverse(precision: Floats) -> Floats:
+    """(P, P) inverse of a precision; infinite in rows and columns of what takes part in a direction without any."""
+    if not np.isfinite(precision).all():
         return np.full(precision.shape, np.inf)
-    return np.asarray(np.linalg.inv(precision))
+    values, vectors = np.linalg.eigh(precision)
+    known = values > values[-1] / WORST_CONDITION
+    inverse = vectors[:, known] / values[known] @ vectors[:, known].T
+    unknown = (vectors[:, ~known] ** 2).sum(axis=1) > SHARE_OF_UNKNOWN
+    inverse[unknown] = inverse[:, unknown] = np.inf
+    return np.asarray(inverse)
 
 
 def trial_warnings(trial_set: TrialSet, default: Evaluation | None, point: Evaluation) -> list[str]:

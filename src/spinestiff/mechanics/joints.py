@@ -129,7 +129,7 @@ class JointLaw(ScaledLaw):
     def add_shares(self, at: Place, stiffness: Stiffness, groups: Sequence[ParameterGroup], columns: Floats) -> None:
         shares = joint_gradient_shares(self.joints, at.state, self.secant(at.state, stiffness))
         for group, column in zip(groups, columns.T):
-            self._add(at, np.einsum("js,jsd->jd", group.joints, shares), column)
+            self._add(at, np.einsum("js,jsd->jd", group.joints_of(len(shares)), shares), column)
 
     def share_products(
         self, at: Place, stiffness: Stiffness, groups: Sequence[ParameterGroup], direction: Floats
@@ -138,7 +138,7 @@ class JointLaw(ScaledLaw):
         along = np.hstack([rows[self.joints.parent], rows[self.joints.child]])
         shares = joint_gradient_shares(self.joints, at.state, self.secant(at.state, stiffness))
         products = np.einsum("jsd,jd->js", shares, along)
-        return np.array([products[group.joints].sum() for group in groups])
+        return np.array([products[group.joints_of(len(products))].sum() for group in groups])
 
     def _add(self, at: Place, rows: Floats, gradient: Floats) -> None:
         bones = at.unknowns.bone_rows(gradient)
