@@ -108,9 +108,9 @@ COSTAL_NOTCHES_DOWN = np.array([13.0, 38.0, 60.0, 82.0, 101.0, 116.0, 128.0, 136
 COSTAL_NOTCHES_HALF = np.array([22.0, 14.0, 14.5, 15.5, 17.0, 16.5, 14.5, 11.0, 9.0, 7.5])
 STERNUM_SLOPE = 0.22  # forward per mm down: 12 degrees (design; adults 15 to 25)
 
-# Shoulder: clavicle 136 mm at 13 years, girls (McGraw 2009); biacromial 34.4 cm (Berkeley, girls of 13);
-# humeral head 44 mm adult (women), 0.88 of it at 12 years; half distance of the sternoclavicular joints 31 mm adult.
-CLAVICLE_LENGTH, BIACROMIAL, HUMERAL_HEAD = 136.0, 344.0, 0.88 * 44.0
+# Shoulder: clavicle 136 mm at 13 years, girls (McGraw 2009); humeral head 44 mm adult (women), 0.88 of it at 12 years;
+# half distance of the sternoclavicular joints 31 mm adult.
+CLAVICLE_LENGTH, HUMERAL_HEAD = 136.0, 0.88 * 44.0
 STERNOCLAVICULAR_HALF = 24.0
 
 BI_ILIAC = 266.0  # Berkeley growth study, girls of 13

@@ -65,7 +65,6 @@ class ExpectedWidths:
         self._unseen = len(loaded) - 1 if carried.predicted is not None else None
         if self._unseen is not None:
             self._weights = problem.noise.boxes(self._unseen).turning(*carried.end_vertebrae)
-        self._target = wish.target
         self._index = None if wish.target == "cobb" else scene.names.index(RATIO_OF[wish.target])
         self._widest = 0.5 * float(np.log(RATIO_BOUNDS[1] / RATIO_BOUNDS[0]))
 
