@@ -48,6 +48,7 @@ LAYERS = {
     "cohort": 8,
     "workbench": 9,
     "app": 10,
+    "__main__": 11,
 }
 # Where a third-party package may be imported; what is missing here may be imported nowhere.
 HOMES: dict[str, tuple[str, ...]] = {

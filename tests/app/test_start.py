@@ -82,5 +82,7 @@ main()
 
 def test_python_runs_it_by_its_name():
     """Where the installed program is not on the path."""
-    found = subprocess.run([sys.executable, "-m", "spinestiff", "--version"], capture_output=True, text=True, check=True)
+    found = subprocess.run(
+        [sys.executable, "-m", "spinestiff", "--version"], capture_output=True, text=True, check=True
+    )
     assert found.stdout == subprocess.run([*PROGRAM, "--version"], capture_output=True, text=True, check=True).stdout

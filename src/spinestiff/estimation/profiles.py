@@ -25,8 +25,8 @@ CONFIDENCE = 0.95
 WIDTH_FACTOR = 1.05
 # Ends agree once the emulator's phi and the model's differ by less than this there.
 CLOSE_ENOUGH = 0.1
-# A place that takes more is given up as one without equilibrium; useful ones took up to 52.
-MOST_FACTORISATIONS = 100
+# A place that takes more work, in factorisations, is given up as one without equilibrium; useful ones took up to 52.
+MOST_FACTORISATIONS = 60
 MOST_ROUNDS = 8
 # A place as near as this to a solved one, in the estimate's standard deviations, is not solved, since the emulator
 # knows phi and its slope next to it, unless that is farther in log ratio than ``NEAR_LOG``; one farther than

@@ -8,9 +8,10 @@ Three things make them few and cheap:
   the error of second order that a large step leaves (a Hellinger-Reissner form; Magisano, Leonetti and Garcea 2017).
   That unknown is eliminated, the linear system stays the same. The energy may rise for a step.
 - *Chord steps.* A factor goes on serving, and learns, as long as that is expected to be cheaper than a new one.
-- *Descent.* Once a tangent was indefinite, steps on a fresh one have to lower the energy, if some part of them does.
-  Where mixed steps end without an equilibrium, the load is applied in steps, and then every step has to lower the
-  energy, on a tangent whose negative curvature is projected out.
+- *Descent.* Once a tangent was indefinite, every step has to lower the energy. It is found by conjugate gradients on
+  the tangent itself, which tell where the energy is concave and go down there (Steihaug 1983); their preconditioner, a
+  tangent whose negative curvature is projected out, serves for as many steps as it is good enough. Where mixed steps
+  end without an equilibrium, the load is applied in steps, and then by descent alone.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from spinestiff.mechanics.loads import LoadCase
 from spinestiff.mechanics.result import Equilibrium, NewtonStep, OnNewtonStep, SolveStatus
 from spinestiff.mechanics.system import Factorised, System
 from spinestiff.mechanics.terms import PredictedSprings
+from spinestiff.mechanics.truncated import TruncatedStep, truncated_step
 
 LARGEST_TURN = 0.5  # rad in one step
 LARGEST_MOVE = 100.0  # mm in one step
@@ -39,6 +41,9 @@ LARGEST_MOVE = 100.0  # mm in one step
 LEAST_J_SHARE = 0.2
 # The smallest share of the projection that is added to an indefinite tangent.
 LEAST_PROJECTION = 1.0 / 16.0
+# Of a step of descent: products with the tangent at most, their gain, and how often a way down is doubled; descent may
+# take so many times the iterations of mixed steps, and so many products count as a factorisation.
+MOST_PRODUCTS, GAIN, MOST_DOUBLINGS, LONGER, PRODUCTS_A_FACTORISATION = 10, 1e-3, 12, 2, 15
 # A fresh factor goes on serving once the residual is below this share of the load, or of what it was.
 NEAR = 0.1
 # A chord step costs a twentieth of a factorisation and they grow better: a factor is kept while this many may do.
@@ -54,7 +59,7 @@ class Run:
 
     ``always_factorise``: the tangent at an equilibrium is factorised in any case, since it is wanted (``tangent``).
     ``largest_turn``: rad; the solve ends where a bone has turned farther from its place at rest.
-    ``most_factorisations``: of all attempts; the solve ends after the step that has exceeded them.
+    ``most_factorisations``: what all attempts may take (``work``); the solve ends after the step that has exceeded it.
     """
 
     def __init__(
@@ -73,6 +78,7 @@ class Run:
         self.stiffness = system.potential.stiffness(ratios)
         self.max_iterations = max_iterations
         self.factorisations = 0
+        self._products = 0  # of tangents with vectors, on descent
         self.history: list[NewtonStep] = []
         self.tangent: Factorised | None = None  # at the equilibrium, once it was factorised there
         self._projection = 1.0  # how much of the projection the next indefinite tangent gets
@@ -86,6 +92,11 @@ class Run:
         self._most_factorisations = most_factorisations
         system.require_held(self.stiffness)
 
+    @property
+    def work(self) -> float:
+        """What was done, in units of a factorisation."""
+        return self.factorisations + self._products / PRODUCTS_A_FACTORISATION
+
     def wants_more(self, found: Equilibrium) -> bool:
         return found.status is not SolveStatus.CONVERGED and self._end is None
 
@@ -97,7 +108,6 @@ class Run:
         predicted: Floats | None = None
         springs = self.system.supports.springs
         chord = Chord(at)
-        rough = False  # an indefinite tangent was met
         for iteration in range(self.max_iterations + 1):
             if at.residual <= at.tolerance:
                 return at.ended(self._judged(at, factor), iteration)
@@ -105,25 +115,24 @@ class Run:
                 break
             if factor is not None and chord.spent(at):
                 at, factor, predicted = chord.best, None, None
-            fresh, projected = factor is None, False
+            fresh = factor is None
             try:
                 if factor is None:
-                    factor, projected = self._factor(at, predicted)
+                    factor = self._factor(at, self._hessian(at, predicted))
+                    if factor.projected:
+                        return self._descended(at, iteration, factor)
                     chord = Chord(at)
                 y = _capped(-factor.solve(at.force), self.potential.bones)
             except EquilibriumError:
                 return at.ended(SolveStatus.SINGULAR, iteration)
-            rough |= projected
-            # On rough ground mixed steps run up and down; a fresh tangent's step that lowers the energy gets through.
-            lower = self._line_search(at, y) if rough and fresh else None
-            step, there = lower or self._admissible(at, y)
+            step, there = self._admissible(at, y)
             if there is None:
                 return at.ended(SolveStatus.STALLED, iteration)
-            predicted = None if lower else springs.extended(at.state, step * at.frame.to_world(y))
-            if end := self._note(iteration, at, step, fresh, projected):
+            predicted = springs.extended(at.state, step * at.frame.to_world(y))
+            if end := self._note(iteration, at, step, fresh, False):
                 return there.ended(end)
             far = fresh and there.residual > NEAR * max(load.size, at.residual)
-            if step < 1.0 or projected or far or factor.factor.iterative:
+            if step < 1.0 or far or factor.factor.iterative:
                 factor = None
             else:
                 factor.learn(y, there.force - at.force)
@@ -142,52 +151,93 @@ class Run:
         return found
 
     def descend(self, load: LoadCase, state: TorsoState) -> Equilibrium:
-        """Steps that lower the energy, on a tangent that is projected where it is not positive definite."""
+        """Steps that lower the energy."""
         at = Point(self, load, state)
         if not at.smallest_j > 0.0:
             return at.ended(SolveStatus.INVERTED_START)
-        factor: FrameFactor | None = None
-        for iteration in range(self.max_iterations + 1):
+        return self._descended(at)
+
+    def _descended(self, at: Point, first: int = 0, factor: FrameFactor | None = None) -> Equilibrium:
+        """Down from a place, with iterations counted from ``first``; ``factor``: one made there."""
+        bones, last = self.potential.bones, first + LONGER * self.max_iterations
+        radius, fresh = np.inf, True
+        for iteration in range(first, last + 1):
             if at.residual <= at.tolerance:
-                return at.ended(self._judged(at, factor), iteration)
-            if iteration == self.max_iterations:
+                return at.ended(self._judged(at, None), iteration)
+            if iteration == last:
                 break
+            hessian = self._hessian(at)
             try:
-                factor, projected = self._factor(at, None)
-                direction = _capped(-factor.solve(at.force), self.potential.bones)
+                if factor is None:
+                    factor, fresh = self._factor(at, hessian), True
+                way = self._truncated(at, hessian, factor, radius)
+                y = _capped(way.y, bones)
             except EquilibriumError:
                 return at.ended(SolveStatus.SINGULAR, iteration)
-            found = self._line_search(at, direction)
-            if found is None:
+            found = self._line_search(at, y)
+            if found is None and fresh:
                 return at.ended(SolveStatus.STALLED, iteration)
+            if found is None:
+                factor = None
+                continue
             step, there = found
-            if end := self._note(iteration, at, step, True, projected):
+            if way.concave is not None:
+                there = self._slid(there, _capped(way.concave, bones))
+            if end := self._note(iteration, at, step, fresh, factor.projected):
                 return there.ended(end)
-            at = there
-        return at.ended(SolveStatus.ITERATION_LIMIT, self.max_iterations)
+            radius = step * way.size if step < 1.0 else max(radius, 2.0 * way.size)
+            if way.products == MOST_PRODUCTS or factor.factor.iterative:
+                factor = None
+            at, fresh = there, False
+        return at.ended(SolveStatus.ITERATION_LIMIT, last)
+
+    def _truncated(self, at: Point, hessian: Floats, factor: FrameFactor, radius: float) -> TruncatedStep:
+        pattern, frame = self.potential.pattern, at.frame
+
+        def tangent(y: Floats) -> Floats:
+            product = symmetric_product(pattern.indptr, pattern.indices, hessian, frame.to_world(y))
+            return frame.pull(self.system.free(product))
+
+        way = truncated_step(at.force, tangent, factor.apply, radius, MOST_PRODUCTS, GAIN)
+        self._products += way.products
+        return way
+
+    def _slid(self, at: Point, down: Floats) -> Point:
+        """As far along a way down as twice the step lowers the energy further."""
+        best, step = at, 1.0
+        for _ in range(MOST_DOUBLINGS):
+            state = at.frame.move(step * down)
+            energy, smallest_j = self.potential.energy(state, self.stiffness, at.terms)
+            if not (smallest_j > LEAST_J_SHARE * min(1.0, at.smallest_j) and energy < best.energy):
+                break
+            best, step = Point(self, at.load, state, energy, smallest_j), 2.0 * step
+        return best
 
     def tolerance(self, load: LoadCase) -> float:
         return self.system.tolerance(load) if self._tolerance is None else self._tolerance
 
-    def _factor(self, at: Point, predicted: Floats | None) -> tuple[FrameFactor, bool]:
+    def _hessian(self, at: Point, predicted: Floats | None = None) -> Floats:
         terms = at.terms
         if predicted is not None:
             springs = self.system.supports.springs
             terms = tuple(PredictedSprings(springs, predicted) if term is springs else term for term in terms)
-        exact = self.potential.hessian(at.state, self.stiffness, terms)
-        factor = self._numeric(exact)
+        return self.potential.hessian(at.state, self.stiffness, terms)
+
+    def _factor(self, at: Point, hessian: Floats) -> FrameFactor:
+        """A positive definite factor: of the tangent, or of one that is projected."""
+        factor = self._numeric(hessian)
         if factor.positive_definite:
             self._projection = 1.0
-            return FrameFactor(at.frame, factor, self.system.held), False
+            return FrameFactor(at.frame, factor, self.system.held)
         # All of the projection is far too stiff on a long way down; while that lasts, half as much is tried each time.
-        projected = self.potential.hessian(at.state, self.stiffness, terms, project=True)
+        projected = self.potential.hessian(at.state, self.stiffness, at.terms, project=True)
         while True:
             share, self._projection = self._projection, max(0.5 * self._projection, LEAST_PROJECTION)
-            factor = self._numeric(exact + share * (projected - exact))
+            factor = self._numeric(hessian + share * (projected - hessian))
             if factor.positive_definite or share == 1.0:
                 break
             self._projection = min(1.0, 2.0 * share)
-        return FrameFactor(at.frame, factor, self.system.held, projected=True), True
+        return FrameFactor(at.frame, factor, self.system.held, projected=True)
 
     def _numeric(self, values: Floats) -> Factor:
         self.factorisations += 1
@@ -282,7 +332,7 @@ class Run:
             self._end = SolveStatus.CANCELLED
         elif self._end is None and np.isfinite(self._largest_turn) and at.turn > self._largest_turn:
             self._end = SolveStatus.FOLDED
-        elif self._end is None and self.factorisations > self._most_factorisations:
+        elif self._end is None and self.work > self._most_factorisations:
             self._end = SolveStatus.ITERATION_LIMIT
         return self._end
 
