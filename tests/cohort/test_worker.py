@@ -51,6 +51,28 @@ def test_results_and_hidden_files_of_a_given_folder_are_no_inputs(task):
     assert examine(place, one.order).state == "current"
 
 
+@pytest.mark.skipif(os.name == "nt", reason="links of Unix")
+def test_what_is_no_input_may_be_anything(task):
+    one, place = task
+    (place.source / ".#subject.json").symlink_to("somebody@host.1234")
+    (place.source / "results").symlink_to(place.source.parent)
+    assert make_results(one, silent) == "done"
+    (place.source / "results").unlink()
+    (place.source / "results").write_text("a file", encoding="utf-8")
+    shutil.rmtree(place.results)
+    assert make_results(one, silent) == "done"
+
+
+def test_a_look_at_results_by_a_file_manager_damages_none(task):
+    one, place = task
+    make_results(one, silent)
+    (place.results / ".DS_Store").write_text("where icons lie", encoding="utf-8")
+    assert make_results(one, silent) == "up to date"
+    (place.source / "subject.json").write_text('{"number": 5, "trouble": ""}', encoding="utf-8")
+    assert make_results(one, silent) == "done"
+    assert not (place.results / ".DS_Store").exists()
+
+
 def edit(place):
     (place.results / "report.html").write_text("mine", encoding="utf-8")
 
