@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq, minimize_scalar
-from scipy.stats import chi2, nct, t
+from scipy.stats import chi2, ncf, t
 
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import FitError
@@ -170,8 +170,8 @@ def group_size(
     def shown(count: int) -> float:
         degrees = count - 1 if paired else 2 * (count - 1)
         shift = abs(difference) / sd * np.sqrt(count if paired else 0.5 * count)
-        edge = t.ppf(1.0 - 0.5 * level, degrees)
-        return float(nct.sf(edge, degrees, shift) + nct.cdf(-edge, degrees, shift))
+        # Of t squared, both tails at once: SciPy's non-central t has NaN for the far one.
+        return float(ncf.sf(t.ppf(1.0 - 0.5 * level, degrees) ** 2, 1, degrees, shift**2))
 
     low, high = 1, 2
     while shown(high) < power:
@@ -181,4 +181,4 @@ def group_size(
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if shown(middle) >= power else (middle, high)
-    return high
+    return high if high <= LARGEST_GROUP else None
