@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from spinestiff.cohort.asked import Cohort, Limits
+from spinestiff.cohort.group import read_members
 from spinestiff.cohort.ledger import read_last
 from spinestiff.cohort.lock import cohort_lock
 from spinestiff.cohort.marker import whole_results
@@ -81,6 +82,21 @@ def test_who_fails_fails_alone_and_is_named_after_one_retry(made):
     assert [one[2] for one in rows] == ended
     assert connection.execute("SELECT how FROM runs").fetchall() == [("ended",)]
     connection.close()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names that are no UTF-8")
+def test_a_name_that_is_no_utf8_ends_its_own_participant_alone(made):
+    cohort = made(2)
+    odd = os.fsencode(cohort.source / "sub-001") + b"/M\xfcller.dcm"
+    os.symlink(b"/nowhere", odd)
+    found = run_participants(cohort, 1)
+    assert found.done == ("sub-002",)
+    assert r"M\udcfcller.dcm: a link to a file that is not there" in found.failed["sub-001"]
+    assert last_of(cohort, "sub-001").tries[-1].words == found.failed["sub-001"]
+    members = read_members(cohort.source, cohort.target, cohort.participants)
+    assert [one.state for one in members] == ["failed", "done"]
+    with pytest.raises(SubjectError, match="a name that is no UTF-8; rename the folder"):
+        Cohort(cohort.source, Path(f"{cohort.target}-M\udcfcller"), cohort.participants, cohort.order)
 
 
 def test_only_what_is_missing_or_changed_is_run(made, tmp_path):
