@@ -23,6 +23,7 @@ from spinestiff.cohort.processes import worker_environment
 from spinestiff.cohort.supervisor import run_one, run_participants
 from spinestiff.errors import InUseError, OptionError, SubjectError
 from spinestiff.files import file_digest
+from spinestiff.subject.lock import sole_run
 
 PARENT = """
 import sys
@@ -125,6 +126,20 @@ def test_what_a_run_killed_after_publishing_has_left_is_taken_away(made):
     place.task.write_text("{}", encoding="utf-8")
     assert run_participants(cohort, 1).up_to_date == ("sub-001",)
     assert sorted(path.name for path in place.target.iterdir()) == before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="locks of Unix")
+def test_what_another_run_is_at_work_in_is_left_to_it(made):
+    cohort = made(1)
+    run_participants(cohort, 1)
+    place = place_of(cohort.source, cohort.target, "sub-001")
+    place.work.mkdir()
+    place.task.write_text("{}", encoding="utf-8")
+    with sole_run(place.target):
+        assert run_one(cohort, 1).up_to_date == ("sub-001",)
+        assert place.work.exists() and place.task.exists()
+    assert run_one(cohort, 1).up_to_date == ("sub-001",)
+    assert not place.work.exists() and not place.task.exists()
 
 
 def test_who_hangs_and_who_takes_all_memory_is_ended(made):

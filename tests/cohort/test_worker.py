@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import shutil
+import stat
 
 import pytest
 
@@ -171,6 +172,22 @@ def test_a_renaming_that_fails_puts_earlier_results_back(task, monkeypatch):
     with pytest.raises(OSError, match="broken"):
         make_results(one, silent)
     assert file_digest(place.results) == before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="folders are not synchronised on Windows")
+@pytest.mark.parametrize("number", [errno.EINVAL, errno.ENOTSUP])
+def test_a_file_system_that_settles_no_folders_does_for_results(task, monkeypatch, number):
+    one, place = task
+    fsync = os.fsync
+
+    def files_alone(handle):
+        if stat.S_ISDIR(os.fstat(handle).st_mode):
+            raise OSError(number, os.strerror(number))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", files_alone)
+    assert make_results(one, silent) == "done"
+    assert names(place.target) == ["results"]
 
 
 def test_half_a_file_of_a_run_that_was_killed_is_not_published(task):

@@ -221,6 +221,9 @@ def _settle(folder: Path) -> None:
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
+    except OSError as problem:
+        if problem.errno not in (errno.EINVAL, errno.ENOTSUP):  # as some network file systems say of a folder
+            raise
     finally:
         os.close(handle)
 
