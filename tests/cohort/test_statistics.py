@@ -89,6 +89,23 @@ def test_a_kind_of_one_person_and_what_all_have_alike_are_no_covariates():
     assert "curve: thoracolumbar/lumbar against main thoracic" in names
 
 
+def test_a_kind_alone_is_told_against_the_usual_one_and_not_against_all_others():
+    """Both kinds are alike, and people of a third have four times their stiffness."""
+    kinds = ["main thoracic"] * 10 + ["none"] * 8 + ["thoracolumbar/lumbar"] * 8
+    members = people(len(kinds), age=13.0, height_cm=160.0, sex="female", cobb_deg=20.0)
+    for number, (member, kind) in enumerate(zip(members, kinds)):
+        stiffness = member.row.stiffness["tissue"]
+        value = stiffness.value * (4.0 if kind == "thoracolumbar/lumbar" else 1.0)
+        changes = {"curve": kind, "stiffness": {"tissue": stiffness.model_copy(update={"value": value})}}
+        members[number] = Member(member.participant, "done", "", member.row.model_copy(update=changes))
+    (found,) = cohort_statistics(members)
+    none, lumbar = found.alone
+    assert none.name == "curve: none against main thoracic"
+    assert none.low < 1.0 < none.high and 0.7 < none.factor < 1.4
+    assert lumbar.low < 4.0 < lumbar.high
+    assert [one.factor for one in found.alone] == pytest.approx([one.factor for one in found.together])
+
+
 def test_patients_needed_fall_with_the_difference_and_rise_with_the_spread():
     (found,) = cohort_statistics(people(30))
     assert [one.factor for one in found.needed] == [1.25, 1.5, 2.0]
