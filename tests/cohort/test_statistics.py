@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from cohort_runners import row
 from spinestiff.cohort.group import Member
@@ -51,6 +52,26 @@ def test_shrunken_values_lie_between_the_estimate_and_the_others():
         assert one.low < one.given_all < one.high
     weights = [one.weight for one in sorted(found.shrunken, key=lambda one: one.sd_log)]
     assert weights == sorted(weights, reverse=True)
+
+
+def test_95_percent_of_people_are_where_they_are_expected():
+    """Where people differ less than estimates err, too, and REML often ends at no difference at all."""
+    random = np.random.default_rng(2)
+    alike = people(30, age=13.0, height_cm=160.0, sex="female", cobb_deg=20.0)
+    inside = []
+    for _ in range(60):
+        members = []
+        for member in alike:
+            sd = float(random.uniform(0.1, 0.3))
+            value = float(np.exp(random.normal(0.0, 0.1) + random.normal(0.0, sd)))
+            stiffness = Stiffness(value=value, unit="", low=value / 2, high=value * 2, sd_log=sd)
+            row = member.row.model_copy(update={"stiffness": {"tissue": stiffness}})
+            members.append(Member(member.participant, "done", "", row))
+        (found,) = cohort_statistics(members)
+        if found.person_low is not None:
+            inside.append(np.diff(norm.cdf(np.log([found.person_low, found.person_high]) / 0.1))[0])
+    assert len(inside) > 50 and min(inside) > 0.6
+    assert 0.93 < np.mean(inside) < 0.99
 
 
 def test_who_does_not_count_is_left_out_with_the_reason():

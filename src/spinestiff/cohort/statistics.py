@@ -219,7 +219,7 @@ def _of_stiffness(name: str, members: Sequence[Member], factors: Sequence[float]
     whole = _all_together(y, sds, columns)
     together = [_effect(column.name, whole, 1 + i) for i, column in enumerate(columns)] if whole is not None else []
     mean, error = people.at([1.0])
-    reach = people.half_width * np.hypot(people.tau, error)
+    reach = people.reach([1.0])
     return StiffnessStatistics(
         name=name,
         unit=counted[0][1].unit,
