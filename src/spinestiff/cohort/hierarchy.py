@@ -67,7 +67,8 @@ class Hierarchy:
 
     def __post_init__(self) -> None:
         for name, shape in (("coefficients", (None,)), ("covariance", (None, None)), ("means", (None,)),
-                            ("sds", (None,)), ("weights", (None,)), ("taus", (None,)), ("shares", (None,))):  # fmt: skip
+                            ("sds", (None,)), ("weights", (None,)), ("taus", (None,)),
+                            ("shares", (None,))):  # fmt: skip
             object.__setattr__(self, name, read_only(name, getattr(self, name), shape, FitError))
 
     @property

@@ -111,7 +111,8 @@ class StiffnessStatistics:
     between_sd_log, between_low, between_high : standard deviation of people's logs about it, without estimation errors;
         between_high None where the estimates scatter less than their intervals say, so that it can't be told.
     person_low, person_high : where 95 % of people are expected; None likewise.
-    alone : of each covariate in a model of its own, with all of its kinds. together : in one model; empty with fewer people than that takes.
+    alone : of each covariate in a model of its own, with all of its kinds.
+    together : in one model; empty with fewer people than that takes.
     shrunken : by participant, by the model of ``together`` or, where there is none, of the mean alone.
     """
 
