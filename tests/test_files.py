@@ -120,6 +120,20 @@ def test_files_of_nested_folders_come_in_the_order_of_their_paths(inside):
         list(regular_files(inside, SubjectError, cap_bytes=4))
 
 
+@pytest.mark.skipif(os.name == "nt", reason="links of Unix")
+def test_what_systems_and_editors_leave_hidden_in_a_folder_is_passed_by(inside):
+    (inside / "c" / ".trash").mkdir(parents=True)
+    (inside / "c" / "1").write_bytes(b"1")
+    before = file_digest(inside)
+    (inside / "c" / ".DS_Store").write_bytes(b"where icons lie")
+    (inside / "c" / ".trash" / "2").write_bytes(b"2")
+    (inside / ".#a").symlink_to("somebody@host.1234")
+    (inside / ".links").symlink_to(inside)
+    assert [path.relative_to(inside).as_posix() for path in regular_files(inside, SubjectError)] == ["a", "c/1"]
+    assert file_digest(inside) == before
+    assert [path.name for path in regular_files(inside, SubjectError, but=inside / "c")] == ["a"]
+
+
 @pytest.mark.skipif(os.name == "nt", reason="pipes and links of Unix")
 def test_what_is_no_file_in_a_folder_is_refused(inside):
     (inside / "c").mkdir()

@@ -245,7 +245,7 @@ def _private(path: str, flags: int) -> int:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file's bytes; of a folder, of its files' digests in the order of their names.
+    """SHA-256 of a file's bytes; of a folder, of its files' digests in the order of their names, hidden ones aside.
 
     A folder's files aren't named anywhere: exported radiographs are named after patients.
 
@@ -327,11 +327,21 @@ def check_within(path: Path, within: Path, error: type[SpinestiffError], *, name
 
 
 def regular_files(
-    folder: Path, error: type[SpinestiffError], *, within: Path | None = None, cap_bytes: int | None = None
+    folder: Path,
+    error: type[SpinestiffError],
+    *,
+    within: Path | None = None,
+    cap_bytes: int | None = None,
+    but: Path | None = None,
 ) -> Iterator[Path]:
     """Every file of a folder and the folders in it, in the order of their paths, each checked by ``regular_file``.
 
-    Links to folders are refused, so that a link to a folder around it can't make this endless.
+    Hidden files and folders are passed by: systems and editors leave theirs (.DS_Store, .#subject.json). Links to
+    folders are refused, so that a link to a folder around it can't make this endless.
+
+    Parameters
+    ----------
+    but : what else is passed by, whatever it is.
 
     Raises
     ------
@@ -343,10 +353,12 @@ def regular_files(
     if within is not None:
         check_within(folder, within, error)
     for path in listed(folder, error):
+        if path.name.startswith(".") or path == but:
+            continue
         if path.is_dir():
             if path.is_symlink():
                 raise error(f"{path}: found a link to a folder, wanted files and folders; copy the folder here")
-            yield from regular_files(path, error, within=within, cap_bytes=cap_bytes)
+            yield from regular_files(path, error, within=within, cap_bytes=cap_bytes, but=but)
         else:
             regular_file(path, error, within=within, cap_bytes=cap_bytes)
             yield path

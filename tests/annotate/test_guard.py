@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import json
 import socket
 
 import pytest
 
-from spinestiff.loopback.guard import LARGEST_BODY, TOKEN_HEADER
+from spinestiff.loopback.guard import LARGEST_BODY, TOKEN_HEADER, Access, Guard, own_origins
 from spinestiff.loopback.serving import listening
 from unannotated import CANARY
 
@@ -69,6 +70,32 @@ def test_a_foreign_host_is_refused(served, host, path):
 def test_the_machines_own_names_are_answered(served):
     for host in ("127.0.0.1", "localhost"):
         assert served.ask("GET", "/api/session", headers={"Host": f"{host}:{served.port}"})[0] == 200
+
+
+@pytest.mark.parametrize(("port", "end"), [(80, ""), (8080, ":8080")])
+def test_a_browsers_host_and_origin_are_the_pages_own_at_every_port(port, end):
+    """As browsers write them: without the port of HTTP (RFC 6454, 6.2)."""
+
+    async def page(scope, receive, send):
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+
+    async def receive():
+        return {"type": "http.request"}
+
+    async def status(host, origin):
+        sent = []
+
+        async def send(message):
+            sent.append(message)
+
+        headers = [(b"host", host.encode()), (b"origin", origin.encode())]
+        scope = {"type": "http", "method": "GET", "path": "/", "headers": headers}
+        await Guard(page, Access("token", own_origins(port)))(scope, receive, send)
+        return sent[0]["status"]
+
+    for host in ("127.0.0.1", "localhost"):
+        assert asyncio.run(status(f"{host}{end}", f"http://{host}{end}")) == 200
+        assert asyncio.run(status(f"{host}:1", f"http://{host}:1")) == 421
 
 
 def test_a_request_with_two_hosts_or_none_is_refused(served):

@@ -279,6 +279,17 @@ def test_a_worker_that_is_about_to_end_gets_nobody_who_takes_longer(made):
     assert not gets(60.0, None, None, busy=2) and not gets(60.0, None, None, unfit="no")
 
 
+@needs_dask
+@pytest.mark.parametrize("address", ["here", "http://x", "nowhere://x:1"])
+def test_what_is_no_address_is_asked_by_no_client(made, monkeypatch, address):
+    def asked(*_, **__):
+        raise AssertionError("a client was made, which would take long to end")
+
+    monkeypatch.setattr("distributed.Client", asked)
+    with pytest.raises(OptionError, match=rf"--scheduler {address}: no Dask scheduler answers there \("):
+        run_on_cluster(made(1), address)
+
+
 def test_a_scheduler_that_does_not_answer_and_a_missing_extra_are_told_in_one_line(made, monkeypatch):
     cohort = made(1)
     if find_spec("distributed") is not None:

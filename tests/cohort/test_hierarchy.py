@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import t
 
-from spinestiff.cohort.hierarchy import group_size, hierarchy
+from spinestiff.cohort.hierarchy import LARGEST_GROUP, group_size, hierarchy
 from spinestiff.errors import FitError
 
 # BCG vaccine against tuberculosis, 13 trials (Colditz et al. 1994): log relative risks, variances, latitudes.
@@ -85,3 +85,22 @@ def test_group_sizes_are_those_of_the_tables():
     assert [group_size(d, 1.0) for d in (0.5, 0.8)] == [64, 26]
     assert [group_size(d, 1.0, paired=True) for d in (0.5, 0.8)] == [34, 15]
     assert group_size(1e-3, 1.0) is None
+
+
+def test_sizes_of_groups_end_at_the_largest():
+    """Of large groups in each 2 (1.95996 + 0.84162)^2 / d^2, from the normal distribution."""
+    for d in (0.0140, 0.0126, 0.0125, 0.0121):
+        wanted = 2.0 * (1.959964 + 0.841621) ** 2 / d**2
+        assert group_size(d, 1.0) == (pytest.approx(wanted, rel=1e-4) if wanted < LARGEST_GROUP else None)
+
+
+@pytest.mark.parametrize("d", [3.6, 5.0, 6.1, 6.7, 8.3, 9.0, 9.8, 10.7, 20.0, 60.0, 1e3])
+def test_few_pairs_have_the_power_that_draws_of_them_have(d):
+    """A mean of n differences over its scatter, drawn: the least n at which 80 % lie beyond the edge."""
+    random = np.random.default_rng(3)
+    for n in range(2, 6):
+        values = d + random.normal(size=(100_000, n))
+        statistic = np.sqrt(n) * values.mean(axis=1) / values.std(axis=1, ddof=1)
+        if np.mean(np.abs(statistic) > t.ppf(0.975, n - 1)) >= 0.8:
+            break
+    assert group_size(d, 1.0, paired=True) == n

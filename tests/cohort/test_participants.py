@@ -29,6 +29,8 @@ def test_participants_come_in_the_order_of_the_table(tmp_path):
         ("participant_id\nNUL\n", r"wanted 1 to 64 letters"),
         ("participant_id\ncohort.csv\n", r"is the name of a file of the cohort itself"),
         ("participant_id\nledger.sqlite\n", r"is the name of a file of the cohort itself"),
+        (f"participant_id\tnotes\nsub-01\t{'x' * 200_000}\n", r"row 2: no table \(field larger than field limit"),
+        (f"{'x' * 200_000}\n", r"row 1: no table \(field larger than field limit"),
     ],
 )  # fmt: skip
 def test_a_table_that_is_wrong_is_refused(tmp_path, text, words):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from cohort_runners import row
 from spinestiff.cohort.group import Member
@@ -53,6 +54,26 @@ def test_shrunken_values_lie_between_the_estimate_and_the_others():
     assert weights == sorted(weights, reverse=True)
 
 
+def test_95_percent_of_people_are_where_they_are_expected():
+    """Where people differ less than estimates err, too, and REML often ends at no difference at all."""
+    random = np.random.default_rng(2)
+    alike = people(30, age=13.0, height_cm=160.0, sex="female", cobb_deg=20.0)
+    inside = []
+    for _ in range(60):
+        members = []
+        for member in alike:
+            sd = float(random.uniform(0.1, 0.3))
+            value = float(np.exp(random.normal(0.0, 0.1) + random.normal(0.0, sd)))
+            stiffness = Stiffness(value=value, unit="", low=value / 2, high=value * 2, sd_log=sd)
+            row = member.row.model_copy(update={"stiffness": {"tissue": stiffness}})
+            members.append(Member(member.participant, "done", "", row))
+        (found,) = cohort_statistics(members)
+        if found.person_low is not None:
+            inside.append(np.diff(norm.cdf(np.log([found.person_low, found.person_high]) / 0.1))[0])
+    assert len(inside) > 50 and min(inside) > 0.6
+    assert 0.93 < np.mean(inside) < 0.99
+
+
 def test_who_does_not_count_is_left_out_with_the_reason():
     members = people(11)
     reasons = {}
@@ -87,6 +108,23 @@ def test_a_kind_of_one_person_and_what_all_have_alike_are_no_covariates():
     rows[1] = rows[1].model_copy(update={"curve": "thoracolumbar/lumbar"})
     names = [one.name for one in covariates(rows)]
     assert "curve: thoracolumbar/lumbar against main thoracic" in names
+
+
+def test_a_kind_alone_is_told_against_the_usual_one_and_not_against_all_others():
+    """Both kinds are alike, and people of a third have four times their stiffness."""
+    kinds = ["main thoracic"] * 10 + ["none"] * 8 + ["thoracolumbar/lumbar"] * 8
+    members = people(len(kinds), age=13.0, height_cm=160.0, sex="female", cobb_deg=20.0)
+    for number, (member, kind) in enumerate(zip(members, kinds)):
+        stiffness = member.row.stiffness["tissue"]
+        value = stiffness.value * (4.0 if kind == "thoracolumbar/lumbar" else 1.0)
+        changes = {"curve": kind, "stiffness": {"tissue": stiffness.model_copy(update={"value": value})}}
+        members[number] = Member(member.participant, "done", "", member.row.model_copy(update=changes))
+    (found,) = cohort_statistics(members)
+    none, lumbar = found.alone
+    assert none.name == "curve: none against main thoracic"
+    assert none.low < 1.0 < none.high and 0.7 < none.factor < 1.4
+    assert lumbar.low < 4.0 < lumbar.high
+    assert [one.factor for one in found.alone] == pytest.approx([one.factor for one in found.together])
 
 
 def test_patients_needed_fall_with_the_difference_and_rise_with_the_spread():

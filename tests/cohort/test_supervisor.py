@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from spinestiff.cohort.asked import Cohort, Limits
+from spinestiff.cohort.group import read_members
 from spinestiff.cohort.ledger import read_last
 from spinestiff.cohort.lock import cohort_lock
 from spinestiff.cohort.marker import whole_results
@@ -22,6 +23,7 @@ from spinestiff.cohort.processes import worker_environment
 from spinestiff.cohort.supervisor import run_one, run_participants
 from spinestiff.errors import InUseError, OptionError, SubjectError
 from spinestiff.files import file_digest
+from spinestiff.subject.lock import sole_run
 
 PARENT = """
 import sys
@@ -83,6 +85,21 @@ def test_who_fails_fails_alone_and_is_named_after_one_retry(made):
     connection.close()
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="names that are no UTF-8")
+def test_a_name_that_is_no_utf8_ends_its_own_participant_alone(made):
+    cohort = made(2)
+    odd = os.fsencode(cohort.source / "sub-001") + b"/M\xfcller.dcm"
+    os.symlink(b"/nowhere", odd)
+    found = run_participants(cohort, 1)
+    assert found.done == ("sub-002",)
+    assert r"M\udcfcller.dcm: a link to a file that is not there" in found.failed["sub-001"]
+    assert last_of(cohort, "sub-001").tries[-1].words == found.failed["sub-001"]
+    members = read_members(cohort.source, cohort.target, cohort.participants)
+    assert [one.state for one in members] == ["failed", "done"]
+    with pytest.raises(SubjectError, match="a name that is no UTF-8; rename the folder"):
+        Cohort(cohort.source, Path(f"{cohort.target}-M\udcfcller"), cohort.participants, cohort.order)
+
+
 def test_only_what_is_missing_or_changed_is_run(made, tmp_path):
     log = tmp_path / "count.txt"
     cohort = made(3, {"count": str(log)})
@@ -109,6 +126,20 @@ def test_what_a_run_killed_after_publishing_has_left_is_taken_away(made):
     place.task.write_text("{}", encoding="utf-8")
     assert run_participants(cohort, 1).up_to_date == ("sub-001",)
     assert sorted(path.name for path in place.target.iterdir()) == before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="locks of Unix")
+def test_what_another_run_is_at_work_in_is_left_to_it(made):
+    cohort = made(1)
+    run_participants(cohort, 1)
+    place = place_of(cohort.source, cohort.target, "sub-001")
+    place.work.mkdir()
+    place.task.write_text("{}", encoding="utf-8")
+    with sole_run(place.target):
+        assert run_one(cohort, 1).up_to_date == ("sub-001",)
+        assert place.work.exists() and place.task.exists()
+    assert run_one(cohort, 1).up_to_date == ("sub-001",)
+    assert not place.work.exists() and not place.task.exists()
 
 
 def test_who_hangs_and_who_takes_all_memory_is_ended(made):

@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import shutil
+import stat
 
 import pytest
 
@@ -49,6 +50,28 @@ def test_results_and_hidden_files_of_a_given_folder_are_no_inputs(task):
     (place.source / ".draft").write_text("x", encoding="utf-8")
     assert set(input_files(place.source)) == {"subject.json", "rest/frontal.dcm"}
     assert examine(place, one.order).state == "current"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links of Unix")
+def test_what_is_no_input_may_be_anything(task):
+    one, place = task
+    (place.source / ".#subject.json").symlink_to("somebody@host.1234")
+    (place.source / "results").symlink_to(place.source.parent)
+    assert make_results(one, silent) == "done"
+    (place.source / "results").unlink()
+    (place.source / "results").write_text("a file", encoding="utf-8")
+    shutil.rmtree(place.results)
+    assert make_results(one, silent) == "done"
+
+
+def test_a_look_at_results_by_a_file_manager_damages_none(task):
+    one, place = task
+    make_results(one, silent)
+    (place.results / ".DS_Store").write_text("where icons lie", encoding="utf-8")
+    assert make_results(one, silent) == "up to date"
+    (place.source / "subject.json").write_text('{"number": 5, "trouble": ""}', encoding="utf-8")
+    assert make_results(one, silent) == "done"
+    assert not (place.results / ".DS_Store").exists()
 
 
 def edit(place):
@@ -149,6 +172,22 @@ def test_a_renaming_that_fails_puts_earlier_results_back(task, monkeypatch):
     with pytest.raises(OSError, match="broken"):
         make_results(one, silent)
     assert file_digest(place.results) == before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="folders are not synchronised on Windows")
+@pytest.mark.parametrize("number", [errno.EINVAL, errno.ENOTSUP])
+def test_a_file_system_that_settles_no_folders_does_for_results(task, monkeypatch, number):
+    one, place = task
+    fsync = os.fsync
+
+    def files_alone(handle):
+        if stat.S_ISDIR(os.fstat(handle).st_mode):
+            raise OSError(number, os.strerror(number))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", files_alone)
+    assert make_results(one, silent) == "done"
+    assert names(place.target) == ["results"]
 
 
 def test_half_a_file_of_a_run_that_was_killed_is_not_published(task):

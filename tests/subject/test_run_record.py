@@ -96,6 +96,17 @@ def test_a_step_is_current_until_something_changes(bare):
         step_record(bare, ["a.dcm"], settings)
 
 
+def test_a_look_at_a_folder_by_a_file_manager_changes_no_step(bare):
+    frames, output = bare.folder / "frames", bare.results / "tracked.json"
+    frames.mkdir()
+    (frames / "1.dcm").write_bytes(b"one")
+    write_json(output, {})
+    record_step(bare, "track", step_record(bare, ["frames"], {}), [output])
+    (frames / ".DS_Store").write_bytes(b"where icons lie")
+    assert is_current(bare, "track", step_record(bare, ["frames"], {}))
+    assert is_unchanged(bare, "track")
+
+
 def test_a_step_is_unchanged_while_its_inputs_and_outputs_are(bare):
     output = bare.results / "estimate.json"
     for spoil in (output, bare.folder / "a.dcm"):

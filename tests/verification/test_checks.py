@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from spinestiff.anatomy.points import rotation_second_derivative
-from spinestiff.mechanics import joints, potential, tissue
+from spinestiff.mechanics import factor, joints, potential, tissue
 from spinestiff.verification import checks, derivatives, energies, solutions, solving, whole
 from spinestiff.verification.outcome import GOLD, INDEPENDENT, Check, compared, counted, judged, summary, vanishing
 
@@ -161,6 +162,23 @@ def test_checks_catch_a_force_without_the_volume_part(monkeypatch):
     monkeypatch.setattr(tissue, "element_gradients", wrong)
     assert _failed(energies.tissue_derivatives)
     assert _failed(solutions.hybrid)
+
+
+def test_checks_catch_what_is_no_number(monkeypatch):
+    class Blind(factor.Analysis):
+        def factor(self, values):
+            found = super().factor(values)
+            return SimpleNamespace(
+                solve=lambda right: np.full(right.shape, np.nan), positive_definite=found.positive_definite
+            )
+
+    monkeypatch.setattr(solving, "Analysis", Blind)
+    assert "C7 sparse solvers: solutions against dense algebra" in _failed(solving.solvers)
+    real = potential.Potential.hessian
+    monkeypatch.setattr(potential.Potential, "hessian", lambda self, *a: np.nan * real(self, *a))
+    for group in (energies.tissue_derivatives, energies.sweep):
+        wanted = [one.name for one in checks.run_checks(groups=(group,)) if "A2 Hessian" in one.name]
+        assert wanted and set(wanted) <= set(_failed(group))
 
 
 def test_checks_catch_a_sensitivity_of_the_wrong_sign(monkeypatch):

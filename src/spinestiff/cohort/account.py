@@ -6,12 +6,15 @@ the ledger, where the run has one, and in the participant's ``last.json``.
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 from spinestiff.cohort.asked import Cohort, News, OnNews, Summary
 from spinestiff.cohort.ledger import Ledger, Try, write_last
 from spinestiff.cohort.marker import examine
 from spinestiff.cohort.places import place_of, sweep
 from spinestiff.cohort.worker import tidy
-from spinestiff.errors import SubjectError
+from spinestiff.errors import InUseError, SubjectError
+from spinestiff.subject.lock import sole_run
 
 MOST_TRIES = 2
 """Of a participant in one run; a refusal of its inputs is not tried again, since they stay the same."""
@@ -38,7 +41,9 @@ class Account:
             found = examine(place, self._cohort.order)
             if found.state == "current":
                 self._current.append(participant)
-                tidy(place)
+                # Another run, asked for something else, may be at work in what would be taken away.
+                with suppress(InUseError), sole_run(place.target):
+                    tidy(place)
             else:
                 waiting.append(participant)
             self._say(News(participant, "up to date" if found.state == "current" else "waiting", found.words))

@@ -10,6 +10,7 @@ from typing import Literal
 from spinestiff.cohort.marker import Order
 from spinestiff.cohort.worker import Task
 from spinestiff.errors import OptionError, SubjectError
+from spinestiff.formats import encodable
 
 STATM = Path("/proc/self/statm")
 """There where the system tells how much memory a process takes."""
@@ -78,6 +79,10 @@ class Cohort:
         inside = self.target.resolve().is_relative_to(self.source.resolve())
         if inside or self.source.resolve().is_relative_to(self.target.resolve()):
             raise SubjectError(f"{self.target}: lies in {self.source}, or around it; wanted two folders apart")
+        for folder in (self.source, self.target):
+            # Both are told to processes and to workers as JSON.
+            if encodable(str(folder)) != str(folder):
+                raise SubjectError(f"{folder}: a name that is no UTF-8; rename the folder")
 
     def task(self, participant: str) -> Task:
         """What is asked for one of them."""

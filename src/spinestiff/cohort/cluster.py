@@ -116,10 +116,13 @@ def _connected(scheduler: str) -> Iterator[Any]:
     """A client of the scheduler; what goes wrong with the connection is told by this module alone."""
     try:
         import distributed
+        from distributed.comm import resolve_address
     except ImportError:
         raise OptionError(NO_DASK) from None
     with _hushed():
         try:
+            # A client of what is no address takes 40 s to end, and says so.
+            resolve_address(scheduler)
             client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as problem:
             words = " ".join(str(problem).split())[:160]

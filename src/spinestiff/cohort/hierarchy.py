@@ -14,7 +14,8 @@ latter the less the estimate tells:
 
     m_i = x_i' b + w_i (y_i - x_i' b),   w_i = tau^2 / (tau^2 + s_i^2),   var = w_i s_i^2 + (1 - w_i)^2 x_i' Cov(b) x_i,
 
-averaged over tau by its restricted likelihood, so that its uncertainty widens the intervals.
+averaged over tau by its restricted likelihood, so that its uncertainty widens the intervals. So is where further people
+are expected: with tau at its most likely alone, that range would be far too narrow wherever it happens to be near 0.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq, minimize_scalar
-from scipy.stats import chi2, nct, t
+from scipy.stats import chi2, ncf, norm, t
 
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import FitError
@@ -49,6 +50,7 @@ class Hierarchy:
         None where estimates scatter less than their errors let expect, so that tau can't be told.
     degrees : n - p.
     means : (n,) m_i. sds : (n,) of m_i about person i's own. weights : (n,) w_i; these three averaged over tau.
+    taus, shares : (m,) tau and its restricted likelihood, which sums to 1.
     """
 
     coefficients: Floats
@@ -60,10 +62,13 @@ class Hierarchy:
     means: Floats
     sds: Floats
     weights: Floats
+    taus: Floats
+    shares: Floats
 
     def __post_init__(self) -> None:
         for name, shape in (("coefficients", (None,)), ("covariance", (None, None)), ("means", (None,)),
-                            ("sds", (None,)), ("weights", (None,))):  # fmt: skip
+                            ("sds", (None,)), ("weights", (None,)), ("taus", (None,)),
+                            ("shares", (None,))):  # fmt: skip
             object.__setattr__(self, name, read_only(name, getattr(self, name), shape, FitError))
 
     @property
@@ -75,6 +80,12 @@ class Hierarchy:
         """What people with these covariates have on average, and its standard error."""
         x = np.asarray(row, dtype=float)
         return float(x @ self.coefficients), float(np.sqrt(x @ self.covariance @ x))
+
+    def reach(self, row: ArrayLike) -> float:
+        """Half the width of the range in which 95 % of people with these covariates are expected."""
+        sds = np.hypot(self.taus, self.at(row)[1])
+        found = brentq(lambda one: float(self.shares @ norm.sf(one / sds)) - 0.025, 0.0, 10.0 * float(sds.max()))
+        return float(found)
 
     def p_value(self, column: int) -> float:
         """Of a coefficient as far from 0, two-sided."""
@@ -133,7 +144,8 @@ def hierarchy(y: ArrayLike, sds: ArrayLike, design: ArrayLike | None = None) -> 
         mean = x @ at + weight * (y - x @ at)
         variance = weight * sds**2 + (1.0 - weight) ** 2 * np.einsum("ij,jk,ik->i", x, inverse, x)
         means, squares, own = means + share * mean, squares + share * (variance + mean**2), own + share * weight
-    return Hierarchy(b, covariance, tau, low or 0.0, high, n - p, means, np.sqrt(squares - means**2), own)
+    sds_given_all = np.sqrt(squares - means**2)
+    return Hierarchy(b, covariance, tau, low or 0.0, high, n - p, means, sds_given_all, own, taus, likely)
 
 
 def _least(function: Callable[[float], float], scale: float) -> float:
@@ -170,8 +182,8 @@ def group_size(
     def shown(count: int) -> float:
         degrees = count - 1 if paired else 2 * (count - 1)
         shift = abs(difference) / sd * np.sqrt(count if paired else 0.5 * count)
-        edge = t.ppf(1.0 - 0.5 * level, degrees)
-        return float(nct.sf(edge, degrees, shift) + nct.cdf(-edge, degrees, shift))
+        # Of t squared, both tails at once: SciPy's non-central t has NaN for the far one.
+        return float(ncf.sf(t.ppf(1.0 - 0.5 * level, degrees) ** 2, 1, degrees, shift**2))
 
     low, high = 1, 2
     while shown(high) < power:
@@ -181,4 +193,4 @@ def group_size(
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if shown(middle) >= power else (middle, high)
-    return high
+    return high if high <= LARGEST_GROUP else None

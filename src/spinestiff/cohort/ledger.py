@@ -15,14 +15,15 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import ValidationError
+from pydantic import AfterValidator, ValidationError
 
 from spinestiff.cohort.marker import CohortRecord, Order
 from spinestiff.cohort.places import LEDGER_FILE
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_text, write_json
-from spinestiff.formats import parse_json
+from spinestiff.formats import encodable, parse_json
 
 LEDGER_VERSION = 1
 _TABLES = """
@@ -46,7 +47,7 @@ class Try(CohortRecord):
     ----------
     run : of the cohort, that it belongs to. number : from 1.
     started : UTC. seconds : wall clock. cpu_seconds, peak_mb : as the process tells itself; None where it could not.
-    ended : "done", or why not. words : one line.
+    ended : "done", or why not. words : one line; what is no UTF-8 in the name of a file stands there by its code.
     """
 
     run: str
@@ -57,7 +58,7 @@ class Try(CohortRecord):
     cpu_seconds: float | None = None
     peak_mb: float | None = None
     ended: str
-    words: str = ""
+    words: Annotated[str, AfterValidator(encodable)] = ""
     host: str
 
 

@@ -5,11 +5,16 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from spinestiff.errors import SubjectError
 from spinestiff.files import LARGEST_JSON, read_text
 from spinestiff.words import counted
+
+if TYPE_CHECKING:
+    from _csv import Reader
 
 PARTICIPANTS_FILE = "participants.tsv"
 COLUMN = "participant_id"
@@ -33,7 +38,7 @@ def read_participants(folder: Path) -> tuple[str, ...]:
     if not folder.is_dir():
         raise SubjectError(f"{folder}: no such folder; wanted one with {PARTICIPANTS_FILE} and a folder a subject")
     reader = csv.reader(io.StringIO(read_text(path, LARGEST_JSON), newline=""), delimiter="\t", quoting=csv.QUOTE_NONE)
-    header = [column.strip() for column in next(reader, [])]
+    header = [column.strip() for column in next(_rows(reader, path), [])]
     if header.count(COLUMN) != 1:
         shown = "".join(c if c.isprintable() else "?" for c in ", ".join(header)[:MOST_SHOWN])
         raise SubjectError(
@@ -41,7 +46,7 @@ def read_participants(folder: Path) -> tuple[str, ...]:
         )
     names: list[str] = []
     rows: dict[str, int] = {}
-    for row in reader:
+    for row in _rows(reader, path):
         if not any(field.strip() for field in row):
             continue
         where = f"{path}: row {reader.line_num}"
@@ -56,6 +61,13 @@ def read_participants(folder: Path) -> tuple[str, ...]:
     if not names:
         raise SubjectError(f"{path}: names nobody; wanted a row a participant")
     return tuple(names)
+
+
+def _rows(reader: Reader, path: Path) -> Iterator[list[str]]:
+    try:
+        yield from reader
+    except csv.Error as error:
+        raise SubjectError(f"{path}: row {reader.line_num}: no table ({error}); separate columns by tabs") from None
 
 
 def _check_name(where: str, name: str) -> None:

@@ -93,12 +93,8 @@ def input_files(folder: Path) -> dict[str, Path]:
     """
     if not folder.is_dir():
         raise SubjectError(f"{folder}: no such folder; wanted the subject folder of this participant")
-    return {
-        name: path
-        for path in regular_files(folder, SubjectError, within=folder)
-        for name in (path.relative_to(folder).as_posix(),)
-        if not name.startswith(f"{RESULTS}/") and not any(part.startswith(".") for part in name.split("/"))
-    }
+    found = regular_files(folder, SubjectError, within=folder, but=folder / RESULTS)
+    return {path.relative_to(folder).as_posix(): path for path in found}
 
 
 def digests_of(files: dict[str, Path]) -> dict[str, str]:

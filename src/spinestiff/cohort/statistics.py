@@ -111,7 +111,8 @@ class StiffnessStatistics:
     between_sd_log, between_low, between_high : standard deviation of people's logs about it, without estimation errors;
         between_high None where the estimates scatter less than their intervals say, so that it can't be told.
     person_low, person_high : where 95 % of people are expected; None likewise.
-    alone : of each covariate in a model of its own. together : in one model; empty with fewer people than that takes.
+    alone : of each covariate in a model of its own, with all of its kinds.
+    together : in one model; empty with fewer people than that takes.
     shrunken : by participant, by the model of ``together`` or, where there is none, of the mean alone.
     """
 
@@ -213,11 +214,13 @@ def _of_stiffness(name: str, members: Sequence[Member], factors: Sequence[float]
     columns = covariates(rows)
     alone = []
     for column in columns:
-        alone.append(_effect(column.name, hierarchy(y, sds, design_of([column], len(y))), 1))
+        # Kinds of one covariate together: each is told against the usual kind, not against all other people.
+        own = [one for one in columns if one.key == column.key]
+        alone.append(_effect(column.name, hierarchy(y, sds, design_of(own, len(y))), 1 + own.index(column)))
     whole = _all_together(y, sds, columns)
     together = [_effect(column.name, whole, 1 + i) for i, column in enumerate(columns)] if whole is not None else []
     mean, error = people.at([1.0])
-    reach = people.half_width * np.hypot(people.tau, error)
+    reach = people.reach([1.0])
     return StiffnessStatistics(
         name=name,
         unit=counted[0][1].unit,

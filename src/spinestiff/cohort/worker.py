@@ -149,7 +149,7 @@ def _copy_inputs(place: Place, task: Task, marker: Marker | None) -> None:
     if kept.is_dir() and not kept.is_symlink():
         kept.rename(start)
     elif marker is not None and marker.order == task.order:
-        shutil.copytree(place.results, start)
+        shutil.copytree(place.results, start, ignore=shutil.ignore_patterns(".*"))
         (start / DONE_FILE).unlink()
     if place.work.is_symlink() or place.work.is_file():
         place.work.unlink()
@@ -221,6 +221,9 @@ def _settle(folder: Path) -> None:
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
+    except OSError as problem:
+        if problem.errno not in (errno.EINVAL, errno.ENOTSUP):  # as some network file systems say of a folder
+            raise
     finally:
         os.close(handle)
 

@@ -69,8 +69,9 @@ class Access:
 
 
 def own_origins(port: int) -> dict[str, str]:
-    """The origins of a page on this machine, by Host."""
-    return {host: f"http://{host}" for host in (f"127.0.0.1:{port}", f"localhost:{port}")}
+    """The origins of a page on this machine, by Host. Browsers leave the port out where it is that of HTTP."""
+    end = "" if port == 80 else f":{port}"
+    return {f"{host}{end}": f"http://{host}{end}" for host in ("127.0.0.1", "localhost")}
 
 
 class Guard:

@@ -99,8 +99,8 @@ def _against_oracle(
     turning[:bones].reshape(-1, 6)[:, 3:] = True
     turning = turning[which]
     parts = [(gradient[rows], reference[rows]) for rows in (turning, ~turning)]
-    errors = [np.abs(g - r).max() / np.abs(r).max() for g, r in parts if np.abs(r).max(initial=0.0) > 0.0]
-    yield judged(f"A1 gradient: {name}", max(errors) if len(errors) > 0 else np.inf, GRADIENT_TOLERANCE)
+    errors = [np.abs(g - r).max() / np.abs(r).max() for g, r in parts if np.abs(r).max(initial=0.0) != 0.0]
+    yield judged(f"A1 gradient: {name}", np.max(errors) if len(errors) > 0 else np.inf, GRADIENT_TOLERANCE)
     hessian = dense(potential, potential.hessian(state, stiffness, terms))
     worst = 0.0
     for _ in range(directions):
@@ -110,7 +110,9 @@ def _against_oracle(
         found = (hessian @ direction)[which]
         for rows in (turning, ~turning):
             size = np.abs(wanted[rows]).max(initial=0.0)
-            worst = max(worst, float(np.abs(found - wanted)[rows].max(initial=0.0)) / size if size > 0.0 else worst)
+            error = float(np.abs(found - wanted)[rows].max(initial=0.0)) / size if size > 0.0 else 0.0
+            # Not Python's max, which passes NaN by.
+            worst = float(np.maximum(worst, error))
         worst = worst if np.abs(wanted).max() > 0.0 else np.inf
     yield judged(f"A2 Hessian: {name}", worst, HESSIAN_TOLERANCE)
 
@@ -257,7 +259,8 @@ def _worst_of_state(
             size = float(np.linalg.norm(found * along))
             error = abs(float(found @ along) - wanted)
             # A dead force has no curvature in shifts: there both are nought.
-            worst[i] = max(worst[i], error / size if size > 0.0 else (np.inf if wanted else 0.0))
+            share = error / size if size > 0.0 else (np.inf if wanted else error)
+            worst[i] = float(np.maximum(worst[i], share))
     return worst[0], worst[1]
 
 

@@ -53,7 +53,7 @@ def newton() -> Iterator[Check]:
         yield judged(f"C2 Newton: residual over the load, by the second energy, {nodes} nodes", left / load.size, 1e-10)
         starts = [astray(torso, seed) for seed in range(5)]
         ends = [problem.solve(load, ratios, start=s, tolerance=fine) for s in starts]
-        far = max(float(np.abs(places_of(e.state) - places_of(found.state)).max()) for e in ends)
+        far = float(np.max([np.abs(places_of(e.state) - places_of(found.state)).max() for e in ends]))
         moved = float(np.abs(places_of(found.state) - places_of(torso.rest_pose)).max())
         # A start that is refused, or one at the answer, would prove nothing.
         ok = all(e.converged and e.history[0].smallest_j > 0.0 and e.history[0].residual > 1.0 for e in ends)
@@ -231,7 +231,7 @@ def solvers() -> Iterator[Check]:
             error = (
                 np.abs(factor.solve(rhs) - np.linalg.solve(full, rhs)).max() / np.abs(np.linalg.solve(full, rhs)).max()
             )
-            worst = max(worst, float(error))
+            worst = float(np.maximum(worst, error))
             wrong += factor.positive_definite != definite
             trials += 1
     mixed = 0 < indefinite < 12
