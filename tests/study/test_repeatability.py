@@ -157,7 +157,9 @@ def test_a_change_is_told_in_words() -> None:
         "a-0 to a-2: no change shown" in line and "less than a factor of 1.74 would not" in line for line in lines
     )
     softer = repeatability([visit("a", 0, bending=0.25), visit("a", 1, bending=0.1)])
-    assert "changed, softer by a factor of 2.50" in repeatability_lines(softer)[-1]
+    assert "changed, softer by a factor of 2.50 (1.4 to 4.4)" in repeatability_lines(softer)[-1]
+    disagreeing = repeatability(softer.visits, "annotators")
+    assert repeatability_lines(disagreeing)[-1].endswith("annotation explains, a factor of 2.50 (1.4 to 4.4)")
 
 
 def test_what_is_not_known_has_not_changed_and_does_not_scatter() -> None:
@@ -169,6 +171,10 @@ def test_what_is_not_known_has_not_changed_and_does_not_scatter() -> None:
     alone = repeatability(seen[:2])
     assert not alone.scatter
     assert "can't be told" in repeatability_lines(alone)[-1]
+    (axes,) = draw_repeatability(alone).axes
+    assert axes.get_ylabel() == "ratio, bending"
+    # A bar of the one that is known, a mark of each.
+    assert [len(line.get_xdata()) for line in axes.lines] == [2, 1, 1]
 
 
 def test_scatter_is_judged_by_what_each_person_tells() -> None:
