@@ -79,6 +79,13 @@ def test_number(value, text):
 
 
 @pytest.mark.parametrize(
+    ("value", "text"), [(9.96, "10"), (0.0996, "0.10"), (0.0994, "0.099"), (99.7, "100"), (-0.996, "−1.0")]
+)
+def test_a_number_that_is_rounded_up_to_a_power_of_ten_has_no_digit_more(value, text):
+    assert number(value, 2) == text
+
+
+@pytest.mark.parametrize(
     ("found", "short", "words"),
     [
         (quantity(3.8, 3.0, 4.8), "3.8", "3.8 kPa, between 3.0 and 4.8 kPa (95 %)"),

@@ -44,7 +44,8 @@ def number(value: float | None, digits: int = 3) -> str:
         return MISSING
     if value == 0.0:
         return "0"
-    decimals = digits - 1 - math.floor(math.log10(abs(value)))
+    # Of the rounded number: 9.96 with two digits is 10.
+    decimals = digits - 1 - int(f"{value:.{digits - 1}e}".partition("e")[2])
     return f"{round(value, decimals):.{max(decimals, 0)}f}".replace("-", "−")
 
 
