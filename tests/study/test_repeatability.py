@@ -236,6 +236,11 @@ def test_labels_tell_visits_of_one_name_apart() -> None:
     assert [one.label for one in repeatability([first, second]).visits] == ["january/anna", "march/anna"]
 
 
+def test_a_name_with_dollars_is_no_formula() -> None:
+    visits = [replace(visit("a", i, bending=0.1), label=f"/data/{when}$_$") for i, when in enumerate(("may", "june"))]
+    assert as_png(draw_repeatability(repeatability(visits)))
+
+
 def test_visits_that_can_not_be_compared_are_refused() -> None:
     with pytest.raises(SubjectError, match="needs two or more of one"):
         repeatability([visit("a", 0, bending=0.1), visit("b", 0, bending=0.1)])
