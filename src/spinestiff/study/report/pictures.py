@@ -125,9 +125,11 @@ def curve_changes(predictions: Predictions) -> list[CurveChange]:
     return changes
 
 
-def curve_picture(predictions: Predictions) -> Drawn:
-    """Change of the Cobb angle against force."""
-    changes = curve_changes(predictions)
+def curve_picture(predictions: Predictions) -> Drawn | None:
+    """Change of the Cobb angle against force, of the pushes that show one; None where none does."""
+    changes = [change for change in curve_changes(predictions) if change.measured]
+    if not changes:
+        return None
     words = [
         f"push {c.push}: measured {rows[-1, 1]:+.1f} ± {rows[-1, 2]:.1f} degrees at {rows[-1, 0]:.0f} N"
         for c in changes
