@@ -453,10 +453,15 @@ def flexibility(found: Flexibility) -> str:
 
 
 def changed(found: AngleResponse) -> str:
-    """What the push did to the curve, e.g. "25.0° without force, 8.5° ± 0.9° less under it"."""
-    which = "less" if found.change_deg * found.rest_deg < 0.0 else "more"
-    error = fixed(HALF_WIDTH_95 * found.change_sd_deg)
-    return f"{fixed(abs(found.rest_deg))}° without force, {fixed(abs(found.change_deg))}° ± {error}° {which} under it"
+    """What the push did to the curve, e.g. "25.0° without force, 8.5° ± 0.9° less under it"; of one that it turns over,
+    what is there then."""
+    less = found.change_deg * found.rest_deg < 0.0
+    pushed, error = found.rest_deg + found.change_deg, fixed(HALF_WIDTH_95 * found.change_sd_deg)
+    past = f", past straight to {fixed(abs(pushed))}° the other way" if less and pushed * found.rest_deg < 0.0 else ""
+    return (
+        f"{fixed(abs(found.rest_deg))}° without force, {fixed(abs(found.change_deg))}° ± {error}° "
+        f"{'less' if less else 'more'} under it{past}"
+    )
 
 
 def _levels(found: AngleResponse) -> str:
