@@ -206,7 +206,7 @@ def draw_ratio_map(ratios: RatioMap) -> Figure:
         whole.plot(*ratios.path.T, color="#444444", linewidth=1.2, marker=".", markersize=6, label="accepted steps")
         whole.plot(1.0, 1.0, marker="s", markersize=7, color=DEFAULT, linestyle="none", label="default (1, 1)")
         whole.set_title("Steps of the fit", fontsize=11)
-        near.set_title("95 % joint region", fontsize=11)
+        near.set_title("95 % joint region" if len(ratios.region) else "The estimate", fontsize=11)
         points = [ratios.estimate[None], *([ratios.region] if len(ratios.region) else [])]
         points += [] if ratios.truth is None else [ratios.truth[None]]
         _zoom(near, np.vstack(points), ratios.bounds)

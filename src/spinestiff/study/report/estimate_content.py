@@ -205,6 +205,7 @@ def certainty_content(estimate: Estimate, comparison: Comparison | None) -> dict
     contains = None if comparison is None else comparison.inside
     return {
         "correlation": fixed(estimate.correlation, 2),
+        "region": bool(estimate.region),
         "steps": sum(step.accepted for step in estimate.history),
         "evaluations": len(estimate.history),
         "truth": "" if contains is None else "holds" if contains else "does not hold",
