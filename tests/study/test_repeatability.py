@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
@@ -67,6 +68,13 @@ def test_scatter_that_is_not_as_expected_is_told() -> None:
     assert not any("scatter" in line for line in repeatability_lines(as_told))
     assert any("scatter more than their own errors let expect" in line for line in repeatability_lines(more))
     assert any("scatter less than their own errors let expect" in line for line in repeatability_lines(less))
+
+
+def test_no_scatter_has_a_probability_of_nothing() -> None:
+    found = repeatability([visit("a", 0, 0.02, bending=0.1), visit("a", 1, 0.02, bending=0.2)])
+    # A log ratio of 0.69 is 24.5 standard deviations of 0.02 √2.
+    assert found.scatter["bending"].p_value == pytest.approx(2.0 * norm.sf(np.log(2.0) / 0.02 / np.sqrt(2.0)) * 2.0)
+    assert "(p 0)" not in " ".join(repeatability_lines(found))
 
 
 def test_an_unchanged_person_is_told_to_have_changed_in_one_of_twenty() -> None:
