@@ -139,12 +139,15 @@ def force_and_curve(visit: Visit) -> Figure:
 
     Raises
     ------
-    SubjectError : the visit has not been assessed.
+    SubjectError : the visit has not been assessed, or no push shows a change.
     """
     from spinestiff.study.report.pictures import curve_picture
     from spinestiff.study.steps import stored_predictions
 
-    return curve_picture(stored_predictions(visit))[1]
+    drawn = curve_picture(stored_predictions(visit))
+    if drawn is None:
+        raise SubjectError("no push shows vertebrae in two frames, between which the curve could change")
+    return drawn[1]
 
 
 def tilt_by_level(visit: Visit) -> Figure:

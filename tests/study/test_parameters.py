@@ -233,6 +233,15 @@ def test_what_is_known_of_lambda_is_told() -> None:
         assert any(words in line for line in parameter_lines(study(two, score(THREE, 1.0, 100.0), sd)))
 
 
+def test_what_is_left_for_ribs_and_girdle_is_rounded_as_the_shares_are() -> None:
+    two = score(("lateral_bending", "tissue"), 1.0, 100.0)
+    for share, left in ((0.167, "0 %"), (0.18, "−8 %")):
+        found = study(two, two)
+        effects = [effect.model_copy(update={"share": share}) for effect in found.effects]
+        lines = parameter_lines(found.model_copy(update={"effects": effects}))
+        assert any(f"the remaining {left} are ribs" in line for line in lines)
+
+
 def test_rows_are_in_the_papers_order_with_what_is_missing_said() -> None:
     rows = gradient_rows(study(score(THREE, 1.0, 1.0), score(THREE, 1.0, 1.0)))
     assert [row[0] for row in rows] == [TITLES[name] for name in TABLE_3]

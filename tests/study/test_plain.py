@@ -96,5 +96,11 @@ def test_of_several_ratios_the_interval_is_to_first_order(torso):
     assert (lumbar.low, lumbar.high) == pytest.approx((lumbar.value / factor, lumbar.value * factor))
     assert lumbar.ratio is None
     assert found["lateral_bending_thoracic"].ratio == "lateral_bending"
+    # Whatever is known of a ratio that scales none of it.
+    shear = {**estimates, "lateral_shear": estimate(1.0, 0.01, 90.0)}
+    wide = np.full((3, 3), np.inf)
+    wide[:2, :2] = covariance
+    beside = plain_stiffness(torso, torso_ratios(torso, {n: one.value for n, one in shear.items()}), shear, wide)
+    assert beside["lateral_bending_lumbar"] == lumbar
     unknown = plain_stiffness(torso, ratios, estimates, np.full((2, 2), np.inf))["lateral_bending_lumbar"]
     assert (unknown.low, unknown.high) == (None, None)

@@ -9,19 +9,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.estimation.evaluation import TrialSet
 from spinestiff.files import read_json, write_json
 from spinestiff.imaging.features import view_kind
+from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
+from spinestiff.mechanics.push import Rig
 from spinestiff.mechanics.sensitivity import Linearisation
 from spinestiff.study.planning import proposal, states, widths
 from spinestiff.study.planning.proposal import make_plan
-from spinestiff.study.planning.scene import places_of_draws, population_places, read_draws, scene_of
+from spinestiff.study.planning.scene import Scene, places_of_draws, population_places, read_draws, scene_of
 from spinestiff.study.planning.wish import Frame, Wish
 from spinestiff.study.planning.words import now_of, pays, plan_lines, size_of
 from spinestiff.study.report.protocol import protocol_page
 from spinestiff.study.runner import run_steps
+from spinestiff.study.trials import Known
 from spinestiff.study.visit import Settings, open_visit
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.run_record import read_outcome
@@ -53,6 +57,20 @@ def test_single_pushes_come_best_first_and_all_of_them_narrow(plan) -> None:
         assert push.radiographs == (2 if push.view == "frontal" else 4)
         same = [one for one in plan.next if one.expected_factor == push.expected_factor]
         assert [one.radiographs for one in same] == sorted(one.radiographs for one in same)
+
+
+def test_what_a_tape_brings_before_any_push_is_told_of_the_push_that_is_called_best() -> None:
+    """The narrowest single push takes lateral radiographs, too; the first step of the sequence doesn't."""
+    torso = template_torso(157.0, "coarse")
+    middle = torso.rest_pose.bone_positions[torso.vertebra_bones][[0, -1]].mean(0) * [0.0, 1.0, 0.0]
+    known = Known(geometry=1e-4 * np.eye(6 * len(torso.vertebrae)))
+    seen, names = torso.vertebrae[2:16], ("lateral_bending", "tissue")
+    scene = Scene(torso, known, Rig(), frontal_view(centre=middle), seen, names, population_places()[:1])
+    wish = Wish(limit_n=40.0, exposures=6, sides=("left",), ribs=(8.0,))
+    both, alone = make_plan(scene, wish), make_plan(scene, replace(wish, views=("frontal",)))
+    assert (both.next[0].view, both.sequence[0].push.view) == ("frontal+lateral", "frontal")
+    assert both.sequence[0].push.expected_factor == alone.sequence[0].push.expected_factor
+    assert both.taped == alone.taped
 
 
 def test_a_plan_holds_a_tangent_a_thread_and_is_that_of_all_at_once(scene, monkeypatch) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_json, write_json
@@ -67,6 +68,13 @@ def test_scatter_that_is_not_as_expected_is_told() -> None:
     assert not any("scatter" in line for line in repeatability_lines(as_told))
     assert any("scatter more than their own errors let expect" in line for line in repeatability_lines(more))
     assert any("scatter less than their own errors let expect" in line for line in repeatability_lines(less))
+
+
+def test_no_scatter_has_a_probability_of_nothing() -> None:
+    found = repeatability([visit("a", 0, 0.02, bending=0.1), visit("a", 1, 0.02, bending=0.2)])
+    # A log ratio of 0.69 is 24.5 standard deviations of 0.02 √2.
+    assert found.scatter["bending"].p_value == pytest.approx(2.0 * norm.sf(np.log(2.0) / 0.02 / np.sqrt(2.0)) * 2.0)
+    assert "(p 0)" not in " ".join(repeatability_lines(found))
 
 
 def test_an_unchanged_person_is_told_to_have_changed_in_one_of_twenty() -> None:
@@ -157,7 +165,9 @@ def test_a_change_is_told_in_words() -> None:
         "a-0 to a-2: no change shown" in line and "less than a factor of 1.74 would not" in line for line in lines
     )
     softer = repeatability([visit("a", 0, bending=0.25), visit("a", 1, bending=0.1)])
-    assert "changed, softer by a factor of 2.50" in repeatability_lines(softer)[-1]
+    assert "changed, softer by a factor of 2.50 (1.4 to 4.4)" in repeatability_lines(softer)[-1]
+    disagreeing = repeatability(softer.visits, "annotators")
+    assert repeatability_lines(disagreeing)[-1].endswith("annotation explains, a factor of 2.50 (1.4 to 4.4)")
 
 
 def test_what_is_not_known_has_not_changed_and_does_not_scatter() -> None:
@@ -169,6 +179,10 @@ def test_what_is_not_known_has_not_changed_and_does_not_scatter() -> None:
     alone = repeatability(seen[:2])
     assert not alone.scatter
     assert "can't be told" in repeatability_lines(alone)[-1]
+    (axes,) = draw_repeatability(alone).axes
+    assert axes.get_ylabel() == "ratio, bending"
+    # A bar of the one that is known, a mark of each.
+    assert [len(line.get_xdata()) for line in axes.lines] == [2, 1, 1]
 
 
 def test_scatter_is_judged_by_what_each_person_tells() -> None:
@@ -228,6 +242,11 @@ def test_settings_that_differ_are_refused() -> None:
 def test_labels_tell_visits_of_one_name_apart() -> None:
     first, second = (replace(visit("a", 0, bending=0.1), label=f"/data/{when}/anna") for when in ("january", "march"))
     assert [one.label for one in repeatability([first, second]).visits] == ["january/anna", "march/anna"]
+
+
+def test_a_name_with_dollars_is_no_formula() -> None:
+    visits = [replace(visit("a", i, bending=0.1), label=f"/data/{when}$_$") for i, when in enumerate(("may", "june"))]
+    assert as_png(draw_repeatability(repeatability(visits)))
 
 
 def test_visits_that_can_not_be_compared_are_refused() -> None:

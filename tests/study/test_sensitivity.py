@@ -430,6 +430,18 @@ def test_the_estimates_own_interval_stands_beside() -> None:
     assert sensitivity_lines(found) == [
         "for comparison, the estimate's own 95 % interval about its value: lateral_bending −50 % to +150 %"
     ]
+    bounded = found.model_copy(update={"open_ends": {"lateral_bending": (True, False)}})
+    assert sensitivity_lines(bounded)[0].endswith(": lateral_bending ≤ −50 % to +150 %")
+
+
+def test_an_end_at_the_fits_bound_is_told_as_open(visit) -> None:
+    def opened(content) -> None:
+        content["ratios"]["tissue"]["open_low"] = True
+
+    altered(visit.subject.folder, Estimate, opened)
+    found = sensitivity_study(visit, say, lambda basis: [told("weighed", "nothing", "", tissue=0.05)])
+    assert found.open_ends == {"tissue": (True, False)}
+    assert any(": lateral_bending" in line and "tissue ≤ −" in line for line in sensitivity_lines(found))
 
 
 def test_the_leading_mode_of_a_spine_is_a_shape_and_no_motion_as_one_body() -> None:

@@ -14,6 +14,7 @@ from spinestiff.study.wording import (
     UNKNOWNS,
     badge,
     best_known_text,
+    changed,
     combination_lines,
     costly_unknowns,
     estimated,
@@ -76,6 +77,13 @@ def quantity(value, low, high, opens=(False, False)):
 )  # fmt: skip
 def test_number(value, text):
     assert number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(9.96, "10"), (0.0996, "0.10"), (0.0994, "0.099"), (99.7, "100"), (-0.996, "−1.0")]
+)
+def test_a_number_that_is_rounded_up_to_a_power_of_ten_has_no_digit_more(value, text):
+    assert number(value, 2) == text
 
 
 @pytest.mark.parametrize(
@@ -349,6 +357,19 @@ def test_response_lines():
         "push 'main': 3.16 (3.05 to 3.26) N per degree of tilt between T6 and L1, the most that any two turned",
         "push 'main': flexibility at 60 N: 70 % (61 to 81 %); 25.0° without force, 17.5° ± 1.0° less under it",
     ]
+
+
+@pytest.mark.parametrize(
+    ("rest", "change", "words"),
+    [
+        (5.0, -12.0, "12.0° ± 1.0° less under it, past straight to 7.0° the other way"),
+        (-5.0, 12.0, "12.0° ± 1.0° less under it, past straight to 7.0° the other way"),
+        (5.0, -5.0, "5.0° ± 1.0° less under it"), (5.0, 2.0, "2.0° ± 1.0° more under it"),
+    ],
+)  # fmt: skip
+def test_a_curve_that_a_push_turns_over_is_told(rest, change, words):
+    found = changed(answered(("T5", "T11"), change, (2.9, 3.4286, 4.12), rest=rest))
+    assert found == f"5.0° without force, {words}"
 
 
 def test_response_lines_of_what_is_not_known():

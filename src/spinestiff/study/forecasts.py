@@ -10,6 +10,7 @@ from spinestiff.anatomy.state import TorsoState
 from spinestiff.estimation.fit import forecast_unseen
 from spinestiff.estimation.fitted import FitEnd
 from spinestiff.estimation.forecast import Forecast
+from spinestiff.imaging.features import picture_axes
 from spinestiff.study.predictions import Prediction, Predictions
 from spinestiff.study.trials import PushSet, PushTrial
 from spinestiff.subject.assessment_outcome import ForecastRecord
@@ -89,7 +90,9 @@ def forecast_record(frame: Prediction, forecast: Forecast, levels: tuple[str, st
     names = frame.item.trial.corners.vertebrae
     if levels is not None and set(levels) <= set(names):
         expected, spread, found = forecast.turn(*(names.index(level) for level in levels))
-        error, sd = round(float(np.degrees(found - expected)), 3), round(float(np.degrees(spread)), 3)
+        # A turn is from the picture's first axis to its second one, a tilt from the patient's left upwards.
+        sense = np.sign(np.linalg.det(np.stack(picture_axes(frame.item.trial.view))))
+        error, sd = round(float(np.degrees(sense * (found - expected))), 3), round(float(np.degrees(spread)), 3)
     return ForecastRecord(
         rmse_mm=round(float(np.sqrt(np.mean(np.sum(forecast.corner_errors**2, axis=-1)))), 4),
         sd_mm=round(float(np.sqrt(np.mean(np.sum(forecast.corner_sds**2, axis=-1)))), 4),

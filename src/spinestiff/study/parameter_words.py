@@ -37,11 +37,12 @@ def parameter_lines(found: ParameterStudy) -> list[str]:
     """What was found, in sentences."""
     first, second, third = (TITLES[effect.name] for effect in found.effects[:3])
     rest = found.effects[2].estimate_mm / found.effects[1].estimate_mm
+    others = 100.0 * (1.0 - sum(effect.share for effect in found.effects))
     lines = [
         f"ranking at the estimate: {', '.join(TITLES[effect.name] for effect in found.effects)}",
         f"{first} and {second} move the spine most; {third}, the next, does {number(rest, 2)} times what {second} does",
         f"shares of what all stiffnesses do together: {_shares(found)}; the remaining "
-        f"{100.0 * (1.0 - sum(effect.share for effect in found.effects)):.0f} % are ribs, girdle and other joints",
+        f"{fixed(others, 0)} % are ribs, girdle and other joints",
     ]
     two, three = found.models
     lines += _compared(two, three, found.left_out)

@@ -72,8 +72,11 @@ def _plain(
         ratio = scaling[0]
         ends = estimates[ratio].scaled(value / estimates[ratio].value)
     elif covariance is not None and sum(shares[name] for name in scaling) > 1.0 - 1e-9:
+        # Of those alone that scale it: what others may be is infinite where the data can't part them.
         weights = np.array(list(shares.values()))
-        factor = float(np.exp(WIDTH_FACTOR * HALF_WIDTH_95 * np.sqrt(weights @ covariance @ weights)))
+        own = np.flatnonzero(weights)
+        variance = weights[own] @ covariance[np.ix_(own, own)] @ weights[own]
+        factor = float(np.exp(WIDTH_FACTOR * HALF_WIDTH_95 * np.sqrt(variance)))
         if np.isfinite(factor):
             ends = Quantity(value=value, low=value / factor, high=value * factor)
     return PlainStiffness(**{**ends.model_dump(), "value": value}, unit=unit, ratio=ratio)

@@ -40,18 +40,19 @@ def repeatability_lines(found: Repeatability) -> list[str]:
 def change_words(change: Change, of: Repeated = "visits") -> str:
     """Whether a ratio changed between two visits, or two annotations disagree."""
     what = f"{change.subject}, {change.name}, {change.first} to {change.visit}"
-    interval = f"{number(change.low, 2)} to {number(change.high, 2)}"
     if not change.alike:
         what += " (not pushed alike)"
     if change.verdict == "can't be told":
         return f"{what}: can't be told; an estimate is doubtful, or its radiographs do not determine the ratio"
-    size = number(max(change.factor, 1.0 / change.factor))
+    ends = (change.factor, change.low, change.high)
+    factor, low, high = ends if change.factor >= 1.0 else (1.0 / ends[0], 1.0 / ends[2], 1.0 / ends[1])
+    size = f"a factor of {number(factor)} ({number(low, 2)} to {number(high, 2)})"
     if of == "annotators":
         found = "disagree by more than annotation explains" if change.verdict == "changed" else "agree"
-        return f"{what}: annotations {found}, a factor of {size} ({interval})"
+        return f"{what}: annotations {found}, {size}"
     if change.verdict == "changed":
-        return f"{what}: changed, {'stiffer' if change.factor > 1.0 else 'softer'} by a factor of {size} ({interval})"
+        return f"{what}: changed, {'stiffer' if change.factor > 1.0 else 'softer'} by {size}"
     return (
-        f"{what}: no change shown ({interval} times as stiff); one by less than a factor of "
-        f"{number(change.detectable_factor)} would not show"
+        f"{what}: no change shown ({number(change.low, 2)} to {number(change.high, 2)} times as stiff); one by less "
+        f"than a factor of {number(change.detectable_factor)} would not show"
     )

@@ -367,7 +367,8 @@ def _scatter(sums: Floats) -> Scatter | None:
         return None
     degrees = int(repetitions)
     within, wanted = float(np.sqrt(squares / degrees)), float(np.sqrt(expected / degrees))
-    below = float(chi2.cdf(q, degrees))
+    # Each end by itself: one minus the other is 0 where it is small.
+    rarer = min(float(chi2.cdf(q, degrees)), float(chi2.sf(q, degrees)))
     return Scatter(
         within,
         float(np.sqrt(squares / chi2.ppf(0.975, degrees))),
@@ -376,7 +377,7 @@ def _scatter(sums: Floats) -> Scatter | None:
         wanted,
         float(np.exp(TWO_SIDED * np.sqrt(2.0) * within)),
         float(np.exp(TWO_SIDED * np.sqrt(2.0) * wanted)),
-        2.0 * min(below, 1.0 - below),
+        2.0 * rarer,
         int(left_out),
     )
 

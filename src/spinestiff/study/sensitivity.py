@@ -168,6 +168,11 @@ def _record(basis: Basis, digest: str, found: Sequence[Refit], notes: Sequence[s
         parameters=basis.names,
         estimate=dict(estimate.values),
         interval95={name: None if None in both else both for name, both in ends.items()},  # type: ignore[misc]
+        open_ends={
+            name: (ratio.open_low, ratio.open_high)
+            for name, ratio in estimate.ratios.items()
+            if ratio.open_low or ratio.open_high
+        },
         refits=tuple(found),
         force_percent=force_percent(found),
         complete=complete,

@@ -106,9 +106,9 @@ def sensitivity_lines(found: Sensitivity) -> list[str]:
         each = [_largest(name, rows) for name in moved]
         lines.append(f"largest change of each stiffness: {'; '.join(each)}")
     intervals = [
-        f"{name} {_apart(ends[0], value)} to {_apart(ends[1], value)}"
+        f"{name} {'≤ ' if low else ''}{_apart(ends[0], value)} to {'≥ ' if high else ''}{_apart(ends[1], value)}"
         for name, value in found.estimate.items()
-        for ends in [found.interval95.get(name)]
+        for ends, (low, high) in [(found.interval95.get(name), found.open_ends.get(name, (False, False)))]
         if ends is not None
     ]
     if intervals:

@@ -44,7 +44,8 @@ def number(value: float | None, digits: int = 3) -> str:
         return MISSING
     if value == 0.0:
         return "0"
-    decimals = digits - 1 - math.floor(math.log10(abs(value)))
+    # Of the rounded number: 9.96 with two digits is 10.
+    decimals = digits - 1 - int(f"{value:.{digits - 1}e}".partition("e")[2])
     return f"{round(value, decimals):.{max(decimals, 0)}f}".replace("-", "−")
 
 
@@ -452,10 +453,15 @@ def flexibility(found: Flexibility) -> str:
 
 
 def changed(found: AngleResponse) -> str:
-    """What the push did to the curve, e.g. "25.0° without force, 8.5° ± 0.9° less under it"."""
-    which = "less" if found.change_deg * found.rest_deg < 0.0 else "more"
-    error = fixed(HALF_WIDTH_95 * found.change_sd_deg)
-    return f"{fixed(abs(found.rest_deg))}° without force, {fixed(abs(found.change_deg))}° ± {error}° {which} under it"
+    """What the push did to the curve, e.g. "25.0° without force, 8.5° ± 0.9° less under it"; of one that it turns over,
+    what is there then."""
+    less = found.change_deg * found.rest_deg < 0.0
+    pushed, error = found.rest_deg + found.change_deg, fixed(HALF_WIDTH_95 * found.change_sd_deg)
+    past = f", past straight to {fixed(abs(pushed))}° the other way" if less and pushed * found.rest_deg < 0.0 else ""
+    return (
+        f"{fixed(abs(found.rest_deg))}° without force, {fixed(abs(found.change_deg))}° ± {error}° "
+        f"{'less' if less else 'more'} under it{past}"
+    )
 
 
 def _levels(found: AngleResponse) -> str:

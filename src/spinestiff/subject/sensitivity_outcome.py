@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
+from pydantic import Field
+
 from spinestiff.subject.outcome_parts import Outcome, OutcomeFile
 
 Series = Literal["weighed", "tied", "kept", "everything"]
@@ -44,6 +46,7 @@ class Sensitivity(OutcomeFile):
     mesh : of the refits.
     parameters : the estimate's ratios. estimate : their values.
     interval95 : name -> ends of the estimate's interval; None where it has none.
+    open_ends : name -> whether its lower and its upper end are the fit's bounds, of those of which one is.
     refits : in the order in which they are made; with ``complete`` all of them.
     force_percent : series -> name -> change for 10 % of force, mean of both signs (Table 7); without a series, or a
         name in it, that has no refit for one of the signs.
@@ -57,6 +60,7 @@ class Sensitivity(OutcomeFile):
     parameters: tuple[str, ...]
     estimate: dict[str, float]
     interval95: dict[str, tuple[float, float] | None]
+    open_ends: dict[str, tuple[bool, bool]] = Field(default={})
     refits: tuple[Refit, ...]
     force_percent: dict[Series, dict[str, float]]
     complete: bool

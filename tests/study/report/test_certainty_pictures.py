@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
@@ -13,7 +15,7 @@ from spinestiff.study.report.certainty_pictures import (
     draw_profiles,
     draw_support_places,
 )
-from spinestiff.study.report.figures import FIT, MEASURED, TRUTH
+from spinestiff.study.report.figures import FIT, MEASURED, TRUTH, as_png
 
 RATIO = np.geomspace(0.01, 1.0, 41)
 BENT = np.column_stack([RATIO, 8.0 * np.log10(RATIO / 0.1) ** 2])
@@ -38,6 +40,18 @@ def test_a_profile_shades_its_interval_from_end_to_end():
     truth = marks(axis, "*", TRUTH)[0][0]
     assert truth == pytest.approx([0.2, 8.0 * np.log10(2.0) ** 2], rel=0.02)
     assert axis.get_ylim() == (0.0, HIGHEST * 1.92)
+
+
+@pytest.mark.parametrize("truth", [0.012, 0.9, 3.0])
+def test_a_truth_far_off_is_seen_and_squeezes_no_panel(truth):
+    figure = draw_profiles([ProfileCurve("Bending", BENT, 1.92, (0.0323, 0.31), 0.1, truth=truth)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        as_png(figure)
+    (axis,) = figure.axes
+    low, high = axis.get_xlim()
+    (mark,) = marks(axis, "*", TRUTH)
+    assert low < truth < high and mark.tolist() == [[truth, HIGHEST * 1.92]]
 
 
 def test_an_open_interval_is_shaded_to_the_profile_s_end():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -20,10 +21,11 @@ from spinestiff.study.report.clinician import (
     shortened,
     stiffness,
 )
+from spinestiff.study.report.estimate_content import bending_line
 from spinestiff.study.visit import Visit, open_visit
 from spinestiff.study.wording import told_stiffness
 from spinestiff.subject.assessment_outcome import Assessment
-from spinestiff.subject.estimate_outcome import Estimate
+from spinestiff.subject.estimate_outcome import Estimate, PlainStiffness
 from spinestiff.subject.outcome_parts import Determination, Quantity
 from spinestiff.subject.outcomes import Responses
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
@@ -114,6 +116,13 @@ def test_what_to_distrust_comes_gravest_first(finished, subject: Path) -> None:
     assert found[2] == "Cobb angle at rest: angle may be noise"
     assert found[3] == "no radiograph was kept as a test: the prediction is untested"
     assert found.index("first note") > 3 and found.index("second note") > found.index("first note")
+
+
+@pytest.mark.parametrize(("ends", "reaches"), [((None, None), False), ((10.0, 40.0), False), ((10.0, 80.0), True)])
+def test_an_interval_that_is_not_there_reaches_no_cadaver_segments(ends, reaches) -> None:
+    found = PlainStiffness(value=20.0, low=ends[0], high=ends[1], unit="N m/rad", ratio="lateral_bending")
+    line = bending_line(SimpleNamespace(plain={"lateral_bending_thoracic": found}))
+    assert line is not None and line["overlap"] == reaches
 
 
 def test_long_lists_and_long_items_are_cut_and_say_so() -> None:

@@ -10,10 +10,12 @@ import pytest
 from matplotlib.colors import to_hex
 
 from spinestiff.errors import SpinestiffError
+from spinestiff.study.predictions import Predictions
 from spinestiff.study.report.certainty_pictures import BudgetBars, RatioMap, draw_budget, draw_ratio_map
 from spinestiff.study.report.curve_pictures import CurveChange, TiltChange, draw_curve_changes, draw_tilt_changes
 from spinestiff.study.report.figures import FIT, MEASURED, MEASURED_ON_DARK, SIMULATED_ON_DARK, as_png, as_svg
 from spinestiff.study.report.overlay import Overlay, Panel, draw_overlay
+from spinestiff.study.report.pictures import curve_picture
 
 NAMES = ("T10", "T11", "T12")
 
@@ -41,6 +43,18 @@ def ratio_map() -> RatioMap:
 
 def lines(axis, colour: str) -> list[np.ndarray]:
     return [line.get_xydata() for line in axis.lines if to_hex(line.get_color()) == colour.lower()]
+
+
+def test_a_push_of_one_usable_frame_has_no_panel_of_its_curve(beside: Predictions) -> None:
+    pushes = beside.pushes
+    still = replace(pushes.trials[0], push="still")
+    both = {"main": pushes.problems["main"], "still": pushes.problems["main"]}
+    drawn = curve_picture(replace(beside, pushes=replace(pushes, problems=both, trials=(*pushes.trials, still))))
+    assert drawn is not None
+    assert [axis.get_title() for axis in drawn[1].axes] == ["Push “main”"]
+    assert "push main: measured" in drawn[2] and "still" not in drawn[2]
+    alone = replace(pushes, problems={"still": both["still"]}, trials=(still,))
+    assert curve_picture(Predictions(alone, ())) is None
 
 
 def test_overlay_draws_measured_and_simulated_boxes_where_they_are(overlay: Overlay) -> None:

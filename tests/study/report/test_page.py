@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ from spinestiff.mechanics.supports import three_point_supports
 from spinestiff.study.predictions import Model, predict, stored, write_solved
 from spinestiff.study.report import page as report
 from spinestiff.study.report import pictures as drawing
-from spinestiff.study.report.estimate_content import _strip, budget_bars
+from spinestiff.study.report.estimate_content import _strip, budget_bars, certainty_content
 from spinestiff.study.report.page import write_report
 from spinestiff.study.report.viewer.page import script_hash
 from spinestiff.study.sensitivity import force_percent
@@ -563,6 +564,15 @@ def test_curves_and_tilts_agree_with_the_pushes(html: str, drawn: dict[str, list
     assert bending.curve[:, 1].tolist() == [4.0, 0.0, 4.0] and tissue.curve[1].tolist() == [0.05, 0.0]
     path = drawn["draw_ratio_map"][0].path
     assert path.tolist() == [[1.0, 1.0], [0.4, 0.3], [0.22, 0.08], [0.2, 0.05]]
+
+
+def test_without_a_joint_region_none_is_told() -> None:
+    """As by the paper's method."""
+    estimate = estimate_record().model_copy(update={"region": None})
+    _, figure, alt, caption = drawing.region_picture(SimpleNamespace(truth=None), estimate)
+    said = " ".join([alt, *(axis.get_title() for axis in figure.axes)])
+    assert "region" not in said and caption.endswith("There is no joint region of it.")
+    assert not certainty_content(estimate, None)["region"] and certainty_content(estimate_record(), None)["region"]
 
 
 def test_numbers_stand_in_the_text(page: Page) -> None:

@@ -82,6 +82,26 @@ def test_points_are_judged_by_what_was_found():
     assert bad[1].endswith("**Does not hold here.**")
 
 
+def test_what_is_said_of_every_subject_needs_a_frame_of_every_subject():
+    assert points_of_results(SEVEN)[5].endswith("less than the default in every subject. Holds.")
+    lacking = [*SEVEN[:6], outcome(7, frames=())]
+    assert points_of_results(lacking)[5].endswith("Not to be judged yet.")
+    worse = frame("main").model_copy(update={"rmse_mm": {"default": 1.0, "fit": 2.0}})
+    found = points_of_results([outcome(1, frames=(worse,)), *lacking[1:]])
+    assert found[5].endswith("**Does not hold here.**")
+
+
+def test_an_estimate_may_lie_below_the_true_ratios_error():
+    """It is fitted, and they are not: what is said of the row has to bear both."""
+    better = [
+        one.model_copy(update={"frames": (frame("main").model_copy(update={"rmse_mm": {"fit": 0.1, "truth": 3.0}}),)})
+        for one in SEVEN
+    ]
+    assert rows(better)["Validation pose, optimized params"].endswith("For the same reason.")
+    assert "may lie below that line" in rows(better)["Training poses, optimized params"]
+    assert not any("gets below" in reason for reason in REASONS.values())
+
+
 def test_conclusions_are_judged_by_what_was_found():
     good = points_of_conclusions(SEVEN)
     assert len(good) == 8

@@ -121,6 +121,13 @@ def test_the_time_of_each_subject_and_of_all_stands_against_the_aim():
     assert "2,800 s in sum" in slow and "that is 27 min. **The aim is not met**." in slow
 
 
+def test_the_time_of_some_of_the_seven_does_not_meet_their_aim_yet():
+    text = section(page([outcome(1), *[None] * 6]), "Time")
+    assert "that is 2 min. Whether the aim is met is not known." in text
+    slow = outcome(1, seconds={"make": 1500.0})
+    assert "that is 25 min. **The aim is not met**." in section(page([slow, *[None] * 6]), "Time")
+
+
 def test_where_the_time_of_making_is_not_known_the_sum_is_told_as_a_least_one():
     quick = outcome(2, seconds={"estimate": 70.0})
     text = section(page([outcome(1), quick, *[None] * 5]), "Time")

@@ -100,7 +100,7 @@ def composed(
 
     say("comparing")
     singles = sorted(((described(one), one) for one in options(widths.taken, np.inf)), key=narrowness)
-    taken, sequence = widths.taken, list[PlanStep]()
+    taken, sequence, first = widths.taken, list[PlanStep](), singles[0][1].added
     size, spent, pays = widths.size(widths.of(taken)), 0.0, True
     while True:
         count = len(taken) - len(widths.taken)
@@ -110,13 +110,14 @@ def composed(
             break
         before = size
         best = min(found, key=lambda one: (widths.size(one.width) - before) / one.cost)
+        first = first if sequence else best.added
         taken, spent, size = (*taken, *best.added), spent + best.cost, widths.size(best.width)
         pays = pays and 1.0 - size / before > PAYS * best.cost
         sequence.append(PlanStep(push=described(best), exposures=count + len(best.added), pays=bool(pays)))
     now = widths.of(widths.taken) if widths.taken else None
     taped = None
     if widths.taped:
-        with_tape = widths.of(widths.taken or singles[0][1].added, taped=True)
+        with_tape = widths.of(widths.taken or first, taped=True)
         taped = widths.size(with_tape)
         taped = round(taped if wish.target == "cobb" else float(np.exp(taped)), 3)
     notes = [*scene.doubts, *_left_out([frame for frame in carried.left_out if frame in frames])]

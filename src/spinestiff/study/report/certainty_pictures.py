@@ -113,13 +113,16 @@ def _draw_profile(axis: Axes, profile: ProfileCurve) -> None:
     axis.plot(ratio, rise, color=FIT, linewidth=2.2, label="profile")
     axis.axhline(profile.limit, color="#444444", linestyle=(0, (5, 2)), linewidth=1.2, label="the interval ends here")
     axis.plot(profile.estimate, 0.0, "o", color=FIT, markersize=8, clip_on=False, zorder=5)
+    top = HIGHEST * profile.limit
+    shown = ratio[rise <= top]
     if profile.truth is not None:
-        true_height = float(np.interp(np.log(profile.truth), np.log(ratio), rise))
+        # One that is less likely than what is drawn lies on the upper edge.
+        true_height = min(float(np.interp(np.log(profile.truth), np.log(ratio), rise)), top)
+        shown = np.array([min(shown[0], profile.truth), max(shown[-1], profile.truth)])
         axis.plot(profile.truth, true_height, "*", color=TRUTH, markersize=13, zorder=6, clip_on=False, label="truth")
     axis.set_xscale("log")
-    shown = ratio[rise <= HIGHEST * profile.limit]
     axis.set_xlim(0.9 * shown[0], 1.1 * shown[-1])
-    axis.set_ylim(0.0, HIGHEST * profile.limit)
+    axis.set_ylim(0.0, top)
     plain_ticks(axis, "x")
     axis.set_title(profile.title, fontsize=11)
     axis.set_xlabel("ratio to the default")
@@ -206,7 +209,7 @@ def draw_ratio_map(ratios: RatioMap) -> Figure:
         whole.plot(*ratios.path.T, color="#444444", linewidth=1.2, marker=".", markersize=6, label="accepted steps")
         whole.plot(1.0, 1.0, marker="s", markersize=7, color=DEFAULT, linestyle="none", label="default (1, 1)")
         whole.set_title("Steps of the fit", fontsize=11)
-        near.set_title("95 % joint region", fontsize=11)
+        near.set_title("95 % joint region" if len(ratios.region) else "The estimate", fontsize=11)
         points = [ratios.estimate[None], *([ratios.region] if len(ratios.region) else [])]
         points += [] if ratios.truth is None else [ratios.truth[None]]
         _zoom(near, np.vstack(points), ratios.bounds)

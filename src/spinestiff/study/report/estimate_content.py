@@ -182,7 +182,8 @@ def bending_line(estimate: Estimate) -> dict[str, Any] | None:
         return None
     low, high = (float(np.degrees(edge)) for edge in BENDING_BAND)
     value = found.value
-    overlap = (found.low is None or found.low <= high) and (found.high is None or found.high >= low)
+    known = found.low is not None or found.high is not None
+    overlap = known and (found.low is None or found.low <= high) and (found.high is None or found.high >= low)
     factor, verdict = None, "within the range of"
     if not low <= value <= high:
         middle = 0.5 * (low + high)
@@ -204,6 +205,7 @@ def certainty_content(estimate: Estimate, comparison: Comparison | None) -> dict
     contains = None if comparison is None else comparison.inside
     return {
         "correlation": fixed(estimate.correlation, 2),
+        "region": bool(estimate.region),
         "steps": sum(step.accepted for step in estimate.history),
         "evaluations": len(estimate.history),
         "truth": "" if contains is None else "holds" if contains else "does not hold",

@@ -40,6 +40,8 @@ STYLE: dict[Any, Any] = {
     "grid.linewidth": 0.8,
     "axes.axisbelow": True,
     "legend.frameon": False,
+    # Names of files and folders may have dollars, which would begin a formula.
+    "text.parse_math": False,
     "svg.fonttype": "path",
     "svg.hashsalt": "spinestiff",
     "figure.facecolor": "white",

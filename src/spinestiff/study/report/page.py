@@ -144,7 +144,7 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
             for p in predictions.of_role("validation")
         ],
         "rest": [album.add(*rest_picture(visit, torso, view, geometry)) for view in geometry.views],
-        "curves": album.add(*curve_picture(predictions)),
+        "curves": _added(album, curve_picture(predictions)),
         "region": _added(album, region),
         "profiles": album.add(*profile_picture(visit, estimate)) if estimate.profiles else None,
         "budget": album.add(*budget_picture(estimate)) if estimate.budget else None,

@@ -125,9 +125,11 @@ def curve_changes(predictions: Predictions) -> list[CurveChange]:
     return changes
 
 
-def curve_picture(predictions: Predictions) -> Drawn:
-    """Change of the Cobb angle against force."""
-    changes = curve_changes(predictions)
+def curve_picture(predictions: Predictions) -> Drawn | None:
+    """Change of the Cobb angle against force, of the pushes that show one; None where none does."""
+    changes = [change for change in curve_changes(predictions) if change.measured]
+    if not changes:
+        return None
     words = [
         f"push {c.push}: measured {rows[-1, 1]:+.1f} ± {rows[-1, 2]:.1f} degrees at {rows[-1, 0]:.0f} N"
         for c in changes
@@ -196,7 +198,7 @@ def _row_of_level(level: float, names: tuple[str, ...]) -> float | None:
 
 
 def region_picture(visit: Visit, estimate: Estimate) -> Drawn | None:
-    """The joint region of two ratios; None of one, or of more."""
+    """The joint region of two ratios, or where there is none the way to them; None of one, or of more."""
     names = estimate.parameters
     if len(names) != 2:
         return None
@@ -210,9 +212,16 @@ def region_picture(visit: Visit, estimate: Estimate) -> Drawn | None:
     figure = draw_ratio_map(
         RatioMap(shown, np.array(values), region, np.array(path).reshape(-1, 2), estimate.bounds, ends, known)
     )
+    estimate_words = f"estimate {number(values[0], 2)} and {number(values[1], 2)}"
+    steps = f"the fit’s {len(path)} accepted steps from the start"
+    if not len(region):
+        caption = (
+            "Both ratios on logarithmic axes: the fit’s accepted steps (left) and the estimate from near (right). "
+            "There is no joint region of it."
+        )
+        return "joint-region", figure, f"The {estimate_words} of the two ratios, and {steps}.", caption
     alt = (
-        f"Joint 95 % region of the two ratios around the estimate {number(values[0], 2)} and {number(values[1], 2)}, "
-        f"with the 95 % interval of each, and the fit’s {len(path)} accepted steps from the start."
+        f"Joint 95 % region of the two ratios around the {estimate_words}, with the 95 % interval of each, and {steps}."
     )
     caption = (
         "Both ratios on logarithmic axes: the fit’s accepted steps (left) and the joint 95 % region (right). The bars "

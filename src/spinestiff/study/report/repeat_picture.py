@@ -12,29 +12,32 @@ from spinestiff.study.repeatability import TWO_SIDED, Repeatability
 from spinestiff.study.report.figures import FIT, MEASURED, STYLE, plain_ticks
 
 MOST_NAMED = 24  # visits that are named on the axis
-TITLE = "Bars: where 95 % of estimates of an unchanged person lie; squares: changed"
+TITLE = "Bars: 95 % of an unchanged person; squares: changed; hollow: not known"
 LETTERS_AN_INCH = 10  # of the title, the axis' labels beside it taken off
 
 
 def draw_repeatability(found: Repeatability) -> Figure:
-    """Estimates with the range in which those of an unchanged person lie, and what changed."""
+    """Estimates with the range in which those of an unchanged person lie, and what changed; no range of one that is not
+    known."""
     visits = sorted(found.visits, key=lambda visit: [other.subject for other in found.visits].index(visit.subject))
     subjects = list(dict.fromkeys(visit.subject for visit in visits))
     places = np.arange(len(visits)) + 0.8 * np.array([subjects.index(visit.subject) for visit in visits])
+    names = tuple(found.scatter) or tuple(visits[0].ratios)
     changed = {(change.name, change.visit) for change in found.changes if change.verdict == "changed"}
     with rc_context(STYLE):
-        size = (min(3.2 + 0.42 * len(visits), 14.0), 2.9 * len(found.scatter) + 0.9)
+        size = (min(3.2 + 0.42 * len(visits), 14.0), 2.9 * len(names) + 0.9)
         figure = Figure(figsize=size, layout="constrained")
-        axes = figure.subplots(len(found.scatter), 1, squeeze=False, sharex=True)[:, 0]
-        for axis, name in zip(axes, found.scatter):
+        axes = figure.subplots(len(names), 1, squeeze=False, sharex=True)[:, 0]
+        for axis, name in zip(axes, names):
             for place, visit in zip(places, visits):
                 ratio = visit.ratios[name]
                 down, up = (np.exp(TWO_SIDED * ratio.sd_on(upper)) for upper in (False, True))
                 moved = (name, visit.label) in changed
-                axis.plot(
-                    [place, place], [ratio.value / down, ratio.value * up], color=FIT if moved else MEASURED, lw=1.6
-                )
-                axis.plot(place, ratio.value, color=FIT if moved else MEASURED, marker="s" if moved else "o", ms=6)
+                colour = FIT if moved else MEASURED
+                if ratio.known:
+                    axis.plot([place, place], [ratio.value / down, ratio.value * up], color=colour, lw=1.6)
+                face = colour if ratio.known else "none"
+                axis.plot(place, ratio.value, color=colour, marker="s" if moved else "o", mfc=face, ms=6)
             axis.set_yscale("log")
             plain_ticks(axis, "y")
             axis.set_ylabel(f"ratio, {name}")
