@@ -21,6 +21,7 @@ from spinestiff import __version__
 
 ABOVE = (
     "app",
+    "__main__.py",
     "annotate",
     "cohort",
     "interop",
