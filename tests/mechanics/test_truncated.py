@@ -40,6 +40,20 @@ def test_a_positive_definite_tangent_gets_newtons_step(seed):
     assert _step(tangent, tangent, gradient, gain=1e-3).products == 1
 
 
+def test_one_product_takes_one_solve_and_goes_as_far_as_the_model_falls():
+    tangent, metric, gradient = _matrices(0, 0.1, 1.0, 2.0, 5.0, 9.0)
+    solved = []
+
+    def precondition(v):
+        solved.append(v)
+        return np.linalg.solve(metric, v)
+
+    found = truncated_step(gradient, lambda v: tangent @ v, precondition, np.inf, 1, 1e-3)
+    assert found.products == len(solved) == 1
+    heights = [_model(tangent, gradient, share * found.y) for share in (0.9, 1.0, 1.1)]
+    assert heights[1] < min(heights[0], heights[2])
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_step_ends_at_the_ball_and_goes_on_falling_up_to_there(seed):
     tangent, metric, gradient = _matrices(seed, 0.1, 1.0, 2.0, 5.0, 9.0)

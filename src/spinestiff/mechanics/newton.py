@@ -198,7 +198,9 @@ class Run:
             product = symmetric_product(pattern.indptr, pattern.indices, hessian, frame.to_world(y))
             return frame.pull(self.system.free(product))
 
-        way = truncated_step(at.force, tangent, factor.apply, radius, MOST_PRODUCTS, GAIN)
+        # Where a solve costs as much as a factor, a new factor is the better use of it.
+        most = 1 if factor.factor.iterative else MOST_PRODUCTS
+        way = truncated_step(at.force, tangent, factor.apply, radius, most, GAIN)
         self._products += way.products
         return way
 

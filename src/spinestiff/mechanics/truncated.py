@@ -60,6 +60,8 @@ def truncated_step(
             return TruncatedStep(y + length * p, radius, None, count)
         y = y + length * p
         yy += 2.0 * length * yp + length**2 * pp
+        if count == most:
+            break
         r = r + length * product
         z = precondition(r)
         rz, last = float(r @ z), rz
