@@ -179,6 +179,20 @@ def test_an_indefinite_start_is_left_by_projected_steps_towards_a_minimum():
     assert angle > 0.5
 
 
+@pytest.mark.parametrize("lean", [1e-2, 1e-4, 1e-6])
+def test_a_place_beside_a_saddle_is_left_in_few_steps(lean):
+    """Just beyond its buckling load a column falls slowly, and projected tangents are far too stiff for it."""
+    problem, weight = _column(1.05)
+    away = np.zeros(problem.torso.rest_pose.dofs)
+    away[11] = lean
+    found = problem.solve(weight, start=retract(problem.torso.rest_pose, away))
+    assert found.converged
+    assert len(found.history) < 15
+    angle = np.arctan2(found.state.bone_rotations[1, 1, 0], found.state.bone_rotations[1, 0, 0])
+    assert angle == pytest.approx(1.05 * np.sin(angle), rel=1e-8)
+    assert angle > 0.3
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_energy_never_rises_from_far_starts(torso, problem, seed):
     """The last resort, by itself. Full Newton steps would overshoot here: the line search has to cut some."""
