@@ -386,6 +386,14 @@ def test_a_search_beside_a_jump_settles_where_little_is_left_to_gain(jumping) ->
     assert len(ended.visited) == 1
 
 
+def test_a_search_beside_a_jump_ends_within_a_quarter_of_an_sd_once_all_was_tried(jumping) -> None:
+    ended = jumping(0.07)
+    assert ended.status is FitStatus.CONVERGED
+    assert 0.1 < ended.short < 0.25
+    # The emulator's places, and steps down to the shortest.
+    assert len(ended.visited) > 1
+
+
 def test_a_search_beside_a_jump_stalls_where_much_is_left_to_gain(jumping) -> None:
     ended = jumping(1.0)
     assert ended.status is FitStatus.STALLED

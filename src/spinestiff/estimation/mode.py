@@ -29,6 +29,9 @@ NEARLY, ENOUGH = 1e-3, 6
 # than this (a tenth of an sd) is refused, it is shortened once; if that is refused, too, the search is as near as it
 # can come.
 SETTLED = 5e-3
+# Where one that promises less than this (a quarter of an sd) is refused at every length, and the emulator knows no
+# better place, that is as near as the search can come, too.
+NEAR_ENOUGH = 1.0 / 32.0
 # A solve that takes more factorisations is on its way to another equilibrium than the one before; it is given up, and a
 # shorter step is tried. Useful ones took up to 52 (of a step by a factor of 3.5), most one to four.
 MOST_FACTORISATIONS = 60
@@ -121,7 +124,7 @@ def search(
                 share *= 0.25
         visited = [*visited, Place(point, slope.light), *refused]
         if moved is None:
-            status = FitStatus.CONVERGED if nearly else FitStatus.STALLED
+            status = FitStatus.CONVERGED if predicted < NEAR_ENOUGH else FitStatus.STALLED
             return WeighedFit(point, slope, weights, status, _pairs(visited), short)
         point, slope, last = moved, problem.slope(moved), (wished, share)
 
