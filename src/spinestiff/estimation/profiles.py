@@ -18,6 +18,7 @@ from skimage.measure import find_contours
 from spinestiff.arrays import Floats, ShortRepr
 from spinestiff.errors import EquilibriumError
 from spinestiff.estimation.emulator import FAR_AND_HIGH, FARTHEST_NUISANCES, HIGH, Emulator, Place
+from spinestiff.estimation.mode import MOST_FACTORISATIONS
 from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights, phi, reduced
 
@@ -25,8 +26,6 @@ CONFIDENCE = 0.95
 WIDTH_FACTOR = 1.05
 # Ends agree once the emulator's phi and the model's differ by less than this there.
 CLOSE_ENOUGH = 0.1
-# A place that takes more work, in factorisations, is given up as one without equilibrium; useful ones took up to 52.
-MOST_FACTORISATIONS = 60
 MOST_ROUNDS = 8
 # A place as near as this to a solved one, in the estimate's standard deviations, is not solved, since the emulator
 # knows phi and its slope next to it, unless that is farther in log ratio than ``NEAR_LOG``; one farther than
