@@ -394,6 +394,40 @@ def test_a_search_beside_a_jump_ends_within_a_quarter_of_an_sd_once_all_was_trie
     assert len(ended.visited) > 1
 
 
+def test_a_search_where_phi_is_rough_ends_and_tells_how_near_it_is(asked, found, column, monkeypatch) -> None:
+    """Small jumps all over the place: steps that promise much are refused at every length."""
+
+    def solve(log_ratios, *args, real=asked.solve, **kwargs):
+        point = real(log_ratios, *args, **kwargs)
+        rough = 0.004 * (1.0 + np.round(np.sin(30.0 * log_ratios)).sum())
+        return replace(point, values=point.values + rough * np.sign(point.values))
+
+    start = asked.solve(logs(found) + 2.0 * sd_of(found), found.point.nuisances, found.point)
+    monkeypatch.setattr(asked, "solve", solve)
+    ended = mode.search(asked, start, column.limits, 50)
+    assert ended.status is FitStatus.CONVERGED
+    assert 0.25 < ended.short < 1.0
+    assert (np.abs(logs(ended) - logs(found)) < 0.5 * ended.short * sd_of(found)).all()
+
+
+def test_a_search_where_slopes_are_rough_ends_soon(asked, found, column, monkeypatch) -> None:
+    """Each promises a little that there is not: many steps are refused, and short ones lead nowhere."""
+
+    def slope(point, real=asked.slope):
+        found = real(point)
+        return replace(found, ratios=found.ratios + 0.01 * np.outer(point.values, np.sin(1e5 * point.log_ratios)))
+
+    start = asked.solve(logs(found) + 2.0 * sd_of(found), found.point.nuisances, found.point)
+    monkeypatch.setattr(asked, "slope", slope)
+    ended = mode.search(asked, start, column.limits, 80)
+    assert ended.status is FitStatus.CONVERGED and ended.short < 0.25
+    assert (np.abs(logs(ended) - logs(found)) < 0.05 * sd_of(found)).all()
+    refused = mode.MOST_REFUSED
+    monkeypatch.setattr(mode, "MOST_REFUSED", 1000)
+    longer = mode.search(asked, start, column.limits, 80)
+    assert len(longer.visited) > len(ended.visited) > refused
+
+
 def test_a_search_beside_a_jump_stalls_where_much_is_left_to_gain(jumping) -> None:
     ended = jumping(1.0)
     assert ended.status is FitStatus.STALLED

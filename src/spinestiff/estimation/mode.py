@@ -29,9 +29,11 @@ NEARLY, ENOUGH = 1e-3, 6
 # than this (a tenth of an sd) is refused, it is shortened once; if that is refused, too, the search is as near as it
 # can come.
 SETTLED = 5e-3
-# Where one that promises less than this (a quarter of an sd) is refused at every length, and the emulator knows no
-# better place, that is as near as the search can come, too.
-NEAR_ENOUGH = 1.0 / 32.0
+# Where one that promises less than this (an sd) is refused at every length, and the emulator knows no better place,
+# that is as near as the search can come, too.
+NEAR_ENOUGH = 0.5
+# So is a place that promises less than ``CREASED`` (a quarter of an sd) where so many such steps were refused in all.
+CREASED, MOST_REFUSED = 1.0 / 32.0, 6
 # A solve that takes more factorisations is on its way to another equilibrium than the one before; it is given up, and a
 # shorter step is tried. Useful ones took up to 52 (of a step by a factor of 3.5), most one to four.
 MOST_FACTORISATIONS = 60
@@ -65,7 +67,7 @@ def search(
     """
     point, slope, weights = start, problem.slope(start), None
     visited: list[Place] = []
-    evaluations, near = 1, 0
+    evaluations, near, rough = 1, 0, 0
     last: tuple[Floats, float] | None = None
     promised = np.inf
     while True:
@@ -73,7 +75,8 @@ def search(
         step, nuisances, predicted = gauss_newton_step(point, slope, weights, limits)
         near = near + 1 if 0.5 * promised < predicted < NEARLY else 0
         promised, short = predicted, float(np.sqrt(2.0 * predicted))
-        if predicted < 0.5 * close_sd**2 or near > ENOUGH:
+        settled = near > ENOUGH or (rough > MOST_REFUSED and predicted < CREASED)
+        if predicted < 0.5 * close_sd**2 or settled:
             return WeighedFit(point, slope, weights, FitStatus.CONVERGED, _pairs(visited), short)
         before, refused, share = phi(point, weights), list[Place](), 1.0
         nearly = predicted < SETTLED
@@ -117,6 +120,7 @@ def search(
             if share > 1.0:
                 share = 1.0
                 continue
+            rough += predicted < CREASED
             if guiding:
                 refused.append(Place(trial, problem.slope(trial).light))
                 guiding = len(refused) <= MOST_GUIDED
