@@ -125,7 +125,8 @@ def test_stored_outcomes_of_another_program_are_enough_for_page_and_json(spinest
     there = [one.name for one in seven() if (folder / f"{one.name}.json").is_file()]
     for name in there:
         path = folder / f"{name}.json"
-        write_json(path, {key: value for key, value in read_json(path).items() if key != "date"})
+        found = {key: value for key, value in read_json(path).items() if key != "date"}
+        write_json(path, found | {"program": "0.1.0+0123456789ab"})
     kept = page.parent / "images" / "study-figure-5.png"
     kept.parent.mkdir(parents=True)
     kept.write_bytes(b"of an earlier page")
