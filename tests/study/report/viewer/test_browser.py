@@ -332,3 +332,23 @@ def test_without_webgl_the_numbers_remain(viewed, tmp_path):
         np.testing.assert_allclose(
             bone(tab, "T8")[0], step.state.bone_positions[viewed.predictions.pushes.torso.bone("T8")], atol=1e-3
         )
+
+
+def test_frames_of_nearly_the_same_force_are_all_stepped_through(tab, viewed, tmp_path):
+    """A gauge tells a force that is held to a tenth of a newton; the slider's steps are wider."""
+    push = viewed.scene.pushes[0]
+    forces = [*(frame.force_n for frame in push.frames[:-2]), push.frames[-1].force_n, push.frames[-1].force_n + 0.2]
+    moved = {frame.frame: force for frame, force in zip(push.frames, forces)}
+    frames = tuple(replace(frame, force_n=moved[frame.frame]) for frame in push.frames)
+    models = {
+        name: tuple(replace(step, force_n=moved.get(step.frame, step.force_n)) for step in steps)
+        for name, steps in push.models.items()
+    }
+    scene = replace(viewed.scene, pushes=(replace(push, frames=frames, models=models),))
+    show(tab, tmp_path / "view.html", scene)
+    seen = [(tab.run(f"{VIEWER}.dataset.frame"), tab.run(f"{VIEWER}.dataset.force"))]
+    for role in ["before"] * 3 + ["after"] * 3:
+        tab.run(f"{VIEWER}.querySelector('[data-role={role}]').click()")
+        seen.append((tab.run(f"{VIEWER}.dataset.frame"), tab.run(f"{VIEWER}.dataset.force")))
+    way = [(str(frame), f"{force:g}") for frame, force in moved.items()]
+    assert seen == [*way[::-1], *way[1:]]
