@@ -11,9 +11,12 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from chromium import Tab, browser
+from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.template import template_torso
+from spinestiff.imaging.projection import frontal_view
+from spinestiff.mechanics.loads import LoadCase
 from spinestiff.study.report.viewer.page import view_page
-from spinestiff.study.report.viewer.scene import Scene, visit_scene
+from spinestiff.study.report.viewer.scene import Frame, PushScene, Scene, Step, visit_scene
 
 pytestmark = pytest.mark.skipif(
     browser() is None or sys.platform == "win32", reason="no Chromium to open the viewer in, or no pipe to drive it by"
@@ -334,21 +337,24 @@ def test_without_webgl_the_numbers_remain(viewed, tmp_path):
         )
 
 
-def test_frames_of_nearly_the_same_force_are_all_stepped_through(tab, viewed, tmp_path):
+def test_frames_of_nearly_the_same_force_are_all_stepped_through(tab, tmp_path):
     """A gauge tells a force that is held to a tenth of a newton; the slider's steps are wider."""
-    push = viewed.scene.pushes[0]
-    forces = [*(frame.force_n for frame in push.frames[:-2]), push.frames[-1].force_n, push.frames[-1].force_n + 0.2]
-    moved = {frame.frame: force for frame, force in zip(push.frames, forces)}
-    frames = tuple(replace(frame, force_n=moved[frame.frame]) for frame in push.frames)
-    models = {
-        name: tuple(replace(step, force_n=moved.get(step.frame, step.force_n)) for step in steps)
-        for name, steps in push.models.items()
-    }
-    scene = replace(viewed.scene, pushes=(replace(push, frames=frames, models=models),))
-    show(tab, tmp_path / "view.html", scene)
-    seen = [(tab.run(f"{VIEWER}.dataset.frame"), tab.run(f"{VIEWER}.dataset.force"))]
+    torso = template_torso(157.0)
+    rest, nothing = torso.rest_pose, np.zeros((0, 4, 2))
+    forces = (0.0, 10.0, 30.0, 30.2)
+    push = PushScene(
+        "main",
+        "right",
+        8.0,
+        frontal_view(),
+        LoadCase(PointsOnBones([torso.bone("R8_R")], [[0.0, 0.0, 0.0]]), [[1.0, 0.0, 0.0]]),
+        (),
+        tuple(Frame(i, force, "training", (), nothing, {"fit": 1.0}) for i, force in enumerate(forces)),
+        {"fit": tuple(Step(force, i, rest, (), nothing, np.zeros((0, 3))) for i, force in enumerate(forces))},
+    )
+    show(tab, tmp_path / "view.html", Scene("template", torso, (push,)))
+    seen = [tab.run(f"{VIEWER}.dataset.frame + ', ' + {VIEWER}.dataset.force")]
     for role in ["before"] * 3 + ["after"] * 3:
         tab.run(f"{VIEWER}.querySelector('[data-role={role}]').click()")
-        seen.append((tab.run(f"{VIEWER}.dataset.frame"), tab.run(f"{VIEWER}.dataset.force")))
-    way = [(str(frame), f"{force:g}") for frame, force in moved.items()]
-    assert seen == [*way[::-1], *way[1:]]
+        seen.append(tab.run(f"{VIEWER}.dataset.frame + ', ' + {VIEWER}.dataset.force"))
+    assert seen == ["3, 30.2", "2, 30", "1, 10", "0, 0", "1, 10", "2, 30", "3, 30.2"]
