@@ -34,7 +34,8 @@ def browser() -> str | None:
 class Tab:
     """One page of a browser of its own.
 
-    ``requests`` are the addresses that were asked for, ``complaints`` what reached the console or was thrown.
+    ``requests`` are the addresses that were asked for, ``complaints`` what reached the console or was thrown,
+    ``questions`` kinds of dialogs, as "beforeunload", which are answered with ``answer``.
     """
 
     def __init__(self, profile: Path, width: int = 1280, height: int = 800, flags: tuple[str, ...] = ()) -> None:
@@ -58,6 +59,8 @@ class Tab:
         self.loaded = False
         self.requests: list[str] = []
         self.complaints: list[str] = []
+        self.questions: list[str] = []
+        self.answer = True
         target = next(t for t in self.call("Target.getTargets")["targetInfos"] if t["type"] == "page")
         self.session = self.call("Target.attachToTarget", targetId=target["targetId"], flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
@@ -178,5 +181,9 @@ class Tab:
             self.complaints.append(str(found["exceptionDetails"]))
         elif event == "Runtime.consoleAPICalled" and found["type"] in ("error", "warning"):
             self.complaints.append(" ".join(str(argument.get("value")) for argument in found["args"]))
+        elif event == "Page.javascriptDialogOpening":
+            self.questions.append(found["type"])
+            told = {"id": 0, "method": "Page.handleJavaScriptDialog", "params": {"accept": self.answer}}
+            os.write(self.writer, json.dumps({**told, "sessionId": self.session}).encode() + b"\0")
         elif event == "Log.entryAdded":
             self.complaints.append(" ".join((found["entry"]["text"], found["entry"].get("url", ""))).strip())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import contextmanager
 
 import cv2
 import numpy as np
@@ -739,3 +740,232 @@ def test_every_control_has_a_name_and_state(page):
     # What is complete and what is not is told in words and by a sign, not by colour alone.
     rows = page.tab.run("[...document.querySelectorAll('#images button')].map(b => b.innerText.replace(/\\s+/g, ' '))")
     assert rows == ["✓ Rest, frontal 17 vertebrae", "○ Rest, lateral nothing marked", "○ Push a nothing marked"]
+
+
+@contextmanager
+def intercepted(tab, answer):
+    """``fetch`` of the page is ``answer``: a JavaScript function of the address, its options and the real one."""
+    tab.run(f"(window.real = fetch.bind(window), window.fetch = (path, given) => ({answer})(path, given, real), 1)")
+    try:
+        yield
+    finally:
+        tab.run("(window.fetch = window.real, 1)")
+
+
+def test_a_radiograph_that_is_not_there_yet_is_not_marked_on_the_one_before(page):
+    """Its picture may take a while, or never come: a click on another's is none of its marks."""
+    tab = page.tab
+    page.fill()
+    held = "(path, given, real) => !path.includes('lateral') ? real(path, given)"
+    held += " : new Promise((_, no) => { window.lose = no; })"
+    at = page.place((200, 300))
+
+    def click():
+        tab.run("document.querySelector('[data-tool=spine]').click()")
+        tab.drag(at, at)
+        tab.settle()
+        return (page.marks("rest/lateral") or {"spine": []})["spine"]
+
+    def shown():
+        tab.settle()
+        whole = cv2.imdecode(np.frombuffer(tab.picture(), np.uint8), cv2.IMREAD_GRAYSCALE)
+        left, top, width, height = (round(value) for value in page.stage())
+        return int(whole[top + 9 : top + height - 9, left + 9 : left + width - 9].max())
+
+    with intercepted(tab, held):
+        tab.run("(annotation.open('rest/lateral'), 1)")
+        assert click() == [] and shown() == 0
+        tab.run("(lose(new TypeError('lost')), 1)")
+        tab.until("document.getElementById('problem').innerText.includes('does not answer')")
+        assert click() == [] and shown() == 0
+    tab.run("(annotation.open('rest/lateral'), 1)")
+    tab.until("annotation.loaded == 'rest/lateral'")
+    assert len(click()) == 1 and shown() > 200
+    page.saved()
+
+
+def test_a_screen_of_other_sharpness_shows_marks_where_they_are(page):
+    """As where a window goes to another monitor: as wide as before, with more pixels of the screen."""
+    tab = page.tab
+    page.fill()
+    tab.settle()
+    size = {"width": 1280, "height": 800, "mobile": False}
+    try:
+        for ratio in (2, 1):
+            tab.call("Emulation.setDeviceMetricsOverride", deviceScaleFactor=ratio, **size)
+            tab.until(f"devicePixelRatio == {ratio}")
+            tab.run("annotation.select({kind: 'vertebra', name: 'T9', part: -1})")
+            tab.settle()
+            wide, shown = tab.run("[annotation.stage.canvas.width, annotation.stage.canvas.clientWidth]")
+            assert wide == ratio * shown
+    finally:
+        tab.size(1280, 800)
+
+
+def test_what_is_exported_is_what_is_marked(page):
+    """Not what was saved before: a change that is on its way is waited for, and one that is refused is told."""
+    tab = page.tab
+    page.fill()
+    kept = "async (path, given, real) => { const found = await real(path, given);"
+    kept += " if (path.includes('export')) window.exported = await found.clone().text(); return found; }"
+    with intercepted(tab, kept):
+        tab.run("(annotation.visible('T6', false), document.getElementById('export-csv').click(), 1)")
+        tab.until("!!window.exported")
+        assert "T5" in tab.run("exported") and "T6" not in tab.run("exported")
+        tab.run("(window.exported = '', 1)")
+        page.saved()
+        page.served.session.revision = "another"
+        tab.run("annotation.visible('T5', false)")
+        tab.until("document.getElementById('saved').dataset.state == 'failed'")
+        page.button("export-csv")
+        tab.until("document.getElementById('problem').innerText.includes('another window or program')")
+        assert tab.run("exported") == ""
+
+
+def test_marks_that_were_put_right_while_others_were_refused_are_saved(page):
+    tab = page.tab
+    refused = "async (path, given, real) => { if (given?.method != 'PUT' || window.told) return real(path, given);"
+    refused += " window.told = true; await new Promise(done => { window.answer = done; });"
+    refused += ' return new Response(\'{"error": "too many points"}\', {status: 422}); }'
+    with intercepted(tab, refused):
+        tab.run("annotation.change(marks => ({...marks, spine: [[9, 9]]}), 'filled')")
+        tab.until("!!window.answer")
+        tab.run("annotation.change(marks => ({...marks, spine: [[9, 9], [10, 10]]}), 'filled')")
+        tab.run("new Promise(done => setTimeout(done, 300))")
+        tab.run("(answer(), 1)")
+        page.saved()
+    assert len(page.served.session.marks["rest/frontal"].spine) == 2
+
+
+def test_tracking_is_asked_for_again_where_the_server_did_not_answer_once(page):
+    tab, image = page.tab, "push/a"
+    tab.run(f"(annotation.open('{image}'), 1)")
+    tab.until(f"annotation.loaded == '{image}'")
+    lost = "(path, given, real) => !path.includes('api/track') || window.lost ? real(path, given)"
+    lost += " : (window.lost = true, Promise.reject(new TypeError()))"
+    with intercepted(tab, lost):
+        tab.run(f"annotation.watch('{image}', {{state: 'running', done: 0, total: 3, error: '', frames: []}})")
+        assert tab.run("document.getElementById('track').disabled")
+        tab.until("!!window.lost")
+        tab.until("!document.getElementById('track').disabled", 10.0)
+    refused = "async (path, given, real) => !path.includes('api/track') ? real(path, given)"
+    refused += ' : new Response(\'{"error": "gone"}\', {status: 404})'
+    with intercepted(tab, refused):
+        tab.run(f"annotation.watch('{image}', {{state: 'running', done: 0, total: 3, error: '', frames: []}})")
+        tab.until("!document.getElementById('track').disabled", 10.0)
+        assert page.text("problem") == "gone"
+
+
+def test_a_correction_that_is_taken_back_is_tracked_no_longer(page):
+    tab, image = page.tab, "push/a"
+    tab.run(f"(annotation.open('{image}'), 1)")
+    tab.until(f"annotation.loaded == '{image}'")
+    page.fill(image)
+    page.button("track")
+    tab.until(f"annotation.tracking['{image}']?.state == 'done'", 60.0)
+    page.button("frame-on")
+    tab.until(f"annotation.loaded == '{image}/1' && annotation.tracked")
+    before = np.array(tab.run("annotation.tracked.vertebrae.T9"))
+    tab.drag(page.place(before[0]), page.place(before[0] + [8.0, 0.0]))
+    tab.until(f"annotation.tracking['{image}'].state == 'running'")
+    tab.until(f"annotation.tracking['{image}'].state == 'done'", 60.0)
+    assert np.abs(np.array(tab.run("annotation.seen.vertebrae.T9")) - before).max() > 7.0
+    page.key("z", CTRL)
+    tab.until(f"annotation.tracking['{image}'].state == 'running'")
+    tab.until(f"annotation.tracking['{image}'].state == 'done'", 60.0)
+    np.testing.assert_allclose(tab.run("annotation.seen.vertebrae.T9"), before, atol=0.06)
+    # Other names that are taken back are tracked likewise.
+    page.button("frame-back")
+    tab.until(f"annotation.loaded == '{image}'")
+    tab.run("annotation.visible('T1', false)")
+    for name in ("names-up", "undo"):
+        page.button(name)
+        tab.until(f"annotation.tracking['{image}'].state == 'running'")
+        tab.until(f"annotation.tracking['{image}'].state == 'done'", 60.0)
+        tracked = set(tab.run(f"Object.keys(annotation.tracking['{image}'].frames[1].vertebrae)"))
+        assert tracked == set(tab.run("Object.keys(annotation.marks.vertebrae)"))
+
+
+def test_a_vertebra_comes_back_at_no_other_ones_place(page):
+    """What was L5 has another name by now: its place is not where the new L5 is."""
+    page.fill()
+    was = {name: page.quad(name).mean(axis=0) for name in ("L3", "L4", "L5")}
+    page.tab.run("annotation.visible('T1', false)")
+    page.tab.run("annotation.visible('L5', false)")
+    page.button("names-up")
+    page.tab.run("annotation.visible('L5', true)")
+    # L4 is L3 by now: L5 is the second below it.
+    expected = was["L4"] + 2.0 * (was["L4"] - was["L3"])
+    assert np.linalg.norm(page.quad("L5").mean(axis=0) - expected) < 0.3 * np.linalg.norm(was["L4"] - was["L3"])
+    page.saved()
+
+
+def test_the_angle_is_that_of_what_was_tracked_last(page):
+    """New corners may come while the angle of those before is being read."""
+    tab, image = page.tab, "push/a"
+    tab.run(f"(annotation.open('{image}', 1), 1)")
+    tab.until(f"annotation.loaded == '{image}/1'")
+
+    def track(turned):
+        quads = {
+            name: (np.array(quad) + [turned * row, 0.0]).tolist()
+            for row, (name, quad) in enumerate(drawn(f"{image}/1").named().items())
+        }
+        record = json.dumps({"vertebrae": quads, "quality": {name: [1, 1, 1, 1] for name in quads}})
+        done = f"{{state: 'done', done: 3, total: 3, error: '', frames: [{record}, {record}, {record}]}}"
+        tab.run(f"annotation.tracking = {{'{image}': {done}}}; annotation.after()")
+
+    held = "async (path, given, real) => { const found = await real(path, given);"
+    held += " if (path == 'api/judge' && !window.release) await new Promise(done => { window.release = done; });"
+    held += " if (path == 'api/judge') window.judged = JSON.parse(given.body).marks.vertebrae.T9[0]; return found; }"
+    tab.until("!annotation.judging")
+    with intercepted(tab, held):
+        track(0.0)
+        tab.until("!!window.release")
+        track(2.0)
+        tab.run("(release(), 1)")
+        tab.until("!annotation.judging")
+        tab.run("new Promise(done => setTimeout(done, 300))")
+        tab.until("!annotation.judging")
+        assert tab.run("judged") == tab.run("annotation.tracked.vertebrae.T9[0]")
+
+
+def test_an_angle_that_could_not_be_read_is_not_put_down_to_too_few_vertebrae(page):
+    page.fill()
+    page.tab.until("annotation.cobb && !annotation.judging")
+    lost = "(path, given, real) => path == 'api/judge' ? Promise.reject(new TypeError()) : real(path, given)"
+    with intercepted(page.tab, lost):
+        page.tab.run("annotation.after()")
+        page.tab.until("!annotation.cobb && !annotation.judging")
+        assert "two vertebrae" not in page.text("cobb") and "does not answer" in page.text("cobb")
+    page.saved()
+
+
+def test_the_address_of_another_start_is_taken_in_a_tab_that_is_open(page):
+    """It differs by what stands behind the "#" alone, so that the browser loads nothing by itself."""
+    tab = page.tab
+    tab.run("(sessionStorage.setItem('spinestiff-token', 'of-a-start-that-is-over-by-now'), 1)")
+    tab.loaded = False
+    tab.run(f"(location.hash = {json.dumps(page.served.token)}, 1)")
+    tab.wait(lambda: tab.loaded)
+    tab.until("document.body.dataset.state == 'open'")
+    assert "#" not in tab.run("location.href")
+
+
+def test_no_angle_of_another_radiograph_stands_beside_one(page):
+    """The first reading of a radiograph may take a while."""
+    tab = page.tab
+    page.fill()
+    tab.until("annotation.cobb && !annotation.judging")
+    assert "°" in page.text("cobb")
+    held = "(path, given, real) => path != 'api/judge' ? real(path, given)"
+    held += " : new Promise(done => { window.release = () => done(real(path, given)); })"
+    with intercepted(tab, held):
+        tab.run("(annotation.open('push/a'), 1)")
+        tab.until("annotation.loaded == 'push/a'")
+        page.fill("push/a")
+        tab.until("!!window.release")
+        assert "°" not in page.text("cobb")
+        tab.run("(release(), 1)")
+    tab.until("!annotation.judging && annotation.cobb")
+    assert "°" in page.text("cobb")

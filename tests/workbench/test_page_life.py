@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from bench_page import click, fill, go, load, text
+from bench_page import chosen, click, files, fill, go, load, press, text
 from chromium import Tab, browser
 from spinestiff.annotate.draft import DraftImage
 from spinestiff.files import read_json
@@ -143,3 +143,183 @@ def test_saved_is_said_of_what_was_typed_last(tab, root, served):
     tab.until("document.querySelector('.saved').innerText.startsWith('Saved')")
     values = read_json(root / "girl" / "subject.json")
     assert (values["age"], values["height_cm"]) == (14, 151)
+
+
+def intercept(tab, answer):
+    """``fetch`` of the page as ``answer`` makes it, a JavaScript function of the address, its options and the real one,
+    until the page is loaded again."""
+    tab.run(f"(window.real ??= fetch.bind(window), window.fetch = (path, given) => ({answer})(path, given, real), 1)")
+
+
+def test_values_that_are_not_saved_yet_are_not_left_behind(tab, root, served):
+    """The way to the annotation leaves the page at once, whatever is on its way."""
+    load(tab, served.address)
+    go(tab, f"/subject/{served.key()}/values")
+    intercept(
+        tab,
+        """async (path, given, real) => {
+      if (given?.method == 'PUT') await new Promise(done => { window.release = done; });
+      return real(path, given);
+    }""",
+    )
+    fill(tab, "#f-age", "14")
+    tab.questions.clear()
+    tab.answer = False
+    try:
+        press(tab, ".way a[href^='/annotate/']")
+        tab.wait(lambda: bool(tab.questions))
+    finally:
+        tab.answer = True
+    assert tab.questions == ["beforeunload"] and tab.run("location.pathname") == "/"
+    tab.until("!!window.release")
+    tab.run("(release(), 1)")
+    tab.until("document.querySelector('.saved').innerText.startsWith('Saved')")
+    assert read_json(root / "girl" / "subject.json")["age"] == 14
+    press(tab, ".way a[href^='/annotate/']")
+    tab.until("location.pathname.startsWith('/annotate/') && document.body?.dataset.state == 'open'")
+    assert tab.questions == ["beforeunload"]
+
+
+def test_values_that_can_not_be_saved_are_told_of_in_the_next_room(tab, root, served):
+    load(tab, served.address)
+    go(tab, f"/subject/{served.key()}/values")
+    fill(tab, "#f-height-cm", "151")
+    fill(tab, "#f-age", "thirteen")
+    go(tab, "/trash")
+    tab.until("!document.querySelector('#problem').hidden")
+    assert "girl" in text(tab, "#problem") and "one value is not possible" in text(tab, "#problem")
+    assert read_json(root / "girl" / "subject.json")["height_cm"] == 157
+
+
+def test_an_empty_cell_of_a_pasted_column_is_a_frame_without_a_force(tab, root, served):
+    """The forces below it stay those of their frames."""
+    load(tab, served.address)
+    go(tab, f"/subject/{served.key()}/values")
+    for column, wanted in (
+        ("5\\n\\n35\\n", [5, None, 35]),
+        ("\\r\\n12,5\\r\\n41", [None, 12.5, 41]),
+        ("1 2;3", [1, 2, 3]),
+    ):
+        tab.run(f"""(() => {{
+          const given = new DataTransfer();
+          given.setData('text', '{column}');
+          const event = new ClipboardEvent('paste', {{ clipboardData: given, bubbles: true }});
+          document.querySelector('[aria-label="Force in frame 0, N"]').dispatchEvent(event);
+        }})()""")
+        boxes = tab.run("[...document.querySelectorAll('.frames input')].map(one => one.value)")
+        assert boxes == ["" if force is None else str(force) for force in wanted]
+        tab.until("document.querySelector('.saved').innerText.startsWith('Saved')")
+    assert read_json(root / "girl" / "subject.json")["pushes"][0]["forces_n"] == [1, 2, 3]
+
+
+def test_an_upload_that_is_given_up_is_no_problem_of_the_next_room(tab, root, served, tmp_path):
+    (tmp_path / "I1").write_bytes(bytes(1000))
+    load(tab, served.address)
+    go(tab, "/new")
+    intercept(
+        tab,
+        """(path, given, real) => given?.method != 'PUT' ? real(path, given) : new Promise((_, no) => {
+      window.sending = true;
+      given.signal.addEventListener('abort', () => no(given.signal.reason));
+    })""",
+    )
+    files(tab, "#files", [tmp_path / "I1"])
+    tab.until("!!window.sending")
+    go(tab, "/trash")
+    tab.run("new Promise(done => setTimeout(done, 300))")
+    assert tab.run("document.querySelector('#problem').hidden"), text(tab, "#problem")
+
+
+def test_cards_are_asked_for_again_where_the_server_did_not_answer_once(tab, root, served):
+    load(tab, served.address)
+    go(tab, "/trash")
+    intercept(
+        tab,
+        """async (path, given, real) => {
+      if (path != '/api/subjects') return real(path, given);
+      window.asked = (window.asked ?? 0) + 1;
+      if (asked == 2) throw new TypeError('lost');
+      const found = await (await real(path, given)).json();
+      if (asked == 1) found.subjects[0].job = { id: '1', state: 'running', ended: null };
+      return new Response(JSON.stringify(found));
+    }""",
+    )
+    go(tab, "/")
+    assert "Running" in text(tab)
+    tab.until("asked >= 3 && !document.querySelector('#room').innerText.includes('Running')", 20)
+
+
+def test_of_two_comparisons_the_one_that_is_chosen_is_shown(tab, root, served):
+    """Though the other's answer comes last."""
+    load(tab, served.address)
+    go(tab, "/trash")
+    intercept(
+        tab,
+        """async (path, given, real) => {
+      const ratio = { name: 'x', title: 'X', words: '1', interval: '', unit: '', value: 1, low: null, high: null };
+      const result = { badge: 'determined', lines: [], stiffness: [ratio], doubts: [], rmse_mm: 1 };
+      const card = name => ({ key: name, name, id: name, stage: 'done', missing: [], pushes: 1, result });
+      if (path == '/api/subjects') return new Response(JSON.stringify({ subjects: ['ann', 'bea', 'cleo'].map(card) }));
+      if (!path.endsWith('/results')) return real(path, given);
+      if (path.includes(window.hold)) await new Promise(done => { window.release = done; });
+      if (path.includes(window.lose)) throw new TypeError('lost');
+      return new Response(JSON.stringify({ pages: [], ticket: 't' }));
+    }""",
+    )
+    go(tab, "/compare/ann/cleo")
+    tab.run("(window.hold = 'bea', 1)")
+    chosen(tab, "#second", "bea")
+    tab.until("!!window.release")
+    chosen(tab, "#first", "cleo")
+    chosen(tab, "#second", "ann")
+    pair = "[...document.querySelectorAll('.pair section')].map(one => one.getAttribute('aria-label')).join()"
+    tab.until(f"{pair} == 'cleo,ann'")
+    tab.run("(release(), 1)")
+    tab.run("new Promise(done => setTimeout(done, 200))")
+    assert tab.run(pair) == "cleo,ann"
+    # Nothing of others is shown where the answer does not come.
+    tab.run("(window.hold = undefined, window.lose = 'bea', 1)")
+    chosen(tab, "#second", "bea")
+    tab.until("!document.querySelector('#problem').hidden")
+    assert tab.run(pair) == ""
+
+
+def test_of_two_answers_about_a_subject_the_last_question_counts(tab, root, served):
+    key = served.key()
+    load(tab, served.address)
+    go(tab, f"/subject/{key}/values")
+    intercept(
+        tab,
+        f"""async (path, given, real) => {{
+      if (path != '/api/subjects/{key}' || window.release) return real(path, given);
+      const found = await (await real(path, given)).json();
+      await new Promise(done => {{ window.release = done; }});
+      return new Response(JSON.stringify({{ ...found, stage_words: 'As it was before' }}));
+    }}""",
+    )
+    tab.run("(document.dispatchEvent(new Event('subject-changed')), 1)")
+    tab.until("!!window.release")
+    tab.run("(document.dispatchEvent(new Event('subject-changed')), 1)")
+    tab.run("new Promise(done => setTimeout(done, 500))")
+    tab.run("(release(), 1)")
+    tab.run("new Promise(done => setTimeout(done, 300))")
+    assert "As it was before" not in text(tab, "h1")
+
+
+def test_the_way_to_the_content_stays_in_the_room(tab, root, served):
+    load(tab, served.address)
+    go(tab, "/new")
+    tab.run("(document.querySelector('.skip').focus(), 1)")
+    tab.press("Enter")
+    tab.run("new Promise(done => setTimeout(done, 300))")
+    assert text(tab, "h1") == "New subject" and tab.run("document.activeElement.id") == "room"
+
+
+def test_the_address_of_another_start_is_taken_in_a_window_that_is_open(tab, root, served):
+    load(tab, served.address)
+    tab.run("(sessionStorage.setItem('spinestiff-token', 'of-a-start-that-is-over-by-now'), 1)")
+    tab.loaded = False
+    tab.run(f"(location.hash = '{served.token}', 1)")
+    tab.wait(lambda: tab.loaded)
+    tab.until("document.body.dataset.state == 'open'")
+    assert "girl" in text(tab)

@@ -1,5 +1,5 @@
 // What a page asks of its server, always with this start's token. Nothing is asked of anybody else.
-const KEY = "spinestiff-token", BEHIND_PROXY = "proxy";
+const KEY = "spinestiff-token", BEHIND_PROXY = "proxy", TOKEN = /^[\w-]{20,}$/;
 
 export class Refused extends Error {
   constructor(readonly status: number, message: string) { super(message); }
@@ -8,7 +8,9 @@ export class Refused extends Error {
 /** The token comes in the fragment, which no server sees, and is kept for reloads of this tab alone. */
 export function takeToken(): void {
   const given = location.hash.slice(1);
-  if (!/^[\w-]{20,}$/.test(given)) return;
+  // Another start's address in a tab that shows this page: the browser itself loads nothing.
+  addEventListener("hashchange", () => { if (TOKEN.test(location.hash.slice(1))) location.reload(); });
+  if (!TOKEN.test(given)) return;
   sessionStorage.setItem(KEY, given);
   history.replaceState(null, "", location.pathname);
 }

@@ -1,5 +1,5 @@
 // The state of the page and everything that can be done to it; the mouse, the keyboard and the panels only ask for it here.
-import { words } from "../../shared/net";
+import { Refused, words } from "../../shared/net";
 import * as api from "./api";
 import type { Cobb, ImageInfo, Session, TrackedFrame, Tracking } from "./api";
 import { centre, changed, guessed, History, type ImageMarks, type Marks, moved, NOTHING, outermost, type Point, type Quad, removed, renamed, type Selection, selected, type Support, without } from "./marks";
@@ -11,7 +11,7 @@ import { Stage } from "./stage";
 export type Tool = "move" | "spine" | "pedicle" | Support;
 export interface Says { saved(state: string, words: string): void; problem(words: string, gone?: () => boolean): void; aloud(words: string): void; refresh(): void }
 
-const JUDGE_MS = 60, DETAIL_MS = 120, SCREEN_STEP = 64;
+const JUDGE_MS = 60, DETAIL_MS = 120, TRACK_MS = 300, RETRY_MS = 2500, SCREEN_STEP = 64;
 
 export class App {
   readonly names: string[];
@@ -30,7 +30,7 @@ export class App {
   busy = "";
   tracking: Record<string, Tracking> = {};
   private readonly history: History;
-  private readonly saver: Saver;
+  readonly saver: Saver;
   private draft: ImageMarks | null = null;
   private hidden: Marks = {};
   /** What was last said of the spine's ends, for radiographs in which nothing is. */
@@ -85,7 +85,12 @@ export class App {
     this.image = image;
     this.frame = Math.min(Math.max(0, frame), image.forces.length - 1);
     if (!this.tools.includes(this.tool)) this.tool = "move";
-    if (!same) this.selection = this.cursor = null;
+    if (!same) {
+      this.selection = this.cursor = this.cobb = null;
+      this.curves = [];
+      this.judged = "";
+      this.stage.clear();
+    }
     const asked = this.key;
     this.says.refresh();
     try {
@@ -99,7 +104,10 @@ export class App {
       const told = this.tracking[name]?.state;
       if (this.isPush && (!told || (told === "none" && !same))) this.watch(name, await api.tracking(name));
     } catch (error) {
-      if (asked === this.key) this.says.problem(words(error), () => this.key !== asked || this.loaded === asked);
+      if (asked === this.key) {
+        if (this.loaded !== asked) this.stage.clear();
+        this.says.problem(words(error), () => this.key !== asked || this.loaded === asked);
+      }
     }
     this.after();
   }
@@ -194,9 +202,10 @@ export class App {
     return { ...this.marks, vertebrae: { ...this.marks.vertebrae, [at.name]: quad } };
   }
 
-  undo(): void { this.turn(this.history.undo(), "undone"); }
-  redo(): void { this.turn(this.history.redo(), "done again"); }
-  private turn(step: { image: string; words: string } | null, how: string): void {
+  undo(): void { this.turn(() => this.history.undo(), "undone"); }
+  redo(): void { this.turn(() => this.history.redo(), "done again"); }
+  private turn(go: () => { image: string; words: string } | null, how: string): void {
+    const before = this.history.marks, step = go();
     if (!step) return this.says.aloud("nothing more to take back or do again");
     this.draft = null;
     this.save();
@@ -204,6 +213,14 @@ export class App {
     const all = this.session.images, image = all.find((one) => step.image === one.name) ?? all.find((one) => step.image.startsWith(`${one.name}/`));
     if (image && step.image !== this.key) void this.open(image.name, Number(step.image.slice(image.name.length + 1)) || 0);
     else this.after();
+    if (image && this.isTracked(image.name, step.image, before)) void this.track();
+  }
+
+  /** Whether what has changed since is tracked when somebody does it: vertebrae of a later frame, or all names. */
+  private isTracked(image: string, key: string, before: Marks): boolean {
+    const { vertebrae: was } = before[key] ?? NOTHING, { vertebrae: is } = this.history.marks[key] ?? NOTHING;
+    if (key !== image) return was !== is;
+    return this.isPush && !!this.tracking[image]?.frames.length && Object.keys(was).join() !== Object.keys(is).join();
   }
 
   nudge(by: Point): void {
@@ -318,6 +335,8 @@ export class App {
     const all = this.history.marks, next = this.named.map((key) => [key, renamed(all[key] ?? NOTHING, this.names, step)] as const);
     if (next.some(([, marks]) => !marks))
       return this.problem(`The names end at ${step < 0 ? "T1" : "L5"}; mark what lies beyond as not visible first.`);
+    // What went out of sight has its old name, and at its place is another vertebra by now.
+    for (const key of this.named) this.hidden = without(this.hidden, key);
     this.replace({ ...all, ...(Object.fromEntries(next) as Marks) }, step < 0 ? "names moved up" : "names moved down");
     if (this.isPush && this.tracking[this.image.name]?.frames.length) void this.track();
     this.selection = null;
@@ -335,6 +354,7 @@ export class App {
   add(p: Point): void {
     const at: Point = [Math.round(p[0] * 100) / 100, Math.round(p[1] * 100) / 100], tool = this.tool;
     const [columns, rows] = this.stage.size;
+    if (this.loaded !== this.key) return this.says.aloud("the radiograph is not there yet");
     if (at[0] < -0.5 || at[1] < -0.5 || at[0] > columns - 0.5 || at[1] > rows - 0.5) return;
     if (tool === "spine") this.change((marks) => ({ ...marks, spine: [...marks.spine, at] }), "point along the spine added");
     else if (tool === "pelvis" || tool === "shoulder")
@@ -423,8 +443,11 @@ export class App {
     this.tracking = { ...this.tracking, [name]: state.frames.length || !before ? state : { ...state, frames: before.frames } };
     if (state.state === "failed") this.says.problem(state.error, () => this.tracking[name]?.state !== "failed");
     if (state.state === "done" && before?.state === "running") this.says.aloud("tracking is done");
-    if (state.state === "running")
-      window.setTimeout(() => void api.tracking(name).then((next) => this.watch(name, next), () => undefined), 300);
+    const ask = (): void => void api.tracking(name).then((next) => this.watch(name, next), (error: unknown) => {
+      if (error instanceof Refused) this.watch(name, { ...state, state: "failed", error: words(error) });
+      else window.setTimeout(ask, RETRY_MS);
+    });
+    if (state.state === "running") window.setTimeout(ask, TRACK_MS);
     this.after();
   }
 
@@ -452,18 +475,17 @@ export class App {
   }
 
   private async judge(): Promise<void> {
-    const { marks, key } = this;
+    const { marks, key, tracked } = this;
+    let found: api.Judged = { vertebrae: 0, problem: "", cobb: null, curves: [] };
     try {
-      if (!Object.keys(this.seen.vertebrae).length) throw new Error("nothing to judge");
-      const found = await api.judge(this.image.name, { ...NOTHING, vertebrae: this.seen.vertebrae, pedicles: marks.pedicles });
-      if (key === this.key) { this.cobb = found.cobb; this.curves = found.curves; this.judged = found.problem; }
-    } catch {
-      this.cobb = null;
-      this.curves = [];
-      this.judged = "";
+      const { vertebrae } = this.seen;
+      if (Object.keys(vertebrae).length) found = await api.judge(this.image.name, { ...NOTHING, vertebrae, pedicles: marks.pedicles });
+    } catch (error) {
+      found.problem = words(error);
     }
+    if (key === this.key) { this.cobb = found.cobb; this.curves = found.curves; this.judged = found.problem; }
     this.judging = 0;
-    if (marks !== this.marks || key !== this.key) this.after();
+    if (marks !== this.marks || key !== this.key || tracked !== this.tracked) this.after();
     else {
       this.paint();
       this.says.refresh();

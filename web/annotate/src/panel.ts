@@ -182,10 +182,10 @@ export class Panel {
   }
 
   private cobb(): void {
-    const { cobb, curves, image, judged } = this.app, target = need("cobb");
+    const { cobb, curves, image, judged, seen } = this.app, target = need("cobb");
     // Size and uncertainty large, levels, definition and side behind them.
     const [figures, behind] = cobb ? (cobb.words.split(/(?= \()/) as [string, string?]) : [];
-    const text = figures ?? (image.kind === "lateral" ? "Read in frontal radiographs." : "Needs two vertebrae."), rest = behind ?? "";
+    const text = figures ?? (image.kind === "lateral" ? "Read in frontal radiographs." : Object.keys(seen.vertebrae).length < 2 ? "Needs two vertebrae." : "Not read."), rest = behind ?? "";
     const others = curves.filter((one) => one.words !== cobb?.words).map((one) => `${one.words}, ${one.region}`);
     const key = [text, rest, judged, ...others].join("\n");
     if (target.dataset["key"] === key) return;
@@ -193,8 +193,7 @@ export class Panel {
     target.replaceChildren(h(cobb ? "b" : "span", {}, text), rest);
     const add = (words_: string): void => target.append(h("br"), h("span", { class: "note" }, words_));
     others.forEach(add);
-    const { vertebrae, pedicles } = this.app.marks;
-    if (judged && Object.keys({ ...vertebrae, ...pedicles }).length) add(judged);
+    if (judged && Object.keys({ ...this.app.marks.vertebrae, ...this.app.marks.pedicles }).length) add(judged);
   }
 
   private frames(): void {
@@ -263,6 +262,8 @@ export class Panel {
 
   private async export(form: "csv" | "slicer"): Promise<void> {
     await this.app.whileBusy("", async () => {
+      // The server exports what is saved.
+      await this.app.saver.settled();
       const link = h("a", { href: URL.createObjectURL(await api.exportFile(form)), download: form === "csv" ? "corners.csv" : "corners.mrk.json" });
       link.click();
       URL.revokeObjectURL(link.href);

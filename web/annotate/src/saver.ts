@@ -9,6 +9,8 @@ export class Saver {
   private wanted: Marks | null = null;
   private busy = false;
   private stopped = false;
+  /** Why what is wanted is not saved, where asking again would not help. */
+  private refused: Refused | null = null;
   private timer = 0;
 
   constructor(
@@ -24,13 +26,17 @@ export class Saver {
   want(marks: Marks): void {
     this.wanted = marks;
     if (this.stopped) return;
+    this.refused = null;
     this.say("saving", "Saving …");
     this.later(PAUSE_MS);
   }
 
-  /** Once everything is saved; never, if that is refused. */
+  /** Once everything is saved, or with what it is refused. */
   async settled(): Promise<void> {
-    while (this.unsaved) await new Promise((done) => setTimeout(done, 40));
+    while (this.unsaved) {
+      if (this.refused) throw this.refused;
+      await new Promise((done) => setTimeout(done, 40));
+    }
   }
 
   private later(ms: number): void {
@@ -50,15 +56,18 @@ export class Saver {
       if (this.wanted) this.later(0);
       else this.say("saved", `Saved ${new Date().toLocaleTimeString()}`);
     } catch (error) {
+      const newer = this.wanted !== null;
       this.wanted ??= marks;
       if (error instanceof Refused) {
         // 409: somebody else wrote; saving again would destroy that.
         this.stopped = error.status === 409 || error.status === 403;
+        if (this.stopped || !newer) this.refused = error;
         this.say("failed", `Not saved: ${error.message}`);
       } else {
         this.say("failed", `Not saved. ${words(error)}`);
       }
       if (!(error instanceof Refused) || error.status >= 500) this.later(RETRY_MS);
+      else if (newer) this.later(0);
     } finally {
       this.busy = false;
     }

@@ -49,6 +49,13 @@ export class Stage {
     this.develop();
   }
 
+  /** No radiograph is in sight, as long as the one that is wanted is not there. */
+  clear(): void {
+    this.grey = null;
+    this.patches = [];
+    this.redraw();
+  }
+
   /** The window that the radiograph opens with. */
   get natural(): [number, number] { return this.grey?.window ?? [0, 65535]; }
   get size(): Point { return this.grey ? [this.grey.columns, this.grey.rows] : [1, 1]; }
@@ -122,9 +129,6 @@ export class Stage {
   private get ratio(): number { return window.devicePixelRatio || 1; }
 
   private resize(): void {
-    const { clientWidth, clientHeight } = this.canvas;
-    const wide = Math.max(1, Math.round(clientWidth * this.ratio)), high = Math.max(1, Math.round(clientHeight * this.ratio));
-    if (this.canvas.width !== wide || this.canvas.height !== high) { this.canvas.width = wide; this.canvas.height = high; }
     if (this.fitted) this.fit(); else this.redraw();
   }
 
@@ -177,7 +181,7 @@ export class Stage {
   /** The mark under a place of the canvas: points before corners before whole vertebrae, the nearest of a kind. */
   under(place: Point, finger = false): Selection | null {
     const shown = this.shown;
-    if (!shown?.show) return null;
+    if (!this.grey || !shown?.show) return null;
     const found: [number, Selection][] = [];
     const offer = (points: readonly Point[] | undefined, make: (i: number) => Selection): void =>
       points?.forEach((p, i) => {
@@ -218,10 +222,13 @@ export class Stage {
   }
 
   private paint(): void {
-    const c = this.context, { ratio } = this;
+    const c = this.context, { ratio } = this, { clientWidth, clientHeight } = this.canvas;
+    // Each time: on another screen its pixels are others, though the canvas is as large as before.
+    const wide = Math.max(1, Math.round(clientWidth * ratio)), high = Math.max(1, Math.round(clientHeight * ratio));
+    if (this.canvas.width !== wide || this.canvas.height !== high) { this.canvas.width = wide; this.canvas.height = high; }
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
     c.fillStyle = "#000";
-    c.fillRect(0, 0, this.canvas.clientWidth, this.canvas.clientHeight);
+    c.fillRect(0, 0, clientWidth, clientHeight);
     if (!this.grey) return;
     c.imageSmoothingEnabled = this.scale < 4;
     // What was sent fits the screen; only a picture that is shown smaller than that needs more than two pixels' mean.

@@ -86,7 +86,7 @@ export class Panel {
     const limit = this.limit;
     this.force.step = String(STEP);
     this.force.max = String(STEP * Math.ceil(limit / STEP));
-    this.frame = null;
+    this.frame = this.chosen.frames.find((frame) => frame.force === limit)?.frame ?? null;
     const ticks = this.part("ticks");
     const forces = [...new Set(this.chosen.frames.map((frame) => frame.force))];
     let labelled = -1;
@@ -125,11 +125,12 @@ export class Panel {
     this.refresh();
   }
 
-  /** The slider's own steps may miss a frame's force by a hair. */
+  /** The slider's own steps may miss a frame's force by a hair; of several frames that near the chosen one counts. */
   private shownForce(): number {
     const value = Math.min(Number(this.force?.value ?? 0), this.limit);
-    const near = this.chosen?.frames.find((frame) => Math.abs(frame.force - value) <= STEP / 2);
-    return near ? near.force : value;
+    const away = (frame: Frame): number => Math.abs(frame.force - value);
+    const near = (this.chosen?.frames ?? []).filter((frame) => away(frame) <= STEP / 2).sort((a, b) => away(a) - away(b));
+    return (near.find((frame) => frame.frame === this.frame) ?? near[0])?.force ?? value;
   }
 
   private current(force: number): Frame | null {

@@ -63,8 +63,10 @@ export async function cards(): Promise<Room> {
       h("p", { class: "soft" }, "A subject is made from the radiographs that a hospital exports: one frontal picture at rest, perhaps a lateral one, and the pictures of at least one push with its forces."),
       state.readOnly ? null : h("a", { class: "button main", href: "#/new" }, "New subject")));
     clearTimeout(timer);
-    if (!over && found.some((card) => card.job?.state === "running" || card.job?.state === "waiting")) timer = window.setTimeout(() => void load().catch(() => undefined), 3000);
+    if (!over && found.some((card) => card.job?.state === "running" || card.job?.state === "waiting")) later();
   };
+  // A server that does not answer once may do so later.
+  const later = (): void => { timer = window.setTimeout(() => void load().catch(() => { if (!over) later(); }), 3000); };
   await load();
   return { element, leave: () => { over = true; clearTimeout(timer); } };
 }

@@ -14,10 +14,15 @@ export async function compare(first = "", second = ""): Promise<Room> {
     return [h("label", {}, `${label} `, made), made];
   };
   const [a, left] = select("first", "First", first), [b, right] = select("second", "Second", second || (cards[1]?.key ?? ""));
+  let turn = 0;
   async function draw(): Promise<void> {
+    const mine = ++turn;
+    below.replaceChildren();
     const pair = [left.value, right.value].map((key) => cards.find((card) => card.key === key)).filter((card) => card !== undefined);
     const [one, other] = pair, visits = one && other && one.key !== other.key && one.id === other.id ? await api.visits(one.key, other.key) : null;
     const tickets = await Promise.all(pair.map((card) => api.results(card.key)));
+    // Others were chosen meanwhile.
+    if (mine !== turn) return;
     below.replaceChildren(
       visits?.same ? change(visits) : "",
       h("div", { class: "card" }, h("h2", {}, "Stiffness, 95 % intervals"), bars(pair.map((card) => ({ name: card.name, result: card.result as api.Result }))),

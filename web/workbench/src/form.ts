@@ -8,7 +8,7 @@ import { markers, views } from "./beside";
 import { skin, trunk } from "./body";
 import { type Context, field, input, isSimple, plain, sayId, typed, wordsOf } from "./fields";
 import { gaugeLog } from "./gauge";
-import { act, anew, pushNamed, type Room, sentence, state, undoable } from "./page";
+import { act, anew, problem, pushNamed, type Room, sentence, state, undoable } from "./page";
 import { ratios } from "./ratios";
 import { scales } from "./scale";
 import { type Push, torso } from "./torso";
@@ -150,9 +150,10 @@ export async function values(key: string, next: HTMLElement): Promise<Room> {
       (made as HTMLSelectElement).value = String(roles[i]);
       return made;
     };
-    // A column of a table, pasted into one force, fills those below it, too.
+    // A column of a table, pasted into one force, fills those below it, too; a row of it may be empty.
     const pasted = (event: Event, first: number): void => {
-      const text = (event as ClipboardEvent).clipboardData?.getData("text") ?? "", found = text.trim().split(/[\s;]+/).map(typed);
+      const text = ((event as ClipboardEvent).clipboardData?.getData("text") ?? "").trimEnd();
+      const found = (text.includes("\n") ? text.split("\n") : text.trim().split(/[\s;]+/)).map(typed);
       if (found.length < 2) return;
       event.preventDefault();
       found.slice(0, forces.length - first).forEach((force, i) => { forces[first + i] = force; });
@@ -255,10 +256,23 @@ export async function values(key: string, next: HTMLElement): Promise<Room> {
   const keys = (event: KeyboardEvent): void => {
     if ((event.ctrlKey || event.metaKey) && event.key === "z" && !(event.target instanceof HTMLInputElement)) { event.preventDefault(); undo.click(); }
   };
+  const unsaved = (): boolean => JSON.stringify(form.values) !== saved;
+  const stay = (event: Event): void => { if (unsaved()) event.preventDefault(); };
+  const leave = (): void => {
+    over = true;
+    clearTimeout(timer);
+    removeEventListener("keydown", keys);
+    removeEventListener("beforeunload", stay);
+    if (!unsaved()) return;
+    // What is not saved is lost, so that it is told where somebody goes on.
+    const told = save().then(() => (unsaved() ? said.textContent : ""), (error: unknown) => `Not saved: ${words(error)}`);
+    void told.then((why) => { if (why) problem(`Values of ${String(form.values["id"])}: ${why}`); });
+  };
   addEventListener("keydown", keys);
+  addEventListener("beforeunload", stay);
   undo.disabled = true;
   draw();
   if (state.readOnly) tell("saved", "To be looked at only.");
   else tell("saved", form.open.length ? "What is marked is still to be filled in. Every change is saved at once." : "Every change is saved at once.");
-  return { element: h("div", { class: "values" }, h("div", { class: "row bar" }, undo, said, state.readOnly ? null : next), body), leave: () => { over = true; clearTimeout(timer); removeEventListener("keydown", keys); if (JSON.stringify(form.values) !== saved) void save().catch(() => undefined); } };
+  return { element: h("div", { class: "values" }, h("div", { class: "row bar" }, undo, said, state.readOnly ? null : next), body), leave };
 }

@@ -49,6 +49,9 @@ export async function intake(purpose: Purpose): Promise<Room> {
       });
       uploads.push(key);
       await begin("upload", key);
+    } catch (error) {
+      // Whoever has left has given it up.
+      if (!stop.signal.aborted) throw error;
     } finally {
       bar.hidden = true;
       if (said.textContent?.includes(" MB")) said.textContent = "";

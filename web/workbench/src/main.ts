@@ -61,6 +61,8 @@ async function start(): Promise<void> {
     document.body.dataset["state"] = "refused";
     return problem(words(error));
   }
+  // Its address would be that of a room.
+  document.querySelector(".skip")?.addEventListener("click", (event) => { event.preventDefault(); need("room").focus(); });
   addEventListener("hashchange", () => void enter());
   await enter();
 }

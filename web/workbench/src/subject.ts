@@ -36,7 +36,11 @@ export async function subject(key: string, room: string): Promise<Room> {
   };
   draw();
   const inner = room === "results" ? await results(key, card) : room === "run" ? await run(key, card.stage) : room === "radiographs" && card.stage !== "broken" ? await radiographs(key) : card.stage === "broken" ? { element: h("p", { class: "bad" }, card.missing.join(" ")) } : await values(key, next);
-  const changed = (): void => { void api.subject(key).then((found) => { card = found; draw(); }, problem); };
+  let turn = 0;
+  const changed = (): void => {
+    const mine = ++turn;
+    void api.subject(key).then((found) => { if (mine === turn) { card = found; draw(); } }, problem);
+  };
   document.addEventListener("subject-changed", changed);
   return {
     element: h("section", { class: room === "results" ? "wide" : "" }, head, missing, inner.element),

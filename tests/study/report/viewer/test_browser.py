@@ -11,9 +11,12 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from chromium import Tab, browser
+from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.template import template_torso
+from spinestiff.imaging.projection import frontal_view
+from spinestiff.mechanics.loads import LoadCase
 from spinestiff.study.report.viewer.page import view_page
-from spinestiff.study.report.viewer.scene import Scene, visit_scene
+from spinestiff.study.report.viewer.scene import Frame, PushScene, Scene, Step, visit_scene
 
 pytestmark = pytest.mark.skipif(
     browser() is None or sys.platform == "win32", reason="no Chromium to open the viewer in, or no pipe to drive it by"
@@ -332,3 +335,26 @@ def test_without_webgl_the_numbers_remain(viewed, tmp_path):
         np.testing.assert_allclose(
             bone(tab, "T8")[0], step.state.bone_positions[viewed.predictions.pushes.torso.bone("T8")], atol=1e-3
         )
+
+
+def test_frames_of_nearly_the_same_force_are_all_stepped_through(tab, tmp_path):
+    """A gauge tells a force that is held to a tenth of a newton; the slider's steps are wider."""
+    torso = template_torso(157.0)
+    rest, nothing = torso.rest_pose, np.zeros((0, 4, 2))
+    forces = (0.0, 10.0, 30.0, 30.2)
+    push = PushScene(
+        "main",
+        "right",
+        8.0,
+        frontal_view(),
+        LoadCase(PointsOnBones([torso.bone("R8_R")], [[0.0, 0.0, 0.0]]), [[1.0, 0.0, 0.0]]),
+        (),
+        tuple(Frame(i, force, "training", (), nothing, {"fit": 1.0}) for i, force in enumerate(forces)),
+        {"fit": tuple(Step(force, i, rest, (), nothing, np.zeros((0, 3))) for i, force in enumerate(forces))},
+    )
+    show(tab, tmp_path / "view.html", Scene("template", torso, (push,)))
+    seen = [tab.run(f"{VIEWER}.dataset.frame + ', ' + {VIEWER}.dataset.force")]
+    for role in ["before"] * 3 + ["after"] * 3:
+        tab.run(f"{VIEWER}.querySelector('[data-role={role}]').click()")
+        seen.append(tab.run(f"{VIEWER}.dataset.frame + ', ' + {VIEWER}.dataset.force"))
+    assert seen == ["3, 30.2", "2, 30", "1, 10", "0, 0", "1, 10", "2, 30", "3, 30.2"]
