@@ -288,9 +288,9 @@ def headline(entries: Sequence[Row]) -> str:
         [round(entry["coverage95"][name] * entry["subjects"]) for name in (*NAMES, JOINT)] for entry in (three, single)
     )
     return (
-        f"**With three pushes the 95 % interval holds the true value in {bending} (lateral bending) and {tissue} (tissue) "
-        f"of {three['subjects']} synthetic subjects, with the paper's single push in {bending1} and {tissue1} of "
-        f"{single['subjects']}. The joint region of both ratios holds it in {both} and {both1}.**"
+        f"**With three pushes the 95 % interval holds the true value in {bending} (lateral bending) and {tissue} "
+        f"(tissue) of {three['subjects']} synthetic subjects, with the paper's single push in {bending1} and {tissue1} "
+        f"of {single['subjects']}. The joint region of both ratios holds it in {both} and {both1}.**"
     )
 
 

@@ -283,8 +283,15 @@ FAULTS = (
     Fault(
         "descent: a factor serves for one step",
         "mechanics/newton.py",
-        "if way.products == MOST_PRODUCTS or factor.factor.iterative:",
+        "if way.products == MOST_PRODUCTS or factor.factor.iterative or (step < 1.0 and not fresh):",
         "if factor is not None:",
+        MECHANICS + "/test_equilibrium.py",
+    ),
+    Fault(
+        "descent: a factor made far back serves on",
+        "mechanics/newton.py",
+        " or (step < 1.0 and not fresh):",
+        ":",
         MECHANICS + "/test_equilibrium.py",
     ),
     Fault(

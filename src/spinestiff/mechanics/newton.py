@@ -169,7 +169,8 @@ class Run:
             hessian = self._hessian(at)
             try:
                 if factor is None:
-                    factor, fresh = self._factor(at, hessian), True
+                    # The ball's radius is in the norm of the factor before.
+                    factor, fresh, radius = self._factor(at, hessian), True, np.inf
                 way = self._truncated(at, hessian, factor, radius)
                 y = _capped(way.y, bones)
             except EquilibriumError:
@@ -186,7 +187,8 @@ class Run:
             if end := self._note(iteration, at, step, fresh, factor.projected):
                 return there.ended(end)
             radius = step * way.size if step < 1.0 else max(radius, 2.0 * way.size)
-            if way.products == MOST_PRODUCTS or factor.factor.iterative:
+            # Where elements are nearly flat, a factor made farther back leads to many short steps.
+            if way.products == MOST_PRODUCTS or factor.factor.iterative or (step < 1.0 and not fresh):
                 factor = None
             at, fresh = there, False
         return at.ended(SolveStatus.ITERATION_LIMIT, last)
