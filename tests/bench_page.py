@@ -47,7 +47,13 @@ def press(tab, selector):
 
 def write(tab, selector, text):
     """Click into a field and type, letter by letter."""
+    focused = f"document.activeElement == document.querySelector({json.dumps(selector)})"
     press(tab, selector)
+    for _ in range(3):
+        # An answer of the server may have moved the field from under the pointer.
+        if not tab.run(focused):
+            press(tab, selector)
+    assert tab.run(focused), f"{selector} does not get the focus"
     for letter in text:
         tab.press(letter)
 

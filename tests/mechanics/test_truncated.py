@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from spinestiff.errors import EquilibriumError
 from spinestiff.mechanics.truncated import truncated_step
 
 
@@ -83,3 +84,9 @@ def test_where_all_is_concave_the_step_is_steepest_descent():
     assert found.products == 1
     assert found.y == pytest.approx(-np.linalg.solve(metric, gradient))
     assert found.concave is found.y
+
+
+def test_a_preconditioner_that_is_not_positive_definite_is_an_error():
+    tangent, _, gradient = _matrices(0, 0.1, 1.0, 2.0, 5.0, 9.0)
+    with pytest.raises(EquilibriumError, match="not positive definite"):
+        _step(tangent, -np.eye(5), gradient)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spinestiff.arrays import Floats
+from spinestiff.errors import EquilibriumError
 
 Linear = Callable[[Floats], Floats]
 
@@ -41,10 +42,16 @@ def truncated_step(
     gradient : (n,). tangent : symmetric, of any sign. precondition : the inverse M^-1 of a positive definite matrix.
     radius : of the ball, in the norm of M; may be infinite.
     most : products at most. gain : of the residual's square in the norm of M^-1.
+
+    Raises
+    ------
+    EquilibriumError : ``precondition`` is not positive definite, as near collapse.
     """
     r = gradient
     z = precondition(r)
     y, p, rz = np.zeros_like(r), -z, float(r @ z)
+    if not rz > 0.0:
+        raise EquilibriumError("the preconditioner is not positive definite")
     enough = gain * rz
     # Products of y and p in the norm of M, by their recurrences.
     yy, yp, pp = 0.0, 0.0, rz
