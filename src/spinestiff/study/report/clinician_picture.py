@@ -77,7 +77,7 @@ def moments(
     """The push that tells most, at rest, pushed, and by the estimate: name, figure, alt and caption of each.
 
     That is the held-out frame with the largest force, or without one the training frame; none where the curve was not
-    seen in both radiographs. The angle is that between the end vertebrae before the push; ``responses`` may have others.
+    seen in both radiographs. The angle is that between the end vertebrae before the push; ``responses`` has its own.
     """
     frame = _chosen(predictions)
     change = None if frame is None else predictions.measured_change(frame.item)
