@@ -98,7 +98,7 @@ class Processes:
         return found
 
     def _unwritable(self, task: Task, number: int, problem: SubjectError) -> Try:
-        """A try that could not begin: others can, unless there is no room."""
+        """A try that could not begin here: others can, and this one may elsewhere, unless there is no room."""
         how, words = ended(problem)
         return Try(
             run=self._run,
@@ -106,7 +106,7 @@ class Processes:
             number=number,
             started=now(),
             seconds=0.0,
-            ended=how,
+            ended="no room" if how == "no room" else "crashed",
             words=words,
             host=socket.gethostname(),
         )
