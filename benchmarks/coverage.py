@@ -43,7 +43,7 @@ else:
 from counted_intervals import NAMES, headline, markdown, read_logs, show, summarised
 from coverage_rendered import rendered_subject
 from coverage_subjects import START, Acquisition, make_subject, seen_by
-from kept_rows import code, keep
+from kept_rows import code, keep, prepare
 from told_intervals import solved_at_truth, told
 
 from spinestiff.errors import SpinestiffError
@@ -182,7 +182,7 @@ def campaign(asked: Sequence[Wanted]) -> None:
     """The subjects that their logs lack."""
     logs = {log for *_, log in asked}
     for log in logs:
-        log.parent.mkdir(parents=True, exist_ok=True)
+        prepare(log)
     known = {(log, row["seed"]) for log in logs if log.is_file() for row in read_logs([log])}
     for seed, scenario, log in sorted(asked, key=lambda one: one[0]):
         if (log, seed) in known:

@@ -6,10 +6,13 @@ import argparse
 import datetime
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+
+from spinestiff.files import trouble
 
 DIGITS = 5  # of a log's numbers
 ROOT = Path(__file__).parent.parent
@@ -25,9 +28,27 @@ def begun(log: Path) -> list[dict[str, Any]]:
     return rows_of([log]) if log.is_file() else []
 
 
+def prepare(log: Path) -> None:
+    """Make a log's folder, and end the program in one line where the log can't be written, before any work for it."""
+    with _told(log):
+        log.parent.mkdir(parents=True, exist_ok=True)
+        new = not log.exists()
+        log.open("a").close()
+        if new:
+            log.unlink()
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as problem:
+        raise SystemExit(f"{path}: can't be written ({trouble(problem)})") from None
+
+
 def keep(log: Path, row: Mapping[str, Any]) -> None:
     """Put a row at the end of a log, its numbers with as many digits as a log keeps."""
-    with log.open("a") as stream:
+    with _told(log), log.open("a") as stream:
         stream.write(json.dumps(rounded(row)) + "\n")
 
 
@@ -62,7 +83,8 @@ def tell(summary: Mapping[str, Any], stored: Path | None) -> None:
     text = json.dumps({"date": datetime.datetime.now(datetime.UTC).date().isoformat(), **summary}, indent=1)
     print(text)
     if stored is not None:
-        stored.write_text(text + "\n", encoding="utf-8")
+        with _told(stored):
+            stored.write_text(text + "\n", encoding="utf-8")
 
 
 def asked_for(
@@ -94,6 +116,7 @@ def asked_for(
                 parser.error(f"{log}: no such file")
         tell(summed_up(rows_of(asked.summary)), stored if asked.write else None)
     elif asked.log:
+        prepare(asked.log)
         return asked
     else:
         parser.error("wanted --log FILE, --summary FILE... or --json")

@@ -114,11 +114,13 @@ def first_page(visit: Visit) -> tuple[Figure, ...]:
     from spinestiff.study.steps import stored_predictions
     from spinestiff.subject.assessment_outcome import Assessment
     from spinestiff.subject.folder import read_push
+    from spinestiff.subject.outcomes import Responses
     from spinestiff.subject.run_record import read_outcome
 
     assessment, predictions = read_outcome(visit.subject, Assessment), stored_predictions(visit)
+    responses = read_outcome(visit.subject, Responses)
     films = {push.id: read_push(visit.subject, push) for push in visit.subject.pushes}
-    return tuple(figure for _, figure, _, _ in moments(visit, predictions, films, assessment))
+    return tuple(figure for _, figure, _, _ in moments(visit, predictions, films, assessment, responses))
 
 
 def views_and_markers(visit: Visit) -> tuple[Figure, ...]:

@@ -10,7 +10,9 @@ from dataclasses import replace
 import pytest
 
 from spinestiff.app import repeat
+from spinestiff.errors import SubjectError
 from spinestiff.files import read_json
+from spinestiff.study.repeatability import VisitEstimate, VisitRatio
 
 
 @pytest.fixture
@@ -47,6 +49,17 @@ def test_two_visits_of_one_person(spinestiff, subject, tmp_path):
     assert again["of"] == "annotators"
     wider = written["scatter"]["lateral_bending"]["expected_sd_log"]
     assert 0.0 < again["scatter"]["lateral_bending"]["expected_sd_log"] < wider
+
+
+@pytest.mark.parametrize("out", ["file", "file/in/it"])
+def test_an_output_that_can_not_be_written_is_refused_by_its_name(tmp_path, monkeypatch, out):
+    (tmp_path / "file").write_text("no folder", encoding="utf-8")
+    monkeypatch.setattr(repeat, "open_visit", lambda folder: folder.name)
+    monkeypatch.setattr(
+        repeat, "estimate_of", lambda name, _: VisitEstimate(name, "girl", {"tissue": VisitRatio(0.1, 0.2, 0.5)})
+    )
+    with pytest.raises(SubjectError, match=r"file(/in/it)?/repeat\.json: can't be written \("):
+        repeat.compare_visits([tmp_path / "may", tmp_path / "june"], tmp_path / out)
 
 
 def test_folders_that_can_not_be_compared_end_in_one_line(spinestiff, subject):

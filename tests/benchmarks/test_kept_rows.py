@@ -50,6 +50,26 @@ def test_a_campaign_is_run_summed_up_or_printed(tmp_path, monkeypatch, capsys) -
     assert "wanted --log FILE" in capsys.readouterr().err
 
 
+def test_a_log_that_can_not_be_written_ends_a_campaign_in_one_line_before_it_begins(tmp_path, monkeypatch) -> None:
+    (tmp_path / "file").write_text("no folder", encoding="utf-8")
+    log, stored = tmp_path / "file" / "log.jsonl", tmp_path / "stored"
+    stored.mkdir()
+    monkeypatch.setattr("sys.argv", ["program", "--log", str(log)])
+    lines = (
+        (lambda: rows.asked_for("What it does.", stored, len), log),
+        (lambda: rows.keep(log, {"seed": 1}), log),
+        (lambda: rows.tell({"people": 4}, stored), stored),
+    )
+    for call, path in lines:
+        with pytest.raises(SystemExit) as end:
+            call()
+        assert str(end.value).startswith(f"{path}: can't be written (")
+    new = tmp_path / "new" / "log.jsonl"
+    monkeypatch.setattr("sys.argv", ["program", "--log", str(new)])
+    assert rows.asked_for("What it does.", stored, len).log == new
+    assert rows.begun(new) == [] and new.parent.is_dir() and not new.exists()
+
+
 def test_the_stance_counts_for_as_much_as_was_measured() -> None:
     stored = json.loads(stance.RESULTS.read_text(encoding="utf-8"))
     assert stored["stance_mm"] == pytest.approx(STANCE_MM, abs=0.05)

@@ -178,6 +178,51 @@ def test_a_full_disk_stops_the_run_and_keeps_what_was_finished(made):
     assert not (cohort.target / "sub-003").exists()
 
 
+def test_who_can_not_be_written_fails_alone_and_is_named(made):
+    cohort = made(4)
+    cohort.target.mkdir()
+    (cohort.target / "sub-001").write_text("no folder", encoding="utf-8")
+    (cohort.target / "sub-002" / "log.txt").mkdir(parents=True)
+    (cohort.target / "sub-003" / "last.json").mkdir(parents=True)
+    news = []
+    found = run_participants(cohort, 2, news=news.append)
+    assert found.done == ("sub-003", "sub-004")
+    assert list(found.failed) == ["sub-001", "sub-002"]
+    assert found.failed["sub-001"].startswith(f"{cohort.target / 'sub-001' / 'log.txt'}: can't be written (")
+    assert found.failed["sub-002"] == (
+        f"{cohort.target / 'sub-002' / 'log.txt'}: found a folder, wanted the name of a file to write"
+    )
+    warned = {one.participant: one.words for one in news if one.words.startswith("warning: ")}
+    there = cohort.target / "sub-003" / "last.json"
+    assert warned["sub-003"] == f"warning: {there}: found a folder, wanted the name of a file to write"
+    assert [one.stage for one in news if one.participant == "sub-003"][-1] == "done"
+    states = [one.state for one in read_members(cohort.source, cohort.target, cohort.participants)]
+    assert states == ["not run", "failed", "done", "done"]
+
+
+@pytest.mark.parametrize("mode", [0o555, 0o000])
+def test_a_folder_without_permission_is_one_participant_s(made, mode):
+    cohort = made(3)
+    run_participants(Cohort(cohort.source, cohort.target, ("sub-001",), cohort.order), 1)
+    current, closed = cohort.target / "sub-001", cohort.target / "sub-002"
+    (current / "work.json").write_text("{}", encoding="utf-8")
+    closed.mkdir()
+    (closed / ".last.json.0000.tmp").write_text("half", encoding="utf-8")
+    closed.chmod(mode)
+    current.chmod(0o555)
+    try:
+        if os.access(closed, os.W_OK):
+            pytest.skip("this account may write everywhere")
+        found = run_participants(cohort, 1)
+        members = read_members(cohort.source, cohort.target, cohort.participants)
+    finally:
+        closed.chmod(0o755)
+        current.chmod(0o755)
+    assert (found.up_to_date, found.done) == (("sub-001",), ("sub-003",))
+    assert found.failed == {"sub-002": f"{closed / 'log.txt'}: can't be written (no permission)"}
+    assert [one.state for one in members] == ["done", "not run" if mode else "damaged", "done"]
+
+
 def test_a_read_only_output_is_refused_in_one_line(made, tmp_path):
     cohort = made(1)
     cohort.target.write_text("no folder", encoding="utf-8")

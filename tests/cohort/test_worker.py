@@ -10,10 +10,13 @@ import stat
 
 import pytest
 
+from spinestiff.cohort.asked import Cohort
 from spinestiff.cohort.marker import examine, whole_results
+from spinestiff.cohort.overview import write_overview
 from spinestiff.cohort.places import input_files
 from spinestiff.cohort.row import read_row
-from spinestiff.cohort.worker import as_given, ended, make_results, runner_of
+from spinestiff.cohort.supervisor import run_participants
+from spinestiff.cohort.worker import as_given, ended, make_results, recover, runner_of
 from spinestiff.errors import FitError, InUseError, SubjectError
 from spinestiff.files import file_digest, write_text
 from spinestiff.subject.lock import sole_run
@@ -154,6 +157,60 @@ def test_results_being_replaced_when_a_run_ended_stand_again(task):
     shutil.copytree(place.results, place.before)
     assert make_results(one, silent) == "up to date"
     assert names(place.target) == ["results"]
+
+
+class Killed(BaseException):
+    """Stands in for the end of a process."""
+
+
+@pytest.fixture
+def replaced(task, monkeypatch):
+    """As a kill between the two renamings leaves a participant: earlier results put by, new ones without their name."""
+    one, place = task
+    make_results(one, silent)
+    before = file_digest(place.results)
+    (place.source / "subject.json").write_text('{"number": 5, "trouble": ""}', encoding="utf-8")
+    rename = os.rename
+
+    def killed(source, target, **named):
+        if str(source).endswith("work/results"):
+            raise Killed
+        rename(source, target, **named)
+
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(os, "rename", killed)
+        make_results(one, silent)
+    assert not place.results.exists() and place.before.exists()
+    return one, place, before
+
+
+def test_results_killed_between_two_renamings_are_found_by_whoever_looks(replaced):
+    one, place, before = replaced
+    new = file_digest(place.work / "results")
+    with sole_run(place.target):
+        recover(place)
+    assert not place.results.exists()
+    lines = write_overview(place.source.parent, place.target.parent, (one.participant,))
+    assert lines[0] == "group: 1 done"
+    assert file_digest(place.results) == new != before
+    assert examine(place, one.order).state == "current"
+
+
+def test_a_run_has_results_stand_that_were_killed_between_two_renamings(replaced):
+    one, place, _ = replaced
+    new = file_digest(place.work / "results")
+    found = run_participants(Cohort(place.source.parent, place.target.parent, (one.participant,), one.order), 1)
+    assert found.up_to_date == (one.participant,)
+    assert file_digest(place.results) == new
+    assert "work" not in names(place.target) and not place.before.exists()
+
+
+def test_earlier_results_stand_again_where_the_new_ones_are_not_whole(replaced):
+    _, place, before = replaced
+    (place.work / "results" / "report.html").write_text("half", encoding="utf-8")
+    recover(place)
+    assert file_digest(place.results) == before
+    assert not place.before.exists()
 
 
 def test_a_renaming_that_fails_puts_earlier_results_back(task, monkeypatch):

@@ -224,6 +224,19 @@ def test_pushes_that_differ_leave_what_the_model_lacks_in_the_difference() -> No
         assert ("(not pushed alike)" in repeatability_lines(repeatability(visits))[-1]) != alike
 
 
+def test_pushes_are_paired_with_those_of_the_other_visit_that_they_are_like() -> None:
+    at = (("left", 6.0, 40.0), ("right", 8.0, 40.0), ("right", 8.0, 60.0), ("right", 9.0, 40.0))
+    # In the order of side, rib and force none of the right side's is beside its like.
+    moved = (("left", 6.0, 40.0), ("right", 7.5, 60.0), ("right", 8.0, 44.0), ("right", 8.5, 38.0))
+    # Both at 40 N have one partner alone, the same.
+    short = (("left", 6.0, 40.0), ("right", 8.0, 60.0), ("right", 8.0, 60.0), ("right", 9.0, 40.0))
+    for other, alike in ((moved, True), (at[::-1], True), (short, False)):
+        for before, after in ((at, other), (other, at)):
+            visits = [visit("a", 0, pushes=before, bending=0.1), visit("a", 1, pushes=after, bending=0.25)]
+            found = repeatability(visits)
+            assert found.changes[0].alike == alike and ("bending" in found.scatter) == alike
+
+
 def test_annotations_agree_or_not_and_nobody_changes() -> None:
     visits = [visit("a", 0, bending=0.1), visit("a", 1, bending=0.25), visit("a", 2, bending=0.11)]
     lines = repeatability_lines(repeatability(visits, "annotators"))

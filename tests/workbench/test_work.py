@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 import signal
+import subprocess
 import sys
 import time
 import zipfile
@@ -474,9 +475,50 @@ def test_zip_files_that_nobody_fetches_do_not_stay(served, root, serve, monkeypa
     with serve(root, read_only=True):
         pass
     assert served.ask("GET", f"/parcel/{ticket}")[0] == 200
-    pack()
-    with serve(root):
-        assert not parcels.exists()
+    served.bench.parcels.close()
+    assert not parcels.exists()
+
+
+GONE = """
+import sys
+from pathlib import Path
+from spinestiff.workbench.parcel import Parcels
+
+def made(place):
+    place.mkdir(parents=True, exist_ok=True)
+    (place / "a.zip").write_bytes(b"zip")
+    return place / "a.zip"
+
+print(Parcels(Path(sys.argv[1])).pack(made))
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="locks of Unix")
+def test_zip_files_of_another_server_are_left_to_it_until_it_has_ended(tmp_path):
+    common = tmp_path / "parcels"
+
+    def made(place):
+        half = place / "b.zip"
+        half.write_bytes(b"half")
+        # Another server starts, and packs, while this one is at it.
+        other = parcel.Parcels(common)
+        other.clear()
+        theirs = other.pack(lambda place: Path(shutil.copy(half, place / "c.zip")))
+        assert theirs.exists() and theirs.parent != place
+        other.close()
+        assert not theirs.parent.exists()
+        return half
+
+    gone = Path(
+        subprocess.run([sys.executable, "-c", GONE, common], capture_output=True, text=True, check=True).stdout.strip()
+    )
+    assert gone.exists()
+    # As versions before kept them.
+    (common / "old.zip").write_bytes(b"zip")
+    mine = parcel.Parcels(common)
+    place = mine.pack(made)
+    assert place.read_bytes() == b"half"
+    assert not gone.exists() and list(common.iterdir()) == [mine.folder]
 
 
 @pytest.mark.parametrize("beside", ["", "README.txt"])

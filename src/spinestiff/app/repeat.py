@@ -37,7 +37,6 @@ def compare_visits(folders: Sequence[Path], out: Path | None, annotators: bool =
         from spinestiff.study.report.repeat_picture import draw_repeatability
 
         picture = as_png(draw_repeatability(found))
-        out.mkdir(parents=True, exist_ok=True)
         write_json(out / "repeat.json", record_of(found))
         write_bytes(out / "repeat.png", picture)
     return found

@@ -12,7 +12,7 @@ from spinestiff.cohort.asked import Cohort, News, OnNews, Summary
 from spinestiff.cohort.ledger import Ledger, Try, write_last
 from spinestiff.cohort.marker import examine
 from spinestiff.cohort.places import place_of, sweep
-from spinestiff.cohort.worker import tidy
+from spinestiff.cohort.worker import ended, recover, tidy
 from spinestiff.errors import InUseError, SubjectError
 from spinestiff.subject.lock import sole_run
 
@@ -38,11 +38,12 @@ class Account:
         for participant in self._cohort.participants:
             place = place_of(self._cohort.source, self._cohort.target, participant)
             sweep(place.target)
+            recover(place)
             found = examine(place, self._cohort.order)
             if found.state == "current":
                 self._current.append(participant)
                 # Another run, asked for something else, may be at work in what would be taken away.
-                with suppress(InUseError), sole_run(place.target):
+                with suppress(InUseError, OSError), sole_run(place.target):
                     tidy(place)
             else:
                 waiting.append(participant)
@@ -68,7 +69,12 @@ class Account:
         if tried.ended == "no room":
             raise SubjectError(f"{tried.words}{KEPT}")
         # Before a further try: whatever ends this run from outside leaves why the first one failed.
-        write_last(place_of(self._cohort.source, self._cohort.target, tried.participant).last, tries)
+        try:
+            write_last(place_of(self._cohort.source, self._cohort.target, tried.participant).last, tries)
+        except SubjectError as problem:
+            if ended(problem)[0] == "no room":
+                raise SubjectError(f"{problem}{KEPT}") from None
+            self._say(News(tried.participant, "running", f"warning: {problem}"))
         if tried.ended in ("done", "up to date"):
             self._done.append(tried.participant)
             self._say(News(tried.participant, "done", tried.words, tried.seconds))

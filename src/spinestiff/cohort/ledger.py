@@ -81,8 +81,6 @@ def write_last(path: Path, tries: Sequence[Try]) -> None:
 
 def read_last(path: Path) -> LastRun | None:
     """How a participant's last run went; None where that is not known."""
-    if not path.is_file():
-        return None
     try:
         text = read_text(path)
         parse_json(text, str(path))

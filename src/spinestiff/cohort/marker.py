@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from spinestiff.cohort.places import DONE_FILE, Place, digests_of, input_files
 from spinestiff.errors import SubjectError
-from spinestiff.files import read_text, regular_files
+from spinestiff.files import read_text, regular_files, trouble
 from spinestiff.formats import json_text, parse_json
 
 State = Literal["missing", "damaged", "out of date", "current"]
@@ -84,8 +84,11 @@ def whole_results(place: Place) -> Found:
 
     A state "current" only says that they are whole.
     """
-    if not place.results.exists() and not place.results.is_symlink():
-        return Found("missing", words="has no results")
+    try:
+        if not place.results.exists() and not place.results.is_symlink():
+            return Found("missing", words="has no results")
+    except OSError as problem:
+        return Found("damaged", words=f"{place.results} can't be read ({trouble(problem)})")
     if place.results.is_symlink() or not place.results.is_dir():
         return Found("damaged", words=f"{place.results} is no folder")
     try:

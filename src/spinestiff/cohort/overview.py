@@ -25,6 +25,7 @@ from spinestiff.cohort.page import cohort_page
 from spinestiff.cohort.places import place_of, sweep
 from spinestiff.cohort.statistics import cohort_statistics
 from spinestiff.cohort.statistics_words import statistics_lines, statistics_sections
+from spinestiff.cohort.worker import recover
 from spinestiff.files import write_bytes, write_json, write_text
 
 CSV, JSON, PAGE, PICTURE = "cohort.csv", "cohort.json", "cohort.html", "cohort.png"
@@ -50,6 +51,8 @@ def write_overview(
     refuse_nowhere(target)
     with cohort_lock(target):
         sweep(target)
+        for participant in participants:
+            recover(place_of(source, target, participant))
         members = read_members(source, target, participants, order)
         refuse_nobody(members, target)
         common = common_order(members)

@@ -8,6 +8,7 @@ the results, since the same inputs give the same results), ``last.json`` and ``l
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -103,7 +104,11 @@ def digests_of(files: dict[str, Path]) -> dict[str, str]:
 
 
 def sweep(folder: Path) -> None:
-    """Take away what a process that was killed while it wrote a file here has left; folders in it are left alone."""
+    """Take away what a process that was killed while it wrote a file here has left; folders in it are left alone.
+
+    What can't be taken away stays.
+    """
     for litter in folder.glob(".*.tmp"):
-        if litter.is_file():
-            litter.unlink(missing_ok=True)
+        with suppress(OSError):
+            if litter.is_file():
+                litter.unlink(missing_ok=True)

@@ -21,9 +21,9 @@ from spinestiff.cohort.account import KEPT
 from spinestiff.cohort.asked import STATM, Limits, News, OnNews
 from spinestiff.cohort.ledger import Try, now
 from spinestiff.cohort.places import CACHE
-from spinestiff.cohort.worker import ORPHANED, Task
+from spinestiff.cohort.worker import ORPHANED, Task, ended
 from spinestiff.errors import SubjectError
-from spinestiff.files import trouble
+from spinestiff.files import trouble, write_bytes
 
 _POLL_S = 0.1
 
@@ -49,14 +49,24 @@ class Processes:
     def __init__(self, run: str, target: Path, limits: Limits, say: OnNews) -> None:
         self._run, self._limits, self._say = run, limits, say
         self.running: dict[str, _Running] = {}
+        self._unstarted: list[Try] = []
         self._told: queue.Queue[tuple[_Running, dict[str, Any] | None]] = queue.Queue()
         self._environment = worker_environment(target)
 
     def start(self, task: Task, number: int) -> None:
-        """Start a try at a participant. Raises SubjectError where its folder can't be written."""
+        """Start a try at a participant; one whose folder can't be written has ended at once.
+
+        Raises
+        ------
+        SubjectError : no process can be started.
+        """
         place = task.place
         try:
-            place.target.mkdir(parents=True, exist_ok=True)
+            write_bytes(place.log, b"")
+        except SubjectError as problem:
+            self._unstarted.append(self._unwritable(task, number, problem))
+            return
+        try:
             with place.log.open("wb") as log:
                 process = subprocess.Popen(
                     [sys.executable, "-P", "-m", "spinestiff.cohort.worker"],
@@ -65,7 +75,7 @@ class Processes:
                     start_new_session=True,
                 )  # fmt: skip
         except OSError as problem:
-            raise SubjectError(f"{place.target}: can't be written ({trouble(problem)}){KEPT}") from None
+            raise SubjectError(f"{task.participant}: its process can't be started ({trouble(problem)}){KEPT}") from None
         one = _Running(task.participant, number, place.log, process, now())
         self.running[task.participant] = one
         assert process.stdin is not None
@@ -79,13 +89,27 @@ class Processes:
 
     def ended(self) -> list[Try]:
         """Wait a moment; tries that have ended since."""
-        found = []
+        found, self._unstarted = self._unstarted, []
         for one in self._heard():
             status = one.process.wait()
             _close(one.process)
             del self.running[one.participant]
             found.append(self._judged(one, status))
         return found
+
+    def _unwritable(self, task: Task, number: int, problem: SubjectError) -> Try:
+        """A try that could not begin here: others can, and this one may elsewhere, unless there is no room."""
+        how, words = ended(problem)
+        return Try(
+            run=self._run,
+            participant=task.participant,
+            number=number,
+            started=now(),
+            seconds=0.0,
+            ended="no room" if how == "no room" else "crashed",
+            words=words,
+            host=socket.gethostname(),
+        )
 
     def _heard(self) -> list[_Running]:
         """Those that have ended since; those over a limit are killed."""

@@ -20,7 +20,8 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -116,10 +117,21 @@ def runner_of(name: str) -> Runner:
         raise SubjectError(f"runner '{name}': {problem}; wanted module:function") from None
 
 
+def recover(place: Place) -> None:
+    """Have results stand that a run was just replacing when it was killed; not where another run is at work."""
+    with suppress(OSError, InUseError):
+        if place.before.exists():
+            with sole_run(place.target):
+                _finish_replacing(place)
+
+
 def _finish_replacing(place: Place) -> None:
-    """Where a run ended while it replaced results: the old ones stand until the new ones do."""
+    """Where a run ended while it replaced results: the new ones stand if they were whole, else the old ones."""
     if not place.before.exists():
         return
+    # The folder of a run holds its results under the same name as that of the participant.
+    if not place.results.exists() and whole_results(replace(place, target=place.work)).state == "current":
+        (place.work / RESULTS).rename(place.results)
     if whole_results(place).state == "current":
         shutil.rmtree(place.before)
     else:
@@ -211,7 +223,8 @@ def tidy(place: Place) -> None:
     """Take away what is beside results that are whole and current: working folders, and the results before them."""
     for folder in (place.before, place.work, place.target / "work-results"):
         shutil.rmtree(folder, ignore_errors=True)
-    place.task.unlink(missing_ok=True)
+    with suppress(OSError):
+        place.task.unlink(missing_ok=True)
 
 
 def _settle(folder: Path) -> None:

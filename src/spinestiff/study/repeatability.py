@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2, norm
 
 from spinestiff.arrays import Floats
@@ -335,11 +336,17 @@ def _refuse_other_pictures(first: VisitEstimate, later: VisitEstimate) -> None:
 
 
 def _alike(first: VisitEstimate, later: VisitEstimate) -> bool:
-    """Whether two visits pushed about alike."""
-    return len(first.pushes) == len(later.pushes) and all(
-        a[0] == b[0] and abs(a[1] - b[1]) <= SAME_RIB and 1.0 / SAME_FORCE <= a[2] / b[2] <= SAME_FORCE
-        for a, b in zip(first.pushes, later.pushes)
-    )
+    """Whether two visits pushed about alike: each push of the one has one of its own in the other, in any order."""
+    if len(first.pushes) != len(later.pushes):
+        return False
+    near = [[_near(one, other) for other in later.pushes] for one in first.pushes]
+    together = np.array(near, dtype=bool).reshape(len(near), len(near))
+    return bool(together[linear_sum_assignment(together, maximize=True)].all())
+
+
+def _near(one: Push, other: Push) -> bool:
+    same_side, apart, times = one[0] == other[0], abs(one[1] - other[1]), one[2] / other[2]
+    return same_side and apart <= SAME_RIB and 1.0 / SAME_FORCE <= times <= SAME_FORCE
 
 
 def _sums(name: str, person: Sequence[VisitEstimate]) -> tuple[float, ...]:

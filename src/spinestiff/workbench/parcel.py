@@ -11,11 +11,11 @@ import time
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-from spinestiff.errors import RadiographError, SubjectError
+from spinestiff.errors import InUseError, RadiographError, SubjectError
 from spinestiff.files import read_json, trouble
 from spinestiff.formats import json_text
 from spinestiff.imaging.deidentification.deidentify import deidentify
@@ -23,6 +23,7 @@ from spinestiff.imaging.deidentification.pseudonyms import Key, random_key
 from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.radiograph import read_scans
 from spinestiff.subject.folder import MOST_INPUT_BYTES, read_annotation, read_unannotated
+from spinestiff.subject.lock import sole_run
 from spinestiff.subject.records import ANNOTATION_FILE, REST_IMAGES, SUBJECT_FILE
 from spinestiff.workbench.marks import XRAY_KEYS
 from spinestiff.workbench.rooms import room_bytes
@@ -39,20 +40,31 @@ _PERSONAL = frozenset({"id", "pushes", "torso", "skin_scan", "schema_version"})
 
 
 class Parcels:
-    """Zip files that wait to be fetched.
+    """Zip files of one server that wait to be fetched.
 
     Parameters
     ----------
-    folder : in which they lie.
+    common : folder in which each server has a folder of its own, which the system holds for it as long as it lives.
+
+    Attributes
+    ----------
+    folder : this server's.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self._lock = threading.Lock()
+    def __init__(self, common: Path) -> None:
+        self._common, self.folder = common, common / secrets.token_hex(8)
+        self._lock, self._held = threading.Lock(), ExitStack()
 
     def pack(self, parcel: Callable[[Path], Path]) -> Path:
-        """What ``parcel`` makes in the folder, one at a time; zip files that nobody fetched are removed first."""
+        """What ``parcel`` makes in the folder, one at a time; zip files that nobody fetched are removed first.
+
+        Raises
+        ------
+        SubjectError : the folder can't be made; what ``parcel`` raises.
+        """
         with self._lock:
+            self.clear()
+            self._hold()
             there = sorted((one.stat().st_mtime, one) for one in self.folder.glob("*.zip"))
             late = time.time() - PARCEL_S
             for number, (made, one) in enumerate(there):
@@ -61,9 +73,27 @@ class Parcels:
                         one.unlink()
             return parcel(self.folder)
 
+    def _hold(self) -> None:
+        if self.folder.is_dir():
+            return
+        try:
+            self.folder.mkdir(parents=True)
+            self._held.enter_context(sole_run(self.folder))
+        except OSError as problem:
+            raise SubjectError(f"the zip file can't be made ({trouble(problem)})") from None
+
     def clear(self) -> None:
-        """Remove all: nobody has a ticket for them."""
+        """Remove those of servers that have ended: nobody has a ticket for them."""
+        there = list(self._common.iterdir()) if self._common.is_dir() else []
+        for one in there:
+            if one != self.folder:
+                with suppress(OSError, InUseError), sole_run(one):
+                    shutil.rmtree(one) if one.is_dir() else one.unlink()
+
+    def close(self) -> None:
+        """Remove those of this server, which ends."""
         shutil.rmtree(self.folder, ignore_errors=True)
+        self._held.close()
 
 
 def whole_parcel(folder: Path, place: Path) -> Path:

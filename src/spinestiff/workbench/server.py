@@ -83,6 +83,7 @@ def serve(
             run_server(guarded_application(bench, access), sock)
         finally:
             bench.jobs.stop()
+            bench.parcels.close()
 
 
 def _page(path: str) -> Callable[[], Response]:

@@ -17,6 +17,7 @@ from spinestiff.study.report.clinician import (
     doubts,
     in_words,
     next_lines,
+    other_ends,
     push_row,
     shortened,
     stiffness,
@@ -27,7 +28,7 @@ from spinestiff.study.wording import told_stiffness
 from spinestiff.subject.assessment_outcome import Assessment
 from spinestiff.subject.estimate_outcome import Estimate, PlainStiffness
 from spinestiff.subject.outcome_parts import Determination, Quantity
-from spinestiff.subject.outcomes import Responses
+from spinestiff.subject.outcomes import AngleResponse, Flexibility, ForcePerDegree, PushResponse, Responses
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
 from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import read_outcome, record_step, step_record, write_outcome
@@ -94,6 +95,23 @@ def test_a_push_has_its_change_with_levels_and_its_uses(finished) -> None:
         roles=("unused", "unused"),
     )  # fmt: skip
     assert push_row(other, responses)["missing"] == "not measured" and push_row(other, responses)["use"] == "not used"
+
+
+def test_pictures_of_other_end_vertebrae_than_the_table_say_so() -> None:
+    per_degree = ForcePerDegree(value=5.0, low=4.0, high=7.0)
+    curve = AngleResponse(
+        levels=("T6", "T11"), frames=(0, 1), rest_deg=30.0, change_deg=-6.0, change_sd_deg=0.5,
+        n_per_degree=per_degree, scatter=None,
+    )  # fmt: skip
+    seen = PushResponse(
+        force_n=30.0, tilt=curve, curve=curve, flexibility=Flexibility(percent=20.0, low=15.0, high=25.0)
+    )
+    pushes = {"main": seen, "dark": PushResponse(force_n=30.0, missing="no usable frame without force")}
+    responses = Responses(gauge_scale_sd=0.02, gauge_zero_sd_n=1.5, pushes=pushes)
+    assert other_ends(responses, "main", ("T6", "T11")) == other_ends(responses, "dark", ("T5", "T11")) == ""
+    assert other_ends(responses, "main", ("T5", "T11")) == (
+        " The pictures keep these end vertebrae; the table keeps those of the radiograph at rest, T6–T11."
+    )
 
 
 def test_what_to_distrust_comes_gravest_first(finished, subject: Path) -> None:

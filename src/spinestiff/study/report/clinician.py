@@ -306,6 +306,17 @@ def _cut(text: str) -> str:
     return f"{head[:end] if end > LONGEST // 4 else head.rsplit(' ', 1)[0]} … (whole in the engineer’s part)"
 
 
+def other_ends(responses: Responses, push: str, drawn: tuple[str, str]) -> str:
+    """What a caption says, after a space, where a push's row of the table is of other end vertebrae than ``drawn``."""
+    found = responses.pushes.get(push)
+    if found is None or found.curve is None or found.curve.levels == drawn:
+        return ""
+    return (
+        f" The pictures keep these end vertebrae; the table keeps those of the radiograph at rest, "
+        f"{'–'.join(found.curve.levels)}."
+    )
+
+
 def picture_words(kind: str, force_n: float, change: str, error_mm: float | None, moved_mm: float | None) -> str:
     """What stands below a picture of the pushed spine: "pushed", or "predicted" or "fitted" by the model."""
     if kind == "pushed":

@@ -18,12 +18,13 @@ from spinestiff.errors import SpinestiffError
 from spinestiff.imaging.features import FEATURE_SHAPE, state_features, vertebra_rows
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.study.predictions import Prediction, Predictions
-from spinestiff.study.report.clinician import picture_words
+from spinestiff.study.report.clinician import other_ends, picture_words
 from spinestiff.study.report.figures import MEASURED_ON_DARK, PERCENTILES, SIMULATED_ON_DARK, STYLE, WHITE_ON_DARK
 from spinestiff.study.report.frame_content import expected_change
 from spinestiff.study.report.placing import pixel_mm, push_arrow, sides_of
 from spinestiff.study.visit import Visit
 from spinestiff.subject.assessment_outcome import Assessment
+from spinestiff.subject.outcomes import Responses
 
 HEIGHT = 5.2  # inches
 MARGIN_MM = (75.0, 14.0)
@@ -67,12 +68,16 @@ class SpinePicture:
 
 
 def moments(
-    visit: Visit, predictions: Predictions, films: Mapping[str, Sequence[Radiograph]], assessment: Assessment
+    visit: Visit,
+    predictions: Predictions,
+    films: Mapping[str, Sequence[Radiograph]],
+    assessment: Assessment,
+    responses: Responses,
 ) -> list[tuple[str, Figure, str, str]]:
     """The push that tells most, at rest, pushed, and by the estimate: name, figure, alt and caption of each.
 
     That is the held-out frame with the largest force, or without one the training frame; none where the curve was not
-    seen in both radiographs.
+    seen in both radiographs. The angle is that between the end vertebrae before the push; ``responses`` has its own.
     """
     frame = _chosen(predictions)
     change = None if frame is None else predictions.measured_change(frame.item)
@@ -94,7 +99,7 @@ def moments(
     reading = reading_of("at rest", before, view)
     force = "without force" if start.force_n == 0.0 else f"under {start.force_n:g} N"
     captions = [
-        f"Before this push, {force}. Cobb angle {reading.words()}.",
+        f"Before this push, {force}. Cobb angle {reading.words()}.{other_ends(responses, item.push, change.levels)}",
         picture_words("pushed", item.force_n, forms_in_words(change)["fixed_levels"], None, None),
     ]
     if "fit" in frame.states:

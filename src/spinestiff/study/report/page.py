@@ -120,7 +120,7 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
     responses = read_outcome(subject, Responses)
     page = {
         "first": clinician_content(visit, estimate, assessment, responses),
-        "moments": [album.add(*picture) for picture in moments(visit, predictions, films, assessment)],
+        "moments": [album.add(*picture) for picture in moments(visit, predictions, films, assessment, responses)],
         "subject": subject_content(visit),
         "response": response_content(responses),
         "result": result_content(visit, estimate, assessment),
