@@ -837,6 +837,22 @@ def test_marks_that_were_put_right_while_others_were_refused_are_saved(page):
     assert len(page.served.session.marks["rest/frontal"].spine) == 2
 
 
+@pytest.mark.parametrize("lose", ["throw new TypeError()", "return new Response('', {status: 504})"])
+def test_marks_whose_answer_was_lost_are_no_conflict_with_themselves(page, lose):
+    """The server wrote them: what is marked meanwhile is saved, and nobody is told of another window."""
+    tab = page.tab
+    lost = "async (path, given, real) => { const found = await real(path, given);"
+    lost += " if (given?.method == 'PUT') window.lost = (window.lost ?? 0) + 1;"
+    lost += f" if (given?.method == 'PUT' && lost <= 2) {{ {lose}; }} return found; }}"
+    with intercepted(tab, lost):
+        tab.run("annotation.change(marks => ({...marks, spine: [[9, 9]]}), 'filled')")
+        tab.until("document.getElementById('saved').dataset.state == 'failed'")
+        assert len(page.served.session.marks["rest/frontal"].spine) == 1
+        tab.run("annotation.change(marks => ({...marks, spine: [[9, 9], [10, 10]]}), 'filled')")
+        page.saved()
+    assert tab.run("lost") >= 3 and len(page.served.session.marks["rest/frontal"].spine) == 2
+
+
 def test_tracking_is_asked_for_again_where_the_server_did_not_answer_once(page):
     tab, image = page.tab, "push/a"
     tab.run(f"(annotation.open('{image}'), 1)")
