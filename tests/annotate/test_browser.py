@@ -145,7 +145,7 @@ def test_what_is_pressed_again_and_again_keeps_its_place(page):
         page.button("look-on")
         corner = page.quad("T1")[1]
         page.drag(corner, corner + [3.0, -2.0])
-        assert page.text("propose") == "Propose the others again" and places() == before
+        assert page.text("propose") == "Propose the others" and places() == before
         page.button("undo")
         page.button("undo")
         page.button("clear-spine")
@@ -169,6 +169,65 @@ def test_what_was_looked_at_is_known_after_a_reload_an_undo_and_other_names(page
     page.button("names-up")
     names = [VERTEBRAE[VERTEBRAE.index(name) - 1] for name in unseen]
     assert set(page.tab.run("annotation.unseen")) == set(names)
+
+
+def points(page):
+    page.tab.run("document.querySelector('[data-tool=spine]').click()")
+    for pixel in drawn("rest/frontal").clicks(*CLICKED):
+        page.click(pixel)
+
+
+def test_a_proposal_after_a_reload_keeps_what_was_put_right_or_asks(page):
+    """Nobody knows any longer which of the saved vertebrae were put right: all count as that."""
+    tab = page.tab
+    page.propose()
+    corner = page.quad("T8")[1]
+    page.drag(corner, corner + [6.0, -4.0])
+    page.saved()
+    reload(page)
+    tab.run("annotation.open('rest/frontal')")
+    tab.until("annotation.loaded == 'rest/frontal'")
+    saved = page.marks()["vertebrae"]
+    assert page.marks()["spine"] == []
+    points(page)
+    tab.questions.clear()
+    tab.answer = False
+    try:
+        page.button("propose")
+        tab.until("!annotation.busy")
+        assert page.marks()["vertebrae"] == saved
+        assert page.text("propose") == "Propose all anew" and tab.questions == ["confirm"]
+        # A vertebra that is not marked is proposed, all others stay.
+        tab.run("annotation.visible('T3', false)")
+        assert page.text("propose") == "Propose the others"
+        page.button("propose")
+        tab.until("!!annotation.marks.vertebrae.T3 && !annotation.busy")
+        assert tab.questions == ["confirm"] and tab.run("annotation.unseen") == ["T3"]
+        assert {**page.marks()["vertebrae"], "T3": saved["T3"]} == saved
+        page.button("undo")
+        page.button("undo")
+    finally:
+        tab.answer = True
+    page.button("propose")
+    tab.until("annotation.unseen.length == 17")
+    assert page.marks()["vertebrae"]["T8"] != saved["T8"]
+    page.button("undo")
+    assert page.marks()["vertebrae"] == saved
+    page.saved()
+
+
+def test_a_proposal_that_comes_back_by_undo_is_still_to_be_looked_at(page):
+    page.propose(look=False)
+    first = page.marks()["vertebrae"]
+    page.tab.run("annotation.change(marks => ({...marks, spine: marks.spine.slice(0, 4)}), 'one point less')")
+    pick(page, "lower", "L1")
+    page.button("propose")
+    page.tab.until("!annotation.marks.vertebrae.L5 && !annotation.busy")
+    for _ in range(3):
+        page.button("undo")
+    assert page.marks()["vertebrae"] == first and len(page.tab.run("annotation.unseen")) == 17
+    page.saved()
+    assert not page.served.session.annotation_path.exists()
 
 
 def pick(page, name, value):

@@ -391,8 +391,15 @@ export class App {
     this.after();
   }
 
-  /** Vertebrae that were corrected since they were proposed; a new proposal keeps them and takes them for guides. */
+  /** Vertebrae that are not as they were proposed; a new proposal keeps them and takes them for guides. */
   get kept(): Record<string, Quad> { return this.proposals.kept(this.key, this.marks.vertebrae); }
+
+  /** Whether a proposal would keep every vertebra along the points, and so has none to place. */
+  get allKept(): boolean {
+    const { along, kept } = this;
+    return along.length > 0 && along.every((name) => name in kept);
+  }
+  private get along(): string[] { return this.names.slice(this.names.indexOf(this.ends[0]), this.names.indexOf(this.ends[1]) + 1); }
 
   /** Say what is wrong until its cause goes: another radiograph or tool, or other marks. */
   problem(text: string, gone?: () => boolean): void {
@@ -416,10 +423,14 @@ export class App {
         () => key !== this.key || this.tool !== "spine" || this.marks.spine.length >= 3,
       );
     }
+    const { along, kept: before, allKept: anew } = this;
+    if (anew && !confirm(`Every vertebra from ${ends[0]} to ${ends[1]} is marked. Propose all of them anew, in place of what is marked? Undo takes it back.`)) return;
+    const stays = (all: Record<string, Quad>): Record<string, Quad> =>
+      anew ? Object.fromEntries(Object.entries(all).filter(([name, quad]) => !along.includes(name) || quad !== before[name])) : all;
     await this.whileBusy("Proposing …", async () => {
-      const found = await api.propose(this.image.name, this.frame, marks.spine, ...ends, this.kept);
+      const found = await api.propose(this.image.name, this.frame, marks.spine, ...ends, stays(before));
       if (key !== this.key) return;
-      const kept = this.kept;
+      const kept = stays(this.kept);
       this.proposals.propose(key, Object.entries(found.vertebrae).filter(([name]) => !(name in kept)).map(([, quad]) => quad));
       // Whatever is not visible or renamed later, the points keep their vertebrae.
       this.change((now) => ({ ...now, ends, vertebrae: { ...found.vertebrae, ...kept } }), "proposal");

@@ -165,7 +165,7 @@ export class Panel {
     for (const id of ["names-up", "names-down"]) this.off(id, app.frame > 0);
     this.off("clear-spine", !marks.spine.length);
     this.off("propose", !!app.busy || app.frame > 0);
-    put("propose", app.busy || (Object.keys(app.kept).length ? "Propose the others again" : "Propose vertebrae"));
+    put("propose", app.busy || (app.allKept ? "Propose all anew" : Object.keys(app.kept).length ? "Propose the others" : "Propose vertebrae"));
     put("spine-text", app.frame ? "Later frames are tracked." : `${marks.spine.length === 1 ? "1 point" : `${marks.spine.length} points`} along it${marks.spine.length < 3 ? "; a proposal needs three" : ""}.`);
     this.cobb();
     this.frames();
