@@ -961,6 +961,55 @@ def test_a_correction_that_is_taken_back_is_tracked_no_longer(page):
         assert tracked == set(tab.run("Object.keys(annotation.marks.vertebrae)"))
 
 
+def test_frames_are_tracked_anew_once_the_first_ones_marks_change(page):
+    tab, image = page.tab, "push/a"
+    tab.run(f"(annotation.open('{image}'), 1)")
+    tab.until(f"annotation.loaded == '{image}'")
+    page.fill(image)
+    page.button("track")
+    tab.until(f"annotation.tracking['{image}']?.state == 'done'", 60.0)
+    held = "async (path, given, real) => { if (path == 'api/track') await new Promise(done => { window.go = done; });"
+    held += " return real(path, given); }"
+    corner = page.quad("T9", image)[0]
+    with intercepted(tab, held):
+        page.drag(corner, corner + [8.0, 0.0])
+        tab.until("!!window.go")
+        page.button("frame-on")
+        tab.until(f"annotation.loaded == '{image}/1' && annotation.tracked")
+        tab.until("!annotation.judging")
+        assert page.text("frame-text").endswith("training: tracked before the last change, being tracked anew")
+        assert page.text("cobb") == "Read once it is tracked."
+        tab.run("(go(), 1)")
+        tab.until(f"annotation.tracking['{image}'].state == 'done'", 60.0)
+    assert "before the last change" not in page.text("frame-text")
+    tab.until("annotation.cobb && !annotation.judging")
+
+    def tracked_there():
+        return tab.run(f"annotation.tracking['{image}'].frames[0].vertebrae.T9[0]")
+
+    np.testing.assert_allclose(tracked_there(), corner + [8.0, 0.0], atol=0.06)
+    # So it is with a change that is taken back. Where nothing can be tracked, nothing is shown, until it can be.
+    page.button("undo")
+    tab.until(f"annotation.tracking['{image}'].state == 'running'")
+    tab.until(f"annotation.tracking['{image}'].state == 'done'", 60.0)
+    np.testing.assert_allclose(tracked_there(), corner, atol=0.06)
+    few = "Object.fromEntries(Object.entries(marks.vertebrae).slice(0, 7))"
+    tab.run(f"annotation.change(marks => ({{...marks, vertebrae: {few}}}), 'only seven')")
+    tab.until(f"annotation.tracking['{image}'].state == 'none'")
+    assert "wanted" in page.text("problem")
+    tab.run(f"(annotation.open('{image}', 1), 1)")
+    tab.until(f"annotation.loaded == '{image}/1'")
+    assert not tab.run("annotation.tracked") and page.text("frame-text").endswith("training: not tracked yet")
+    page.button("undo")
+    tab.until(f"annotation.tracking['{image}'].state == 'done'", 60.0)
+    np.testing.assert_allclose(tracked_there(), corner, atol=0.06)
+    # A reload finds what was tracked from the marks that there are.
+    page.saved()
+    reload(page)
+    tab.run(f"(annotation.open('{image}'), 1)")
+    tab.until(f"annotation.tracking['{image}']?.state == 'done'")
+
+
 def test_a_vertebra_comes_back_at_no_other_ones_place(page):
     """What was L5 has another name by now: its place is not where the new L5 is."""
     page.fill()
