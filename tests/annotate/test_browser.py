@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 import cv2
 import numpy as np
+import pydicom
 import pytest
 
 from annotation_hands import Hands
@@ -840,6 +841,54 @@ def test_a_radiograph_that_is_not_there_yet_is_not_marked_on_the_one_before(page
     tab.run("(annotation.open('rest/lateral'), 1)")
     tab.until("annotation.loaded == 'rest/lateral'")
     assert len(click()) == 1 and shown() > 200
+    page.saved()
+
+
+@pytest.mark.parametrize("shape", [(1.4, 1.0), (1.0, 1.25)])
+def test_pixels_that_are_not_square_are_shown_as_the_body_is(page, shape):
+    """Picture, marks, angles and the window of four times the size, all in the same proportions."""
+    tab = page.tab
+    path = page.served.session.subject.folder / "rest/frontal.dcm"
+    dataset = pydicom.dcmread(path)
+    mm = 0.7 * np.array(shape)
+    dataset.ImagerPixelSpacing = [round(mm[1], 3), round(mm[0], 3)]
+    dataset.save_as(path)
+    reload(page)
+    tab.until("annotation.loaded == 'rest/frontal'")
+    # All white: what is not the radiograph is black.
+    tab.run("annotation.stage.setWindow([-65535, 0]); annotation.stage.fit()")
+    tab.settle()
+    whole = cv2.imdecode(np.frombuffer(tab.picture(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    left, top, width, height = (round(value) for value in page.stage())
+    corners = np.array([page.place((-0.5, -0.5)), page.place((447.5, 639.5))])
+    # Without the outline of what has the focus, and the letters of the sides.
+    for line, first, size, there in (
+        (whole[top + height // 2], left, width, corners[:, 0]),
+        (whole[:, left + width // 2], top, height, corners[:, 1]),
+    ):
+        inner = np.array([first + 9, first + size - 9])
+        (white,) = np.nonzero(line[inner[0] : inner[1]] > 128)
+        np.testing.assert_allclose(inner[0] + white[[0, -1]] + [0, 1], np.clip(there, *inner), atol=1.5)
+    wide, tall = corners[1] - corners[0]
+    assert wide / tall == pytest.approx(448 * shape[0] / (640 * shape[1]), rel=1e-3)
+    assert wide <= width + 1 and tall <= height + 1
+    page.fill()
+    quad = page.quad("T9")
+    # Dragged to where it was pointed at, also where it is zoomed about a place.
+    at = page.place(quad.mean(axis=0))
+    tab.wheel(at, -300.0)
+    tab.settle()
+    np.testing.assert_allclose(page.place(quad.mean(axis=0)), at, atol=1.0)
+    page.drag(quad[1], quad[1] + [5.0, -3.0])
+    np.testing.assert_allclose(page.quad("T9")[1], quad[1] + [5.0, -3.0], atol=0.06)
+    # A turn keeps a vertebra's sides as long as they are, and turns each by as much.
+    before = page.quad("T9")
+    page.tab.run("annotation.select({kind: 'vertebra', name: 'T9', part: -1})")
+    page.tab.run("for (let i = 0; i < 20; i++) annotation.turnBy(0.5)")
+    was, now = ((np.roll(q, -1, axis=0) - q) * mm for q in (before, page.quad("T9")))
+    np.testing.assert_allclose(np.linalg.norm(now, axis=1), np.linalg.norm(was, axis=1), atol=0.1)
+    turned = np.degrees(np.arctan2(now[:, 1], now[:, 0]) - np.arctan2(was[:, 1], was[:, 0]))
+    np.testing.assert_allclose((turned + 180.0) % 360.0 - 180.0, 10.0, atol=0.5)
     page.saved()
 
 

@@ -244,10 +244,11 @@ export class App {
     const at = this.selection;
     const quad = at?.kind === "vertebra" ? this.seen.vertebrae[at.name] : undefined;
     if (!at || !quad) return;
-    const middle = centre(quad), [cos, sin] = [Math.cos((degrees * Math.PI) / 180), Math.sin((degrees * Math.PI) / 180)];
+    // Turned as it is seen, also where pixels are not square.
+    const middle = centre(quad), [wide, high] = this.stage.shape, [cos, sin] = [Math.cos((degrees * Math.PI) / 180), Math.sin((degrees * Math.PI) / 180)];
     const turned = (p: Point): Point => {
-      const [x, y] = [p[0] - middle[0], p[1] - middle[1]];
-      return moved(middle, [cos * x - sin * y, sin * x + cos * y]);
+      const [x, y] = [wide * (p[0] - middle[0]), high * (p[1] - middle[1])];
+      return moved(middle, [(cos * x - sin * y) / wide, (sin * x + cos * y) / high]);
     };
     this.changeSelected((marks) => changed(marks, { ...at, part: -1 }, turned), `${at.name} turned`);
     this.says.aloud(`${at.name} turned by ${degrees} degrees`);
@@ -375,8 +376,8 @@ export class App {
   /** The other one is guessed until it is set, chosen or moved, too; which is the patient's left follows from the view. */
   private addPedicle(at: Point): void {
     const near = Object.entries(this.seen.vertebrae).map(([name, quad]) => {
-      const middle = centre(quad);
-      return [Math.hypot(middle[0] - at[0], middle[1] - at[1]), name, middle] as const;
+      const middle = centre(quad), [wide, high] = this.stage.shape;
+      return [Math.hypot(wide * (middle[0] - at[0]), high * (middle[1] - at[1])), name, middle] as const;
     });
     if (!near.length) {
       const { key } = this, first = this.frame ? "Track through the frames" : "Mark the vertebrae";
