@@ -1045,7 +1045,7 @@ def test_frames_are_tracked_anew_once_the_first_ones_marks_change(page):
     few = "Object.fromEntries(Object.entries(marks.vertebrae).slice(0, 7))"
     tab.run(f"annotation.change(marks => ({{...marks, vertebrae: {few}}}), 'only seven')")
     tab.until(f"annotation.tracking['{image}'].state == 'none'")
-    assert "wanted" in page.text("problem")
+    assert page.text("problem").endswith("before its first frame is complete: 7 vertebrae, wanted at least 8")
     tab.run(f"(annotation.open('{image}', 1), 1)")
     tab.until(f"annotation.loaded == '{image}/1'")
     assert not tab.run("annotation.tracked") and page.text("frame-text").endswith("training: not tracked yet")
@@ -1057,6 +1057,18 @@ def test_frames_are_tracked_anew_once_the_first_ones_marks_change(page):
     reload(page)
     tab.run(f"(annotation.open('{image}'), 1)")
     tab.until(f"annotation.tracking['{image}']?.state == 'done'")
+
+
+def test_no_points_for_a_proposal_come_into_a_later_frame(page):
+    """By the key, as by the button."""
+    tab, image = page.tab, "push/a"
+    tab.run(f"(annotation.open('{image}', 1), 1)")
+    tab.until(f"annotation.loaded == '{image}/1'")
+    tab.run("document.getElementById('stage').focus()")
+    page.key("o")
+    page.click((100, 100))
+    assert tab.run("annotation.tool") == "move" and page.marks(f"{image}/1") is None
+    assert "first frame" in page.text("spoken")
 
 
 def test_a_vertebra_comes_back_at_no_other_ones_place(page):

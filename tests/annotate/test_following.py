@@ -154,5 +154,9 @@ def test_what_can_not_be_tracked_is_refused(session):
     follower = Follower(session)
     with pytest.raises(SubjectError, match="no push"):
         follower.start("rest/frontal")
-    with pytest.raises(SubjectError, match="missing; wanted the vertebra corners"):
+    with pytest.raises(SubjectError, match=r"^Push a can't be tracked before its first frame is complete: no vertebra"):
+        follower.start(PUSH)
+    few = Draft(schema_version=1, images={PUSH: marked(PUSH, "T1", "T2")})
+    session.save(few, session.revision)
+    with pytest.raises(SubjectError, match=r"^Push a .* complete: 2 vertebrae, wanted at least 8$"):
         follower.start(PUSH)

@@ -15,6 +15,7 @@ from spinestiff.imaging.tracking import OnFrame, track
 from spinestiff.subject.folder import Subject, push_corners, read_subject
 from spinestiff.subject.outcomes import Tracked
 from spinestiff.subject.run_record import changed_inputs, read_outcome
+from spinestiff.words import push_named, sentence
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,13 @@ class Follower:
             raise SubjectError(f"{image} is no push; there is nothing to track")
         frames = self.session.frames(image)
         subject = self.session.annotated()
-        annotated = push_corners(subject, subject.push(image.removeprefix("push/")), self.session.view(image))
+        push = subject.push(image.removeprefix("push/"))
+        if image not in _starts(subject, image):
+            lines = self.session.missing(self.session.marks)
+            why = next((line.removeprefix(f"{image}: ") for line in lines if line.startswith(f"{image}: ")), "no marks")
+            name = sentence(push_named(push.id))
+            raise SubjectError(f"{name} can't be tracked before its first frame is complete: {why}")
+        annotated = push_corners(subject, push, self.session.view(image))
         with self._lock:
             number = self._runs[image].number + 1 if image in self._runs else 1
             running = Following("running", 0, len(frames))

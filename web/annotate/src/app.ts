@@ -426,6 +426,8 @@ export class App {
 
   async propose(): Promise<void> {
     const { marks, key, ends } = this;
+    if (this.busy) return;
+    if (this.frame) return this.says.aloud("vertebrae are proposed in a push's first frame; later frames are tracked");
     if (marks.spine.length < 3) {
       this.choose("spine");
       return this.problem(
