@@ -2,7 +2,7 @@
 
 Six clicks along the spine, a proposal, then what a careful person does: the corner that lies farthest off is dragged
 where it belongs, one after the other, until all lie within the tolerance. Where a whole vertebra lies off it is dragged
-first, if that leaves fewer corners to drag. "Propose the others again", after some vertebrae were put right, is used
+first, if that leaves fewer corners to drag. "Propose the others", after some vertebrae were put right, is used
 where that saves time.
 
 Synthetic radiographs (known corners): ``SUBJECTS``, made anew, which the proposal's weights were not set with. Real

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 import cv2
 import numpy as np
+import pydicom
 import pytest
 
 from annotation_hands import Hands
@@ -145,7 +146,7 @@ def test_what_is_pressed_again_and_again_keeps_its_place(page):
         page.button("look-on")
         corner = page.quad("T1")[1]
         page.drag(corner, corner + [3.0, -2.0])
-        assert page.text("propose") == "Propose the others again" and places() == before
+        assert page.text("propose") == "Propose the others" and places() == before
         page.button("undo")
         page.button("undo")
         page.button("clear-spine")
@@ -169,6 +170,65 @@ def test_what_was_looked_at_is_known_after_a_reload_an_undo_and_other_names(page
     page.button("names-up")
     names = [VERTEBRAE[VERTEBRAE.index(name) - 1] for name in unseen]
     assert set(page.tab.run("annotation.unseen")) == set(names)
+
+
+def points(page):
+    page.tab.run("document.querySelector('[data-tool=spine]').click()")
+    for pixel in drawn("rest/frontal").clicks(*CLICKED):
+        page.click(pixel)
+
+
+def test_a_proposal_after_a_reload_keeps_what_was_put_right_or_asks(page):
+    """Nobody knows any longer which of the saved vertebrae were put right: all count as that."""
+    tab = page.tab
+    page.propose()
+    corner = page.quad("T8")[1]
+    page.drag(corner, corner + [6.0, -4.0])
+    page.saved()
+    reload(page)
+    tab.run("annotation.open('rest/frontal')")
+    tab.until("annotation.loaded == 'rest/frontal'")
+    saved = page.marks()["vertebrae"]
+    assert page.marks()["spine"] == []
+    points(page)
+    tab.questions.clear()
+    tab.answer = False
+    try:
+        page.button("propose")
+        tab.until("!annotation.busy")
+        assert page.marks()["vertebrae"] == saved
+        assert page.text("propose") == "Propose all anew" and tab.questions == ["confirm"]
+        # A vertebra that is not marked is proposed, all others stay.
+        tab.run("annotation.visible('T3', false)")
+        assert page.text("propose") == "Propose the others"
+        page.button("propose")
+        tab.until("!!annotation.marks.vertebrae.T3 && !annotation.busy")
+        assert tab.questions == ["confirm"] and tab.run("annotation.unseen") == ["T3"]
+        assert {**page.marks()["vertebrae"], "T3": saved["T3"]} == saved
+        page.button("undo")
+        page.button("undo")
+    finally:
+        tab.answer = True
+    page.button("propose")
+    tab.until("annotation.unseen.length == 17")
+    assert page.marks()["vertebrae"]["T8"] != saved["T8"]
+    page.button("undo")
+    assert page.marks()["vertebrae"] == saved
+    page.saved()
+
+
+def test_a_proposal_that_comes_back_by_undo_is_still_to_be_looked_at(page):
+    page.propose(look=False)
+    first = page.marks()["vertebrae"]
+    page.tab.run("annotation.change(marks => ({...marks, spine: marks.spine.slice(0, 4)}), 'one point less')")
+    pick(page, "lower", "L1")
+    page.button("propose")
+    page.tab.until("!annotation.marks.vertebrae.L5 && !annotation.busy")
+    for _ in range(3):
+        page.button("undo")
+    assert page.marks()["vertebrae"] == first and len(page.tab.run("annotation.unseen")) == 17
+    page.saved()
+    assert not page.served.session.annotation_path.exists()
 
 
 def pick(page, name, value):
@@ -784,6 +844,54 @@ def test_a_radiograph_that_is_not_there_yet_is_not_marked_on_the_one_before(page
     page.saved()
 
 
+@pytest.mark.parametrize("shape", [(1.4, 1.0), (1.0, 1.25)])
+def test_pixels_that_are_not_square_are_shown_as_the_body_is(page, shape):
+    """Picture, marks, angles and the window of four times the size, all in the same proportions."""
+    tab = page.tab
+    path = page.served.session.subject.folder / "rest/frontal.dcm"
+    dataset = pydicom.dcmread(path)
+    mm = 0.7 * np.array(shape)
+    dataset.ImagerPixelSpacing = [round(mm[1], 3), round(mm[0], 3)]
+    dataset.save_as(path)
+    reload(page)
+    tab.until("annotation.loaded == 'rest/frontal'")
+    # All white: what is not the radiograph is black.
+    tab.run("annotation.stage.setWindow([-65535, 0]); annotation.stage.fit()")
+    tab.settle()
+    whole = cv2.imdecode(np.frombuffer(tab.picture(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    left, top, width, height = (round(value) for value in page.stage())
+    corners = np.array([page.place((-0.5, -0.5)), page.place((447.5, 639.5))])
+    # Without the outline of what has the focus, and the letters of the sides.
+    for line, first, size, there in (
+        (whole[top + height // 2], left, width, corners[:, 0]),
+        (whole[:, left + width // 2], top, height, corners[:, 1]),
+    ):
+        inner = np.array([first + 9, first + size - 9])
+        (white,) = np.nonzero(line[inner[0] : inner[1]] > 128)
+        np.testing.assert_allclose(inner[0] + white[[0, -1]] + [0, 1], np.clip(there, *inner), atol=1.5)
+    wide, tall = corners[1] - corners[0]
+    assert wide / tall == pytest.approx(448 * shape[0] / (640 * shape[1]), rel=1e-3)
+    assert wide <= width + 1 and tall <= height + 1
+    page.fill()
+    quad = page.quad("T9")
+    # Dragged to where it was pointed at, also where it is zoomed about a place.
+    at = page.place(quad.mean(axis=0))
+    tab.wheel(at, -300.0)
+    tab.settle()
+    np.testing.assert_allclose(page.place(quad.mean(axis=0)), at, atol=1.0)
+    page.drag(quad[1], quad[1] + [5.0, -3.0])
+    np.testing.assert_allclose(page.quad("T9")[1], quad[1] + [5.0, -3.0], atol=0.06)
+    # A turn keeps a vertebra's sides as long as they are, and turns each by as much.
+    before = page.quad("T9")
+    page.tab.run("annotation.select({kind: 'vertebra', name: 'T9', part: -1})")
+    page.tab.run("for (let i = 0; i < 20; i++) annotation.turnBy(0.5)")
+    was, now = ((np.roll(q, -1, axis=0) - q) * mm for q in (before, page.quad("T9")))
+    np.testing.assert_allclose(np.linalg.norm(now, axis=1), np.linalg.norm(was, axis=1), atol=0.1)
+    turned = np.degrees(np.arctan2(now[:, 1], now[:, 0]) - np.arctan2(was[:, 1], was[:, 0]))
+    np.testing.assert_allclose((turned + 180.0) % 360.0 - 180.0, 10.0, atol=0.5)
+    page.saved()
+
+
 def test_a_screen_of_other_sharpness_shows_marks_where_they_are(page):
     """As where a window goes to another monitor: as wide as before, with more pixels of the screen."""
     tab = page.tab
@@ -837,6 +945,22 @@ def test_marks_that_were_put_right_while_others_were_refused_are_saved(page):
     assert len(page.served.session.marks["rest/frontal"].spine) == 2
 
 
+@pytest.mark.parametrize("lose", ["throw new TypeError()", "return new Response('', {status: 504})"])
+def test_marks_whose_answer_was_lost_are_no_conflict_with_themselves(page, lose):
+    """The server wrote them: what is marked meanwhile is saved, and nobody is told of another window."""
+    tab = page.tab
+    lost = "async (path, given, real) => { const found = await real(path, given);"
+    lost += " if (given?.method == 'PUT') window.lost = (window.lost ?? 0) + 1;"
+    lost += f" if (given?.method == 'PUT' && lost <= 2) {{ {lose}; }} return found; }}"
+    with intercepted(tab, lost):
+        tab.run("annotation.change(marks => ({...marks, spine: [[9, 9]]}), 'filled')")
+        tab.until("document.getElementById('saved').dataset.state == 'failed'")
+        assert len(page.served.session.marks["rest/frontal"].spine) == 1
+        tab.run("annotation.change(marks => ({...marks, spine: [[9, 9], [10, 10]]}), 'filled')")
+        page.saved()
+    assert tab.run("lost") >= 3 and len(page.served.session.marks["rest/frontal"].spine) == 2
+
+
 def test_tracking_is_asked_for_again_where_the_server_did_not_answer_once(page):
     tab, image = page.tab, "push/a"
     tab.run(f"(annotation.open('{image}'), 1)")
@@ -884,6 +1008,67 @@ def test_a_correction_that_is_taken_back_is_tracked_no_longer(page):
         tab.until(f"annotation.tracking['{image}'].state == 'done'", 60.0)
         tracked = set(tab.run(f"Object.keys(annotation.tracking['{image}'].frames[1].vertebrae)"))
         assert tracked == set(tab.run("Object.keys(annotation.marks.vertebrae)"))
+
+
+def test_frames_are_tracked_anew_once_the_first_ones_marks_change(page):
+    tab, image = page.tab, "push/a"
+    tab.run(f"(annotation.open('{image}'), 1)")
+    tab.until(f"annotation.loaded == '{image}'")
+    page.fill(image)
+    page.button("track")
+    tab.until(f"annotation.tracking['{image}']?.state == 'done'", 60.0)
+    held = "async (path, given, real) => { if (path == 'api/track') await new Promise(done => { window.go = done; });"
+    held += " return real(path, given); }"
+    corner = page.quad("T9", image)[0]
+    with intercepted(tab, held):
+        page.drag(corner, corner + [8.0, 0.0])
+        tab.until("!!window.go")
+        page.button("frame-on")
+        tab.until(f"annotation.loaded == '{image}/1' && annotation.tracked")
+        tab.until("!annotation.judging")
+        assert page.text("frame-text").endswith("training: tracked before the last change, being tracked anew")
+        assert page.text("cobb") == "Read once it is tracked."
+        tab.run("(go(), 1)")
+        tab.until(f"annotation.tracking['{image}'].state == 'done'", 60.0)
+    assert "before the last change" not in page.text("frame-text")
+    tab.until("annotation.cobb && !annotation.judging")
+
+    def tracked_there():
+        return tab.run(f"annotation.tracking['{image}'].frames[0].vertebrae.T9[0]")
+
+    np.testing.assert_allclose(tracked_there(), corner + [8.0, 0.0], atol=0.06)
+    # So it is with a change that is taken back. Where nothing can be tracked, nothing is shown, until it can be.
+    page.button("undo")
+    tab.until(f"annotation.tracking['{image}'].state == 'running'")
+    tab.until(f"annotation.tracking['{image}'].state == 'done'", 60.0)
+    np.testing.assert_allclose(tracked_there(), corner, atol=0.06)
+    few = "Object.fromEntries(Object.entries(marks.vertebrae).slice(0, 7))"
+    tab.run(f"annotation.change(marks => ({{...marks, vertebrae: {few}}}), 'only seven')")
+    tab.until(f"annotation.tracking['{image}'].state == 'none'")
+    assert page.text("problem").endswith("before its first frame is complete: 7 vertebrae, wanted at least 8")
+    tab.run(f"(annotation.open('{image}', 1), 1)")
+    tab.until(f"annotation.loaded == '{image}/1'")
+    assert not tab.run("annotation.tracked") and page.text("frame-text").endswith("training: not tracked yet")
+    page.button("undo")
+    tab.until(f"annotation.tracking['{image}'].state == 'done'", 60.0)
+    np.testing.assert_allclose(tracked_there(), corner, atol=0.06)
+    # A reload finds what was tracked from the marks that there are.
+    page.saved()
+    reload(page)
+    tab.run(f"(annotation.open('{image}'), 1)")
+    tab.until(f"annotation.tracking['{image}']?.state == 'done'")
+
+
+def test_no_points_for_a_proposal_come_into_a_later_frame(page):
+    """By the key, as by the button."""
+    tab, image = page.tab, "push/a"
+    tab.run(f"(annotation.open('{image}', 1), 1)")
+    tab.until(f"annotation.loaded == '{image}/1'")
+    tab.run("document.getElementById('stage').focus()")
+    page.key("o")
+    page.click((100, 100))
+    assert tab.run("annotation.tool") == "move" and page.marks(f"{image}/1") is None
+    assert "first frame" in page.text("spoken")
 
 
 def test_a_vertebra_comes_back_at_no_other_ones_place(page):

@@ -119,6 +119,26 @@ def test_a_new_start_replaces_the_run_that_goes_on(annotated, monkeypatch):
     assert follower.state(PUSH).state == "done" and states == ["first"]
 
 
+def test_a_run_is_shown_for_the_marks_that_it_began_from(annotated, monkeypatch):
+    """Pedicles and marks of other radiographs are no part of these."""
+    stand_in(monkeypatch, lambda *_: ())
+    follower = Follower(annotated)
+    follower.start(PUSH)
+    assert ended(follower).state == "done"
+    before = annotated.marks
+
+    def state_of(**changed):
+        images = {**before, **{name.replace("_", "/"): image for name, image in changed.items()}}
+        annotated.save(Draft(schema_version=1, images=images), annotated.revision)
+        return follower.state(PUSH).state
+
+    assert state_of(rest_frontal=marked("rest/frontal", *VERTEBRAE[1:])) == "done"
+    assert state_of(push_a=marked(PUSH, *VERTEBRAE[1:])) == "none"
+    assert state_of(push_a_1=marked(f"{PUSH}/1", "T9")) == "none"
+    assert state_of(push_a=marked(PUSH, "T9")) == "none"
+    assert state_of() == "done"
+
+
 def test_a_failure_is_told_in_a_line(annotated, monkeypatch):
     def fail(*_):
         raise TrackingError("no vertebra was found")
@@ -134,5 +154,9 @@ def test_what_can_not_be_tracked_is_refused(session):
     follower = Follower(session)
     with pytest.raises(SubjectError, match="no push"):
         follower.start("rest/frontal")
-    with pytest.raises(SubjectError, match="missing; wanted the vertebra corners"):
+    with pytest.raises(SubjectError, match=r"^Push a can't be tracked before its first frame is complete: no vertebra"):
+        follower.start(PUSH)
+    few = Draft(schema_version=1, images={PUSH: marked(PUSH, "T1", "T2")})
+    session.save(few, session.revision)
+    with pytest.raises(SubjectError, match=r"^Push a .* complete: 2 vertebrae, wanted at least 8$"):
         follower.start(PUSH)

@@ -23,7 +23,7 @@ def test_a_picture_is_no_finer_than_asked_and_keeps_its_shape(session):
     assert (about["rows"], about["columns"]) == (640, 448)
     # Means of two by two pixels.
     np.testing.assert_allclose(greys(content, about), whole.reshape(320, 2, 224, 2).mean(axis=(1, 3)), atol=2.0)
-    assert picture(radiograph, 448, 64)[1]["shown"] == [45, 64]
+    assert picture(radiograph, 448, 64)[1]["shown"] == [45, 64] and about["shape"] == [1.0, 1.0]
 
 
 def test_a_part_has_the_greys_of_the_whole(session):

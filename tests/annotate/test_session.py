@@ -153,6 +153,26 @@ def test_two_windows_do_not_overwrite_each_other(session):
     assert set(session.marks) == set(ALL)
 
 
+def test_what_a_page_saved_without_an_answer_it_may_save_again(session):
+    """Also after the server was started anew, and only while the radiographs are those that the page shows."""
+    first = session.revision
+    proposed = marked("rest/frontal").model_copy(update={"spine": ((9.0, 9.0),), "ends": ("T1", "L5")})
+    sent = draft(rest__frontal=proposed, push__a=marked("push/a", "T4"))
+    now = session.save(sent, first)
+    assert session.save(sent, first) == now == AnnotationSession(session.subject.folder).save(sent, first)
+    # What was marked since then follows on the revision that was answered.
+    session.save(whole(), now)
+    with pytest.raises(ChangedElsewhere, match="another window or program"):
+        session.save(sent, first)
+    assert set(read_annotation(session.annotation_path).images) == set(ALL)
+    path = session.subject.folder / "rest/frontal.dcm"
+    path.with_suffix(".new").write_bytes(path.read_bytes())
+    path.with_suffix(".new").replace(path)
+    session.reload()
+    with pytest.raises(ChangedElsewhere, match="another window or program"):
+        session.save(whole(), now)
+
+
 def test_what_another_program_wrote_is_not_overwritten(session):
     session.save(whole(), session.revision)
     text = session.annotation_path.read_text(encoding="utf-8")

@@ -126,7 +126,7 @@ def test_a_picture_is_pixels_and_nothing_else(served, tmp_path):
         status, headers, content = served.ask("POST", "/api/look/picture", {**asked, "name": name})
         about = json.loads(headers["x-radiograph"])
         assert status == 200 and headers["cache-control"] == "no-store"
-        assert set(about) == {"rows", "columns", "part", "shown", "window"}
+        assert set(about) == {"rows", "columns", "shape", "part", "shown", "window"}
         wide, tall = about["shown"]
         assert wide <= 96 and tall <= 128 and len(content) == 2 * wide * tall
         assert not any(part.encode() in content for part in CANARY.split("^"))

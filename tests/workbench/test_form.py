@@ -213,12 +213,14 @@ def test_a_radiograph_is_shown_whatever_is_known_of_its_millimetres(served, root
     path = root / "girl" / "rest" / "frontal.dcm"
     dataset = pydicom.dcmread(path)
     del dataset.ImagerPixelSpacing
+    dataset.PixelAspectRatio = [6, 5]
     dataset.save_as(path)
     key, whole = served.key(), "image=rest/frontal&wide=96&tall=128"
     assert served.json("GET", f"/annotate/{key}/api/radiograph?{whole}")[0] == 422
     status, headers, content = served.ask("GET", f"/api/subjects/{key}/radiograph?{whole}")
     about = json.loads(headers["x-radiograph"])
     assert (status, about["rows"], about["columns"]) == (200, *dataset.pixel_array.shape) and len(content) > 1000
+    assert about["shape"] == [1.0, 1.2]
     part = f"/api/subjects/{key}/radiograph?image=rest/frontal&wide=160&tall=160&part=100,200,260,360"
     assert json.loads(served.ask("GET", part)[1]["x-radiograph"])["part"] == [100, 200, 260, 360]
     assert served.json("GET", f"/api/subjects/{key}/radiograph?image=push/b&wide=96&tall=128")[0] == 404

@@ -6,6 +6,7 @@ import shutil
 import sys
 
 import numpy as np
+import pydicom
 import pytest
 
 from annotation_hands import Hands
@@ -25,6 +26,7 @@ SEEN_PX = 2.0
 """Off by which somebody sees that a corner has to be moved: 1.4 mm of the patient."""
 IMAGES = {"rest/frontal": "101500", "rest/lateral": "101630", "push/main": "102200", "push/second": "102800"}
 """What the finished subject has, and when it was taken."""
+WHOLE = "document.querySelector('.ends')"
 POINTED = """
 for (const kind of ['pointerdown', 'pointermove', 'mousedown', 'mousemove', 'touchstart', 'wheel'])
   addEventListener(kind, () => { sessionStorage.pointed += kind; }, true);
@@ -280,9 +282,14 @@ def test_from_an_export_to_the_results_and_a_plan(keys, finished, serve, tmp_pat
         assert folder.is_dir() and tab.complaints == []
 
 
-def test_both_ends_of_a_known_length_by_keys(keys, root, serve):
-    """Near an end in the whole radiograph, then exactly in the enlarged part."""
+@pytest.mark.parametrize("shape", [(1.0, 1.0), (1.0, 1.2), (1.25, 1.0)])
+def test_both_ends_of_a_known_length_by_keys(keys, root, serve, shape):
+    """Near an end in the whole radiograph, then exactly in the enlarged part, whatever shape pixels have."""
     tab, place = keys, root / "girl" / "subject.json"
+    path = root / "girl" / "rest" / "frontal.dcm"
+    dataset = pydicom.dcmread(path)
+    dataset.ImagerPixelSpacing = [round(shape[1] * 0.8, 3), round(shape[0] * 0.8, 3)]
+    dataset.save_as(path)
     with serve(root) as served:
         load(tab, served.address)
         enter(tab, ".card h2 a")
@@ -305,6 +312,13 @@ def test_both_ends_of_a_known_length_by_keys(keys, root, serve):
             held(tab)
         length = {"object_mm": 25.4, "object_px": [[194.0, 317.5], [224.0, 320.0]]}
         tab.wait(lambda: read_json(place).get("xray", {}).get("scale") == {"rest/frontal": length})
+        # Both pictures have the shape that the body has, and the first end is where it is marked.
+        for which, columns, rows in ((0, 448, 640), (1, 160, 160)):
+            wide, tall = tab.run(f"[...document.querySelectorAll('.ends')].map(c => [c.width, c.height])[{which}]")
+            assert wide / tall == pytest.approx(columns * shape[0] / (rows * shape[1]), rel=0.01)
+        at = "[194.5 / 448 * c.width, 318 / 640 * c.height, 1, 1]"
+        tab.run(f"(c => {{ window.seen = [...c.getContext('2d').getImageData(...{at}).data]; }})({WHOLE})")
+        assert tab.run("seen") == [255, 204, 0, 255]
         assert tab.complaints == []
 
 

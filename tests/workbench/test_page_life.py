@@ -180,6 +180,31 @@ def test_values_that_are_not_saved_yet_are_not_left_behind(tab, root, served):
     assert tab.questions == ["beforeunload"]
 
 
+def test_values_whose_answer_was_lost_are_no_conflict_with_themselves(tab, root, served):
+    """The server wrote them: what is typed since then is saved, and nobody has to load the page anew for it."""
+    load(tab, served.address)
+    go(tab, f"/subject/{served.key()}/values")
+    intercept(
+        tab,
+        """async (path, given, real) => {
+      const answer = await real(path, given);
+      if (given?.method == 'PUT' && (window.lost = (window.lost ?? 0) + 1) <= 2) throw new TypeError();
+      return answer;
+    }""",
+    )
+    fill(tab, "#f-height-cm", "151")
+    tab.until("document.querySelector('.saved').innerText.startsWith('Not saved')")
+    assert read_json(root / "girl" / "subject.json")["height_cm"] == 151
+    fill(tab, "#f-age", "14")
+    tab.until("document.querySelector('.saved').innerText.startsWith('Saved')")
+    assert tab.run("lost") >= 3
+    values = read_json(root / "girl" / "subject.json")
+    assert (values["age"], values["height_cm"]) == (14, 151)
+    press(tab, "#undo-values")
+    tab.until("document.querySelector('#f-age').value == '13'")
+    tab.until("document.querySelector('.saved').innerText.startsWith('Saved')")
+
+
 def test_values_that_can_not_be_saved_are_told_of_in_the_next_room(tab, root, served):
     load(tab, served.address)
     go(tab, f"/subject/{served.key()}/values")

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from threading import Lock, Thread
 from typing import Any, Literal
 
-from spinestiff.annotate.session import AnnotationSession
+from spinestiff.annotate.session import AnnotationSession, image_of
 from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.imaging.features import VertebraCorners
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.tracking import OnFrame, track
-from spinestiff.subject.folder import push_corners, read_subject
+from spinestiff.subject.folder import Subject, push_corners, read_subject
 from spinestiff.subject.outcomes import Tracked
 from spinestiff.subject.run_record import changed_inputs, read_outcome
+from spinestiff.words import push_named, sentence
 
 
 @dataclass(frozen=True)
@@ -35,19 +36,30 @@ class Following:
     frames: tuple[VertebraCorners, ...] = field(default=())
 
 
+@dataclass(frozen=True)
+class _Run:
+    """A run from the marks ``starts``, by name of the frame."""
+
+    number: int
+    starts: Mapping[str, object]
+    found: Following
+
+
 class Follower:
     """Runs of tracking in the background, one at a time a push; a new start replaces a run that goes on."""
 
     def __init__(self, session: AnnotationSession) -> None:
         self.session = session
         self._lock = Lock()
-        self._runs: dict[str, tuple[int, Following]] = {}
+        self._runs: dict[str, _Run] = {}
 
     def state(self, image: str) -> Following:
-        """How far the tracking of a push has come; before the first run, what ``spinestiff track`` last found."""
+        """How far the tracking of a push from the present marks has come; without a run from these, what
+        ``spinestiff track`` last found."""
         with self._lock:
-            if image in self._runs:
-                return self._runs[image][1]
+            run = self._runs.get(image)
+        if run is not None and run.starts == _starts(self.session.annotated(), image):
+            return run.found
         return self._stored(image)
 
     def _stored(self, image: str) -> Following:
@@ -75,11 +87,18 @@ class Follower:
         if not image.startswith("push/"):
             raise SubjectError(f"{image} is no push; there is nothing to track")
         frames = self.session.frames(image)
-        annotated = annotated_frames(self.session, image)
+        subject = self.session.annotated()
+        push = subject.push(image.removeprefix("push/"))
+        if image not in _starts(subject, image):
+            lines = self.session.missing(self.session.marks)
+            why = next((line.removeprefix(f"{image}: ") for line in lines if line.startswith(f"{image}: ")), "no marks")
+            name = sentence(push_named(push.id))
+            raise SubjectError(f"{name} can't be tracked before its first frame is complete: {why}")
+        annotated = push_corners(subject, push, self.session.view(image))
         with self._lock:
-            number = self._runs.get(image, (0, Following()))[0] + 1
+            number = self._runs[image].number + 1 if image in self._runs else 1
             running = Following("running", 0, len(frames))
-            self._runs[image] = number, running
+            self._runs[image] = _Run(number, _starts(subject, image), running)
         Thread(target=self._run, args=(image, number, frames, annotated), daemon=True).start()
         return running
 
@@ -88,9 +107,9 @@ class Follower:
     ) -> None:
         def report(found: Following) -> None:
             with self._lock:
-                if self._runs[image][0] != number:
+                if self._runs[image].number != number:
                     raise _Replaced
-                self._runs[image] = number, found
+                self._runs[image] = replace(self._runs[image], found=found)
 
         def progress(done: int, total: int) -> None:
             report(Following("running", done, total))
@@ -108,8 +127,8 @@ class Follower:
 
     def _fail(self, image: str, number: int, why: str) -> None:
         with self._lock:
-            if self._runs[image][0] == number:
-                self._runs[image] = number, Following("failed", error=why)
+            if self._runs[image].number == number:
+                self._runs[image] = replace(self._runs[image], found=Following("failed", error=why))
 
 
 class _Replaced(Exception):
@@ -123,10 +142,10 @@ def follow(
     return track(frames, annotated, observer)
 
 
-def annotated_frames(session: AnnotationSession, image: str) -> Mapping[int, VertebraCorners]:
-    """Complete annotations of a push by frame, mm on the detector. Raises SubjectError if the first has none."""
-    push = session.subject.push(image.removeprefix("push/"))
-    return push_corners(session.annotated(), push, session.view(image))
+def _starts(subject: Subject, image: str) -> Mapping[str, object]:
+    """What a push is followed from: the vertebrae of its annotated frames, by name."""
+    images = subject.annotation.images if subject.annotation else {}
+    return {name: one.vertebrae for name, one in images.items() if image_of(name) == image and one.vertebrae}
 
 
 def following_record(session: AnnotationSession, image: str, found: Following) -> dict[str, Any]:

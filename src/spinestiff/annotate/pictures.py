@@ -42,22 +42,22 @@ def picture(
     ------
     SubjectError : a part outside the frame, a side of no sensible size.
     """
-    grey, about = greys(radiograph.pixels, wide, tall, part)
+    across, down = radiograph.view.pixel_spacing
+    grey, about = greys(radiograph.pixels, float(down / across), wide, tall, part)
     first, up = picture_axes(radiograph.view)
     return grey, {
         **about,
         "kind": view_kind(radiograph.view),
         "first": first.tolist(),
         "up": up.tolist(),
-        "pixel_mm": (radiograph.view.pixel_spacing / radiograph.view.magnification).tolist(),
     }
 
 
 def greys(
-    pixels: NDArray[np.float32], wide: int = MOST_SIDE, tall: int = MOST_SIDE, part: str = ""
+    pixels: NDArray[np.float32], aspect: float, wide: int = MOST_SIDE, tall: int = MOST_SIDE, part: str = ""
 ) -> tuple[bytes, dict[str, Any]]:
-    """Grey values of pixels (H, W), and what the page needs to know of them alone. Parameters and errors as of
-    ``picture``."""
+    """Grey values of pixels (H, W) that are ``aspect`` times as high as wide, and what the page needs to know of them
+    alone. Other parameters and errors as of ``picture``."""
     if not (LEAST_SIDE <= wide <= MOST_SIDE and LEAST_SIDE <= tall <= MOST_SIDE):
         raise SubjectError(f"a picture of {wide} x {tall} pixels; wanted {LEAST_SIDE} to {MOST_SIDE}")
     left, top, right, bottom = _box(part, pixels.shape)
@@ -70,6 +70,8 @@ def greys(
     return grey.tobytes(), {
         "rows": pixels.shape[0],
         "columns": pixels.shape[1],
+        # Of a pixel, width and height over the shorter of both.
+        "shape": [max(1.0, 1.0 / aspect), max(1.0, aspect)],
         "part": [left, top, right, bottom],
         "shown": [grey.shape[1], grey.shape[0]],
         "window": np.percentile(grey[::step, ::step], WINDOW).tolist(),

@@ -107,8 +107,9 @@ class AnnotationSession:
 
     Attributes
     ----------
-    revision : a hash of ``subject.json``, the rest radiographs and the marks as they were read or saved, the same in
-        every session of the same files. A page saves on the revision that it was given, and on no other.
+    revision : a hash of ``subject.json`` and the rest radiographs, then one of the marks as they were read or saved,
+        the same in every session of the same files. A page saves on the revision that it was given; on another one of
+        the same radiographs nothing but what is there already.
     images : names of those that are there. absent : of those that a fit needs and that are not there yet.
     views : names of radiographs of pushes from other sides, and whether a fit needs their marks.
 
@@ -159,18 +160,22 @@ class AnnotationSession:
             if self._seen.pictures != found.pictures:
                 self._frames.clear()
                 self._views.clear()
-            images: dict[str, DraftImage] = {}
-            if self.annotation_path.is_file():
-                images |= _drafted(read_annotation(self.annotation_path))
-            self._drafted = read_draft(self.draft_path).images if self.draft_path.is_file() else {}
-            images |= self._drafted
+            images, self._drafted = self._read_marks()
             self._refuse_unknown(images)
             self.marks = images
             self._seen = found
             self.revision = self._token()
 
+    def _read_marks(self) -> tuple[dict[str, DraftImage], dict[str, DraftImage]]:
+        """All marks on disk, and those of the draft."""
+        whole = _drafted(read_annotation(self.annotation_path)) if self.annotation_path.is_file() else {}
+        drafted = read_draft(self.draft_path).images if self.draft_path.is_file() else {}
+        return whole | drafted, drafted
+
     def save(self, draft: Draft, revision: str) -> str:
         """Write what the page holds, each file whole or not at all; returns the new revision.
+
+        What is there already may be saved again on a revision from before: its page may have missed the answer.
 
         Raises
         ------
@@ -179,6 +184,8 @@ class AnnotationSession:
         """
         with self.lock, writing(self.subject.folder):
             if revision != self.revision:
+                if self._is_there(draft, revision):
+                    return self.revision
                 raise ChangedElsewhere(
                     "another window or program has changed the annotation; reload this page to go on"
                 )
@@ -207,6 +214,17 @@ class AnnotationSession:
             self.marks = marked
             self.revision = self._token()
             return self.revision
+
+    def _is_there(self, draft: Draft, revision: str) -> bool:
+        """Whether a page that shows these radiographs saves what the files hold, which are read anew."""
+        if self._seen != self._on_disk():
+            self.reload()
+        same = _radiographs_of(revision) == _radiographs_of(self.revision)
+        return same and self._as_kept(draft.images) == self._as_kept(self.marks)
+
+    def _as_kept(self, marks: Mapping[str, DraftImage]) -> dict[str, ImageAnnotation | DraftImage]:
+        """Marks as the files keep them: what only proposes goes with the draft."""
+        return {name: self._complete(name, image) or image for name, image in marks.items() if not image.empty}
 
     def frames(self, name: str) -> Sequence[Radiograph]:
         """The radiographs of an image by its name in the annotation; of a push all, whichever frame is named.
@@ -366,7 +384,8 @@ class AnnotationSession:
         return _OnDisk(pictures_on_disk(self.subject.folder), _digest(self.annotation_path), _digest(self.draft_path))
 
     def _token(self) -> str:
-        return hashlib.sha256(repr((self._made_of, self._seen)).encode()).hexdigest()
+        seen = self._seen
+        return _half((self._made_of, seen.pictures)) + _half((seen.annotation, seen.draft))
 
 
 def writing(folder: Path) -> AbstractContextManager[object]:
@@ -421,6 +440,14 @@ def _drafted(annotation: Annotation) -> dict[str, DraftImage]:
         name: DraftImage(vertebrae=image.vertebrae, supports=image.supports, pedicles=image.pedicles)
         for name, image in annotation.images.items()
     }
+
+
+def _half(of: object) -> str:
+    return hashlib.sha256(repr(of).encode()).hexdigest()[:32]
+
+
+def _radiographs_of(revision: str) -> str:
+    return revision[:32]
 
 
 def _digest(path: Path) -> str:

@@ -96,6 +96,8 @@ def _fields(gap: Gap) -> list[str]:
 def save_form(folder: Path, values: dict[str, Any], revision: str) -> str:
     """Write the values; returns the new revision.
 
+    What is there already may be saved again: its page may have missed the answer.
+
     Raises
     ------
     ChangedElsewhere : the file is no longer the one that the form was made from.
@@ -105,11 +107,13 @@ def save_form(folder: Path, values: dict[str, Any], revision: str) -> str:
     """
     path = folder / SUBJECT_FILE
     with sole_run(folder):
-        if _digest(read_text(path)) != revision:
+        text, before = read_text(path), read_json(path)
+        if _digest(text) != revision:
+            if before == values:
+                return _digest(text)
             raise ChangedElsewhere(
                 f"{SUBJECT_FILE} was changed meanwhile, in another window or by a command; load what is there now"
             )
-        before = read_json(path)
         scan, last = (_scan_file(one) for one in (values, before))
         if _fixed(before) != _fixed(values) or (scan not in (None, last) and not is_scan_place(folder, scan)):
             raise SubjectError(NAMES_STAY)

@@ -15,8 +15,8 @@ WIDE, TALL = 96, 128
 
 def thumbnail(one: Exported, wide: int = WIDE, tall: int = TALL, part: str = "") -> tuple[bytes, dict[str, Any]]:
     """Grey values of a radiograph's first frame, and their columns, rows and window, as ``annotate.pictures`` gives
-    them. Raises RadiographError where the file can no longer be read.
+    them. Raises RadiographError where the file can no longer be read, or contradicts itself on the shape of pixels.
     """
     within = one.path.parent
     scan = read_frames(one.path, Geometry(), within) or read_scan(one.path, Geometry(), within)
-    return greys(scan.pixels[0], wide, tall, part)
+    return greys(scan.pixels[0], scan.aspect, wide, tall, part)

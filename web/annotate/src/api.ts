@@ -8,7 +8,7 @@ export interface Session {
   version: string; subject: string; vertebrae: string[]; lowest_quality: number; images: ImageInfo[]; marks: Marks; revision: string; missing: string[];
 }
 export interface Grey {
-  rows: number; columns: number; window: [number, number]; kind: string; first: Point; up: Point; pixel_mm: Point;
+  rows: number; columns: number; window: [number, number]; kind: string; first: Point; up: Point; shape: Point;
   /** left, top, right, bottom of what was sent, in pixels of the radiograph, and with how many pixels it was sent. */
   part: [number, number, number, number]; shown: Point; levels: Uint16Array;
 }

@@ -12,6 +12,7 @@ export type Tool = "move" | "spine" | "pedicle" | Support;
 export interface Says { saved(state: string, words: string): void; problem(words: string, gone?: () => boolean): void; aloud(words: string): void; refresh(): void }
 
 const JUDGE_MS = 60, DETAIL_MS = 120, TRACK_MS = 300, RETRY_MS = 2500, SCREEN_STEP = 64;
+const PUSH = /^push\/[^/]+$/, UNTRACKED: Tracking = { state: "none", done: 0, total: 0, error: "", frames: [] };
 
 export class App {
   readonly names: string[];
@@ -29,6 +30,10 @@ export class App {
   show = true;
   busy = "";
   tracking: Record<string, Tracking> = {};
+  /** What each push is tracked from, of those that are; see ``starts``. */
+  private readonly from: Record<string, Record<string, ImageMarks["vertebrae"]>> = {};
+  /** How often the tracking of each push was begun: answers to what was asked before count no more. */
+  private readonly rounds: Record<string, number> = {};
   private readonly history: History;
   readonly saver: Saver;
   private draft: ImageMarks | null = null;
@@ -63,7 +68,7 @@ export class App {
   get marks(): ImageMarks { return this.draft ?? this.history.marks[this.key] ?? NOTHING; }
   get allMarks(): Marks { return this.history.marks; }
   /** A push's own frames, not one of its radiographs from another side. */
-  get isPush(): boolean { return /^push\/[^/]+$/.test(this.image.name); }
+  get isPush(): boolean { return PUSH.test(this.image.name); }
   /** The vertebrae of the first and the last point along the spine: as said, else the outermost that are marked. */
   get ends(): [string, string] { return this.endsOf(this.history.marks[this.image.name] ?? NOTHING) ?? this.usual; }
   private endsOf(marks: ImageMarks): [string, string] | null { return marks.ends ?? outermost(marks, this.names); }
@@ -76,6 +81,8 @@ export class App {
     return this.isPush ? ["move", "spine", "pelvis", "shoulder", ...pedicle] : ["move", "spine", ...pedicle];
   }
   get tracked(): TrackedFrame | null { return this.frame ? (this.tracking[this.image.name]?.frames[this.frame] ?? null) : null; }
+  /** Whether what is seen was tracked from other marks than there are now. */
+  get outdated(): boolean { return !!this.tracked && this.tracking[this.image.name]?.state === "running"; }
 
   async open(name: string, frame = 0): Promise<void> {
     const image = this.session.images.find((one) => one.name === name);
@@ -102,7 +109,7 @@ export class App {
       if (image.forces.length > 1 && !same) void this.pictures.ahead(image.name, this.frame, image.forces.length, most);
       // Somebody may have tracked it meanwhile, by a command or in the workbench.
       const told = this.tracking[name]?.state;
-      if (this.isPush && (!told || (told === "none" && !same))) this.watch(name, await api.tracking(name));
+      if (this.isPush && (!told || (told === "none" && !same))) void this.lookUp(name);
     } catch (error) {
       if (asked === this.key) {
         if (this.loaded !== asked) this.stage.clear();
@@ -163,10 +170,7 @@ export class App {
   }
 
   private commit(next: ImageMarks, what: string): void {
-    const corrected = next.vertebrae !== this.marks.vertebrae;
     this.replace({ ...this.history.marks, [this.key]: next }, what);
-    // Pedicles are marked in each frame by themselves: none are tracked.
-    if (this.frame && corrected) void this.track();
   }
 
   replace(marks: Marks, what: string): void {
@@ -175,12 +179,26 @@ export class App {
     this.after();
   }
 
-  /** With what nobody has looked at yet. */
+  /** With what nobody has looked at yet; what is tracked from other marks than these is tracked anew. */
   private save(): void {
     const told = Object.entries(this.history.marks).map(([key, image]) =>
       [key, { ...image, unseen: this.proposals.unseen(key, image.vertebrae), guessed: this.guessedIn(key, image) }] as const);
     this.saver.want(Object.fromEntries(told));
+    for (const [name, from] of Object.entries(this.from)) {
+      const now = this.starts(name);
+      if (!Object.keys({ ...from, ...now }).some((key) => from[key] !== now[key])) continue;
+      if (name in now) void this.track(name);
+      else this.untracked(name);
+    }
   }
+
+  /** What a push is tracked from: the vertebrae of its frames in which nothing is proposed or guessed, by key. Pedicles are marked in each frame by themselves. */
+  private starts(name: string): Record<string, ImageMarks["vertebrae"]> {
+    const frames = Object.entries(this.history.marks).filter(([key, image]) => this.isFrame(key, name) && Object.keys(image.vertebrae).length
+      && !this.proposals.unseen(key, image.vertebrae).length && !Object.keys(this.guessedIn(key, image)).length);
+    return Object.fromEntries(frames.map(([key, { vertebrae }]) => [key, vertebrae]));
+  }
+  private isFrame(key: string, push: string): boolean { return key === push || (key.startsWith(`${push}/`) && /^\d+$/.test(key.slice(push.length + 1))); }
 
   /** Which pedicle of a pair is as it was guessed, 0 the left or 1 the right one, by vertebra. */
   private guessedIn(key: string, { pedicles }: ImageMarks): Record<string, number> {
@@ -205,7 +223,7 @@ export class App {
   undo(): void { this.turn(() => this.history.undo(), "undone"); }
   redo(): void { this.turn(() => this.history.redo(), "done again"); }
   private turn(go: () => { image: string; words: string } | null, how: string): void {
-    const before = this.history.marks, step = go();
+    const step = go();
     if (!step) return this.says.aloud("nothing more to take back or do again");
     this.draft = null;
     this.save();
@@ -213,14 +231,6 @@ export class App {
     const all = this.session.images, image = all.find((one) => step.image === one.name) ?? all.find((one) => step.image.startsWith(`${one.name}/`));
     if (image && step.image !== this.key) void this.open(image.name, Number(step.image.slice(image.name.length + 1)) || 0);
     else this.after();
-    if (image && this.isTracked(image.name, step.image, before)) void this.track();
-  }
-
-  /** Whether what has changed since is tracked when somebody does it: vertebrae of a later frame, or all names. */
-  private isTracked(image: string, key: string, before: Marks): boolean {
-    const { vertebrae: was } = before[key] ?? NOTHING, { vertebrae: is } = this.history.marks[key] ?? NOTHING;
-    if (key !== image) return was !== is;
-    return this.isPush && !!this.tracking[image]?.frames.length && Object.keys(was).join() !== Object.keys(is).join();
   }
 
   nudge(by: Point): void {
@@ -234,10 +244,11 @@ export class App {
     const at = this.selection;
     const quad = at?.kind === "vertebra" ? this.seen.vertebrae[at.name] : undefined;
     if (!at || !quad) return;
-    const middle = centre(quad), [cos, sin] = [Math.cos((degrees * Math.PI) / 180), Math.sin((degrees * Math.PI) / 180)];
+    // Turned as it is seen, also where pixels are not square.
+    const middle = centre(quad), [wide, high] = this.stage.shape, [cos, sin] = [Math.cos((degrees * Math.PI) / 180), Math.sin((degrees * Math.PI) / 180)];
     const turned = (p: Point): Point => {
-      const [x, y] = [p[0] - middle[0], p[1] - middle[1]];
-      return moved(middle, [cos * x - sin * y, sin * x + cos * y]);
+      const [x, y] = [wide * (p[0] - middle[0]), high * (p[1] - middle[1])];
+      return moved(middle, [(cos * x - sin * y) / wide, (sin * x + cos * y) / high]);
     };
     this.changeSelected((marks) => changed(marks, { ...at, part: -1 }, turned), `${at.name} turned`);
     this.says.aloud(`${at.name} turned by ${degrees} degrees`);
@@ -338,7 +349,6 @@ export class App {
     // What went out of sight has its old name, and at its place is another vertebra by now.
     for (const key of this.named) this.hidden = without(this.hidden, key);
     this.replace({ ...all, ...(Object.fromEntries(next) as Marks) }, step < 0 ? "names moved up" : "names moved down");
-    if (this.isPush && this.tracking[this.image.name]?.frames.length) void this.track();
     this.selection = null;
     this.says.aloud(step < 0 ? "each vertebra has the name of the one above" : "each vertebra has the name of the one below");
     this.after();
@@ -346,8 +356,8 @@ export class App {
 
   /** What is named as this radiograph is: of a push its later frames, too, whose vertebrae are tracked from here. */
   private get named(): string[] {
-    const later = (key: string): boolean => this.isPush && key.startsWith(`${this.key}/`) && /^\d+$/.test(key.slice(this.key.length + 1));
-    return [this.key, ...Object.keys(this.history.marks).filter(later)];
+    const later = Object.keys(this.history.marks).filter((key) => key !== this.key && this.isFrame(key, this.key));
+    return [this.key, ...(this.isPush ? later : [])];
   }
 
   /** A point at a place of the radiograph, for the tool in hand. */
@@ -366,8 +376,8 @@ export class App {
   /** The other one is guessed until it is set, chosen or moved, too; which is the patient's left follows from the view. */
   private addPedicle(at: Point): void {
     const near = Object.entries(this.seen.vertebrae).map(([name, quad]) => {
-      const middle = centre(quad);
-      return [Math.hypot(middle[0] - at[0], middle[1] - at[1]), name, middle] as const;
+      const middle = centre(quad), [wide, high] = this.stage.shape;
+      return [Math.hypot(wide * (middle[0] - at[0]), high * (middle[1] - at[1])), name, middle] as const;
     });
     if (!near.length) {
       const { key } = this, first = this.frame ? "Track through the frames" : "Mark the vertebrae";
@@ -391,8 +401,15 @@ export class App {
     this.after();
   }
 
-  /** Vertebrae that were corrected since they were proposed; a new proposal keeps them and takes them for guides. */
+  /** Vertebrae that are not as they were proposed; a new proposal keeps them and takes them for guides. */
   get kept(): Record<string, Quad> { return this.proposals.kept(this.key, this.marks.vertebrae); }
+
+  /** Whether a proposal would keep every vertebra along the points, and so has none to place. */
+  get allKept(): boolean {
+    const { along, kept } = this;
+    return along.length > 0 && along.every((name) => name in kept);
+  }
+  private get along(): string[] { return this.names.slice(this.names.indexOf(this.ends[0]), this.names.indexOf(this.ends[1]) + 1); }
 
   /** Say what is wrong until its cause goes: another radiograph or tool, or other marks. */
   problem(text: string, gone?: () => boolean): void {
@@ -409,6 +426,8 @@ export class App {
 
   async propose(): Promise<void> {
     const { marks, key, ends } = this;
+    if (this.busy) return;
+    if (this.frame) return this.says.aloud("vertebrae are proposed in a push's first frame; later frames are tracked");
     if (marks.spine.length < 3) {
       this.choose("spine");
       return this.problem(
@@ -416,10 +435,14 @@ export class App {
         () => key !== this.key || this.tool !== "spine" || this.marks.spine.length >= 3,
       );
     }
+    const { along, kept: before, allKept: anew } = this;
+    if (anew && !confirm(`Every vertebra from ${ends[0]} to ${ends[1]} is marked. Propose all of them anew, in place of what is marked? Undo takes it back.`)) return;
+    const stays = (all: Record<string, Quad>): Record<string, Quad> =>
+      anew ? Object.fromEntries(Object.entries(all).filter(([name, quad]) => !along.includes(name) || quad !== before[name])) : all;
     await this.whileBusy("Proposing …", async () => {
-      const found = await api.propose(this.image.name, this.frame, marks.spine, ...ends, this.kept);
+      const found = await api.propose(this.image.name, this.frame, marks.spine, ...ends, stays(before));
       if (key !== this.key) return;
-      const kept = this.kept;
+      const kept = stays(this.kept);
       this.proposals.propose(key, Object.entries(found.vertebrae).filter(([name]) => !(name in kept)).map(([, quad]) => quad));
       // Whatever is not visible or renamed later, the points keep their vertebrae.
       this.change((now) => ({ ...now, ends, vertebrae: { ...found.vertebrae, ...kept } }), "proposal");
@@ -428,23 +451,53 @@ export class App {
     });
   }
 
-  async track(): Promise<void> {
-    const { name } = this.image;
-    await this.whileBusy("", async () => {
-      // The server tracks from what is saved.
-      await this.saver.settled();
-      this.watch(name, await api.track(name));
-    });
+  /** Nothing is left of what was tracked from other marks; once its first frame is whole again, a push is tracked anew. */
+  private untracked(name: string): number {
+    this.from[name] = this.starts(name);
+    this.tracking = { ...this.tracking, [name]: UNTRACKED };
+    return this.rounds[name] = (this.rounds[name] ?? 0) + 1;
   }
 
-  private watch(name: string, state: Tracking): void {
+  /** Track a push from its marks. */
+  async track(name = this.image.name): Promise<void> {
+    const { frames } = this.tracking[name] ?? UNTRACKED, round = this.untracked(name);
+    try {
+      this.tracking = { ...this.tracking, [name]: { ...UNTRACKED, state: "running", frames } };
+      this.after();
+      // The server tracks from what is saved.
+      await this.saver.settled();
+      if (round === this.rounds[name]) this.watch(name, await api.track(name), round);
+    } catch (error) {
+      if (round !== this.rounds[name]) return;
+      this.tracking = { ...this.tracking, [name]: UNTRACKED };
+      this.problem(words(error));
+      this.after();
+    }
+  }
+
+  /** What the server has of a push's tracking, once it knows the marks. */
+  private async lookUp(name: string): Promise<void> {
+    const round = this.rounds[name] ?? 0;
+    try {
+      await this.saver.settled();
+      const starts = this.starts(name), state = await api.tracking(name);
+      if (round !== (this.rounds[name] ?? 0)) return;
+      if (state.state !== "none") this.from[name] = starts;
+      this.watch(name, state, round);
+    } catch (error) {
+      this.problem(words(error));
+    }
+  }
+
+  private watch(name: string, state: Tracking, round = this.rounds[name] ?? 0): void {
+    if (round !== (this.rounds[name] ?? 0)) return;
     const before = this.tracking[name];
-    // Frames of the last run stay in sight until there are new ones.
-    this.tracking = { ...this.tracking, [name]: state.frames.length || !before ? state : { ...state, frames: before.frames } };
+    // While it runs, frames of the last run stay in sight.
+    this.tracking = { ...this.tracking, [name]: state.state === "running" ? { ...state, frames: before?.frames ?? [] } : state };
     if (state.state === "failed") this.says.problem(state.error, () => this.tracking[name]?.state !== "failed");
     if (state.state === "done" && before?.state === "running") this.says.aloud("tracking is done");
-    const ask = (): void => void api.tracking(name).then((next) => this.watch(name, next), (error: unknown) => {
-      if (error instanceof Refused) this.watch(name, { ...state, state: "failed", error: words(error) });
+    const ask = (): void => void api.tracking(name).then((next) => this.watch(name, next, round), (error: unknown) => {
+      if (error instanceof Refused) this.watch(name, { ...state, state: "failed", error: words(error) }, round);
       else window.setTimeout(ask, RETRY_MS);
     });
     if (state.state === "running") window.setTimeout(ask, TRACK_MS);
@@ -475,17 +528,17 @@ export class App {
   }
 
   private async judge(): Promise<void> {
-    const { marks, key, tracked } = this;
+    const { marks, key, tracked, outdated } = this;
     let found: api.Judged = { vertebrae: 0, problem: "", cobb: null, curves: [] };
     try {
       const { vertebrae } = this.seen;
-      if (Object.keys(vertebrae).length) found = await api.judge(this.image.name, { ...NOTHING, vertebrae, pedicles: marks.pedicles });
+      if (Object.keys(vertebrae).length && !outdated) found = await api.judge(this.image.name, { ...NOTHING, vertebrae, pedicles: marks.pedicles });
     } catch (error) {
       found.problem = words(error);
     }
     if (key === this.key) { this.cobb = found.cobb; this.curves = found.curves; this.judged = found.problem; }
     this.judging = 0;
-    if (marks !== this.marks || key !== this.key || tracked !== this.tracked) this.after();
+    if (marks !== this.marks || key !== this.key || tracked !== this.tracked || outdated !== this.outdated) this.after();
     else {
       this.paint();
       this.says.refresh();
@@ -511,5 +564,4 @@ export class App {
   }
 
   clearSpine(): void { this.change((marks) => ({ ...marks, spine: [], ends: null }), "points along the spine cleared"); }
-  forget(name: string): void { this.tracking = without(this.tracking, name); }
 }

@@ -165,7 +165,7 @@ export class Panel {
     for (const id of ["names-up", "names-down"]) this.off(id, app.frame > 0);
     this.off("clear-spine", !marks.spine.length);
     this.off("propose", !!app.busy || app.frame > 0);
-    put("propose", app.busy || (Object.keys(app.kept).length ? "Propose the others again" : "Propose vertebrae"));
+    put("propose", app.busy || (app.allKept ? "Propose all anew" : Object.keys(app.kept).length ? "Propose the others" : "Propose vertebrae"));
     put("spine-text", app.frame ? "Later frames are tracked." : `${marks.spine.length === 1 ? "1 point" : `${marks.spine.length} points`} along it${marks.spine.length < 3 ? "; a proposal needs three" : ""}.`);
     this.cobb();
     this.frames();
@@ -185,7 +185,7 @@ export class Panel {
     const { cobb, curves, image, judged, seen } = this.app, target = need("cobb");
     // Size and uncertainty large, levels, definition and side behind them.
     const [figures, behind] = cobb ? (cobb.words.split(/(?= \()/) as [string, string?]) : [];
-    const text = figures ?? (image.kind === "lateral" ? "Read in frontal radiographs." : Object.keys(seen.vertebrae).length < 2 ? "Needs two vertebrae." : "Not read."), rest = behind ?? "";
+    const text = figures ?? (image.kind === "lateral" ? "Read in frontal radiographs." : this.app.outdated ? "Read once it is tracked." : Object.keys(seen.vertebrae).length < 2 ? "Needs two vertebrae." : "Not read."), rest = behind ?? "";
     const others = curves.filter((one) => one.words !== cobb?.words).map((one) => `${one.words}, ${one.region}`);
     const key = [text, rest, judged, ...others].join("\n");
     if (target.dataset["key"] === key) return;
@@ -207,11 +207,12 @@ export class Panel {
     const words_ = `${frame} (0 to ${count - 1}), ${force === null ? "force not known yet" : `${force} N`}, ${image.roles[frame] ?? ""}`;
     slider.setAttribute("aria-valuetext", words_);
     const state = app.tracking[image.name], here = Object.keys(app.marks.vertebrae).length;
-    const source = frame === 0 ? "marked" : here ? `${here} corrected, the others tracked` : app.tracked ? "tracked" : "not tracked yet";
+    const others = app.outdated ? "tracked before the last change, being tracked anew" : app.tracked ? "tracked" : "not tracked yet";
+    const source = frame === 0 ? "marked" : here ? `${here} corrected, the others ${others}` : others;
     const own = app.marks.vertebrae, tracked = Object.entries(app.tracked?.quality ?? {}).filter(([name]) => !(name in own));
     const doubtful = tracked.flatMap(([, quality]) => quality).filter((q) => q < app.session.lowest_quality).length;
     const pairs = Object.keys(app.marks.pedicles).length, pedicles = pairs ? `, pedicles of ${pairs} marked` : "";
-    put("frame-text", `Frame ${words_}: ${source}${doubtful ? `, ${doubtful} corners doubtful or lost` : ""}${pedicles}`);
+    put("frame-text", `Frame ${words_}: ${source}${doubtful && !app.outdated ? `, ${doubtful} corners doubtful or lost` : ""}${pedicles}`);
     this.off("frame-back", frame === 0);
     this.off("frame-on", frame === count - 1);
     const running = state?.state === "running", bar = need<HTMLProgressElement>("track-progress");

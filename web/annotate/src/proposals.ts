@@ -6,11 +6,12 @@ export class Proposals<T extends Quad | Point> {
   private readonly proposed = new Map<string, Set<string>>();
   private readonly looked = new Map<string, Set<string>>();
 
-  propose(key: string, marks: readonly T[]): void { this.proposed.set(key, new Set(marks.map(String))); }
+  /** Those of earlier proposals stay proposed: an undo brings them back. */
+  propose(key: string, marks: readonly T[]): void { this.proposed.set(key, new Set([...(this.proposed.get(key) ?? []), ...marks.map(String)])); }
 
   /** One more, at which nobody has looked. */
   add(key: string, mark: T): void {
-    this.proposed.set(key, (this.proposed.get(key) ?? new Set()).add(String(mark)));
+    this.propose(key, [mark]);
     this.looked.get(key)?.delete(String(mark));
   }
 
@@ -31,9 +32,9 @@ export class Proposals<T extends Quad | Point> {
     return Object.entries(marks).filter(([, mark]) => this.isUnseen(key, mark)).map(([name]) => name);
   }
 
-  /** Marks that were put right since they were proposed; without a proposal none. */
+  /** Marks that are not as they were proposed here: put right, imported, or saved before the page was opened. */
   kept(key: string, marks: Record<string, T>): Record<string, T> {
     const texts = this.proposed.get(key);
-    return texts ? Object.fromEntries(Object.entries(marks).filter(([, mark]) => !texts.has(String(mark)))) : {};
+    return Object.fromEntries(Object.entries(marks).filter(([, mark]) => !texts?.has(String(mark))));
   }
 }

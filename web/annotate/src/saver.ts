@@ -4,9 +4,13 @@ import { save } from "./api";
 import type { Marks } from "./marks";
 
 const PAUSE_MS = 120, RETRY_MS = 2500;
+// From here on, what stands between page and server has answered in its place.
+const BAD_GATEWAY = 502;
 
 export class Saver {
   private wanted: Marks | null = null;
+  /** Sent without an answer, so that it may be on disk or not; sent again before anything newer, as nothing but what is there may be. */
+  private unanswered: Marks | null = null;
   private busy = false;
   private stopped = false;
   /** Why what is wanted is not saved, where asking again would not help. */
@@ -21,7 +25,7 @@ export class Saver {
     addEventListener("beforeunload", (event) => { if (this.unsaved) event.preventDefault(); });
   }
 
-  get unsaved(): boolean { return this.wanted !== null || this.busy; }
+  get unsaved(): boolean { return this.wanted !== null || this.unanswered !== null || this.busy; }
 
   want(marks: Marks): void {
     this.wanted = marks;
@@ -45,19 +49,21 @@ export class Saver {
   }
 
   private async go(): Promise<void> {
-    if (this.busy || this.stopped || !this.wanted) return;
-    const marks = this.wanted;
+    const marks = this.unanswered ?? this.wanted;
+    if (this.busy || this.stopped || !marks) return;
     this.busy = true;
-    this.wanted = null;
+    if (!this.unanswered) this.wanted = null;
     try {
       const done = await save(marks, this.revision);
+      this.unanswered = null;
       this.revision = done.revision;
       this.missing(done.missing);
       if (this.wanted) this.later(0);
       else this.say("saved", `Saved ${new Date().toLocaleTimeString()}`);
     } catch (error) {
-      const newer = this.wanted !== null;
-      this.wanted ??= marks;
+      const newer = this.wanted !== null, answered = error instanceof Refused && error.status < BAD_GATEWAY;
+      this.unanswered = answered ? null : marks;
+      if (answered) this.wanted ??= marks;
       if (error instanceof Refused) {
         // 409: somebody else wrote; saving again would destroy that.
         this.stopped = error.status === 409 || error.status === 403;

@@ -26,7 +26,7 @@ export class Stage {
   onview: () => void = () => undefined;
   private shown: Shown | null = null;
   private due = false;
-  /** Screen pixels a radiograph's pixel, and where its (0, 0) lies on the canvas. */
+  /** Screen pixels the shorter side of a radiograph's pixel, and where its (0, 0) lies on the canvas. */
   scale = 1;
   private origin: Point = [0, 0];
   private fitted = true;
@@ -42,7 +42,7 @@ export class Stage {
 
   load(grey: Grey, keepView: boolean): void {
     const before = this.grey;
-    const same = keepView && before?.rows === grey.rows && before.columns === grey.columns;
+    const same = keepView && before?.rows === grey.rows && before.columns === grey.columns && String(before.shape) === String(grey.shape);
     this.grey = grey;
     this.patches = [];
     if (!same) { this.window = [...grey.window]; this.resize(); this.fit(); }
@@ -59,6 +59,8 @@ export class Stage {
   /** The window that the radiograph opens with. */
   get natural(): [number, number] { return this.grey?.window ?? [0, 65535]; }
   get size(): Point { return this.grey ? [this.grey.columns, this.grey.rows] : [1, 1]; }
+  /** A pixel's width and height over the shorter of both. */
+  get shape(): Point { return this.grey?.shape ?? [1, 1]; }
   get first(): Point { return this.grey?.first ?? [1, 0]; }
 
   setWindow(window: [number, number]): void {
@@ -70,7 +72,8 @@ export class Stage {
   wanted(point: Point | undefined): Wanted[] {
     const grey = this.grey;
     if (!grey || grey.shown[0] >= grey.columns) return [];
-    const { clientWidth, clientHeight } = this.canvas, fine = this.scale * this.ratio;
+    // As fine as the longer side of a pixel is shown.
+    const { clientWidth, clientHeight } = this.canvas, { shape } = this, fine = Math.max(...shape) * this.ratio;
     const ask = (from: Point, to: Point, per: number): Wanted[] => {
       const part: Wanted["part"] = [Math.max(0, Math.floor(from[0])), Math.max(0, Math.floor(from[1])), Math.min(grey.columns, Math.ceil(to[0])), Math.min(grey.rows, Math.ceil(to[1]))];
       const [wide, high] = [part[2] - part[0], part[3] - part[1]], enough = 0.9 * Math.min(1, per);
@@ -79,10 +82,10 @@ export class Stage {
       return there ? [] : [{ part, most: [sent(wide, per), sent(high, per)] }];
     };
     const sent = (size: number, per: number): number => Math.min(8192, Math.max(16, Math.ceil(size * Math.min(1, per))));
-    const near = LOUPE / LOUPE_ZOOM;
+    const [near, far] = shape.map((side) => LOUPE / LOUPE_ZOOM / side) as Point;
     return [
-      ...ask(this.toPixel([0, 0]), this.toPixel([clientWidth, clientHeight]), fine),
-      ...(point ? ask([point[0] - near, point[1] - near], [point[0] + near, point[1] + near], LOUPE_ZOOM * this.ratio) : []),
+      ...ask(this.toPixel([0, 0]), this.toPixel([clientWidth, clientHeight]), this.scale * fine),
+      ...(point ? ask([point[0] - near, point[1] - far], [point[0] + near, point[1] + far], LOUPE_ZOOM * fine) : []),
     ];
   }
 
@@ -119,8 +122,8 @@ export class Stage {
   private expose(): void {
     const c = this.context, draw = (picture: HTMLCanvasElement, [left, top, right, bottom]: Grey["part"]): void => {
       // The first pixel's centre is (0, 0), so a picture begins half a pixel before.
-      const [x, y] = this.toPlace([left - 0.5, top - 0.5]);
-      c.drawImage(picture, x, y, (right - left) * this.scale, (bottom - top) * this.scale);
+      const [x, y] = this.toPlace([left - 0.5, top - 0.5]), [across, down] = this.scales;
+      c.drawImage(picture, x, y, (right - left) * across, (bottom - top) * down);
     };
     if (this.grey) draw(this.picture, this.grey.part);
     for (const { picture, grey } of this.patches) draw(picture, grey.part);
@@ -133,30 +136,36 @@ export class Stage {
   }
 
   fit(): void {
-    const [columns, rows] = this.size, { clientWidth, clientHeight } = this.canvas;
-    this.scale = Math.max(0.01, Math.min(clientWidth / columns, clientHeight / rows));
-    this.origin = [0.5 * (clientWidth - (columns - 1) * this.scale), 0.5 * (clientHeight - (rows - 1) * this.scale)];
+    const [columns, rows] = this.size, { shape } = this, { clientWidth, clientHeight } = this.canvas;
+    this.scale = Math.max(0.01, Math.min(clientWidth / (columns * shape[0]), clientHeight / (rows * shape[1])));
+    this.centre([0.5 * (columns - 1), 0.5 * (rows - 1)]);
     this.fitted = true;
     this.redraw();
   }
 
   zoom(factor: number, at?: Point): void {
-    const place = at ?? [0.5 * this.canvas.clientWidth, 0.5 * this.canvas.clientHeight];
+    const place: Point = at ?? [0.5 * this.canvas.clientWidth, 0.5 * this.canvas.clientHeight];
     const pixel = this.toPixel(place);
     this.scale = Math.min(40, Math.max(0.02, this.scale * factor));
-    this.origin = [place[0] - pixel[0] * this.scale, place[1] - pixel[1] * this.scale];
+    this.centre(pixel, place);
     this.fitted = false;
     this.redraw();
   }
 
+  /** A pixel at a place of the canvas, or in its middle. */
+  private centre(pixel: Point, place: Point = [0.5 * this.canvas.clientWidth, 0.5 * this.canvas.clientHeight]): void {
+    const [across, down] = this.scales;
+    this.origin = [place[0] - pixel[0] * across, place[1] - pixel[1] * down];
+  }
+
   /** The picture about a vertebra, so large that its surroundings can be told. */
   show(quad: Quad): void {
-    const xs = quad.map((p) => p[0]), ys = quad.map((p) => p[1]), { clientWidth, clientHeight } = this.canvas;
-    const size = Math.max(Math.max(...xs) - Math.min(...xs), Math.max(...ys) - Math.min(...ys), 4), middle = centre(quad);
+    const { shape } = this, xs = quad.map((p) => p[0] * shape[0]), ys = quad.map((p) => p[1] * shape[1]), { clientWidth, clientHeight } = this.canvas;
+    const size = Math.max(Math.max(...xs) - Math.min(...xs), Math.max(...ys) - Math.min(...ys), 4);
     const scale = Math.min(40, (0.4 * Math.min(clientWidth, clientHeight)) / size);
     // What was chosen by hand stays, where it is about that.
     if (this.scale < 0.6 * scale || this.scale > 1.8 * scale) this.scale = scale;
-    this.origin = [0.5 * clientWidth - middle[0] * this.scale, 0.5 * clientHeight - middle[1] * this.scale];
+    this.centre(centre(quad));
     this.fitted = false;
     this.redraw();
   }
@@ -175,8 +184,10 @@ export class Stage {
     if (!this.fitted && (by[0] || by[1])) this.pan(by);
   }
 
-  toPixel(place: Point): Point { return [(place[0] - this.origin[0]) / this.scale, (place[1] - this.origin[1]) / this.scale]; }
-  toPlace(pixel: Point): Point { return [pixel[0] * this.scale + this.origin[0], pixel[1] * this.scale + this.origin[1]]; }
+  /** Screen pixels a radiograph's pixel, along and down. */
+  private get scales(): Point { return [this.scale * this.shape[0], this.scale * this.shape[1]]; }
+  toPixel(place: Point): Point { const [across, down] = this.scales; return [(place[0] - this.origin[0]) / across, (place[1] - this.origin[1]) / down]; }
+  toPlace(pixel: Point): Point { const [across, down] = this.scales; return [pixel[0] * across + this.origin[0], pixel[1] * down + this.origin[1]]; }
 
   /** The mark under a place of the canvas: points before corners before whole vertebrae, the nearest of a kind. */
   under(place: Point, finger = false): Selection | null {
@@ -194,9 +205,10 @@ export class Stage {
     for (const kind of ["pelvis", "shoulder"] as const) offer(marks.supports[kind], (part) => ({ kind, name: "", part }));
     for (const [name, pair] of Object.entries(marks.pedicles)) offer(pair, (part) => ({ kind: "pedicle", name, part }));
     for (const [name, quad] of Object.entries(this.quads())) {
-      const side = Math.min(...quad.map((p, i) => { const q = quad[(i + 1) % 4] as Point; return Math.hypot(q[0] - p[0], q[1] - p[1]); }));
+      const places = quad.map((p) => this.toPlace(p));
+      const side = Math.min(...places.map((p, i) => { const q = places[(i + 1) % 4] as Point; return Math.hypot(q[0] - p[0], q[1] - p[1]); }));
       // Outwards the whole reach, inwards so much that a vertebra's middle can be got hold of.
-      reach = within(this.toPixel(place), quad) ? Math.min(finger ? FINGER : REACH, OF_A_SIDE * side * this.scale) : finger ? FINGER : REACH;
+      reach = within(this.toPixel(place), quad) ? Math.min(finger ? FINGER : REACH, OF_A_SIDE * side) : finger ? FINGER : REACH;
       offer(quad, (part) => ({ kind: "vertebra", name, part }));
     }
     if (found.length) return found.reduce((a, b) => (b[0] < a[0] - 1e-9 ? b : a))[1];
@@ -383,7 +395,7 @@ export class Stage {
     c.beginPath(); c.rect(left, top, LOUPE, LOUPE); c.clip();
     c.fillStyle = "#000"; c.fillRect(left, top, LOUPE, LOUPE);
     this.scale = LOUPE_ZOOM;
-    this.origin = [left + LOUPE / 2 - p[0] * LOUPE_ZOOM, top + LOUPE / 2 - p[1] * LOUPE_ZOOM];
+    this.centre(p, [left + LOUPE / 2, top + LOUPE / 2]);
     this.expose();
     for (const quad of Object.values(quads)) this.outline(quad, MARK, 1, [], true);
     this.crosshair(p);

@@ -25,11 +25,11 @@ export function ends(key: string, image: string, given: Point[], done: (ends: [P
   };
   const ask = async (wide: number, tall: number, box = ""): Promise<Seen> => greysIn<Seen>(await api.bare(key, image, wide, tall, box));
   const cross = (canvas: HTMLCanvasElement, seen: Seen): void => {
-    const context = canvas.getContext("2d"), [left, top, right] = seen.part, scale = canvas.width / (right - left);
+    const context = canvas.getContext("2d"), [left, top, right, bottom] = seen.part, across = canvas.width / (right - left), down = canvas.height / (bottom - top);
     if (!context) return;
     context.lineWidth = 2;
     [...found, ...(cursor ? [cursor] : [])].forEach(([column, row], i) => {
-      const [x, y] = [(column + 0.5 - left) * scale, (row + 0.5 - top) * scale];
+      const [x, y] = [(column + 0.5 - left) * across, (row + 0.5 - top) * down];
       context.strokeStyle = i < found.length ? "#ffcc00" : "#56b4e9";
       context.beginPath();
       context.moveTo(x - CROSS, y); context.lineTo(x + CROSS, y); context.moveTo(x, y - CROSS); context.lineTo(x, y + CROSS);

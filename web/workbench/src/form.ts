@@ -13,7 +13,8 @@ import { ratios } from "./ratios";
 import { scales } from "./scale";
 import { type Push, torso } from "./torso";
 
-const PAUSE_MS = 350, BY_HAND = new Set(["schema_version", "pushes", "xray", "priors", "trunk", "skin_scan", "parameters", "population", "id", "age", "sex", "height_cm", "mass_kg"]);
+// From BAD_GATEWAY on, what stands between page and server has answered in its place.
+const PAUSE_MS = 350, RETRY_MS = 2500, BAD_GATEWAY = 502, BY_HAND = new Set(["schema_version", "pushes", "xray", "priors", "trunk", "skin_scan", "parameters", "population", "id", "age", "sex", "height_cm", "mass_kg"]);
 const PUSH = ["side", "level", "d21_mm", "d31_mm"], PERSON = ["id", "age", "sex", "height_cm", "mass_kg"];
 
 /** Whether two values are the same, whatever the order of their names. */
@@ -23,6 +24,8 @@ const sorted = (_: string, value: unknown): unknown => (value && typeof value ==
 /** `next` leads on to what comes after the values; it stays in sight with what is said of them. */
 export async function values(key: string, next: HTMLElement): Promise<Room> {
   let form = await api.form(key), timer = 0, saved = JSON.stringify(form.values), stopped = state.readOnly, over = false, writing: Promise<void> = Promise.resolve();
+  /** Values that were sent without an answer, so that they may be saved or not; sent again before any newer ones. */
+  let unanswered: string | null = null;
   // Values as they were, or how to take back what is no value.
   const past: (string | (() => Promise<void>))[] = [], body = h("div"), said = h("p", { role: "status", class: "saved" });
   const undo = button("↶ Undo", () => act(async () => {
@@ -42,12 +45,17 @@ export async function values(key: string, next: HTMLElement): Promise<Room> {
     pictures(focus);
     if (stopped) return;
     tell("saving", "Checking …");
+    soon(PAUSE_MS);
+  }
+  function soon(wait: number): void {
     clearTimeout(timer);
     timer = window.setTimeout(() => void save().catch((error: unknown) => {
       tell("failed", `Not saved: ${words(error)} `);
       if (error instanceof Refused && error.status === 409) said.append(button("Load what is there now", () => act(reload), { id: "reload-values" }));
-    }), PAUSE_MS);
+      if (!answered(error) && !over) soon(RETRY_MS);
+    }), wait);
   }
+  function answered(error: unknown): boolean { return error instanceof Refused && error.status < BAD_GATEWAY; }
   function tell(kind: string, text: string): void { said.dataset["state"] = kind; said.textContent = text; }
 
   /** One after the other: each is made on the revision that the one before has left. */
@@ -57,21 +65,25 @@ export async function values(key: string, next: HTMLElement): Promise<Room> {
     if (text !== JSON.stringify(form.values)) return;
     judge(judged);
     if (judged.problems.length) return tell("failed", `Not saved: ${judged.problems.length === 1 ? "one value is not possible" : `${judged.problems.length} values are not possible`}.`);
-    if (text !== saved) {
-      try {
-        const done = await api.save(key, form.values, form.revision);
-        form.revision = done.revision;
-      } catch (error) {
-        if (error instanceof Refused && error.status === 403) stopped = true;
-        throw error;
-      }
-      if (!undone) past.push(saved);
-      saved = text;
-    }
+    if (unanswered !== null) await put(unanswered, undone);
+    if (text !== saved) await put(text, undone);
     undo.disabled = !past.length;
     // What was typed meanwhile is said to be saved once it is.
     if (text === JSON.stringify(form.values)) tell("saved", judged.open.length ? `Saved. ${judged.open.length === 1 ? "One value is" : `${judged.open.length} values are`} still to be filled in.` : "Saved. Everything is filled in.");
     if (!over) document.dispatchEvent(new Event("subject-changed"));
+  }
+
+  async function put(text: string, undone: boolean): Promise<void> {
+    try {
+      form.revision = (await api.save(key, JSON.parse(text) as api.Values, form.revision)).revision;
+    } catch (error) {
+      unanswered = answered(error) ? null : text;
+      if (error instanceof Refused && error.status === 403) stopped = true;
+      throw error;
+    }
+    unanswered = null;
+    if (!undone) past.push(saved);
+    saved = text;
   }
 
   function judge({ problems, open }: api.Judged): void {
@@ -224,6 +236,7 @@ export async function values(key: string, next: HTMLElement): Promise<Room> {
   async function again(): Promise<void> {
     form = await api.form(key);
     saved = JSON.stringify(form.values);
+    unanswered = null;
     undo.disabled = !past.length;
     draw();
     tell("saved", "Saved.");
@@ -256,7 +269,7 @@ export async function values(key: string, next: HTMLElement): Promise<Room> {
   const keys = (event: KeyboardEvent): void => {
     if ((event.ctrlKey || event.metaKey) && event.key === "z" && !(event.target instanceof HTMLInputElement)) { event.preventDefault(); undo.click(); }
   };
-  const unsaved = (): boolean => JSON.stringify(form.values) !== saved;
+  const unsaved = (): boolean => unanswered !== null || JSON.stringify(form.values) !== saved;
   const stay = (event: Event): void => { if (unsaved()) event.preventDefault(); };
   const leave = (): void => {
     over = true;

@@ -2,7 +2,7 @@
 import { h } from "../../shared/dom";
 import { greysIn } from "../../shared/greys";
 
-export interface Grey { levels: Uint16Array; shown: [number, number]; window: [number, number] }
+export interface Grey { levels: Uint16Array; shown: [number, number]; window: [number, number]; shape: [number, number] }
 const SIDE_BY_SIDE = 2, MOST_KEPT = 500;
 const kept = new Map<string, Promise<Grey>>(), waiting: (() => Promise<void>)[] = [];
 // `taken`: how often radiographs were taken away; pictures from before are asked for no more.
@@ -30,24 +30,19 @@ export async function last<T>(what: () => Promise<T>): Promise<T> {
   }
 }
 
-/** Grey values on a canvas of their size, each `times` as large. */
-export function paint(canvas: HTMLCanvasElement, { levels, shown: [wide, tall], window: [low, high] }: Grey, times = 1): void {
-  const context = canvas.getContext("2d");
+/** Grey values on a canvas of their size, each `times` as large, in the shape that pixels have. */
+export function paint(canvas: HTMLCanvasElement, { levels, shown: [wide, tall], window: [low, high], shape: [across, down] }: Grey, times = 1): void {
+  const context = canvas.getContext("2d"), small = new OffscreenCanvas(wide, tall);
   if (!context) return;
-  canvas.width = wide;
-  canvas.height = tall;
   const picture = context.createImageData(wide, tall);
   levels.forEach((level, i) => {
     picture.data.fill(Math.round((255 * (level - low)) / Math.max(1, high - low)), 4 * i, 4 * i + 3);
     picture.data[4 * i + 3] = 255;
   });
-  context.putImageData(picture, 0, 0);
-  if (times === 1) return;
-  const small = new OffscreenCanvas(wide, tall);
   small.getContext("2d")?.putImageData(picture, 0, 0);
-  canvas.width = times * wide;
-  canvas.height = times * tall;
-  context.imageSmoothingEnabled = false;
+  canvas.width = Math.round(times * across * wide);
+  canvas.height = Math.round(times * down * tall);
+  context.imageSmoothingEnabled = times === 1;
   context.drawImage(small, 0, 0, canvas.width, canvas.height);
 }
 

@@ -195,7 +195,7 @@ def spacing(tags: Tags, given: Geometry, magnification: float | None) -> Spacing
     MissingValue : it can't be told.
     RadiographError : it is implausible, or two statements contradict each other.
     """
-    shape = _pixel_shape(tags)
+    shape = pixel_shape(tags)
     found = _found_spacing(tags, given, magnification, shape)
     _check_spacing(_first_words(found), (found.row, found.column))
     if given.imager_pixel_mm is not None:
@@ -277,7 +277,7 @@ def _pair(pair: tuple[float, float]) -> str:
     return "{:g}\\{:g} mm".format(*pair)
 
 
-def _pixel_shape(tags: Tags) -> tuple[float, str] | None:
+def pixel_shape(tags: Tags) -> tuple[float, str] | None:
     """Height of a pixel over its width as the file says it, and where; None if it doesn't.
 
     Raises

@@ -24,7 +24,7 @@ from spinestiff.imaging.dicom.files import (
 )
 from spinestiff.imaging.dicom.greys import DisplayCurve, bone_bright
 from spinestiff.imaging.dicom.layout import Layout, check_modality, check_native, checked_layout
-from spinestiff.imaging.dicom.millimetres import Distances, Geometry, Spacing, distances, spacing
+from spinestiff.imaging.dicom.millimetres import Distances, Geometry, Spacing, distances, pixel_shape, spacing
 from spinestiff.imaging.dicom.orientation import Directions, directions
 from spinestiff.imaging.dicom.tags import MissingValue, Tags, code, coded_word, read_tags
 from spinestiff.imaging.projection import XRayView, placed_view
@@ -71,6 +71,14 @@ class Scan:
         if self.directions is not None:
             found["orientation"], found["beam"] = self.directions.source, self.directions.beam_source
         return {**found, "grey values": self.greys}
+
+    @property
+    def aspect(self) -> float:
+        """Height of a pixel over its width, 1 where nothing says it. Raises RadiographError as ``pixel_shape``."""
+        if self.spacing is not None:
+            return self.spacing.row / self.spacing.column
+        shape = pixel_shape(self.tags)
+        return 1.0 if shape is None else shape[0]
 
     def view(self, centre: ArrayLike) -> XRayView:
         """The X-ray view whose principal ray passes ``centre`` (3,) mm in the patient plane.
