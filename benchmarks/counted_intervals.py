@@ -215,7 +215,7 @@ def _share(inside: np.ndarray) -> list[float]:
     if not len(inside):
         return [float("nan"), float("nan")]
     share = float(np.mean(inside))
-    return [round(share, 4), round(float(np.sqrt(share * (1.0 - share) / len(inside))), 4)]
+    return [round(share, 6), round(float(np.sqrt(share * (1.0 - share) / len(inside))), 6)]
 
 
 def _level(level: float) -> str:
