@@ -31,6 +31,10 @@ def browser() -> str | None:
     return next((found for name in names if (found := shutil.which(name))), None)
 
 
+class Navigated(AssertionError):
+    """The page that was asked was just left for another one."""
+
+
 class Tab:
     """One page of a browser of its own.
 
@@ -88,7 +92,9 @@ class Tab:
         while True:
             answer = self._next(60.0)
             if answer.get("id") == self.count:
-                assert "error" not in answer, f"{method}: {answer['error']}"
+                if "error" in answer:
+                    gone = "navigated" in answer["error"].get("message", "")
+                    raise (Navigated if gone else AssertionError)(f"{method}: {answer['error']}")
                 return answer["result"]
 
     def size(self, width: int, height: int) -> None:
@@ -109,8 +115,15 @@ class Tab:
         return result["result"].get("value")
 
     def until(self, script: str, seconds: float = 30.0) -> None:
-        """Wait until a JavaScript expression holds."""
-        self.wait(lambda: bool(self.run(script)), seconds, script)
+        """Wait until a JavaScript expression holds, on the page that comes next if this one is just left."""
+
+        def holds() -> bool:
+            try:
+                return bool(self.run(script))
+            except Navigated:
+                return False
+
+        self.wait(holds, seconds, script)
 
     def wait(self, condition: Any, seconds: float = 30.0, what: str = "page loaded") -> None:
         end = time.monotonic() + seconds

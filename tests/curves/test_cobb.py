@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections import Counter
 from dataclasses import replace
 
@@ -228,16 +227,13 @@ def test_a_picture_that_no_page_holds_is_refused(tmp_path):
 def test_labelled_radiographs(tmp_path):
     """481 labelled spines: in order the angle is the data set's, out of order never without a word."""
     angles = labelled_csv(tmp_path / "labelled.csv")
-    begun = time.process_time()
     images = read_corner_file(tmp_path / "labelled.csv").images
     found = [read_cobb(entry, "midline") for entry in images]
-    seconds = time.process_time() - begun
     assert Counter(reading.status for reading in found) == {"ok": 454, "repaired": 16, "refused": 11}
     off = [abs(abs(r.largest.angle.degrees) - angle) for r, angle in zip(found, angles) if r.largest]
     assert max(off) < 0.02
     assert all(reading.warnings for reading in found if reading.status != "ok")
     assert found[480].status == "refused"  # the angle of 156 degrees
-    assert seconds < 4.0
     # Which rows are out of order, told in another way: by the signs of the corners' areas and the order of the middles.
     quads = np.array([entry.corners for entry in images])
     x, y = quads[..., 0], quads[..., 1]

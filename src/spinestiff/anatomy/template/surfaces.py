@@ -200,7 +200,8 @@ def _one_of_each_piece(surface: Surface) -> Ints:
 def _pierced(edged: Surface, faced: Surface, low: Floats, high: Floats) -> bool:
     # Whether an edge of one surface goes through a triangle of the other, inside the box they share.
     vertices, faces = edged
-    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1), axis=0)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = edges[edges[:, 0] < edges[:, 1]]  # a closed surface has each in both directions
     start, end = vertices[edges[:, 0]], vertices[edges[:, 1]]
     kept = ((np.minimum(start, end) <= high) & (np.maximum(start, end) >= low)).all(1)
     start, end = start[kept], end[kept]
