@@ -67,7 +67,7 @@ def test_each_ratio_is_counted_by_its_own_interval_and_in_the_same_strata(rows):
     entry = counting.summarised("name", rows)
     bending, tissue = entry["lateral_bending"], entry["tissue"]
     # The truth of seed 4 lies three standard deviations from the middle of an interval of two.
-    assert bending["all"]["95.0%"] == [round(6 / 7, 4), round(np.sqrt(6 / 7 * 1 / 7 / 7), 4)]
+    assert bending["all"]["95.0%"] == [round(6 / 7, 6), round(np.sqrt(6 / 7 * 1 / 7 / 7), 6)]
     assert bending["open"]["95.0%"] == [0.0, 0.0] and bending["closed"]["subjects"] == 6 and "open" not in tissue
     assert bending["curve to 40°"]["95.0%"][0] == 0.8 and bending["curve 40° to 80°"]["95.0%"][0] == 1.0
     # A z of 7 is one of 5 in a mean, and itself in a root of squares.
