@@ -964,7 +964,7 @@ def test_marks_whose_answer_was_lost_are_no_conflict_with_themselves(page, lose)
 def test_tracking_is_asked_for_again_where_the_server_did_not_answer_once(page):
     tab, image = page.tab, "push/a"
     tab.run(f"(annotation.open('{image}'), 1)")
-    tab.until(f"annotation.loaded == '{image}'")
+    tab.until(f"annotation.loaded == '{image}' && annotation.tracking['{image}']?.state == 'none'")
     lost = "(path, given, real) => !path.includes('api/track') || window.lost ? real(path, given)"
     lost += " : (window.lost = true, Promise.reject(new TypeError()))"
     with intercepted(tab, lost):
