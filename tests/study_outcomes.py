@@ -34,7 +34,13 @@ def frame(push: str, size: float = 10.0, cobb: float = -16.0, error: float = 1.0
         true_n=49.2,
         rmse_mm={name: size * share for name, share in PREDICTORS.items()},
         motion_mm={name: 0.5 * size * share for name, share in PREDICTORS.items() if name != "forecast"},
-        cobb_deg={"measured": change(cobb), "default": change(0.0), "fit": change(cobb + error), "truth": change(cobb)},
+        cobb_deg={
+            "measured": change(cobb),
+            "default": change(0.0),
+            "fit": change(cobb + error),
+            "forecast": change(cobb + 0.5),
+            "truth": change(cobb),
+        },
         forecast_cobb_deg=0.1,
         inside95=0.95,
     )

@@ -11,9 +11,11 @@ from results import tracked_push
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError, FitError
+from spinestiff.estimation.channels import Channels
+from spinestiff.estimation.forecast import Forecast
 from spinestiff.estimation.status import FitStatus
-from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
-from spinestiff.imaging.projection import frontal_view
+from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features, target_features
+from spinestiff.imaging.projection import FRONT, LEFT, UP, frontal_view, placed_view
 from spinestiff.study import assessment
 from spinestiff.study.assessment import BASELINES, assess, change_record, extrapolated, single_ratio
 from spinestiff.study.predictions import Model, Solved, predict, predictions_of
@@ -184,6 +186,56 @@ def test_the_measured_change_of_curvature_is_the_tilt_of_the_corners(torso, rest
     assert again == frame.cobb_change_deg["measured"]
 
 
+def forecast_of(found, errors):
+    """One that expects corners ``errors`` (n, 4, 2) mm from those measured, as far as vertebrae are rigid."""
+    channels = Channels.of(found.frames[-1].target)
+    off = channels.apply(errors)
+    return Forecast(channels, np.zeros_like(off), np.eye(len(off)), off)
+
+
+@pytest.mark.parametrize("columns", [LEFT, -LEFT], ids=["left at growing columns", "right at growing columns"])
+def test_a_forecast_turns_the_vertebrae_of_the_unloaded_frame(torso, columns):
+    """Where it expects what was measured its change of the angle is that one; where the motion is all unexpected, 0."""
+    view = placed_view(
+        columns, -UP, -FRONT, sid=1500.0, source_to_patient=1340.0, shape=(64, 64), pixel=5.0, centre=(0.0, 200.0, 0.0)
+    )
+    shares = silhouette_shares(torso, view, torso.rest_pose)
+    rest = VertebraCorners(torso.vertebrae, state_features(torso, view, torso.rest_pose, shares).corners)
+    rest = rest.selected(torso.vertebrae[2:16])
+    seen = [rest, tilted(rest, "T3", 6.0 * columns[0])]
+    forces, roles = (0.0, 10.0, 30.0), ("unused", "training", "validation")
+    push = PushRecord(
+        id="main", side="right", level=8.0, d21_mm=400.0, d31_mm=200.0, frames="main.dcm", forces_n=forces, roles=roles
+    )
+    pushes = push_set(torso, [push], {"main": tracked_push(view, forces, [seen[0], seen[1], seen[1]])})
+    at_rest = Solved(torso.rest_pose, np.zeros((0, 3)))
+    found = predictions_of(pushes, {("main", 2, "fit"): at_rest})
+    frame = found.frames[-1]
+    measured, before = frame.target.z, target_features(torso, view, seen[0])
+    (as_measured,) = assess(found, {("main", 2): forecast_of(found, np.zeros_like(measured))})
+    for form in ("signed", "fixed_levels", "tilt"):
+        changes = as_measured.cobb_change_deg
+        assert getattr(changes["forecast"], form) == pytest.approx(getattr(changes["measured"], form), abs=2e-3)
+    assert changes["forecast"].tilt == pytest.approx(6.0, abs=2e-3)
+    assert changes["forecast"].tilt_levels == ("T3", "T4")
+    (unmoved,) = assess(found, {("main", 2): forecast_of(found, before - measured)})
+    assert abs(unmoved.cobb_change_deg["forecast"].tilt) < 0.05  # a turn of 6 degrees to first order
+    (half,) = assess(found, {("main", 2): forecast_of(found, 0.5 * (before - measured))})
+    assert half.cobb_change_deg["forecast"].tilt == pytest.approx(3.0, abs=0.02)
+    assert "forecast" not in assess(found)[0].cobb_change_deg
+
+
+def test_a_forecast_does_not_see_the_endplates_of_its_frame(torso, rest):
+    """One endplate tracked askew, the other the other way: the vertebra has not turned."""
+    quads, row = rest.corners.copy(), rest.vertebrae.index("T8")
+    height = 2.0 * frontal_view().magnification
+    quads[row, :, 1] += height * np.array([1.0, -1.0, 1.0, -1.0])
+    askew = only_the_fit(make_set(torso, [rest, rest, rest, VertebraCorners(rest.vertebrae, quads)]))
+    (frame,) = assess(askew, {("main", 3): forecast_of(askew, np.zeros_like(askew.frames[-1].target.z))})
+    assert abs(frame.cobb_change_deg["measured"].tilt) > 5.0
+    assert abs(frame.cobb_change_deg["forecast"].tilt) < 0.3
+
+
 def test_an_estimate_without_a_prediction_is_a_failure(pushes):
     with pytest.raises(EquilibriumError, match="push 'main' frame 3: no prediction by the estimate"):
         assess(predictions_of(pushes, {}))
@@ -247,7 +299,7 @@ def test_what_is_written_of_a_whole_subject(finished):
     assert [(f.push, f.frame, f.force_n) for f in frames] == [("main", 3, 30.0), ("second", 1, 30.0)]
     for frame in frames:
         assert set(frame.rmse_mm) == set(BASELINES)
-        assert set(frame.cobb_change_deg) == {"measured", "default", "fit", "truth"}
+        assert set(frame.cobb_change_deg) == {"measured", "default", "fit", "forecast", "truth"}
         assert all(change is not None for change in frame.cobb_change_deg.values())
         errors = frame.rmse_mm
         assert 0.0 < errors["fit"] < errors["default"] < errors["rest"]

@@ -13,7 +13,7 @@ from spinestiff.errors import EquilibriumError, FitError
 from spinestiff.estimation.fitted import Method
 from spinestiff.estimation.forecast import Forecast
 from spinestiff.imaging.features import rmse, target_features
-from spinestiff.study.forecasts import forecast_record
+from spinestiff.study.forecasts import forecast_change, forecast_record
 from spinestiff.study.predictions import Model, Prediction, Predictions
 from spinestiff.study.trials import PushSet, PushTrial, fit_from_coarse
 from spinestiff.subject.assessment_outcome import CobbChangeRecord, HeldOutFrame
@@ -60,6 +60,8 @@ def _held_out(predictions: Predictions, found: Prediction, forecast: Forecast | 
         None if forecast is None else forecast_record(found, forecast, None if measured is None else measured.levels)
     )
     errors["forecast"] = None if record is None else record.rmse_mm
+    if forecast is not None:
+        changes["forecast"] = forecast_change(predictions, found, forecast)
     return HeldOutFrame(
         push=item.push,
         frame=item.frame,

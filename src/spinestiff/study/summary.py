@@ -26,7 +26,7 @@ RESPONSE_COLUMNS = (
 PREDICTORS = (
     "rest", "default", "fit", "forecast", "fitted_supports", "extrapolation", "single_ratio", "truth",
 )  # fmt: skip
-SEEN = ("measured", "default", "fit", "truth")
+SEEN = ("measured", "default", "fit", "forecast", "truth")
 """Whose change of the Cobb angle is told, as far as an assessment has it."""
 FORMS = {"tilt": "tilt_levels", "fixed_levels": "levels", "signed": "signed_levels"}
 """Forms of that change (``curves.tilts.CobbChange``), and what names the vertebrae between which it is."""

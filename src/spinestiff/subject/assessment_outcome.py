@@ -53,7 +53,7 @@ class HeldOutFrame(Outcome):
     Attributes
     ----------
     rmse_mm : by predictor, corner RMSE at the patient plane; None where it makes no prediction.
-    cobb_change_deg : "measured" and by predictor.
+    cobb_change_deg : "measured" and by predictor, "forecast" among them where there is one.
     forecast : with its intervals; None by the paper's estimator.
     """
 

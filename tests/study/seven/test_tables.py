@@ -78,6 +78,7 @@ def test_the_cobb_change_is_told_in_its_three_forms():
     found = [line(6, label, whose).cells[0] for whose in ("ours", "ours, fixed levels", "ours, tilt")]
     assert found == ["−6.0", "−16.0", "−17.0"]
     assert line(6, label, "ours, fixed levels").average == "16.0"
+    assert line(6, "Diff in validation pose (forecast)", "ours, tilt").cells[0] == "−16.5"
 
 
 def test_baselines_stand_below_table_5():

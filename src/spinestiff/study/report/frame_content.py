@@ -96,29 +96,29 @@ def _best(errors: Mapping[str, float | None]) -> list[str]:
 
 def _cobb_rows(frame: HeldOutFrame) -> dict[str, Any]:
     rows = []
-    for name, title in {"measured": "Measured", **MODELS, "truth": "True ratios"}.items():
+    titles = {"measured": "Measured", **MODELS, "forecast": "Forecast", "truth": "True ratios"}
+    for name, title in titles.items():
         if name not in frame.cobb_change_deg:
             continue
         change = frame.cobb_change_deg[name]
         if change is None:
             rows.append({"title": title, "cells": [MISSING] * 3})
             continue
-        sds = change.sds or (None, None, None)
+        sds = change.sds or (None, _turn_sd(frame) if name == "forecast" else None, None)
         levels = (change.signed_levels, "–".join(change.levels), "–".join(change.tilt_levels))
         sizes = (change.signed, change.fixed_levels, change.tilt)
         rows.append({"title": title, "cells": [change_words(*one) for one in zip(sizes, sds, levels)]})
-    expected = expected_change(frame)
-    if expected:
-        rows.append({"title": "Forecast", "cells": ["–", expected, "–"]})
     return {"title": _frame_title(frame), "rows": rows}
 
 
 def expected_change(frame: HeldOutFrame) -> str:
     """The change of the Cobb angle between fixed levels that the training frames let expect, with its ±; or nothing."""
-    found, measured = frame.forecast, frame.cobb_change_deg.get("measured")
-    if found is None or measured is None or found.cobb_error_deg is None or found.cobb_sd_deg is None:
-        return ""
-    return change_words(measured.fixed_levels + found.cobb_error_deg, found.cobb_sd_deg, "–".join(measured.levels))
+    expected = frame.cobb_change_deg.get("forecast")
+    return "" if expected is None else change_words(expected.fixed_levels, _turn_sd(frame), "–".join(expected.levels))
+
+
+def _turn_sd(frame: HeldOutFrame) -> float | None:
+    return None if frame.forecast is None else frame.forecast.cobb_sd_deg
 
 
 def support_rows(tracked: Tracked) -> list[dict[str, str]]:

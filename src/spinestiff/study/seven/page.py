@@ -184,6 +184,10 @@ from one curve to another: when a push straightens the main curve, a second one 
 jumps or changes its sign though no vertebra has moved far. Where radiograph and model do not jump alike, the whole jump
 counts as error. The paper reports its 2.9° and 5° in its own form, so that it is this one to be compared with.
 
+Both forms are judged twice. The *estimate* is the model at rest and under force: which of its angles is the largest
+also depends on a geometry that is off by 2.39 mm. The *forecast* begins at the measured unloaded frame and turns each
+vertebra as the estimate, corrected as below, lets expect. It is what the report shows a user as the expected angle.
+
 Intervals that hold more than 99 % of the corners are too wide, those that hold less than 90 % too narrow. The forecast
 corrects the estimate by the errors that the training frames and the unloaded frame show; the motion since the unloaded
 frame shows what the estimated stiffness does by itself."""
@@ -279,14 +283,12 @@ def _cobb(outcomes: Sequence[SubjectOutcome]) -> str:
         frames = frames_of(outcomes, push)
         for form, words in FORMS.items():
             cells = [where, words]
-            for model in ("default", "fit", "truth"):
+            for model in ("default", "fit", "forecast", "truth"):
                 errors = cobb_errors(frames, model, form)
                 cells.append(NOTHING if not errors else f"{fixed(mean(errors), 1)} ({fixed(max(errors), 1)})")
             rows.append(cells)
-        errors = [abs(frame.forecast_cobb_deg) for frame in frames if frame.forecast_cobb_deg is not None]
-        told = NOTHING if not errors else f"{fixed(mean(errors), 1)} ({fixed(max(errors), 1)})"
-        rows.append([where, "fixed levels, forecast", "", told, ""])
-    head = ["frame", "change of the Cobb angle, error in degrees, mean (worst)", "default", "estimate", "true ratios"]
+    what = "change of the Cobb angle, error in degrees, mean (worst)"
+    head = ["frame", what, "default", "estimate", "forecast", "true ratios"]
     inside = [
         f"{where} {fixed(100 * found, 1)} %"
         for push, where in PUSHES.items()

@@ -199,16 +199,21 @@ def table_6(outcomes: Seven) -> PaperTable:
         "Diff in validation pose (default params)": "default",
         "Diff in validation pose (optimized params)": "fit",
     }
+    forms = (("signed", OURS), ("fixed_levels", "ours, fixed levels"), ("tilt", "ours, tilt"))
     lines = []
     for label, values in TABLE_6.items():
         ours = []
         if label not in models:
             ours.append(_line(label, OURS, _of(outcomes, lambda one: one.rest_cobb_deg[0]), 1, True, True))
         else:
-            for form, words in (("signed", OURS), ("fixed_levels", "ours, fixed levels"), ("tilt", "ours, tilt")):
+            for form, words in forms:
                 found = _of(outcomes, lambda one, form=form, model=models[label]: _cobb(one, model, form))  # type: ignore[misc]
                 ours.append(_line(label, words, found, 1, True, True))
         lines += [_beside(label, values, ours[0], 0, absolute=True, sign=True), *ours]
+    forecast = "Diff in validation pose (forecast)"
+    for form, words in forms:
+        found = _of(outcomes, lambda one, form=form: _cobb(one, "forecast", form))  # type: ignore[misc]
+        lines.append(_line(forecast, words, found, 1, True, True))
     return PaperTable(6, "Cobb angle (deg)", _columns(), tuple(lines))
 
 
