@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from workbench_way import served
 
 from bench_page import go, load
-from chromium import Tab
+from chromium import WEBGL, Tab
 
 RESULTS = Path(__file__).parent / "results" / "accessibility.json"
 AXE = Path(__file__).parents[1] / "web" / "workbench" / "node_modules" / "axe-core" / "axe.min.js"
@@ -75,7 +75,10 @@ def checked(tab: Tab, axe: str) -> dict[str, Any]:
 def measured(subject: Path, axe: Path) -> dict[str, Any]:
     """Every page in every theme and width."""
     source, rows = axe.read_text(encoding="utf-8"), []
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place, Tab(Path(place) / "profile") as tab:
+    with (
+        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place,
+        Tab(Path(place) / "profile", flags=WEBGL) as tab,
+    ):
         for name, enter in pages(tab, Path(place) / "root", subject):
             enter()
             for theme in THEMES:

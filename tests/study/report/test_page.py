@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from canaries import infest, traces
-from chromium import Tab, browser
+from chromium import WEBGL, Tab, browser
 from results import altered, register
 from spinestiff.anatomy.files import write_torso
 from spinestiff.anatomy.state import TorsoState
@@ -942,7 +942,7 @@ def test_on_a_phone_in_the_dark_and_on_paper(visit: Visit, html: str, tmp_path: 
 def test_the_torso_is_drawn_where_it_is_reached_and_on_paper(visit: Visit, html: str, tmp_path: Path) -> None:
     page, viewer = visit.file("report.html"), "document.querySelector('[data-viewer]')"
     assert html
-    with Tab(tmp_path / "profile") as tab:
+    with Tab(tmp_path / "profile", flags=WEBGL) as tab:
         tab.open(page)
         # Not before it is near: a report is read from its top.
         assert tab.run(f"{viewer}.dataset.state ?? 'waiting'") == "waiting"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from chromium import Tab, browser
+from chromium import WEBGL, Tab, browser
 from spinestiff.anatomy.points import PointsOnBones
 from spinestiff.anatomy.template import template_torso
 from spinestiff.imaging.projection import frontal_view
@@ -56,7 +56,7 @@ def text(tab, role):
 
 @pytest.fixture(scope="module")
 def tab(tmp_path_factory):
-    with Tab(tmp_path_factory.mktemp("profile")) as opened:
+    with Tab(tmp_path_factory.mktemp("profile"), flags=WEBGL) as opened:
         yield opened
 
 
