@@ -21,7 +21,7 @@ from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.priors import Priors
 from spinestiff.estimation.profiles import WIDTH_FACTOR
 from spinestiff.estimation.status import FitStatus
-from spinestiff.estimation.told import partial_inverse, unsettled_warnings
+from spinestiff.estimation.told import partial_inverse, trial_warnings, unsettled_warnings
 from spinestiff.estimation.unknowns import ACTS
 from spinestiff.estimation.weighed import WeighedProblem
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
@@ -399,7 +399,7 @@ def test_eqs_8_10_on_the_template_torso() -> None:
 def test_a_place_as_likely_as_the_estimate_is_told() -> None:
     where = WeighedPoint(np.zeros(1), SimpleNamespace(log_ratios=np.log([0.5, 0.02])), np.zeros(1))
     likely = SimpleNamespace(settled=True, likelier=where)
-    ended = SimpleNamespace(short=0.0)
+    ended = SimpleNamespace(short=0.0, status=FitStatus.CONVERGED)
     (warning,) = unsettled_warnings(ended, likely, ("lateral_bending", "tissue"))
     assert warning.startswith("lateral_bending 0.5, tissue 0.02 explains the radiographs about as well")
     likely.likelier = None
@@ -407,9 +407,50 @@ def test_a_place_as_likely_as_the_estimate_is_told() -> None:
 
 
 def test_an_estimate_beside_a_jump_is_told_with_how_near_it_is() -> None:
-    likely = SimpleNamespace(settled=True, likelier=None)
-    (warning,) = unsettled_warnings(SimpleNamespace(short=0.09), likely, ("tissue",))
-    assert "jumps between equilibria" in warning
-    assert warning.endswith("settled to 0.09 standard deviations")
-    assert not unsettled_warnings(SimpleNamespace(short=0.03), likely, ("tissue",))
+    def ended(short, status=FitStatus.CONVERGED):
+        return SimpleNamespace(short=short, status=status)
+
+    # With intervals or without any.
+    for likely in (SimpleNamespace(settled=True, likelier=None), None):
+        (warning,) = unsettled_warnings(ended(0.09), likely, ("tissue",))
+        assert "jumps between equilibria" in warning
+        assert warning.endswith("settled to 0.09 standard deviations")
+        assert not unsettled_warnings(ended(0.03), likely, ("tissue",))
+        assert not unsettled_warnings(ended(0.09), likely, ("tissue",), close_sd=0.1)
+    assert not unsettled_warnings(ended(3.0, FitStatus.STALLED), None, ("tissue",))
     assert not unsettled_warnings(None, None, ("tissue",))
+
+
+def stood_elsewhere(trial, by):
+    """The patient by (2,) mm elsewhere before the detector."""
+    return replace(
+        trial, corners=replace(trial.corners, corners=trial.corners.corners + trial.view.magnification * np.array(by))
+    )
+
+
+@pytest.mark.parametrize("aside", [-20.0, 20.0])
+def test_where_the_patient_stood_is_no_motion_against_the_push(column, noisy, aside) -> None:
+    """What a frame shows is compared with the unloaded one of its push, and with the torso at rest without one."""
+    moved = [stood_elsewhere(trial, (aside, 0.0)) for trial in noisy]
+    fit = fit_stiffness(column.problem, moved, start=column.truth, bounds=BOUNDS, extent="estimate", close_sd=0.1)
+    assert fit.warnings == ()
+    wrong = [replace(trial, load=trial.load.scaled(-1.0)) for trial in noisy]
+    for trials in (wrong, wrong[1:]):
+        asked = column.weighed(trials)
+        default = asked.trial_set.solve(np.zeros(2))
+        found = trial_warnings(asked, default, default)
+        assert [text.partition(":")[0] for text in found] == ["push 1 40 N", "push 1 100 N"]
+        assert all("moved against the push" in text for text in found)
+
+
+def test_priors_that_leave_no_covariance_are_one_clear_line(column, noisy) -> None:
+    for priors in (Priors(annotation_mm=1e-6), Priors(annotation_mm=1e-6, tracking_factor=0.0)):
+        with pytest.raises(FitError, match=r"contradict each other.*far too small, e\.g\. annotation_mm"):
+            fit_stiffness(column.problem, noisy, start=column.truth, bounds=BOUNDS, priors=priors, extent="estimate")
+
+
+def test_a_fit_without_intervals_prints_none(column, whole, noisy) -> None:
+    paper = fit_stiffness(column.problem, noisy[1:], method="paper", bounds=BOUNDS, max_iterations=2)
+    for text in (str(paper), repr(paper)):
+        assert "nan" not in text and "tissue" in text
+    assert "(95 % " in str(whole)

@@ -356,3 +356,13 @@ def test_marks_that_fit_no_vertebra_are_refused(column, twisted) -> None:
 def test_the_papers_fit_sees_the_frontal_corners_alone(column, twisted, both) -> None:
     plain, more = (column.trial_set([t for t in trials if t.load.size], NAMES) for trials in (twisted, both))
     assert np.array_equal(plain.solve(np.zeros(3)).values, more.solve(np.zeros(3)).values)
+
+
+def test_pedicles_of_which_none_is_seen_are_none(column, noisy) -> None:
+    """In the frontal radiograph and in one from another side."""
+    nothing = PediclePoints(("T10",), np.full((1, 2, 2), np.nan))
+    (plain,) = seen_more(column, noisy[:1], pedicles=False)
+    blind = replace(plain, pedicles=nothing, further=tuple(replace(one, pedicles=nothing) for one in plain.further))
+    one, other = (column.weighed([trial, *noisy[1:]]) for trial in (plain, blind))
+    assert np.array_equal(one.noise.constant, other.noise.constant)
+    assert one.shown == other.shown

@@ -24,7 +24,7 @@ from spinestiff.estimation.unknowns import (
     unknowns_of,
 )
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.mechanics.loads import LoadCase
+from spinestiff.mechanics.loads import LoadCase, tissue_load
 from spinestiff.mechanics.push import PushSite, Rig, push_load
 
 # What belongs to pictures and not to pushes.
@@ -220,3 +220,15 @@ def test_dead_loads_have_the_side_size_and_height_of_their_push(side, force_n) -
     for name, one in zip(LOADING[2:], wanted[2:]):
         np.testing.assert_allclose(of[name].forces, one.forces, err_msg=name)
     assert np.abs(of["height"].forces).max() > 0.01
+
+
+@pytest.mark.parametrize("level", [5.0, 8.0])
+def test_a_push_on_tissue_is_at_the_rib_of_its_height(level) -> None:
+    torso = template_torso(157.0, "coarse")
+    point = push_load(torso, PushSite("left", level), 1.0, Rig()).points.positions(torso.rest_pose)[0]
+    tissue = torso.tissue
+    free = np.flatnonzero(tissue.bone_of_node < 0)
+    near = free[np.argsort(np.abs(tissue.rest_positions[free, 1] - point[1]))[:6]]
+    side, found = pushed_site(tissue_load(torso, near, np.tile([-5.0, 0.0, 0.0], (6, 1))), torso)
+    assert side == "left"
+    assert found == pytest.approx(level, abs=0.1)

@@ -12,6 +12,7 @@ from spinestiff.anatomy.names import VERTEBRAE
 from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import TrackingError
+from spinestiff.estimation.objective import make_target, residuals
 from spinestiff.imaging.dicom.identity import Identity
 from spinestiff.imaging.features import VertebraCorners, silhouette_shares, state_features
 from spinestiff.imaging.projection import frontal_view, lateral_view
@@ -155,6 +156,14 @@ def test_residuals_that_no_expected_error_explains(sound):
     )
     assert "no vertebra is outlying (limit 0.001); look for exchanged forces" in text
     assert fitted_otherwise(sound, p_value=1.1e-3).doubts() == {}
+
+
+def test_as_many_ratios_as_residuals_leave_none_to_judge_by(sound):
+    case = fitted_otherwise(sound, p_value=float("nan"))
+    assert case.doubts() == {}
+    assert case.check("residuals as expected").text == (
+        "not possible: no residual is left to judge by, as there are as many ratios as data or more"
+    )
 
 
 def test_outlying_vertebrae_are_named_and_alone_no_doubt(sound):
@@ -422,6 +431,51 @@ def test_with_a_single_force(sound):
     assert case.check("motion grows with force").text == (
         "not possible: push 'main' has fewer than two forces above its least in usable frames"
     )
+
+
+def seen_in_part(sound, rest, *loaded):
+    """The sound subject where frames show these of the vertebrae alone, the unloaded one ``rest``."""
+    frames = []
+    for number, part in enumerate((rest, *loaded)):
+        corners = sound.tracked.corners(number)
+        quality = np.zeros_like(corners.quality)
+        quality[part] = corners.quality[part]
+        frames.append(replace(corners, quality=quality))
+    case = replace(sound, tracked=TrackedPush.of(sound.tracked.view.view(), frames))
+    pushes = case.pushes
+    parts = tuple(
+        residuals(pushes.torso, make_target(pushes.torso, item.trial), found.state)
+        for item, found in zip(pushes.training, sound.fit.equilibria, strict=True)
+    )
+    return replace(case, fit=replace(sound.fit, residuals=parts))
+
+
+@pytest.mark.parametrize("shared", [0, 1, 2])
+def test_frames_that_share_few_vertebrae_with_the_unloaded_one_are_not_compared(sound, shared):
+    """A spine that is seen in part, and another part under load: the estimate stands, and nothing is made up."""
+    upper, lower = slice(0, 8), slice(8 - shared, 17)
+    case = seen_in_part(sound, upper, lower, lower, lower)
+    missing = {check.name: check.text for check in case.checks() if check.passed is None}
+    assert missing["motion grows with force"].startswith("not possible: push 'main' has fewer than two forces")
+    assert missing["rest without load"] == (
+        "not possible: push 'main' has no usable frame under a force with 3 of its vertebrae"
+    )
+    for name in ("training frames", "vertebrae in motion"):
+        assert missing[name] == (
+            "not possible: no training frame shows 3 of the vertebrae of its push's frame without force"
+        )
+    assert ("motion along the push" in missing) == (shared == 0)
+    assert case.doubts() == {}
+
+
+def test_a_frame_that_shows_another_part_is_left_out_of_what_frames_are_compared_by(sound):
+    """All others are judged as they are without it."""
+    upper, lower, whole = slice(0, 8), slice(8, 17), slice(0, 17)
+    case = seen_in_part(sound, upper, lower, whole, whole)
+    assert [check.name for check in case.checks() if not check.passed] == []
+    both = seen_in_part(sound, upper, upper, whole, whole)
+    for name in ("motion along the push", "rest without load"):
+        assert case.check(name) == both.check(name)
 
 
 @pytest.mark.parametrize("nothing", [Identity(("", ""), None, False), replace(PERSON, removed=True)])

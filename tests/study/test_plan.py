@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 import weakref
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.anatomy.template import template_torso
 from spinestiff.errors import EquilibriumError, SubjectError
 from spinestiff.estimation.evaluation import TrialSet
+from spinestiff.estimation.objective import SkinMarkers
 from spinestiff.files import read_json, write_json
 from spinestiff.imaging.features import view_kind
 from spinestiff.imaging.projection import frontal_view
@@ -25,6 +28,7 @@ from spinestiff.study.planning.wish import Frame, Wish
 from spinestiff.study.planning.words import now_of, pays, plan_lines, size_of
 from spinestiff.study.report.protocol import protocol_page
 from spinestiff.study.runner import run_steps
+from spinestiff.study.synthetic_markers import spread_markers
 from spinestiff.study.trials import Known
 from spinestiff.study.visit import Settings, open_visit
 from spinestiff.subject.estimate_outcome import Estimate
@@ -427,3 +431,36 @@ def test_impossible_wishes_are_refused(scene) -> None:
     assert max(frame.force_n for frame in Wish(limit_n=77.77).frames) == 77.7
     with pytest.raises(SubjectError, match="the estimate has no ratio tissue"):
         make_plan(replace(scene, names=("lateral_bending",)), Wish(target="tissue"))
+
+
+def test_what_cameras_saw_is_no_radiograph_that_was_taken(scene) -> None:
+    """It tells of the ratios, and is not counted."""
+
+    def widths_of(pushes):
+        known = [(pushes.problems[item.push], item.trial) for item in pushes.fitted]
+        carried = SimpleNamespace(
+            groups=parameter_groups(scene.torso, scene.names),
+            known=[one for one in known if one[1].load.size],
+            known_still=[one for one in known if not one[1].load.size],
+            planned={},
+            still=[],
+            predicted=None,
+            frames=[],
+            pushes=[],
+            places=[],
+            states=[],
+        )
+        return widths.ExpectedWidths(replace(scene, taken=pushes), SMALL, carried)
+
+    points, outward = spread_markers(scene.torso, 8, np.full((1, 3), 1e4))
+    names, there = tuple(f"m{i}" for i in range(8)), points.positions(scene.torso, scene.torso.rest_pose)
+    marked = tuple(
+        replace(
+            item, trial=replace(item.trial, markers=SkinMarkers(names, there, points, outward, f"{item.push} markers"))
+        )
+        for item in scene.taken.trials
+    )
+    radiographs = len(scene.taken.fitted)
+    found = widths_of(replace(scene.taken, trials=marked))
+    assert (len(found.taken), found.taken_radiographs) == (2 * radiographs, radiographs)
+    assert widths_of(scene.taken).taken_radiographs == radiographs

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from spinestiff.anatomy.template import template_torso
+from spinestiff.estimation.unknowns import ACTS
+from spinestiff.study import written
 from spinestiff.study.written import mesh_notes
 
 
@@ -28,3 +33,23 @@ def test_the_paper_s_method_has_no_intervals_that_allow_for_it_and_own_bones_hav
 
 def test_a_fine_mesh_needs_no_such_note():
     assert mesh_notes(template_torso(157.0, "fine"), "weighed") == ()
+
+
+def test_a_p_value_that_there_is_not_is_none():
+    """JSON has no NaN, and a record refuses one."""
+    found = SimpleNamespace(
+        nuisances=(),
+        acts=np.zeros((0, len(ACTS))),
+        budget=None,
+        visit_sd=np.zeros(1),
+        annotation_sd=np.zeros(1),
+        changes=(),
+        best_known=None,
+        p_value=float("nan"),
+        tracking_factor=1.0,
+        outlying=(),
+    )
+    fit = SimpleNamespace(weighed=found, names=("tissue",))
+    assert written._weighed(SimpleNamespace(training=()), fit)["p_value"] is None
+    found.p_value = 0.25
+    assert written._weighed(SimpleNamespace(training=()), fit)["p_value"] == 0.25

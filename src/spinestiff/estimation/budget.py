@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from spinestiff.arrays import Floats
 from spinestiff.estimation.discrepancy_data import STANCE_MM
 from spinestiff.estimation.emulator import Emulator, Place
+from spinestiff.estimation.noise import lower_root
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, Weights
 
 TRACKING, DRAG, DISCREPANCY, STANCE = "tracking", "drag of tracking", "model discrepancy", "stance"
@@ -66,7 +67,7 @@ def variance_budget(problem: WeighedProblem, fit: WeighedFit) -> Budget:
     base = parts.pop(TRACKING) + parts[STANCE] + SMALLEST_MM**2 * np.eye(problem.size)
 
     def spread(covariance: Floats) -> tuple[float, ...]:
-        root = cholesky(covariance, lower=True)
+        root = lower_root(covariance)
         whitened = solve_triangular(root, fit.slope.ratios, lower=True)
         return tuple(linear_sds(whitened.T @ whitened))
 
@@ -146,7 +147,7 @@ def prior_changes(
     fixed = sum(parts[name] for name in (TRACKING, *kept))
     for name in kept:
         for factor in FACTORS:
-            root = cholesky(fixed + (factor**2 - 1.0) * parts[name], lower=True)
+            root = lower_root(fixed + (factor**2 - 1.0) * parts[name])
             weights = Weights(root, fit.weights.tracking_factor, fit.weights.inflation)
             found.append(_changed(name, factor, Emulator(places, weights, rough=rough), fit, limits))
     return tuple(found)

@@ -13,9 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve
 
 from spinestiff.arrays import Floats, Ints, ShortRepr
+from spinestiff.estimation.noise import lower_root
 from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.unknowns import Unknowns
 from spinestiff.estimation.weighed import WeighedProblem
@@ -84,7 +85,7 @@ class Design(ShortRepr):
         rows = self._rows(taken)
         x = self.slopes[rows]
         whole = self._between(rows, rows, self._columns(taken))
-        root = cho_factor(whole, lower=True) if len(rows) else (np.zeros((0, 0)), True)
+        root = (lower_root(whole) if len(rows) else np.zeros((0, 0))), True
         solved = cho_solve(root, x) if len(rows) else x
         return x.T @ solved + least * np.eye(x.shape[1]), root, solved
 

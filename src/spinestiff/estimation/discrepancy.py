@@ -207,9 +207,11 @@ def pushed_side(load: LoadCase) -> str:
 
 def pushed_site(load: LoadCase, torso: TorsoModel) -> tuple[str, float]:
     """Side and rib level of a push, from where its forces act on ribs; of another load, the ribs at its height."""
-    side = pushed_side(load)
-    heights, sizes = load.points.positions(torso.rest_pose)[:, 1], np.linalg.norm(load.forces, axis=1)
-    on_rib = np.array([torso.bone_names[bone] in RIBS for bone in load.points.bone], dtype=bool)
+    side, rest = pushed_side(load), torso.rest_pose
+    heights = np.concatenate([load.points.positions(rest)[:, 1], rest.tissue_positions[load.nodes, 1]])
+    sizes = np.linalg.norm(np.concatenate([load.forces, load.node_forces]), axis=1)
+    on_rib = np.zeros(len(sizes), dtype=bool)
+    on_rib[: len(load.points)] = [torso.bone_names[bone] in RIBS for bone in load.points.bone]
     share = sizes * on_rib if (sizes * on_rib).any() else sizes
     height = float(share @ heights / max(share.sum(), 1e-300))
     rows = [RIBS.index(f"R{i}_{side[0].upper()}") for i in range(1, 13)]

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import cholesky
 
 from spinestiff.anatomy.regions import parameter_groups
 from spinestiff.anatomy.state import TorsoState
@@ -24,6 +23,7 @@ from spinestiff.estimation.fitted import METHODS, FitEnd, Method, StiffnessFit, 
 from spinestiff.estimation.forecast import Forecast, forecast
 from spinestiff.estimation.linear import MOST_PROFILED, linear_ratios
 from spinestiff.estimation.mode import CLOSE_SD, MOST_FACTORISATIONS, search
+from spinestiff.estimation.noise import lower_root
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.point import WeighedPoint
 from spinestiff.estimation.priors import Priors
@@ -101,7 +101,7 @@ def fit_stiffness(
     Raises
     ------
     FitError : no trials, no force, impossible bounds or names, a population that is not known or not of these ratios,
-        or no equilibrium at the start.
+        no equilibrium at the start, or priors that leave residuals without a covariance.
     TorsoError : an unknown parameter, or one that the torso has nothing of.
     TrackingError : a trial's corners fit no vertebra.
     """
@@ -161,9 +161,9 @@ def fit_stiffness(
         orientation=orientation,
         bounds=(float(bounds[0]), float(bounds[1])),
         warnings=(
-            *trial_warnings(trial_set, default, point),
+            *trial_warnings(asked, default, point),
             *open_end_warnings(opens, bounds),
-            *unsettled_warnings(found, likely, names),
+            *unsettled_warnings(found, likely, names, close_sd),
         ),
         weighed=weighed,
     )
@@ -249,7 +249,7 @@ def _weights_of(asked: WeighedProblem, point: WeighedPoint, estimate: FitEnd) ->
     """The weights that a fit ended with."""
     inflation = asked.inflation(estimate.outlying)
     covariance = asked.covariance(point, estimate.tracking_factor, inflation)
-    return Weights(cholesky(covariance, lower=True), estimate.tracking_factor, inflation)
+    return Weights(lower_root(covariance), estimate.tracking_factor, inflation)
 
 
 def _asked(

@@ -79,7 +79,7 @@ class Weighed(ShortRepr):
     ----------
     nuisances : all that was not quite known.
     acts : (T, len(ACTS)) of each loaded trial, ``unknowns.ACTS``.
-    p_value : of residuals as large, before any scale or weight is fitted.
+    p_value : of residuals as large, before any scale or weight is fitted; NaN where ratios take up all of them.
     tracking_factor : by which tracking's errors are larger than predicted.
     outlying : vertebrae that count less.
     likely : intervals, profiles and draws; None if not asked for. budget, changes : the same.
@@ -180,14 +180,18 @@ class StiffnessFit(ShortRepr):
     def __str__(self) -> str:
         lines = [f"{self.status.name}: training RMSE {self.rmse_mm:.2f} mm (default {self.default_rmse_mm:.2f} mm)"]
         for name, value in self.ratios.as_dict().items():
-            low, high = self.intervals95[name]
+            ends = self._ends(name, "95 % ")
             bound = " at bound" if self.at_bound[name] else ""
-            lines.append(f"  {name} {value:.4g} (95 % {low:.3g} to {high:.3g}){bound}")
+            lines.append(f"  {name} {value:.4g}{ends}{bound}")
         return "\n".join([*lines, *(f"  warning: {text}" for text in self.warnings)])
 
     def _facts(self) -> Iterator[str]:
         yield self.status.name
         for name, value in self.ratios.as_dict().items():
-            low, high = self.intervals95[name]
-            yield f"{name}={value:.4g} ({low:.3g} to {high:.3g})"
+            yield f"{name}={value:.4g}{self._ends(name)}"
         yield f"training RMSE {self.rmse_mm:.2f} mm"
+
+    def _ends(self, name: str, what: str = "") -> str:
+        """The interval's ends in brackets; nothing where none was asked for."""
+        low, high = self.intervals95[name]
+        return "" if np.isnan([low, high]).any() else f" ({what}{low:.3g} to {high:.3g})"

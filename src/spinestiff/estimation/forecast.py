@@ -17,10 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve
 
 from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.estimation.channels import CHANNELS, Channels
+from spinestiff.estimation.noise import lower_root
 from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.weighed import WeighedProblem
 
@@ -98,7 +99,7 @@ def forecast(
     rows = [np.arange(problem.size)[noise.of(i)] for i in unseen]
     hidden = np.concatenate([*rows, *(problem.further_rows(i) for i in unseen)])
     seen: Ints = np.setdiff1d(np.arange(problem.size), hidden)
-    root = cho_factor(covariance[np.ix_(seen, seen)], lower=True)
+    root = lower_root(covariance[np.ix_(seen, seen)]), True
     x, r = slope.ratios[seen], values[seen]
     solved = cho_solve(root, np.column_stack([x, r]))
     precision = x.T @ solved[:, :-1] + LEAST_PRECISION * np.eye(x.shape[1])

@@ -19,10 +19,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from scipy.optimize import minimize_scalar
 
 from spinestiff.arrays import Floats, Ints
+from spinestiff.errors import FitError
 from spinestiff.estimation.channels import CHANNELS, Channels, channels_of
 from spinestiff.estimation.marker_noise import SeenMarkers, marker_parts
 from spinestiff.estimation.objective import Target
@@ -353,6 +354,22 @@ def _outer(columns: Floats) -> Floats:
     return np.asarray(columns @ columns.T)
 
 
+def lower_root(covariance: Floats) -> Floats:
+    """(n, n) lower Cholesky factor of a covariance of residuals.
+
+    Raises
+    ------
+    FitError : by rounding it is none, since of two errors one is so much smaller than the other.
+    """
+    try:
+        return np.asarray(cholesky(covariance, lower=True))
+    except LinAlgError:
+        raise FitError(
+            "by these priors two sights of one thing contradict each other: beside the others' size the least of them "
+            "is lost to rounding; look for a prior that is far too small, e.g. annotation_mm, or far too large"
+        ) from None
+
+
 def restricted_factor(
     noise: Noise,
     rest: Floats,
@@ -376,7 +393,7 @@ def restricted_factor(
     known_before = np.zeros((0, fixed.shape[1] + 1)) if held is None else np.column_stack(held)
 
     def cost(log_factor: float) -> float:
-        root = cholesky(rest + noise.tracking(float(np.exp(log_factor)), inflation), lower=True)
+        root = lower_root(rest + noise.tracking(float(np.exp(log_factor)), inflation))
         whitened = np.vstack([solve_triangular(root, np.column_stack([fixed, values]), lower=True), known_before])
         q, triangle = np.linalg.qr(whitened[:, :-1])
         left = whitened[:, -1] - q @ (q.T @ whitened[:, -1])

@@ -23,7 +23,7 @@ from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.errors import TrackingError
 from spinestiff.estimation.objective import Picture, Residuals, SkinMarkers, Target, Trial, make_target, residuals
 from spinestiff.imaging.features import Orientation
-from spinestiff.imaging.pedicles import pedicle_centres
+from spinestiff.imaging.pedicles import PediclePoints, pedicle_centres
 
 
 @dataclass(frozen=True, repr=False)
@@ -165,12 +165,12 @@ def further_sights(
     # Numbers that none of the trials' own corners has (``marked_anew``).
     marked = _marked_aside([picture for target in targets for picture in target.trial.further], 2 * count)
     for number, (torso, target) in enumerate(zip(torsos, targets)):
-        if target.trial.pedicles is not None:
+        if _are_seen(target.trial.pedicles):
             found.append(FurtherSight(number, _pedicle_target(torso, target), number, OWN))
         for picture in target.trial.further:
             boxes = make_target(torso, target.trial.seen_in(picture), orientation)
             found.append(FurtherSight(number, boxes, count, next(marked)))
-            if picture.pedicles is not None:
+            if _are_seen(picture.pedicles):
                 found.append(FurtherSight(number, _pedicle_target(torso, boxes), count, OWN))
             count += 1
         markers = target.trial.markers
@@ -222,6 +222,11 @@ def sight_residuals(torso: TorsoModel, target: Sight, state: TorsoState) -> Sigh
     detector, jacobian = view.project_with_jacobian(target.points.positions(state))
     slope = (jacobian / view.magnification) @ target.points.jacobian(state)
     return PointResiduals(view.to_patient_plane(detector) - target.z, slope, target.points.bone)
+
+
+def _are_seen(pedicles: PediclePoints | None) -> bool:
+    """Whether any is marked: one that is not is NaN."""
+    return pedicles is not None and bool(np.isfinite(pedicles.points).all(2).any())
 
 
 def _marker_target(torso: TorsoModel, trial: Trial, markers: SkinMarkers) -> MarkerTarget:

@@ -9,13 +9,14 @@ import numpy as np
 from spinestiff.arrays import Floats
 from spinestiff.estimation.budget import Budget, PriorChange, linear_sds, prior_changes, repeated_sds, variance_budget
 from spinestiff.estimation.emulator import Place
-from spinestiff.estimation.evaluation import Evaluation, TrialSet
+from spinestiff.estimation.evaluation import Evaluation
 from spinestiff.estimation.fitted import NuisanceEstimate, Weighed
 from spinestiff.estimation.linear import best_known
-from spinestiff.estimation.mode import NEARLY
-from spinestiff.estimation.objective import residuals, undetermined_vertebrae
+from spinestiff.estimation.mode import CLOSE_SD, NEARLY
+from spinestiff.estimation.objective import Target, residuals, undetermined_vertebrae
 from spinestiff.estimation.profiles import Likely
 from spinestiff.estimation.weighed import WeighedFit, WeighedProblem, reduced
+from spinestiff.imaging.features import FEATURE_SHAPE
 
 # Of the ratios' precision: beyond, what parts two combinations of ratios is rounding.
 WORST_CONDITION = 1e12
@@ -80,19 +81,35 @@ def partial_inverse(precision: Floats) -> Floats:
     return np.asarray(inverse)
 
 
-def trial_warnings(trial_set: TrialSet, default: Evaluation | None, point: Evaluation) -> list[str]:
+def trial_warnings(asked: WeighedProblem, default: Evaluation | None, point: Evaluation) -> list[str]:
     """What is odd about single trials."""
-    found = []
+    trial_set, found = asked.trial_set, []
     for i, (problem, target) in enumerate(zip(trial_set.problems, trial_set.targets)):
         name = trial_set.trials[i].label or f"trial {i + 1}"
-        rest = residuals(problem.torso, target, problem.torso.rest_pose).values
-        measured, simulated = -rest, (default or point).residuals[i].values - rest
-        if measured @ simulated < 0.0:
+        rest = residuals(problem.torso, target, problem.torso.rest_pose).difference
+        stood = _where_stood(asked, i)
+        measured = stood[target.rows] - rest
+        simulated = np.where(np.isnan(measured), 0.0, (default or point).residuals[i].difference - rest)
+        if np.einsum("v,vki,vki->", target.weights, np.nan_to_num(measured), simulated) < 0.0:
             found.append(f"{name}: the spine moved against the push; check the side of the push and of the picture")
         square = undetermined_vertebrae(problem.torso, target)
         if square:
             found.append(f"{name}: orientation by covariance means little for {', '.join(square)} (near-square box)")
     return found
+
+
+def _where_stood(asked: WeighedProblem, trial: int) -> Floats:
+    """(V, 4, 2) mm, the torso at rest minus what the unloaded frame of a loaded trial's push shows, NaN of vertebrae
+    that it does not; 0 where there is no such frame."""
+    seen, loaded = asked.noise.seen, len(asked.trial_set.trials)
+    torso = asked.trial_set.problems[trial].torso
+    shape = (len(torso.vertebrae), *FEATURE_SHAPE)
+    for one in seen[loaded : asked.trials]:
+        if one.sequence == seen[trial].sequence and isinstance(one.target, Target):
+            found = np.full(shape, np.nan)
+            found[one.target.rows] = residuals(torso, one.target, torso.rest_pose).difference
+            return found
+    return np.zeros(shape)
 
 
 def open_end_warnings(opens: Mapping[str, tuple[bool, bool]], bounds: tuple[float, float]) -> list[str]:
@@ -105,16 +122,20 @@ def open_end_warnings(opens: Mapping[str, tuple[bool, bool]], bounds: tuple[floa
     return found
 
 
-def unsettled_warnings(search_end: WeighedFit | None, likely: Likely | None, names: Sequence[str]) -> list[str]:
-    """Where search and intervals could not come as near as they should."""
-    if search_end is None or likely is None:
+def unsettled_warnings(
+    search_end: WeighedFit | None, likely: Likely | None, names: Sequence[str], close_sd: float = CLOSE_SD
+) -> list[str]:
+    """Where search and intervals could not come as near as they should; ``close_sd``: as near as was asked."""
+    if search_end is None or not search_end.status.usable:
         return []
     found = []
-    if search_end.short > np.sqrt(2.0 * NEARLY):
+    if search_end.short > max(np.sqrt(2.0 * NEARLY), close_sd):
         found.append(
             "beside the estimate the torso jumps between equilibria, as where soft tissue creases; "
             f"the estimate is settled to {search_end.short:.1g} standard deviations"
         )
+    if likely is None:
+        return found
     if not likely.settled:
         found.append(
             "an end of the intervals is interpolated between places where the model was solved, and less certain"

@@ -18,13 +18,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.arrays import Floats, Ints, ShortRepr
 from spinestiff.estimation.evaluation import Evaluation, TrialSet
 from spinestiff.estimation.moving import Moving
-from spinestiff.estimation.noise import Noise, Seen, restricted_factor
+from spinestiff.estimation.noise import Noise, Seen, lower_root, restricted_factor
 from spinestiff.estimation.objective import Trial, make_target, residuals
 from spinestiff.estimation.point import WeighedPoint, WeighedSlope
 from spinestiff.estimation.priors import Priors
@@ -245,7 +245,7 @@ class WeighedProblem:
         if before is not None:
             inflation = self._inflation(marginal, free, slope.ratios, factor, inflation)
         rest[channels, channels] += self.noise.tracking(factor, inflation)
-        return Weights(cholesky(rest, lower=True), factor, inflation)
+        return Weights(lower_root(rest), factor, inflation)
 
     def outlying(self, inflation: Floats) -> list[tuple[str, str, float]]:
         """Trials and vertebrae whose own errors are larger than usual by ``inflation`` (n,), and by how much."""
@@ -280,18 +280,22 @@ class WeighedProblem:
 
     def as_expected(self, point: WeighedPoint) -> Weights:
         """The covariance at a point with tracking's errors as large as predicted."""
-        return Weights(cholesky(self.covariance(point), lower=True), 1.0, np.ones(self.noise.size))
+        return Weights(lower_root(self.covariance(point)), 1.0, np.ones(self.noise.size))
 
     def p_value(self, point: WeighedPoint, slope: WeighedSlope) -> float:
         """Of residuals as large, with the covariance before any scale or weight is fitted.
 
-        What no change of the ratios takes away of the data's; what is held of the ratios is no data.
+        What no change of the ratios takes away of the data's; what is held of the ratios is no data. NaN where that is
+        nothing, of as many ratios as data or more.
         """
         from scipy.stats import chi2
 
+        if self.data <= len(self.trial_set.groups):
+            return float("nan")
+
         data = slice(0, self.data)
         expected = self.as_expected(point).root[data, data]
-        root = cholesky(expected @ expected.T + slope.nuisances[data] @ slope.nuisances[data].T, lower=True)
+        root = lower_root(expected @ expected.T + slope.nuisances[data] @ slope.nuisances[data].T)
         free = point.values[data] - slope.nuisances[data] @ point.nuisances
         values, fixed = (solve_triangular(root, a, lower=True) for a in (free, slope.ratios[data]))
         q = np.linalg.qr(fixed)[0]
@@ -302,14 +306,14 @@ class WeighedProblem:
         """Of the data at a fit's end, nuisances integrated out to first order; what is held of ratios is no data."""
         data = slice(0, self.data)
         own = (weights.root @ weights.root.T)[data, data]
-        root = cholesky(own + slope.nuisances[data] @ slope.nuisances[data].T, lower=True)
+        root = lower_root(own + slope.nuisances[data] @ slope.nuisances[data].T)
         free = point.values[data] - slope.nuisances[data] @ point.nuisances
         left = solve_triangular(root, free, lower=True)
         size = 2.0 * np.sum(np.log(np.diag(root))) + self.data * np.log(2.0 * np.pi)
         return -0.5 * float(left @ left + size)
 
     def _inflation(self, marginal: Floats, values: Floats, slopes: Floats, factor: float, before: Floats) -> Floats:
-        whole = cho_factor(marginal + self.noise.tracking(factor, before), lower=True)
+        whole = lower_root(marginal + self.noise.tracking(factor, before)), True
         free, fixed = (a[: self.noise.size] for a in (values, slopes))
         held, rows = (a[self.data :] for a in (values, slopes))
         both = cho_solve(whole, np.column_stack([fixed, free]))

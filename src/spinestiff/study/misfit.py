@@ -75,6 +75,11 @@ def motion(torso: TorsoModel, trial: Trial, reference: Trial) -> tuple[Ints, Flo
     return vertebra_rows(torso, trial.corners.selected(both)), start, end
 
 
+def shared(trial: Trial, reference: Trial) -> int:
+    """How many vertebrae both radiographs show. How a spine bent is told by ``FEWEST_VERTEBRAE`` of them or more."""
+    return len(set(trial.corners.vertebrae) & set(reference.corners.vertebrae))
+
+
 def placed(torso: TorsoModel, view: XRayView, corners: VertebraCorners) -> Floats:
     """Measured boxes (n, 4, 2) mm, whatever the corners look like: what is wrong with them is to be found here."""
     boxes = reference_boxes(torso, view)[vertebra_rows(torso, corners)]

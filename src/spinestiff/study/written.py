@@ -223,7 +223,7 @@ def _weighed(pushes: PushSet, fit: StiffnessFit) -> dict[str, object]:
             value=found.best_known.value,
             sd_log=found.best_known.sd_log,
         ),
-        "p_value": found.p_value,
+        "p_value": finite(found.p_value),
         "tracking_factor": found.tracking_factor,
         "outlying": {f"{vertebra}{OF_FRAME}{label}": size for label, vertebra, size in found.outlying},
     }

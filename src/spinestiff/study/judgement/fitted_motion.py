@@ -9,12 +9,12 @@ import numpy as np
 
 from spinestiff.arrays import Floats, Ints
 from spinestiff.estimation.fitted import StiffnessFit
-from spinestiff.estimation.objective import Residuals, make_target, residuals
+from spinestiff.estimation.objective import FEWEST_VERTEBRAE, Residuals, make_target, residuals
 from spinestiff.imaging.features import vertebra_rows
 from spinestiff.imaging.tracking.quality import DOUBTED_QUALITY
 from spinestiff.study.judgement.limits import FEW, Limits
 from spinestiff.study.judgement.verdict import check, impossible
-from spinestiff.study.misfit import motion, strays
+from spinestiff.study.misfit import motion, shared, strays
 from spinestiff.study.trials import PushSet, PushTrial
 from spinestiff.subject.estimate_outcome import Check
 
@@ -27,7 +27,17 @@ def training_frames(pushes: PushSet, fit: StiffnessFit, limits: Limits) -> Itera
         for name in names:
             yield impossible(name, f"push '{blind[0]}' has no usable frame without force")
         return
-    moves = [_Motion.of(pushes, trial, part) for trial, part in zip(pushes.training, fit.residuals, strict=True)]
+    moves = [
+        _Motion.of(pushes, trial, part)
+        for trial, part in zip(pushes.training, fit.residuals, strict=True)
+        if shared(trial.trial, pushes.reference(trial.push).trial) >= FEWEST_VERTEBRAE
+    ]
+    if not moves:
+        for name in names:
+            yield impossible(
+                name, f"no training frame shows {FEWEST_VERTEBRAE} of the vertebrae of its push's frame without force"
+            )
+        return
     weights = np.concatenate([one.weights for one in moves])
     off, far = (
         float(np.sqrt(np.average(np.concatenate([getattr(one, which) for one in moves]), weights=weights)))
@@ -101,6 +111,8 @@ def residuals_expected(fit: StiffnessFit, limits: Limits) -> Check:
     name, found = "residuals as expected", fit.weighed
     if found is None:
         return impossible(name, "the paper's estimator expects no size of the errors")
+    if np.isnan(found.p_value):
+        return impossible(name, "no residual is left to judge by, as there are as many ratios as data or more")
     passed = found.p_value >= limits.p_value
     by_vertebra: dict[str, list[str]] = {}
     for label, vertebra, _ in found.outlying:

@@ -8,11 +8,12 @@ from itertools import combinations
 import numpy as np
 
 from spinestiff.arrays import Floats
+from spinestiff.estimation.objective import FEWEST_VERTEBRAE
 from spinestiff.imaging.features import picture_axes
 from spinestiff.study.frame_selection import SAME_FORCE
 from spinestiff.study.judgement.limits import Limits
 from spinestiff.study.judgement.verdict import check, impossible
-from spinestiff.study.misfit import motion, moved, rms
+from spinestiff.study.misfit import motion, moved, rms, shared
 from spinestiff.study.trials import PushSet, PushTrial
 from spinestiff.subject.estimate_outcome import Check
 from spinestiff.subject.records import PushRecord
@@ -91,13 +92,18 @@ def repeated(push: PushRecord, bending: Sequence[tuple[PushTrial, float]], limit
 def bending(pushes: PushSet, trials: Sequence[PushTrial]) -> list[tuple[PushTrial, float]]:
     """The frames of a push and how far, mm, the spine bent in each from that of least force, along the largest bending.
 
-    Shifts and turns of the whole picture, as of a patient who gave way, are taken out. Empty without a loaded frame
-    beside that of least force, the reference.
+    Shifts and turns of the whole picture, as of a patient who gave way, are taken out. Frames that show too few of the
+    vertebrae of that of least force, the reference, or of those that tell the largest bending, are left out. Empty
+    without a loaded frame beside the reference.
     """
     reference = min(trials, key=lambda trial: trial.force_n, default=None)
-    if reference is None or all(trial.force_n == reference.force_n for trial in trials):
+    if reference is None:
         return []
-    others = [trial for trial in trials if trial is not reference]
+    others = [
+        trial for trial in trials if trial is not reference and shared(trial.trial, reference.trial) >= FEWEST_VERTEBRAE
+    ]
+    if all(trial.force_n == reference.force_n for trial in others):
+        return []
     bent = np.full((len(others), len(pushes.torso.vertebrae), 4, 2), np.nan)
     for shape, trial in zip(bent, others):
         rows, start, end = motion(pushes.torso, trial.trial, reference.trial)
@@ -106,6 +112,8 @@ def bending(pushes: PushSet, trials: Sequence[PushTrial]) -> list[tuple[PushTria
     along = [(reference, 0.0)]
     for trial, shape in zip(others, bent):
         both = np.isfinite(shape) & np.isfinite(largest)
+        if both.any((1, 2)).sum() < FEWEST_VERTEBRAE:
+            continue
         share = float(shape[both] @ largest[both] / (largest[both] @ largest[both]))
         along.append((trial, share * _size(largest)))
     return along
@@ -119,9 +127,10 @@ def direction(pushes: PushSet, push: PushRecord, trials: Sequence[PushTrial], li
     """Whether the spine moves away from the side that is pushed."""
     name = "motion along the push"
     least = min(trials, key=lambda trial: trial.force_n, default=None)
-    most = max(trials, key=lambda trial: trial.force_n, default=None)
+    alike = [] if least is None else [trial for trial in trials if shared(trial.trial, least.trial)]
+    most = max(alike, key=lambda trial: trial.force_n, default=None)
     if least is None or most is None or most.force_n <= least.force_n:
-        return impossible(name, f"push '{push.id}' has no two usable frames of different force")
+        return impossible(name, f"push '{push.id}' has no two usable frames of different force with a vertebra in both")
     left, _ = picture_axes(most.trial.view)
     _, start, end = motion(pushes.torso, most.trial, least.trial)
     against = -push.sign * float(((end - start) @ left).mean())

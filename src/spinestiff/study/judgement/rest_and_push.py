@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from spinestiff.estimation.objective import FEWEST_VERTEBRAE
 from spinestiff.study.judgement.limits import FEW, Limits
 from spinestiff.study.judgement.verdict import check, impossible
-from spinestiff.study.misfit import Explanation, Spines, explanations, motion, moved, rms, spines, strays
+from spinestiff.study.misfit import Explanation, Spines, explanations, motion, moved, rms, shared, spines, strays
 from spinestiff.study.trials import PushSet, PushTrial
 from spinestiff.subject.estimate_outcome import Check
 from spinestiff.subject.records import PushRecord
@@ -49,9 +50,12 @@ def _under_load(
 ) -> Check:
     """Whether the rest pictures show the spine as the push bends it rather than as it was before."""
     name = "rest without load"
-    least, most = (pick(trials, key=lambda trial: trial.force_n) for pick in (min, max))
+    least = min(trials, key=lambda trial: trial.force_n)
+    alike = [trial for trial in trials if shared(trial.trial, least.trial) >= FEWEST_VERTEBRAE]
+    most = max(alike, key=lambda trial: trial.force_n)
     if most.force_n == 0.0:
-        return impossible(name, f"push '{push.id}' has no usable frame under a force")
+        few = "" if all(trial.force_n == 0.0 for trial in trials) else f" with {FEWEST_VERTEBRAE} of its vertebrae"
+        return impossible(name, f"push '{push.id}' has no usable frame under a force{few}")
     rows, start, end = motion(pushes.torso, most.trial, least.trial)
     bent = end - moved(start, end)
     off = -found.difference[np.isin(found.rows, rows)]

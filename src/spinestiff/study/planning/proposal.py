@@ -128,7 +128,7 @@ def composed(
         target=wish.target,
         limit_n=wish.limit_n,
         basis="population" if scene.taken is None else "estimate",
-        taken=len(widths.taken),
+        taken=widths.taken_radiographs,
         now={} if now is None else {n: round(float(np.exp(v)), 3) for n, v in zip(scene.names, now.logs)},
         estimated={name: round(factor, 3) for name, factor in scene.intervals.items()},
         now_deg=None if now is None or now.degrees is None else round(now.degrees, 2),

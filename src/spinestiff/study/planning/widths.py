@@ -16,6 +16,7 @@ from spinestiff.estimation.evaluation import Evaluation, Slope, TrialSet
 from spinestiff.estimation.objective import Trial
 from spinestiff.estimation.profiles import CONFIDENCE, WIDTH_FACTOR
 from spinestiff.estimation.ratio_priors import ratio_prior
+from spinestiff.estimation.sights import MarkerTarget
 from spinestiff.estimation.unknowns import ACTS
 from spinestiff.estimation.weighed import WeighedProblem
 from spinestiff.imaging.features import Orientation
@@ -36,7 +37,13 @@ class Width:
 
 
 class ExpectedWidths:
-    """Expected widths of the 95 % intervals, by set of radiographs."""
+    """Expected widths of the 95 % intervals, by set of radiographs.
+
+    Attributes
+    ----------
+    taken : numbers of what an estimate has been made from, what cameras saw of markers among it.
+    taken_radiographs : how many of these are radiographs.
+    """
 
     def __init__(self, scene: Scene, wish: Wish, carried: CarriedPushes, say: Observer = lambda line: None) -> None:
         loaded = [*carried.known, *carried.planned.values()]
@@ -59,6 +66,8 @@ class ExpectedWidths:
         if carried.predicted is not None:
             next(shown)
         self.taken = (*known_ones, *(n for _ in carried.known_still for n in next(shown)))
+        aside = {one.radiograph for one in problem.noise.seen if isinstance(one.target, MarkerTarget)}
+        self.taken_radiographs = sum(number not in aside for number in self.taken)
         self._of_push = {push: next(shown) for push in carried.pushes}
         self._own = problem.trials
         self._lateral_cost = wish.lateral_cost
