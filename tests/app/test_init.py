@@ -612,6 +612,19 @@ def test_a_push_of_a_log_is_named_as_the_table_shows_it(logged, monkeypatch, cap
     assert "log of push left-5: time in column" in told and "log of push-1" not in told
 
 
+def test_frames_of_which_a_log_tells_no_force_stay_open(spinestiff, logged):
+    folder, _ = logged
+    log = folder / "cut.csv"
+    log.write_text("time_s,force_n\n" + "\n".join(f"{i / 10},{min(5 * i, 300) / 10}" for i in range(87)))
+    done = spinestiff("init", folder / "a", folder / "in", "--log", log, "--log-offset", 2, *PERSON, *SITE)
+    assert done.status == 0, done.err
+    assert "log of push left-5: frames 28, 29 lie beyond the log, or in a gap of it, where it tells no" in done.out
+    assert "forces_n[28 to 29] is missing" in done.out and "where the log begins is not determined" not in done.out
+    rows = rows_of(folder / "a/results/force-log-left-5.csv")
+    assert [row["force_n"] == "" for row in rows] == [False] * 28 + [True] * 2
+    assert json.loads((folder / "a/subject.json").read_text())["pushes"][0]["forces_n"][27:] == [30.0, None, None]
+
+
 def test_an_offset_that_can_not_be_is_asked_for_again(logged, monkeypatch, capsys):
     folder, _ = logged
     (folder / "flat.csv").write_text("time_s,force_n\n" + "\n".join(f"{i / 10},1.5" for i in range(200)))

@@ -335,8 +335,9 @@ def _finish(out: Path, work: _Work, notes: Sequence[str]) -> None:
     typer.echo(f"subject: {out}")
     for push in work.data["pushes"]:
         typer.echo(f"  {_push_words(push)}")
+    unplaced = [number for number, logged in work.logged.items() if not logged.placed]
     lacking = [
-        f"{SUBJECT_FILE}: {gap.line_beside_log if gap.key == 'forces_n' and gap.push in work.logged else gap.line}"
+        f"{SUBJECT_FILE}: {gap.line_beside_log if gap.key == 'forces_n' and gap.push in unplaced else gap.line}"
         for gap in gaps_of(work.data)
     ]
     for one in inspect(out):
@@ -382,6 +383,8 @@ def force_words(forces: Sequence[float | None]) -> str:
 
 def _log_lines(name: str, logged: Logged) -> Iterator[str]:
     match = logged.match
+    if logged.untold:
+        yield f"log of {push_named(name)}: {logged.untold}: it stays open"
     if not logged.placed:
         yield (
             f"log of {push_named(name)}: where it begins is not determined: {match.why}; give the log's time at the "
