@@ -163,6 +163,12 @@ def test_what_is_no_file_in_a_folder_is_refused(inside):
         ('{"a": .5}', "line 1, column 7: wanted a value: a number with"),
         ("{}}", "line 1, column 3: the file goes on after its end"),
         ('{"a', "line 1, column 2: the text that begins here has no closing"),
+        ("", "a.json: is empty, wanted JSON$"),
+        (" \n", "a.json: is empty, wanted JSON$"),
+        ('{"a": 1, // years\n "b": 2}', "line 1, column 10: found a comment, which JSON has not; take it out"),
+        ('# my subject\n{"a": 1}', "line 1, column 1: found a comment"),
+        ('{"a": 1 /* years */}', "line 1, column 9: found a comment"),
+        ("{\u201ca\u201d: 1}", "line 1, column 2: found \u201c, wanted straight double quotes"),
     ],
 )
 def test_what_is_no_json_is_told_in_words_of_the_file(text, words):

@@ -16,6 +16,8 @@ from spinestiff.errors import SubjectError
 from spinestiff.words import counted
 
 _LONGEST_SHOWN = 60
+_CURLY = ("\u201c", "\u201d", "\u201e", "\u2018", "\u2019")
+"""Quotes as word processors set them."""
 _MOST_DIGITS = 20
 """On either side of a decimal comma, in a number of JSON."""
 SEPARATORS = (";", "\t", ",")
@@ -54,6 +56,8 @@ def parse_json(text: str, name: str) -> Any:
             raise SubjectError(f"{name}: key '{twice}' is given twice in one object; keep one")
         return content
 
+    if not text.strip():
+        raise SubjectError(f"{name}: is empty, wanted JSON")
     try:
         return json.loads(text, object_pairs_hook=keys_once, parse_constant=refuse, parse_float=number)
     except json.JSONDecodeError as error:
@@ -75,6 +79,11 @@ def _json_fault(text: str, error: json.JSONDecodeError) -> str:
     if before and after:
         found = before[0] + after[0]
         return f"found {found}, wanted a decimal point ({found.replace(',', '.')})"
+    rest = text[error.pos : error.pos + 2]
+    if rest in ("//", "/*") or rest[:1] == "#":
+        return "found a comment, which JSON has not; take it out"
+    if rest[:1] in _CURLY:
+        return f'found {rest[:1]}, wanted straight double quotes (")'
     known = (told for beginning, told in _JSON_FAULTS if error.msg.startswith(beginning))
     return next(known, error.msg)
 

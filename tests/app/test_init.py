@@ -245,6 +245,8 @@ def test_nothing_is_overwritten_and_nothing_is_left_behind(spinestiff, tmp_path,
             "push/push-2",
         ),
         (("--log-offset", "push-1=3"), "--log-offset: belongs to a --log of the same push"),
+        (("--log-units", "s,N"), "--log-units: belongs to a --log; give both"),
+        (("--log-columns", "t,F"), "--log-columns: belongs to a --log; give both"),
     ],
 )
 def test_options_that_say_nothing_sensible_are_refused(spinestiff, tmp_path, source, options, words):

@@ -147,6 +147,9 @@ def _ask_and_log(work: _Work, asked: Asked, notes: list[str], named: Callable[[]
     logs, offsets = _by_push(asked.logs, work, "--log"), _by_push(asked.offsets, work, "--log-offset")
     if set(offsets) - set(logs):
         raise OptionError("--log-offset: belongs to a --log of the same push; give both")
+    for option, given in (("--log-columns", asked.columns), ("--log-units", asked.units)):
+        if given is not None and not logs:
+            raise OptionError(f"{option}: belongs to a --log; give both")
     said = {number: _read_log(work, number, Path(text), offsets.get(number), asked) for number, text in logs.items()}
     check_open_record(data)
     if asked.may_ask:
