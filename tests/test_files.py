@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import re
 import socket
@@ -27,7 +28,7 @@ from spinestiff.files import (
     write_json,
     write_text,
 )
-from spinestiff.formats import parse_csv, parse_json
+from spinestiff.formats import parse_csv, parse_json, plain_number
 
 FOREIGN = {
     "missing": "no such file",
@@ -162,6 +163,12 @@ def test_what_is_no_file_in_a_folder_is_refused(inside):
         ('{"a": .5}', "line 1, column 7: wanted a value: a number with"),
         ("{}}", "line 1, column 3: the file goes on after its end"),
         ('{"a', "line 1, column 2: the text that begins here has no closing"),
+        ("", "a.json: is empty, wanted JSON$"),
+        (" \n", "a.json: is empty, wanted JSON$"),
+        ('{"a": 1, // years\n "b": 2}', "line 1, column 10: found a comment, which JSON has not; take it out"),
+        ('# my subject\n{"a": 1}', "line 1, column 1: found a comment"),
+        ('{"a": 1 /* years */}', "line 1, column 9: found a comment"),
+        ("{\u201ca\u201d: 1}", "line 1, column 2: found \u201c, wanted straight double quotes"),
     ],
 )
 def test_what_is_no_json_is_told_in_words_of_the_file(text, words):
@@ -214,6 +221,54 @@ def test_lines_end_alike_whoever_wrote_them(tmp_path, end):
 def test_a_csv_may_have_semicolons_tabs_and_decimal_commas(lines):
     rows = parse_csv("\r\n".join(lines), "a.csv", ("name", "x"), ("y",), numbers=("x", "y"))
     assert [row for _, row in rows] == [("a,b", "1.5", "2"), ("c", "-3.25", ".5")]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "sep=;\r\nname;x\r\na;1,5\r\nb;2\r\n",
+        '"sep=,"\nname,x\na,1.5\nb,2\n',
+        "name,x\na,1.5\n,\nb,2\n,\n , \n",
+        "name;x;;\na;1,5;;\nb;2;;\n;;;\n",
+        "\n\nName,X\na,1.5\nb,2\n",
+    ],
+    ids=["separator", "quoted separator", "empty rows", "empty columns", "capitals"],
+)
+def test_what_spreadsheets_add_to_a_table_is_passed_by(text):
+    rows = list(parse_csv(text, "a.csv", ("name", "x"), numbers=("x",)))
+    assert [row for _, row in rows] == [("a", "1.5"), ("b", "2")]
+    assert [text.splitlines()[line - 1][0] for line, _ in rows] == ["a", "b"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "a.csv: is empty, wanted a row with the columns name,x and perhaps y and rows below it"),
+        ("a,1\nb,2\n", "row 1: columns a,1, wanted name,x and perhaps y; the first row has to name the columns"),
+        ("name\n", "row 1: columns name, wanted name,x and perhaps y; lacking: x"),
+        ("name,x,score\n", "row 1: columns name,x,score, wanted name,x and perhaps y; leave out: score"),
+        ("name,x\na,1,2\n", "row 2: 3 fields, wanted 2"),
+    ],
+)
+def test_a_table_of_other_columns_is_refused_by_what_is_odd_in_it(text, words):
+    with pytest.raises(SubjectError) as caught:
+        list(parse_csv(text, "a.csv", ("name", "x"), ("y",)))
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["1_000", "6_0.5", "٣", "nan", "inf", "1e9999", "", "0x10", "1,5", "1 2", "60 N"])
+def test_what_no_table_writes_for_a_number_is_none(text):
+    assert math.isnan(plain_number(text))
+
+
+def test_a_number_without_end_is_refused_at_once():
+    """In a time that grows with its digits; with their square it would be a quarter of an hour."""
+    assert math.isnan(plain_number("9" * 100_000 + "x"))
+
+
+def test_numbers_as_people_write_them():
+    texts = ("1", "-1.5", "+.5", "2.", "1e-3", " 4 ")
+    assert [plain_number(text) for text in texts] == [1.0, -1.5, 0.5, 2.0, 0.001, 4.0]
 
 
 def test_decimal_commas_among_commas_are_told():

@@ -16,10 +16,15 @@ from spinestiff.errors import SubjectError
 from spinestiff.words import counted
 
 _LONGEST_SHOWN = 60
+_CURLY = ("\u201c", "\u201d", "\u201e", "\u2018", "\u2019")
+"""Quotes as word processors set them."""
 _MOST_DIGITS = 20
 """On either side of a decimal comma, in a number of JSON."""
 SEPARATORS = (";", "\t", ",")
 """Of fields in tables that people make, in the order in which a header is tried."""
+_SEPARATOR_LINE = re.compile(r'"?sep=[^\n]"?(?=\r?\n)', re.IGNORECASE)
+"""By which a spreadsheet says above the header what separates the fields; the header shows that, too."""
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 
 # Of a fault at a place the beginning of Python's words, and ours.
 _JSON_FAULTS = (
@@ -51,6 +56,8 @@ def parse_json(text: str, name: str) -> Any:
             raise SubjectError(f"{name}: key '{twice}' is given twice in one object; keep one")
         return content
 
+    if not text.strip():
+        raise SubjectError(f"{name}: is empty, wanted JSON")
     try:
         return json.loads(text, object_pairs_hook=keys_once, parse_constant=refuse, parse_float=number)
     except json.JSONDecodeError as error:
@@ -72,6 +79,11 @@ def _json_fault(text: str, error: json.JSONDecodeError) -> str:
     if before and after:
         found = before[0] + after[0]
         return f"found {found}, wanted a decimal point ({found.replace(',', '.')})"
+    rest = text[error.pos : error.pos + 2]
+    if rest in ("//", "/*") or rest[:1] == "#":
+        return "found a comment, which JSON has not; take it out"
+    if rest[:1] in _CURLY:
+        return f'found {rest[:1]}, wanted straight double quotes (")'
     known = (told for beginning, told in _JSON_FAULTS if error.msg.startswith(beginning))
     return next(known, error.msg)
 
@@ -79,9 +91,11 @@ def _json_fault(text: str, error: json.JSONDecodeError) -> str:
 def parse_csv(
     text: str, name: str, columns: Sequence[str], optional: Sequence[str] = (), numbers: Collection[str] = ()
 ) -> Iterator[tuple[int, tuple[str, ...]]]:
-    """Rows of a CSV with just these columns, in any order; empty lines are skipped.
+    """Rows of a CSV with just these columns, in any order; rows without anything are skipped.
 
-    Fields are separated by commas, semicolons or tabs, by which the first line has these columns.
+    Fields are separated by commas, semicolons or tabs, by which the first line has these columns, in small letters or
+    capitals. What spreadsheets add is passed by: a line that names the separator, and cells without anything at the end
+    of lines.
 
     Parameters
     ----------
@@ -99,19 +113,24 @@ def parse_csv(
     ------
     SubjectError : other columns, a row with another number of fields, no CSV at all.
     """
+    text = _SEPARATOR_LINE.sub("", text, count=1) if _SEPARATOR_LINE.match(text) else text
     separator = _separator(text, columns, optional)
     reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
     wanted = ",".join(columns) + (f" and perhaps {','.join(optional)}" if optional else "")
     try:
-        header = [column.strip() for column in next(reader, [])]
+        header = _names(next((row for row in reader if any(map(str.strip, row))), []))
+        if not header:
+            raise SubjectError(f"{name}: is empty, wanted a row with the columns {wanted} and rows below it")
         if sorted(column for column in header if column not in optional) != sorted(columns) or (
             len(set(header)) < len(header)
         ):
             shown = "".join(c if c.isprintable() else "?" for c in ",".join(header)[:_LONGEST_SHOWN])
-            raise SubjectError(f"{name}: row 1: columns {shown}, wanted {wanted}")
+            odd = _odd_columns(header, columns, optional)
+            raise SubjectError(f"{name}: row {reader.line_num}: columns {shown}, wanted {wanted}{odd}")
         at = [header.index(column) if column in header else None for column in (*columns, *optional)]
-        for row in reader:
-            if not row:
+        for full in reader:
+            row = full[: len(header)] if not any(map(str.strip, full[len(header) :])) else full
+            if not any(map(str.strip, row)):
                 continue
             if len(row) != len(header):
                 fields = f"{counted(len(row), 'field')}, wanted {len(header)} ({','.join(header)})"
@@ -135,15 +154,38 @@ def decimal_point(text: str, separator: str) -> str:
     return text if separator == "," else text.replace(",", ".")
 
 
+def plain_number(text: str) -> float:
+    """A number as people write it, with a decimal point; NaN for anything else, also for Python's own "1_000"."""
+    return float(text) if _NUMBER.fullmatch(text.strip()) else math.nan
+
+
 def _separator(text: str, columns: Sequence[str], optional: Sequence[str]) -> str:
     """By which the first line has all columns and no other; a comma where none does."""
-    first = text.partition("\n")[0].rstrip("\r")
+    first = text.lstrip("\r\n").partition("\n")[0].rstrip("\r")
     for separator in SEPARATORS:
         with suppress(csv.Error):
-            header = {column.strip() for column in next(csv.reader([first], delimiter=separator), [])}
+            header = set(_names(next(csv.reader([first], delimiter=separator), [])))
             if set(columns) <= header <= {*columns, *optional}:
                 return separator
     return ","
+
+
+def _names(cells: Sequence[str]) -> list[str]:
+    """Of a header's columns, without empty cells at its end."""
+    names = [cell.strip() for cell in cells]
+    while names and not names[-1]:
+        names.pop()
+    return [name.casefold() for name in names]
+
+
+def _odd_columns(header: Sequence[str], columns: Sequence[str], optional: Sequence[str]) -> str:
+    """What a header lacks, or has too much, where it is a header at all."""
+    known = {*columns, *optional}
+    if not known & set(header):
+        return "; the first row has to name the columns"
+    lacking = ",".join(column for column in columns if column not in header)
+    foreign = ",".join(column for column in header if column not in known)[:_LONGEST_SHOWN] if not lacking else ""
+    return f"; lacking: {lacking}" if lacking else f"; leave out: {foreign}" if foreign else ""
 
 
 def json_text(data: Any) -> str:

@@ -245,6 +245,8 @@ def test_nothing_is_overwritten_and_nothing_is_left_behind(spinestiff, tmp_path,
             "push/push-2",
         ),
         (("--log-offset", "push-1=3"), "--log-offset: belongs to a --log of the same push"),
+        (("--log-units", "s,N"), "--log-units: belongs to a --log; give both"),
+        (("--log-columns", "t,F"), "--log-columns: belongs to a --log; give both"),
     ],
 )
 def test_options_that_say_nothing_sensible_are_refused(spinestiff, tmp_path, source, options, words):
@@ -610,6 +612,19 @@ def test_a_push_of_a_log_is_named_as_the_table_shows_it(logged, monkeypatch, cap
     np.testing.assert_allclose(subject.pushes[0].forces_n, true, atol=0.6)
     told = capsys.readouterr().out
     assert "log of push left-5: time in column" in told and "log of push-1" not in told
+
+
+def test_frames_of_which_a_log_tells_no_force_stay_open(spinestiff, logged):
+    folder, _ = logged
+    log = folder / "cut.csv"
+    log.write_text("time_s,force_n\n" + "\n".join(f"{i / 10},{min(5 * i, 300) / 10}" for i in range(87)))
+    done = spinestiff("init", folder / "a", folder / "in", "--log", log, "--log-offset", 2, *PERSON, *SITE)
+    assert done.status == 0, done.err
+    assert "log of push left-5: frames 28, 29 lie beyond the log, or in a gap of it, where it tells no" in done.out
+    assert "forces_n[28 to 29] is missing" in done.out and "where the log begins is not determined" not in done.out
+    rows = rows_of(folder / "a/results/force-log-left-5.csv")
+    assert [row["force_n"] == "" for row in rows] == [False] * 28 + [True] * 2
+    assert json.loads((folder / "a/subject.json").read_text())["pushes"][0]["forces_n"][27:] == [30.0, None, None]
 
 
 def test_an_offset_that_can_not_be_is_asked_for_again(logged, monkeypatch, capsys):

@@ -116,7 +116,7 @@ def test_semicolons_tabs_and_decimal_commas_are_read(table, separator):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("", "row 1: columns .*wanted image,level,corner,x,y"),
+        ("", "is empty, wanted a row with the columns image,level,corner,x,y"),
         ("image,level,corner,x\n", "row 1: columns image,level,corner,x, wanted"),
         (HEAD.replace(",", "|") + "\n", "columns image.level.corner.x.y, wanted image,level"),
         (HEAD + ",score\n", "row 1: columns .*score, wanted"),
@@ -134,6 +134,21 @@ def test_a_file_that_is_no_table_of_corners_is_refused(table, content, words):
     with pytest.raises(SubjectError) as error:
         read_corner_file(table(content))
     assert re.search(words, str(error.value)) and "\n" not in str(error.value)
+
+
+def test_levels_and_corners_may_be_written_in_other_letters(table):
+    lines = [line.replace("T5", "t5").replace("top_left", "Top_Left") for line in rows(("T5", "T6"))]
+    (found,) = read_corners(table(text(*lines)))
+    assert found.levels == ("T5", "T6") and np.array_equal(found.corners[0], QUAD)
+
+
+def test_shares_of_an_images_size_are_no_pixels(table):
+    levels, corners = stack()
+    shares = corners / np.array([755.0, 2125.0])
+    lines = [f"a,{lv},{c},{x},{y}" for lv, quad in zip(levels, shares) for c, (x, y) in zip(CORNERS, quad)]
+    bad, good = read_corner_file(table(text(*lines, *rows(name="b")))).images
+    assert isinstance(bad, UnreadableImage) and isinstance(good, ImageCorners)
+    assert bad.reason.endswith("shares of the image's size, wanted pixels; multiply x by its columns and y by its rows")
 
 
 @pytest.mark.parametrize(

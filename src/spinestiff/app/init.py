@@ -147,6 +147,9 @@ def _ask_and_log(work: _Work, asked: Asked, notes: list[str], named: Callable[[]
     logs, offsets = _by_push(asked.logs, work, "--log"), _by_push(asked.offsets, work, "--log-offset")
     if set(offsets) - set(logs):
         raise OptionError("--log-offset: belongs to a --log of the same push; give both")
+    for option, given in (("--log-columns", asked.columns), ("--log-units", asked.units)):
+        if given is not None and not logs:
+            raise OptionError(f"{option}: belongs to a --log; give both")
     said = {number: _read_log(work, number, Path(text), offsets.get(number), asked) for number, text in logs.items()}
     check_open_record(data)
     if asked.may_ask:
@@ -335,8 +338,9 @@ def _finish(out: Path, work: _Work, notes: Sequence[str]) -> None:
     typer.echo(f"subject: {out}")
     for push in work.data["pushes"]:
         typer.echo(f"  {_push_words(push)}")
+    unplaced = [number for number, logged in work.logged.items() if not logged.placed]
     lacking = [
-        f"{SUBJECT_FILE}: {gap.line_beside_log if gap.key == 'forces_n' and gap.push in work.logged else gap.line}"
+        f"{SUBJECT_FILE}: {gap.line_beside_log if gap.key == 'forces_n' and gap.push in unplaced else gap.line}"
         for gap in gaps_of(work.data)
     ]
     for one in inspect(out):
@@ -382,6 +386,8 @@ def force_words(forces: Sequence[float | None]) -> str:
 
 def _log_lines(name: str, logged: Logged) -> Iterator[str]:
     match = logged.match
+    if logged.untold:
+        yield f"log of {push_named(name)}: {logged.untold}: it stays open"
     if not logged.placed:
         yield (
             f"log of {push_named(name)}: where it begins is not determined: {match.why}; give the log's time at the "

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from spinestiff.errors import SubjectError
+from spinestiff.formats import plain_number
 from spinestiff.subject.records import DISTANCES_MM, GAUGE_LIMIT_N, HEIGHTS_CM, LEVELS, OLDEST
 from spinestiff.words import push_named
 
@@ -125,10 +126,7 @@ def _value(key: str, data: Mapping[str, Any], text: str) -> Any:
 
 def number(text: str, low: float, high: float, above: bool = False) -> float:
     """A number within limits. Raises ValueError, in words."""
-    try:
-        value = float(text.replace(",", "."))
-    except ValueError:
-        value = math.nan
+    value = plain_number(text.replace(",", "."))
     if not math.isfinite(value):
         raise ValueError(f"found {text[:40]!r}, wanted a number")
     if not low <= value <= high or (above and value == low):

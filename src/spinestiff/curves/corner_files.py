@@ -7,6 +7,7 @@ that image unreadable, with the reason; what concerns the whole file is refused.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from spinestiff.arrays import Floats, read_only
 from spinestiff.curves import corner_csv, corner_markups
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_text, write_json, write_text
-from spinestiff.formats import parse_json
+from spinestiff.formats import parse_json, plain_number
 from spinestiff.subject.annotation_record import FURTHER_VIEW, Annotation
 from spinestiff.subject.record_reading import complaint_of
 from spinestiff.subject.records import ANNOTATION_FILE, LATERAL, SCHEMA_VERSION
@@ -34,8 +35,9 @@ LARGEST_CSV = 50 * 2**20
 MOST_IMAGES = 20_000
 FARTHEST = 100_000.0
 """Pixels (or mm) from the first pixel. No detector is that large; a larger number is another quantity."""
+LARGEST_SHARE = 2.0
+"""Numbers that are no larger are shares of the picture's width and height: no spine lies in so few pixels or mm."""
 LONGEST_NAME = 200
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 # Our annotation's corners -> as seen, by (superior is up in the image, the first corner is on its left).
 _AS_SEEN = {
     (True, True): (0, 1, 2, 3),
@@ -290,24 +292,32 @@ def _gathered(
             found.append(UnreadableImage(image, reasons[image]))
             continue
         corners = np.array([[levels[level][corner] for corner in CORNERS] for level in levels])
+        if unit != "mm" and np.abs(corners).max() <= LARGEST_SHARE:
+            reason = (
+                f"all corners lie within {np.abs(corners).max():g} of the first pixel: shares of the image's size, "
+                "wanted pixels; multiply x by its columns and y by its rows"
+            )
+            found.append(UnreadableImage(image, reason))
+            continue
         found.append(ImageCorners(image, tuple(levels), corners, f"{path.name} ({kind})", unit, first_on))
     return tuple(found)
 
 
 def _checked(row: _Row) -> tuple[str, str, tuple[float, float]]:
-    if row.level not in VERTEBRAE:
+    level, corner = row.level.upper(), row.corner.lower()
+    if level not in VERTEBRAE:
         raise _ImageProblem(f"{row.where}: unknown level '{_short(row.level)}', wanted T1 to T12, L1 to L5")
-    if row.corner not in CORNERS:
+    if corner not in CORNERS:
         raise _ImageProblem(f"{row.where}: unknown corner '{_short(row.corner)}', wanted one of {', '.join(CORNERS)}")
     place = []
     for column, value in zip(("x", "y"), row.place):
-        if isinstance(value, str) and not _NUMBER.fullmatch(value):
+        if isinstance(value, str) and math.isnan(plain_number(value)):
             raise _ImageProblem(f"{row.where}: {column} is '{_short(value)}', wanted a number (decimal point)")
         if abs(float(value)) > FARTHEST:
             found = _short(str(value))
             raise _ImageProblem(f"{row.where}: {column} is {found}, wanted at most {FARTHEST:g} either way")
         place.append(float(value))
-    return row.level, row.corner, (place[0], place[1])
+    return level, corner, (place[0], place[1])
 
 
 def _read_annotation(path: Path, text: str) -> tuple[ImageCorners, ...]:

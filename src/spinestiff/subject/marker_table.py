@@ -15,7 +15,7 @@ from spinestiff.anatomy.axes import MM, body_axes
 from spinestiff.arrays import Floats
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_text, write_text
-from spinestiff.formats import parse_csv
+from spinestiff.formats import parse_csv, plain_number
 from spinestiff.imaging.projection import XRayView
 from spinestiff.subject.folder import Subject, check_inside
 from spinestiff.subject.outcomes import MarkerTracks
@@ -115,11 +115,8 @@ def _table(path: Path, frames: int) -> tuple[tuple[str, ...], Floats]:
 def _numbers(where: str, texts: list[str]) -> list[float]:
     if not any(texts):
         return [math.nan] * 3
-    try:
-        numbers = [float(text) for text in texts]
-    except ValueError:
-        numbers = []
-    if not numbers or not all(map(math.isfinite, numbers)):
+    numbers = [plain_number(text) for text in texts]
+    if not all(map(math.isfinite, numbers)):
         shown = "".join(c if c.isprintable() else "?" for c in ",".join(texts)[:60])
         raise SubjectError(f"{where}: found x,y,z {shown}, wanted three finite numbers, or all three empty")
     return numbers

@@ -62,7 +62,7 @@ def forces_of_log(subject: Subject, number: int, text: str, wish: LogWish) -> di
     picture = as_png(draw_log(push_named(push.id), log, match, logged.times_s, logged.motion))
     return {
         "columns": columns.words,
-        "notes": [*log.notes, *([f"the given time: {match.against}"] if match.against else [])],
+        "notes": [*log.notes, *filter(None, [match.against and f"the given time: {match.against}", logged.untold])],
         "placed": logged.placed,
         "forces_n": logged.forces_n if logged.placed else None,
         "given": match.given,

@@ -94,3 +94,21 @@ def test_a_file_that_is_no_radiograph_is_named(tmp_path):
     path.write_bytes(f"{CANARY}".encode() * 100)
     with pytest.raises(RadiographError, match=r"^a\.dcm: no DICOM file"):
         read_identity(path)
+
+
+@pytest.mark.parametrize(
+    ("beginning", "words"),
+    [
+        (b"\x89PNG\r\n", "a PNG picture, which has no millimetres; export the radiograph as DICOM Part 10"),
+        (b"\xff\xd8\xff\xe0", "a JPEG picture"),
+        (b"II*\0", "a TIFF picture"),
+        (b"PK\x03\x04", "a zip archive; unpack it, and name the folder with what was in it"),
+        (b"\x1f\x8b\x08", "a gzip archive; unpack it"),
+    ],
+)
+def test_what_people_have_in_place_of_dicom_is_named(tmp_path, beginning, words):
+    path = tmp_path / "a"
+    path.write_bytes(beginning + bytes(300))
+    with pytest.raises(RadiographError) as caught:
+        read_identity(path)
+    assert str(caught.value).startswith(f"a: no DICOM file but {words}")

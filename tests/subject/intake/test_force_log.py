@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from spinestiff.errors import SubjectError
-from spinestiff.subject.intake.force_log import find_columns, read_force_log, with_units
+from spinestiff.subject.intake.force_log import ForceLog, find_columns, read_force_log, with_units
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ def test_lines_above_the_header_that_look_like_one_are_passed_by(log):
     for units_row in ("", "s,N\n"):
         found = read(log(above + "Time,Force\n" + units_row + "\n0,0\n1,2\n"), units=("s", "N"))
         np.testing.assert_allclose(found.forces_n, [0.0, 2.0])
-    with pytest.raises(SubjectError, match=r"line 1: found the header 'Test time,12:00,Force gauge,FG-500', wanted"):
+    with pytest.raises(SubjectError, match=r"line 1: found the header 'Test time,12:00,Force gauge,FG-500' and below"):
         read(log(above))
 
 
@@ -92,7 +92,20 @@ def test_a_unit_that_the_header_contradicts_is_refused(log):
     ("text", "words"),
     [
         ("a,b\n0,0\n", "found the header 'a,b', wanted columns of time and force"),
-        ("0,0\n1,1\n", "found no header, wanted columns of time and force"),
+        (
+            "0,0\n1,1\n",
+            "found no header of fields between commas, semicolons or tabs, wanted columns of time and force; write a",
+        ),
+        (
+            "time,force N\n3:22,0\n3:23,1\n",
+            "line 1: found the header 'time,force N' and below it '3:22,0', wanted numbers of time (or a time",
+        ),
+        ("time s,force N\n", "found the header 'time s,force N' and nothing below it, wanted numbers"),
+        (
+            "time s,force N\n0,0\n1,1\nEnd\n",
+            "line 4: found 'End', wanted numbers of time and force; take the line out if",
+        ),
+        ("time s,force N\n0,0\n1,6_0\n", "line 3: found '1,6_0', wanted numbers of time and force"),
         (
             "time s,force N,force 2 N\n0,0,0\n",
             "line 1: several columns of force: 'force N', 'force 2 N'; give --log-columns",
@@ -121,6 +134,7 @@ def test_what_is_wrong_is_said_with_its_line(log, text, words):
         (("2026-03-03T23:59:59.5Z", "2026-03-04T00:00:00Z", "2026-03-04T00:00:01Z"), [0.0, 0.5, 1.5]),
         (("03.03.2026 9:59:59", "03.03.2026 10:00:00", "03.03.2026 10:00:02"), [0.0, 1.0, 3.0]),
         (("11:59:59 AM", "12:00:00 PM", "1:00:00 pm"), [0.0, 1.0, 3601.0]),
+        (("3:22.50", "03:22,75", "04:00.0"), [0.0, 0.25, 37.5]),
     ],
 )
 def test_times_of_day_become_seconds_from_the_first_entry(log, entries, times):
@@ -142,7 +156,8 @@ def test_times_of_day_become_seconds_from_the_first_entry(log, entries, times):
         (("14:03:22", "14:03"), "line 3: found '14:03;1', wanted a time of day and a force"),
         (("2:03:22 PM", "14:03:23 PM"), "line 3: found '14:03:23 PM;1', wanted a time of day and a force"),
         (("23:59:59", "00:00:00", "23:59:58"), "the times of day span more than half a day; wanted one log"),
-        (("24:00:00", "24:00:01"), "found the header 'time;force N', wanted numbers of time and force"),
+        (("24:00:00", "24:00:01"), "found the header 'time;force N' and below it '24:00:00;0', wanted numbers of time"),
+        (("14:03", "14:04"), "found the header 'time;force N' and below it '14:03;0', wanted numbers of time"),
     ],
 )
 def test_times_of_day_that_cannot_be_are_refused(log, entries, words):
@@ -189,3 +204,19 @@ def test_between_entries_the_force_is_on_a_line_and_what_is_in_the_air_is_none(l
     found = read(log("time s,force N\n0,0.3\n1,0.4\n2,20.4\n"))
     np.testing.assert_allclose(found.at(np.array([-1.0, 0.0, 1.0, 1.5, 9.0])), [0.0, 0.0, 0.0, 10.4, 20.4])
     assert found.step_s == 1.0
+
+
+def test_a_log_tells_no_force_beyond_its_ends_and_in_its_gaps():
+    times = np.concatenate([np.arange(0.0, 2.05, 0.1), np.arange(5.0, 7.05, 0.1)])
+    log = ForceLog(times, np.interp(times, [1.0, 4.0, 6.0, 7.0], [0.0, 60.0, 60.0, 40.0]))
+    asked = np.array([-3.0, 0.05, 2.0, 2.15, 3.0, 4.7, 4.9, 6.0, 7.15, 7.6])
+    told = log.told(asked)
+    np.testing.assert_array_equal(np.isnan(told), [False, False, False, False, True, True, False, False, False, True])
+    np.testing.assert_array_equal(told[~np.isnan(told)], log.at(asked)[~np.isnan(told)])
+
+
+def test_a_gauge_that_writes_changes_alone_tells_the_force_between_them():
+    times = [0.0, 5.0, 5.1, 5.2, 5.3, 9.0, 9.1, 9.2, 15.0]
+    log = ForceLog(times, [0.0, 0.0, 20.0, 40.0, 60.0, 60.0, 30.0, 0.0, 0.0])
+    asked = np.array([2.5, 5.15, 7.0, 12.0, 16.0])
+    np.testing.assert_array_equal(log.told(asked), log.at(asked))

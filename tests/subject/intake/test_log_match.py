@@ -165,3 +165,22 @@ def test_how_far_frames_reach_beyond_a_log():
     log = ForceLog([1.0, 5.0], [0.0, 10.0])
     times = np.array([0.0, 2.0])
     assert [outside(log, times, offset) for offset in (1.0, 3.0, 0.5, 4.0)] == [0.0, 0.0, 0.5, 1.0]
+
+
+def test_frames_beyond_a_cut_log_or_in_its_gap_have_no_force():
+    rng = np.random.default_rng(7)
+    whole, times = pushed(rng), np.arange(36) / 4.0
+    motion = moved(whole, times + 3.0, 0.05, rng)
+
+    def given(kept):
+        log = ForceLog(whole.times_s[kept], whole.forces_n[kept])
+        return given_offset(log, times, 3.0, motion).forces_n
+
+    there = times + 3.0
+    cut, holed = given(whole.times_s < 7.0), given(np.abs(whole.times_s - 6.0) > 0.5)
+    np.testing.assert_array_equal(np.isnan(cut), there > 7.1)
+    np.testing.assert_array_equal(np.isnan(holed), np.abs(there - 6.0) < 0.4)
+    found = match_log(
+        ForceLog(whole.times_s[whole.times_s < 11.9], whole.forces_n[whole.times_s < 11.9]), times, motion
+    )
+    assert np.isfinite(found.open_n)

@@ -26,6 +26,9 @@ MOST_MAPPED_BYTES = 4 * 1024**3
 """Of pixels in an uncompressed file of which one frame at a time is read, and of all files of a folder together."""
 MOST_HEADER_BYTES = 2**20
 _DEFLATED = "1.2.840.10008.1.2.1.99"
+_PICTURES = ((b"\x89PNG", "PNG"), (b"\xff\xd8\xff", "JPEG"), (b"II*\0", "TIFF"), (b"MM\0*", "TIFF"), (b"GIF8", "GIF"))
+_ARCHIVES = ((b"PK\x03\x04", "zip"), (b"\x1f\x8b", "gzip"), (b"7z\xbc\xaf", "7z"), (b"Rar!", "rar"))
+"""How the files begin that people have in place of DICOM."""
 _DIRECTORY = "1.2.840.10008.1.3.10"
 _MODALITY = 0x00080060
 _PIXELS = 0x7FE00010
@@ -110,9 +113,7 @@ def read_dataset(path: Path) -> tuple[Dataset, str]:
         try:
             header = read_file_meta_info(path)
         except InvalidDicomError:
-            raise RadiographError(
-                "no DICOM file (its header is missing); export the radiograph as DICOM Part 10"
-            ) from None
+            raise RadiographError(_no_dicom(content)) from None
         kind, syntax = header.get("MediaStorageSOPClassUID"), header.get("TransferSyntaxUID")
     if kind == _DIRECTORY:
         raise RadiographError("found a DICOMDIR, wanted a radiograph; name the radiograph's own file")
@@ -182,6 +183,19 @@ def declared_modality(path: Path) -> str:
         start = BytesIO(file.read(MOST_HEADER_BYTES))
         return str(read_partial(start, stop_when=lambda tag, vr, length: tag > _MODALITY).get("Modality") or "").strip()
     return ""
+
+
+def _no_dicom(content: bytes) -> str:
+    """What a file is that is no DICOM, and what to do."""
+    picture = next((kind for beginning, kind in _PICTURES if content.startswith(beginning)), None)
+    if picture is not None:
+        return (
+            f"no DICOM file but a {picture} picture, which has no millimetres; export the radiograph as DICOM Part 10"
+        )
+    archive = next((kind for beginning, kind in _ARCHIVES if content.startswith(beginning)), None)
+    if archive is not None:
+        return f"no DICOM file but a {archive} archive; unpack it, and name the folder with what was in it"
+    return "no DICOM file (its header is missing); export the radiograph as DICOM Part 10"
 
 
 def _inflated(header: FileMetaDataset, content: bytes) -> Dataset:

@@ -15,7 +15,7 @@ import numpy as np
 from spinestiff.arrays import Floats, read_only
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_exported_text
-from spinestiff.formats import SEPARATORS, decimal_point
+from spinestiff.formats import SEPARATORS, decimal_point, plain_number
 from spinestiff.subject.records import GAUGE_LIMIT_N
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3}
@@ -45,9 +45,17 @@ _CLOCK = re.compile(
     re.IGNORECASE,
 )
 """A time of day, with a date before it or none: 14:03:22, 2:03:22.5 PM, 2026-03-03T14:03:22,500, 14:03:22:500."""
+_MINUTES = re.compile(r"(?P<m>[0-5]?\d):(?P<s>[0-5]\d)[.,](?P<part>\d+)")
+"""Minutes and seconds, 03:22.5, as spreadsheets save times of day; without parts of a second they may be hours."""
 DAY_S = 86400.0
 NOTHING_N = 0.5
 """Forces below count as none: what a hand-held gauge shows in the air."""
+BESIDE_S, BESIDE_STEPS = 0.1, 2.0
+"""So far, or so many of a log's steps, beyond its ends it still tells a force."""
+GAP_S, GAP_STEPS = 0.5, 10.0
+"""Entries farther apart than both leave a gap, of which a log tells a force only if it is the same on both sides."""
+SAME_N = 2.0
+"""Forces that differ by less are the same on both sides of a gap."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +110,20 @@ class ForceLog:
         forces: Floats = np.interp(times_s, self.times_s, self.forces_n)
         return np.where(forces < NOTHING_N, 0.0, forces)
 
+    def told(self, times_s: Floats) -> Floats:
+        """As ``at``, but NaN where no entry tells a force: beyond an end at which there is one, and in a gap between
+        different ones.
+        """
+        beside, gap = max(BESIDE_S, BESIDE_STEPS * self.step_s), max(GAP_S, GAP_STEPS * self.step_s)
+        after = np.searchsorted(self.times_s, times_s)
+        low, high = (np.clip(i, 0, len(self.times_s) - 1) for i in (after - 1, after))
+        since, until = times_s - self.times_s[low], self.times_s[high] - times_s
+        inside = (after > 0) & (after < len(self.times_s))
+        far = np.where(inside, since + until > gap, True) & (np.abs(since) > beside) & (np.abs(until) > beside)
+        differ = np.abs(self.forces_n[high] - self.forces_n[low]) >= SAME_N
+        untold = far & np.where(inside, differ, self.forces_n[low] >= NOTHING_N)
+        return np.where(untold, np.nan, self.at(times_s))
+
 
 def find_columns(path: Path, names: tuple[str, str] | None = None) -> LogColumns:
     """The columns of time and force in a log.
@@ -115,7 +137,7 @@ def find_columns(path: Path, names: tuple[str, str] | None = None) -> LogColumns
     SubjectError : no header with a column of time and one of force, or several; a unit that is not read.
     """
     lines = read_exported_text(path).splitlines()
-    no_numbers: tuple[int, str] | None = None
+    no_numbers = ""
     best: tuple[str, str] | None = None
     for number, line in enumerate(lines[:LAST_HEADER]):
         for separator in SEPARATORS:
@@ -127,7 +149,9 @@ def find_columns(path: Path, names: tuple[str, str] | None = None) -> LogColumns
             if not times or not forces:
                 continue
             if not _numbers_follow(lines[number + 1 :], times, forces, separator):
-                no_numbers = no_numbers or (number + 1, line)
+                below = next((one for one in lines[number + 1 :] if one.strip(separator + " \t")), "")
+                under = f"and below it {_shown(below)}" if below else "and nothing below it"
+                no_numbers = no_numbers or f"line {number + 1}: found the header {_shown(line)} {under}"
                 continue
             if len(times) > 1 or len(forces) > 1:
                 raise SubjectError(
@@ -136,14 +160,21 @@ def find_columns(path: Path, names: tuple[str, str] | None = None) -> LogColumns
                     "TIME,FORCE"
                 )
             return _with_units(path, lines, number, cells, (times[0], forces[0]), separator)
-    if no_numbers is not None:
+    if no_numbers:
         raise SubjectError(
-            f"{path}: line {no_numbers[0]}: found the header {_shown(no_numbers[1])}, wanted numbers of time and force "
-            "in one of the two lines below it"
+            f"{path}: {no_numbers}, wanted numbers of time (or a time of day, h:mm:ss) and force in one of the two "
+            "lines below it"
         )
     wanted = "columns of time and force" if names is None else f"columns '{names[0]}' and '{names[1]}'"
-    found = "no header" if best is None else f"the header {_shown(best[1])}"
-    raise SubjectError(f"{path}: found {found}, wanted {wanted}; name them as it does with --log-columns TIME,FORCE")
+    if best is None:
+        raise SubjectError(
+            f"{path}: found no header of fields between commas, semicolons or tabs, wanted {wanted}; write a line such "
+            "as time_s,force_N above the numbers, with the log's own units"
+        )
+    raise SubjectError(
+        f"{path}: found the header {_shown(best[1])}, wanted {wanted}; name them as it does with --log-columns "
+        "TIME,FORCE"
+    )
 
 
 def _numbers_follow(below: list[str], times: list[int], forces: list[int], separator: str) -> bool:
@@ -242,7 +273,9 @@ def read_force_log(path: Path, columns: LogColumns) -> ForceLog:
         force = _number(much, columns.separator)
         if time is None or force is None:
             wanted = "a time of day and a force" if columns.clock else "numbers of time and force"
-            raise SubjectError(f"{path}: line {number}: found {_shown(line)}, wanted {wanted}")
+            raise SubjectError(
+                f"{path}: line {number}: found {_shown(line)}, wanted {wanted}; take the line out if it is no entry"
+            )
         rows.append((number, time, force))
         if len(rows) > MOST_ROWS:
             raise SubjectError(f"{path}: more than {MOST_ROWS} rows; cut the log to the push")
@@ -306,10 +339,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 def _number(text: str, separator: str) -> float | None:
     """A number, with a decimal comma where commas do not separate fields."""
-    try:
-        value = float(decimal_point(text, separator))
-    except ValueError:
-        return None
+    value = plain_number(decimal_point(text, separator))
     return value if math.isfinite(value) else None
 
 
@@ -320,6 +350,8 @@ def _time(text: str, separator: str) -> float | None:
 
 def _clock(text: str) -> float | None:
     """A time of day, s after midnight."""
+    if found := _MINUTES.fullmatch(text):
+        return 60.0 * int(found["m"]) + float(f"{found['s']}.{found['part']}")
     found = _CLOCK.fullmatch(text)
     if found is None:
         return None

@@ -47,7 +47,8 @@ class LogMatch:
     determined : whether it is known well enough for the forces.
     why : it is not, in words; empty if it is.
     explained : share of the motion's variance that the force explains.
-    forces_n, forces_low_n, forces_high_n : (F,) at the frames, and over the interval.
+    forces_n : (F,) at the frames; NaN where the log does not tell one (``ForceLog.told``).
+    forces_low_n, forces_high_n : (F,) over the interval.
     given : the offset is the user's. against : how the motion contradicts it, in words; empty if it does not.
     """
 
@@ -116,7 +117,7 @@ def match_log(log: ForceLog, times_s: Floats, motion: Floats) -> LogMatch:
             f"any offset from {low:.2f} to {high:.2f} s is possible, which leaves a frame's force open by ± "
             f"{0.5 * float((force_high - force_low).max()):.0f} N"
         )
-    at_best = log.at(times_s + offsets[best])
+    at_best = log.told(times_s + offsets[best])
     return LogMatch(float(offsets[best]), low, high, not why, why, float(explained), at_best, force_low, force_high)
 
 
@@ -140,7 +141,8 @@ def given_offset(
         against = f"the motion says {found.offset_s:.2f} s (95 % {found.low_s:.2f} to {found.high_s:.2f} s)"
     elif explained < LEAST_EXPLAINED:
         against = f"at this offset the force explains {100.0 * max(explained, 0.0):.0f} % of the motion only"
-    return LogMatch(offset_s, offset_s, offset_s, True, "", explained, forces, forces, forces, True, against)
+    told = log.told(times_s + offset_s)
+    return LogMatch(offset_s, offset_s, offset_s, True, "", explained, told, forces, forces, True, against)
 
 
 def outside(log: ForceLog, times_s: Floats, offset_s: float) -> float:

@@ -18,7 +18,7 @@ from spinestiff.subject.intake.log_match import LEAST_RISE_N, LogMatch, given_of
 from spinestiff.words import push_named
 
 MOST_OUTSIDE_S = 1.0
-"""By which the frames may reach beyond a log whose offset is given; there it has the force of its end."""
+"""By which the frames may reach beyond a log whose offset is given."""
 
 
 @dataclass(frozen=True)
@@ -36,17 +36,24 @@ class Logged:
         return self.match.given or self.match.determined
 
     @property
-    def forces_n(self) -> list[float]:
-        """At the frames, to 0.1 N."""
-        return [round(float(force), 1) + 0.0 for force in self.match.forces_n]
+    def forces_n(self) -> list[float | None]:
+        """At the frames, to 0.1 N; None where the log tells none."""
+        return [round(float(force), 1) + 0.0 if np.isfinite(force) else None for force in self.match.forces_n]
+
+    @property
+    def untold(self) -> str:
+        """Which frames the log tells no force of, in words; empty if none, or where the offset is not known."""
+        frames = [str(i) for i, force in enumerate(self.match.forces_n) if self.placed and not np.isfinite(force)]
+        many = f"frame {frames[0]} lies" if len(frames) == 1 else f"frames {', '.join(frames)} lie"
+        return f"{many} beyond the log, or in a gap of it, where it tells no force" if frames else ""
 
     def table(self) -> str:
-        """CSV, a row a frame; forces are empty where the offset is not determined."""
+        """CSV, a row a frame; forces are empty where the offset is not determined, or the log tells none."""
         lines = ["frame,time_s,log_time_s,force_n,force_low_n,force_high_n,motion_px"]
         for i, (time, motion) in enumerate(zip(self.times_s, self.motion)):
             forces = (self.match.forces_n[i], self.match.forces_low_n[i], self.match.forces_high_n[i])
-            cells = [f"{time + self.match.offset_s:.3f}", *(f"{force:.2f}" for force in forces)]
-            shown = cells if self.placed else [""] * 4
+            told = [f"{force:.2f}" for force in forces] if np.isfinite(forces[0]) else [""] * 3
+            shown = [f"{time + self.match.offset_s:.3f}", *told] if self.placed else [""] * 4
             lines.append(",".join([str(i), f"{time:.3f}", *shown, f"{motion:.2f}"]))
         return "\n".join(lines) + "\n"
 
@@ -97,7 +104,7 @@ def at_offset(logged: Logged, name: str, offset_s: float) -> Logged:
         )
     match = given_offset(log, times, offset_s, logged.motion, logged.match)
     pushed = log.times_s[log.forces_n >= LEAST_RISE_N]
-    if len(pushed) and match.forces_n.max() < LEAST_RISE_N:
+    if len(pushed) and np.nan_to_num(match.forces_n).max() < LEAST_RISE_N:
         raise SubjectError(
             f"{push_named(name)}: with the first frame at {offset_s:g} s of the log no frame has a force: the frames, "
             f"until {times[-1] + offset_s:g} s, lie beside its push, from {pushed[0]:g} to {pushed[-1]:g} s; give "

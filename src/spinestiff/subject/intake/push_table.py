@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any, get_args
 
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_text
-from spinestiff.formats import parse_csv
+from spinestiff.formats import parse_csv, plain_number
 from spinestiff.imaging.dicom.export import Exported
 from spinestiff.subject.intake.collecting import Study, by_name
 from spinestiff.subject.records import DISTANCES_MM, GAUGE_LIMIT_N, LEVELS, Role
@@ -102,10 +101,7 @@ def _number(text: str, key: str, where: str) -> float | None:
     if not text:
         return None
     low, high, unit = _RANGES[key]
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = plain_number(text)
     if not low <= value <= high:
         raise SubjectError(f"{where}: {key}: found {_shown(text)}, wanted {low:g} to {high:g} {unit}, or nothing")
     return value
