@@ -184,6 +184,17 @@ def test_numbers_follow_the_order_of_names(spinestiff, series, tmp_path):
     assert [pydicom.dcmread(path).InstanceNumber for path in found] == uids
 
 
+def test_a_folder_without_radiographs_is_no_success(spinestiff, tmp_path):
+    place = tmp_path / "photos"
+    place.mkdir()
+    for name in ("a.txt", "b.txt"):
+        (place / name).write_text("no radiograph")
+    ran = spinestiff("deidentify", place, tmp_path / "out")
+    assert (ran.status, ran.out) == (2, "")
+    assert "IN: 2 files, none of them DICOM; name the folder of the radiographs" in ran.err
+    assert not (tmp_path / "out").exists()
+
+
 def test_nothing_is_overwritten(spinestiff, series, tmp_path):
     out = tmp_path / "out"
     out.mkdir()

@@ -236,8 +236,8 @@ def test_nothing_is_overwritten_and_nothing_is_left_behind(spinestiff, tmp_path,
         (("--log", "other=a.csv"), "--log other=a.csv: no push 'other'; wanted one of push-1, push-2"),
         (("--imager-pixel", "wide"), "--imager-pixel wide: wanted MM, or PICTURE=MM, e.g. rest/lateral=1500"),
         (("--imager-pixel", "=0.4"), "--imager-pixel =0.4: wanted the name of a picture before ="),
-        (("--imager-pixel", "rest/lateral=nan"), "--imager-pixel rest/lateral=nan: wanted above 0 and at most"),
-        (("--source-patient", 0), "--source-patient 0: wanted above 0 and at most"),
+        (("--imager-pixel", "rest/lateral=nan"), "--imager-pixel rest/lateral=nan: wanted 0.02 to 2 mm"),
+        (("--source-patient", 0), "--source-patient 0: wanted 300 to 10000 mm"),
         (("--source-patient", 900, "--source-patient", 901), "901: given twice for all pictures; wanted once"),
         (
             ("--source-detector", "lateral=1500"),
@@ -307,9 +307,9 @@ def test_geometry_of_single_pictures_is_given_by_their_names(spinestiff, tmp_pat
     lateral = {"source_detector_mm": 1830.0, "source_patient_mm": 1700.0}
     assert read_json(tmp_path / "girl" / "subject.json")["xray"] == {**xray, "images": {"rest/lateral": lateral}}
     # Later, for a subject that is there; what it knows stays.
-    later = ("--imager-pixel", "push/push-1=0.5", "--source-patient", "rest/lateral=1")
+    later = ("--imager-pixel", "push/push-1=0.5", "--source-patient", "rest/lateral=1650")
     done = spinestiff("init", tmp_path / "girl", *later)
-    assert done.status == 0 and "xray.images.rest/lateral.source_patient_mm: stays 1700.0, 1.0 was given" in done.out
+    assert done.status == 0 and "xray.images.rest/lateral.source_patient_mm: stays 1700.0, 1650.0 was given" in done.out
     images = {"rest/lateral": lateral, "push/push-1": {"imager_pixel_mm": 0.5}}
     assert read_json(tmp_path / "girl" / "subject.json")["xray"]["images"] == images
     seen = {one.image: one.seen["pixel_mm_at_detector"] for one in inspect(tmp_path / "girl") if one.seen}

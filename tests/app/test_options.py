@@ -131,7 +131,9 @@ def offered(group, words=()):
 
 
 @pytest.mark.parametrize("option", ["--source-detector", "--source-patient", "--imager-pixel"])
-@pytest.mark.parametrize("text", ["nan", "inf", "-5", "0", "1e30", "rest/lateral=nan", "rest/lateral=0", "=5", "far"])
+@pytest.mark.parametrize(
+    "text", ["nan", "inf", "-5", "0", "1e30", "0.0015", "rest/lateral=nan", "rest/lateral=0", "=5", "far"]
+)
 def test_lengths_of_pictures_that_make_no_sense_are_refused(spinestiff, tmp_path, monkeypatch, option, text):
     monkeypatch.chdir(tmp_path)
     result = spinestiff("init", *ARGUMENTS.get(("init",), ()), option, text)

@@ -131,6 +131,9 @@ def test_records_take_lists_but_no_other_types():
         (["height_cm"], "152", ["height_cm: found '152'", "wanted a number without quotes: 152"]),
         (["height_cm"], "152,5", ["found '152,5'", "without quotes, with a decimal point: 152.5"]),
         (["height_cm"], True, ["height_cm: found true"]),
+        (["mass_kg"], 4.5, ["mass_kg: body mass 4.5 kg at 152 cm", "here 28 to 92 kg"]),
+        (["xray"], {"source_detector_mm": 1.5}, ["xray.source_detector_mm: found 1.5", "300"]),
+        (["xray"], {"imager_pixel_mm": 0.0005}, ["xray.imager_pixel_mm: found 0.0005", "0.02"]),
         (["pushes"], [], ["images.push/right-8: unknown image"]),
         (["pushes"], None, ["pushes: found null"]),
         (["pushes", 0, "side"], "rigth", ["pushes[0].side: found 'rigth'", "'left' or 'right'"]),
@@ -192,7 +195,7 @@ def test_several_complaints_are_counted(folder):
         ('{"age": ' + "9" * 5000 + "}", "too many digits"),
         ("[" * 100_000, "nested too deeply"),
         ("[]", "found []"),
-        ("", "not JSON"),
+        ("", "is empty, wanted JSON"),
         (" " * (10 * 2**20 + 1), "10.0 MB; at most 10 MB are read"),
     ],
 )

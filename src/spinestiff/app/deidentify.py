@@ -34,7 +34,8 @@ def deidentify_files(
 
     Raises
     ------
-    RadiographError : OUT isn't a new or empty folder, nothing to read, a key that is none; nothing has been written.
+    RadiographError : OUT isn't a new or empty folder, nothing to read, no DICOM, a key that is none; no radiograph has
+        been written.
     """
     beside = out.with_name(out.name + SHEETS)
     _check_places(source, out, beside, key_file)
@@ -57,6 +58,11 @@ def deidentify_files(
             left_out.update(found.left_out)
             patients.add(found.patient)
             burned_in[found.burned_in] += 1
+    if not patients and refused.keys() == {NO_DICOM}:
+        raise RadiographError(
+            f"IN: {counted(len(files), 'file')}, none of them DICOM; name the folder of the radiographs, exported as "
+            "DICOM Part 10"
+        )
     lines = [f"{burned_in.total()} of {counted(len(files), 'file')} written to {out.name}; patients: {len(patients)}"]
     for why, numbers in refused.items():
         what = "left out" if why == NO_DICOM else "refused"

@@ -34,7 +34,7 @@ def within(unit: str, limits: Limits, above: bool = False) -> Check:
     return check
 
 
-def _check_within(given: str, value: float, unit: str, limits: Limits, above: bool) -> None:
+def _check_within(given: str, value: float, unit: str, limits: Limits, above: bool = False) -> None:
     low, high = limits()
     # In this form NaN is refused, too.
     if not low <= value <= high or (above and value == low):
@@ -47,7 +47,7 @@ def by_picture(option: str, texts: Sequence[str], limits: Limits) -> dict[str, f
 
     Parameters
     ----------
-    limits : mm; the least value itself is refused.
+    limits : mm.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def by_picture(option: str, texts: Sequence[str], limits: Limits) -> dict[str, f
             raise OptionError(f"{given}: wanted the name of a picture before =, e.g. rest/lateral=1500")
         if picture in found:
             raise OptionError(f"{given}: given twice for {picture or 'all pictures'}; wanted once")
-        _check_within(given, value, "mm", limits, True)
+        _check_within(given, value, "mm", limits)
         found[picture] = value
     return found
 
@@ -214,16 +214,16 @@ def distance_limits() -> tuple[float, float]:
 
 def source_limits() -> tuple[float, float]:
     """mm, of an X-ray source from detector or patient."""
-    from spinestiff.subject.records import FARTHEST_SOURCE_MM
+    from spinestiff.imaging.dicom.millimetres import SOURCE_MM
 
-    return 0.0, FARTHEST_SOURCE_MM
+    return SOURCE_MM
 
 
 def pixel_limits() -> tuple[float, float]:
     """mm, of a detector's pixel."""
-    from spinestiff.subject.records import LARGEST_PIXEL_MM
+    from spinestiff.imaging.dicom.millimetres import PIXEL_MM
 
-    return 0.0, LARGEST_PIXEL_MM
+    return PIXEL_MM
 
 
 def minute_limits() -> tuple[float, float]:

@@ -13,6 +13,7 @@ from pydantic import Field, field_validator, model_validator
 from spinestiff.anatomy.axes import Axis, Unit, body_axes
 from spinestiff.anatomy.regions import check_parameters
 from spinestiff.errors import SubjectError, TorsoError
+from spinestiff.imaging.dicom.millimetres import PIXEL_MM, SOURCE_MM
 from spinestiff.subject.record_reading import IDENTIFIER, Record, shown_value
 from spinestiff.words import counted
 
@@ -33,7 +34,6 @@ LEVELS = (1.0, 12.0)
 HEIGHTS_CM = (120.0, 200.0)
 OLDEST = 120.0
 """Years; an age is above 0."""
-FARTHEST_SOURCE_MM, LARGEST_PIXEL_MM = 10_000.0, 5.0
 MARKER_NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}"
 MOST_TURNED_VIEW_DEG = 40.0
 """Of an oblique radiograph, against the frontal or lateral one; beyond, it is nearer to the other of the two."""
@@ -46,8 +46,8 @@ VertebraName = Literal[
 Point = Annotated[tuple[float, float], Field(strict=False)]
 Pair = Annotated[tuple[Point, Point], Field(strict=False)]
 Identifier = Annotated[str, Field(pattern=IDENTIFIER)]
-SourceDistance = Annotated[float, Field(gt=0.0, le=FARTHEST_SOURCE_MM)]
-DetectorPitch = Annotated[float, Field(gt=0.0, le=LARGEST_PIXEL_MM)]
+SourceDistance = Annotated[float, Field(ge=SOURCE_MM[0], le=SOURCE_MM[1])]
+DetectorPitch = Annotated[float, Field(ge=PIXEL_MM[0], le=PIXEL_MM[1])]
 Distance = Annotated[float, Field(ge=DISTANCES_MM[0], le=DISTANCES_MM[1])]
 
 
@@ -413,6 +413,17 @@ class SubjectRecord(Record):
     @classmethod
     def _torso_stays_inside(cls, path: str | None) -> str | None:
         return None if path is None else _inside(path)
+
+    @model_validator(mode="after")
+    def _has_a_body(self) -> Self:
+        if self.mass_kg is not None:
+            from spinestiff.anatomy.template.body import check_mass  # brings the template's builder
+
+            try:
+                check_mass(self.mass_kg, self.height_cm)
+            except TorsoError as error:
+                raise ValueError(f"mass_kg: {error}") from None
+        return self
 
     @model_validator(mode="after")
     def _can_be_estimated(self) -> Self:

@@ -75,13 +75,18 @@ class Body:
         ):
             if not low <= value <= high:
                 raise TorsoError(f"{what} {value:g} {unit}; wanted {low:g} to {high:g} {unit}")
-        index, (low, high) = self.mass_kg / (0.01 * self.height_cm) ** 2, BMI_RANGE
-        if not low <= index <= high:
-            lightest, heaviest = (b * (0.01 * self.height_cm) ** 2 for b in BMI_RANGE)
-            raise TorsoError(
-                f"body mass {self.mass_kg:g} kg at {self.height_cm:g} cm is {index:.3g} kg/m2; wanted {low:g} to "
-                f"{high:g} kg/m2, here {lightest:.0f} to {heaviest:.0f} kg"
-            )
+        check_mass(self.mass_kg, self.height_cm)
+
+
+def check_mass(mass_kg: float, height_cm: float) -> None:
+    """Raise TorsoError for a body mass, kg, that nobody of this height has."""
+    index, (low, high) = mass_kg / (0.01 * height_cm) ** 2, BMI_RANGE
+    if not low <= index <= high:
+        lightest, heaviest = (b * (0.01 * height_cm) ** 2 for b in BMI_RANGE)
+        raise TorsoError(
+            f"body mass {mass_kg:g} kg at {height_cm:g} cm is {index:.3g} kg/m2; wanted {low:g} to {high:g} kg/m2, "
+            f"here {lightest:.0f} to {heaviest:.0f} kg"
+        )
 
 
 def usual_mass(height_cm: float, age_years: float, sex: Sex) -> float:

@@ -15,7 +15,8 @@ from spinestiff.imaging.dicom.tags import MissingValue, Tags
 
 PIXEL_MM = (0.02, 2.0)
 """Plausible pixel pitch at the detector, mm."""
-DISTANCES_MM = (300.0, 10_000.0)
+SOURCE_MM = (300.0, 10_000.0)
+"""Of an X-ray source from detector or patient."""
 LARGEST_IMAGE_MM = 2500.0
 LARGEST_ASPECT = 1.5
 LARGEST_MAGNIFICATION = 3.0
@@ -174,10 +175,8 @@ def _distance(keyword: str, tag: float | None, key: str, given: float | None) ->
 
 
 def _check_distance(what: str, value: float) -> None:
-    if not DISTANCES_MM[0] <= value <= DISTANCES_MM[1]:
-        raise RadiographError(
-            f"{what}: found {value:g} mm, wanted {DISTANCES_MM[0]:g} to {DISTANCES_MM[1]:g} mm; correct it"
-        )
+    if not SOURCE_MM[0] <= value <= SOURCE_MM[1]:
+        raise RadiographError(f"{what}: found {value:g} mm, wanted {SOURCE_MM[0]:g} to {SOURCE_MM[1]:g} mm; correct it")
 
 
 def spacing(tags: Tags, given: Geometry, magnification: float | None) -> Spacing:
