@@ -66,6 +66,7 @@ def test_the_page_has_the_stored_figures():
     page = " ".join((Path(__file__).parents[2] / "docs" / "more-views.md").read_text(encoding="utf-8").split())
     stored = json.loads(side.RESULTS.read_text(encoding="utf-8"))
     *usual, worst = sorted(row["error_mm"] for one in stored["subjects"] for row in one["frames"])
-    assert f"lay {usual[0]:.1f} to {usual[-1]:.1f} mm along an axis" in page and f"{worst:.1f} mm in one of nine" in page
+    assert f"lay {usual[0]:.1f} to {usual[-1]:.1f} mm along an axis" in page
+    assert f"{worst:.1f} mm in one of nine" in page
     moved, kept = stored["moved_mm"], stored["kept_at_largest_force"]
     assert f"moved by {moved[0]:.1f} to {moved[1]:.1f} mm" in page and f"at 60 N {kept[0]} and {kept[1]}" in page
