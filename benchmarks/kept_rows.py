@@ -87,6 +87,27 @@ def tell(summary: Mapping[str, Any], stored: Path | None) -> None:
             stored.write_text(text + "\n", encoding="utf-8")
 
 
+def measure_once(doc: str | None, stored: Path, measure: Callable[..., Mapping[str, Any]], **numbers: int) -> None:
+    """The command line of a program that measures all at once: measure and print, store, or print what is stored.
+
+    Parameters
+    ----------
+    doc : the program's own words. stored : where ``--write`` puts what was found and ``--json`` reads it.
+    measure : gives it, of ``numbers``: options with whole numbers, and their defaults.
+    """
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name, usual in numbers.items():
+        parser.add_argument(f"--{name}", type=int, default=usual)
+    parser.add_argument("--write", action="store_true", help="store it in benchmarks/results/")
+    parser.add_argument("--json", action="store_true", help="print what is stored")
+    asked = parser.parse_args()
+    if asked.json:
+        print(stored.read_text(encoding="utf-8") if stored.is_file() else "{}")
+        return
+    given = {name: getattr(asked, name) for name in numbers}
+    tell({**given, **measure(**given)}, stored if asked.write else None)
+
+
 def asked_for(
     doc: str | None,
     stored: Path,

@@ -77,3 +77,18 @@ def test_the_stance_counts_for_as_much_as_was_measured() -> None:
     found = stance.summarised(twice)
     assert (found["subjects"], found["failed"]) == (1, 1)
     assert found["stance_mm"] == pytest.approx(2.0 * stance.ANNOTATION_MM)
+
+
+def test_a_program_that_measures_at_once_measures_stores_or_prints(tmp_path, monkeypatch, capsys) -> None:
+    stored = tmp_path / "found.json"
+
+    def asked(*words):
+        monkeypatch.setattr("sys.argv", ["program", *map(str, words)])
+        rows.measure_once("What it does.", stored, lambda draws: {"twice": 2 * draws}, draws=4)
+        return json.loads(capsys.readouterr().out)
+
+    assert asked("--json") == {}
+    found = asked("--draws", 3)
+    assert (found["draws"], found["twice"]) == (3, 6) and not stored.exists()
+    assert asked("--write")["twice"] == 8 == json.loads(stored.read_text())["twice"]
+    assert asked("--json")["date"] == asked("--draws", 1)["date"]
