@@ -30,7 +30,7 @@ class Exposure:
     Attributes
     ----------
     kvp : tube voltage.
-    photons : mean count a mm2 of detector in the unattenuated beam. The default leaves about 2,000 behind 200 mm of
+    photons : mean count a mm2 of detector in the unattenuated beam. The default leaves about 1,300 behind 200 mm of
         tissue, scatter included: about an eighth of a standard exposure.
     factor : exposure of this frame relative to the series (tube output wanders from frame to frame).
     scatter_fraction : scattered photons among all that arrive behind thick tissue and a grid, 0 to below 1.
