@@ -18,7 +18,7 @@ def met(outcomes):
 
 def test_all_are_met_by_errors_below_them():
     found = met(SEVEN)
-    assert len(found) == 17
+    assert len(found) == 21
     assert set(found.values()) == {True}
 
 
@@ -36,10 +36,10 @@ def test_numbers_are_means_and_medians_of_the_right_frames():
     [
         ({"initial_mm": 3.0}, "geometry's RMSE at rest, mean"),
         ({"frames": (frame("main", size=17.0),)}, "RMSE of the validation frame, mean"),
-        ({"frames": (frame("main", error=5.5),)}, f"{COBB} between fixed levels, mean"),
+        ({"frames": (frame("main", error=5.5),)}, f"{COBB} between fixed levels, estimate, mean"),
         (
             {"frames": (frame("main", error=5.5),)},
-            f"{COBB} as signed largest angle (the paper's form, its Table 6), mean",
+            f"{COBB} as signed largest angle (the paper's form, its Table 6), estimate, mean",
         ),
         (
             {"frames": (frame("main").model_copy(update={"inside95": 0.999}),)},
@@ -55,8 +55,10 @@ def test_one_subject_off_misses_the_worst_and_not_the_mean():
     off = outcome(1, frames=(frame("main", error=6.0),))
     found = met([*SEVEN[1:], off])
     for form in ("between fixed levels", "as signed largest angle (the paper's form, its Table 6)"):
-        assert found[f"{COBB} {form}, worst"] is False
-        assert found[f"{COBB} {form}, mean"] is True
+        assert found[f"{COBB} {form}, estimate, worst"] is False
+        assert found[f"{COBB} {form}, estimate, mean"] is True
+        # The forecast is judged by itself.
+        assert found[f"{COBB} {form}, forecast, worst"] is True
 
 
 def test_intervals_are_judged_at_each_place_and_together():
