@@ -87,15 +87,20 @@ def tell(summary: Mapping[str, Any], stored: Path | None) -> None:
             stored.write_text(text + "\n", encoding="utf-8")
 
 
-def measure_once(doc: str | None, stored: Path, measure: Callable[..., Mapping[str, Any]], **numbers: int) -> None:
+def measure_once(
+    doc: str | None, stored: Path, measure: Callable[..., Mapping[str, Any]], place: str | None = None, **numbers: int
+) -> None:
     """The command line of a program that measures all at once: measure and print, store, or print what is stored.
 
     Parameters
     ----------
     doc : the program's own words. stored : where ``--write`` puts what was found and ``--json`` reads it.
-    measure : gives it, of ``numbers``: options with whole numbers, and their defaults.
+    measure : gives it, of the path that is called ``place``, if there is one, and of ``numbers``: options with whole
+        numbers, and their defaults.
     """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    if place is not None:
+        parser.add_argument("place", type=Path, nargs="?", metavar=place)
     for name, usual in numbers.items():
         parser.add_argument(f"--{name}", type=int, default=usual)
     parser.add_argument("--write", action="store_true", help="store it in benchmarks/results/")
@@ -104,8 +109,11 @@ def measure_once(doc: str | None, stored: Path, measure: Callable[..., Mapping[s
     if asked.json:
         print(stored.read_text(encoding="utf-8") if stored.is_file() else "{}")
         return
+    where = [] if place is None else [asked.place]
+    if where == [None]:
+        parser.error(f"wanted {place} or --json")
     given = {name: getattr(asked, name) for name in numbers}
-    tell({**given, **measure(**given)}, stored if asked.write else None)
+    tell({**given, **measure(*where, **given)}, stored if asked.write else None)
 
 
 def asked_for(

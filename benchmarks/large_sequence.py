@@ -12,7 +12,6 @@ the small sequence had them, in its pixels.
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import sys
@@ -23,7 +22,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pydicom
-from kept_rows import tell
+from kept_rows import measure_once
 
 from spinestiff.files import read_json, write_json
 
@@ -103,22 +102,11 @@ def of_subject(small: Path, frames: int, side: int, place: Path) -> dict[str, An
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("subject", type=Path, nargs="?")
-    parser.add_argument("--frames", type=int, default=100)
-    parser.add_argument("--side", type=int, default=3000)
-    parser.add_argument("--write", action="store_true", help="store it in benchmarks/results/")
-    parser.add_argument("--json", action="store_true", help="print what is stored")
-    asked = parser.parse_args()
-    if asked.json:
-        print(RESULTS.read_text(encoding="utf-8") if RESULTS.is_file() else "{}")
-    elif asked.subject:
-        with tempfile.TemporaryDirectory() as place:
-            tell(of_subject(asked.subject, asked.frames, asked.side, Path(place)), RESULTS if asked.write else None)
-    else:
-        parser.error("wanted SUBJECT or --json")
+def of_large(subject: Path, frames: int, side: int) -> dict[str, Any]:
+    """The same, in a place of its own."""
+    with tempfile.TemporaryDirectory() as place:
+        return of_subject(subject, frames, side, Path(place))
 
 
 if __name__ == "__main__":
-    main()
+    measure_once(__doc__, RESULTS, of_large, place="SUBJECT", frames=100, side=3000)

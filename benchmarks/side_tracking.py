@@ -15,14 +15,13 @@ Subjects that are in SCRATCH already are not made again; one takes six CPU minut
 
 from __future__ import annotations
 
-import argparse
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from kept_rows import rounded, tell
+from kept_rows import measure_once, rounded
 
 from spinestiff.files import read_json, write_json
 from spinestiff.study.recipe import Recipe
@@ -117,23 +116,12 @@ def summarised(subjects: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def main() -> None:
+def measured(scratch: Path, subjects: int) -> dict[str, Any]:
     """Make, track, compare."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scratch", type=Path, nargs="?")
-    parser.add_argument("--subjects", type=int, default=1)
-    parser.add_argument("--write", action="store_true", help="store it in benchmarks/results/")
-    parser.add_argument("--json", action="store_true", help="print what is stored")
-    asked = parser.parse_args()
-    if asked.json:
-        print(RESULTS.read_text(encoding="utf-8") if RESULTS.is_file() else "{}")
-    elif asked.scratch:
-        asked.scratch.mkdir(parents=True, exist_ok=True)
-        subjects = [of_subject(asked.scratch / f"seed-{seed}", seed) for seed in range(asked.subjects)]
-        tell({**summarised(subjects), "subjects": subjects}, RESULTS if asked.write else None)
-    else:
-        parser.error("wanted SCRATCH or --json")
+    scratch.mkdir(parents=True, exist_ok=True)
+    found = [of_subject(scratch / f"seed-{seed}", seed) for seed in range(subjects)]
+    return {**summarised(found), "subjects": found}
 
 
 if __name__ == "__main__":
-    main()
+    measure_once(__doc__, RESULTS, measured, place="SCRATCH", subjects=1)

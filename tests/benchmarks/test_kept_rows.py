@@ -92,3 +92,16 @@ def test_a_program_that_measures_at_once_measures_stores_or_prints(tmp_path, mon
     assert (found["draws"], found["twice"]) == (3, 6) and not stored.exists()
     assert asked("--write")["twice"] == 8 == json.loads(stored.read_text())["twice"]
     assert asked("--json")["date"] == asked("--draws", 1)["date"]
+
+
+def test_a_program_of_a_place_wants_it(tmp_path, capsys, monkeypatch):
+    def asked(*words):
+        monkeypatch.setattr("sys.argv", ["program", *map(str, words)])
+        rows.measure_once("Doc.", tmp_path / "a.json", lambda at, n: {"at": at.name, "n": n}, place="FOLDER", n=2)
+        return capsys.readouterr()
+
+    found = json.loads(asked(tmp_path / "here").out)
+    assert (found["at"], found["n"]) == ("here", 2)
+    with pytest.raises(SystemExit):
+        asked()
+    assert "wanted FOLDER or --json" in capsys.readouterr().err
