@@ -374,6 +374,12 @@ def test_no_force_is_refused(column, clean) -> None:
         fit_stiffness(column.problem, clean[:1])
 
 
+def test_trials_of_one_label_are_refused(column, clean) -> None:
+    """What is found of a frame is told by its label; of two alike one would be lost."""
+    with pytest.raises(FitError, match=f"2 trials have the label '{clean[1].label}'"):
+        fit_stiffness(column.problem, [*clean, clean[1]])
+
+
 def test_default_bounds_are_those_of_the_ratios(column, clean) -> None:
     assert fit_stiffness(column.problem, clean, method="paper").bounds == RATIO_BOUNDS
 

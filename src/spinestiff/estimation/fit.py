@@ -7,6 +7,7 @@ The weighed fit (``weighed``) is the default. The paper's own, equal weights and
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
@@ -100,8 +101,8 @@ def fit_stiffness(
 
     Raises
     ------
-    FitError : no trials, no force, impossible bounds or names, a population that is not known or not of these ratios,
-        no equilibrium at the start, or priors that leave residuals without a covariance.
+    FitError : no trials, two of one label, no force, impossible bounds or names, a population that is not known or not
+        of these ratios, no equilibrium at the start, or priors that leave residuals without a covariance.
     TorsoError : an unknown parameter, or one that the torso has nothing of.
     TrackingError : a trial's corners fit no vertebra.
     """
@@ -362,6 +363,9 @@ def _check(trials: Sequence[Trial], names: Sequence[str], method: str, bounds: t
         raise FitError(f"bounds {bounds[0]}..{bounds[1]} of the ratios; wanted 0 < lower < upper")
     if not any(trial.load.size > 0.0 for trial in trials):
         raise FitError("no trial has a force, so that nothing says how stiff the torso is")
+    labels = Counter(trial.label for trial in trials if trial.label)
+    if (label := next((label for label, times in labels.items() if times > 1), None)) is not None:
+        raise FitError(f"{labels[label]} trials have the label '{label}'; wanted one of its own for each")
 
 
 def _start(names: Sequence[str], start: Mapping[str, float] | None, bounds: tuple[float, float]) -> Floats:
