@@ -187,7 +187,8 @@ def test_a_folder_is_read_in_the_order_of_its_frames(folder, record) -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"nme": 1}, "nme: unknown key; check its spelling against docs/bench-phantom.md"),
+        ({"nme": 1}, r"nme: unknown key; did you mean name\?"),
+        ({"colour": 1}, "colour: unknown key; check its spelling against docs/bench-phantom.md"),
         ({"levels": ["T12", "L1", "L2"]}, "joints of 6 blocks; wanted one below each of T12, L1, L2"),
         ({"levels": ["T12", "L1", "L2", "L3", "L4", "L4"]}, "levels: 'L4' is given twice"),
         ({"frames": [{"image": "rest", "force_n": 0.0}] * 2}, "frames: 'rest' is given twice"),

@@ -118,9 +118,13 @@ def test_records_take_lists_but_no_other_types():
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
-        (["colour"], "red", ["colour: unknown key"]),
-        (["pushes", 0, "sied"], "left", ["pushes[0].sied: unknown key"]),
+        (["colour"], "red", ["colour: unknown key; check its spelling against docs/subject-folder.md"]),
+        (["heigth_cm"], 152, ["heigth_cm: unknown key; did you mean height_cm?"]),
+        (["pushes", 0, "sied"], "left", ["pushes[0].sied: unknown key; did you mean side?"]),
+        (["pushes", 0, "force_n"], 40, ["pushes[0].force_n: unknown key; did you mean forces_n?"]),
+        (["forces_n"], [40], ["forces_n: unknown key; check its spelling"]),
         (["xray", "sid"], 1500, ["xray.sid: unknown key"]),
+        (["xray", "source_detector"], 1500, ["xray.source_detector: unknown key; did you mean source_detector_mm?"]),
         (["schema_version"], 2, ["schema_version: found 2, wanted 1"]),
         (["age"], ..., ["age: missing"]),
         (["sex"], "f", ["sex: found 'f'", "'female' or 'male'"]),
@@ -259,6 +263,7 @@ def reordered(order):
         (changed(ANNOTATION, [*IMAGE, "T7", 0], ["1", 2]), ["rest/frontal.vertebrae.T7[0][0]: found '1'"]),
         (changed(ANNOTATION, ["schema_version"], 3), ["schema_version: found 3"]),
         (changed(ANNOTATION, ["images", "rest/frontal", "notes"], ""), ["rest/frontal.notes: unknown key"]),
+        (changed(ANNOTATION, ["images", "rest/frontal", "vertebra"], {}), ["did you mean vertebrae?"]),
         (reordered([0, 1, 3, 2]), ["rest/frontal", "T7", "no convex quadrilateral"]),
         (changed(ANNOTATION, [*IMAGE, "T7"], [[500, 340]] * 4), ["rest/frontal", "T7", "no convex"]),
         (reordered([1, 0, 3, 2]), ["rest/frontal", "T7", "mirrored"]),

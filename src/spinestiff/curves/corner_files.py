@@ -324,7 +324,7 @@ def _read_annotation(path: Path, text: str) -> tuple[ImageCorners, ...]:
     try:
         annotation = Annotation.model_validate_json(text)
     except ValidationError as error:
-        raise SubjectError(f"{path}: {complaint_of(error)}") from None
+        raise SubjectError(f"{path}: {complaint_of(error, kind=Annotation)}") from None
     found = []
     for name, image in annotation.images.items():
         # Only subject.json tells what a radiograph from another side is; a frame may hold pedicles alone.

@@ -174,5 +174,5 @@ def open_complaints(data: dict[str, Any]) -> list[tuple[str, str]]:
     try:
         SubjectRecord.model_validate_json(json.dumps(_filled(data)))
     except ValidationError as error:
-        return complaints_of(error)
+        return complaints_of(error, SubjectRecord)
     return []

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
@@ -44,23 +46,26 @@ def parse_record(text: str, name: str, kind: type[R], page: str = SUBJECT_PAGE) 
     try:
         return kind.model_validate_json(text)
     except ValidationError as error:
-        raise SubjectError(f"{name}: {complaint_of(error, page)}") from None
+        raise SubjectError(f"{name}: {complaint_of(error, page, kind)}") from None
 
 
-def complaint_of(error: ValidationError, page: str = SUBJECT_PAGE) -> str:
-    """The most telling of pydantic's complaints as "field: found, wanted"."""
+def complaint_of(error: ValidationError, page: str = SUBJECT_PAGE, kind: type[BaseModel] | None = None) -> str:
+    """The most telling of pydantic's complaints as "field: found, wanted".
+
+    ``kind`` : what was read, so that an unknown key is told with the known one that it resembles.
+    """
     # A misspelled key shows up twice, as unknown and as missing: the first says more.
     complaints = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
     first = complaints[0]
     field = _field_path(first)
     more = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
-    told = _complaint(first, page)
+    told = _complaint(first, page, kind)
     return f"{field}: {told}{more}" if field else f"{told}{more}"
 
 
-def complaints_of(error: ValidationError, page: str = SUBJECT_PAGE) -> list[tuple[str, str]]:
-    """All of pydantic's complaints, each as the field and what is wrong with it."""
-    return [(_field_path(one), _complaint(one, page)) for one in error.errors(include_url=False)]
+def complaints_of(error: ValidationError, kind: type[BaseModel]) -> list[tuple[str, str]]:
+    """All of pydantic's complaints of a record of that kind, each as the field and what is wrong with it."""
+    return [(_field_path(one), _complaint(one, SUBJECT_PAGE, kind)) for one in error.errors(include_url=False)]
 
 
 def _field_path(complaint: ErrorDetails) -> str:
@@ -78,10 +83,11 @@ def shown_key(key: str) -> str:
     return key if key.isprintable() and 0 < len(key) <= 40 else shown_value(key, 30)
 
 
-def _complaint(complaint: ErrorDetails, page: str) -> str:
+def _complaint(complaint: ErrorDetails, page: str, record: type[BaseModel] | None = None) -> str:
     kind, message = complaint["type"], complaint["msg"]
     if kind == "extra_forbidden":
-        return f"unknown key; check its spelling against {page}"
+        near = get_close_matches(str(complaint["loc"][-1]), _keys_beside(complaint["loc"], record), 1)
+        return f"unknown key; did you mean {near[0]}?" if near else f"unknown key; check its spelling against {page}"
     if kind == "missing":
         return "missing"
     if kind == "value_error":
@@ -92,6 +98,24 @@ def _complaint(complaint: ErrorDetails, page: str) -> str:
         return told
     wanted = re.sub(r"^(Input|String|Tuple|Dictionary) should (be |have |match )?", "", message)
     return f"found {shown_value(complaint['input'])}, wanted {wanted}"
+
+
+def _keys_beside(place: Sequence[int | str], record: type[BaseModel] | None) -> list[str]:
+    """The keys that the object may have which holds the key at a place of a record."""
+    kinds = [] if record is None else [record]
+    for part in place[:-1]:
+        # Numbers of a list and keys of a dictionary stay among the same kinds of record.
+        inside = [kind.model_fields[part].annotation for kind in kinds if part in kind.model_fields]
+        kinds = [kind for annotation in inside for kind in _records_in(annotation)] or kinds
+    return [key for kind in kinds for key in kind.model_fields]
+
+
+def _records_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """The records that a field of that type may hold, e.g. those of ``tuple[PushRecord, ...] | None``."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _records_in(part)
 
 
 def _quoted_number(kind: str, value: Any) -> str:
