@@ -77,6 +77,6 @@ def outcome(number: int = 1, size: float = 10.0, name: str = "", **changed: obje
         "force_percent": {"lateral_bending": 8.0, "tissue": 11.0},
         "missing": (),
         "frames": tuple(frame(push, size) for push in ("main", "other-rib", "other-side")),
-        "seconds": {"make": 50.0, "estimate": 90.0},
+        "cpu_seconds": {"make": 50.0, "estimate": 90.0},
     }
     return SubjectOutcome.model_validate({**fields, **changed})

@@ -110,6 +110,7 @@ def test_the_record_of_a_run(finished):
         for name, digest in {**record["inputs"], **record["outputs"]}.items():
             assert digest == input_digest(subject, name), name
     assert run["steps"]["estimate"]["seconds"] > 0.1
+    assert run["steps"]["estimate"]["cpu_seconds"] > 0.1
     assert run["steps"]["personalise"]["settings"] == {"mesh": "coarse"}
     assert run["steps"]["estimate"]["settings"]["method"] == "weighed"
     assert run["steps"]["estimate"]["settings"]["parameters"] == ["lateral_bending", "tissue"]

@@ -67,7 +67,7 @@ def test_a_step_is_current_until_something_changes(bare):
     output = bare.results / "estimate.json"
     write_json(output, {"value": 1})
     record_step(bare, "track", StepRecord(digest="11"), [])
-    record_step(bare, "estimate", record, [output], 1.5)
+    record_step(bare, "estimate", record, [output], 1.5, 2.5)
     assert is_current(bare, "estimate", record)
     assert is_current(bare, "track", StepRecord(digest="11"))
     assert not is_current(bare, "estimate", StepRecord(digest="11"))
@@ -76,7 +76,7 @@ def test_a_step_is_current_until_something_changes(bare):
     written = run["steps"]["estimate"]
     assert written["inputs"] == {"a.dcm": input_digest(bare, "a.dcm")}
     assert set(written["outputs"]) == {"results/estimate.json"}
-    assert (written["settings"], written["seconds"]) == (settings, 1.5)
+    assert (written["settings"], written["seconds"], written["cpu_seconds"]) == (settings, 1.5, 2.5)
 
     assert step_record(bare, ["a.dcm"], {"method": "paper"}).digest != record.digest
     assert step_digest({"a": "1", "b": "2"}, settings, "1") == step_digest({"b": "2", "a": "1"}, settings, "1")

@@ -267,9 +267,9 @@ def run_steps(
         view = known["view"]
         along = view.record(visit) if name == "report" else None
         with logged_step(name):
-            began = time.perf_counter()
+            began, worked = time.perf_counter(), time.process_time()
             step.run(visit, lambda line, name=name: say(f"{name}: {line}"))  # type: ignore[misc]
-            _record(visit, step, name, record, time.perf_counter() - began)
+            _record(visit, step, name, record, time.perf_counter() - began, time.process_time() - worked)
         if along is not None:
             _record(visit, view, "view", along)
         ran.append(name)
@@ -286,9 +286,11 @@ def logged_step(name: str) -> Iterator[None]:
     _log.info("%s is done", name, extra={"event": "end", "step": name, "seconds": seconds})
 
 
-def _record(visit: Visit, step: Step, name: str, record: StepRecord, seconds: float = 0.0) -> None:
+def _record(
+    visit: Visit, step: Step, name: str, record: StepRecord, seconds: float = 0.0, cpu_seconds: float = 0.0
+) -> None:
     outputs = [visit.file(output) for output in step.outputs(visit)]
-    record_step(visit.subject, name, record, outputs, seconds)
+    record_step(visit.subject, name, record, outputs, seconds, cpu_seconds)
 
 
 def _as_compared(visit: Visit, name: str, record: StepRecord) -> StepRecord:

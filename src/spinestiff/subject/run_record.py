@@ -38,7 +38,7 @@ class StepRecord(Outcome):
     digest : of all that it depends on.
     inputs : SHA-256 by path relative to the subject folder, or by the name of a part (``PARTS``).
     settings : what the step was asked.
-    seconds : wall-clock time.
+    seconds, cpu_seconds : wall-clock time, and processor time of all threads.
     outputs : SHA-256 by path relative to the subject folder.
     program : that did it (``subject.program``).
     """
@@ -47,6 +47,7 @@ class StepRecord(Outcome):
     inputs: dict[str, str] = Field(default_factory=dict)
     settings: dict[str, Any] = Field(default_factory=dict)
     seconds: float = 0.0
+    cpu_seconds: float = 0.0
     outputs: dict[str, str] = Field(default_factory=dict)
     program: str = ""
 
@@ -145,10 +146,18 @@ def step_record(
     return StepRecord(digest=digest, inputs=hashes, settings=dict(settings), program=made_by)
 
 
-def record_step(subject: Subject, step: str, record: StepRecord, outputs: Iterable[Path], seconds: float = 0.0) -> None:
+def record_step(
+    subject: Subject,
+    step: str,
+    record: StepRecord,
+    outputs: Iterable[Path],
+    seconds: float = 0.0,
+    cpu_seconds: float = 0.0,
+) -> None:
     """Write a step into ``run.json`` beside the other steps, with the hashes of what it has just written."""
     made = {path.relative_to(subject.folder).as_posix(): file_digest(path) for path in outputs}
-    done = record.model_copy(update={"outputs": made, "seconds": round(seconds, 3)})
+    times = {"seconds": round(seconds, 3), "cpu_seconds": round(cpu_seconds, 3)}
+    done = record.model_copy(update={"outputs": made, **times})
     run = RunRecord(version=__version__, steps={**recorded_steps(subject), step: done})
     write_json(subject.results / RUN_FILE, run.model_dump(mode="json"))
 

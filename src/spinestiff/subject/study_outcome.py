@@ -53,7 +53,7 @@ class SubjectOutcome(Outcome):
     force_percent : Table 7's, by ratio, on the coarse mesh.
     missing : what of the tables could not be found, a line each with its reason.
     frames : held out.
-    seconds : by step; without "make" where an earlier run had made the subject.
+    cpu_seconds : processor time by step; without "make" where an earlier run had made the subject.
     """
 
     program: str
@@ -81,7 +81,7 @@ class SubjectOutcome(Outcome):
     force_percent: dict[str, float]
     missing: tuple[str, ...]
     frames: tuple[FrameOutcome, ...]
-    seconds: dict[str, float]
+    cpu_seconds: dict[str, float]
 
     def frame(self, push: str) -> FrameOutcome | None:
         """The held-out frame of a push, if it could be used."""

@@ -114,22 +114,24 @@ def test_the_time_of_each_subject_and_of_all_stands_against_the_aim():
     text = section(page([outcome(number) for number in range(1, 8)]), "Time")
     assert "| subject-7 | – | 50 | – | – | 90 | – | – | 140 |" in text
     assert "| sum |  | 350 | – | – | 630 | – | – | 980 |" in text
-    assert "The aim is 20 minutes for the seven on 2 cores. These 7 subjects take 980 s in sum" in text
+    assert "The aim is 20 minutes for the seven on 2 cores. These 7 subjects take 980 CPU s in sum" in text
     # Four one after the other.
     assert "that is 9 min. The aim is met." in text
-    slow = section(page([outcome(number, seconds={"make": 200.0, "assess": 200.0}) for number in range(1, 8)]), "Time")
-    assert "2,800 s in sum" in slow and "that is 27 min. **The aim is not met**." in slow
+    slow = section(
+        page([outcome(number, cpu_seconds={"make": 200.0, "assess": 200.0}) for number in range(1, 8)]), "Time"
+    )
+    assert "2,800 CPU s in sum" in slow and "that is 27 min. **The aim is not met**." in slow
 
 
 def test_the_time_of_some_of_the_seven_does_not_meet_their_aim_yet():
     text = section(page([outcome(1), *[None] * 6]), "Time")
     assert "that is 2 min. Whether the aim is met is not known." in text
-    slow = outcome(1, seconds={"make": 1500.0})
+    slow = outcome(1, cpu_seconds={"make": 1500.0})
     assert "that is 25 min. **The aim is not met**." in section(page([slow, *[None] * 6]), "Time")
 
 
 def test_where_the_time_of_making_is_not_known_the_sum_is_told_as_a_least_one():
-    quick = outcome(2, seconds={"estimate": 70.0})
+    quick = outcome(2, cpu_seconds={"estimate": 70.0})
     text = section(page([outcome(1), quick, *[None] * 5]), "Time")
     assert "| subject-2 | – | – | – | – | 70 | – | – | 70 |" in text
     assert "that is at least 2 min. Whether the aim is met is not known. Radiographs of subject-2 were made by" in text

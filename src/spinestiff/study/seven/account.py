@@ -52,7 +52,7 @@ def _days(group: Sequence[SubjectOutcome]) -> str:
 
 
 def elapsed_minutes(seconds: Sequence[float], workers: int = CORES) -> float:
-    """Minutes that pieces of work take, so many at a time, the next of them when one ends; of nothing 0."""
+    """Minutes that pieces of work take, so many at a time on a processor each, the next when one ends; of nothing 0."""
     free = [0.0] * workers
     for one in seconds:
         heapq.heapreplace(free, free[0] + one)
@@ -61,7 +61,7 @@ def elapsed_minutes(seconds: Sequence[float], workers: int = CORES) -> float:
 
 def time_goal(first: Sequence[SubjectOutcome]) -> Goal:
     """That of the seven's time. Without the seconds of making a subject it can be missed and not met."""
-    name, wanted = f"time of the seven, {CORES} subjects at a time", f"≤ {AIM_MINUTES:g} min"
+    name, wanted = f"time of the seven on {CORES} processors, a subject on each", f"≤ {AIM_MINUTES:g} min"
     if not first:
         return Goal(name, wanted, "nothing to judge by", None)
     minutes, known = elapsed_minutes([_whole(one) for one in first]), not _made_before(first)
@@ -71,13 +71,13 @@ def time_goal(first: Sequence[SubjectOutcome]) -> Goal:
 
 
 def cost_rows(outcomes: Sequence[SubjectOutcome]) -> list[list[str]]:
-    """A row a subject: name, day, seconds by step (``TIMED``) and together; the last row has the sums."""
+    """A row a subject: name, day, CPU seconds by step (``TIMED``) and together; the last row has the sums."""
     rows = [[one.name, one.date or "–", *_cells([one])] for one in outcomes]
     return [*rows, ["sum", "", *_cells(outcomes)]]
 
 
 def _cells(outcomes: Sequence[SubjectOutcome]) -> list[str]:
-    by_step = [[one.seconds[step] for one in outcomes if step in one.seconds] for step in TIMED]
+    by_step = [[one.cpu_seconds[step] for one in outcomes if step in one.cpu_seconds] for step in TIMED]
     return [*(f"{sum(values):,.0f}" if values else "–" for values in by_step), f"{sum(map(_whole, outcomes)):,.0f}"]
 
 
@@ -88,8 +88,8 @@ def cost_words(first: Sequence[SubjectOutcome]) -> str:
     met = None if goal.met and len(first) < len(SUBJECTS) else goal.met
     words = (
         f"The aim is {AIM_MINUTES:g} minutes for the seven on {CORES} cores. These {counted(len(first), 'subject')} "
-        f"take {sum(map(_whole, first)):,.0f} s in sum; {CORES} at a time, in this order, the next when one ends, "
-        f"that is {goal.found}. {_VERDICTS[met]}."
+        f"take {sum(map(_whole, first)):,.0f} CPU s in sum; {CORES} at a time on a processor each, in this order, the "
+        f"next when one ends, that is {goal.found}. {_VERDICTS[met]}."
     )
     before = _made_before(first)
     if before:
@@ -104,8 +104,8 @@ _VERDICTS = {True: "The aim is met", False: "**The aim is not met**", None: "Whe
 
 
 def _made_before(outcomes: Sequence[SubjectOutcome]) -> list[str]:
-    return [one.name for one in outcomes if MAKE not in one.seconds]
+    return [one.name for one in outcomes if MAKE not in one.cpu_seconds]
 
 
 def _whole(one: SubjectOutcome) -> float:
-    return sum(one.seconds.values())
+    return sum(one.cpu_seconds.values())

@@ -198,8 +198,8 @@ law, element) is measured row by row in [forward tests](validation.md#forward-te
 supports most."""
 
 
-TIME_ABOUT = """Seconds a subject, by the clock on the machine of its run, other work on it included; "tables" are the
-gradients of Table 3 and the refits of Table 7."""
+TIME_ABOUT = """CPU seconds a subject on one thread; other work on the machine changes them less than the clock's.
+"Tables" are the gradients of Table 3 and the refits of Table 7."""
 
 
 def _figures(pictures: Pictures) -> list[str]:
