@@ -350,6 +350,10 @@ def test_an_annotation_that_would_be_refused_leaves_the_old_file(tmp_path):
     with pytest.raises(SubjectError, match="holds no annotation"):
         write_corners(path, [image("rest/frontal", first_on="right")])
     assert path.read_text() == "[]"
+    path.write_text('{"schema_version": 1, "images": {"rest/frontal": null}}')
+    with pytest.raises(SubjectError, match=r"images\.rest/frontal: holds no annotation; it is left"):
+        write_corners(path, [image("rest/frontal", first_on="right")])
+    assert "null" in path.read_text()
 
 
 @pytest.mark.parametrize(

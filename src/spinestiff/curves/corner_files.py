@@ -355,6 +355,8 @@ def _write_annotation(path: Path, images: Sequence[ImageCorners]) -> None:
     for image in images:
         quads = image.annotation_quads()
         entry = content["images"].setdefault(image.image, {})
+        if not isinstance(entry, dict):
+            raise SubjectError(f"{path}: images.{image.image}: holds no annotation; it is left as it is")
         entry["vertebrae"] = {level: quad.tolist() for level, quad in zip(image.levels, quads)}
     try:
         Annotation.model_validate(content)
