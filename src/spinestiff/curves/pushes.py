@@ -11,6 +11,7 @@ from spinestiff.curves.changes import change_between, forms_in_words
 from spinestiff.curves.cobb import CobbReading, Definition, read_cobb_of_view
 from spinestiff.curves.response import GAUGE, FrameCorners, GaugeError, push_response
 from spinestiff.curves.tilts import CobbChange, tilts
+from spinestiff.errors import SpinestiffError
 from spinestiff.imaging.features import VertebraCorners, picture_axes
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking.quality import usable_corners
@@ -52,6 +53,8 @@ def cobb_frames(
 ) -> list[CobbFrame]:
     """The annotated rest image and, once they are tracked, all frames of the pushes.
 
+    A frame that shows no curve, since fewer than two vertebrae were followed, is refused with the reason.
+
     Parameters
     ----------
     definition : "endplate" or "midline".
@@ -68,7 +71,11 @@ def cobb_frames(
             alike = annotated_frame(found, least) == annotated_frame(found, index)
             change = change_between(view, usable[least], usable[index], definition, alike)
             name = f"{push} frame {index}, {force:.0f} N"
-            frames.append(CobbFrame(reading_of(name, usable[index], view, definition, noise_px), change))
+            try:
+                reading = reading_of(name, usable[index], view, definition, noise_px)
+            except SpinestiffError as error:
+                reading = CobbReading(name, "refused", (str(error),), definition)
+            frames.append(CobbFrame(reading, change))
     return frames
 
 
