@@ -151,6 +151,8 @@ def tracked(monkeypatch, tmp_path):
 
     def make(corners, forces):
         found = tracked_push(VIEW, range(len(corners)), corners)
+        monkeypatch.setattr(pushes, "read_rest", lambda *_: SimpleNamespace(view=VIEW))
+        monkeypatch.setattr(pushes, "image_corners", lambda *_: SPINE)
         monkeypatch.setattr(pushes, "rest_reading", lambda *_: reading_of("rest/frontal", SPINE, VIEW))
         monkeypatch.setattr(pushes, "read_outcome", lambda *_: SimpleNamespace(pushes={"main": found}))
         (tmp_path / Tracked.FILE).touch()
@@ -169,3 +171,11 @@ def test_a_frame_without_a_curve_stops_no_other(tracked):
     assert name == "main frame 1, 20 N" and forms == ["", "", ""]
     assert words == "not measured: a curve needs the tilts of at least 2 vertebrae, found 1"
     assert words in angles_csv(frames) and frames[2].as_dict()["largest_deg"] is None
+
+
+@pytest.mark.parametrize("forces", [(0.0,), (0.0, 20.0, 40.0)])
+def test_other_forces_than_tracked_frames_are_refused(tracked, forces):
+    subject = tracked([SPINE, SPINE], forces)
+    for read in (cobb_frames, push_responses):
+        with pytest.raises(SubjectError, match=r"push 'main': 2 tracked frames for \d forces_n; run spinestiff track"):
+            read(subject)
