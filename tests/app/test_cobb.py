@@ -131,6 +131,15 @@ def test_markups_and_annotations_are_read(cobb, tmp_path):
         )
 
 
+def test_a_noise_in_pixels_is_none_of_corners_in_millimetres(cobb, tmp_path):
+    path = tmp_path / "coronal.mrk.json"
+    write_corners(path, [image(TILTS, start=4, unit="mm", first_on="right")])
+    assert cobb(path)[0] == 0
+    status, out, err = cobb(path, "--noise-px", 2)
+    assert (status, out) == (2, "") and err.count("\n") == 1
+    assert "coronal.mrk.json: spine: its corners are in mm, not pixels; leave out --noise-px" in err
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

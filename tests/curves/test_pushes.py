@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from results import altered
-from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses, rest_reading, seen_frames
+from results import altered, tracked_push
+from spinestiff.anatomy.names import VERTEBRAE
+from spinestiff.curves import pushes
+from spinestiff.curves.angle_csv import angles_csv
+from spinestiff.curves.pushes import cobb_frames, cobb_rows, push_responses, reading_of, rest_reading, seen_frames
 from spinestiff.errors import SubjectError
+from spinestiff.imaging.features import VertebraCorners
+from spinestiff.imaging.projection import frontal_view
 from spinestiff.study.assessment import change_record
 from spinestiff.study.steps import stored_predictions
 from spinestiff.study.visit import open_visit
@@ -129,3 +136,46 @@ def test_every_frame_is_seen_and_knows_its_annotation(subject):
     left, right = found[0].points[:, 0], found[0].points[:, 1]
     assert np.all(left[:, 0] > right[:, 0]) and found[0].points[0, 0, 1] > found[0].points[-1, 0, 1]
     assert 20.0 < np.median(left[:, 0] - right[:, 0]) < 40.0
+
+
+VIEW = frontal_view()
+BOXES = np.array([[20.0, -10.0], [-20.0, -10.0], [-20.0, 10.0], [20.0, 10.0]])
+SPINE = VertebraCorners(
+    VERTEBRAE[4:13], BOXES + [[[200.0 + 0.5 * (i - 4) ** 2, 100.0 + 30.0 * i]] for i in range(9)], np.full((9, 4), 0.8)
+)
+
+
+@pytest.fixture
+def tracked(monkeypatch, tmp_path):
+    """A subject whose one push was tracked in frames with these corners, and has these forces by now."""
+
+    def make(corners, forces):
+        found = tracked_push(VIEW, range(len(corners)), corners)
+        monkeypatch.setattr(pushes, "read_rest", lambda *_: SimpleNamespace(view=VIEW))
+        monkeypatch.setattr(pushes, "image_corners", lambda *_: SPINE)
+        monkeypatch.setattr(pushes, "rest_reading", lambda *_: reading_of("rest/frontal", SPINE, VIEW))
+        monkeypatch.setattr(pushes, "read_outcome", lambda *_: SimpleNamespace(pushes={"main": found}))
+        (tmp_path / Tracked.FILE).touch()
+        return SimpleNamespace(results=tmp_path, push=lambda name: SimpleNamespace(id=name, forces_n=forces))
+
+    return make
+
+
+def test_a_frame_without_a_curve_stops_no_other(tracked):
+    """One frame shows a single vertebra: it is refused with its reason, as images of a file are."""
+    quality = np.where(np.arange(9)[:, None] == 3, SPINE.quality, 0.0)
+    frames = cobb_frames(tracked([SPINE, replace(SPINE, quality=quality), SPINE], (0.0, 20.0, 40.0)))
+    assert [frame.reading.status for frame in frames] == ["ok", "ok", "refused", "ok"]
+    assert [frame.change is None for frame in frames] == [True, False, True, False]
+    name, words, *forms = cobb_rows(frames)[2]
+    assert name == "main frame 1, 20 N" and forms == ["", "", ""]
+    assert words == "not measured: a curve needs the tilts of at least 2 vertebrae, found 1"
+    assert words in angles_csv(frames) and frames[2].as_dict()["largest_deg"] is None
+
+
+@pytest.mark.parametrize("forces", [(0.0,), (0.0, 20.0, 40.0)])
+def test_other_forces_than_tracked_frames_are_refused(tracked, forces):
+    subject = tracked([SPINE, SPINE], forces)
+    for read in (cobb_frames, push_responses):
+        with pytest.raises(SubjectError, match=r"push 'main': 2 tracked frames for \d forces_n; run spinestiff track"):
+            read(subject)

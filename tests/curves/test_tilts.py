@@ -198,6 +198,8 @@ def test_change_uses_the_common_vertebrae():
 def test_refusals():
     with pytest.raises(SpinestiffError, match="frontal"):
         tilts(VERTEBRAE[:2], np.zeros((2, 4, 2)), lateral_view())
+    with pytest.raises(SpinestiffError, match=r"corners has shape \(2, 4, 3\), wanted \(2, 4, 2\)"):
+        tilts(VERTEBRAE[:2], np.zeros((2, 4, 3)), frontal_view())
     with pytest.raises(SpinestiffError, match="T2 coincide"):
         corners = boxes([0.0, 0.0])
         corners[1, 0] = corners[1, 1]

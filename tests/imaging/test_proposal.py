@@ -139,6 +139,15 @@ def test_the_order_of_the_clicks_does_not_matter():
     )
 
 
+def test_a_line_of_many_points_is_as_good_as_a_few():
+    """Points nearer to each other than two pixels are one, but not all of a line of them."""
+    drawn = phantom()
+    clicks = drawn.clicks(*CLICKED)
+    rows = np.arange(clicks[0, 1], clicks[-1, 1], 0.8)
+    line = np.stack([np.interp(rows, clicks[:, 1], clicks[:, 0]), rows], axis=1)
+    assert np.median(errors(propose_boxes(radiograph(drawn), line, VERTEBRAE), drawn.quads)) < 1.0
+
+
 def test_what_was_corrected_stays_and_guides_the_others():
     """A level counted wrongly: the vertebra that is put right takes those beside it along."""
     drawn = phantom(noise=0.15)
@@ -212,6 +221,7 @@ def mirrored_view(shape):
         ([(200, 100), (200, 400)], VERTEBRAE, "2 points along the spine, wanted 3"),
         ([(200, 100), (200.5, 100.5), (200, 400)], VERTEBRAE, "2 points along the spine, wanted 3"),
         ([(200, 100), (900, 300), (200, 400)], VERTEBRAE, "outside the radiograph of 448 columns, 640 rows"),
+        ([(200, 100), (np.nan, 300), (200, 400)], VERTEBRAE, "outside the radiograph of 448 columns, 640 rows"),
         ([(200, 100), (200, 300), (200, 400)], ("T3",), "wanted two or more neighbours"),
         ([(200, 100), (200, 300), (200, 400)], ("T3", "T5"), "wanted two or more neighbours"),
         ([(200, 100), (200, 300), (200, 400)], ("L1", "T12"), "wanted two or more neighbours"),

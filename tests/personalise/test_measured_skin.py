@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from spinestiff.errors import TorsoError
-from spinestiff.personalise.measured_skin import TrunkSize, trunk_misses, trunk_sizes, with_trunk_sizes
+from spinestiff.personalise.measured_skin import (
+    TrunkSize,
+    skin_at_sizes,
+    trunk_misses,
+    trunk_sizes,
+    with_trunk_sizes,
+)
 from spinestiff.personalise.quality import mesh_quality
 
 LEVELS = ("T9", "L3")
@@ -37,6 +43,20 @@ def test_the_skin_comes_to_the_tape(wanted, fitted):
     for level in LEVELS:
         assert found[level].breadth_mm == pytest.approx(wanted[level].breadth_mm, abs=0.5)
         assert found[level].depth_mm == pytest.approx(wanted[level].depth_mm, abs=0.5)
+
+
+@pytest.mark.parametrize("above", [0.0, 1.0])
+def test_corners_of_the_skin_at_the_very_height_count(template, above):
+    """A tube whose rings lie at a bone's height and around it: the middle one as a whole, or its outermost corners."""
+    height = template.rest_pose.bone_positions[template.bone("T9"), 1]
+    turn = 2.0 * np.pi * np.arange(24) / 24
+    rings = np.stack([[120.0 * np.cos(turn), np.full(24, height + y), 90.0 * np.sin(turn)] for y in (-50, 0, 50)])
+    rings[1, 1] += np.where(np.arange(24) % 12 == 0, 0.0, above)
+    i, j = np.arange(24), (np.arange(24) + 1) % 24
+    quarter = np.concatenate([np.stack([i, j, i + 24], 1), np.stack([j, j + 24, i + 24], 1)])
+    points, faces = rings.transpose(0, 2, 1).reshape(-1, 3), np.concatenate([quarter, quarter + 24])
+    own = TrunkSize(240.0, 180.0)
+    assert skin_at_sizes(template, points, faces, {"T9": own}) == pytest.approx(points, abs=1e-9)
 
 
 def test_bones_stay_and_the_mesh_is_good(template, fitted):

@@ -58,6 +58,21 @@ def test_a_moved_view_is_found(torso, make, shift, roll):
     assert found.detector_axes == pytest.approx(true.detector_axes, abs=1e-8)
 
 
+def test_corners_that_were_lost_shift_nothing(torso):
+    """Both boxes are placed by the corners that were followed; what a lost one was guessed to be says nothing."""
+    nominal = frontal_view()
+    shares = silhouette_shares(torso, nominal, torso.rest_pose)
+    corners = seen(torso, nominal.moved((8.0, -5.0), 0.03), shares)
+    places, quality = corners.corners.copy(), corners.quality.copy()
+    places[:, 0] += 30.0
+    quality[:, 0] = 0.0
+    lost = VertebraCorners(torso.vertebrae, places, quality)
+    _, pose = align_view(torso, torso.rest_pose, nominal, lost, shares)
+    assert pose.shift == pytest.approx((8.0, -5.0), abs=1e-6)
+    assert pose.roll == pytest.approx(0.03, abs=1e-8)
+    assert pose.rms_mm < 1e-6
+
+
 @pytest.mark.parametrize("share", [0.0, 0.3])
 def test_a_roll_may_be_left_to_the_torso(torso, share):
     """The view takes its share; the middles of both pictures meet all the same."""

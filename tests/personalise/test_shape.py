@@ -363,8 +363,12 @@ def test_pictures_that_make_no_fit_are_refused(template, see):
         personalise(template, {"lateral": (see(template, side), side)})
     with pytest.raises(FitError, match="unknown geometry 'guessed'"):
         personalise(template, {"frontal": (see(template, front), front)}, geometry="guessed")
-    with pytest.raises(TrackingError, match=r"T1 in the picture is 4.* times its size"):
+    with pytest.raises(TrackingError, match=r"frontal radiograph: T1 in the picture is 4.* times its size"):
         corners = see(template, front)
         personalise(template, {"frontal": (replace(corners, corners=4.0 * corners.corners), front)})
+    with pytest.raises(TrackingError, match=r"lateral radiograph: corners of T1 are mirrored"):
+        aside = see(template, side)
+        mirrored = replace(aside, corners=aside.corners[:, [1, 0, 3, 2]])
+        personalise(template, {"frontal": (see(template, front), front), "lateral": (mirrored, side)})
     with pytest.raises(TrackingError, match="no vertebra is annotated in the frontal radiograph"):
         personalise(template, {"frontal": (see(template, front, ()), front)})

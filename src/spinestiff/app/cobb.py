@@ -35,7 +35,8 @@ def cobb(
 
     Raises
     ------
-    SubjectError : an unknown option's value, or a folder or file that can't be read.
+    SubjectError : an unknown option's value, a noise in pixels of corners in mm, or a folder or file that can't be
+        read.
     """
     chosen = _definition(definition)
     side = _side(patient_left)
@@ -108,10 +109,14 @@ def _of_file(
     table: Path | None,
 ) -> int:
     from spinestiff.curves.cobb import read_cobb
-    from spinestiff.curves.corner_files import read_corner_file
+    from spinestiff.curves.corner_files import ImageCorners, read_corner_file
     from spinestiff.curves.pushes import CobbFrame
 
-    readings = [read_cobb(image, definition, noise_px, side) for image in read_corner_file(path).images]
+    images = read_corner_file(path).images
+    for image in images:
+        if noise_px is not None and isinstance(image, ImageCorners) and image.unit == "mm":
+            raise SubjectError(f"{path}: {image.image}: its corners are in mm, not pixels; leave out --noise-px")
+    readings = [read_cobb(image, definition, noise_px, side) for image in images]
     _draw(readings, picture)
     _write([CobbFrame(reading) for reading in readings], table)
     if as_json:

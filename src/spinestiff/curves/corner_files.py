@@ -242,13 +242,17 @@ def _read_csv(path: Path) -> tuple[ImageCorners | UnreadableImage, ...]:
 def _read_markups(path: Path, content: object) -> tuple[ImageCorners | UnreadableImage, ...]:
     fallback = path.name[: -len(MARKUPS_SUFFIX)] if path.name.lower().endswith(MARKUPS_SUFFIX) else path.stem
     found: list[ImageCorners | UnreadableImage] = []
+    names: set[str] = set()
     for entry in corner_markups.parse(content, str(path), fallback):
         name, reason = entry if isinstance(entry, tuple) else (entry.name, "")
         problem = _name_problem(name)
         if problem:
             raise SubjectError(f"{path}: the name of a list {problem}")
-        if any(name == image.image for image in found):
+        if name in names:
             raise SubjectError(f"{path}: two lists are named '{name}'; give each image its own name")
+        names.add(name)
+        if len(names) > MOST_IMAGES:
+            raise SubjectError(f"{path}: more than {MOST_IMAGES} images; split the file")
         if isinstance(entry, tuple):
             found.append(UnreadableImage(name, reason))
             continue
@@ -351,6 +355,8 @@ def _write_annotation(path: Path, images: Sequence[ImageCorners]) -> None:
     for image in images:
         quads = image.annotation_quads()
         entry = content["images"].setdefault(image.image, {})
+        if not isinstance(entry, dict):
+            raise SubjectError(f"{path}: images.{image.image}: holds no annotation; it is left as it is")
         entry["vertebrae"] = {level: quad.tolist() for level, quad in zip(image.levels, quads)}
     try:
         Annotation.model_validate(content)

@@ -11,11 +11,13 @@ from spinestiff.curves.changes import change_between, forms_in_words
 from spinestiff.curves.cobb import CobbReading, Definition, read_cobb_of_view
 from spinestiff.curves.response import GAUGE, FrameCorners, GaugeError, push_response
 from spinestiff.curves.tilts import CobbChange, tilts
+from spinestiff.errors import SpinestiffError, SubjectError
 from spinestiff.imaging.features import VertebraCorners, picture_axes
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.tracking.quality import usable_corners
 from spinestiff.subject.folder import Subject, image_corners, read_rest
 from spinestiff.subject.outcomes import Responses, Tracked, TrackedPush
+from spinestiff.subject.records import PushRecord
 from spinestiff.subject.run_record import read_outcome
 
 FORMS = ("signed", "fixed_levels", "tilt")
@@ -52,24 +54,49 @@ def cobb_frames(
 ) -> list[CobbFrame]:
     """The annotated rest image and, once they are tracked, all frames of the pushes.
 
+    A frame that shows no curve, since fewer than two vertebrae were followed, is refused with the reason.
+
     Parameters
     ----------
     definition : "endplate" or "midline".
     noise_px : standard deviation of each corner's coordinates; None = 2 % of the vertebrae's width.
+
+    Raises
+    ------
+    SubjectError : as ``rest_reading``, ``read_outcome`` and ``frame_forces``.
     """
     frames = [CobbFrame(rest_reading(subject, definition, noise_px))]
     if not (subject.results / Tracked.FILE).exists():
         return frames
     for push, found in read_outcome(subject, Tracked).pushes.items():
-        forces, view = subject.push(push).forces_n, found.view.view()
+        forces, view = frame_forces(subject.push(push), found), found.view.view()
         usable = [usable_corners(found.corners(i)) for i in range(len(found.frames))]
         least = int(np.argmin(forces))
         for index, force in enumerate(forces):
             alike = annotated_frame(found, least) == annotated_frame(found, index)
             change = change_between(view, usable[least], usable[index], definition, alike)
             name = f"{push} frame {index}, {force:.0f} N"
-            frames.append(CobbFrame(reading_of(name, usable[index], view, definition, noise_px), change))
+            try:
+                reading = reading_of(name, usable[index], view, definition, noise_px)
+            except SpinestiffError as error:
+                reading = CobbReading(name, "refused", (str(error),), definition)
+            frames.append(CobbFrame(reading, change))
     return frames
+
+
+def frame_forces(push: PushRecord, found: TrackedPush) -> tuple[float, ...]:
+    """The forces of a push's tracked frames, N, as its record has them by now.
+
+    Raises
+    ------
+    SubjectError : another number of forces than of frames, since the record was changed after tracking.
+    """
+    if len(found.frames) != len(push.forces_n):
+        raise SubjectError(
+            f"push '{push.id}': {len(found.frames)} tracked frames for {len(push.forces_n)} forces_n; "
+            "run spinestiff track again"
+        )
+    return push.forces_n
 
 
 def annotated_frame(push: TrackedPush, frame: int) -> int:
@@ -82,7 +109,8 @@ def push_responses(subject: Subject, gauge: GaugeError = GAUGE) -> Responses:
 
     Raises
     ------
-    SubjectError : the pushes have not been tracked, or the rest image can't be read.
+    SubjectError : the pushes have not been tracked, or not as their record has them by now; the rest image can't be
+        read.
     """
     tracked = read_outcome(subject, Tracked).pushes
     view = read_rest(subject, "frontal").view
@@ -92,7 +120,7 @@ def push_responses(subject: Subject, gauge: GaugeError = GAUGE) -> Responses:
         gauge_scale_sd=gauge.scale,
         gauge_zero_sd_n=gauge.zero_n,
         pushes={
-            name: push_response(seen_frames(found, subject.push(name).forces_n), rest, gauge)
+            name: push_response(seen_frames(found, frame_forces(subject.push(name), found)), rest, gauge)
             for name, found in tracked.items()
         },
     )

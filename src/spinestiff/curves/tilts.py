@@ -139,8 +139,8 @@ def tilts(
     """
     if view_kind(view) != "frontal":
         raise SpinestiffError("tilts and Cobb angles need a frontal view, this one is lateral")
-    left, up = picture_axes(view)
-    return tilts_from_points(vertebrae, np.asarray(corners, dtype=float) @ np.stack([left, up], axis=1), method)
+    points = read_only("corners", corners, (len(vertebrae), 4, 2), SpinestiffError)
+    return tilts_from_points(vertebrae, points @ np.stack(picture_axes(view), axis=1), method)
 
 
 def tilts_from_points(

@@ -31,7 +31,7 @@ class ImageQuality:
     Attributes
     ----------
     sharpness : slopes at the vertebrae's edges over the same vertebrae's in the sharpest frame, 0 to 1, in the
-        direction in which it is least (motion blurs in one); NaN if no vertebra is seen.
+        direction in which it is least (motion blurs in one); NaN if no vertebra is seen, or none above the noise.
     contrast_to_noise : standard deviation of the vertebrae's structures over that of the noise.
     saturated : share of the vertebrae's pixels at the end of the range of grey values.
     """
@@ -71,13 +71,14 @@ class _Measured:
 
 
 def _typical_ratio(table: Floats) -> Floats:
-    """(F,) median over vertebrae of each frame's value (F, V) over the vertebra's own mean."""
+    """(F,) median over vertebrae of each frame's value (F, V) over the vertebra's own mean, where that is above 0."""
     ratios = np.full(len(table), np.nan)
     seen = np.isfinite(table)
     means = np.array([table[seen[:, v], v].mean() if seen[:, v].any() else np.nan for v in range(table.shape[1])])
     for i, row in enumerate(table):
-        if seen[i].any():
-            ratios[i] = np.median(row[seen[i]] / means[seen[i]])
+        told = seen[i] & (means > 0.0)
+        if told.any():
+            ratios[i] = np.median(row[told] / means[told])
     return ratios
 
 

@@ -27,6 +27,8 @@ from spinestiff.imaging.features import picture_axes
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.imaging.straightening import STEP, SpineCurve, Strip
+from spinestiff.imaging.tracking.pictures import inside
+from spinestiff.words import counted
 
 FEWEST_POINTS = 3
 # Points nearer than this, pixels, are one.
@@ -369,11 +371,14 @@ def _cheapest(costs: list[Floats], steps: list[Floats]) -> list[int]:
 def _checked(radiograph: Radiograph, points: Floats, up: Floats) -> Floats:
     points = np.asarray(points, dtype=float).reshape(-1, 2)
     rows, columns = radiograph.pixels.shape
-    outside = (points < -0.5).any(1) | (points[:, 0] > columns - 0.5) | (points[:, 1] > rows - 0.5)
-    if outside.any():
+    if not inside(points, (rows, columns)).all():
         raise TrackingError(f"a point along the spine lies outside the radiograph of {columns} columns, {rows} rows")
     points = points[np.argsort(points @ -up, kind="stable")]
-    apart = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > NEAREST])
-    if apart.sum() < FEWEST_POINTS:
-        raise TrackingError(f"{int(apart.sum())} points along the spine, wanted {FEWEST_POINTS} or more, each apart")
-    return points[apart]
+    apart = [*points[:1]]
+    for point in points[1:]:
+        if np.linalg.norm(point - apart[-1]) > NEAREST:
+            apart.append(point)
+    if len(apart) < FEWEST_POINTS:
+        found = counted(len(apart), "point")
+        raise TrackingError(f"{found} along the spine, wanted {FEWEST_POINTS} or more, each apart")
+    return np.array(apart)

@@ -116,4 +116,4 @@ def check_pictures(
             except TrackingError as error:
                 bad.append(error)
         if len(bad) > LARGEST_WRONG_SHARE * len(corners):
-            raise bad[0]
+            raise TrackingError(f"{name} radiograph: {bad[0]}")

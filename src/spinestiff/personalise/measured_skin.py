@@ -184,7 +184,8 @@ def _section(points: Floats, faces: np.ndarray, height: float) -> Floats:
     """(n, 2) mm, x and z where edges of the faces pass a height."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     a, b = points[edges[:, 0]], points[edges[:, 1]]
-    across = (a[:, 1] - height) * (b[:, 1] - height) < 0.0
+    # Ends at the very height count as above it, so that the section has corners that lie there.
+    across = (a[:, 1] < height) != (b[:, 1] < height)
     a, b = a[across], b[across]
     share = ((height - a[:, 1]) / (b[:, 1] - a[:, 1]))[:, None]
     return np.asarray((a + share * (b - a))[:, [0, 2]])

@@ -12,6 +12,7 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import (
+    CORNERS,
     VertebraCorners,
     silhouette_shares,
     state_features,
@@ -112,9 +113,11 @@ def align_view(
         raise TrackingError("no vertebra is left to say where the patient stood; check annotation and tracking")
     shares = silhouette_shares(torso, nominal, state) if shares is None else shares
     rows = vertebra_rows(torso, corners)
+    used = np.ones((len(torso.vertebrae), CORNERS), dtype=bool)
+    used[rows] = corners.usable
     shift, roll, view = np.zeros(2), 0.0, nominal
     for _ in range(8):
-        seen = state_features(torso, view, state, shares).z[rows].reshape(-1, 2)
+        seen = state_features(torso, view, state, shares, used=used).z[rows].reshape(-1, 2)
         target = target_features(torso, view, corners).reshape(-1, 2)
         wanted, _ = _rigid_motion(seen, target, None)
         best = roll + wanted
@@ -124,7 +127,7 @@ def align_view(
         # q -> Q(turn) (Q(roll) q + shift) + move
         shift, roll = _rotated(shift, turn) + move, roll + turn
         view = nominal.moved(shift, roll)
-    seen = state_features(torso, view, state, shares).z[rows]
+    seen = state_features(torso, view, state, shares, used=used).z[rows]
     residual = seen - target_features(torso, view, corners)
     return view, ViewPose(shift, roll, float(np.sqrt(np.mean(np.sum(residual**2, -1)))))
 

@@ -6,8 +6,8 @@ everything else follows is g_c . d + d . S d / 2 with (static condensation; Guya
     S = (P K^-1 P^T)^-1,    g_c = S P K^-1 g.
 
 Divided by ``ENERGY_SCALE`` it counts as minus the logarithm of a probability: bones and tissue at ``REGULARISER`` let
-neighbouring vertebrae differ from the template by about 4 degrees (one standard deviation) about each axis, 1 mm along
-the spine and 3 to 5 mm across it.
+neighbouring vertebrae differ from the template by 3 to 5 degrees (one standard deviation) about each axis, 1 to 2 mm
+along the spine and 4 to 6 mm across it (benchmarks/carried_bodies.py).
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ import numpy as np
 from spinestiff.anatomy.state import TorsoState
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats, ShortRepr
-from spinestiff.curves.pushes import annotated_frame
+from spinestiff.curves.pushes import annotated_frame, frame_forces
 from spinestiff.errors import FitError, SubjectError, TrackingError
 from spinestiff.estimation.evaluation import OnFitStep
 from spinestiff.estimation.fit import Extent, fit_stiffness, likelihood_rise
@@ -195,20 +195,16 @@ def push_set(
         problems[push.id] = by_side[push.side]
         site = PushSite(push.side, push.level, push.d21_mm, push.d31_mm)
         warnings += _odd_distances(torso, push)
-        if len(found.frames) != len(push.forces_n):
-            raise SubjectError(
-                f"push '{push.id}': {len(found.frames)} tracked frames for {len(push.forces_n)} forces_n; "
-                "run spinestiff track again"
-            )
+        forces = frame_forces(push, found)
         tracked_corners = [found.corners(i) for i in range(len(found.frames))]
         corners = [usable_corners(frame) for frame in tracked_corners]
         usable = [i for i, left in enumerate(corners) if len(left) >= FEWEST_VERTEBRAE]
         if not usable:
             raise SubjectError(f"push '{push.id}': no frame is usable after tracking; see the messages of that step")
-        least = min(usable, key=lambda i: push.forces_n[i])
-        if push.forces_n[least] > 0.0:
+        least = min(usable, key=lambda i: forces[i])
+        if forces[least] > 0.0:
             warnings.append(
-                f"push '{push.id}': its least force is {push.forces_n[least]:g} N, so that where the patient stood "
+                f"push '{push.id}': its least force is {forces[least]:g} N, so that where the patient stood "
                 "is read under load; record a frame without force"
             )
             if push.roles[least] == "validation":
@@ -223,7 +219,7 @@ def push_set(
         aside, told = _pictures_aside(torso, push, found)
         warnings += told
         markers = _markers(torso, push, found, view, known or Known())
-        for index, (frame, force, role) in enumerate(zip(found.frames, push.forces_n, push.roles)):
+        for index, (frame, force, role) in enumerate(zip(found.frames, forces, push.roles)):
             label = f"push '{push.id}' frame {index}"
             if frame.support_note and role != "unused":
                 warnings.append(f"{label}: {frame.support_note}; the paper leaves such a frame out")

@@ -241,6 +241,20 @@ def test_big_endian_becomes_little(tmp_path):
     np.testing.assert_array_equal(np.frombuffer(new.PixelData, "<u2").reshape(VIEW.shape), smooth(12))
 
 
+@pytest.mark.parametrize(("bits", "kind"), [(12, "u2"), (8, "u1")])
+def test_a_table_of_a_big_endian_file_becomes_little(tmp_path, bits, kind):
+    dataset, table, file = plain(tmp_path), pydicom.Dataset(), BytesIO()
+    entries = np.array([0, 5, 9, 200], dtype=kind)
+    table.add_new("LUTDescriptor", "US", [4, 0, bits])
+    table.add_new("LUTData", "OW", np.frombuffer(entries.tobytes(), "<u2").astype(">u2").tobytes())
+    dataset.VOILUTSequence = [table]
+    dataset.file_meta.TransferSyntaxUID = ExplicitVRBigEndian
+    dataset.PixelData = smooth(12).astype(">u2").tobytes()
+    pydicom.dcmwrite(file, dataset, implicit_vr=False, little_endian=False, force_encoding=True)
+    new = pydicom.dcmread(BytesIO(deidentify(file.getvalue(), KEY).content)).VOILUTSequence[0]
+    assert np.frombuffer(new.LUTData, "<u2").tolist() == entries.tolist()
+
+
 def test_look_up_tables_are_as_long_as_they_say(tmp_path):
     dataset, table = plain(tmp_path), pydicom.Dataset()
     table.add_new("LUTDescriptor", "US", [4, 0, 12])

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pydicom
 import pytest
 from pydicom.dataset import Dataset
 from pydicom.sequence import Sequence
+from pydicom.uid import ExplicitVRBigEndian
 
 from spinestiff.errors import RadiographError
 from spinestiff.imaging.radiograph import read_radiographs
@@ -37,6 +39,19 @@ def test_a_modality_table_is_looked_up(file, bits):
     radiograph = read(file, change=table("ModalityLUTSequence", entries, first=20, bits=bits))
     np.testing.assert_array_equal(radiograph.pixels, entries[np.clip(STORED.astype(int) - 20, 0, 199)])
     assert "by its modality table" in radiograph.provenance["grey values"]
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_a_table_of_a_big_endian_file_has_its_bytes_in_that_order(file, bits):
+    entries = (np.arange(200) ** 2 // 160).astype(np.uint16)
+    path = file(STORED[None], **BYTES, change=table("ModalityLUTSequence", entries, first=20, bits=bits))
+    dataset = pydicom.dcmread(path)
+    for holder, keyword in ((dataset, "PixelData"), (dataset.ModalityLUTSequence[0], "LUTData")):
+        holder[keyword].value = np.frombuffer(holder[keyword].value, "<u2").astype(">u2").tobytes()
+    dataset.file_meta.TransferSyntaxUID = ExplicitVRBigEndian
+    pydicom.dcmwrite(path, dataset, implicit_vr=False, little_endian=False, force_encoding=True)
+    (radiograph,) = read_radiographs(path)
+    np.testing.assert_array_equal(radiograph.pixels, entries[np.clip(STORED.astype(int) - 20, 0, 199)])
 
 
 def test_a_falling_table_turns_what_the_sign_of_the_beam_means(file):

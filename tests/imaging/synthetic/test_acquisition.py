@@ -168,6 +168,9 @@ def test_blades_out_of_the_picture_change_nothing_and_closed_ones_are_refused() 
         Collimation(left=300.0, right=300.0).field(VIEW)
     with pytest.raises(RadiographError, match="wanted 0 mm or more"):
         Collimation(top=-1.0)
+    # Of numbers and NaN, the order in which they stand says which is the least.
+    with pytest.raises(RadiographError, match="wanted 0 mm or more"):
+        Collimation(right=np.nan)
 
 
 @pytest.mark.parametrize(

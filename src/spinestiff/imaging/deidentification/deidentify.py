@@ -24,14 +24,14 @@ from spinestiff.imaging.deidentification.pseudonyms import Key, moment
 from spinestiff.imaging.dicom.decoding import coded_frames, uncoded
 from spinestiff.imaging.dicom.files import MOST_BYTES, quiet
 from spinestiff.imaging.dicom.layout import MODALITIES, Layout
+from spinestiff.imaging.dicom.tags import BIG_ENDIAN, little_endian
 from spinestiff.words import counted
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset
 
 NO_DICOM = "no DICOM file (its header is missing)"
-_PLAIN = ("1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.2")
-_BIG_ENDIAN = "1.2.840.10008.1.2.2"
+_PLAIN = ("1.2.840.10008.1.2", "1.2.840.10008.1.2.1", BIG_ENDIAN)
 _RLE = "1.2.840.10008.1.2.5"
 # JPEG baseline, extended, lossless; JPEG-LS; JPEG 2000.
 _CODED = tuple(f"1.2.840.10008.1.2.4.{number}" for number in (50, 51, 57, 70, 80, 81, 90, 91))
@@ -264,7 +264,7 @@ def _add_tables(new: Dataset, keyword: str, old: Dataset, more: str | None, left
 
     tables = []
     for item in old[keyword].value[:4]:
-        found = ruled(lambda item: _table(item, old.file_meta.TransferSyntaxUID == _BIG_ENDIAN), item)
+        found = ruled(lambda item: _table(item, str(old.file_meta.TransferSyntaxUID)), item)
         if found is None:
             left_out.append(keyword)
             return
@@ -298,13 +298,13 @@ def _code(value: str, scheme: str, meaning: str) -> Dataset:
     return code
 
 
-def _table(item: Dataset, big_endian: bool) -> tuple[tuple[int, int, int], bytes] | None:
+def _table(item: Dataset, syntax: str) -> tuple[tuple[int, int, int], bytes] | None:
     """Descriptor and data of a look-up table: as many entries as it declares, in words."""
     entries, first, bits = (int(value) for value in item.LUTDescriptor)
     data, number = item.LUTData, (entries % 65536) or 65536
     if isinstance(data, bytes):
-        kind = ">u2" if big_endian else "<u2"
-        words = np.frombuffer(data, kind if len(data) >= 2 * number else "u1")
+        data = little_endian(data, syntax)
+        words = np.frombuffer(data, "<u2" if len(data) >= 2 * number else "u1")
     else:
         words = np.asarray(listed(data))
     if len(words) < number or not 8 <= bits <= 16 or (words[:number].astype(int) >> bits).any():

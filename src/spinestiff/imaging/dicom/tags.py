@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from pydicom.dataset import Dataset
 
 MOST_TABLE_ENTRIES = 65536
+BIG_ENDIAN = "1.2.840.10008.1.2.2"
+"""The one transfer syntax whose words have their more significant byte first."""
 # SNOMED CT and SRT codes of the view (CID 4010).
 _VIEW_CODES = {
     "399348003": "AP", "R-10206": "AP", "272479007": "PA", "R-40888": "PA",
@@ -299,8 +301,9 @@ def _table(dataset: Dataset, keyword: str) -> Table | None:
     if not 8 <= bits <= 16:
         raise RadiographError(f"{keyword}: found entries of {bits} bits, wanted 8 to 16; export it again")
     if isinstance(data, bytes):
+        data = little_endian(data, str(own(dataset.file_meta, "TransferSyntaxUID") or ""))
         narrow = bits == 8 and len(data) - count in (0, 1)
-        values = np.frombuffer(data[: len(data) // 2 * 2], dtype=np.uint8 if narrow else "<u2")
+        values = np.frombuffer(data, dtype=np.uint8 if narrow else "<u2")
         values = values[:count] if narrow else values
     else:
         with named(keyword):
@@ -310,6 +313,15 @@ def _table(dataset: Dataset, keyword: str) -> Table | None:
     if first >= 32768 and _integer(dataset, "PixelRepresentation", 0):
         first -= 65536
     return Table(first, values.astype(np.uint16))
+
+
+def little_endian(words: bytes, syntax: str) -> bytes:
+    """Words (VR OW) of a file of some transfer syntax, the less significant byte first, without half a word at the end.
+
+    The DICOM library leaves their bytes as they are in the file.
+    """
+    whole = words[: len(words) // 2 * 2]
+    return np.frombuffer(whole, ">u2").astype("<u2").tobytes() if syntax == BIG_ENDIAN else whole
 
 
 def _orientation(dataset: Dataset) -> tuple[str, str] | None:

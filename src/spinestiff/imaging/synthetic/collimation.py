@@ -25,7 +25,7 @@ class Collimation:
 
     Raises
     ------
-    RadiographError : a negative distance.
+    RadiographError : a negative distance, or NaN.
     """
 
     top: float = 0.0
@@ -34,7 +34,7 @@ class Collimation:
     right: float = 0.0
 
     def __post_init__(self) -> None:
-        if not min(self.top, self.bottom, self.left, self.right) >= 0.0:
+        if not all(edge >= 0.0 for edge in (self.top, self.bottom, self.left, self.right)):
             raise RadiographError(f"collimation {self}; wanted 0 mm or more from each edge")
 
     def field(self, view: XRayView) -> tuple[Floats, Floats]:
