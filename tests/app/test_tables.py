@@ -155,7 +155,7 @@ def test_assessment(printed):
 
 
 def test_repeatability(printed):
-    scatter = Scatter(0.0123, 0.0101, 0.0456, 5, 0.0111, 1.1, 1.2, 0.5, 0)
+    scatter = Scatter(0.0123, 0.0101, 0.0456, 5, 0.0111, 1.1, 1.2, 0.5, 0, 1.11)
     text = printed(tables.repeatability_table(Repeatability("visits", {"lateral_bending": scatter}, (), ())), 80)
     assert re.search(r"smallest *\n.*\bchange +expected", text) and "lateral bending" in text
     assert row_of(text, "lateral bending")[1:] == ["0.012", "0.010 to 0.046", "0.011", "× 1.1", "× 1.2", "0.5"]

@@ -70,6 +70,21 @@ def test_scatter_that_is_not_as_expected_is_told() -> None:
     assert any("scatter less than their own errors let expect" in line for line in repeatability_lines(less))
 
 
+def test_scatter_of_people_known_well_is_not_hidden_by_one_known_badly() -> None:
+    """The p-value, what is said and how changes are judged are of one measure: scatter over each estimate's error."""
+    random = np.random.default_rng(1)
+    visits = [visit(f"p{i}", j, 0.05, bending=float(np.exp(random.normal(0, 0.15)))) for i in range(12) for j in (0, 1)]
+    visits += [visit("bad", j, 0.8, bending=value) for j, value in enumerate((1.0, 1.2))]
+    found = repeatability(visits)
+    one = found.scatter["bending"]
+    assert one.within_sd_log < one.expected_sd_log
+    assert one.p_value < 0.01 and one.standardised > 1.5
+    assert one.wider == one.standardised
+    assert any("scatter more than their own errors let expect" in line for line in repeatability_lines(found))
+    first = found.changes[0]
+    assert first.detectable_factor > np.exp(1.5 * 1.959964 * np.sqrt(2.0) * 0.05)
+
+
 def test_no_scatter_has_a_probability_of_nothing() -> None:
     found = repeatability([visit("a", 0, 0.02, bending=0.1), visit("a", 1, 0.02, bending=0.2)])
     # A log ratio of 0.69 is 24.5 standard deviations of 0.02 √2.
