@@ -149,7 +149,7 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
         "profiles": album.add(*profile_picture(visit, estimate)) if estimate.profiles else None,
         "budget": album.add(*budget_picture(estimate)) if estimate.budget else None,
         "support_places": _added(album, support_picture(estimate, predictions)),
-        "levels": album.add(*tilt_picture(visit, predictions)),
+        "levels": _added(album, tilt_picture(visit, predictions)),
         "beside": beside_rows(predictions),
         "beside_pictures": [album.add(*picture) for picture in beside_pictures(predictions, pixels_in(visit))],
         "sensitivity": _sensitivity(visit, album),
