@@ -9,7 +9,7 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 
-from spinestiff.subject.assessment_outcome import Assessment, CobbChangeRecord
+from spinestiff.subject.assessment_outcome import Assessment, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Quantity
 from spinestiff.subject.outcomes import Responses
@@ -83,7 +83,7 @@ def assessment_csv(assessment: Assessment) -> str:
     rows = []
     for frame in assessment.frames:
         errors = [frame.rmse_mm.get(name) for name in PREDICTORS]
-        changes = [cell for name in SEEN for cell in _change_cells(frame.cobb_change_deg.get(name))]
+        changes = [cell for name in SEEN for cell in _change_cells(frame, name)]
         rows.append([frame.push, frame.frame, frame.force_n, *errors, *changes])
     return _text(columns, rows)
 
@@ -92,15 +92,17 @@ def _change_columns(form: str, name: str) -> tuple[str, str, str]:
     return f"{form}_change_deg_{name}", f"{form}_change_half_width95_deg_{name}", f"{form}_change_of_{name}"
 
 
-def _change_cells(change: CobbChangeRecord | None) -> list[object]:
-    """Of each form value, half the width of its 95 % interval, which a model's has not, and levels."""
+def _change_cells(frame: HeldOutFrame, name: str) -> list[object]:
+    """Of each form value, half the width of its 95 % interval, where it has one, and levels."""
+    change = frame.cobb_change_deg.get(name)
     if change is None:
         return [None] * (3 * len(FORMS))
-    widths = dict(zip(("signed", "fixed_levels", "tilt"), (HALF_WIDTH_95 * sd for sd in change.sds or ())))
+    sds = dict(zip(("signed", "fixed_levels", "tilt"), frame.cobb_sds(name)))
     cells: list[object] = []
     for form, levels in FORMS.items():
-        between = getattr(change, levels)
-        cells += [getattr(change, form), widths.get(form), between if isinstance(between, str) else "–".join(between)]
+        sd, between = sds[form], getattr(change, levels)
+        width = None if sd is None else HALF_WIDTH_95 * sd
+        cells += [getattr(change, form), width, between if isinstance(between, str) else "–".join(between)]
     return cells
 
 
