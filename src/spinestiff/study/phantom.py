@@ -324,8 +324,9 @@ def _rmse_of_marking(sd: float) -> float:
 
 
 def _joints_sd(record: PhantomRecord, joints: Sequence[BenchJoint]) -> float:
-    own = float(np.sum([joint.sd**2 for joint in joints])) / len(joints) ** 2
-    return float(np.hypot(np.sqrt(own), record.bench_scale_sd))
+    """Relative standard deviation of the joints' mean stiffness."""
+    stiffness, own = np.array([(joint.stiffness, joint.sd) for joint in joints]).T
+    return float(np.hypot(np.linalg.norm(stiffness * own) / stiffness.sum(), record.bench_scale_sd))
 
 
 def _priors(record: PhantomRecord) -> Priors:
