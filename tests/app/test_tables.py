@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import tomllib
@@ -16,6 +17,7 @@ from spinestiff.mechanics.cudss import GpuFailure
 from spinestiff.mechanics.factor import default_backend
 from spinestiff.study.repeatability import Repeatability, Scatter
 from spinestiff.study.seven.tables import paper_tables
+from spinestiff.study.summary import estimate_csv
 from spinestiff.subject.assessment_outcome import HeldOutFrame
 from spinestiff.subject.estimate_outcome import BudgetRecord, Estimate, PlainStiffness, PriorChangeRecord, RatioEstimate
 from spinestiff.subject.outcomes import FrameProposal
@@ -95,8 +97,13 @@ def test_a_doubtful_estimate_says_so_above_its_numbers(printed):
 
 def test_the_paper_s_estimate_says_that_it_has_no_intervals(printed):
     ratios = {name: RatioEstimate.of(one.value, (NAN, NAN), (False, False), False) for name, one in RATIOS.items()}
-    text = printed(tables.estimate_table(estimate(method="paper", ratios=ratios, determined="not determined")))
+    plain = {name: PlainStiffness.model_validate({**LEVEL, "low": None, "high": None}) for name in ("a", "b")}
+    found = estimate(method="paper", ratios=ratios, determined="not determined")
+    text = printed(tables.estimate_table(found))
     assert "Estimate: no intervals" in text and "determined" not in text
+    # So it is in a table for other programs.
+    rows = csv.DictReader(estimate_csv(found.model_copy(update={"plain": plain})).splitlines())
+    assert {row["determined"] for row in rows} == {"no intervals"}
     assert row_of(text, "ratio: lateral_bending")[1:] == ["0.10", "not available", "no intervals"]
 
 

@@ -9,6 +9,7 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 
+from spinestiff.study.wording import NO_INTERVALS, has_intervals
 from spinestiff.subject.assessment_outcome import Assessment, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Quantity
@@ -56,11 +57,14 @@ def response_csv(responses: Responses) -> str:
 def estimate_csv(estimate: Estimate) -> str:
     """A row a quantity: stiffness in plain units, then the ratios; ``unit`` of a ratio is empty.
 
-    ``determined`` is "doubtful" throughout a doubtful estimate, and empty for a stiffness that was not estimated.
+    ``determined`` is "doubtful" throughout a doubtful estimate, "no intervals" by a method without, and empty for a
+    stiffness that was not estimated.
     """
 
     def known(determined: str) -> str:
-        return "doubtful" if determined and estimate.status == "DOUBTFUL" else determined
+        if determined and estimate.status == "DOUBTFUL":
+            return "doubtful"
+        return NO_INTERVALS if determined and not has_intervals(estimate) else determined
 
     rows = []
     for name, found in estimate.plain.items():
