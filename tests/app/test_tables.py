@@ -16,6 +16,7 @@ from spinestiff.mechanics import factor
 from spinestiff.mechanics.cudss import GpuFailure
 from spinestiff.mechanics.factor import default_backend
 from spinestiff.study.repeatability import Repeatability, Scatter
+from spinestiff.study.report.estimate_content import _gain
 from spinestiff.study.seven.tables import paper_tables
 from spinestiff.study.summary import estimate_csv
 from spinestiff.subject.assessment_outcome import HeldOutFrame
@@ -105,6 +106,17 @@ def test_the_paper_s_estimate_says_that_it_has_no_intervals(printed):
     rows = csv.DictReader(estimate_csv(found.model_copy(update={"plain": plain})).splitlines())
     assert {row["determined"] for row in rows} == {"no intervals"}
     assert row_of(text, "ratio: lateral_bending")[1:] == ["0.10", "not available", "no intervals"]
+
+
+def test_the_report_names_what_nobody_can_measure():
+    """Of tissue most is gained by knowing how it resists a change of volume, which is not all that a model lacks."""
+    rows = [
+        BudgetRecord(name=name, alone={"tissue": 0.1}, without={"tissue": without})
+        for name, without in (("tissue's volume", 0.1), ("model discrepancy", 0.15), ("trunk size", 0.18))
+    ]
+    found = _gain(estimate(sd_log={"tissue": 0.2}, budget=tuple(rows)), "tissue")
+    assert found["unmeasurable"] == "the tissue’s resistance to a change of volume"
+    assert (found["known"], found["what"], found["then"]) == ("1.22", "the trunk’s size", "1.42")
 
 
 def by_ratio(bending, tissue):

@@ -616,9 +616,9 @@ def test_missing_values_say_so(page: Page) -> None:
 def test_what_would_be_gained_is_told(page: Page) -> None:
     """Factors are exp(1.96 sd); what the model lacks is nothing that anybody can measure."""
     assert (
-        "Lateral bending of the spine is known within a factor of 2.2 (95 %, to first order). A model that lacks "
-        "nothing would make it 1.63. Most would be gained by measuring the push’s height: known exactly, the factor "
-        "would be 1.80."
+        "Lateral bending of the spine is known within a factor of 2.2 (95 %, to first order). Knowing what the "
+        "model lacks, which nobody can measure, would make it 1.63. Most would be gained by measuring the push’s "
+        "height: known exactly, the factor would be 1.80."
     ) in page.words
     assert (
         "Soft tissue of the trunk is known within a factor of 1.48 (95 %, to first order). Most would be gained by "
