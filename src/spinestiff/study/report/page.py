@@ -136,7 +136,8 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
         "millimetres": millimetre_rows(geometry, tracked),
         "cost": estimate.cost,
         "training": {
-            "default": fixed(estimate.training_rmse_mm.default, 2), "fit": fixed(estimate.training_rmse_mm.fit, 2)
+            "default": "" if (default := estimate.training_rmse_mm.default) is None else fixed(default, 2),
+            "fit": fixed(estimate.training_rmse_mm.fit, 2),
         },
         "version": __version__,
         "held_out": [
