@@ -326,6 +326,23 @@ def test_a_picture_is_drawn_of_few_and_of_many() -> None:
         assert len(as_png(draw_repeatability(repeatability(visits)))) > 5000
 
 
+def test_a_change_that_is_told_is_drawn_whoever_has_the_scatter() -> None:
+    """Tissue scatters by one person; bending changed in another, who was not pushed alike and so tells no scatter."""
+    open_end, known = VisitRatio(0.1, 0.2, 0.5, known=False), VisitRatio(0.1, 0.05, 0.1)
+    moved = VisitRatio(0.5, 0.05, 0.1)
+    other = (("left", 8.0, 40.0),)
+    visits = [
+        VisitEstimate("a-0", "a", {"bending": open_end, "tissue": known}),
+        VisitEstimate("a-1", "a", {"bending": known, "tissue": known}),
+        VisitEstimate("b-0", "b", {"bending": known, "tissue": known}),
+        VisitEstimate("b-1", "b", {"bending": moved, "tissue": known}, other),
+    ]
+    found = repeatability(visits)
+    assert list(found.scatter) == ["tissue"]
+    assert ("b", "bending", "changed") in [(one.subject, one.name, one.verdict) for one in found.changes]
+    assert [axes.get_ylabel() for axes in draw_repeatability(found).axes] == ["ratio, bending", "ratio, tissue"]
+
+
 def test_the_title_says_what_bars_and_squares_are() -> None:
     """A bar is of one estimate: that of another one of an unchanged person ends in it in 83 %, not in 95 %."""
     visits = [visit("a", i, bending=0.1 + 0.4 * i) for i in range(2)]

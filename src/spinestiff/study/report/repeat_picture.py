@@ -26,7 +26,8 @@ def draw_repeatability(found: Repeatability) -> Figure:
     visits = sorted(found.visits, key=lambda visit: [other.subject for other in found.visits].index(visit.subject))
     subjects = list(dict.fromkeys(visit.subject for visit in visits))
     places = np.arange(len(visits)) + 0.8 * np.array([subjects.index(visit.subject) for visit in visits])
-    names = tuple(found.scatter) or tuple(visits[0].ratios)
+    told = found.scatter.keys() | {change.name for change in found.changes if change.verdict != "can't be told"}
+    names = tuple(name for name in visits[0].ratios if name in told) or tuple(visits[0].ratios)
     changed = {(change.name, change.visit) for change in found.changes if change.verdict == "changed"}
     with rc_context(STYLE):
         size = (min(3.2 + 0.42 * len(visits), 14.0), 2.9 * len(names) + 0.9)
