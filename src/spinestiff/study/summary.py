@@ -9,7 +9,7 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 
-from spinestiff.study.wording import NO_INTERVALS, has_intervals
+from spinestiff.study.wording import known_word
 from spinestiff.subject.assessment_outcome import Assessment, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Quantity
@@ -60,20 +60,17 @@ def estimate_csv(estimate: Estimate) -> str:
     ``determined`` is "doubtful" throughout a doubtful estimate, "no intervals" by a method without, and empty for a
     stiffness that was not estimated.
     """
-
-    def known(determined: str) -> str:
-        if determined and estimate.status == "DOUBTFUL":
-            return "doubtful"
-        return NO_INTERVALS if determined and not has_intervals(estimate) else determined
-
     rows = []
     for name, found in estimate.plain.items():
         ratio = None if found.ratio is None else estimate.ratios[found.ratio]
-        determined = ratio.determined if ratio else "" if found.low is None else found.determination
-        bound = _yes(ratio.at_bound) if ratio else ""
-        rows.append([name, found.unit, *_interval(found), known(determined), bound, estimate.status])
+        known, bound = "", ""
+        if ratio is not None:
+            known, bound = known_word(estimate, ratio.determined), _yes(ratio.at_bound)
+        elif found.low is not None:
+            known = known_word(estimate, found.determination)
+        rows.append([name, found.unit, *_interval(found), known, bound, estimate.status])
     rows += [
-        [name, "", *_interval(ratio), known(ratio.determined), _yes(ratio.at_bound), estimate.status]
+        [name, "", *_interval(ratio), known_word(estimate, ratio.determined), _yes(ratio.at_bound), estimate.status]
         for name, ratio in estimate.ratios.items()
     ]
     return _text(ESTIMATE_COLUMNS, rows)
