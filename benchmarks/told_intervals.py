@@ -42,6 +42,7 @@ def told(fit: StiffnessFit, truth: Mapping[str, float]) -> dict[str, Any]:
         "high": np.exp(likely.high).tolist(),
         "open": (likely.open_low | likely.open_high).tolist(),
         "kinds": list(likely.kinds),
+        "settled": likely.settled,
         # Signed root of twice the rise at the truth, in units of the intervals: standard normal, if all is well.
         "z": [float(np.sign(a - b) * np.sqrt(2.0 * max(r, 0.0)) / WIDTH_FACTOR) for a, b, r in zip(best, at, rises)],
         "joint": 2.0 * joint / WIDTH_FACTOR**2,

@@ -64,3 +64,10 @@ def test_picture_of_cobb_readings(finished) -> None:
     from spinestiff.curves.pushes import rest_reading
 
     seen(plot.cobb([rest_reading(ss.read_subject(finished.folder))]))
+
+
+def test_pushes_without_vertebrae_in_common_are_told_in_one_line(monkeypatch) -> None:
+    monkeypatch.setattr("spinestiff.study.steps.stored_predictions", lambda visit: None)
+    monkeypatch.setattr("spinestiff.study.report.pictures.tilt_picture", lambda visit, predictions: None)
+    with pytest.raises(SubjectError, match="no push shows two vertebrae in two frames"):
+        plot.tilt_by_level(None)

@@ -157,12 +157,15 @@ def tilt_by_level(visit: Visit) -> Figure:
 
     Raises
     ------
-    SubjectError : the visit has not been assessed.
+    SubjectError : the visit has not been assessed, or no push shows a change.
     """
     from spinestiff.study.report.pictures import tilt_picture
     from spinestiff.study.steps import stored_predictions
 
-    return tilt_picture(visit, stored_predictions(visit))[1]
+    drawn = tilt_picture(visit, stored_predictions(visit))
+    if drawn is None:
+        raise SubjectError("no push shows two vertebrae in two frames, between which their tilt could change")
+    return drawn[1]
 
 
 def joint_region(visit: Visit) -> Figure:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import tomllib
@@ -15,7 +16,9 @@ from spinestiff.mechanics import factor
 from spinestiff.mechanics.cudss import GpuFailure
 from spinestiff.mechanics.factor import default_backend
 from spinestiff.study.repeatability import Repeatability, Scatter
+from spinestiff.study.report.estimate_content import _gain
 from spinestiff.study.seven.tables import paper_tables
+from spinestiff.study.summary import estimate_csv
 from spinestiff.subject.assessment_outcome import HeldOutFrame
 from spinestiff.subject.estimate_outcome import BudgetRecord, Estimate, PlainStiffness, PriorChangeRecord, RatioEstimate
 from spinestiff.subject.outcomes import FrameProposal
@@ -95,9 +98,25 @@ def test_a_doubtful_estimate_says_so_above_its_numbers(printed):
 
 def test_the_paper_s_estimate_says_that_it_has_no_intervals(printed):
     ratios = {name: RatioEstimate.of(one.value, (NAN, NAN), (False, False), False) for name, one in RATIOS.items()}
-    text = printed(tables.estimate_table(estimate(method="paper", ratios=ratios, determined="not determined")))
+    plain = {name: PlainStiffness.model_validate({**LEVEL, "low": None, "high": None}) for name in ("a", "b")}
+    found = estimate(method="paper", ratios=ratios, determined="not determined")
+    text = printed(tables.estimate_table(found))
     assert "Estimate: no intervals" in text and "determined" not in text
+    # So it is in a table for other programs.
+    rows = csv.DictReader(estimate_csv(found.model_copy(update={"plain": plain})).splitlines())
+    assert {row["determined"] for row in rows} == {"no intervals"}
     assert row_of(text, "ratio: lateral_bending")[1:] == ["0.10", "not available", "no intervals"]
+
+
+def test_the_report_names_what_nobody_can_measure():
+    """Of tissue most is gained by knowing how it resists a change of volume, which is not all that a model lacks."""
+    rows = [
+        BudgetRecord(name=name, alone={"tissue": 0.1}, without={"tissue": without})
+        for name, without in (("tissue's volume", 0.1), ("model discrepancy", 0.15), ("trunk size", 0.18))
+    ]
+    found = _gain(estimate(sd_log={"tissue": 0.2}, budget=tuple(rows)), "tissue")
+    assert found["unmeasurable"] == "the tissue’s resistance to a change of volume"
+    assert (found["known"], found["what"], found["then"]) == ("1.22", "the trunk’s size", "1.42")
 
 
 def by_ratio(bending, tissue):
@@ -155,7 +174,7 @@ def test_assessment(printed):
 
 
 def test_repeatability(printed):
-    scatter = Scatter(0.0123, 0.0101, 0.0456, 5, 0.0111, 1.1, 1.2, 0.5, 0)
+    scatter = Scatter(0.0123, 0.0101, 0.0456, 5, 0.0111, 1.1, 1.2, 0.5, 0, 1.11)
     text = printed(tables.repeatability_table(Repeatability("visits", {"lateral_bending": scatter}, (), ())), 80)
     assert re.search(r"smallest *\n.*\bchange +expected", text) and "lateral bending" in text
     assert row_of(text, "lateral bending")[1:] == ["0.012", "0.010 to 0.046", "0.011", "× 1.1", "× 1.2", "0.5"]

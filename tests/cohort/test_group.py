@@ -6,10 +6,12 @@ import csv
 import io
 import json
 import sqlite3
+from types import SimpleNamespace
 
 import pytest
 
 from cohort_runners import row
+from spinestiff.cohort import subject_run
 from spinestiff.cohort.group import Member, csv_text, read_members, strangers, table
 from spinestiff.cohort.ledger import Try, write_last
 from spinestiff.cohort.overview import write_overview
@@ -19,6 +21,8 @@ from spinestiff.cohort.supervisor import run_one, run_participants
 from spinestiff.cohort.worker import Task, make_results
 from spinestiff.errors import InUseError, SubjectError
 from spinestiff.files import file_digest
+from spinestiff.subject.assessment_outcome import Assessment
+from spinestiff.subject.estimate_outcome import Estimate, RatioEstimate, TrainingError
 
 
 def made_results(cohort, *names, order=None):
@@ -153,3 +157,18 @@ def _held(cohort):
     from spinestiff.cohort.lock import cohort_lock
 
     return cohort_lock(cohort.target)
+
+
+def test_a_row_of_the_paper_s_estimate_is_determined_to_no_degree(monkeypatch):
+    ratio = RatioEstimate.of(0.05, (float("nan"),) * 2, (False, False), False)
+    given = {"status": "CONVERGED", "determined": "not determined", "ratios": {"tissue": ratio}, "plain": {}}
+    estimate = Estimate.model_construct(
+        **given, method="paper", checks=(), training_rmse_mm=TrainingError(default=1.0, fit=0.5)
+    )
+    found = {Estimate: estimate, Assessment: Assessment(frames=())}
+    monkeypatch.setattr(subject_run, "read_outcome", lambda subject, kind: found[kind])
+    monkeypatch.setattr(subject_run, "rest_reading", lambda subject: SimpleNamespace(largest=None))
+    push = SimpleNamespace(forces_n=(0.0, 40.0), roles=("training", "training"))
+    record = SimpleNamespace(id="a", age=12.0, sex="female", height_cm=150.0, mass_kg=None, pushes=(push,))
+    row = subject_run.row_of(SimpleNamespace(subject=SimpleNamespace(record=record)), "sub-01")
+    assert (row.determined, row.stiffness["tissue"].sd_log) == ("no intervals", None)

@@ -33,6 +33,21 @@ def test_a_spread_below_the_intervals_is_not_told_as_known():
     assert patients == f"{found[0].needed[0].a_group}, by intervals alone"
 
 
+def test_more_patients_than_are_counted_is_not_the_same_as_not_known():
+    members = people([-1.0, 0.0, 0.3, 0.1, 1.0, 0.6], 0.1)
+
+    def shown():
+        ((header, *cells),) = statistics_sections(cohort_statistics(members, 1.001), members)[1].tables[0][2]
+        return header, cells[-1]
+
+    assert shown() == ("× 1.00", "not known")
+    for number, member in enumerate(members):
+        tissue = member.row.stiffness["tissue"].model_copy(update={"visit_sd_log": 0.3})
+        changes = {"stiffness": {"tissue": tissue}}
+        members[number] = Member(member.participant, "done", "", member.row.model_copy(update=changes))
+    assert shown() == ("× 1.00", "over 100000")
+
+
 def test_who_is_left_out_is_told_of_each_stiffness():
     members = people([-1.0, 0.0, 0.3, 0.1, 1.0, 0.6, -0.4], 0.1)
     for number, member in enumerate(members):

@@ -12,7 +12,16 @@ from spinestiff.anatomy.stiffness import stiffness_ratios
 from spinestiff.curves.corner_files import ImageCorners, write_corners
 from spinestiff.errors import SubjectError
 from spinestiff.imaging.features import silhouette_shares, state_features
-from spinestiff.study.phantom import analyse, bench_joint, build_phantom, phantom_lines, push_on, read_phantom
+from spinestiff.study.phantom import (
+    BenchJoint,
+    _joints_sd,
+    analyse,
+    bench_joint,
+    build_phantom,
+    phantom_lines,
+    push_on,
+    read_phantom,
+)
 from spinestiff.subject.phantom_record import JointRecord
 
 RUBBER = {"width_mm": 90.0, "depth_mm": 70.0, "young_mpa": 0.05, "young_sd_mpa": 0.001, "spacing_mm": 60.0}
@@ -75,6 +84,13 @@ def test_joints_softer_than_on_the_bench_are_told(record) -> None:
     assert softer in "\n".join(phantom_lines(found))
 
 
+def test_the_mean_s_error_is_that_of_joints_of_any_stiffness(record) -> None:
+    joints = (BenchJoint("T12", 1000.0, 0.3), BenchJoint("L1", 9000.0, 0.1))
+    drawn = np.random.default_rng(0).normal([1000.0, 9000.0], [300.0, 900.0], (100_000, 2)).mean(axis=1)
+    alone = record.model_copy(update={"bench_scale_sd": 0.0})
+    assert _joints_sd(alone, joints) == pytest.approx(drawn.std() / 5000.0, rel=0.01)
+
+
 def test_an_error_of_the_bench_widens_the_comparison_alone() -> None:
     sure, unsure = (documented(bench_scale_sd=sd) for sd in (0.0, 0.2))
     seen = pictures(sure, 1.2 * bench_values(sure))
@@ -100,8 +116,13 @@ def test_forces_that_move_nothing_tell_nothing(record) -> None:
     frames = tuple(frame.model_copy(update={"force_n": 1e-3 * frame.force_n}) for frame in record.frames)
     weak = record.model_copy(update={"frames": frames, "errors": {"force_offset_n": 0.0}})
     found = analyse(weak, pictures(weak, bench_values(record)))
-    assert found.comparisons[0].verdict == "can't be told" and not found.agrees
-    assert "can't be told from these pictures" in "\n".join(phantom_lines(found))
+    (joints,) = found.comparisons
+    assert joints.verdict == "can't be told" and not found.agrees
+    assert joints.open_low or joints.open_high
+    lines = "\n".join(phantom_lines(found))
+    assert "can't be told from these pictures" in lines
+    # In both intervals, of the pictures and with the bench's error.
+    assert [lines.count(sign) for sign in "≤≥"] == [2 * joints.open_low, 2 * joints.open_high]
 
 
 def test_rubber_has_a_ratio_of_its_own() -> None:

@@ -70,6 +70,21 @@ def test_scatter_that_is_not_as_expected_is_told() -> None:
     assert any("scatter less than their own errors let expect" in line for line in repeatability_lines(less))
 
 
+def test_scatter_of_people_known_well_is_not_hidden_by_one_known_badly() -> None:
+    """The p-value, what is said and how changes are judged are of one measure: scatter over each estimate's error."""
+    random = np.random.default_rng(1)
+    visits = [visit(f"p{i}", j, 0.05, bending=float(np.exp(random.normal(0, 0.15)))) for i in range(12) for j in (0, 1)]
+    visits += [visit("bad", j, 0.8, bending=value) for j, value in enumerate((1.0, 1.2))]
+    found = repeatability(visits)
+    one = found.scatter["bending"]
+    assert one.within_sd_log < one.expected_sd_log
+    assert one.p_value < 0.01 and one.standardised > 1.5
+    assert one.wider == one.standardised
+    assert any("scatter more than their own errors let expect" in line for line in repeatability_lines(found))
+    first = found.changes[0]
+    assert first.detectable_factor > np.exp(1.5 * 1.959964 * np.sqrt(2.0) * 0.05)
+
+
 def test_no_scatter_has_a_probability_of_nothing() -> None:
     found = repeatability([visit("a", 0, 0.02, bending=0.1), visit("a", 1, 0.02, bending=0.2)])
     # A log ratio of 0.69 is 24.5 standard deviations of 0.02 √2.
@@ -309,6 +324,32 @@ def test_one_repetition_gives_no_factor() -> None:
 def test_a_picture_is_drawn_of_few_and_of_many() -> None:
     for visits in (drawn(2, 2, 0.3, 0.3), drawn(30, 3, 0.3, 0.3)):
         assert len(as_png(draw_repeatability(repeatability(visits)))) > 5000
+
+
+def test_a_change_that_is_told_is_drawn_whoever_has_the_scatter() -> None:
+    """Tissue scatters by one person; bending changed in another, who was not pushed alike and so tells no scatter."""
+    open_end, known = VisitRatio(0.1, 0.2, 0.5, known=False), VisitRatio(0.1, 0.05, 0.1)
+    moved = VisitRatio(0.5, 0.05, 0.1)
+    other = (("left", 8.0, 40.0),)
+    visits = [
+        VisitEstimate("a-0", "a", {"bending": open_end, "tissue": known}),
+        VisitEstimate("a-1", "a", {"bending": known, "tissue": known}),
+        VisitEstimate("b-0", "b", {"bending": known, "tissue": known}),
+        VisitEstimate("b-1", "b", {"bending": moved, "tissue": known}, other),
+    ]
+    found = repeatability(visits)
+    assert list(found.scatter) == ["tissue"]
+    assert ("b", "bending", "changed") in [(one.subject, one.name, one.verdict) for one in found.changes]
+    assert [axes.get_ylabel() for axes in draw_repeatability(found).axes] == ["ratio, bending", "ratio, tissue"]
+
+
+def test_the_title_says_what_bars_and_squares_are() -> None:
+    """A bar is of one estimate: that of another one of an unchanged person ends in it in 83 %, not in 95 %."""
+    visits = [visit("a", i, bending=0.1 + 0.4 * i) for i in range(2)]
+    titles = [draw_repeatability(repeatability(visits, of)).axes[0].get_title() for of in ("visits", "annotators")]
+    first, second = (" ".join(title.split()) for title in titles)
+    assert "by what is new at each visit; squares: changed" in first
+    assert "by annotation alone; squares: disagree" in second
 
 
 @pytest.mark.parametrize("visits", [2, 3, 12, 40])

@@ -7,9 +7,11 @@ import csv
 import pytest
 
 from spinestiff.files import read_json
-from spinestiff.study.summary import estimate_csv, response_csv
+from spinestiff.study.summary import assessment_csv, estimate_csv, response_csv
+from spinestiff.subject.assessment_outcome import Assessment, ForecastRecord, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcomes import PushResponse, Responses
+from study_outcomes import change as change_of
 
 
 def rows(path):
@@ -77,6 +79,17 @@ def test_a_doubtful_estimate_is_determined_in_no_row(finished):
         assert set(told.values()) == {known} and {"tissue", "lateral_bending_lumbar"} <= set(told)
 
 
+def test_a_forecast_s_half_width_is_that_between_fixed_levels():
+    errors = dict.fromkeys(("rest", "default", "fit", "forecast"), 1.0)
+    changes = {name: change_of(-10.0) for name in ("measured", "fit", "forecast")}
+    spread = ForecastRecord(rmse_mm=1.0, sd_mm=1.0, inside95=0.9, cobb_error_deg=0.5, cobb_sd_deg=0.75)
+    frame = HeldOutFrame(push="main", frame=1, force_n=60.0, rmse_mm=errors, cobb_change_deg=changes, forecast=spread)
+    (row,) = csv.DictReader(assessment_csv(Assessment(frames=(frame,))).splitlines())
+    widths = {name: text for name, text in row.items() if "half_width95" in name and text}
+    assert widths.keys() == {"fixed_levels_change_half_width95_deg_forecast"}
+    assert number(*widths.values()) == pytest.approx(1.96 * 0.75)
+
+
 def test_the_assessment_s_csv_has_its_numbers(finished):
     results = finished.folder / "results"
     frames, told = read_json(results / "assessment.json")["frames"], rows(results / "assessment.csv")
@@ -95,8 +108,10 @@ def test_the_assessment_s_csv_has_its_numbers(finished):
             ):
                 shown, width = (number(row[f"{form}_change_{what}_{name}"]) for what in ("deg", "half_width95_deg"))
                 assert shown == (None if change is None else pytest.approx(change[form]))
-                sds = None if change is None else change["sds"]
-                assert width == (None if sds is None else pytest.approx(1.96 * sds[k]))
+                sds = (None if change is None else change["sds"]) or [None] * 3
+                if name == "forecast" and form == "fixed_levels":
+                    sds[k] = frame["forecast"]["cobb_sd_deg"]
+                assert width == (None if sds[k] is None else pytest.approx(1.96 * sds[k]))
                 levels = "" if change is None else change[of]
                 assert row[f"{form}_change_of_{name}"] == (levels if isinstance(levels, str) else "–".join(levels))
         assert number(row["tilt_change_half_width95_deg_measured"]) > 0.0

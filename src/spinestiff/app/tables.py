@@ -13,7 +13,6 @@ from rich.markup import escape
 from rich.table import Table
 
 from spinestiff.study.wording import (
-    NO_INTERVALS,
     PLAIN,
     badge,
     costly_unknowns,
@@ -21,8 +20,8 @@ from spinestiff.study.wording import (
     factor95,
     fixed,
     halved_or_doubled,
-    has_intervals,
     interval,
+    known_word,
     least_known,
     number,
     strongest_priors,
@@ -126,9 +125,7 @@ def estimate_table(estimate: Estimate) -> Table:
     made.add_section()
     for name in estimate.parameters:
         ratio = estimate.ratios[name]
-        known = ratio.determined if has_intervals(estimate) else NO_INTERVALS
-        known = badge(estimate) if estimate.status == "DOUBTFUL" else known
-        known += ", at bound" if ratio.at_bound else ""
+        known = known_word(estimate, ratio.determined) + (", at bound" if ratio.at_bound else "")
         made.add_row(f"ratio: {escape(name)}", estimated(ratio), interval(ratio), known)
     return made
 

@@ -62,7 +62,8 @@ class Row(CohortRecord):
     id : as ``subject.json`` has it. age : years.
     cobb_deg : largest angle at rest, above 0 convex to the left. curve : region of its apex; "none" below 10 degrees.
     population : whose ratios the estimate holds as a prior; None: nobody's.
-    status : of the estimate. determined : how far the radiographs determine it. failed_checks : by name.
+    status : of the estimate. determined : how far the radiographs determine it, or that its method has no intervals.
+    failed_checks : by name.
     stiffness : ratios by name and, in plain units, by the names of ``study.wording.PLAIN``.
     training_rmse_mm : corner RMSE over the training frames. p_value : of residuals as large.
     report : file in the results that people read, or None.

@@ -89,8 +89,8 @@ class Needed:
     Attributes
     ----------
     a_group : in each of two groups of different people. a_group_low, a_group_high : by the interval of the standard
-        deviation between people; None, too, where that can't be told. visited_twice : of one group before and after;
-        None, too, where it is not known how estimates scatter from visit to visit.
+        deviation between people; None, too, where that can't be told. visited_twice : of one group before and after.
+    visits_told : whether it is known how estimates scatter from visit to visit; if not, ``visited_twice`` is None.
     """
 
     factor: float
@@ -98,6 +98,7 @@ class Needed:
     a_group_low: int | None
     a_group_high: int | None
     visited_twice: int | None
+    visits_told: bool
 
 
 @dataclass(frozen=True)
@@ -289,5 +290,6 @@ def _needed(factor: float, people: Hierarchy, sds: Floats, found: Sequence[Stiff
         scatter = float(np.sqrt(2.0 * np.mean(np.square(visits))))
         twice = group_size(difference, scatter, paired=True, power=POWER, level=LEVEL)
     if people.tau_high is None:
-        return Needed(factor, a_group(people.tau), None, None, twice)
-    return Needed(factor, a_group(people.tau), a_group(people.tau_low), a_group(people.tau_high), twice)
+        return Needed(factor, a_group(people.tau), None, None, twice, bool(visits))
+    low, high = a_group(people.tau_low), a_group(people.tau_high)
+    return Needed(factor, a_group(people.tau), low, high, twice, bool(visits))

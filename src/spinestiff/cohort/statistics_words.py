@@ -128,7 +128,7 @@ def _power_table(one: StiffnessStatistics) -> tuple[str, tuple[str, ...], tuple[
 
 
 def _needed_row(found: Needed, spread_told: bool) -> tuple[str, ...]:
-    twice = "not known" if found.visited_twice is None else str(found.visited_twice)
+    twice = _count(found.visited_twice) if found.visits_told else "not known"
     if not spread_told:
         return f"× {number(found.factor)}", f"{_count(found.a_group)}, by intervals alone", twice
     span = f"{_count(found.a_group_low)} to {_count(found.a_group_high)}"

@@ -17,6 +17,7 @@ from spinestiff.observer import Observer
 from spinestiff.run_log import run_log
 from spinestiff.study.runner import STEPS, run_steps
 from spinestiff.study.visit import Settings, Visit, open_visit
+from spinestiff.study.wording import NO_INTERVALS, has_intervals
 from spinestiff.subject.assessment_outcome import Assessment, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcome_parts import Quantity
@@ -90,7 +91,7 @@ def row_of(visit: Visit, participant: str) -> Row:
         curve=curve,
         population=estimate.population,
         status=estimate.status,
-        determined=estimate.determined,
+        determined=estimate.determined if has_intervals(estimate) else NO_INTERVALS,
         failed_checks=tuple(dict.fromkeys(check.name for check in estimate.failed)),
         stiffness={**ratios, **plain},
         training_rmse_mm=estimate.training_rmse_mm.fit,

@@ -95,6 +95,7 @@ class Comparison:
     bench_sd : relative standard deviation of the bench value.
     low, high : 95 % interval with that as well.
     verdict : whether it holds 1; an interval that has no end within the fit's bounds tells nothing.
+    open_low, open_high : the end is the fit's bound; what lies beyond is possible, too.
     """
 
     part: str
@@ -107,6 +108,8 @@ class Comparison:
     low: float
     high: float
     verdict: Verdict
+    open_low: bool
+    open_high: bool
 
 
 @dataclass(frozen=True)
@@ -324,8 +327,9 @@ def _rmse_of_marking(sd: float) -> float:
 
 
 def _joints_sd(record: PhantomRecord, joints: Sequence[BenchJoint]) -> float:
-    own = float(np.sum([joint.sd**2 for joint in joints])) / len(joints) ** 2
-    return float(np.hypot(np.sqrt(own), record.bench_scale_sd))
+    """Relative standard deviation of the joints' mean stiffness."""
+    stiffness, own = np.array([(joint.stiffness, joint.sd) for joint in joints]).T
+    return float(np.hypot(np.linalg.norm(stiffness * own) / stiffness.sum(), record.bench_scale_sd))
 
 
 def _priors(record: PhantomRecord) -> Priors:
@@ -353,9 +357,11 @@ def _comparison(name: str, fit: StiffnessFit, bench: float, bench_sd: float) -> 
     down, up = (float(np.hypot(np.log(end / ratio), HALF_WIDTH_95 * bench_sd)) for end in (fit_low, fit_high))
     low, high = float(ratio * np.exp(-down)), float(ratio * np.exp(up))
     verdict: Verdict = "agrees" if low <= 1.0 <= high else "does not agree"
-    if any(fit.open_ends[name]) or fit.status is not FitStatus.CONVERGED:
+    opens = fit.open_ends[name]
+    if any(opens) or fit.status is not FitStatus.CONVERGED:
         verdict = "can't be told"
-    return Comparison(NAMES[name][0], bench, NAMES[name][1], ratio, fit_low, fit_high, bench_sd, low, high, verdict)
+    part, unit = NAMES[name]
+    return Comparison(part, bench, unit, ratio, fit_low, fit_high, bench_sd, low, high, verdict, *opens)
 
 
 def _predicted(
@@ -400,8 +406,8 @@ def phantom_lines(found: PhantomResult) -> list[str]:
         }[one.verdict]
         lines.append(
             f"{one.part}: {number(one.ratio * one.bench)} {one.unit}, {number(one.ratio)} times the bench value, 95 % "
-            f"{number(one.fit_low)} to {number(one.fit_high)}; with the bench's own ± {fixed(100 * one.bench_sd)} % "
-            f"{number(one.low)} to {number(one.high)}: {verdict}"
+            f"{_span(one, one.fit_low, one.fit_high)}; with the bench's own ± {fixed(100 * one.bench_sd)} % "
+            f"{_span(one, one.low, one.high)}: {verdict}"
         )
     for frame in found.predicted:
         lines.append(
@@ -418,6 +424,11 @@ def phantom_lines(found: PhantomResult) -> list[str]:
     if found.sound and any(one.verdict == "does not agree" for one in found.comparisons):
         lines.append(_advice(found.comparisons))
     return lines
+
+
+def _span(found: Comparison, low: float, high: float) -> str:
+    """An interval; an end at the fit's bound is open, "≤ 0.0025 to 1.2"."""
+    return f"{'≤ ' * found.open_low}{number(low)} to {'≥ ' * found.open_high}{number(high)}"
 
 
 def _percent(ratio: float) -> str:

@@ -29,10 +29,10 @@ def repeatability_lines(found: Repeatability) -> list[str]:
                 f"{name}: {counted(one.left_out, 'estimate')} left out: doubtful, not determined, or not pushed alike"
             )
         if one.p_value < UNLIKELY:
-            more = "more" if one.within_sd_log > one.expected_sd_log else "less"
+            more = "more" if one.standardised > 1.0 else "less"
             lines.append(
-                f"{name}: estimates scatter {more} than their own errors let expect (p {one.p_value:.2g}): sd of the "
-                f"log {number(one.within_sd_log, 2)} against {number(one.expected_sd_log, 2)}"
+                f"{name}: estimates scatter {more} than their own errors let expect (p {one.p_value:.2g}): "
+                f"{number(one.standardised, 2)} times as far, each by its own error"
             )
     return lines + [change_words(change, found.of) for change in found.changes]
 

@@ -127,6 +127,7 @@ class Scatter:
     detectable_factor, expected_factor : smallest detectable change, found and expected.
     p_value : of scatter at least as far from what is expected, either way.
     left_out : estimates that are not known (``VisitRatio.known``), or not of pushes like the person's first ones.
+    standardised : root mean square of the scatter, each estimate's over its own error; 1 is expected.
     """
 
     within_sd_log: float
@@ -138,12 +139,12 @@ class Scatter:
     expected_factor: float
     p_value: float
     left_out: int
+    standardised: float
 
     @property
     def wider(self) -> float:
         """By how much estimates scatter more than they say; 1 where that is not shown."""
-        shown = self.p_value < UNLIKELY and self.within_sd_log > self.expected_sd_log
-        return self.within_sd_log / self.expected_sd_log if shown else 1.0
+        return max(self.standardised, 1.0) if self.p_value < UNLIKELY else 1.0
 
 
 @dataclass(frozen=True)
@@ -386,6 +387,7 @@ def _scatter(sums: Floats) -> Scatter | None:
         float(np.exp(TWO_SIDED * np.sqrt(2.0) * wanted)),
         2.0 * rarer,
         int(left_out),
+        float(np.sqrt(q / degrees)),
     )
 
 

@@ -9,7 +9,8 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 
-from spinestiff.subject.assessment_outcome import Assessment, CobbChangeRecord
+from spinestiff.study.wording import known_word
+from spinestiff.subject.assessment_outcome import Assessment, HeldOutFrame
 from spinestiff.subject.estimate_outcome import Estimate
 from spinestiff.subject.outcome_parts import HALF_WIDTH_95, Quantity
 from spinestiff.subject.outcomes import Responses
@@ -56,20 +57,20 @@ def response_csv(responses: Responses) -> str:
 def estimate_csv(estimate: Estimate) -> str:
     """A row a quantity: stiffness in plain units, then the ratios; ``unit`` of a ratio is empty.
 
-    ``determined`` is "doubtful" throughout a doubtful estimate, and empty for a stiffness that was not estimated.
+    ``determined`` is "doubtful" throughout a doubtful estimate, "no intervals" by a method without, and empty for a
+    stiffness that was not estimated.
     """
-
-    def known(determined: str) -> str:
-        return "doubtful" if determined and estimate.status == "DOUBTFUL" else determined
-
     rows = []
     for name, found in estimate.plain.items():
         ratio = None if found.ratio is None else estimate.ratios[found.ratio]
-        determined = ratio.determined if ratio else "" if found.low is None else found.determination
-        bound = _yes(ratio.at_bound) if ratio else ""
-        rows.append([name, found.unit, *_interval(found), known(determined), bound, estimate.status])
+        known, bound = "", ""
+        if ratio is not None:
+            known, bound = known_word(estimate, ratio.determined), _yes(ratio.at_bound)
+        elif found.low is not None:
+            known = known_word(estimate, found.determination)
+        rows.append([name, found.unit, *_interval(found), known, bound, estimate.status])
     rows += [
-        [name, "", *_interval(ratio), known(ratio.determined), _yes(ratio.at_bound), estimate.status]
+        [name, "", *_interval(ratio), known_word(estimate, ratio.determined), _yes(ratio.at_bound), estimate.status]
         for name, ratio in estimate.ratios.items()
     ]
     return _text(ESTIMATE_COLUMNS, rows)
@@ -83,7 +84,7 @@ def assessment_csv(assessment: Assessment) -> str:
     rows = []
     for frame in assessment.frames:
         errors = [frame.rmse_mm.get(name) for name in PREDICTORS]
-        changes = [cell for name in SEEN for cell in _change_cells(frame.cobb_change_deg.get(name))]
+        changes = [cell for name in SEEN for cell in _change_cells(frame, name)]
         rows.append([frame.push, frame.frame, frame.force_n, *errors, *changes])
     return _text(columns, rows)
 
@@ -92,15 +93,17 @@ def _change_columns(form: str, name: str) -> tuple[str, str, str]:
     return f"{form}_change_deg_{name}", f"{form}_change_half_width95_deg_{name}", f"{form}_change_of_{name}"
 
 
-def _change_cells(change: CobbChangeRecord | None) -> list[object]:
-    """Of each form value, half the width of its 95 % interval, which a model's has not, and levels."""
+def _change_cells(frame: HeldOutFrame, name: str) -> list[object]:
+    """Of each form value, half the width of its 95 % interval, where it has one, and levels."""
+    change = frame.cobb_change_deg.get(name)
     if change is None:
         return [None] * (3 * len(FORMS))
-    widths = dict(zip(("signed", "fixed_levels", "tilt"), (HALF_WIDTH_95 * sd for sd in change.sds or ())))
+    sds = dict(zip(("signed", "fixed_levels", "tilt"), frame.cobb_sds(name)))
     cells: list[object] = []
     for form, levels in FORMS.items():
-        between = getattr(change, levels)
-        cells += [getattr(change, form), widths.get(form), between if isinstance(between, str) else "–".join(between)]
+        sd, between = sds[form], getattr(change, levels)
+        width = None if sd is None else HALF_WIDTH_95 * sd
+        cells += [getattr(change, form), width, between if isinstance(between, str) else "–".join(between)]
     return cells
 
 

@@ -225,9 +225,15 @@ def no_estimate(search: str, wrong: Sequence[str]) -> str:
 
 def badge(estimate: Estimate) -> str:
     """The word or two that stand above a result: doubtful, or how far it is determined, if its method tells."""
+    return known_word(estimate, estimate.determined)
+
+
+def known_word(estimate: Estimate, determined: Determination) -> str:
+    """The word or two for a stiffness that is ``determined`` so far: doubtful as the whole result is, if it is, and no
+    intervals by a method that has none."""
     if estimate.status == "DOUBTFUL":
         return "doubtful"
-    return estimate.determined if has_intervals(estimate) else NO_INTERVALS
+    return determined if has_intervals(estimate) else NO_INTERVALS
 
 
 def has_intervals(estimate: Estimate) -> bool:

@@ -17,7 +17,8 @@ class CobbChangeRecord(Outcome):
     signed, fixed_levels, tilt : its three forms.
     levels : end vertebrae of ``fixed_levels``. tilt_levels : those of ``tilt``.
     signed_levels : those of the two angles behind ``signed``, e.g. "T6–T11 to T5–T12".
-    sds : standard deviations of the three, by the corners' errors; None: a model's, which has none.
+    sds : standard deviations of the three, by the corners' errors; None: a model's or a forecast's
+        (``HeldOutFrame.cobb_sds``).
     """
 
     signed: float
@@ -63,6 +64,15 @@ class HeldOutFrame(Outcome):
     rmse_mm: dict[str, float | None]
     cobb_change_deg: dict[str, CobbChangeRecord | None]
     forecast: ForecastRecord | None = None
+
+    def cobb_sds(self, name: str) -> tuple[float | None, float | None, float | None]:
+        """Of a change of the Cobb angle in ``cobb_change_deg`` the standard deviations of ``signed``, ``fixed_levels``
+        and ``tilt``, degrees; None where there is none: a forecast has that between fixed levels alone."""
+        change = self.cobb_change_deg.get(name)
+        if change is None:
+            return None, None, None
+        expected = self.forecast.cobb_sd_deg if name == "forecast" and self.forecast is not None else None
+        return change.sds or (None, expected, None)
 
 
 class Assessment(OutcomeFile):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -10,12 +11,13 @@ import pytest
 from matplotlib.colors import to_hex
 
 from spinestiff.errors import SpinestiffError
-from spinestiff.study.predictions import Predictions
+from spinestiff.estimation.objective import Trial
+from spinestiff.study.predictions import Predictions, predictions_of, stored
 from spinestiff.study.report.certainty_pictures import BudgetBars, RatioMap, draw_budget, draw_ratio_map
 from spinestiff.study.report.curve_pictures import CurveChange, TiltChange, draw_curve_changes, draw_tilt_changes
 from spinestiff.study.report.figures import FIT, MEASURED, MEASURED_ON_DARK, SIMULATED_ON_DARK, as_png, as_svg
 from spinestiff.study.report.overlay import Overlay, Panel, draw_overlay
-from spinestiff.study.report.pictures import curve_picture
+from spinestiff.study.report.pictures import curve_picture, tilt_picture
 
 NAMES = ("T10", "T11", "T12")
 
@@ -55,6 +57,21 @@ def test_a_push_of_one_usable_frame_has_no_panel_of_its_curve(beside: Prediction
     assert "push main: measured" in drawn[2] and "still" not in drawn[2]
     alone = replace(pushes, problems={"still": both["still"]}, trials=(still,))
     assert curve_picture(Predictions(alone, ())) is None
+
+
+def test_frames_without_vertebrae_in_common_have_no_change_of_tilt(beside) -> None:
+    """As where two frames of a push were annotated by hand, each with vertebrae of its own."""
+    visit = SimpleNamespace(subject=SimpleNamespace(push=lambda name: SimpleNamespace(level=8.0)))
+    drawn = tilt_picture(visit, beside)
+    assert drawn is not None and "in 1 frame" in drawn[2]
+    first, pushed = beside.pushes.trials
+    names = first.trial.corners.vertebrae
+    trials = [
+        replace(one, trial=Trial(one.trial.load, one.trial.corners.selected(own), one.trial.view, "", one.push))
+        for one, own in ((first, names[:5]), (pushed, names[5:]))
+    ]
+    apart = replace(beside.pushes, trials=tuple(trials))
+    assert tilt_picture(visit, predictions_of(apart, stored(beside))) is None
 
 
 def test_overlay_draws_measured_and_simulated_boxes_where_they_are(overlay: Overlay) -> None:

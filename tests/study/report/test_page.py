@@ -616,9 +616,9 @@ def test_missing_values_say_so(page: Page) -> None:
 def test_what_would_be_gained_is_told(page: Page) -> None:
     """Factors are exp(1.96 sd); what the model lacks is nothing that anybody can measure."""
     assert (
-        "Lateral bending of the spine is known within a factor of 2.2 (95 %, to first order). A model that lacks "
-        "nothing would make it 1.63. Most would be gained by measuring the push’s height: known exactly, the factor "
-        "would be 1.80."
+        "Lateral bending of the spine is known within a factor of 2.2 (95 %, to first order). Knowing what the "
+        "model lacks, which nobody can measure, would make it 1.63. Most would be gained by measuring the push’s "
+        "height: known exactly, the factor would be 1.80."
     ) in page.words
     assert (
         "Soft tissue of the trunk is known within a factor of 1.48 (95 %, to first order). Most would be gained by "
@@ -745,6 +745,7 @@ def odd_html(visit: Visit, tmp_path_factory: pytest.TempPathFactory) -> str:
         content["region"] = content["correlation"] = None
         content["notes"] = [HOSTILE]
         content["reactions_n"]["push"] = HOSTILE
+        content["training_rmse_mm"]["default"] = None
 
     def beaten(content: dict) -> None:
         for frame in content["frames"]:
@@ -784,6 +785,11 @@ def test_open_intervals_and_doubt_are_shown(odd_html: str) -> None:
     for part, number in ((first, "N m/rad"), (engineer, "Ratio to the default stiffness")):
         doubt = part.index("rest and push do not agree")
         assert part.index("This result is doubtful") < doubt < part.index(number)
+
+
+def test_no_equilibrium_with_default_stiffness_is_told(odd_html: str) -> None:
+    assert "mm with the estimate; with default stiffness there is no equilibrium" in Page(odd_html).words
+    assert "not available mm" not in odd_html
 
 
 def test_a_result_that_passed_says_no_doubt(page: Page, html: str) -> None:

@@ -282,11 +282,12 @@ def stale_plan(visit: Visit) -> str:
 
 
 def _gain(estimate: Estimate, name: str) -> dict[str, str]:
-    """What would be gained most for a ratio, and by measuring what."""
-    found = {"title": ratio_title(name), "now": factor95(estimate.sd_log[name]), "model": "", "what": "", "then": ""}
+    """What would be gained most for a ratio, by knowing what nobody can measure, if that is more, and by measuring."""
+    found = {"title": ratio_title(name), "now": factor95(estimate.sd_log[name])}
+    found |= dict.fromkeys(("unmeasurable", "known", "what", "then"), "")
     first, row = most_costly(estimate, name), most_costly(estimate, name, measurable=True)
     if first is not None and first.name in UNMEASURABLE:
-        found["model"] = factor95(first.without[name])
+        found |= {"unmeasurable": _unknown(first.name), "known": factor95(first.without[name])}
     if row is not None:
         found |= {"what": _unknown(row.name), "then": factor95(row.without[name])}
     return found

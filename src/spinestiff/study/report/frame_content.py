@@ -104,21 +104,18 @@ def _cobb_rows(frame: HeldOutFrame) -> dict[str, Any]:
         if change is None:
             rows.append({"title": title, "cells": [MISSING] * 3})
             continue
-        sds = change.sds or (None, _turn_sd(frame) if name == "forecast" else None, None)
         levels = (change.signed_levels, "–".join(change.levels), "–".join(change.tilt_levels))
         sizes = (change.signed, change.fixed_levels, change.tilt)
-        rows.append({"title": title, "cells": [change_words(*one) for one in zip(sizes, sds, levels)]})
+        rows.append({"title": title, "cells": [change_words(*one) for one in zip(sizes, frame.cobb_sds(name), levels)]})
     return {"title": _frame_title(frame), "rows": rows}
 
 
 def expected_change(frame: HeldOutFrame) -> str:
     """The change of the Cobb angle between fixed levels that the training frames let expect, with its ±; or nothing."""
     expected = frame.cobb_change_deg.get("forecast")
-    return "" if expected is None else change_words(expected.fixed_levels, _turn_sd(frame), "–".join(expected.levels))
-
-
-def _turn_sd(frame: HeldOutFrame) -> float | None:
-    return None if frame.forecast is None else frame.forecast.cobb_sd_deg
+    if expected is None:
+        return ""
+    return change_words(expected.fixed_levels, frame.cobb_sds("forecast")[1], "–".join(expected.levels))
 
 
 def support_rows(tracked: Tracked) -> list[dict[str, str]]:

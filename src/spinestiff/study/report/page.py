@@ -136,7 +136,8 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
         "millimetres": millimetre_rows(geometry, tracked),
         "cost": estimate.cost,
         "training": {
-            "default": fixed(estimate.training_rmse_mm.default, 2), "fit": fixed(estimate.training_rmse_mm.fit, 2)
+            "default": "" if (default := estimate.training_rmse_mm.default) is None else fixed(default, 2),
+            "fit": fixed(estimate.training_rmse_mm.fit, 2),
         },
         "version": __version__,
         "held_out": [
@@ -149,7 +150,7 @@ def _compose(visit: Visit, predictions: Predictions, say: Observer) -> tuple[dic
         "profiles": album.add(*profile_picture(visit, estimate)) if estimate.profiles else None,
         "budget": album.add(*budget_picture(estimate)) if estimate.budget else None,
         "support_places": _added(album, support_picture(estimate, predictions)),
-        "levels": album.add(*tilt_picture(visit, predictions)),
+        "levels": _added(album, tilt_picture(visit, predictions)),
         "beside": beside_rows(predictions),
         "beside_pictures": [album.add(*picture) for picture in beside_pictures(predictions, pixels_in(visit))],
         "sensitivity": _sensitivity(visit, album),

@@ -148,14 +148,16 @@ def _sorted_points(groups: Mapping[str, list[tuple[float, ...]]]) -> dict[str, F
     return {name: np.array(sorted(points)) for name, points in groups.items() if points}
 
 
-def tilt_picture(visit: Visit, predictions: Predictions) -> Drawn:
-    """Change of tilt by level in each frame."""
+def tilt_picture(visit: Visit, predictions: Predictions) -> Drawn | None:
+    """Change of tilt by level in frames that show two vertebrae of their push's least force; None without any."""
     changes, pushes = [], predictions.pushes
     torso, orientation = pushes.torso, pushes.orientation
     for p in predictions.of_role("training", "validation"):
         item, view = p.item, p.item.trial.view
         reference = pushes.reference(item.push).trial.corners
         common = tuple(v for v in item.trial.corners.vertebrae if v in reference.vertebrae)
+        if len(common) < 2:
+            continue
 
         def tilt(z: Floats, names: tuple[str, ...] = common, view: XRayView = view) -> Floats:
             return np.degrees(tilts(names, z, view, "midline").superior)
@@ -175,6 +177,8 @@ def tilt_picture(visit: Visit, predictions: Predictions) -> Drawn:
         title = f"“{item.push}”, {item.force_n:.0f} N ({role})"
         level = _row_of_level(visit.subject.push(item.push).level, common)
         changes.append(TiltChange(title, common, tilt(after) - tilt(before), simulated, level))
+    if not changes:
+        return None
     worst = max(changes, key=lambda c: float(np.abs(c.measured).max()))
     most = int(np.argmax(np.abs(worst.measured)))
     alt = (

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from textwrap import fill
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from spinestiff.study.repeatability import TWO_SIDED, Repeatability
+from spinestiff.study.repeatability import TWO_SIDED, Repeatability, Repeated
 from spinestiff.study.report.figures import FIT, MEASURED, STYLE, plain_ticks
 
 MOST_NAMED = 24  # visits that are named on the axis
-TITLE = "Bars: 95 % of an unchanged person; squares: changed; hollow: not known"
+TITLES: Mapping[Repeated, str] = {
+    "visits": "Bars: 95 % by what is new at each visit; squares: changed; hollow: not known",
+    "annotators": "Bars: 95 % by annotation alone; squares: disagree; hollow: not known",
+}
 LETTERS_AN_INCH = 10  # of the title, the axis' labels beside it taken off
 
 
 def draw_repeatability(found: Repeatability) -> Figure:
-    """Estimates with the range in which those of an unchanged person lie, and what changed; no range of one that is not
-    known."""
+    """Estimates with their 95 % interval by what is anew at each visit, or in each annotation, alone, and what changed;
+    no interval of one that is not known. Two such estimates are off by both their errors."""
     visits = sorted(found.visits, key=lambda visit: [other.subject for other in found.visits].index(visit.subject))
     subjects = list(dict.fromkeys(visit.subject for visit in visits))
     places = np.arange(len(visits)) + 0.8 * np.array([subjects.index(visit.subject) for visit in visits])
-    names = tuple(found.scatter) or tuple(visits[0].ratios)
+    told = found.scatter.keys() | {change.name for change in found.changes if change.verdict != "can't be told"}
+    names = tuple(name for name in visits[0].ratios if name in told) or tuple(visits[0].ratios)
     changed = {(change.name, change.visit) for change in found.changes if change.verdict == "changed"}
     with rc_context(STYLE):
         size = (min(3.2 + 0.42 * len(visits), 14.0), 2.9 * len(names) + 0.9)
@@ -47,5 +52,5 @@ def draw_repeatability(found: Repeatability) -> Figure:
         else:
             axes[-1].set_xticks([])
             axes[-1].set_xlabel(f"{len(visits)} visits of {len(subjects)} people")
-        axes[0].set_title(fill(TITLE, int(LETTERS_AN_INCH * size[0])), fontsize=10)
+        axes[0].set_title(fill(TITLES[found.of], int(LETTERS_AN_INCH * size[0])), fontsize=10)
     return figure
