@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from spinestiff.study.seven.goals import cobb_errors, coverage, errors_of, frames_of, goals, medians, motions, places
+from spinestiff.subject.record_reading import read_record
+from spinestiff.subject.study_outcome import SubjectOutcome
 from study_outcomes import frame, outcome
 
+ROOT = Path(__file__).parents[3]
 COBB = "error of the Cobb angle's change"
 PLACES = ("all held-out frames", "the same rib", "another rib", "the other side")
 SEVEN = [outcome(number, size=8.0 + number + 5.0 * (number == 7)) for number in range(1, 8)]
@@ -128,3 +133,25 @@ def test_errors_by_subject_have_the_keys_that_were_agreed():
         "cobb_error_deg": {"default": 16.0, "fit": 1.0},
     }
     assert errors_of(outcome(frames=()))["rmse_mm"] == {"default": None, "fit": None}
+
+
+def test_pages_tell_what_the_stored_outcomes_say():
+    stored = sorted((ROOT / "benchmarks" / "results" / "study").glob("subject-*.json"))
+    found = {goal.name: goal.found for goal in goals([read_record(path, SubjectOutcome) for path in stored])}
+    paper = f"{COBB} as signed largest angle (the paper's form, its Table 6)"
+    fixed, estimate, forecast = (
+        found[f"{name}, mean"]
+        for name in (f"{COBB} between fixed levels, estimate", f"{paper}, estimate", f"{paper}, forecast")
+    )
+    said = f"in the paper's form to {estimate} by the estimate and to {forecast} by the forecast"
+    for page in ("README.md", "docs/credibility.md"):
+        text = (ROOT / page).read_text(encoding="utf-8")
+        assert f"change of the Cobb angle to {fixed} between fixed levels, {said}" in text, page
+    text = " ".join((ROOT / "docs" / "validation.md").read_text(encoding="utf-8").split())
+    assert f"is met to {found['RMSE of the validation frame, mean']} in the mean" in text
+    assert f"between fixed levels to {fixed} (worst {found[f'{COBB} between fixed levels, estimate, worst']})" in text
+    worst = {who: found[f"{paper}, {who}, worst"] for who in ("estimate", "forecast")}
+    assert f"{estimate} in the mean and {worst['estimate']} at worst" in text
+    assert f"{forecast} in the mean, which meets its goal, and {worst['forecast']} at worst" in text
+    inside = [found[f"corners inside their 95 % intervals, {place}"] for place in PLACES]
+    assert all(share in text for share in inside)
