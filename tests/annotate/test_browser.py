@@ -526,6 +526,7 @@ def test_pedicles_are_marked_in_a_frame_under_a_push(page):
 
     tab.run(f"annotation.open('{image}')")
     tab.until(f"annotation.loaded == '{image}'")
+    tab.until(f"!!annotation.tracking['{image}']")  # what the server answers does not come afterwards
     page.fill(image)
     tab.run(f"annotation.open('{image}', 1)")
     tab.until(f"annotation.loaded == '{image}/1'")
@@ -680,6 +681,7 @@ def test_a_doubtful_corner_stays_in_sight(page):
 
     tab.run(f"annotation.open('{image}', 1)")
     tab.until("annotation.loaded == annotation.key && annotation.frame == 1")
+    tab.until(f"!!annotation.tracking['{image}']")  # what the server answers does not come afterwards
     tab.run("annotation.stage.zoom(3)")
     plain, told = shown([1, 1, 1, 1]), shown([0.01, 0, 1, 1])
     changed = np.abs(told - plain).max(axis=2) > 8
@@ -1090,6 +1092,7 @@ def test_the_angle_is_that_of_what_was_tracked_last(page):
     tab, image = page.tab, "push/a"
     tab.run(f"(annotation.open('{image}', 1), 1)")
     tab.until(f"annotation.loaded == '{image}/1'")
+    tab.until(f"!!annotation.tracking['{image}']")  # what the server answers does not come afterwards
 
     def track(turned):
         quads = {
