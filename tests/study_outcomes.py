@@ -41,7 +41,6 @@ def frame(push: str, size: float = 10.0, cobb: float = -16.0, error: float = 1.0
             "forecast": change(cobb + 0.5),
             "truth": change(cobb),
         },
-        forecast_cobb_deg=0.1,
         inside95=0.95,
     )
 

@@ -18,7 +18,6 @@ class FrameOutcome(Outcome):
     rmse_mm : by predictor (``study.assessment.BASELINES``), of places; None: no prediction.
     motion_mm : the same of what moved since the unloaded frame, by predictor.
     cobb_deg : "measured" and by model.
-    forecast_cobb_deg : error of the forecast's turn between the end vertebrae of the curve at rest; None: not seen.
     inside95 : share of corner coordinates inside the forecast's 95 % intervals.
     """
 
@@ -28,7 +27,6 @@ class FrameOutcome(Outcome):
     rmse_mm: dict[str, float | None]
     motion_mm: dict[str, float]
     cobb_deg: dict[str, CobbChangeRecord | None]
-    forecast_cobb_deg: float | None
     inside95: float | None
 
 

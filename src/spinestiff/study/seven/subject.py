@@ -292,7 +292,6 @@ def _frame(predictions: Predictions, held_out: HeldOutFrame, recipe: Recipe) -> 
         rmse_mm=held_out.rmse_mm,
         motion_mm={name: round(value, 4) for name, value in motions.items()},
         cobb_deg=held_out.cobb_change_deg,
-        forecast_cobb_deg=None if forecast is None else forecast.cobb_error_deg,
         inside95=None if forecast is None else forecast.inside95,
     )
 
