@@ -243,6 +243,8 @@ def test_no_equilibrium_at_the_start_is_one_clear_error(column, clean, brittle) 
     start = {"lateral_bending": 3.0, "tissue": 3.0}
     fit = fit_stiffness(brittle(1.5), stiff, start=start, bounds=BOUNDS, extent="estimate")
     assert np.isnan(fit.default_rmse_mm)
+    assert "(default: no equilibrium)" in str(fit) and "nan" not in str(fit)
+    assert ", default: no equilibrium" in fit._repr_html_() and "nan mm" not in fit._repr_html_()
     assert fit.default_equilibria == ()
     assert fit.ratios.values == pytest.approx([2.5, 2.0], rel=1e-2)
 

@@ -66,7 +66,7 @@ def test_more_frames_than_needed_and_equal_forces():
     ("bad", "why"),
     [
         ({"image": ImageQuality(0.5, 5.0, 0.0)}, "blurred (sharpness 0.50 of the sharpest frame's)"),
-        ({"image": ImageQuality(float("nan"), 0.0, 0.0)}, "blurred"),
+        ({"image": ImageQuality(float("nan"), 0.0, 0.0)}, "no vertebra's edges rise above the noise"),
         ({"image": ImageQuality(1.0, 5.0, 0.2)}, "20 % of the vertebrae have no grey values of their own"),
         ({"vertebrae": 2}, "2 vertebrae could be followed"),
         ({"vertebrae": 0}, "no vertebrae could be followed"),

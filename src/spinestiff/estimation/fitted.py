@@ -177,8 +177,14 @@ class StiffnessFit(ShortRepr):
         """Intervals, profiles and draws, if asked for."""
         return None if self.weighed is None else self.weighed.likely
 
+    @property
+    def default_words(self) -> str:
+        """The default's training RMSE, if it has an equilibrium."""
+        found = self.default_rmse_mm
+        return "default: no equilibrium" if np.isnan(found) else f"default {found:.2f} mm"
+
     def __str__(self) -> str:
-        lines = [f"{self.status.name}: training RMSE {self.rmse_mm:.2f} mm (default {self.default_rmse_mm:.2f} mm)"]
+        lines = [f"{self.status.name}: training RMSE {self.rmse_mm:.2f} mm ({self.default_words})"]
         for name, value in self.ratios.as_dict().items():
             ends = self._ends(name, "95 % ")
             bound = " at bound" if self.at_bound[name] else ""

@@ -38,5 +38,5 @@ def html_of(fit: StiffnessFit) -> str:
         low, high = fit.intervals95[name]
         known = f"{value:.4g}, 95 % {low:.3g} to {high:.3g}" if low == low else f"{value:.4g}"
         rows.append((name, known + (", at its bound" if fit.at_bound[name] else "")))
-    rows.append(("training RMSE", f"{fit.rmse_mm:.2f} mm, default {fit.default_rmse_mm:.2f} mm"))
+    rows.append(("training RMSE", f"{fit.rmse_mm:.2f} mm, {fit.default_words}"))
     return as_html("Fit of stiffness", [*rows, *(("warning", text) for text in fit.warnings)], fit_figure(fit))

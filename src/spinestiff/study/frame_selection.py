@@ -159,7 +159,9 @@ def _unfit(frame: FrameQuality, largest: float) -> str:
     if frame.vertebrae < FEWEST_VERTEBRAE:
         seen = counted(frame.vertebrae, "vertebra", "vertebrae") if frame.vertebrae else "no vertebrae"
         return f"{seen} could be followed (wanted {FEWEST_VERTEBRAE})"
-    if not image.sharpness >= BLURRED:
+    if np.isnan(image.sharpness):
+        return "no vertebra's edges rise above the noise"
+    if image.sharpness < BLURRED:
         return f"blurred (sharpness {image.sharpness:.2f} of the sharpest frame's)"
     if image.saturated > SATURATED:
         return f"{100 * image.saturated:.0f} % of the vertebrae have no grey values of their own (exposure)"
