@@ -1,8 +1,10 @@
-"""Counted nouns, names of pushes and paths for messages."""
+"""Counted nouns, names of pushes, paths and words that were meant, for messages."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 
 _PUSH = re.compile(r"push(?![a-z])", re.IGNORECASE)
@@ -26,3 +28,9 @@ def sentence(words: str) -> str:
 def pasted(path: Path) -> str:
     """A path as a command that is pasted into a terminal takes it: in double quotes where it has a blank."""
     return f'"{path}"' if any(letter.isspace() for letter in str(path)) else str(path)
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """The end of a message about an unknown word: the known one that it resembles; "" if it resembles none."""
+    close = get_close_matches(word, sorted(known), 1)
+    return f"; did you mean {close[0]}?" if close else ""

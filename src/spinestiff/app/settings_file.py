@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import typer
 
 from spinestiff.errors import OptionError, SpinestiffError
 from spinestiff.files import read_text
+from spinestiff.words import did_you_mean
 
 NEVER = ("help", "settings", "version")
 LARGEST_BYTES = 2**20
@@ -58,16 +58,16 @@ def settings_of(path: Path, program: Any, words: list[str]) -> dict[str, Any]:
     tables, top = _parted(content)
     for key in top:
         if key not in everywhere:
-            raise OptionError(f"--settings {path}: no command has an option --{key}{_near(key, everywhere)}")
+            raise OptionError(f"--settings {path}: no command has an option --{key}{did_you_mean(key, everywhere)}")
     own: dict[str, Any] = {}
     for name, options in _under(tables, set(known)):
         if name not in known:
             raise OptionError(
-                f"--settings {path}: [{name.replace(' ', '.')}]: no such command{_near(name, set(known))}"
+                f"--settings {path}: [{name.replace(' ', '.')}]: no such command{did_you_mean(name, known)}"
             )
         for key in options:
             if key not in known[name]:
-                raise OptionError(f"--settings {path}: {name} has no option --{key}{_near(key, set(known[name]))}")
+                raise OptionError(f"--settings {path}: {name} has no option --{key}{did_you_mean(key, known[name])}")
         if name == " ".join(words):
             own = dict(options)
     mine = known.get(" ".join(words), {})
@@ -121,8 +121,3 @@ def _under(tables: Mapping[str, Any], known: set[str], before: str = "") -> Iter
                 yield words, loose
         else:
             yield words, dict(content)
-
-
-def _near(word: str, known: set[str]) -> str:
-    close = get_close_matches(word, sorted(known), 1)
-    return f"; did you mean {close[0]}?" if close else ""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -15,6 +14,7 @@ from pydantic_core import ErrorDetails
 from spinestiff.errors import SubjectError
 from spinestiff.files import read_text
 from spinestiff.formats import parse_json
+from spinestiff.words import did_you_mean
 
 SUBJECT_PAGE = "docs/subject-folder.md"
 IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
@@ -86,8 +86,8 @@ def shown_key(key: str) -> str:
 def _complaint(complaint: ErrorDetails, page: str, record: type[BaseModel] | None = None) -> str:
     kind, message = complaint["type"], complaint["msg"]
     if kind == "extra_forbidden":
-        near = get_close_matches(str(complaint["loc"][-1]), _keys_beside(complaint["loc"], record), 1)
-        return f"unknown key; did you mean {near[0]}?" if near else f"unknown key; check its spelling against {page}"
+        near = did_you_mean(str(complaint["loc"][-1]), _keys_beside(complaint["loc"], record))
+        return f"unknown key{near or f'; check its spelling against {page}'}"
     if kind == "missing":
         return "missing"
     if kind == "value_error":
