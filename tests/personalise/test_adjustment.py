@@ -10,9 +10,10 @@ import pytest
 from spinestiff.anatomy.rotation import exp_so3, log_so3
 from spinestiff.errors import FitError
 from spinestiff.imaging.features import VertebraCorners
+from spinestiff.imaging.pedicles import PediclePoints
 from spinestiff.imaging.projection import frontal_view, lateral_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
-from spinestiff.personalise.adjustment import adjust
+from spinestiff.personalise.adjustment import _System, adjust
 from spinestiff.personalise.image_terms import Shape, image_points, shape_of
 from spinestiff.personalise.prior import elastic_prior, pelvis_on_springs
 
@@ -83,6 +84,19 @@ def test_the_noise_is_read_from_the_residuals(template, prior, girl):
     for noise in (0.5, 1.5):
         found = adjust(pictures(template, girl, noise), prior, start(template), KNOWN, KNOWN)
         assert found.corner_sd == pytest.approx(noise, rel=0.15)
+
+
+def test_answers_of_unlike_noise_are_compared_by_the_density_of_their_residuals(template, prior, girl):
+    """With residuals of nothing the cost is the logarithm of the variances: a pedicle's own scatter is part of its."""
+    view, pose = VIEWS[0], KNOWN[0]
+    marked = PediclePoints(template.vertebrae[3:9], np.zeros((6, 2, 2)))
+    points = image_points(template, view, VertebraCorners(template.vertebrae, np.zeros((17, 4, 2))), marked)
+    exact = replace(points, measured=points.residuals(girl, pose) * view.magnification)
+    system = _System([exact], prior, KNOWN[:1])
+    low, high = (system.normal(girl, KNOWN[:1], sd).cost for sd in (0.5, 2.0))
+    corners, pedicles = 17 * 4, 6 * 2
+    wanted = corners * np.log(2.0**2 / 0.5**2) + pedicles * np.log((2.0**2 + 1.0) / (0.5**2 + 1.0))
+    assert high - low == pytest.approx(wanted)
 
 
 def test_the_covariance_is_the_errors(template, prior, girl):

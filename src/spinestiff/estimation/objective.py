@@ -21,6 +21,7 @@ from spinestiff.imaging.features import (
     silhouette_shares,
     state_features,
     target_features,
+    used_corners,
     vertebra_rows,
 )
 from spinestiff.imaging.pedicles import PediclePoints
@@ -252,8 +253,6 @@ def make_target(torso: TorsoModel, trial: Trial, orientation: Orientation = "pro
         )
     z = target_features(torso, trial.view, corners, orientation)
     rows = vertebra_rows(torso, corners)
-    used = np.ones((len(torso.vertebrae), 4), dtype=bool)
-    used[rows] = corners.usable
     weights = np.sum(corners.quality, axis=1) / np.maximum(corners.usable.sum(1), 1)
     shares = silhouette_shares(torso, trial.view, torso.rest_pose)
     return Target(
@@ -263,7 +262,7 @@ def make_target(torso: TorsoModel, trial: Trial, orientation: Orientation = "pro
         read_only("targets", z, (len(rows), *FEATURE_SHAPE), FitError),
         read_only("weights", weights, (len(rows),), FitError),
         shares,
-        used,
+        used_corners(torso, corners),
         orientation,
     )
 

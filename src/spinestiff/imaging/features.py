@@ -193,8 +193,8 @@ def state_features(
     state : its pose.
     shares : (V, 4) from ``silhouette_shares`` in the rest pose.
     orientation : "procrustes" (default) or "covariance" (the paper's SVD).
-    used : (V, 4) bool, corners that also the radiograph has; default all. A box is placed by these alone, so that a
-        lost corner does not shift the simulated against the measured box.
+    used : (V, 4) bool, corners that also the radiograph has (``used_corners``); default all. A box is placed by these
+        alone, so that a lost corner does not shift the simulated against the measured box.
     """
     count = len(torso.vertebrae)
     shares = read_only("silhouette shares", shares, (count, CORNERS), RadiographError)
@@ -233,6 +233,13 @@ def target_features(
     seen = view.to_patient_plane(corners.corners.reshape(-1, 2)).reshape(-1, *FEATURE_SHAPE)
     check_corners(seen, boxes, corners)
     return place_boxes(seen, boxes, orientation, corners.usable, corners.vertebrae).z
+
+
+def used_corners(torso: TorsoModel, corners: VertebraCorners) -> np.ndarray:
+    """(V, 4) bool of the torso's vertebrae: corners that ``corners`` have; all four of one that they do not name."""
+    used = np.ones((len(torso.vertebrae), CORNERS), dtype=bool)
+    used[vertebra_rows(torso, corners)] = corners.usable
+    return used
 
 
 def vertebra_rows(torso: TorsoModel, corners: VertebraCorners) -> Ints:

@@ -12,9 +12,9 @@ non-convexity; Blake and Zisserman 1987). A vertebra that is unusual, though, lo
 others hold it where they would have it, and so does a whole spine far from the template. So the fit is repeated from
 where it leads with next to no prior, from where their own corners put the vertebrae with a corner set aside, then with
 those that all views set aside let go by the prior (one in a hundred is expected to be like that). The most probable
-answer is kept: that of the smallest minus logarithm, with what the
-corners' standard deviation (2 log sigma a point) and the prior (half the logarithm of its determinant) are normalised
-by. The covariance is the inverse of the Gauss-Newton Hessian at the end.
+answer is kept: that of the smallest minus logarithm, with what the points' standard deviations (the logarithm of each
+point's variance: sigma^2, of a pedicle PEDICLE_SD^2 more) and the prior (half the logarithm of its determinant) are
+normalised by. The covariance is the inverse of the Gauss-Newton Hessian at the end.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ def adjust(
 class _Normal:
     """Normal equations at one point: image part and whole Hessian, slope, weights of all points, weighted squares.
 
-    ``cost`` is what is minimised there, with 2 log sigma for each point, and ``sd`` that sigma in mm.
+    ``cost`` is what is minimised there, with the logarithm of each point's variance, and ``sd`` sigma in mm.
     """
 
     image: Floats
@@ -239,7 +239,7 @@ class _System:
             share = np.where(view.outward == 0.0, 1.0, sd**2 / (sd**2 + PEDICLE_SD**2))
             error2 = share * np.sum(residual**2, axis=1)
             root = 1.0 / (1.0 + error2 / max(CUTOFF * sd, LEAST_CUTOFF_MM) ** 2)
-            cost += float(np.sum(0.5 * error2 * root / sd**2 + 2.0 * np.log(sd)))
+            cost += float(np.sum(0.5 * error2 * root / sd**2 + 2.0 * np.log(sd) - np.log(share)))
             weight = root**2
             jacobian = np.zeros((len(view), 2, size))
             columns = UNKNOWNS * view.vertebra[:, None] + np.arange(UNKNOWNS)

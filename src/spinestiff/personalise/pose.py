@@ -12,11 +12,11 @@ from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.arrays import Floats
 from spinestiff.errors import TrackingError
 from spinestiff.imaging.features import (
-    CORNERS,
     VertebraCorners,
     silhouette_shares,
     state_features,
     target_features,
+    used_corners,
     vertebra_rows,
 )
 from spinestiff.imaging.projection import XRayView
@@ -112,9 +112,7 @@ def align_view(
     if not len(corners):
         raise TrackingError("no vertebra is left to say where the patient stood; check annotation and tracking")
     shares = silhouette_shares(torso, nominal, state) if shares is None else shares
-    rows = vertebra_rows(torso, corners)
-    used = np.ones((len(torso.vertebrae), CORNERS), dtype=bool)
-    used[rows] = corners.usable
+    rows, used = vertebra_rows(torso, corners), used_corners(torso, corners)
     shift, roll, view = np.zeros(2), 0.0, nominal
     for _ in range(8):
         seen = state_features(torso, view, state, shares, used=used).z[rows].reshape(-1, 2)

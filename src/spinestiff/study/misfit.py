@@ -21,6 +21,7 @@ from spinestiff.imaging.features import (
     reference_boxes,
     silhouette_shares,
     state_features,
+    used_corners,
     vertebra_rows,
 )
 from spinestiff.imaging.projection import XRayView
@@ -60,8 +61,7 @@ class Spines:
 def spines(torso: TorsoModel, trial: Trial) -> Spines:
     """The torso at rest beside what a trial's radiograph shows."""
     rows = vertebra_rows(torso, trial.corners)
-    used = np.ones((len(torso.vertebrae), 4), dtype=bool)
-    used[rows] = trial.corners.usable
+    used = used_corners(torso, trial.corners)
     shares = silhouette_shares(torso, trial.view, torso.rest_pose)
     model = state_features(torso, trial.view, torso.rest_pose, shares, used=used).z
     left, _ = picture_axes(trial.view)

@@ -12,7 +12,9 @@ from matplotlib.colors import to_hex
 
 from spinestiff.errors import SpinestiffError
 from spinestiff.estimation.objective import Trial
+from spinestiff.imaging.features import VertebraCorners
 from spinestiff.study.predictions import Predictions, predictions_of, stored
+from spinestiff.study.report import pictures
 from spinestiff.study.report.certainty_pictures import BudgetBars, RatioMap, draw_budget, draw_ratio_map
 from spinestiff.study.report.curve_pictures import CurveChange, TiltChange, draw_curve_changes, draw_tilt_changes
 from spinestiff.study.report.figures import FIT, MEASURED, MEASURED_ON_DARK, SIMULATED_ON_DARK, as_png, as_svg
@@ -72,6 +74,28 @@ def test_frames_without_vertebrae_in_common_have_no_change_of_tilt(beside) -> No
     ]
     apart = replace(beside.pushes, trials=tuple(trials))
     assert tilt_picture(visit, predictions_of(apart, stored(beside))) is None
+
+
+def test_a_lost_corner_changes_no_measured_against_its_simulated_tilt(beside, monkeypatch) -> None:
+    """Corners are those of the estimate's states, so measured and simulated changes are the same ones."""
+    shown = []
+    monkeypatch.setattr(pictures, "draw_tilt_changes", shown.extend)
+    seen = beside.pushes.trials[1].trial.corners
+    quality = np.ones(seen.corners.shape[:2])
+    quality[5, 2] = 0.0
+    visit = SimpleNamespace(subject=SimpleNamespace(push=lambda name: SimpleNamespace(level=8.0)))
+    tilt_picture(visit, with_corners(beside, VertebraCorners(seen.vertebrae, seen.corners, quality)))
+    (change,) = shown
+    assert change.simulated["fit"] == pytest.approx(change.measured, abs=1e-6)
+    assert abs(change.measured[5]) > 0.02
+
+
+def with_corners(beside: Predictions, corners: VertebraCorners) -> Predictions:
+    """The same with other corners in the frame under force."""
+    first, pushed = beside.pushes.trials
+    own = Trial(pushed.trial.load, corners, pushed.trial.view, "", pushed.push)
+    trials = (first, replace(pushed, trial=own))
+    return predictions_of(replace(beside.pushes, trials=trials), stored(beside))
 
 
 def test_overlay_draws_measured_and_simulated_boxes_where_they_are(overlay: Overlay) -> None:

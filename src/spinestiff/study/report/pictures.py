@@ -13,7 +13,13 @@ from spinestiff.arrays import Floats
 from spinestiff.curves.changes import NORMAL_95
 from spinestiff.curves.tilts import tilts
 from spinestiff.estimation.unknowns import PLACING
-from spinestiff.imaging.features import silhouette_shares, state_features, target_features, vertebra_rows
+from spinestiff.imaging.features import (
+    silhouette_shares,
+    state_features,
+    target_features,
+    used_corners,
+    vertebra_rows,
+)
 from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import Radiograph
 from spinestiff.study.planning.words import TITLES, push_words, size_of, width
@@ -162,16 +168,17 @@ def tilt_picture(visit: Visit, predictions: Predictions) -> Drawn | None:
         def tilt(z: Floats, names: tuple[str, ...] = common, view: XRayView = view) -> Floats:
             return np.degrees(tilts(names, z, view, "midline").superior)
 
-        before, after = (
-            target_features(torso, view, corners.selected(common), orientation)
-            for corners in (reference, item.trial.corners)
-        )
-        rows = vertebra_rows(torso, item.trial.corners.selected(common))
+        both = tuple(corners.selected(common) for corners in (reference, item.trial.corners))
+        before, after = (target_features(torso, view, corners, orientation) for corners in both)
+        used, rows = [used_corners(torso, corners) for corners in both], vertebra_rows(torso, both[0])
         simulated: dict[str, Floats] = {}
         for name in ("default", "fit"):
             start, state = predictions.before(item, name), p.states.get(name)
             if start is not None and state is not None:
-                placed = [state_features(torso, view, s, p.target.shares, orientation).z[rows] for s in (start, state)]
+                placed = [
+                    state_features(torso, view, s, p.target.shares, orientation, places).z[rows]
+                    for s, places in zip((start, state), used)
+                ]
                 simulated[name] = tilt(placed[1]) - tilt(placed[0])
         role = "held out" if item.role == "validation" else "training"
         title = f"“{item.push}”, {item.force_n:.0f} N ({role})"

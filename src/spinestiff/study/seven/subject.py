@@ -20,7 +20,7 @@ from spinestiff.curves.tilts import cobb_angle, tilts
 from spinestiff.errors import EquilibriumError, FitError, SpinestiffError, SubjectError
 from spinestiff.files import read_json, read_text, whole_folder, write_json
 from spinestiff.formats import json_text
-from spinestiff.imaging.features import rmse, silhouette_shares, state_features, target_features
+from spinestiff.imaging.features import rmse, silhouette_shares, state_features, target_features, used_corners
 from spinestiff.imaging.projection import frontal_view
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
 from spinestiff.mechanics.loads import rib_push
@@ -194,7 +194,7 @@ def _outcome(
     reference = pushes.reference(MAIN).trial
     rest = state_features(
         pushes.torso, reference.view, pushes.torso.rest_pose,
-        silhouette_shares(pushes.torso, reference.view, pushes.torso.rest_pose),
+        silhouette_shares(pushes.torso, reference.view, pushes.torso.rest_pose), pushes.orientation,
     ).z  # fmt: skip
     measured = target_features(pushes.torso, reference.view, reference.corners, pushes.orientation)
     rows = [pushes.torso.vertebrae.index(name) for name in reference.corners.vertebrae]
@@ -309,6 +309,7 @@ def motion_rmse(predictions: Predictions, found: Prediction, name: str) -> float
     then = [reference.corners.vertebrae.index(v) for v in common]
     start = predictions.before(item, name)
     assert start is not None
-    at_rest = state_features(torso, item.trial.view, start, found.target.shares, pushes.orientation, found.target.used)
+    used = used_corners(torso, reference.corners)
+    at_rest = state_features(torso, item.trial.view, start, found.target.shares, pushes.orientation, used)
     model = found.boxes(torso, name) - at_rest.z[found.target.rows]
     return rmse(model[now], found.target.z[now] - before[then])
