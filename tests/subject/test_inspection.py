@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 import re
@@ -220,6 +221,37 @@ def test_images_of_an_annotation_that_the_subject_has_not_are_refused(folder):
         write(folder, annotation={**annotation, "images": images})
         (one,) = [one for one in inspect(folder) if one.image == "annotation.json"]
         assert one.status == "refused" and f"annotation.json: images.{name}: " in one.reason
+
+
+def test_marks_that_a_step_would_refuse_are_refused(folder):
+    annotation = json.loads((folder / "annotation.json").read_text())
+
+    def reason_of(image, change, source=None):
+        changed = copy.deepcopy(annotation)
+        images = changed["images"]
+        images[image] = copy.deepcopy(images[source or image])
+        if source:
+            images[image].pop("supports", None)
+        change(images[image]["vertebrae"])
+        write(folder, annotation=changed)
+        return {one.image: one.reason for one in inspect(folder) if one.reason}
+
+    def mirrored(vertebrae):
+        for name, (a, b, c, d) in vertebrae.items():
+            vertebrae[name] = [b, a, d, c]
+
+    def outside(vertebrae):
+        vertebrae.update({name: np.add(quad, [5000.0, 0.0]).tolist() for name, quad in vertebrae.items()})
+
+    (found,) = reason_of("rest/frontal", mirrored).items()
+    assert found[0] == "rest/frontal" and "images.rest/frontal." in found[1] and "corners are mirrored" in found[1]
+    for image, source, shown in (
+        ("rest/lateral", None, "rest/lateral"),
+        ("push/right-8/2", "push/right-8", "push/right-8"),
+    ):
+        (found,) = reason_of(image, outside, source).items()
+        assert found[0] == shown and f"images.{image}." in found[1]
+        assert "wanted it in the image of 800 columns" in found[1]
 
 
 def test_a_picture_that_looks_like_the_other_view_is_told(tmp_path):

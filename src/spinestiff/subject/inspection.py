@@ -8,14 +8,17 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from spinestiff.errors import RadiographError, SpinestiffError, SubjectError
 from spinestiff.files import listed, regular_file
 from spinestiff.imaging.dicom.millimetres import Geometry
 from spinestiff.imaging.dicom.reading import Scan, read_scan
+from spinestiff.imaging.projection import XRayView
 from spinestiff.imaging.radiograph import candidates, check_files, in_order, read_scans, times_of
 from spinestiff.imaging.shown_view import shown_view
 from spinestiff.subject.annotation_record import Annotation
-from spinestiff.subject.folder import Subject, check_image_name
+from spinestiff.subject.folder import Subject, check_image_name, image_corners, image_pedicles
 from spinestiff.subject.gaps import read_open_record
 from spinestiff.subject.geometry import image_geometry
 from spinestiff.subject.record_reading import read_record
@@ -78,7 +81,7 @@ def inspect(path: Path) -> tuple[Inspection, ...]:
     if (path / SUBJECT_FILE).is_file():
         return _subject(path)
     if not path.is_dir():
-        return (_image(path, path.name, Geometry()),)
+        return (_image(path, path.name, Geometry())[0],)
     found: list[Inspection] = []
     for folder in _folders(path):
         name = folder.relative_to(path).as_posix()
@@ -122,15 +125,16 @@ def _subject_inside(folder: Path, name: str) -> tuple[Inspection, ...]:
         return (Inspection(name, str(problem)),)
 
 
-def _image(path: Path, name: str, given: Geometry, within: Path | None = None) -> Inspection:
+def _image(path: Path, name: str, given: Geometry, within: Path | None = None) -> tuple[Inspection, Scan | None]:
+    """What is in a picture's files, and the first of them; None where they are refused."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             scans = read_scans(path, given, within)
         except RadiographError as problem:
-            return Inspection(name, str(problem))
+            return Inspection(name, str(problem)), None
     told = tuple(str(warning.message) for warning in caught)
-    return Inspection(name, "", _seen(scans), scans[0].missing, (*told, *_looks_otherwise(scans[0])))
+    return Inspection(name, "", _seen(scans), scans[0].missing, (*told, *_looks_otherwise(scans[0]))), scans[0]
 
 
 def _looks_otherwise(scan: Scan) -> Iterator[str]:
@@ -188,6 +192,8 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
     forces = {push.image: len(push.forces_n) for push in record.pushes}
     marks: dict[str, tuple[str, ...]] = {}
     paths |= {push.image: folder / push.frames for push in record.pushes}
+    # Frames beside the first may be annotated, too.
+    later = {push.image: [push.frame_image(frame) for frame in range(1, len(push.forces_n))] for push in record.pushes}
     kinds: dict[str, Literal["frontal", "lateral"]] = {LATERAL: "lateral"}
     for push in record.pushes:
         for view in push.views:
@@ -208,11 +214,30 @@ def _subject(folder: Path) -> tuple[Inspection, ...]:
         except SpinestiffError as problem:
             found.append(Inspection(name, str(problem)))
             continue
-        one = _image(path, name, geometry, folder)
+        one, scan = _image(path, name, geometry, folder)
         kind, frames, wanted = kinds.get(name, "frontal"), forces.get(name, 1), marks.get(name, (name,))
-        one = one if one.reason else _fitting(one, name, annotation, frames, kind, wanted)
+        if scan is not None:
+            one = _fitting(one, name, annotation, frames, kind, wanted)
+        if scan is not None and annotation is not None and not (one.reason or scan.missing):
+            seen_from, subject = scan.view(np.zeros(3)), Subject(folder, record, annotation)
+            one = replace(one, reason=_odd_marks(subject, (*wanted, *later.get(name, ())), seen_from))
         found.append(replace(one, warnings=(*one.warnings, *odd_forces.get(name, ()))))
     return tuple(found)
+
+
+def _odd_marks(subject: Subject, names: Sequence[str], view: XRayView) -> str:
+    """Why a step would refuse what is marked in these images, which lie as ``view`` says; empty if none would.
+
+    A further view from which the patient was turned counts as not turned: that exchanges no sides.
+    """
+    try:
+        for name in names:
+            if name in subject.annotation.images:
+                image_corners(subject, name, view)
+                image_pedicles(subject, name, view)
+    except SubjectError as problem:
+        return str(problem)
+    return ""
 
 
 def _odd_forces(push: PushRecord) -> tuple[str, ...]:
