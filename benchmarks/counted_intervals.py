@@ -16,7 +16,7 @@ import numpy as np
 from kept_rows import rows_of
 from rich.console import Console
 from rich.table import Table
-from scipy.stats import chi2, norm
+from scipy.stats import binom, chi2, norm
 
 from spinestiff.estimation.profiles import CLOSE_ENOUGH, WIDTH_FACTOR
 
@@ -114,6 +114,7 @@ def summarised(scenario: str, rows: Sequence[Row], planned: int | None = None) -
         "coverage95": {},
         "median_factor": {},
         "bias_sd": {},
+        "misses": {},
     }
     for i, name in enumerate(NAMES):
         z = np.array([row["z"][i] for row in found])
@@ -136,6 +137,11 @@ def summarised(scenario: str, rows: Sequence[Row], planned: int | None = None) -
         entry["coverage95"][name] = everybody[_level(0.95)][0]
         entry["median_factor"][name] = everybody["median_factor"]
         entry["bias_sd"][name] = everybody["bias_sd"]
+        missed = ~inside[0.95]
+        entry["misses"][name] = {
+            "abs_z": sorted(np.abs(z[missed]).round(2).tolist()),
+            "chance": float(f"{binom.cdf(len(z) - missed.sum(), len(z), 0.95):.3g}"),
+        }
     entry[JOINT], entry["joint_by_emulator"] = (
         {
             part: {
@@ -275,6 +281,7 @@ def markdown(entries: Sequence[Row]) -> str:
         if entry["subjects"] < LEAST_BY_PART:
             continue
         lines += ["", f"**{entry['scenario'].capitalize()}**, {entry['subjects']} subjects:", "", *by_part(entry)]
+        lines += ["", *misses(entry)] if "misses" in entry else []  # figures stored before 2026-11-27 have none
     return "\n".join(lines)
 
 
@@ -308,6 +315,22 @@ def by_part(entry: Row) -> list[str]:
             spreads.append("" if found is None else f"{found['bias_sd']:.2f}, {found['rms_z']:.2f}")
         lines.append(_line(part.replace("lateral_bending", "bending"), *cells, _of(joint), *spreads))
     return lines
+
+
+def misses(entry: Row) -> list[str]:
+    """Lines of a Markdown list: how far beyond their 95 % intervals the truths lie, how often chance alone has so few
+    inside or fewer, and what other width factors would make of the coverage."""
+    lines = [
+        f"- Misses of {name.replace('lateral_bending', 'bending')}: {len(found['abs_z'])} (absolute z "
+        f"{', '.join(f'{z:.2f}' for z in found['abs_z']) or 'none'}); exact intervals have so many or more in "
+        f"{100.0 * found['chance']:.3g} % of such campaigns."
+        for name, found in entry["misses"].items()
+    ]
+    factors = (
+        f"{factor}: {', '.join(f'{100.0 * share:.1f}' for share in shares)} %"
+        for factor, shares in entry["coverage95_by_width_factor"].items()
+    )
+    return [*lines, f"- Bending, tissue and joint by width factor, by z alone: {'; '.join(factors)}."]
 
 
 def _of(found: Row) -> str:

@@ -74,6 +74,19 @@ def test_each_ratio_is_counted_by_its_own_interval_and_in_the_same_strata(rows):
     assert tissue["discs with a neutral zone"]["bias_sd"] == 5.0 and tissue["discs with a neutral zone"]["rms_z"] == 7.0
 
 
+def test_misses_are_told_with_their_z_and_with_what_chance_alone_does(rows):
+    entry = counting.summarised("name", rows)
+    # Six of seven: all but campaigns of seven hits, which chance alone has in 0.95^7 of them. What was solved at the
+    # truth of seed 4 bounds its z.
+    assert entry["misses"]["lateral_bending"] == {"abs_z": [1.0], "chance": pytest.approx(1 - 0.95**7, abs=1e-3)}
+    assert entry["misses"]["tissue"]["abs_z"] == [7.0]
+    lines = counting.misses(entry)
+    assert lines[0].startswith(
+        "- Misses of bending: 1 (absolute z 1.00); exact intervals have so many or more in 30.2 %"
+    )
+    assert "by z alone: 1: 100.0, 85.7, 57.1 %; 1.05:" in lines[-1]
+
+
 def test_seeds_states_and_failures_are_told(rows):
     entry = counting.summarised("name", rows, 20)
     assert entry["seeds"] == [[1, 8], [10, 10]] and entry["planned"] == 20
