@@ -1,12 +1,13 @@
 """What all pictures share: colours, style, ticks, and figures as bytes.
 
-Every picture's function returns a Matplotlib figure that belongs to no window; ``as_png`` and ``as_svg`` turn it into
-bytes that are the same for the same figure. Colours (Okabe and Ito's, told apart with any colour vision) mean the same
-everywhere: blue is measured, orange is the fit, grey is the default. Marks and line styles differ too.
+Every picture's function returns a Matplotlib figure that belongs to no window; ``as_png`` and ``as_svg`` turn it
+into bytes that are the same for the same figure. Colours (Okabe and Ito's, told apart with any colour vision) mean
+the same everywhere: blue is measured, orange is the fit, grey is the default. Marks and line styles differ too.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,11 @@ MEASURED_ON_DARK, SIMULATED_ON_DARK, WHITE_ON_DARK = "#56C1FF", "#FFA530", "#FEF
 PNG_DPI = 130
 PERCENTILES = (1.0, 99.7)  # of the crop's grey values, black to white
 LABEL_GAP = 0.04  # inches between tick labels
+# What would say when, and with which version of Matplotlib, a file was made.
+_METADATA: dict[str, dict[str, None]] = {
+    "png": {"Software": None},
+    "svg": {"Date": None, "Creator": None, "Format": None, "Type": None},
+}
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 10.5,
@@ -51,20 +57,29 @@ STYLE: dict[Any, Any] = {
 
 def as_png(figure: Figure) -> bytes:
     """The figure as PNG; its layout stays as it is then."""
-    return _saved(figure, "png", {"Software": None})
+    return _saved(figure, ("png",))[0]
 
 
 def as_svg(figure: Figure) -> bytes:
     """The figure as SVG, letters as outlines, without a date; its layout stays as it is then."""
-    return _saved(figure, "svg", {"Date": None, "Creator": None, "Format": None, "Type": None})
+    return _saved(figure, ("svg",))[0]
 
 
-def _saved(figure: Figure, kind: str, metadata: dict[str, None]) -> bytes:
-    stream = BytesIO()
+def as_png_and_svg(figure: Figure) -> tuple[bytes, bytes]:
+    """The figure as ``as_png`` and as ``as_svg`` has it, laid out once."""
+    png, svg = _saved(figure, ("png", "svg"))
+    return png, svg
+
+
+def _saved(figure: Figure, kinds: Sequence[str]) -> list[bytes]:
+    found = []
     with rc_context(STYLE):
         part_tick_labels(figure)
-        figure.savefig(stream, format=kind, dpi=PNG_DPI, metadata=metadata)
-    return stream.getvalue()
+        for kind in kinds:
+            stream = BytesIO()
+            figure.savefig(stream, format=kind, dpi=PNG_DPI, metadata=_METADATA[kind])
+            found.append(stream.getvalue())
+    return found
 
 
 def part_tick_labels(figure: Figure) -> None:

@@ -28,7 +28,7 @@ from spinestiff.study.report.estimate_content import (
     subject_content,
     uncertainty_content,
 )
-from spinestiff.study.report.figures import as_png, as_svg
+from spinestiff.study.report.figures import as_png_and_svg
 from spinestiff.study.report.frame_content import (
     comparison_content,
     geometry_content,
@@ -171,8 +171,8 @@ class _Album:
     def add(self, name: str, figure: Figure, alt: str, caption: str) -> Picture:
         number = f"{len(self.files) + 1:02d}"
         file = f"{number}-{name}.png"
-        self.files[file] = as_png(figure)
-        return Picture(file, for_page(as_svg(figure), f"figure-{number}"), alt, caption)
+        self.files[file], drawing = as_png_and_svg(figure)
+        return Picture(file, for_page(drawing, f"figure-{number}"), alt, caption)
 
 
 def _added(album: _Album, picture: Drawn | None) -> Picture | None:
