@@ -43,7 +43,7 @@ def seven(
         int | None, typer.Option(min=1, max=256, help="Subjects at a time; default a processor each.")
     ] = None,
     page: Annotated[
-        Path | None, typer.Option(help="Where the page goes, pictures beside it in images/; default DIR/study.md.")
+        Path | None, typer.Option(help="Where the page goes, pictures beside it in images/; default FOLDER/study.md.")
     ] = None,
     page_only: Annotated[
         bool,
