@@ -88,7 +88,7 @@ def import_torso(
     """
     say = heard(observer, logging.getLogger(__name__))
     refuse_unknown_mesher(mesher)
-    files = find_files(Path(folder), None if mapping is None else Path(mapping))
+    files = find_files(Path(folder), *(None if path is None else Path(path) for path in (mapping, skin)))
     say(f"read: {sum(map(len, files.bones.values()))} meshes")
     raw = {name: [(path.name, read_surface(path)) for path in files.bones[name]] for name in BONES}
     _refuse_copies(raw)
@@ -105,8 +105,7 @@ def import_torso(
 
     say("repair: holes, turned and repeated triangles")
     surfaces = {name: joined(*(clean(file, surface) for file, surface in raw[name])) for name in BONES}
-    skin_path = Path(skin) if skin is not None else files.skin
-    given = None if skin_path is None else clean(skin_path.name, read_surface(skin_path))
+    given = None if files.skin is None else clean(files.skin.name, read_surface(files.skin))
     say("joints: measuring vertebrae and ribs")
     skeleton, origin = place_joints(surfaces)
     notes = list(skeleton.notes)
