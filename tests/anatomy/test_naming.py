@@ -98,6 +98,14 @@ def test_a_mapping_as_windows_editors_save_it_is_read(folder):
     assert find_files(folder, path).unit == "cm"
 
 
+def test_a_skin_by_its_name_is_the_skin_unless_a_mapping_names_another(folder):
+    for name in ("skin.stl", "body.ply"):
+        (folder / name).touch()
+    path = mapping(folder, ignore=["body.ply"])
+    assert find_files(folder, path).skin == folder / "skin.stl"
+    assert find_files(folder, mapping(folder, skin="body.ply")).skin == folder / "body.ply"
+
+
 def test_a_missing_bone_is_named(folder):
     (folder / "R7_L.stl").unlink()
     (folder / "T4.stl").unlink()

@@ -191,6 +191,7 @@ def _by_mapping(folder: Path, known: Mapping[str, Path], mapping: Path) -> BoneF
             both = f"{paths[0].name} and {bones[bone][0].name}"
             raise TorsoError(f"{both} would both be {bone}; ignore one in {mapping.name}")
     _refuse_doubles(found, f"ignore one in {mapping.name}")
+    skin = found.pop(SKIN, [skin])[0]
     if strange:
         raise TorsoError(f'{_listed(strange)}: not in {mapping.name}; name its bone there, or list it under "ignore"')
     bones |= {bone: tuple(paths) for bone, paths in found.items()}
