@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 from typer.testing import CliRunner
 
-from spinestiff.anatomy import carving, meshing
+from spinestiff.anatomy import carving, importing, meshing
 from spinestiff.anatomy.files import read_torso
 from spinestiff.anatomy.importing import import_torso
 from spinestiff.anatomy.importing.carried_skin import ROWS, _template_rows, refuse_bones_outside
 from spinestiff.anatomy.importing.orienting import axes_matrix
+from spinestiff.anatomy.importing.placing import template_column_mm
 from spinestiff.anatomy.names import BONES
 from spinestiff.anatomy.solids import enclosed
 from spinestiff.anatomy.template.surfaces import ball, loft, signed_volume
@@ -98,6 +100,28 @@ def test_what_the_user_says_wrongly_is_refused(bone_folder):
     assert "look like mm" in refusal(bone_folder, unit="m")
     assert "look like LSA" in refusal(bone_folder, axes="LPS")
     assert "body height 400 cm" in refusal(bone_folder, height_cm=400.0)
+
+
+def test_a_skin_in_another_unit_is_refused_before_it_is_worked_on(bone_folder, meshes, monkeypatch):
+    def nothing(surfaces):
+        raise AssertionError("the skin was taken")
+
+    monkeypatch.setattr(importing, "place_joints", nothing)
+    vertices, faces = ball(np.zeros(3), 300.0)
+    (bone_folder / "skin.stl").write_bytes(meshes.stl(10.0 * vertices, faces))
+    message = "skin.stl is 14.9 times as large as all bones together; wanted a skin in their unit"
+    assert refusal(bone_folder) == message
+    (bone_folder / "skin.stl").write_bytes(meshes.stl(vertices, faces))
+    with pytest.raises(AssertionError, match="was taken"):
+        import_torso(bone_folder)
+
+
+def test_a_height_that_the_spine_contradicts_is_refused(bone_folder, monkeypatch):
+    """As of bones in inches, which look like the centimetres of a small body."""
+    spine = SimpleNamespace(column_mm=template_column_mm() / 2.54, notes=())
+    monkeypatch.setattr(importing, "place_joints", lambda surfaces: (spine, np.zeros(3)))
+    message = refusal(bone_folder, height_cm=157.0)
+    assert message.startswith("body height 157 cm, but a spine of 160 mm goes with some 62 cm; check the height and")
 
 
 def test_an_unknown_mesher_is_said_before_any_work_a_missing_one_after_the_bones(bone_folder, no_mesher):
@@ -299,4 +323,4 @@ def test_a_plug_in_is_found_by_its_entry_point(monkeypatch):
 @pytest.mark.parametrize("spacing", [1.0, 500.0])
 def test_spacings_that_can_not_be_meant(template_bones, spacing):
     with pytest.raises(TorsoError, match="wanted 9 to 60 mm"):
-        meshing.mesh_tissue(template_bones, ball(np.zeros(3), 500.0), spacing)
+        meshing.mesh_tissue(template_bones, ball(np.zeros(3), 300.0), spacing)

@@ -67,6 +67,45 @@ def test_unknown_and_duplicate_names_are_refused(folder, extra, message):
         find_files(folder)
 
 
+@pytest.mark.parametrize("mapped", [False, True], ids=["by name", "beside a mapping"])
+@pytest.mark.parametrize(
+    ("whole", "files", "message"),
+    [
+        ("pelvis", ("sacrum.stl", "hip_left.stl", "l_pelvis.ply"), "hip_left.stl, l_pelvis.ply, sacrum.stl"),
+        ("pelvis", ("pelvis.stl", "sacrum.stl"), "pelvis.stl, sacrum.stl"),
+        ("sternum", ("sternum.stl", "sternum.obj"), "sternum.obj, sternum.stl"),
+        ("sternum", ("Manubrium.ply", "manubrium.stl", "sternum.stl"), "Manubrium.ply, manubrium.stl, sternum.stl"),
+    ],
+)
+def test_a_part_given_twice_or_beside_the_whole_is_refused(folder, whole, files, message, mapped):
+    (folder / f"{whole}.stl").unlink()
+    for name in files:
+        (folder / name).touch()
+    with pytest.raises(TorsoError, match=f"^{message} would all be {whole}; "):
+        find_files(folder, mapping(folder, unit="mm") if mapped else None)
+
+
+@pytest.mark.parametrize("mapped", [False, True], ids=["by name", "beside a mapping"])
+def test_a_skin_that_is_stated_is_the_skin_whatever_its_name(folder, mapped):
+    (folder / "body.ply").touch()
+    found = find_files(folder, mapping(folder, unit="mm") if mapped else None, folder / "." / "body.ply")
+    assert found.skin == folder / "body.ply" and tuple(found.bones) == BONES
+
+
+def test_a_mapping_as_windows_editors_save_it_is_read(folder):
+    path = mapping(folder, unit="cm")
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert find_files(folder, path).unit == "cm"
+
+
+def test_a_skin_by_its_name_is_the_skin_unless_a_mapping_names_another(folder):
+    for name in ("skin.stl", "body.ply"):
+        (folder / name).touch()
+    path = mapping(folder, ignore=["body.ply"])
+    assert find_files(folder, path).skin == folder / "skin.stl"
+    assert find_files(folder, mapping(folder, skin="body.ply")).skin == folder / "body.ply"
+
+
 def test_a_missing_bone_is_named(folder):
     (folder / "R7_L.stl").unlink()
     (folder / "T4.stl").unlink()

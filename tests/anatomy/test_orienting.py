@@ -76,6 +76,20 @@ def test_swapped_names_are_refused(template_bones, one, other, message):
         find_placement(bones)
 
 
+@pytest.mark.parametrize(
+    ("part", "side"),
+    [(lambda x: x > -45.0, "right"), (lambda x: x < 45.0, "left"), (lambda x: np.abs(x) < 45.0, "left")],
+    ids=["no right hip", "no left hip", "sacrum alone"],
+)
+def test_a_pelvis_without_a_hip_bone_is_refused(template_bones, part, side):
+    vertices, faces = template_bones["pelvis"]
+    faces = faces[part(vertices[faces, 0].mean(1))]
+    used, number = np.unique(faces, return_inverse=True)
+    bones = template_bones | {"pelvis": (vertices[used], number.reshape(faces.shape))}
+    with pytest.raises(TorsoError, match=rf"^pelvis reaches \d\d mm to the {side} of L5, wanted some 1[23]\d mm"):
+        find_placement(placed(bones, axes_matrix("LPS").T / 10.0))
+
+
 def test_a_body_that_lies_askew_needs_to_be_turned_or_told(template_bones):
     askew = exp_so3(np.array([0.0, 0.75, 0.0]))
     with pytest.raises(TorsoError, match=r"degrees off the files' axes"):

@@ -142,6 +142,12 @@ def test_a_rib_named_after_another_vertebra_is_refused(template_bones):
         place_joints(bones)
 
 
+def test_neighbouring_ribs_with_swapped_names_are_refused(template_bones):
+    bones = template_bones | {"R5_L": template_bones["R6_L"], "R6_L": template_bones["R5_L"]}
+    with pytest.raises(TorsoError, match=r"^R5_L: its head lies 2\d mm below that of R6_L; are their names swapped\?"):
+        place_joints(bones)
+
+
 def test_the_centreline_of_a_bent_tube():
     angle = np.linspace(0.0, 2.2, 40)
     arc = 80.0 * np.stack([np.cos(angle), 0.1 * angle, np.sin(angle)], -1)

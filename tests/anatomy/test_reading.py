@@ -97,6 +97,16 @@ def test_numbers_that_are_none_are_refused(tmp_path, meshes, kind, bad):
     refusal(tmp_path, f"bone.{kind}", getattr(meshes, kind)(vertices, FACES))
 
 
+@pytest.mark.parametrize("kind", ["obj", "ply", "vtp"])
+def test_vertices_of_no_triangle_are_passed_by(tmp_path, meshes, kind):
+    """Some programs write those of a whole scene into the file of each of its objects."""
+    vertices = np.vstack([[[9e3, 9e3, 9e3]], VERTICES[:5], [[-9e3, 9e3, 9e3]], VERTICES[5:]])
+    faces = np.where(FACES < 5, FACES + 1, FACES + 2)
+    surface = read(tmp_path, f"bone.{kind}", getattr(meshes, kind)(vertices, faces))
+    np.testing.assert_allclose(surface[0][surface[1]], VERTICES[FACES], rtol=1e-6)
+    assert len(surface[0]) == len(VERTICES)
+
+
 def test_a_face_beyond_the_vertices_is_refused(tmp_path, meshes):
     faces = FACES.copy()
     faces[3, 0] = 999

@@ -74,6 +74,17 @@ def test_a_cavity_stays_a_cavity_whichever_way_the_whole_is_turned():
     assert len(notes) == 1
 
 
+@pytest.mark.parametrize("turned", [0, 1], ids=["the large one", "the small one"])
+def test_of_two_overlapping_pieces_one_that_faces_inwards_is_turned_alone(turned):
+    """As the parts of a pelvis in one file; the small one's first triangle lies in the large one."""
+    pieces = [ball(np.zeros(3), 20.0), ball(np.array([0.0, 24.0, 0.0]), 8.0)]
+    wrong = [(v, f[:, ::-1] if i == turned else f) for i, (v, f) in enumerate(pieces)]
+    surface, notes = repaired("pelvis", joined(*wrong))
+    assert notes == ["pelvis: 1 of its 2 pieces faced inwards and was turned"]
+    assert signed_volume(surface) == pytest.approx(sum(map(signed_volume, pieces)))
+    assert enclosed(surface, np.array([[0.0, 0.0, 0.0], [0.0, 18.0, 0.0], [0.0, 30.0, 0.0]])).all()
+
+
 def test_repeats_flat_triangles_and_specks_go():
     vertices, faces = BALL
     speck = ball(np.array([60.0, 0.0, 0.0]), 0.2)

@@ -51,9 +51,10 @@ SCALING: Mapping[str, Mapping[str, float]] = {
     "volume": {"tissue_lambda": 1.0, "tissue": -LAMBDA_SHARE},
 }
 """Acts that scale groups of stiffnesses: of each group, by its name, the power of the act's exponential."""
-RATIOS = ("ribs", "volume")
-"""Acts that are ratios themselves: where the fitted ones scale the same stiffnesses, they are no unknowns beside them.
-The trunk's size is none of them: it changes what tissue of a given modulus resists."""
+RATIOS: Mapping[str, str] = {"ribs": "rib joints", "volume": "tissue's volume"}
+"""Acts that are ratios themselves, and the names of their unknowns: where the fitted ones scale the same stiffnesses,
+they are no unknowns beside them. The trunk's size is none of them: it changes what tissue of a given modulus
+resists."""
 SCALED = tuple(dict.fromkeys(name for groups in SCALING.values() for name in groups))
 """The groups, each once."""
 POWERS = np.array([[SCALING.get(act, {}).get(name, 0.0) for act in ACTS] for name in SCALED])
@@ -179,8 +180,8 @@ def unknowns_of(
         add(f"trunk {name}", "trunk size", "tissue", trunk * power, loaded)
     ribs = np.array([parameter_group(RIB_ROTATION, q.torso.joints.kinds).joints.any() for q in problems], dtype=bool)
     free = {act: np.array([not is_fitted(act, fitted, q.torso) for q in problems], dtype=bool) for act in RATIOS}
-    add("rib joints", "rib joints", "ribs", p.rib_joints, loaded & ribs & free["ribs"])
-    add("tissue's volume", "tissue's volume", "volume", p.tissue_volume, loaded & free["volume"])
+    add(RATIOS["ribs"], RATIOS["ribs"], "ribs", p.rib_joints, loaded & ribs & free["ribs"])
+    add(RATIOS["volume"], RATIOS["volume"], "volume", p.tissue_volume, loaded & free["volume"])
     add("tissue mesh", "tissue mesh", "tissue", p.mesh, loaded)
     add("source distance", "source distance", "motion", p.source_distance, loaded)
     return Unknowns(tuple(found), len(trials))
@@ -215,6 +216,16 @@ def _scaled_by(group: ParameterGroup, count: int) -> Floats:
 def acts_by_name(unknowns: Unknowns, known: Mapping[str, float]) -> Floats:
     """(T, len(ACTS)) of trials whose unknowns are known by name, in prior standard deviations; the others are 0."""
     return np.asarray(unknowns.acts @ np.array([known.get(name, 0.0) for name in unknowns.names]))
+
+
+def with_unknowns(ratios: Mapping[str, float], known: Mapping[str, float]) -> dict[str, float]:
+    """``ratios`` by name and those that unknowns are themselves (``RATIOS``), of which ``known`` has logs by name."""
+    found = dict(ratios)
+    for act, name in RATIOS.items():
+        if name in known:
+            for group, power in SCALING[act].items():
+                found[group] = found.get(group, 1.0) * float(np.exp(power * known[name]))
+    return found
 
 
 def _side(load: LoadCase) -> str:

@@ -69,9 +69,9 @@ def read_scan(path: Path, unit: Unit, body_from_scan: Floats, height_cm: float) 
         vertices, faces = read_surface(path)
     except TorsoError as error:
         raise SubjectError(f"skin scan: {error}") from None
-    used = MM[unit] * vertices[np.unique(faces)] @ body_from_scan.T
-    _check_extents(path.name, unit, used.max(0) - used.min(0), 10.0 * height_cm)
-    corners = (MM[unit] * vertices @ body_from_scan.T)[faces]
+    places = MM[unit] * vertices @ body_from_scan.T
+    _check_extents(path.name, unit, np.ptp(places, axis=0), 10.0 * height_cm)
+    corners = places[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = 0.5 * np.linalg.norm(normal, axis=1)
     if area.sum() < LEAST_AREA * (10.0 * height_cm) ** 2:

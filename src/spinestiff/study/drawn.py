@@ -14,6 +14,7 @@ from spinestiff.anatomy.export import FORMATS, export_torso
 from spinestiff.anatomy.regions import scaled_torso, torso_ratios
 from spinestiff.anatomy.torso import TorsoModel
 from spinestiff.errors import SubjectError, TorsoError
+from spinestiff.estimation.unknowns import RATIOS, with_unknowns
 from spinestiff.files import read_text, whole_folder, write_text
 from spinestiff.observer import Observer
 from spinestiff.study.plain import plain_stiffness
@@ -34,7 +35,11 @@ PLAIN_COLUMNS = {
 
 @dataclass(frozen=True)
 class Drawn:
-    """A subject's torso at default stiffness, and the ratios of each file by its name, the estimate first."""
+    """A subject's torso at default stiffness, and the ratios of each file by its name, the estimate first.
+
+    They are those that were estimated, and what was found with them of unknowns that are ratios themselves
+    (``estimation.unknowns.RATIOS``).
+    """
 
     torso: TorsoModel
     ratios: Mapping[str, Mapping[str, float]]
@@ -50,21 +55,23 @@ def drawn_ratios(visit: Visit, draws: int) -> Drawn:
     subject = visit.subject
     refuse_changed(subject, "personalise", "estimate")
     estimate = read_outcome(subject, Estimate)
-    found = {ESTIMATE: estimate.values}
+    beside = [one for one in estimate.nuisances if one.name in RATIOS.values()]
+    found = {ESTIMATE: with_unknowns(estimate.values, {one.name: one.value for one in beside})}
     if draws:
         if estimate.method != "weighed":
             raise SubjectError(
                 f"{visit.file(Estimate.FILE)}: is by the paper's method, which has no draws; leave out --draws, or run "
                 "spinestiff estimate with --method weighed"
             )
-        known = read_draws(read_text(result_path(subject, "posterior.csv", "estimate")), estimate.parameters)
+        names = [*estimate.parameters, *(one.name for one in beside)]
+        known = read_draws(read_text(result_path(subject, "posterior.csv", "estimate")), names)
         if draws > len(known):
             raise SubjectError(f"{subject.folder}: has {counted(len(known), 'draw')}; wanted {draws}")
         rows = np.linspace(0, len(known) - 1, draws).round().astype(int)
-        found |= {
-            f"draw-{number:03d}": dict(zip(estimate.parameters, np.exp(known[row]).tolist()))
-            for number, row in enumerate(rows, 1)
-        }
+        for number, row in enumerate(known[rows].tolist(), 1):
+            ratios, standard = dict(zip(estimate.parameters, row)), row[len(estimate.parameters) :]
+            logs = {one.name: one.prior_sd * value for one, value in zip(beside, standard)}
+            found[f"draw-{number:03d}"] = with_unknowns(ratios, logs)
     return Drawn(visit.torso(), found)
 
 

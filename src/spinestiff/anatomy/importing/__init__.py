@@ -11,7 +11,7 @@ import numpy as np
 
 from spinestiff.anatomy.importing.carried_skin import generated_skin, refuse_bones_outside, section_middle
 from spinestiff.anatomy.importing.naming import BoneFiles, find_files
-from spinestiff.anatomy.importing.orienting import Placement, find_placement
+from spinestiff.anatomy.importing.orienting import Placement, find_placement, refuse_large_skin
 from spinestiff.anatomy.importing.placing import Skeleton, landmarks, place_joints, rest_frames, template_column_mm
 from spinestiff.anatomy.importing.reading import read_surface
 from spinestiff.anatomy.importing.repairing import repaired
@@ -32,6 +32,7 @@ __all__ = ["DEFAULT_SPACING_MM", "ImportedTorso", "import_torso"]
 DEFAULT_SPACING_MM = 28.0
 TEMPLATE_HEIGHT_CM = 157.0
 HEIGHTS_CM = (90.0, 230.0)
+MOST_UNLIKE = 1.5  # of a stated height and that of the spine's length; an inch is 2.54 cm
 
 
 @dataclass(frozen=True, repr=False)
@@ -88,13 +89,16 @@ def import_torso(
     """
     say = heard(observer, logging.getLogger(__name__))
     refuse_unknown_mesher(mesher)
-    files = find_files(Path(folder), None if mapping is None else Path(mapping))
+    files = find_files(Path(folder), *(None if path is None else Path(path) for path in (mapping, skin)))
     say(f"read: {sum(map(len, files.bones.values()))} meshes")
     raw = {name: [(path.name, read_surface(path)) for path in files.bones[name]] for name in BONES}
     _refuse_copies(raw)
     whole = {name: joined(*(surface for _, surface in parts)) for name, parts in raw.items()}
     placement = find_placement(whole, unit or files.unit, axes or files.axes)
     say(f"axes: {placement}")
+    outer = None if files.skin is None else (files.skin.name, read_surface(files.skin))
+    if outer is not None:
+        refuse_large_skin(*outer, whole)
     matrix = placement.world_from_file
     repairs: list[str] = []
 
@@ -105,20 +109,25 @@ def import_torso(
 
     say("repair: holes, turned and repeated triangles")
     surfaces = {name: joined(*(clean(file, surface) for file, surface in raw[name])) for name in BONES}
-    skin_path = Path(skin) if skin is not None else files.skin
-    given = None if skin_path is None else clean(skin_path.name, read_surface(skin_path))
+    given = None if outer is None else clean(*outer)
     say("joints: measuring vertebrae and ribs")
     skeleton, origin = place_joints(surfaces)
     notes = list(skeleton.notes)
     height = height_cm if height_cm is not None else files.height_cm
     scale = skeleton.column_mm / template_column_mm()
+    usual = scale * TEMPLATE_HEIGHT_CM
     if height is None:
-        height = scale * TEMPLATE_HEIGHT_CM
+        height = usual
         notes.append(
             f"body height {height:.0f} cm estimated from the spine's {skeleton.column_mm:.0f} mm; --height overrides it"
         )
     if not HEIGHTS_CM[0] <= height <= HEIGHTS_CM[1]:
         raise TorsoError(f"body height {height:.0f} cm; wanted {HEIGHTS_CM[0]:g} to {HEIGHTS_CM[1]:g} cm")
+    if not 1.0 / MOST_UNLIKE < height / usual < MOST_UNLIKE:
+        raise TorsoError(
+            f"body height {height:.0f} cm, but a spine of {skeleton.column_mm:.0f} mm goes with some {usual:.0f} cm; "
+            "check the height and the files' unit, which may be none of mm, cm and m"
+        )
     say("skin: generating one" if given is None else "skin: checking that all bones lie inside")
     closed = None if given is None else (given[0] - origin, given[1])
     if closed is not None and (smooth := rounded(closed, SKIN_SHARE * spacing_mm)) is not closed:

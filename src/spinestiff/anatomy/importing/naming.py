@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,13 +52,17 @@ class BoneFiles:
     height_cm: float | None = field(default=None)
 
 
-def find_files(folder: Path, mapping: Path | None = None) -> BoneFiles:
+def find_files(folder: Path, mapping: Path | None = None, skin: Path | None = None) -> BoneFiles:
     """The files of all 49 bones in a folder.
+
+    Parameters
+    ----------
+    skin : the skin's file, wherever it lies; then no other file is the skin.
 
     Raises
     ------
-    TorsoError : no such folder; a file of unknown name; a bone with no file or, without a mapping, with two; a mapping
-        that names what isn't there.
+    TorsoError : no such folder; a file of unknown name; a bone with no file, or with two that are no parts of it; a
+        mapping that names what isn't there.
     """
     try:
         inside = sorted(path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in SUFFIXES)
@@ -68,8 +72,9 @@ def find_files(folder: Path, mapping: Path | None = None) -> BoneFiles:
         raise TorsoError(f"{folder} holds no mesh; wanted files that end in {', '.join(SUFFIXES)}")
     if len(inside) > MOST_FILES:
         raise TorsoError(f"{folder} holds {len(inside)} meshes; at most {MOST_FILES}")
-    known = {path.name: path for path in inside}
-    return _by_name(folder, known) if mapping is None else _by_mapping(folder, known, mapping)
+    known = {path.name: path for path in inside if skin is None or path.resolve() != skin.resolve()}
+    found = _by_name(folder, known) if mapping is None else _by_mapping(folder, known, mapping)
+    return found if skin is None else replace(found, skin=skin)
 
 
 def bone_of_name(stem: str) -> str | None:
@@ -97,13 +102,30 @@ def bone_of_name(stem: str) -> str | None:
     return None
 
 
-def _is_part(stem: str) -> bool:
-    # Whether a name means a part, of which a bone has several.
+def _part(stem: str) -> str | None:
+    # Which part of a pelvis or a sternum, of which these have several, a name means; None for a whole bone.
     word = re.sub(r"[\s.\-_]+", "_", stem.strip()).lower()
-    return (word not in ("pelvis", "sternum") and bone_of_name(stem) in ("pelvis", "sternum")) or word == "sternum"
+    if word == "pelvis" or bone_of_name(stem) not in ("pelvis", "sternum"):
+        return None
+    # Of a hip bone, which has many names, its side.
+    return word if word in _MIDDLE else _SIDES.get(word.split("_")[0]) or _SIDES[word.split("_")[-1]]
 
 
 def _by_name(folder: Path, known: Mapping[str, Path]) -> BoneFiles:
+    found, strange = _named(known)
+    if strange:
+        raise TorsoError(
+            f"{_listed(strange)}: no bone of the torso by {'this name' if len(strange) == 1 else 'these names'}; "
+            'give a mapping file, which may list it under "ignore"'
+        )
+    _refuse_doubles(found, "keep one, or give a mapping file")
+    skin = found.pop(SKIN, [None])[0]
+    _complete(folder, found)
+    return BoneFiles({bone: tuple(found[bone]) for bone in BONES}, skin)
+
+
+def _named(known: Mapping[str, Path]) -> tuple[dict[str, list[Path]], list[str]]:
+    # What the files' names mean, and the files whose names mean nothing.
     found: dict[str, list[Path]] = {}
     strange = []
     for path in known.values():
@@ -112,20 +134,14 @@ def _by_name(folder: Path, known: Mapping[str, Path]) -> BoneFiles:
             strange.append(path.name)
         else:
             found.setdefault(bone, []).append(path)
-    if strange:
-        raise TorsoError(
-            f"{_listed(strange)}: no bone of the torso by {'this name' if len(strange) == 1 else 'these names'}; "
-            'give a mapping file, which may list it under "ignore"'
-        )
+    return found, strange
+
+
+def _refuse_doubles(found: Mapping[str, list[Path]], advice: str) -> None:
     for bone, paths in found.items():
-        names = [re.sub(r"[\s.\-_]+", "_", path.stem).lower() for path in paths]
-        if len(paths) > 1 and (len(set(names)) < len(names) or not all(_is_part(path.stem) for path in paths)):
-            raise TorsoError(
-                f"{_listed([p.name for p in paths])} would all be {bone}; keep one, or give a mapping file"
-            )
-    skin = found.pop(SKIN, [None])[0]
-    _complete(folder, found)
-    return BoneFiles({bone: tuple(found[bone]) for bone in BONES}, skin)
+        parts = [_part(path.stem) for path in paths]
+        if len(paths) > 1 and (None in parts or len(set(parts)) < len(parts)):
+            raise TorsoError(f"{_listed([path.name for path in paths])} would all be {bone}; {advice}")
 
 
 def _complete(folder: Path, found: Mapping[str, Any]) -> None:
@@ -166,22 +182,19 @@ def _by_mapping(folder: Path, known: Mapping[str, Path], mapping: Path) -> BoneF
             if path in used:
                 raise TorsoError(f"{mapping.name}: {path.name} stands for both {used[path]} and {what}")
             used[path] = what
-    strange = []
-    for name, path in known.items():
-        if path in used:
-            continue
-        # What the mapping leaves out goes by its name, as without a mapping.
-        bone = bone_of_name(path.stem)
-        if bone is None:
-            strange.append(name)
-        elif bone == SKIN and skin is None:
-            skin = path
-        elif bone in bones and not (bone not in entries and _is_part(path.stem)):
-            raise TorsoError(f"{name} and {bones[bone][0].name} would both be {bone}; ignore one in {mapping.name}")
-        else:
-            bones[bone] = (*bones.get(bone, ()), path)
+    # What the mapping leaves out goes by its name, as without a mapping.
+    found, strange = _named({name: path for name, path in known.items() if path not in used})
+    if skin is not None:
+        found.pop(SKIN, None)
+    for bone, paths in found.items():
+        if bone in bones:
+            both = f"{paths[0].name} and {bones[bone][0].name}"
+            raise TorsoError(f"{both} would both be {bone}; ignore one in {mapping.name}")
+    _refuse_doubles(found, f"ignore one in {mapping.name}")
+    skin = found.pop(SKIN, [skin])[0]
     if strange:
         raise TorsoError(f'{_listed(strange)}: not in {mapping.name}; name its bone there, or list it under "ignore"')
+    bones |= {bone: tuple(paths) for bone, paths in found.items()}
     _complete(folder, bones)
     return BoneFiles(
         {bone: bones[bone] for bone in BONES},
@@ -219,7 +232,7 @@ def _read_mapping(path: Path) -> dict[str, Any]:
     try:
         if regular_file(path, TorsoError).st_size > MOST_MAPPING_BYTES:
             raise TorsoError(f"{path.name} is no mapping file: larger than {MOST_MAPPING_BYTES / 1e6:g} MB")
-        record = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=once)
+        record = json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=once)
     except OSError as error:
         raise TorsoError(f"{path}: {(error.strerror or 'unreadable').lower()}") from None
     except (ValueError, RecursionError) as error:

@@ -27,6 +27,9 @@ MOST_OFF_DEG = 35.0
 # A bone's size over the template's, beside the median over all bones.
 SIZE_RANGE = (0.35, 3.0)
 WHOLE_HUMERUS = 12.0  # the template's is a stump
+# Of the template's half pelvis, at the bones' size, how far a pelvis reaches to either side of L5; a sacrum: 0.34.
+LEAST_HALF_PELVIS = 0.6
+LARGEST_SKIN = 5.0  # diagonal over that of all bones together: 1.2 of a torso's skin, 3 of a whole body's
 
 
 @dataclass(frozen=True)
@@ -96,9 +99,10 @@ def find_placement(bones: Mapping[str, Surface], unit: str | None = None, axes: 
             f"in {unit} a vertebra would measure {np.median([size[v] for v in VERTEBRAE]) * UNITS[unit]:.3g} mm "
             f"across; the files look like {found}"
         )
-    _refuse_other_sizes(size)
+    typical = _refuse_other_sizes(size)
     middle = {name: 0.5 * (vertices.min(0) + vertices.max(0)) for name, (vertices, _) in bones.items()}
     seen = _directions(middle)
+    _refuse_half_a_pelvis((bones["pelvis"][0] - middle["L5"]) @ seen[0], typical, UNITS[found])
     if axes is None:
         axes = _nearest_axes(seen)
     matrix = axes_matrix(axes)
@@ -120,7 +124,8 @@ def _unit(size: Mapping[str, float]) -> str:
     )
 
 
-def _refuse_other_sizes(size: Mapping[str, float]) -> None:
+def _refuse_other_sizes(size: Mapping[str, float]) -> float:
+    # The bones' size in the file's unit over the template's in mm, the median.
     torso = template_torso(157.0)
     usual = {name: float(np.linalg.norm(np.ptp(s.vertices, axis=0))) for name, s in zip(BONES, torso.bone_surfaces)}
     ratio = {name: size[name] / usual[name] for name in BONES}
@@ -133,6 +138,27 @@ def _refuse_other_sizes(size: Mapping[str, float]) -> None:
             why = "mm against m?" if 300.0 < factor < 3000.0 else "mm against cm?" if 6.0 < factor < 20.0 else "whose?"
             large = "large" if share > 1.0 else "small"
             raise TorsoError(f"{name} is {factor:.3g} times too {large} beside the other bones ({why})")
+    return typical
+
+
+def _refuse_half_a_pelvis(left: Floats, typical: float, mm: float) -> None:
+    # ``left`` (n,) of its vertices, how far left of L5 they lie, in the file's unit, which has ``mm``.
+    torso = template_torso(157.0)
+    whole = typical * 0.5 * float(np.ptp(torso.bone_surfaces[torso.bone("pelvis")].vertices[:, 0]))
+    for side, reach in (("left", float(left.max())), ("right", -float(left.min()))):
+        if reach < LEAST_HALF_PELVIS * whole:
+            raise TorsoError(
+                f"pelvis reaches {reach * mm:.0f} mm to the {side} of L5, wanted some {whole * mm:.0f} mm as the other "
+                f"bones are; is the {side} hip bone part of it?"
+            )
+
+
+def refuse_large_skin(name: str, skin: Surface, bones: Mapping[str, Surface]) -> None:
+    """Raise TorsoError, naming the file, for a skin in another unit than the bones, all as they stand in the files."""
+    all_bones = np.vstack([vertices for vertices, _ in bones.values()])
+    share = float(np.linalg.norm(np.ptp(skin[0], axis=0)) / np.linalg.norm(np.ptp(all_bones, axis=0)))
+    if share > LARGEST_SKIN:
+        raise TorsoError(f"{name} is {share:.3g} times as large as all bones together; wanted a skin in their unit")
 
 
 def _directions(middle: Mapping[str, Floats]) -> Floats:

@@ -91,6 +91,10 @@ def place_joints(surfaces: Mapping[str, Surface]) -> tuple[Skeleton, Floats]:
         centres[j] = 0.5 * (vertebra.lower + below)
         axes[j] = mean_rotation(vertebra.lower_axes, below_axes)
     curves = {name: _rib_curve(name, surfaces, dense, share) for name in RIBS}
+    for upper, lower in zip(RIBS, RIBS[2:]):
+        rise = float((curves[lower][0] - curves[upper][0]) @ vertebrae[f"T{upper[1:-2]}"].axes[:, 1])
+        if rise >= 0.0:
+            raise TorsoError(f"{upper}: its head lies {rise:.0f} mm below that of {lower}; are their names swapped?")
     surfaces, heads = dict(surfaces), {}
     for side in SIDES:
         name = f"humerus_{side}"

@@ -22,7 +22,7 @@ FARTHEST = 1e7  # of a coordinate, in any unit: beyond it, distances are lost in
 
 
 def read_surface(path: Path) -> Surface:
-    """Vertices (n, 3) in the file's unit and axes, and triangles (m, 3), as they stand in the file.
+    """Vertices (n, 3) of triangles in the file's unit and axes, and triangles (m, 3), as they stand in the file.
 
     Raises
     ------
@@ -47,12 +47,13 @@ def read_surface(path: Path) -> Surface:
         raise TorsoError(f"{path.name} has {len(faces):,} triangles; at most {MOST_FACES:,}, so thin it out")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise TorsoError(f"{path.name}: a triangle names vertex {int(faces.max())}, but there are {len(vertices)}")
-    used = vertices[np.unique(faces)]
-    if not np.isfinite(used).all():
+    used, number = np.unique(faces, return_inverse=True)
+    vertices = vertices[used]
+    if not np.isfinite(vertices).all():
         raise TorsoError(f"{path.name} has a vertex that is no finite number")
-    if np.abs(used).max() > FARTHEST:
-        raise TorsoError(f"{path.name} has a coordinate of {np.abs(used).max():.3g}; wanted below {FARTHEST:g}")
-    return vertices, faces
+    if np.abs(vertices).max() > FARTHEST:
+        raise TorsoError(f"{path.name} has a coordinate of {np.abs(vertices).max():.3g}; wanted below {FARTHEST:g}")
+    return vertices, number.reshape(faces.shape)
 
 
 def _parsed(path: Path, kind: str, content: bytes) -> Surface:

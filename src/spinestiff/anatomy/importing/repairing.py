@@ -260,7 +260,8 @@ def _area(surface: Surface) -> float:
 
 
 def _outward(surface: Surface) -> tuple[Surface, int, int]:
-    # Pieces that face inwards are turned, and with each what lies inside it: a cavity faces against what is around it.
+    # Pieces that face inwards are turned, and with each what lies whole inside it: a cavity faces against what is
+    # around it, a piece that another one overlaps does not.
     vertices, faces = surface
     piece = _pieces(surface)
     count = int(piece.max()) + 1
@@ -270,9 +271,9 @@ def _outward(surface: Surface) -> tuple[Surface, int, int]:
         return surface, 0, count
     turn = np.zeros(count, dtype=bool)
     for p in np.argsort(-np.abs(volume), kind="stable"):
-        probe = vertices[faces[piece == p][0]].mean(0)[None]
+        probes = vertices[faces[piece == p]].mean(1)
         larger = [q for q in range(count) if q != p and abs(volume[q]) > abs(volume[p])]
-        around = [q for q in larger if enclosed((vertices, _turned(faces[piece == q], inward[q])), probe)[0]]
+        around = [q for q in larger if enclosed((vertices, _turned(faces[piece == q], inward[q])), probes).all()]
         turn[p] = turn[around[0]] if around else inward[p]
     faces = faces.copy()
     chosen = turn[piece]

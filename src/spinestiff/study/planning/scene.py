@@ -86,10 +86,10 @@ def places_of_draws(log_ratios: Floats, count: int = PLACES) -> Floats:
 
 
 def read_draws(text: str, names: Sequence[str]) -> Floats:
-    """(D, P) log ratios of ``posterior.csv``. Raises SubjectError where it has none of these names."""
+    """(D, P) columns of ``posterior.csv``, as they stand. Raises SubjectError where it has none of these names."""
     rows = list(csv.DictReader(text.splitlines()))
     try:
-        return np.log([[float(row[name]) for name in names] for row in rows]).reshape(-1, len(names))
+        return np.array([[float(row[name]) for name in names] for row in rows]).reshape(-1, len(names))
     except (KeyError, TypeError, ValueError):
         raise SubjectError(f"posterior.csv: no draws of {', '.join(names)}; run spinestiff estimate again") from None
 
@@ -155,7 +155,7 @@ def _of_estimate(visit: Visit) -> Scene:
     pushes = load_start(visit, estimate.orientation, estimate.method)
     if pushes is None:
         pushes = load_pushes(visit, estimate.orientation, estimate.method)
-    draws = read_draws(read_text(result_path(subject, "posterior.csv", "estimate")), estimate.parameters)
+    draws = np.log(read_draws(read_text(result_path(subject, "posterior.csv", "estimate")), estimate.parameters))
     first = pushes.fitted[0].trial
     seen = max((item.trial.corners.vertebrae for item in pushes.fitted), key=len)
     return Scene(
