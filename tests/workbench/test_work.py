@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 import zipfile
 from pathlib import Path
@@ -31,7 +32,7 @@ from spinestiff.subject.folder import read_subject, read_unannotated, write_anno
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
 from spinestiff.subject.run_record import record_step, step_record, write_outcome
 from spinestiff.workbench import parcel
-from spinestiff.workbench.job_process import start_job
+from spinestiff.workbench.job_process import run_job, start_job
 from spinestiff.workbench.job_table import LOST_S, JobTable
 from spinestiff.workbench.parcel import nameless_parcel
 from spinestiff.workbench.rooms import open_root
@@ -401,6 +402,22 @@ def test_a_process_of_a_job_that_nobody_looks_at_leaves_nothing(root, tmp_path):
     gc.collect()  # a process that still runs would be told as a warning, which is an error here
     os.kill(number, signal.SIGKILL)
     wait_for(lambda: not Path(f"/proc/{number}").exists())
+
+
+def test_a_job_whose_lines_can_not_be_kept_goes_on_to_its_end(tmp_path):
+    table = JobTable(tmp_path / "t.sqlite")
+    table.make()
+    job = table.add("a", "check", {})
+    table.take(1)
+    # More than a pipe holds, and a log without a place, as on a disk that is full.
+    command = (sys.executable, "-c", "for _ in range(4000): print('x' * 100)")
+    log = tmp_path / "gone" / "log"
+    work = threading.Thread(target=run_job, args=(table, job.id, tmp_path, [], log, command), daemon=True)
+    work.start()
+    work.join(timeout=15.0)
+    table.ask_cancel(job.id)
+    work.join(timeout=15.0)
+    assert table.job(job.id).state == "done"
 
 
 # What is left of it.
