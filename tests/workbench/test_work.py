@@ -34,6 +34,7 @@ from spinestiff.subject.run_record import record_step, step_record, write_outcom
 from spinestiff.workbench import parcel
 from spinestiff.workbench.job_process import run_job, start_job
 from spinestiff.workbench.job_table import LOST_S, JobTable
+from spinestiff.workbench.jobs import Jobs
 from spinestiff.workbench.parcel import nameless_parcel
 from spinestiff.workbench.rooms import open_root
 from spinestiff.workbench.unzip import unzip
@@ -326,6 +327,20 @@ def test_a_job_without_a_sign_of_life_is_lost(tmp_path, monkeypatch):
     monkeypatch.setattr("spinestiff.workbench.job_table.time.time", lambda: now + LOST_S + 1)
     table.give_up_lost()
     assert table.job(job.id).state == "lost" and not table.beat(job.id)
+
+
+def test_a_job_is_not_given_up_at_once_after_this_machine_slept(tmp_path, monkeypatch):
+    jobs = Jobs(open_root(tmp_path))
+    jobs.table.make()
+    job = jobs.table.add("a", "run", {})
+    jobs.table.take(1)
+    now = time.time()
+    monkeypatch.setattr("spinestiff.workbench.job_table.time.time", lambda: now + 3600.0)
+    jobs.look()
+    assert jobs.table.job(job.id).state == "running"
+    # One that gives no sign of life then either is lost.
+    jobs.look()
+    assert jobs.table.job(job.id).state == "lost"
 
 
 def test_a_job_runs_says_its_lines_and_ends(root, serve):
