@@ -604,9 +604,32 @@ def test_a_public_address_is_refused_without_a_proxy(tmp_path):
         with pytest.raises(OptionError):
             access_of(1, proxy, secret, False)
     short.write_text("s" * 40, encoding="utf-8")
-    for proxy in ("spine.example.org", "ftp://x", "https://a/b", "https://a@b", "https://a?b"):
+    for proxy in (
+        "spine.example.org",
+        "ftp://x",
+        "https://a/b",
+        "https://a@b",
+        "https://a?b",
+        "https://a#b",
+        "https://[",
+    ):
         with pytest.raises(OptionError, match=r"wanted an origin|wanted a host"):
             access_of(1, proxy, short, False)
+
+
+@pytest.mark.parametrize(
+    ("proxy", "host", "origin"),
+    [
+        ("https://Spine.Example.org/", "spine.example.org", "https://spine.example.org"),
+        ("HTTPS://spine.example.org:443", "spine.example.org", "https://spine.example.org"),
+        ("http://spine.example.org:80", "spine.example.org", "http://spine.example.org"),
+        ("https://spine.example.org:8443", "spine.example.org:8443", "https://spine.example.org:8443"),
+    ],
+)
+def test_a_proxys_origin_is_as_browsers_send_it(tmp_path, proxy, host, origin):
+    secret = tmp_path / "secret"
+    secret.write_text("s" * 40, encoding="utf-8")
+    assert access_of(1, proxy, secret, False).origins == {host: origin}
 
 
 def test_behind_a_proxy_nobody_comes_past_it(root, serve, tmp_path):
