@@ -142,7 +142,8 @@ def test_folders_on_the_machine_are_those_that_were_named(root, serve, tmp_path)
         assert [one["name"] for one in offered] == ["exports", "exports/one"]
         look = served.good("POST", "/api/look", {"origin": "source", "key": offered[1]["key"]})
         assert len(look["files"]) == 4
-        assert served.ask("POST", "/api/look", {"origin": "source", "key": "0" * 16})[0] == 404
+        for key in ("0" * 16, "é"):
+            assert served.ask("POST", "/api/look", {"origin": "source", "key": key})[0] == 404
         asked = {"origin": "source", "key": offered[1]["key"], "name": "new", "person": {}}
         assert served.good("POST", "/api/subjects", asked)["key"] == served.key("new")
 
