@@ -60,6 +60,8 @@ def test_names_are_those_of_the_options_and_lists_are_as_the_option_takes_them(t
     ("text", "words"),
     [
         ("mesh = ", "no TOML: "),
+        (f"mesh = {'[' * 5000}", "no TOML: nested too deeply"),
+        (f"mesh = {'9' * 5000}", "no TOML: .*4300 digits"),
         ('mehs = "fine"', "no command has an option --mehs; did you mean mesh?"),
         ('[rum]\nmesh = "fine"', r"\[rum\]: no such command; did you mean run\?"),
         ("[study.eight]\nworkers = 1", r"\[study.eight\]: no such command; did you mean study seven\?"),
