@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -298,6 +299,17 @@ def test_a_zip_file_is_not_believed(tmp_path, monkeypatch):
         with pytest.raises(SubjectError, match="packed by an unusual method"):
             unzip(archive, tmp_path / "seven", 2**24)
     assert {path.name for path in tmp_path.iterdir()} == {"a.zip", "out", "two"}
+
+
+def test_a_zip_file_that_can_not_be_unpacked_here_is_not_called_damaged(tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    archive = tmp_path / "a.zip"
+    archive.write_bytes(packed([("a", b"x")]))
+    monkeypatch.setattr(Path, "mkdir", full)
+    with pytest.raises(SubjectError, match=r"can't be unpacked \(the disk is full\)"):
+        unzip(archive, tmp_path / "out", 2**20)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="folders of one account")
