@@ -401,6 +401,15 @@ def test_a_private_file_is_its_owners_alone(inside):
     assert (inside / "key").stat().st_mode & 0o777 == 0o600
 
 
+@pytest.mark.skipif(os.name == "nt", reason="modes of Unix")
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o664])
+def test_who_may_read_a_file_stays_as_it_was(inside, mode):
+    write_bytes(inside / "subject.json", b"1")
+    (inside / "subject.json").chmod(mode)
+    write_bytes(inside / "subject.json", b"2")
+    assert (inside / "subject.json").stat().st_mode & 0o777 == mode
+
+
 @pytest.mark.parametrize(
     ("number", "words"),
     [

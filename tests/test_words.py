@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -39,6 +41,16 @@ def test_a_sentence_keeps_the_letters_of_its_names():
 def test_a_path_with_a_blank_is_quoted_for_a_terminal():
     assert pasted(Path("a") / "b") == str(Path("a") / "b")
     assert pasted(Path("Mueller, Anna")) == '"Mueller, Anna"'
+    assert pasted(Path("Müller_1.2")) == "Müller_1.2"
+
+
+@pytest.mark.parametrize("name", ["a&b", "a;b", "$HOME", "a $b", "it's", "a`b`", "a(1)", "~a", "a\tb", "a\\b"])
+def test_a_path_with_signs_of_the_shell_is_one_word_of_a_command(name):
+    if os.name == "nt":
+        assert pasted(Path(name)) == f'"{name}"'
+    else:
+        told = subprocess.run(["sh", "-c", f"printf %s {pasted(Path(name))}"], capture_output=True, check=True)
+        assert told.stdout.decode() == name
 
 
 def test_a_message_about_one_vertebra_says_so():

@@ -10,7 +10,7 @@ import secrets
 import shutil
 import stat
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +154,8 @@ def write_bytes(
 ) -> None:
     """Write a file whole or not at all, so that an interrupted run leaves the old one. Folders on the way are made.
 
+    Who may read a file that is there may read the new one, and nobody else.
+
     Parameters
     ----------
     name : of the file in messages, if not the whole path.
@@ -230,14 +232,23 @@ def check_output(
 
 def _replace(path: Path, content: bytes, private: bool) -> None:
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    mode = None if private else _mode(path)
     try:
-        with open(temporary, "xb", opener=_private if private else None) as file:
+        with open(temporary, "xb", opener=None if mode is None and not private else _private) as file:
+            if mode is not None:
+                with suppress(OSError):  # a file system on which all files have the same
+                    os.fchmod(file.fileno(), mode)
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _mode(path: Path) -> int | None:
+    """Who may read and write a file that is there; None on Windows, where its folder says that."""
+    return stat.S_IMODE(path.stat().st_mode) & 0o777 if os.name != "nt" and path.exists() else None
 
 
 def _private(path: str, flags: int) -> int:

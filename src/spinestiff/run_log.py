@@ -133,8 +133,8 @@ def _scrubbed(subject: Subject, names: Iterable[str]) -> re.Pattern[str]:
     folder = subject.folder
     paths = [path.relative_to(folder) for path in folder.rglob("*") if path.relative_to(folder).parts[0] != RESULTS]
     inside = {part for path in paths for part in (path.as_posix(), path.name, path.stem)}
-    told = {name for name in (*inside, *names, subject.record.id, folder.resolve().name) if _tells(name)}
-    told |= {str(folder), str(folder.resolve())}
+    said = (*inside, *names, subject.record.id, str(folder), folder.resolve().name)
+    told = {name for name in said if _tells(name)} | {str(folder.resolve())}
     ordered = sorted(map(re.escape, told), key=len, reverse=True)
     return re.compile(rf"(?<!\w)(?:{'|'.join(ordered)})(?!\w)")
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import re
+import shlex
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
 
+_MEANS_MORE = re.compile(r"[^\w .,:/\\@%+=-]" if os.name == "nt" else r"[^\w .,:/@%+=-]")
+"""Signs beside blanks that shells may take for something else than themselves."""
 _PUSH = re.compile(r"push(?![a-z])", re.IGNORECASE)
 
 
@@ -26,8 +30,13 @@ def sentence(words: str) -> str:
 
 
 def pasted(path: Path) -> str:
-    """A path as a command that is pasted into a terminal takes it: in double quotes where it has a blank."""
-    return f'"{path}"' if any(letter.isspace() for letter in str(path)) else str(path)
+    """A path as a command that is pasted into a terminal takes it: in quotes where it has a blank, or a sign that has a
+    meaning there.
+    """
+    text = str(path)
+    if os.name != "nt" and _MEANS_MORE.search(text):
+        return shlex.quote(text)
+    return f'"{text}"' if " " in text or _MEANS_MORE.search(text) else text
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -60,6 +61,8 @@ def test_names_are_those_of_the_options_and_lists_are_as_the_option_takes_them(t
     ("text", "words"),
     [
         ("mesh = ", "no TOML: "),
+        (f"mesh = {'[' * 5000}", "no TOML: nested too deeply"),
+        (f"mesh = {'9' * 5000}", "no TOML: .*4300 digits"),
         ('mehs = "fine"', "no command has an option --mehs; did you mean mesh?"),
         ('[rum]\nmesh = "fine"', r"\[rum\]: no such command; did you mean run\?"),
         ("[study.eight]\nworkers = 1", r"\[study.eight\]: no such command; did you mean study seven\?"),
@@ -218,6 +221,18 @@ def test_names_that_are_no_utf8_are_in_the_log_by_their_codes(tmp_path, monkeypa
         logging.getLogger(LOGGER).info(f"{name}: dark")
     _, lines = logged(tmp_path)
     assert (lines[0]["settings"], lines[2]["text"], lines[3]["outcome"]) == ({"out": name}, f"{name}: dark", "done")
+
+
+@pytest.mark.parametrize("name", ["1", "12"])
+def test_a_folder_whose_name_is_a_number_hides_no_number_of_the_log(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    folder = Path(name)
+    folder.mkdir()
+    subject = SimpleNamespace(folder=folder, results=folder / "results", record=SimpleNamespace(id="girl"))
+    with run_log(subject, "track", {}):
+        logging.getLogger(LOGGER).info("track", extra={"event": "begin"})
+        logging.getLogger(LOGGER).info(f"{folder.resolve()}: 12 frames, 1.5 mm")
+    assert logged(folder)[1][2]["text"] == "…: 12 frames, 1.5 mm"
 
 
 def test_an_interrupted_run_has_the_lines_so_far(spinestiff, subject, monkeypatch):

@@ -205,6 +205,7 @@ def test_nothing_is_overwritten(spinestiff, series, tmp_path):
     for arguments, why in (
         ((series, out), "OUT is there already and not empty"),
         ((series, out / "mine.txt"), "OUT is there already"),
+        ((series, "."), "OUT is no name of a folder"),
         ((series, tmp_path / "other"), "OUT-look-for-burned-in-text is there already"),
         ((series, series / "new"), "OUT lies in IN"),
         ((tmp_path / "none", tmp_path / "new"), "no such file"),

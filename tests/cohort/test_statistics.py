@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import norm, t, ttest_ind
 
 from cohort_runners import row
 from spinestiff.cohort.group import Member
 from spinestiff.cohort.row import Stiffness
 from spinestiff.cohort.statistics import Effect, _holm, cohort_statistics, covariates
+from spinestiff.cohort.statistics_words import statistics_sections
 
 
 def people(count, effect=0.0, seed=0, **changes):
@@ -143,6 +144,28 @@ def test_patients_needed_fall_with_the_difference_and_rise_with_the_spread():
         for member, one in zip(unknown, stiffness)
     ]
     assert cohort_statistics(unknown)[0].needed[0].visited_twice is None
+
+
+def test_patients_of_two_groups_are_counted_for_a_test_that_weighs_them():
+    """Where a few are known badly, as many as are told have the power by a weighted mean, and not by a plain one."""
+    members = []
+    for number, member in enumerate(people(30)):
+        sd = 1.5 if number % 3 == 0 else 0.2
+        tissue = member.row.stiffness["tissue"].model_copy(update={"sd_log": sd})
+        changes = {"stiffness": {"tissue": tissue}}
+        members.append(Member(member.participant, "done", "", member.row.model_copy(update=changes)))
+    (found,) = cohort_statistics(members, 1.5)
+    count, tau, rng = found.needed[0].a_group, found.between_sd_log, np.random.default_rng(3)
+    weighed, plain = [], []
+    for _ in range(1000):
+        sds = np.hypot(tau, np.where(rng.random((2, count)) < 1.0 / 3.0, 1.5, 0.2))
+        logs = rng.normal([[0.0], [np.log(1.5)]], sds)
+        first, second = np.average(logs, axis=1, weights=sds**-2)
+        error = np.sqrt((1.0 / (sds**-2).sum(axis=1)).sum())
+        weighed.append(abs(second - first) > t.ppf(0.975, 2 * count - 2) * error)
+        plain.append(ttest_ind(*logs).pvalue < 0.05)
+    assert np.mean(weighed) == pytest.approx(0.8, abs=0.06) and np.mean(plain) < 0.6
+    assert "counts the less the wider the own interval is" in statistics_sections((found,), members)[1].sentences[0]
 
 
 def test_holm_by_hand():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -298,6 +299,17 @@ def test_a_zip_file_is_not_believed(tmp_path, monkeypatch):
         with pytest.raises(SubjectError, match="packed by an unusual method"):
             unzip(archive, tmp_path / "seven", 2**24)
     assert {path.name for path in tmp_path.iterdir()} == {"a.zip", "out", "two"}
+
+
+def test_a_zip_file_that_can_not_be_unpacked_here_is_not_called_damaged(tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    archive = tmp_path / "a.zip"
+    archive.write_bytes(packed([("a", b"x")]))
+    monkeypatch.setattr(Path, "mkdir", full)
+    with pytest.raises(SubjectError, match=r"can't be unpacked \(the disk is full\)"):
+        unzip(archive, tmp_path / "out", 2**20)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="folders of one account")
@@ -604,9 +616,32 @@ def test_a_public_address_is_refused_without_a_proxy(tmp_path):
         with pytest.raises(OptionError):
             access_of(1, proxy, secret, False)
     short.write_text("s" * 40, encoding="utf-8")
-    for proxy in ("spine.example.org", "ftp://x", "https://a/b", "https://a@b", "https://a?b"):
+    for proxy in (
+        "spine.example.org",
+        "ftp://x",
+        "https://a/b",
+        "https://a@b",
+        "https://a?b",
+        "https://a#b",
+        "https://[",
+    ):
         with pytest.raises(OptionError, match=r"wanted an origin|wanted a host"):
             access_of(1, proxy, short, False)
+
+
+@pytest.mark.parametrize(
+    ("proxy", "host", "origin"),
+    [
+        ("https://Spine.Example.org/", "spine.example.org", "https://spine.example.org"),
+        ("HTTPS://spine.example.org:443", "spine.example.org", "https://spine.example.org"),
+        ("http://spine.example.org:80", "spine.example.org", "http://spine.example.org"),
+        ("https://spine.example.org:8443", "spine.example.org:8443", "https://spine.example.org:8443"),
+    ],
+)
+def test_a_proxys_origin_is_as_browsers_send_it(tmp_path, proxy, host, origin):
+    secret = tmp_path / "secret"
+    secret.write_text("s" * 40, encoding="utf-8")
+    assert access_of(1, proxy, secret, False).origins == {host: origin}
 
 
 def test_behind_a_proxy_nobody_comes_past_it(root, serve, tmp_path):

@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 import zipfile
 from pathlib import Path
@@ -31,8 +32,9 @@ from spinestiff.subject.folder import read_subject, read_unannotated, write_anno
 from spinestiff.subject.plan_outcome import Plan, PlannedPush, PlanStep
 from spinestiff.subject.run_record import record_step, step_record, write_outcome
 from spinestiff.workbench import parcel
-from spinestiff.workbench.job_process import start_job
+from spinestiff.workbench.job_process import run_job, start_job
 from spinestiff.workbench.job_table import LOST_S, JobTable
+from spinestiff.workbench.jobs import Jobs
 from spinestiff.workbench.parcel import nameless_parcel
 from spinestiff.workbench.rooms import open_root
 from spinestiff.workbench.unzip import unzip
@@ -140,7 +142,8 @@ def test_folders_on_the_machine_are_those_that_were_named(root, serve, tmp_path)
         assert [one["name"] for one in offered] == ["exports", "exports/one"]
         look = served.good("POST", "/api/look", {"origin": "source", "key": offered[1]["key"]})
         assert len(look["files"]) == 4
-        assert served.ask("POST", "/api/look", {"origin": "source", "key": "0" * 16})[0] == 404
+        for key in ("0" * 16, "é"):
+            assert served.ask("POST", "/api/look", {"origin": "source", "key": key})[0] == 404
         asked = {"origin": "source", "key": offered[1]["key"], "name": "new", "person": {}}
         assert served.good("POST", "/api/subjects", asked)["key"] == served.key("new")
 
@@ -327,6 +330,20 @@ def test_a_job_without_a_sign_of_life_is_lost(tmp_path, monkeypatch):
     assert table.job(job.id).state == "lost" and not table.beat(job.id)
 
 
+def test_a_job_is_not_given_up_at_once_after_this_machine_slept(tmp_path, monkeypatch):
+    jobs = Jobs(open_root(tmp_path))
+    jobs.table.make()
+    job = jobs.table.add("a", "run", {})
+    jobs.table.take(1)
+    now = time.time()
+    monkeypatch.setattr("spinestiff.workbench.job_table.time.time", lambda: now + 3600.0)
+    jobs.look()
+    assert jobs.table.job(job.id).state == "running"
+    # One that gives no sign of life then either is lost.
+    jobs.look()
+    assert jobs.table.job(job.id).state == "lost"
+
+
 def test_a_job_runs_says_its_lines_and_ends(root, serve):
     with serve(root, jobs=True) as served:
         job = served.good("POST", f"/api/subjects/{served.key()}/jobs", {"verb": "run", "options": {}})["id"]
@@ -403,11 +420,28 @@ def test_a_process_of_a_job_that_nobody_looks_at_leaves_nothing(root, tmp_path):
     wait_for(lambda: not Path(f"/proc/{number}").exists())
 
 
+def test_a_job_whose_lines_can_not_be_kept_goes_on_to_its_end(tmp_path):
+    table = JobTable(tmp_path / "t.sqlite")
+    table.make()
+    job = table.add("a", "check", {})
+    table.take(1)
+    # More than a pipe holds, and a log without a place, as on a disk that is full.
+    command = (sys.executable, "-c", "for _ in range(4000): print('x' * 100)")
+    log = tmp_path / "gone" / "log"
+    work = threading.Thread(target=run_job, args=(table, job.id, tmp_path, [], log, command), daemon=True)
+    work.start()
+    work.join(timeout=15.0)
+    table.ask_cancel(job.id)
+    work.join(timeout=15.0)
+    assert table.job(job.id).state == "done"
+
+
 # What is left of it.
 
 
 def test_everything_and_nothing_of_the_patient_as_zip_files(served, root, tmp_path):
     annotated(root / "girl")
+    os.utime(root / "girl" / "pushes" / "a.dcm", (0.0, 0.0))  # a day that no zip file knows
     key = served.key()
 
     def packed(**asked):

@@ -37,6 +37,8 @@ def deidentify_files(
     RadiographError : OUT isn't a new or empty folder, nothing to read, no DICOM, a key that is none; no radiograph has
         been written.
     """
+    if not out.name:
+        raise RadiographError("OUT is no name of a folder; name a new folder")
     beside = out.with_name(out.name + SHEETS)
     _check_places(source, out, beside, key_file)
     files = _files(source)

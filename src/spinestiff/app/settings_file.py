@@ -49,8 +49,10 @@ def settings_of(path: Path, program: Any, words: list[str]) -> dict[str, Any]:
     """
     try:
         content = tomllib.loads(read_text(path, LARGEST_BYTES))
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # also for a number of more digits than Python reads
         raise OptionError(f"--settings {path}: no TOML: {error}") from None
+    except RecursionError:
+        raise OptionError(f"--settings {path}: no TOML: nested too deeply") from None
     except SpinestiffError as error:
         raise OptionError(f"--settings {error}") from None
     known = {" ".join(names): _options(command) for names, command in _commands(program)}

@@ -74,8 +74,8 @@ def access_of(port: int, proxy: str | None, secret_file: Path | None, read_only:
         raise OptionError("--proxy and --proxy-secret belong together; give both or none of them")
     origins, secret, token = own_origins(port), None, secrets.token_urlsafe(32)
     if proxy is not None and secret_file is not None:
-        host = _host_of(proxy)
-        origins, token = {host: proxy.rstrip("/")}, BEHIND_PROXY
+        host, origin = _host_and_origin(proxy)
+        origins, token = {host: origin}, BEHIND_PROXY
         secret = read_text(secret_file).strip()
         if len(secret) < FEWEST_SECRET or not secret.isascii() or not secret.isprintable():
             raise OptionError(f"--proxy-secret {secret_file}: wanted at least {FEWEST_SECRET} printable characters")
@@ -83,10 +83,16 @@ def access_of(port: int, proxy: str | None, secret_file: Path | None, read_only:
     return Access(token, origins, headers, read_only, HARMLESS, secret, "spinestiff serve")
 
 
-def _host_of(proxy: str) -> str:
-    parts = urlsplit(proxy)
-    if parts.scheme not in ("http", "https") or not parts.netloc or parts.path not in ("", "/") or parts.query:
+def _host_and_origin(proxy: str) -> tuple[str, str]:
+    """As browsers send them: in small letters, and without the port that is the usual one."""
+    try:
+        parts = urlsplit(proxy)
+    except ValueError:  # half of an IPv6 address
+        parts = urlsplit("")
+    beyond = parts.path not in ("", "/") or parts.query or parts.fragment
+    if parts.scheme not in ("http", "https") or not parts.netloc or beyond:
         raise OptionError(f"--proxy {proxy[:80]}: wanted an origin, e.g. https://spine.example.org")
     if not re.fullmatch(r"[A-Za-z0-9.-]+(:[0-9]+)?", parts.netloc):
         raise OptionError(f"--proxy {proxy[:80]}: wanted a host, and perhaps a port")
-    return parts.netloc.lower()
+    host = parts.netloc.lower().removesuffix(":443" if parts.scheme == "https" else ":80")
+    return host, f"{parts.scheme}://{host}"

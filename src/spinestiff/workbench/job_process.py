@@ -118,13 +118,17 @@ def _keep_log(process: subprocess.Popen[bytes], folder: Path, log: Path) -> None
     hidden = re.compile("|".join(named))
     assert process.stdout is not None
     written = 0
-    with log.open("ab") as file:
+    with contextlib.ExitStack() as opened:
+        file = None
+        with contextlib.suppress(OSError):
+            file = opened.enter_context(log.open("ab", buffering=0))
+        # To its end, also where nothing can be written: a command whose output nobody takes waits for ever.
         for line in process.stdout:
             content = hidden.sub("subject", line.decode("utf-8", "replace")).encode()
             written += len(content)
-            if written < LARGEST_LOG:
-                file.write(content)
-                file.flush()
+            if file is not None and written < LARGEST_LOG:
+                with contextlib.suppress(OSError):
+                    file.write(content)
 
 
 def main() -> None:

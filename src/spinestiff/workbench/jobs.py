@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from spinestiff.errors import NotThere, SpinestiffError
 from spinestiff.workbench.job_process import start_job
-from spinestiff.workbench.job_table import Job, JobTable
+from spinestiff.workbench.job_table import LOST_S, Job, JobTable
 from spinestiff.workbench.rooms import Root
 from spinestiff.workbench.verbs import command_of
 
@@ -30,6 +31,7 @@ class Jobs:
     def __init__(self, root: Root, side_by_side: int = 1) -> None:
         self.root, self.side_by_side = root, side_by_side
         self.table = JobTable(root.own / "jobs.sqlite")
+        self._looked = time.time()
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -74,7 +76,11 @@ class Jobs:
 
     def look(self) -> None:
         """Start what can be started."""
-        self.table.give_up_lost()
+        now = time.time()
+        if now - self._looked < LOST_S:
+            self.table.give_up_lost()
+        # Else this machine slept, and so did the processes of jobs: each gives a sign of life before the next look.
+        self._looked = now
         while (job := self.table.take(self.side_by_side)) is not None:
             try:
                 folder = self.root.subject(job.subject)

@@ -222,6 +222,6 @@ class Sources:
     def place(self, key: str) -> Path:
         """The folder of a key. Raises NotThere."""
         for found, _, place in self.offered():
-            if hmac.compare_digest(found, key):
+            if hmac.compare_digest(found.encode(), key.encode()):
                 return place
         raise NotThere("this folder is not there, or no longer")

@@ -223,7 +223,7 @@ def _zipped(place: Path, content: Sequence[tuple[str, bytes | Path]]) -> Path:
         size = sum(len(what) if isinstance(what, bytes) else what.stat().st_size for _, what in content)
         if room_bytes(place) < size:
             raise SubjectError(f"there is no room on the disk for a zip file of {size / 2**20:.0f} MB")
-        with zipfile.ZipFile(target, "x", zipfile.ZIP_DEFLATED, compresslevel=3) as zipped:
+        with zipfile.ZipFile(target, "x", zipfile.ZIP_DEFLATED, compresslevel=3, strict_timestamps=False) as zipped:
             for name, what in content:
                 if isinstance(what, bytes):
                     # The same date for all: when they were packed tells nothing of the person.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import shutil
@@ -10,6 +11,7 @@ import zlib
 from pathlib import Path
 
 from spinestiff.errors import SubjectError
+from spinestiff.files import trouble
 from spinestiff.subject.folder import MOST_INPUT_BYTES
 from spinestiff.subject.intake.collecting import MOST_FILES
 from spinestiff.workbench.names import Names
@@ -50,7 +52,8 @@ def unzip(archive: Path, target: Path, most_bytes: int) -> int:
 
     Raises
     ------
-    SubjectError : no zip file, damaged or encrypted, packed by a method that is not read; too many files, or too large.
+    SubjectError : no zip file, damaged or encrypted, packed by a method that is not read; too many files, or too large;
+        what is in it can't be written.
     """
     try:
         return _unzip(archive, target, most_bytes)
@@ -58,6 +61,8 @@ def unzip(archive: Path, target: Path, most_bytes: int) -> int:
         shutil.rmtree(target, ignore_errors=True)
         if not isinstance(problem, _DAMAGED):
             raise
+        if isinstance(problem, OSError) and problem.errno not in (None, errno.EINVAL):  # a place that is none: damaged
+            raise SubjectError(f"a zip file of the upload can't be unpacked ({trouble(problem)})") from None
         what = "is encrypted" if isinstance(problem, RuntimeError) else "is damaged, or no zip file"
         raise SubjectError(f"a zip file of the upload {what}; unpack it yourself and upload the folder") from None
 
