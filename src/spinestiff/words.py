@@ -9,8 +9,9 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
 
-_MEANS_MORE = re.compile(r"[^\w .,:/\\@%+=-]" if os.name == "nt" else r"[^\w .,:/@%+=-]")
-"""Signs beside blanks that shells may take for something else than themselves."""
+_MEANS_MORE = re.compile(r"[^\w .,:/\\@%+=-]" if os.name == "nt" else r"[^\w\udc80-\udcff .,:/@%+=-]")
+"""Signs beside blanks that shells may take for something else than themselves. Bytes that are no text, by their codes,
+are none."""
 _PUSH = re.compile(r"push(?![a-z])", re.IGNORECASE)
 
 
