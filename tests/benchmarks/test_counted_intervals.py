@@ -125,6 +125,12 @@ def test_the_first_words_of_the_pages_are_the_stored_campaigns():
         assert said in (ROOT / page).read_text(encoding="utf-8"), f"{page} says other than: {said}"
 
 
+def test_the_pages_tables_are_the_stored_campaigns():
+    page = (ROOT / "docs/coverage.md").read_text(encoding="utf-8")
+    for block in counting.markdown(json.loads((ROOT / "benchmarks/results/coverage.json").read_text())).split("\n\n"):
+        assert block in page, f"docs/coverage.md lacks, of coverage.py --markdown: {block}"
+
+
 def test_people_of_one_stiffness_have_no_thirds(rows):
     same = [{**row, "ratios": {"lateral_bending": 0.07, "tissue": 0.04}} for row in rows]
     entry = counting.summarised("one stiffness", same)
