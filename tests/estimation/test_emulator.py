@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spinestiff.estimation.emulator import Emulator, Kriging, Place
+from spinestiff.estimation.emulator import SLOPE_NOISES, Emulator, Kriging, Place
 from spinestiff.estimation.profiles import likely_ratios
 from spinestiff.estimation.weighed import phi, reduced
 from spinestiff.mechanics.equilibrium import EquilibriumProblem
@@ -151,3 +151,44 @@ def test_places_of_a_rougher_model_tell_the_shape(column, noisy, found, places) 
     likely = wanted - wanted.min() < 5.0
     off, without = (np.abs(emulator.phi(where) - wanted)[likely] for emulator in (both, own))
     assert off.max() < 0.25 * without.max()
+
+
+def test_slopes_of_creases_lead_nowhere(found, places, monkeypatch) -> None:
+    """Three places close together, whose slopes in the ratios jump by far more than what lies between them tells.
+
+    A difference that met them would be as large as the jumps a factor of three away; its own noise is the likelier.
+    """
+    rough = [Place(found.point, found.slope), *places[1:]]
+    random, close = np.random.default_rng(3), []
+    for shift in ([0.0, 0.0], [0.04, -0.03], [-0.03, 0.05]):
+        place = rough[0]
+        log_ratios = place.point.log_ratios + shift
+        evaluation = replace(place.point.evaluation, log_ratios=log_ratios)
+        point = replace(place.point, evaluation=evaluation)
+        jump = 1.0 + 3.0 * random.normal(size=place.slope.ratios.shape)
+        close.append(Place(point, replace(place.slope, ratios=place.slope.ratios * jump)))
+    known, off = Emulator(rough, found.weights), []
+    for noises in ((0.0,), SLOPE_NOISES):
+        monkeypatch.setattr("spinestiff.estimation.emulator.SLOPE_NOISES", noises)
+        emulator = Emulator(close, found.weights, telling=False, rough=rough)
+        assert len(emulator.log_ratios) == 3
+        far = found.point.log_ratios + np.array([[0.8, -0.6], [-0.9, 0.7], [1.1, 0.3]])
+        apart = [emulator.nuisances(where)[0] - known.nuisances(where)[0] for where in far]
+        off.append((np.abs(apart).max(), np.abs(emulator.phi(far) - known.phi(far)).max()))
+    # Nuisances in their prior's sds, and phi.
+    assert off[1][0] < 2.0
+    assert off[1][1] < 3.0
+    assert off[0][0] > 20.0
+    assert off[0][1] > 30.0
+
+
+def test_noise_of_slopes_is_told_from_a_function_that_changes_quickly() -> None:
+    x = np.linspace(-0.2, 0.2, 5)[:, None]
+    noise = np.array([3.0, -2.5, 1.0, -3.5, 2.0])[:, None, None]
+    smooth, slopes = np.sin(2.0 * x), (2.0 * np.cos(2.0 * x))[:, None]
+    for extra, wanted in ((0.0 * noise, 0.0), (noise, 1.0)):
+        tried = {v: Kriging(x, smooth, slopes + extra, 0.7, False, v) for v in (0.0, 1.0)}
+        assert max(tried, key=lambda v: float(tried[v].log_likelihood[0])) == wanted
+    far = np.array([[0.7]])
+    off = [abs(float(tried[v].at(far)[0, 0]) - np.sin(1.4)) for v in (0.0, 1.0)]
+    assert off[1] < 0.5 * off[0]

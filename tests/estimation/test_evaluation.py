@@ -106,8 +106,32 @@ def test_an_equilibrium_starts_on_the_last_tangent(column, clean, monkeypatch) -
 
     monkeypatch.setattr(column.problem, "solve", solve)
     warm = trial_set.solve(ahead, near, slope)
-    assert tuple(starts) == slope.tangents
+    assert tuple(starts) == slope.tangents[::-1]  # the largest load first
     assert np.allclose(warm.values, plain.values, atol=1e-7)
+
+
+@pytest.mark.parametrize("linearised", [False, True])
+def test_where_the_largest_load_has_no_equilibrium_the_others_are_not_solved(column, linearised, monkeypatch) -> None:
+    monkeypatch.setenv("SPINESTIFF_THREADS", "1")
+    trial_set, name = column.trial_set(column.trials(forces=(5.0, 200.0, 10.0))[1:]), "solve_linearised"
+    real, tried = getattr(column.problem, name if linearised else "solve"), []
+
+    def solve(load, *args, **limits):
+        tried.append(load.push.size)
+        return real(load, *args, **limits)
+
+    monkeypatch.setattr(column.problem, name if linearised else "solve", solve)
+    with pytest.raises(EquilibriumError, match=f"^{trial_set.trials[1].label}: .*gives way under this load"):
+        trial_set.solve(np.log([0.01, 0.01]), linearised=linearised)
+    assert tried == [200.0]
+    # With loads that it bears all are solved, and told in their own order.
+    found = trial_set.solve(np.log([1.0, 1.0]), linearised=linearised)
+    assert tried == [200.0, 200.0, 10.0, 5.0]
+    moved = [
+        np.abs(one.state.bone_positions - column.problem.torso.rest_pose.bone_positions).max()
+        for one in found.equilibria
+    ]
+    assert moved[0] < moved[2] < moved[1]
 
 
 @pytest.mark.parametrize("linearised", [False, True])
@@ -141,7 +165,7 @@ def test_threads_change_nothing(column, clean, monkeypatch) -> None:
         slope = trial_set.slope(point, with_acts=True)
         found.append((point.values, np.hstack(slope.moves), np.hstack(slope.acted), trial_set.gradient(point)))
         found[-1] += (vars(trial_set.cost),)
-        with pytest.raises(EquilibriumError, match=f"^{trial_set.trials[0].label}"):
+        with pytest.raises(EquilibriumError, match=f"^{trial_set.trials[-1].label}"):
             trial_set.solve(HERE, acts=crushing)
     for one, four in zip(*found):
         assert one == four if isinstance(one, dict) else np.array_equal(one, four)

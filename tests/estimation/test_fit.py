@@ -237,7 +237,7 @@ def test_a_start_that_takes_too_long_is_left_for_one_nearer_to_the_default(colum
 
 def test_no_equilibrium_at_the_start_is_one_clear_error(column, clean, brittle) -> None:
     for method in fitting.METHODS:
-        with pytest.raises(FitError, match="no equilibrium at the start of the fit, push 1 40 N"):
+        with pytest.raises(FitError, match="no equilibrium at the start of the fit, push 1 100 N"):
             fit_stiffness(brittle(2.0), clean, method=method, bounds=BOUNDS)
     stiff = column.trials({"lateral_bending": 2.5, "tissue": 2.0})
     start = {"lateral_bending": 3.0, "tissue": 3.0}

@@ -21,8 +21,10 @@ from spinestiff.estimation.weighed import Reduced, Weights, reduced
 
 # Correlation length in log ratio: residuals change their course over a factor of seven or so.
 LENGTH = 2.0
-# Of what phi on a finer mesh differs by from phi on a coarser one: tried beside ``LENGTH``, the likeliest is taken.
-DIFFERENCE_LENGTHS = (1.4, 1.0, 0.7, 0.5)
+# Of what phi and nuisances on a finer mesh differ by from those on a coarser one: lengths tried beside ``LENGTH``, each
+# with these variances of what slopes have beside the difference's own, in units of its variance; the likeliest are
+# taken. Where tissue creases, the slope at a place says little of the way to the next one.
+DIFFERENCE_LENGTHS, SLOPE_NOISES = (1.4, 1.0, 0.7, 0.5), (0.0, 0.1, 1.0, 10.0)
 # Relative variance that keeps places close to each other, which first order has a little wrong, from being at odds.
 NUGGET = 1e-4
 # Of a difference's derivatives by its own values, in log ratio.
@@ -50,15 +52,22 @@ class Kriging:
     places : (K, P). values : (K, R). slopes : (K, R, P) or None: of the first place only, 0.
     length : of correlation, in log ratio.
     rising : far from all places the function rises as at the first one; else it is there what it is at the first one.
+    slope_noise : variance of what the slopes have beside the function's own, in units of its variance.
 
     Attributes
     ----------
-    log_likelihood : (R,) of what is known, as a Gaussian process of this length and of the likeliest size; give or take
-        a constant.
+    log_likelihood : (R,) of what is known, as a Gaussian process of this length and noise and of the likeliest size;
+        give or take a constant.
     """
 
     def __init__(
-        self, places: Floats, values: Floats, slopes: Floats | None, length: float = LENGTH, rising: bool = True
+        self,
+        places: Floats,
+        values: Floats,
+        slopes: Floats | None,
+        length: float = LENGTH,
+        rising: bool = True,
+        slope_noise: float = 0.0,
     ) -> None:
         self._places, self._sloped, self._length = places, slopes is not None, length
         self._base, self._value = places[0], values[0]
@@ -74,6 +83,9 @@ class Kriging:
             )
         kernel = self._covariance(places, True)
         kernel[np.diag_indices_from(kernel)] *= 1.0 + NUGGET
+        if slopes is not None:
+            sloped = np.arange(len(places), len(kernel))
+            kernel[sloped, sloped] += slope_noise
         factor = cho_factor(kernel + NUGGET * np.eye(len(kernel)), lower=True)
         self._solved = cho_solve(factor, targets)
         sizes = np.sum(targets * self._solved, axis=0) / len(kernel)
@@ -208,7 +220,7 @@ class Emulator:
     def _difference(self, models: list[Reduced]) -> tuple[Kriging, Kriging]:
         """Of phi, and of the most probable nuisances, at the kept places, from what the surface alone has there.
 
-        phi's may be one that goes over within a short way, which then keeps to where it was seen: carried on as far as
+        Each may be one that goes over within a short way, which then keeps to where it was seen: carried on as far as
         residuals are, it would dig holes where nothing was solved. One place tells no length.
         """
         wanted = np.array([[_height(model), *model.nuisances] for model in models])
@@ -219,12 +231,17 @@ class Emulator:
             ahead, behind = (self._on_surface(self.log_ratios + sign * step) for sign in (1.0, -1.0))
             climbing[:, :, i] = (ahead - behind) / (2.0 * DIFFERENCE)
         apart, changing = wanted - own, slopes - climbing
-        ways = [(LENGTH, True)]
-        if len(models) > 1:
-            ways += [(length, False) for length in DIFFERENCE_LENGTHS]
-        phis = [Kriging(self.log_ratios, apart[:, :1], changing[:, :1], length, rising) for length, rising in ways]
-        likeliest = max(phis, key=lambda one: float(one.log_likelihood[0]))
-        return likeliest, Kriging(self.log_ratios, apart[:, 1:], changing[:, 1:])
+        return self._likeliest(apart[:, :1], changing[:, :1]), self._likeliest(apart[:, 1:], changing[:, 1:])
+
+    def _likeliest(self, values: Floats, slopes: Floats) -> Kriging:
+        """Through values (K, R) and slopes (K, R, P) at the kept places, of the length and noise that they tell."""
+        ways: list[tuple[float, bool, float]] = [(LENGTH, True, 0.0)]
+        if len(values) > 1:
+            ways += [(length, False, noise) for length in DIFFERENCE_LENGTHS for noise in SLOPE_NOISES]
+            ways += [(LENGTH, False, noise) for noise in SLOPE_NOISES[1:]]
+        told = np.any(values != values[0], axis=0) | np.any(slopes != slopes[0], axis=(0, 2))
+        tried = [Kriging(self.log_ratios, values, slopes, *way) for way in ways]
+        return max(tried, key=lambda one: float(one.log_likelihood[told].sum()))
 
     def _on_surface(self, where: Floats) -> Floats:
         phi, nuisances, _ = self._solved(where)

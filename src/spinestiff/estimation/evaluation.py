@@ -185,7 +185,7 @@ class TrialSet:
         acts = np.zeros((len(self.trials), len(ACTS))) if acts is None else acts
         self._tangents = None
 
-        def solved(i: int) -> tuple[Equilibrium, Linearisation | None] | EquilibriumError:
+        def solved(i: int) -> tuple[Equilibrium, Linearisation | None]:
             start: TorsoState | Linearisation | None = None if starts is None else starts[i]
             if near is not None:
                 start = near.equilibria[i].state
@@ -200,21 +200,19 @@ class TrialSet:
                 equilibrium = problem.solve(
                     load, ratios, start, largest_turn=FOLDED, most_factorisations=most_factorisations
                 )
-                return equilibrium, None
+                return equilibrium.require(), None
             except EquilibriumError as error:
-                return error
+                raise EquilibriumError(f"{self.trials[i].label or f'trial {i + 1}'}: {error}") from None
 
+        # The largest load first: where it has no equilibrium, which may take long to see, the others are not solved.
+        order = sorted(range(len(self.trials)), key=lambda i: -self.trials[i].load.size)
+        outcomes = dict(zip(order, in_parallel(solved, order)))
         found, parts, tangents = [], [], []
-        for i, outcome in enumerate(in_parallel(solved, range(len(self.trials)))):
-            label = self.trials[i].label or f"trial {i + 1}"
-            if isinstance(outcome, EquilibriumError):
-                raise EquilibriumError(f"{label}: {outcome}")
-            equilibrium, tangent = outcome
+        for i in range(len(self.trials)):
+            equilibrium, tangent = outcomes[i]
             self.cost.equilibria += 1
             self.cost.newton_iterations += equilibrium.iterations
             self.cost.factorisations += equilibrium.factorisations
-            if not equilibrium.converged:
-                raise EquilibriumError(f"{label}: {equilibrium.status.value}")
             found.append(equilibrium)
             parts.append(residuals(self.problems[i].torso, self.targets[i], equilibrium.state))
             if tangent is not None:
