@@ -233,7 +233,7 @@ def minute_limits() -> tuple[float, float]:
 
 
 def memory_limits() -> tuple[float, float]:
-    """GB that one subject of a cohort may take."""
+    """GB (2^30 bytes) that one subject of a cohort may take."""
     return 0.0, 10000.0
 
 
@@ -243,5 +243,5 @@ def difference_limits() -> tuple[float, float]:
 
 
 def upload_limits() -> tuple[float, float]:
-    """GB of one upload."""
+    """GB (2^30 bytes) of one upload."""
     return 0.0, 1000.0
